@@ -1,0 +1,118 @@
+"""The spine's figures: `make bench` prints them and writes bench/results.md. Results are compared before they are timed.
+
+check     backward induction in numba against its numpy twin, on the paper's largest floor and windows
+updates   Q updates a second of corrected cfer against the same updates one by one in plain Python
+memory    peak of a whole `stltool run` of that scenario
+"""
+
+from __future__ import annotations
+
+import datetime
+import os
+import platform
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+
+import stltool as stl
+from stltool import kernels
+from stltool.kernels.learning import clocked_transition
+from stltool.learning import Settings
+from stltool.learning.problem import Problem
+from stltool.learning.tables import ClockedTable
+
+ROOT = Path(__file__).resolve().parent.parent
+FACTORY = ROOT / "examples" / "factory"
+
+
+def best_of(n: int, action: Callable[[], object]) -> float:
+    """The shortest of n timed runs, seconds."""
+    times = []
+    for _ in range(n):
+        start = time.perf_counter()
+        action()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def p4() -> stl.Product:
+    task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 15, "tau": 15})
+    return stl.build_product(stl.load_model(FACTORY / "floor-10x10.toml"), task)
+
+
+def check_ratio(product: stl.Product) -> str:
+    fast, slow = stl.check(product), stl.check(product, backend="numpy")
+    assert abs(fast.probability - slow.probability) < 1e-13
+    seconds = [best_of(7, lambda b=b: stl.check(product, backend=b)) for b in ("numba", "numpy")]
+    return f"| check, 10 × 10 floor, T = τ = 15 | numpy twin | {seconds[1] / seconds[0]:.1f} × faster |"
+
+
+def update_ratio(product: stl.Product) -> str:
+    problem, rng = Problem.of(product), np.random.default_rng(0)
+    live_of = product.automaton.live()
+    transitions = []
+    for _ in range(200):
+        s = int(rng.integers(problem.n_states))
+        a = int(rng.integers(problem.n_choices[s]))
+        transitions.append((s, a, int(rng.integers(problem.n_states))))
+    tables = [ClockedTable(problem, Settings(), count_every_entry=False) for _ in range(2)]
+
+    def run(table: ClockedTable, kernel: Callable[..., None], some: list[tuple[int, int, int]]) -> None:
+        for s, a, s2 in some:
+            after = product.automaton.delta[problem.letter[s2]]
+            memory = table._memory[problem.letter[s]]
+            kernel(table.Q, table.V, table.live, memory, after, s, a, s2, int(problem.n_choices[s]), 0.1)
+
+    def updates(some: list[tuple[int, int, int]]) -> int:
+        return sum(int(live_of[:, tables[0]._memory[problem.letter[s]]].sum()) for s, _, _ in some)
+
+    few = transitions[:3]
+    run(tables[0], clocked_transition, few)
+    run(tables[1], clocked_transition.py_func, few)
+    assert np.array_equal(tables[0].Q, tables[1].Q)
+    fast = updates(transitions) / best_of(7, lambda: run(tables[0], clocked_transition, transitions))
+    slow = updates(few) / best_of(3, lambda: run(tables[1], clocked_transition.py_func, few))
+    return f"| Q updates a second ({fast:.3g}) | the same loop in plain Python ({slow:.3g}) | {fast / slow:.0f} × |"
+
+
+def memory() -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        command = [
+            sys.executable, "-m", "stltool", "run", str(FACTORY / "patrolling.stl"), "-p", "T=15", "-p", "tau=15",
+            "--model", str(FACTORY / "floor-10x10.toml"), "--episodes", "500", "--out", folder,
+        ]  # fmt: skip
+        subprocess.run(command, check=True, capture_output=True)
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1000
+    return f"| peak memory of `stltool run`, 10 × 10 floor, T = τ = 15, 500 episodes | – | {peak:.0f} MB |"
+
+
+def main() -> None:
+    kernels.warm_up()
+    product = p4()
+    packages = ", ".join(f"{name} {metadata.version(name)}" for name in ("numpy", "numba", "scipy"))
+    lines = [
+        "# Benchmark results",
+        "",
+        f"`make bench` on {datetime.date.today()}: {platform.machine()}, {os.cpu_count()} cores, "
+        f"Python {platform.python_version()}, {packages}.",
+        "",
+        "| what | against | figure |",
+        "|---|---|---|",
+        check_ratio(product),
+        update_ratio(product),
+        memory(),
+    ]
+    text = "\n".join(lines) + "\n"
+    print(text)
+    (ROOT / "bench" / "results.md").write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,81 @@
+"""stltool: signal temporal logic tasks on Markov decision processes, learned and verified exactly. START HERE.
+
+    >>> import stltool as stl
+    >>> phi = stl.parse("G[0,5) (F[0,5) A & F[0,5) B)")         # text → Formula; str(phi) parses back
+    >>> print(phi, stl.horizon(phi))
+    G[0,4] ((F[0,4] A) & (F[0,4] B)) 8
+    >>> stay = [[1, 0], [0, 1]]; swap = [[0.1, 0.9], [0.8, 0.2]]
+    >>> model = stl.MDP.from_arrays([stay, swap], {"x": [0.0, 1.0]}, labels={"A": [1, 0], "B": [0, 1]})
+    >>> product = stl.build_product(model, phi)                  # MDP × automaton of the task
+    >>> best = stl.check(product)                                # exact optimum, with its policy and enclosure
+    >>> print(f"{best.lower:.6f} <= {best.probability:.6f} <= {best.upper:.6f}")
+    0.996815 <= 0.996815 <= 0.996815
+    >>> run = stl.learn(product, "cfer", episodes=100, seed=0)   # never sees the probabilities
+    >>> stl.check(product, run.policy).probability <= best.upper
+    True
+
+One straight way through the house, and the map in reading order:
+
+    logic/        text → Formula: grammar, parser, printer, semantics (the oracle), the paper's fragment
+    automata/     Formula → TaskAutomaton: what must be remembered to judge a run
+    models/       a file or arrays → MDP; MDP → something that only resets and steps
+    product.py    MDP × TaskAutomaton, never built as a matrix
+    policy.py     a table over (t?, s, q), saved and loaded without pickle
+    checking/     the exact probability of the best policy, or of a given one, with bounds
+    learning/     policies from experience alone
+    reporting/    results → JSON, HTML, terminal
+    cli.py        the same from the command line
+    kernels/      numba loops; testing/  Hypothesis strategies for users' own tests
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from stltool.automata import TaskAutomaton, compile_automaton
+    from stltool.checking import CheckResult, Run, check, sample_run
+    from stltool.errors import StlToolError
+    from stltool.learning import Settings, Training, learn
+    from stltool.logic.formula import Formula, horizon
+    from stltool.logic.fragment import Fragment, check_fragment
+    from stltool.logic.parser import load_task, parse, parse_task
+    from stltool.logic.semantics import robustness, satisfies
+    from stltool.logic.task import Task
+    from stltool.models import MDP, load_model
+    from stltool.policy import Policy, load_policy
+    from stltool.product import Product, build_product
+    from stltool.reporting import report
+
+__version__ = "0.1.0"
+
+# name → the module it is loaded from when first used, so that `import stltool` stays light
+_HOME = {
+    "CheckResult": "checking", "Formula": "logic.formula", "Fragment": "logic.fragment", "MDP": "models",
+    "Policy": "policy", "Product": "product", "Run": "checking", "Settings": "learning", "StlToolError": "errors",
+    "Task": "logic.task", "TaskAutomaton": "automata", "Training": "learning", "build_product": "product",
+    "check": "checking", "check_fragment": "logic.fragment", "compile_automaton": "automata",
+    "horizon": "logic.formula", "learn": "learning", "load_model": "models", "load_policy": "policy",
+    "load_task": "logic.parser", "parse": "logic.parser", "parse_task": "logic.parser", "report": "reporting",
+    "robustness": "logic.semantics", "sample_run": "checking", "satisfies": "logic.semantics",
+}  # fmt: skip
+
+__all__ = [  # noqa: RUF022 - in reading order
+    "parse", "Formula", "horizon", "satisfies", "robustness", "check_fragment", "Fragment",
+    "load_task", "parse_task", "Task", "compile_automaton", "TaskAutomaton", "load_model", "MDP",
+    "build_product", "Product", "Policy", "load_policy", "check", "CheckResult", "sample_run", "Run",
+    "learn", "Training", "Settings", "report", "StlToolError",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'stltool' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"stltool.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -1,0 +1,5 @@
+"""`python -m stltool`."""
+
+from stltool.cli import main
+
+main()

@@ -1,0 +1,103 @@
+"""The paper's flag vector (eq. 10 and 11, as settled by semantics.md §2).
+
+    F[0,τ) ψ:  f ← τ           if ψ holds, else max(f − 1, 0)        χ = (f > 0)
+    G[0,τ) ψ:  f ← min(f+1, τ) if ψ holds, else 0                    χ = (f = τ)
+
+from f = 0, reading s₀ first. After step t, χ_i is the truth of φ_i for the window that *ends* at t. With equal windows
+τ, φ at start k is g(χ) at t = k + τ − 1: outer F decides true when it holds, outer G false when it fails, and at
+h = T + τ − 2 the rest decide the other way. With different windows the χ_i speak of different starts: the paper's
+approximation, which `exact` says is not the formula.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, TaskAutomaton
+from stltool.logic.formula import Formula
+from stltool.logic.fragment import Fragment
+from stltool.sizes import require_memory
+
+
+def flag_automaton(
+    phi: Formula, fragment: Fragment, letters: NDArray[np.bool_], encoding: str, limit: int | None = None
+) -> TaskAutomaton:
+    """The product of the fragment's flags: Π (τ_i + 1) states.
+
+    `letters` (n_letters, n_parts) holds the valuations of the parts' predicates to read. Raises SizeError before
+    allocating when the tables would not fit.
+    """
+    taus = [part.tau for part in fragment.parts]
+    shape = tuple(tau + 1 for tau in taus)
+    n_states = math.prod(shape)
+    per_state = 4 * len(letters) + 4 * len(taus) + 8 * len(taus) + 3
+    sizes = " × ".join(str(size) for size in shape)
+    require_memory(
+        n_states * per_state,
+        f"the automaton of {phi}: {sizes} = {n_states:.4g} states",
+        "shorten the inner windows or coarsen the time step",
+        limit,
+    )
+    flags = np.indices(shape, dtype=np.int32).reshape(len(taus), n_states)
+    delta = np.empty((len(letters), n_states), dtype=np.int32)
+    for letter, valuation in enumerate(letters):
+        after = [
+            _update(part.operator, part.tau, bool(holds), flag)
+            for part, holds, flag in zip(fragment.parts, valuation, flags, strict=True)
+        ]
+        delta[letter] = np.ravel_multi_index(after, shape)
+
+    chi = [
+        flag > 0 if part.operator == "F" else flag == part.tau for part, flag in zip(fragment.parts, flags, strict=True)
+    ]
+    holds = _combine(fragment, chi, n_states)
+    starts, rows = _verdicts(fragment, holds, max(taus))
+    return TaskAutomaton(
+        formula=phi,
+        encoding=encoding,
+        exact=fragment.uniform,
+        atoms=tuple(part.psi for part in fragment.parts),
+        letters=letters,
+        delta=delta,
+        initial=0,
+        horizon=fragment.T + max(taus) - 2,
+        verdict_starts=np.array(starts, dtype=np.int64),
+        verdict_rows=np.array(rows, dtype=np.int8),
+        registers=np.ascontiguousarray(flags.T),
+        register_names=tuple(f"flag of {part}" for part in fragment.parts),
+    )
+
+
+def _update(operator: str, tau: int, holds: bool, flag: NDArray[np.int32]) -> NDArray[np.int32]:
+    if operator == "F":
+        return np.full_like(flag, tau) if holds else np.maximum(flag - 1, 0)
+    return np.minimum(flag + 1, tau) if holds else np.zeros_like(flag)
+
+
+def _combine(fragment: Fragment, chi: list[NDArray[np.bool_]], n_states: int) -> NDArray[np.bool_]:
+    """g(χ) at every state, through the 2^n rows of its truth table."""
+    n = len(chi)
+    row = np.zeros(n_states, dtype=np.int64)
+    for i, values in enumerate(chi):
+        row |= values.astype(np.int64) << i
+    table = np.empty(1 << n, dtype=np.bool_)
+    for index in np.unique(row):
+        table[index] = fragment.combine([bool(index >> i & 1) for i in range(n)])
+    return table[row]
+
+
+def _verdicts(fragment: Fragment, holds: NDArray[np.bool_], tau: int) -> tuple[list[int], list[NDArray[np.int8]]]:
+    """Undecided before the first full window; then one way only; at the horizon both ways."""
+    nothing = np.full(len(holds), UNDECIDED, dtype=np.int8)
+    if fragment.outer == "F":
+        running = np.where(holds, TRUE, UNDECIDED).astype(np.int8)
+    else:
+        running = np.where(holds, UNDECIDED, FALSE).astype(np.int8)
+    final = np.where(holds, TRUE, FALSE).astype(np.int8)
+    at = {0: nothing}
+    at[tau - 1] = running
+    at[fragment.T + tau - 2] = final
+    return list(at), list(at.values())

@@ -1,0 +1,6 @@
+"""The exact probability that a policy, or the best one, satisfies the task: one question a file."""
+
+from stltool.checking.check import CheckResult, check
+from stltool.checking.sampling import Run, sample_run
+
+__all__ = ["CheckResult", "Run", "check", "sample_run"]

@@ -1,0 +1,46 @@
+"""Runs of a policy on the model: what a report shows, step by step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stltool.automata import TRUE, UNDECIDED
+from stltool.policy import Policy
+from stltool.product import Product
+
+
+@dataclass(frozen=True)
+class Run:
+    """One sampled run s₀ … s_n up to the step where the verdict fell.
+
+    `states` has one entry more than `actions`; `memory` holds the automaton state after each; `satisfied` is the
+    verdict, which fell at the last step.
+    """
+
+    states: tuple[int, ...]
+    actions: tuple[str, ...]
+    memory: tuple[int, ...]
+    satisfied: bool
+
+
+def sample_run(product: Product, policy: Policy, rng: np.random.Generator) -> Run:
+    """Follow `policy` from a random first state until the task is decided."""
+    model, automaton = product.model, product.automaton
+    s = int(rng.choice(model.n_states, p=model.initial / model.initial.sum()))
+    q = product.enter(s, automaton.initial)
+    states, actions, memory = [s], [], [q]
+    t = 0
+    while automaton.verdicts(t)[q] == UNDECIDED:
+        table = policy.at(t)[s, q]
+        i = int(table) if policy.deterministic else int(rng.choice(len(table), p=table / table.sum()))
+        c = model.choice_start[s] + i
+        row = slice(model.row_start[c], model.row_start[c + 1])
+        s = int(rng.choice(model.target[row], p=model.probability[row] / model.probability[row].sum()))
+        q = product.enter(s, q)
+        t += 1
+        states.append(s)
+        actions.append(model.action_names[model.choice_action[c]])
+        memory.append(q)
+    return Run(tuple(states), tuple(actions), tuple(memory), bool(automaton.verdicts(t)[q] == TRUE))

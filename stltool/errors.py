@@ -1,0 +1,67 @@
+"""What can be wrong with a user's input: one base class, one child per kind.
+
+Every message says where (file, line, column, the line and a caret), what (the value), and what to write instead.
+The command line prints the message and leaves with exit code 2; nobody sees a traceback for a typing slip.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class StlToolError(Exception):
+    """The user's input is at fault. `str(error)` is the whole message, ready to print."""
+
+
+class StlSyntaxError(StlToolError):
+    """A formula or a task file does not parse, or parses to something ill-typed."""
+
+
+class NameLookupError(StlToolError):
+    """A formula names a signal or a label that nothing defines."""
+
+
+class TraceError(StlToolError):
+    """A trace is too short for the formula, or its samples are not usable."""
+
+
+class FragmentError(StlToolError):
+    """A formula is outside the fragment that the chosen encoding covers exactly."""
+
+
+class ModelError(StlToolError):
+    """A model file or a model's arrays do not describe an MDP."""
+
+
+class PolicyError(StlToolError):
+    """A policy does not fit the product it is to be used on."""
+
+
+class SizeError(StlToolError):
+    """What was asked for would not fit; raised before any memory is taken."""
+
+
+class SettingsError(StlToolError):
+    """A setting of a learner or of a command is out of range."""
+
+
+class FileError(StlToolError):
+    """A file cannot be read or written, or holds something else than its name says."""
+
+
+class InexactEncodingWarning(UserWarning):
+    """The chosen encoding is the paper's approximation and may disagree with the formula."""
+
+
+def near_misses(name: str, known: Iterable[str]) -> str:
+    """A sentence that helps: what `name` may have meant among the names there are."""
+    names = sorted(set(known))
+    close = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
+    close += [n for n in names if n.lower() == name.lower() and n not in close]
+    if close:
+        return f"did you mean {' or '.join(close)}?"
+    if names:
+        shown = ", ".join(names[:12]) + (", …" if len(names) > 12 else "")
+        return f"known names: {shown}"
+    return "there are no names to choose from"

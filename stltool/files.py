@@ -1,0 +1,57 @@
+"""Reading text and writing results: the old file or the new one, never half of it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+from stltool.errors import FileError
+
+
+def read_text(path: str | Path, what: str) -> str:
+    """The text of a file, or a FileError that says why it has none. `what` names the file's role ("task file")."""
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise FileError(f"{path}: there is no such {what}") from None
+    except OSError as error:
+        raise FileError(f"{path}: this {what} cannot be read: {error.strerror}") from None
+    if b"\0" in data:
+        raise FileError(f"{path}: not a {what}: it holds binary data (a zero byte at offset {data.index(0)})")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FileError(
+            f"{path}: not a {what}: byte {error.start} ({data[error.start]:#04x}) is not UTF-8 text; "
+            "save the file as UTF-8"
+        ) from None
+
+
+def write_atomically(path: str | Path, data: bytes | str) -> None:
+    """Write `data` beside `path` and move it into place, so that a crash leaves the old file."""
+    path = Path(path)
+    if isinstance(data, str):
+        data = data.encode("utf-8")
+    temporary = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        mode = path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~_umask()
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+            temporary = file.name
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, mode)
+        os.replace(temporary, path)
+    except OSError as error:
+        if temporary is not None:
+            Path(temporary).unlink(missing_ok=True)
+        raise FileError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,32 @@
+"""What a learner knows: the task's automaton, the labels, and how many actions each state has. No probability."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.automata import TaskAutomaton
+from stltool.product import Product
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """letter (n_states,): the automaton's letter of each model state; n_choices (n_states,): available actions."""
+
+    automaton: TaskAutomaton
+    letter: NDArray[np.int32]
+    n_choices: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, product: Product) -> Problem:
+        return cls(product.automaton, product.letter, np.diff(product.model.choice_start))
+
+    @property
+    def n_states(self) -> int:
+        return len(self.letter)
+
+    @property
+    def most_choices(self) -> int:
+        return int(self.n_choices.max())

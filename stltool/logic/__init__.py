@@ -1,0 +1,1 @@
+"""What a formula is and means: text → Formula, its semantics, its fragment."""

@@ -1,0 +1,340 @@
+"""The abstract syntax: frozen nodes, the closed unions `Formula` and `Term`.
+
+    φ ::= true | false | label | term ⋈ term | ¬φ | φ ∧ … ∧ φ | φ ∨ … ∨ φ | φ → φ | φ ↔ φ
+        | F[a,b] φ | G[a,b] φ | φ U[a,b] φ                                   (0 ≤ a ≤ b whole steps)
+
+Intervals are closed in whole steps, whatever the text said. Functions over formulas are one `match` that ends in
+`assert_never`, so the type checker finds a forgotten case. A node remembers where it was read (`span`), which takes
+no part in equality.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias, assert_never
+
+from stltool.errors import StlSyntaxError
+from stltool.logic.source import Span
+
+Comparator = Literal["<", "<=", ">", ">=", "==", "!="]
+ArithmeticOperator = Literal["+", "-", "*", "/", "^"]
+FunctionName = Literal["abs", "min", "max", "sqrt"]
+
+COMPARATORS: tuple[Comparator, ...] = ("<", "<=", ">", ">=", "==", "!=")
+FUNCTION_ARITY: dict[FunctionName, tuple[int, int | None]] = {
+    "abs": (1, 1), "sqrt": (1, 1), "min": (2, None), "max": (2, None),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """What all nodes share: the place in the text, if there is one."""
+
+    span: Span | None = field(default=None, compare=False, repr=False, kw_only=True)
+
+
+# ------------------------------------------------------------------------------------------- terms (real values)
+
+
+@dataclass(frozen=True, slots=True)
+class Number(Node):
+    """A non-negative finite constant; a negative one is `Negate(Number(…))`, as in the text."""
+
+    value: float
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.value) or math.copysign(1.0, self.value) < 0:
+            raise StlSyntaxError(f"Number({self.value}) must be finite and not negative; use Negate(Number(…))")
+
+
+@dataclass(frozen=True, slots=True)
+class Variable(Node):
+    """The value of a named signal at the evaluation step."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Negate(Node):
+    arg: Term
+
+
+@dataclass(frozen=True, slots=True)
+class Arithmetic(Node):
+    op: ArithmeticOperator
+    left: Term
+    right: Term
+
+
+@dataclass(frozen=True, slots=True)
+class Call(Node):
+    """abs, sqrt (one argument), min, max (two or more)."""
+
+    function: FunctionName
+    args: tuple[Term, ...]
+
+    def __post_init__(self) -> None:
+        least, most = FUNCTION_ARITY[self.function]
+        if len(self.args) < least or (most is not None and len(self.args) > most):
+            wanted = "one argument" if most == 1 else f"at least {least} arguments"
+            raise StlSyntaxError(f"{self.function} takes {wanted}, here it has {len(self.args)}")
+
+
+Term: TypeAlias = Number | Variable | Negate | Arithmetic | Call
+
+# ------------------------------------------------------------------------------------------- formulas (truth values)
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """The whole steps a, a+1, …, b."""
+
+    a: int
+    b: int
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.a <= self.b:
+            raise StlSyntaxError(f"the interval [{self.a},{self.b}] holds no step; write 0 <= a <= b")
+
+    def __len__(self) -> int:
+        return self.b - self.a + 1
+
+    def __str__(self) -> str:
+        return f"[{self.a},{self.b}]"
+
+
+class _Printed:
+    """Formulas print as text that parses back to them."""
+
+    __slots__ = ()
+
+    def __str__(self) -> str:
+        from stltool.logic.printer import to_text
+
+        return to_text(self)  # type: ignore[arg-type]  # only the members of `Formula` inherit this
+
+
+@dataclass(frozen=True, slots=True)
+class Constant(_Printed, Node):
+    value: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Label(_Printed, Node):
+    """A named Boolean signal: a label of the model."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison(_Printed, Node):
+    """A predicate `left ⋈ right` over signal values, strictness kept."""
+
+    op: Comparator
+    left: Term
+    right: Term
+
+
+@dataclass(frozen=True, slots=True)
+class Not(_Printed, Node):
+    arg: Formula
+
+
+@dataclass(frozen=True, slots=True)
+class And(_Printed, Node):
+    args: tuple[Formula, ...]
+
+    def __post_init__(self) -> None:
+        _at_least_two(self.args, "And")
+
+
+@dataclass(frozen=True, slots=True)
+class Or(_Printed, Node):
+    args: tuple[Formula, ...]
+
+    def __post_init__(self) -> None:
+        _at_least_two(self.args, "Or")
+
+
+@dataclass(frozen=True, slots=True)
+class Implies(_Printed, Node):
+    left: Formula
+    right: Formula
+
+
+@dataclass(frozen=True, slots=True)
+class Iff(_Printed, Node):
+    left: Formula
+    right: Formula
+
+
+@dataclass(frozen=True, slots=True)
+class Eventually(_Printed, Node):
+    """F[a,b] φ: φ at some step t+a … t+b."""
+
+    interval: Interval
+    arg: Formula
+
+
+@dataclass(frozen=True, slots=True)
+class Always(_Printed, Node):
+    """G[a,b] φ: φ at every step t+a … t+b."""
+
+    interval: Interval
+    arg: Formula
+
+
+@dataclass(frozen=True, slots=True)
+class Until(_Printed, Node):
+    """φ U[a,b] ψ: ψ at some u in t+a … t+b, and φ at every step of [t, u)."""
+
+    interval: Interval
+    left: Formula
+    right: Formula
+
+
+Formula: TypeAlias = (
+    Constant | Label | Comparison | Not | And | Or | Implies | Iff | Eventually | Always | Until
+)  # fmt: skip
+
+
+def _at_least_two(args: tuple[Formula, ...], name: str) -> None:
+    if len(args) < 2:
+        raise StlSyntaxError(f"{name} needs at least two operands, here it has {len(args)}")
+
+
+# ------------------------------------------------------------------------------------------- questions about formulas
+
+
+def children(phi: Formula) -> tuple[Formula, ...]:
+    """The operands, left to right."""
+    match phi:
+        case Constant() | Label() | Comparison():
+            return ()
+        case Not(arg) | Eventually(_, arg) | Always(_, arg):
+            return (arg,)
+        case And(args) | Or(args):
+            return args
+        case Implies(left, right) | Iff(left, right) | Until(_, left, right):
+            return (left, right)
+        case _:
+            assert_never(phi)
+
+
+def with_children(phi: Formula, new: tuple[Formula, ...]) -> Formula:
+    """The same operator over other operands (same number of them)."""
+    match phi:
+        case Constant() | Label() | Comparison():
+            return phi
+        case Not():
+            return Not(new[0], span=phi.span)
+        case And():
+            return And(new, span=phi.span)
+        case Or():
+            return Or(new, span=phi.span)
+        case Implies():
+            return Implies(new[0], new[1], span=phi.span)
+        case Iff():
+            return Iff(new[0], new[1], span=phi.span)
+        case Eventually(interval, _):
+            return Eventually(interval, new[0], span=phi.span)
+        case Always(interval, _):
+            return Always(interval, new[0], span=phi.span)
+        case Until(interval, _, _):
+            return Until(interval, new[0], new[1], span=phi.span)
+        case _:
+            assert_never(phi)
+
+
+def walk(phi: Formula) -> Iterator[Formula]:
+    """Every sub-formula, outside in, left to right."""
+    stack = [phi]
+    while stack:
+        node = stack.pop()
+        yield node
+        stack.extend(reversed(children(node)))
+
+
+def horizon(phi: Formula) -> int:
+    """The number of steps after the evaluation step that can matter (semantics.md §1).
+
+    A trace that decides φ at step 0 has `horizon(φ) + 1` samples.
+    """
+    below = max((horizon(child) for child in children(phi)), default=0)
+    match phi:
+        case Eventually(interval, _) | Always(interval, _) | Until(interval, _, _):
+            return interval.b + below
+        case _:
+            return below
+
+
+def is_temporal(phi: Formula) -> bool:
+    """Whether a temporal operator stands anywhere in the formula."""
+    return any(isinstance(node, Eventually | Always | Until) for node in walk(phi))
+
+
+def temporal_depth(phi: Formula) -> int:
+    """How deep temporal operators are nested: 0 for a Boolean formula over predicates."""
+    below = max((temporal_depth(child) for child in children(phi)), default=0)
+    return below + isinstance(phi, Eventually | Always | Until)
+
+
+def boolean_value(phi: Formula, value: Callable[[Formula], bool | None]) -> bool:
+    """The truth of φ where `value` gives the truth of those sub-formulas it knows (None: look inside)."""
+    known = value(phi)
+    if known is not None:
+        return known
+    match phi:
+        case Constant(truth):
+            return truth
+        case Not(arg):
+            return not boolean_value(arg, value)
+        case And(args):
+            return all(boolean_value(arg, value) for arg in args)
+        case Or(args):
+            return any(boolean_value(arg, value) for arg in args)
+        case Implies(left, right):
+            return not boolean_value(left, value) or boolean_value(right, value)
+        case Iff(left, right):
+            return boolean_value(left, value) == boolean_value(right, value)
+        case Label() | Comparison() | Eventually() | Always() | Until():
+            raise ValueError(f"no truth value for {phi}")
+        case _:
+            assert_never(phi)
+
+
+def variables(phi: Formula) -> dict[str, Span | None]:
+    """The real-valued signals the formula reads, each with its first place in the text."""
+    found: dict[str, Span | None] = {}
+    for node in walk(phi):
+        if isinstance(node, Comparison):
+            for variable in _term_variables(node.left) + _term_variables(node.right):
+                found.setdefault(variable.name, variable.span)
+    return found
+
+
+def label_names(phi: Formula) -> dict[str, Span | None]:
+    """The Boolean labels the formula reads, each with its first place in the text."""
+    found: dict[str, Span | None] = {}
+    for node in walk(phi):
+        if isinstance(node, Label):
+            found.setdefault(node.name, node.span)
+    return found
+
+
+def _term_variables(term: Term) -> list[Variable]:
+    match term:
+        case Number():
+            return []
+        case Variable():
+            return [term]
+        case Negate(arg):
+            return _term_variables(arg)
+        case Arithmetic(_, left, right):
+            return _term_variables(left) + _term_variables(right)
+        case Call(_, args):
+            return [variable for arg in args for variable in _term_variables(arg)]
+        case _:
+            assert_never(term)

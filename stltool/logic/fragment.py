@@ -1,0 +1,123 @@
+"""The paper's fragment, and the decomposition that its flags need (paper eq. 1, language.md).
+
+    Φ ::= ¬Φ | F[0,T) φ | G[0,T) φ
+    φ ::= ¬φ | φ∧φ | φ∨φ | φ→φ | φ↔φ | F[0,τ) ψ | G[0,τ) ψ
+    ψ ::= Boolean over predicates
+
+A Boolean root counts as the outer G[0,1), a bare ψ beside inner operators as the inner G[0,1). A refusal names the
+smallest sub-formula at fault, its place, why, and what to do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from stltool.errors import FragmentError
+from stltool.logic.formula import (
+    Always,
+    Eventually,
+    Formula,
+    Not,
+    Until,
+    boolean_value,
+    children,
+    is_temporal,
+    temporal_depth,
+    with_children,
+)
+
+Operator = Literal["F", "G"]
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One φ_i = F[0,τ) ψ or G[0,τ) ψ: what one flag watches. A bare ψ is G[0,1) ψ."""
+
+    operator: Operator
+    tau: int
+    psi: Formula
+    formula: Formula
+
+    def __str__(self) -> str:
+        return f"{self.operator}[0,{self.tau}) {self.psi}"
+
+
+@dataclass(frozen=True, slots=True)
+class Fragment:
+    """Φ = `outer`[0,`T`) g(φ₁, …, φ_n), with g the Boolean structure of `body` over `parts`."""
+
+    outer: Operator
+    T: int
+    parts: tuple[Part, ...]
+    body: Formula
+
+    def combine(self, chi: Sequence[bool]) -> bool:
+        """g(χ): the truth of the body where part i has truth χ_i."""
+        known = {part.formula: bool(value) for part, value in zip(self.parts, chi, strict=True)}
+        return boolean_value(self.body, known.get)
+
+    @property
+    def uniform(self) -> bool:
+        """Whether all inner windows are equal: then, and only then, the paper's flags are exact."""
+        return len({part.tau for part in self.parts}) <= 1
+
+
+def check_fragment(phi: Formula) -> Fragment:
+    """Decompose φ along the paper's fragment; FragmentError names what does not fit."""
+    negated = False
+    root = phi
+    while isinstance(root, Not) and isinstance(root.arg, Not | Eventually | Always):
+        root, negated = root.arg, not negated
+    match root:
+        case Eventually(interval, arg) | Always(interval, arg):
+            _from_zero(root)
+            operator: Operator = "F" if isinstance(root, Eventually) != negated else "G"
+            body = Not(arg) if negated else arg
+            size = len(interval)
+        case _:
+            operator, body, size = "G", phi, 1
+    parts: dict[Formula, Part] = {}
+    body = _collect(body, parts)
+    return Fragment(operator, size, tuple(parts.values()), body)
+
+
+def _collect(phi: Formula, parts: dict[Formula, Part]) -> Formula:
+    """Find the inner operators and bare predicates of φ, left to right."""
+    if not is_temporal(phi):
+        parts.setdefault(phi, Part("G", 1, phi, phi))
+        return phi
+    match phi:
+        case Eventually(interval, arg) | Always(interval, arg):
+            if is_temporal(arg):
+                raise FragmentError(
+                    _at(
+                        phi,
+                        f"depth {1 + temporal_depth(phi)}: {phi} nests temporal operators below the outer one; "
+                        "the paper's fragment allows two levels; use encoding exact",
+                    )
+                )
+            _from_zero(phi)
+            operator: Operator = "F" if isinstance(phi, Eventually) else "G"
+            parts.setdefault(phi, Part(operator, len(interval), arg, phi))
+            return phi
+        case Until():
+            raise FragmentError(_at(phi, f"until: {phi} is outside the paper's fragment; use encoding exact"))
+        case _:
+            return with_children(phi, tuple(_collect(child, parts) for child in children(phi)))
+
+
+def _from_zero(phi: Eventually | Always) -> None:
+    if phi.interval.a > 0:
+        raise FragmentError(
+            _at(
+                phi,
+                f"the window {phi.interval} starts at step {phi.interval.a}; "
+                "windows of the paper's fragment start at 0; use encoding exact",
+            )
+        )
+
+
+def _at(phi: Formula, message: str) -> str:
+    return phi.span.show(message) if phi.span is not None else message

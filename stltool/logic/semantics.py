@@ -1,0 +1,232 @@
+"""Truth and robustness of a formula at a step of a trace (semantics.md §1): slow and obvious, the oracle.
+
+    (s,t) ⊨ F[a,b] φ   iff  (s,u) ⊨ φ for some u in t+a … t+b          G[a,b]: for every such u
+    (s,t) ⊨ φ U[a,b] ψ iff  (s,u) ⊨ ψ for some u in t+a … t+b, and (s,v) ⊨ φ for every v in t … u−1
+
+Robustness replaces "some" by max, "every" by min, and predicates by signed margins. Everything else in stltool that
+judges traces is tested against this file.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Mapping
+from typing import TypeAlias, assert_never
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stltool.errors import NameLookupError, TraceError, near_misses
+from stltool.logic.formula import (
+    Always,
+    And,
+    Arithmetic,
+    ArithmeticOperator,
+    Call,
+    Comparator,
+    Comparison,
+    Constant,
+    Eventually,
+    Formula,
+    FunctionName,
+    Iff,
+    Implies,
+    Interval,
+    Label,
+    Negate,
+    Not,
+    Number,
+    Or,
+    Term,
+    Until,
+    Variable,
+    horizon,
+    label_names,
+    variables,
+)
+
+Signal: TypeAlias = Mapping[str, ArrayLike]
+"""name → array (n_steps,): reals for variables, Booleans (or 0 / 1) for labels."""
+
+COMPARE: dict[Comparator, Callable[[float, float], bool]] = {
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq, "!=": operator.ne,
+}  # fmt: skip
+COMPUTE: dict[ArithmeticOperator, Callable[[float, float], float]] = {
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "^": operator.pow,
+}  # fmt: skip
+CALL: dict[FunctionName, Callable[..., float]] = {"abs": abs, "min": min, "max": max, "sqrt": math.sqrt}
+
+
+def satisfies(phi: Formula, signal: Signal, t: int = 0) -> bool:
+    """Whether the trace satisfies φ at step t.
+
+    `signal` maps every name of φ to an array of n_steps samples. Raises TraceError when the trace ends before step
+    t + horizon(φ), NameLookupError when a name is missing.
+    """
+    return _true(phi, _samples(phi, signal, t), t)
+
+
+def robustness(phi: Formula, signal: Signal, t: int = 0) -> float:
+    """How far the trace is from changing the truth of φ at step t.
+
+    > 0 implies true, < 0 implies false. A label has margin +inf or -inf; `==` has -|d|, `!=` |d|; errors as
+    for `satisfies`.
+    """
+    return _margin(phi, _samples(phi, signal, t), t)
+
+
+def _samples(phi: Formula, signal: Signal, t: int) -> dict[str, NDArray[np.float64]]:
+    """The arrays of the names that φ reads, as floats, each long enough to decide φ at t."""
+    if t < 0:
+        raise TraceError(f"step {t} is before the trace; steps count from 0")
+    needed = t + horizon(phi) + 1
+    labels = label_names(phi)
+    samples = {}
+    for name, span in {**variables(phi), **labels}.items():
+        if name not in signal:
+            message = f"the trace has no signal {name}; {near_misses(name, signal)}"
+            raise NameLookupError(span.show(message) if span else message)
+        values = np.asarray(signal[name])
+        if values.ndim != 1:
+            raise TraceError(f"signal {name} has shape {values.shape}; a trace is one-dimensional")
+        if len(values) < needed:
+            raise TraceError(
+                f"signal {name} has {len(values)} samples; this formula at step {t} needs {needed} "
+                f"(its horizon is {horizon(phi)}); give a longer trace"
+            )
+        if values.dtype.kind not in "biuf":
+            raise TraceError(f"signal {name} holds {values.dtype}, not numbers")
+        values = values.astype(np.float64)
+        window = values[t:needed]
+        if np.isnan(window).any():
+            raise TraceError(f"signal {name} is NaN at step {t + int(np.isnan(window).argmax())}")
+        if name in labels and not np.isin(window, (0.0, 1.0)).all():
+            raise TraceError(
+                f"{name} is used as a label, but its signal has other values than true and false; "
+                f"compare it, as in {name} > 0"
+            )
+        samples[name] = values
+    if not samples and t + horizon(phi) > 0:
+        _check_constant_length(phi, signal, needed)
+    return samples
+
+
+def _check_constant_length(phi: Formula, signal: Signal, needed: int) -> None:
+    """A formula without names still needs a trace of its length, where there is one to look at."""
+    shortest = min((len(np.asarray(values)) for values in signal.values()), default=needed)
+    if shortest < needed:
+        raise TraceError(f"the trace has {shortest} samples; {phi} needs {needed}")
+
+
+def _true(phi: Formula, signal: Mapping[str, NDArray[np.float64]], t: int) -> bool:
+    match phi:
+        case Constant(value):
+            return value
+        case Label(name):
+            return bool(signal[name][t])
+        case Comparison(op, left, right):
+            return bool(COMPARE[op](_value(left, signal, t), _value(right, signal, t)))
+        case Not(arg):
+            return not _true(arg, signal, t)
+        case And(args):
+            return all(_true(arg, signal, t) for arg in args)
+        case Or(args):
+            return any(_true(arg, signal, t) for arg in args)
+        case Implies(left, right):
+            return not _true(left, signal, t) or _true(right, signal, t)
+        case Iff(left, right):
+            return _true(left, signal, t) == _true(right, signal, t)
+        case Eventually(interval, arg):
+            return any(_true(arg, signal, u) for u in _window(interval, t))
+        case Always(interval, arg):
+            return all(_true(arg, signal, u) for u in _window(interval, t))
+        case Until(interval, left, right):
+            return any(
+                _true(right, signal, u) and all(_true(left, signal, v) for v in range(t, u))
+                for u in _window(interval, t)
+            )
+        case _:
+            assert_never(phi)
+
+
+def _margin(phi: Formula, signal: Mapping[str, NDArray[np.float64]], t: int) -> float:
+    match phi:
+        case Constant(value):
+            return math.inf if value else -math.inf
+        case Label(name):
+            return math.inf if signal[name][t] else -math.inf
+        case Comparison(op, left, right):
+            return _comparison_margin(op, _value(left, signal, t), _value(right, signal, t))
+        case Not(arg):
+            return -_margin(arg, signal, t)
+        case And(args):
+            return min(_margin(arg, signal, t) for arg in args)
+        case Or(args):
+            return max(_margin(arg, signal, t) for arg in args)
+        case Implies(left, right):
+            return max(-_margin(left, signal, t), _margin(right, signal, t))
+        case Iff(left, right):
+            a, b = _margin(left, signal, t), _margin(right, signal, t)
+            return min(max(-a, b), max(a, -b))
+        case Eventually(interval, arg):
+            return max(_margin(arg, signal, u) for u in _window(interval, t))
+        case Always(interval, arg):
+            return min(_margin(arg, signal, u) for u in _window(interval, t))
+        case Until(interval, left, right):
+            return max(
+                min([_margin(right, signal, u)] + [_margin(left, signal, v) for v in range(t, u)])
+                for u in _window(interval, t)
+            )
+        case _:
+            assert_never(phi)
+
+
+def _window(interval: Interval, t: int) -> range:
+    return range(t + interval.a, t + interval.b + 1)
+
+
+def _comparison_margin(op: Comparator, left: float, right: float) -> float:
+    if left == right:  # also inf against inf, whose difference is no number
+        return 0.0
+    match op:
+        case ">" | ">=":
+            return left - right
+        case "<" | "<=":
+            return right - left
+        case "==":
+            return -abs(left - right)
+        case "!=":
+            return abs(left - right)
+        case _:
+            assert_never(op)
+
+
+def _value(term: Term, signal: Mapping[str, NDArray[np.float64]], t: int) -> float:
+    match term:
+        case Number(value):
+            return value
+        case Variable(name):
+            return float(signal[name][t])
+        case Negate(arg):
+            return -_value(arg, signal, t)
+        case Arithmetic(op, left, right):
+            return _apply(term, COMPUTE[op], _value(left, signal, t), _value(right, signal, t))
+        case Call(function, args):
+            values = [_value(arg, signal, t) for arg in args]
+            return _apply(term, CALL[function], *values)
+        case _:
+            assert_never(term)
+
+
+def _apply(term: Term, function: Callable[..., float], *values: float) -> float:
+    """The function's value, or a TraceError where it has none (1/0, sqrt(-1), an overflow, 0^-1)."""
+    try:
+        value = function(*values)
+    except (ZeroDivisionError, ValueError, OverflowError):
+        value = math.nan
+    if isinstance(value, complex) or math.isnan(value):
+        shown = ", ".join(f"{v:g}" for v in values)
+        message = f"this has no value for the operands {shown}; guard it or change the predicate"
+        raise TraceError(term.span.show(message) if term.span else f"{type(term).__name__}: {message}")
+    return value

@@ -1,0 +1,54 @@
+"""Where a piece of text stands, and how to show it: file, line, column, the line and a caret."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A named text: a file, or the string given to `parse`."""
+
+    name: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """The characters `start … end-1` of a source."""
+
+    source: Source
+    start: int
+    end: int
+
+    @property
+    def line(self) -> int:
+        """Line number, from 1."""
+        return self.source.text.count("\n", 0, self.start) + 1
+
+    @property
+    def column(self) -> int:
+        """Column number, from 1."""
+        return self.start - (self.source.text.rfind("\n", 0, self.start) + 1) + 1
+
+    def where(self) -> str:
+        """`file, line 3, column 7`."""
+        return f"{self.source.name}, line {self.line}, column {self.column}"
+
+    def text(self) -> str:
+        """The characters of the span themselves."""
+        return self.source.text[self.start : self.end]
+
+    def show(self, message: str) -> str:
+        """The message with its place, the line, and carets under the span."""
+        begin = self.source.text.rfind("\n", 0, self.start) + 1
+        stop = self.source.text.find("\n", begin)
+        line = self.source.text[begin:] if stop < 0 else self.source.text[begin:stop]
+        line = line.rstrip("\r")
+        indent = "".join("\t" if c == "\t" else " " for c in line[: self.start - begin])
+        width = max(1, min(self.end, begin + len(line)) - self.start)
+        if len(line) > 160:  # a window around the place; nobody reads a screenful to find a caret
+            cut = max(0, self.start - begin - 60)
+            line, indent = line[cut : cut + 140], indent[cut:]
+            width = max(1, min(width, 140 - len(indent)))
+        return f"{self.where()}: {message}\n    {line}\n    {indent}{'^' * width}"

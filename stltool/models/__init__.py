@@ -1,0 +1,6 @@
+"""Where the world comes from: a model file or arrays → MDP; an MDP → something that only resets and steps."""
+
+from stltool.models.load import load_model
+from stltool.models.mdp import MDP, GridLayout
+
+__all__ = ["MDP", "GridLayout", "load_model"]

@@ -1,0 +1,225 @@
+"""Grid worlds from ASCII maps in TOML, with the paper's motion model (reproduction.md).
+
+    kind = "grid"
+    map = '''
+    BB#CC          # blocked     . free     S start     other letters are labels
+    BB.CC          the last line is the bottom row
+    '''
+    cell = 0.2               side of a cell; x and y are the centre of the current one
+    moves = "king"           stay and eight directions; "cross": stay and four
+    success = "93/100"       the move is the action's
+    slip = "7/300"           each of three others: stay, and the two neighbouring directions
+
+`stay` always stays. A move into a blocked cell or off the map leaves the robot where it is; corners may be cut.
+Numbers are decimals or fractions in quotes, and mean exactly that: rows are summed as fractions, then rounded once.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from decimal import Decimal
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.errors import ModelError, near_misses
+from stltool.files import read_text
+from stltool.models.mdp import MDP, GridLayout
+
+_COMPASS = {
+    "N": (0, 1),
+    "NE": (1, 1),
+    "E": (1, 0),
+    "SE": (1, -1),
+    "S": (0, -1),
+    "SW": (-1, -1),
+    "W": (-1, 0),
+    "NW": (-1, 1),
+}
+MOVES = {
+    "king": ("stay", "N", "S", "W", "E", "NW", "SW", "NE", "SE"),
+    "cross": ("stay", "N", "S", "W", "E"),
+}
+_KEYS = ("kind", "map", "cell", "moves", "success", "slip", "start", "name")
+
+
+def load_grid(path: str | Path) -> MDP:
+    """Read a grid world's TOML file."""
+    path = Path(path)
+    try:
+        table = tomllib.loads(read_text(path, "model file"), parse_float=Decimal)
+    except tomllib.TOMLDecodeError as error:
+        raise ModelError(f"{path}: not valid TOML: {error}") from None
+    try:
+        return grid_from_table(table, default_name=path.stem)
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from None
+
+
+def grid_from_table(table: Mapping[str, Any], default_name: str = "grid") -> MDP:
+    """A grid world from the keys of its file."""
+    if table.get("kind") != "grid":
+        raise ModelError(f'kind is {table.get("kind")!r}; write kind = "grid"')
+    for key in table:
+        if key not in _KEYS:
+            raise ModelError(f"unknown key {key}; {near_misses(key, _KEYS)}")
+    cells = _read_map(table.get("map"))
+    moves = table.get("moves", "king")
+    if moves not in MOVES:
+        raise ModelError(f"moves is {moves!r}; choose one of {', '.join(MOVES)}")
+    success = _fraction(table, "success", Fraction(1))
+    slip = _fraction(table, "slip", (1 - success) / 3)
+    if not (0 <= success <= 1 and 0 <= slip <= 1) or success + 3 * slip != 1:
+        raise ModelError(f"success {success} and three times slip {slip} sum to {success + 3 * slip}, not 1")
+    cell = _fraction(table, "cell", Fraction(1))
+    if cell <= 0:
+        raise ModelError(f"cell is {cell}; the side of a cell is positive")
+
+    height, width = cells.shape
+    line, column = np.nonzero(cells != "#")  # states in reading order, from the top left
+    row = height - 1 - line
+    index = np.full((height, width), -1, dtype=np.int64)
+    index[row, column] = np.arange(len(row))
+    letters = sorted(set("".join(cells.ravel())) - set("#.S"))
+    names = tuple(f"({c},{r})" for c, r in zip(column.tolist(), row.tolist(), strict=True))
+    choice_start, row_start, target, probability = _transitions(index, row, column, MOVES[moves], success, slip)
+    return MDP(
+        choice_start=choice_start,
+        choice_action=np.tile(np.arange(len(MOVES[moves]), dtype=np.int32), len(row)),
+        row_start=row_start,
+        target=target,
+        probability=probability,
+        initial=_start(table.get("start"), cells, index, row, column),
+        signals={"x": _centres(column, cell), "y": _centres(row, cell)},
+        labels={letter: cells[line, column] == letter for letter in letters},
+        action_names=MOVES[moves],
+        state_names=names,
+        layout=GridLayout(width, height, column, row),
+        name=str(table.get("name", default_name)),
+    )
+
+
+def _transitions(
+    index: NDArray[np.int64],
+    row: NDArray[np.int64],
+    column: NDArray[np.int64],
+    moves: tuple[str, ...],
+    success: Fraction,
+    slip: Fraction,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]]:
+    """choice_start, row_start, target, probability; every state has every move.
+
+    Probabilities are added as integers over one denominator, then rounded once.
+    """
+    from scipy.sparse import coo_array
+
+    n_states, n_moves = len(row), len(moves)
+    denominator = math.lcm(success.denominator, slip.denominator)
+    if denominator >= 2**53:
+        raise ModelError(f"success {success} and slip {slip} have no common denominator below 2^53; round them")
+    circle = [name for name in _COMPASS if name in moves]
+    entries: list[tuple[NDArray[np.int64], NDArray[np.int64], int]] = []
+    states = np.arange(n_states)
+    for a, move in enumerate(moves):
+        choice = states * n_moves + a
+        if move == "stay":
+            entries.append((choice, states, denominator))
+            continue
+        place = circle.index(move)
+        sides = (circle[place - 1], circle[(place + 1) % len(circle)])
+        for direction, chance in ((move, success), ("stay", slip), (sides[0], slip), (sides[1], slip)):
+            numerator = chance.numerator * (denominator // chance.denominator)
+            entries.append((choice, _move(index, row, column, direction), numerator))
+    rows = np.concatenate([choice for choice, _, _ in entries])
+    columns = np.concatenate([successor for _, successor, _ in entries])
+    numerators = np.concatenate([np.full(n_states, n, dtype=np.int64) for _, _, n in entries])
+    matrix = coo_array((numerators, (rows, columns)), shape=(n_states * n_moves, n_states)).tocsr()
+    matrix.sum_duplicates()
+    matrix.eliminate_zeros()
+    shares: NDArray[np.float64] = matrix.data / denominator
+    return (
+        np.arange(n_states + 1, dtype=np.int64) * n_moves,
+        matrix.indptr.astype(np.int64),
+        matrix.indices.astype(np.int32),
+        shares,
+    )
+
+
+def _move(
+    index: NDArray[np.int64], row: NDArray[np.int64], column: NDArray[np.int64], direction: str
+) -> NDArray[np.int64]:
+    """The state reached from every state by one undisturbed step."""
+    dx, dy = _COMPASS.get(direction, (0, 0))
+    r, c = row + dy, column + dx
+    inside = (r >= 0) & (r < index.shape[0]) & (c >= 0) & (c < index.shape[1])
+    reached = np.where(inside, index[np.where(inside, r, 0), np.where(inside, c, 0)], -1)
+    return np.where(reached >= 0, reached, np.arange(len(row)))
+
+
+def _read_map(text: object) -> NDArray[np.str_]:
+    if not isinstance(text, str) or not text.strip():
+        raise ModelError("the grid has no map; write map = '''…''' with one line a row")
+    lines = [line.strip() for line in text.strip("\n").splitlines()]
+    lines = [line for line in lines if line]
+    for number, line in enumerate(lines, start=1):
+        if len(line) != len(lines[0]):
+            raise ModelError(f"map line {number} ({line!r}) has {len(line)} cells, the first line has {len(lines[0])}")
+        for column, character in enumerate(line, start=1):
+            if character not in "#." and not (character.isascii() and character.isalpha()):
+                raise ModelError(
+                    f"map line {number}, cell {column}: {character!r} is no cell; use # (blocked), . (free), "
+                    "S (start) or a letter (label)"
+                )
+    cells = np.array([list(line) for line in lines])
+    if (cells == "#").all():
+        raise ModelError("every cell of the map is blocked")
+    return cells
+
+
+def _start(
+    given: object,
+    cells: NDArray[np.str_],
+    index: NDArray[np.int64],
+    row: NDArray[np.int64],
+    column: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """The initial distribution: the key `start`, or the S cells (several: uniform)."""
+    marked = cells[index.shape[0] - 1 - row, column] == "S"
+    if given is None:
+        if not marked.any():
+            raise ModelError(
+                "the map has no start; mark a cell S, or write start = [column, row] (from the bottom left)"
+            )
+        uniform: NDArray[np.float64] = marked / marked.sum()
+        return uniform
+    if marked.any():
+        raise ModelError("the map marks a start S and the key start gives one; keep one of them")
+    if not (isinstance(given, list) and len(given) == 2 and all(type(n) is int for n in given)):
+        raise ModelError(f"start is {given!r}; write start = [column, row], counted from 0 at the bottom left")
+    c, r = given
+    if not (0 <= r < index.shape[0] and 0 <= c < index.shape[1]) or index[r, c] < 0:
+        raise ModelError(f"start = [{c}, {r}] is blocked or off the map of {index.shape[1]} × {index.shape[0]} cells")
+    point = np.zeros(len(row))
+    point[index[r, c]] = 1.0
+    return point
+
+
+def _centres(position: NDArray[np.int64], cell: Fraction) -> NDArray[np.float64]:
+    """Centre coordinates, each the double nearest to the exact value."""
+    values = np.array([float((p + Fraction(1, 2)) * cell) for p in range(int(position.max()) + 1)])
+    return values[position]
+
+
+def _fraction(table: Mapping[str, Any], key: str, default: Fraction) -> Fraction:
+    value = table.get(key, default)
+    try:
+        if isinstance(value, bool):
+            raise ValueError
+        return Fraction(value)
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
+        raise ModelError(f'{key} is {value!r}; write a number or a fraction in quotes, such as "7/300"') from None

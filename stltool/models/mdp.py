@@ -1,0 +1,273 @@
+"""A Markov decision process with named signals, labels, states and actions, validated once when it is made.
+
+Transitions are CSR rows, one row a *choice* (a state with one of its available actions):
+
+    choices of state s          choice_start[s] … choice_start[s+1]−1,  by action choice_action[c]
+    successors of choice c      target[row_start[c] … row_start[c+1]−1], with probability[…]
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stltool.errors import ModelError, near_misses
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+Floats: TypeAlias = NDArray[np.float64]
+
+_ROW_TOLERANCE = 1e-9  # how far a row of doubles may sum from 1
+
+
+@dataclass(frozen=True, eq=False)
+class GridLayout:
+    """Where the states of a grid world lie on the floor: for pictures and for telling a state by its cell.
+
+    `column` and `row` (n_states,) count from the left and from the bottom.
+    """
+
+    width: int
+    height: int
+    column: NDArray[np.int64]
+    row: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class MDP:
+    """See the module's text; build one with `MDP.from_arrays` or `load_model`.
+
+    initial       (n_states,) probabilities of the first state
+    signals       name → (n_states,) reals
+    labels        name → (n_states,) Booleans
+    Raises ModelError, naming state and action, when a row is no distribution, a state has no action, a value is not
+    finite, or a shape does not fit.
+    """
+
+    choice_start: NDArray[np.int64]
+    choice_action: NDArray[np.int32]
+    row_start: NDArray[np.int64]
+    target: NDArray[np.int32]
+    probability: Floats
+    initial: Floats
+    signals: Mapping[str, Floats]
+    labels: Mapping[str, NDArray[np.bool_]]
+    action_names: tuple[str, ...]
+    state_names: Sequence[str] | None = None
+    layout: GridLayout | None = None
+    name: str = "model"
+    _digest: list[str] = field(default_factory=list, repr=False)
+
+    def __post_init__(self) -> None:
+        _validate(self)
+
+    # ------------------------------------------------------------------------------------------ sizes and names
+
+    @property
+    def n_states(self) -> int:
+        return len(self.choice_start) - 1
+
+    @property
+    def n_choices(self) -> int:
+        return len(self.choice_action)
+
+    @property
+    def n_transitions(self) -> int:
+        return len(self.target)
+
+    @property
+    def n_actions(self) -> int:
+        return len(self.action_names)
+
+    def state_name(self, s: int) -> str:
+        return self.state_names[s] if self.state_names is not None else str(s)
+
+    def matrix(self) -> csr_array:
+        """The transition probabilities as a scipy CSR array (n_choices, n_states), sharing memory."""
+        from scipy.sparse import csr_array
+
+        return csr_array((self.probability, self.target, self.row_start), shape=(self.n_choices, self.n_states))
+
+    def digest(self) -> str:
+        """A SHA-256 over the whole content, names included."""
+        if not self._digest:
+            sha = hashlib.sha256()
+            arrays: list[tuple[str, NDArray[Any]]] = [
+                ("choices", self.choice_start), ("actions", self.choice_action), ("rows", self.row_start),
+                ("targets", self.target), ("probabilities", self.probability), ("initial", self.initial),
+                *(("signal " + name, self.signals[name]) for name in sorted(self.signals)),
+                *(("label " + name, self.labels[name]) for name in sorted(self.labels)),
+            ]  # fmt: skip
+            for title, array in arrays:
+                sha.update(f"{title}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+            sha.update("\0".join(self.action_names).encode())
+            self._digest.append(sha.hexdigest())
+        return self._digest[0]
+
+    # ------------------------------------------------------------------------------------------ building
+
+    @classmethod
+    def from_arrays(
+        cls,
+        transitions: ArrayLike | Iterable[Any],
+        signals: Mapping[str, ArrayLike],
+        initial: int | str | ArrayLike = 0,
+        labels: Mapping[str, ArrayLike] | None = None,
+        action_names: Sequence[str] | None = None,
+        state_names: Sequence[str] | None = None,
+        name: str = "model",
+    ) -> MDP:
+        """An MDP from one transition matrix per action.
+
+        transitions   array (A, S, S), or a list of A matrices (S, S), dense or scipy sparse; row s of matrix a is the
+                      distribution over successors. A row of zeros says that action a is not available in state s.
+        signals       name → (S,) finite reals;  labels  name → (S,) Booleans
+        initial       a state's index or name, or a distribution (S,)
+        """
+        from scipy import sparse
+
+        stack = [sparse.csr_array(_matrix(m, a)) for a, m in enumerate(_matrices(transitions))]
+        if not stack:
+            raise ModelError("transitions hold no action; give one (S, S) matrix per action")
+        n_states = stack[0].shape[1]
+        for a, matrix in enumerate(stack):
+            if matrix.shape != (n_states, n_states):
+                raise ModelError(f"transitions of action {a} have shape {matrix.shape}, not ({n_states}, {n_states})")
+        names = tuple(action_names) if action_names is not None else tuple(str(a) for a in range(len(stack)))
+        if len(names) != len(stack):
+            raise ModelError(f"{len(names)} action names for {len(stack)} actions")
+        by_state = np.arange(n_states * len(stack)).reshape(len(stack), n_states).T.ravel()
+        rows = sparse.csr_array(sparse.vstack(stack, format="csr"))[by_state]
+        rows.sum_duplicates()
+        rows.eliminate_zeros()
+        available = np.diff(rows.indptr) > 0
+        rows = rows[available]
+        action = np.tile(np.arange(len(stack), dtype=np.int32), n_states)[available]
+        per_state = available.reshape(n_states, len(stack)).sum(axis=1)
+        return cls(
+            choice_start=np.concatenate([[0], np.cumsum(per_state)]).astype(np.int64),
+            choice_action=action,
+            row_start=rows.indptr.astype(np.int64),
+            target=rows.indices.astype(np.int32),
+            probability=rows.data.astype(np.float64),
+            initial=_initial(initial, n_states, state_names),
+            signals={key: _floats(values, f"signal {key}") for key, values in signals.items()},
+            labels={key: _booleans(values, key) for key, values in (labels or {}).items()},
+            action_names=names,
+            state_names=state_names,
+            name=name,
+        )
+
+
+# ------------------------------------------------------------------------------------------- checks on the way in
+
+
+def _matrices(transitions: ArrayLike | Iterable[Any]) -> Iterable[Any]:
+    if isinstance(transitions, np.ndarray) and transitions.ndim != 3:
+        raise ModelError(f"transitions have shape {transitions.shape}; an array (A, S, S) is needed")
+    try:
+        return list(transitions)  # type: ignore[arg-type]
+    except TypeError:
+        raise ModelError("transitions must be an array (A, S, S) or a list of (S, S) matrices") from None
+
+
+def _matrix(matrix: Any, action: int) -> Any:
+    from scipy.sparse import issparse
+
+    if issparse(matrix):
+        return matrix.astype(np.float64)
+    try:
+        array = np.asarray(matrix, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ModelError(f"transitions of action {action} are not numbers") from None
+    if array.ndim != 2:
+        raise ModelError(f"transitions of action {action} have shape {array.shape}; a matrix (S, S) is needed")
+    return array
+
+
+def _floats(values: ArrayLike, what: str) -> Floats:
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ModelError(f"{what} does not hold numbers") from None
+
+
+def _booleans(values: ArrayLike, name: str) -> NDArray[np.bool_]:
+    array = np.asarray(values)
+    if array.dtype.kind not in "biuf" or not np.isin(array, (0, 1)).all():
+        raise ModelError(f"label {name} has values other than true and false; make it a signal and compare it")
+    return array.astype(np.bool_)
+
+
+def _initial(initial: int | str | ArrayLike, n_states: int, state_names: Sequence[str] | None) -> Floats:
+    if isinstance(initial, str):
+        if state_names is None or initial not in state_names:
+            raise ModelError(f"there is no initial state {initial!r}; {near_misses(initial, state_names or ())}")
+        initial = list(state_names).index(initial)
+    if isinstance(initial, int | np.integer):
+        if not 0 <= initial < n_states:
+            raise ModelError(f"the initial state {initial} is not one of 0 … {n_states - 1}")
+        point = np.zeros(n_states)
+        point[initial] = 1.0
+        return point
+    return _floats(initial, "the initial distribution")
+
+
+def _validate(m: MDP) -> None:
+    if m.n_states < 1:
+        raise ModelError("the model has no state")
+    if m.state_names is not None and len(m.state_names) != m.n_states:
+        raise ModelError(f"{len(m.state_names)} state names for {m.n_states} states")
+    if len(set(m.action_names)) != m.n_actions:
+        raise ModelError(f"action names repeat: {', '.join(m.action_names)}")
+    for name, values in (*m.signals.items(), *m.labels.items()):
+        if values.shape != (m.n_states,):
+            raise ModelError(
+                f"{name} has shape {values.shape}; one value for each of the {m.n_states} states is needed"
+            )
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise ModelError(f"signal {name} is {values[bad[0]]} in state {m.state_name(bad[0])}; it must be finite")
+    both = sorted(set(m.signals) & set(m.labels))
+    if both:
+        raise ModelError(f"{both[0]} names a signal and a label; rename one of them")
+    _validate_distribution(m.initial, m.n_states)
+    without = np.flatnonzero(np.diff(m.choice_start) == 0)
+    if without.size:
+        raise ModelError(
+            f"state {m.state_name(without[0])} has no action; give it one that stays (probability 1 to itself)"
+        )
+    _validate_rows(m)
+
+
+def _validate_distribution(initial: Floats, n_states: int) -> None:
+    if initial.shape != (n_states,):
+        raise ModelError(f"the initial distribution has shape {initial.shape}, not ({n_states},)")
+    if not np.isfinite(initial).all() or (initial < 0).any():
+        raise ModelError("the initial distribution has values that are no probabilities")
+    if abs(initial.sum() - 1) > _ROW_TOLERANCE:
+        raise ModelError(f"the initial distribution sums to {initial.sum():.12g}, not 1")
+
+
+def _validate_rows(m: MDP) -> None:
+    def at(choice: int) -> str:
+        state = int(np.searchsorted(m.choice_start, choice, side="right")) - 1
+        return f"state {m.state_name(state)}, action {m.action_names[m.choice_action[choice]]}"
+
+    def choice_of(entry: int) -> int:
+        return int(np.searchsorted(m.row_start, entry, side="right")) - 1
+
+    bad = np.flatnonzero(~np.isfinite(m.probability) | (m.probability <= 0) | (m.probability > 1 + _ROW_TOLERANCE))
+    if bad.size:
+        value, successor = m.probability[bad[0]], m.state_name(m.target[bad[0]])
+        raise ModelError(f"{at(choice_of(bad[0]))}: {value:.12g} to state {successor} is no probability")
+    sums = np.add.reduceat(m.probability, m.row_start[:-1])
+    wrong = np.flatnonzero(np.abs(sums - 1) > _ROW_TOLERANCE)
+    if wrong.size:
+        raise ModelError(f"{at(wrong[0])}: the probabilities sum to {sums[wrong[0]]:.12g}, not 1")

@@ -1,0 +1,257 @@
+"""A policy over a product: which available action to take at (t, s, q), saved and loaded without pickle.
+
+The table counts the *choices* of a state: entry i is its i-th available action (in a grid world simply the i-th
+action). Four forms, told apart by dtype and shape, with S model states, Q automaton states, C choices at most:
+
+    (S, Q) int16       stationary              (h, S, Q) int16       one table a step
+    (S, Q, C) float64  stationary mixture      (h, S, Q, C) float64  mixture a step
+
+A negative entry says nothing about that state. A policy is bound to formula and model by digests.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import zipfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.errors import FileError, PolicyError, near_misses
+from stltool.files import read_text, write_atomically
+from stltool.product import Product
+
+FORMAT = "stltool-policy-1"
+_SIGNAL_TOLERANCE = 1e-6  # published tables print few digits
+
+
+@dataclass(frozen=True)
+class Binding:
+    """What a policy belongs to, as its file's header says it."""
+
+    formula: str
+    encoding: str
+    model: str
+    model_digest: str
+    automaton_digest: str
+    action_names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, product: Product) -> Binding:
+        return cls(
+            formula=str(product.formula),
+            encoding=product.automaton.encoding,
+            model=product.model.name,
+            model_digest=product.model.digest(),
+            automaton_digest=product.automaton.digest(),
+            action_names=product.model.action_names,
+        )
+
+    def require(self, product: Product, what: str) -> None:
+        """PolicyError, naming both sides, unless this binding is that product's."""
+        here = Binding.of(product)
+        if self.formula != here.formula or self.encoding != here.encoding:
+            raise PolicyError(
+                f"{what} is for the task {self.formula} (encoding {self.encoding}), not for {here.formula} "
+                f"(encoding {here.encoding}); check it against its own task, or learn one for this"
+            )
+        if self.model_digest != here.model_digest:
+            raise PolicyError(
+                f"{what} is for the model {self.model} ({self.model_digest[:12]}), not for {here.model} "
+                f"({here.model_digest[:12]}); check it against its own model, or learn one for this"
+            )
+        if self != here:
+            raise PolicyError(
+                f"{what} was made with another automaton of the same task ({self.automaton_digest[:12]}, here "
+                f"{here.automaton_digest[:12]}); learn it again with this version"
+            )
+
+
+class Policy:
+    """See the module's text. Raises PolicyError when the table does not fit the product."""
+
+    def __init__(self, product: Product, table: NDArray[Any]) -> None:
+        self.binding = Binding.of(product)
+        self.table = _checked(product, np.asarray(table))
+
+    @property
+    def deterministic(self) -> bool:
+        return bool(self.table.dtype.kind == "i")
+
+    @property
+    def stationary(self) -> bool:
+        return self.table.ndim == (2 if self.deterministic else 3)
+
+    @property
+    def kind(self) -> str:
+        """In words, for reports."""
+        time = "stationary" if self.stationary else "time-dependent"
+        return f"{time}, {'deterministic' if self.deterministic else 'mixed'}"
+
+    def at(self, t: int) -> NDArray[Any]:
+        """The table of step t: (S, Q) choices or (S, Q, C) weights."""
+        table: NDArray[Any] = self.table if self.stationary else self.table[t]
+        return table
+
+    def save(self, path: str | Path) -> None:
+        """Write the policy as .npz with a JSON header, the old file or the new one."""
+        header = json.dumps({"format": FORMAT, **asdict(self.binding)})
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, header=np.frombuffer(header.encode("utf-8"), dtype=np.uint8), table=self.table)
+        write_atomically(path, buffer.getvalue())
+
+    @classmethod
+    def load(cls, path: str | Path, product: Product) -> Policy:
+        """Read a policy for this product; PolicyError names both sides when it belongs to another."""
+        try:
+            with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
+                header = json.loads(archive["header"].tobytes().decode("utf-8"))
+                table = archive["table"]
+            if header.pop("format") != FORMAT:
+                raise ValueError
+            header["action_names"] = tuple(header["action_names"])
+            binding = Binding(**header)
+        except FileNotFoundError:
+            raise FileError(f"{path}: there is no such policy file") from None
+        except OSError as error:
+            raise FileError(f"{path}: this policy file cannot be read: {error.strerror or error}") from None
+        except (ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile):
+            raise PolicyError(
+                f"{path}: not a policy file of this version ({FORMAT}); write one with Policy.save"
+            ) from None
+        binding.require(product, f"{path}: this policy")
+        return cls(product, table)
+
+    @classmethod
+    def from_q_table(cls, path: str | Path, product: Product) -> Policy:
+        """The greedy policy of a Q-table in CSV, ties uniform.
+
+        First column: `[signals… registers…]` in the order of the model's signals and the automaton's registers (the
+        flags); then a column per action, by name. States without a row have no preference: uniform.
+        """
+        names, rows = _read_q_table(path)
+        model, automaton = product.model, product.automaton
+        if sorted(names) != sorted(model.action_names):
+            raise PolicyError(
+                f"{path}: the columns are {', '.join(names)}; the model's actions are {', '.join(model.action_names)}"
+            )
+        keys, values = rows
+        n_signals, n_registers = len(model.signals), len(automaton.register_names)
+        if keys.shape[1] != n_signals + n_registers:
+            raise PolicyError(
+                f"{path}: the index has {keys.shape[1]} numbers; {n_signals} signals ({', '.join(model.signals)}) and "
+                f"{n_registers} registers ({', '.join(automaton.register_names)}) are needed"
+            )
+        s = _find_rows(path, keys[:, :n_signals], np.stack(list(model.signals.values()), axis=1), "state")
+        q = _find_rows(path, keys[:, n_signals:], automaton.registers.astype(np.float64), "automaton state")
+        if len(np.unique(s * automaton.n_states + q)) < len(s):
+            raise PolicyError(f"{path}: two rows speak of the same state")
+        q_values = np.zeros((*product.shape, model.n_actions))
+        q_values[s, q] = values[:, [names.index(name) for name in model.action_names]]
+        return greedy(product, q_values)
+
+
+def load_policy(path: str | Path, product: Product) -> Policy:
+    """Read a policy by its file's ending: `.npz` as saved by `Policy.save`, `.csv` a Q-table."""
+    if Path(path).suffix.lower() == ".csv":
+        return Policy.from_q_table(path, product)
+    return Policy.load(path, product)
+
+
+def greedy(product: Product, q_values: NDArray[np.float64]) -> Policy:
+    """The stationary policy that is uniform over the best available actions; `q_values` (S, Q, A)."""
+    model = product.model
+    weights = np.zeros((*product.shape, int(np.diff(model.choice_start).max())))
+    for s in range(model.n_states):
+        values = q_values[s][:, model.choice_action[model.choice_start[s] : model.choice_start[s + 1]]]
+        best = values == values.max(axis=1, keepdims=True)
+        weights[s, :, : values.shape[1]] = best / best.sum(axis=1, keepdims=True)
+    return Policy(product, weights)
+
+
+# --------------------------------------------------------------------------------------------------- checks
+
+
+def _checked(product: Product, table: NDArray[Any]) -> NDArray[Any]:
+    n_choices = np.diff(product.model.choice_start)
+    most = int(n_choices.max())
+    base, timed = product.shape, (product.horizon, *product.shape)
+    if table.dtype.kind in "iu":
+        if table.shape not in (base, timed):
+            raise PolicyError(f"the policy's table has shape {table.shape}; {base} or {timed} is needed")
+        too_large = table >= n_choices[:, None]
+        if too_large.any():
+            where = tuple(int(i) for i in np.argwhere(too_large)[0])
+            s = where[-2]
+            raise PolicyError(
+                f"the policy takes choice {table[where]} in state {product.model.state_name(s)}, "
+                f"which has {n_choices[s]}, counted from 0"
+            )
+        return np.ascontiguousarray(table, dtype=np.int16)
+    if table.dtype.kind != "f":
+        raise PolicyError(f"the policy's table holds {table.dtype}; whole numbers (choices) or weights are needed")
+    if table.shape not in ((*base, most), (*timed, most)):
+        raise PolicyError(
+            f"the policy's weights have shape {table.shape}; {(*base, most)} or {(*timed, most)} is needed"
+        )
+    unavailable = np.arange(most) >= n_choices[:, None, None]
+    bad = ~np.isfinite(table).all(axis=-1) | (table < 0).any(axis=-1) | (abs(table.sum(axis=-1) - 1) > 1e-9)
+    bad |= (table * unavailable != 0).any(axis=-1)
+    if bad.any():
+        where = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise PolicyError(
+            f"the policy's weights {table[where].tolist()} are no distribution over the {n_choices[where[-2]]} choices "
+            f"of {product.describe(where[-2] * base[1] + where[-1])}"
+        )
+    return np.ascontiguousarray(table, dtype=np.float64)
+
+
+def _read_q_table(path: str | Path) -> tuple[list[str], tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    reader = csv.reader(io.StringIO(read_text(path, "Q-table")))
+    header = next(reader, [])
+    names = [name.strip() for name in header[1:]]
+    keys: list[list[float]] = []
+    values: list[list[float]] = []
+    for number, row in enumerate(reader, start=2):
+        if not row:
+            continue
+        try:
+            if len(row) != len(header):
+                raise ValueError
+            key = [float(text) for text in row[0].strip().strip("[]()").replace(",", " ").split()]
+            value = [float(text) for text in row[1:]]
+            if (keys and len(key) != len(keys[0])) or not np.isfinite(value).all():
+                raise ValueError
+        except ValueError:
+            raise PolicyError(
+                f"{path}, line {number}: not a row of a Q-table; write "
+                f'"[signals… flags…]",{",".join(names) or "value,value,…"} with finite numbers'
+            ) from None
+        keys.append(key)
+        values.append(value)
+    if not keys:
+        raise PolicyError(f"{path}: the Q-table has no row")
+    return names, (np.array(keys), np.array(values))
+
+
+def _find_rows(
+    path: str | Path, wanted: NDArray[np.float64], known: NDArray[np.float64], what: str
+) -> NDArray[np.int64]:
+    """For every wanted row the index of the one known row equal to it."""
+    rounded = {tuple(row): i for i, row in enumerate(np.round(known / _SIGNAL_TOLERANCE).astype(np.int64).tolist())}
+    if len(rounded) < len(known):
+        raise PolicyError(f"{path}: the model's signals do not tell its states apart, so a Q-table cannot name them")
+    found = np.empty(len(wanted), dtype=np.int64)
+    for number, row in enumerate(np.round(wanted / _SIGNAL_TOLERANCE).astype(np.int64).tolist()):
+        index = rounded.get(tuple(row))
+        if index is None:
+            shown = " ".join(f"{value:g}" for value in wanted[number])
+            examples = (" ".join(f"{value:g}" for value in line) for line in known[:8])
+            raise PolicyError(f"{path}: row {number + 1}: there is no {what} {shown}; {near_misses(shown, examples)}")
+        found[number] = index
+    return found

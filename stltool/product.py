@@ -1,0 +1,120 @@
+"""MDP × TaskAutomaton: never built as a matrix, and the way back from an index to the user's names.
+
+A product state is a pair (s, q): model state s just read, automaton state q after reading it. Its index is s·|Q| + q.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.automata import Encoding, TaskAutomaton, compile_automaton
+from stltool.automata.compile import atoms_of
+from stltool.errors import NameLookupError, near_misses
+from stltool.logic.formula import Formula, label_names, variables
+from stltool.logic.predicates import truth
+from stltool.logic.source import Span
+from stltool.logic.task import Task
+from stltool.models import MDP
+from stltool.sizes import require_memory
+
+
+@dataclass(frozen=True, eq=False)
+class Product:
+    """What learners and checkers work on.
+
+    letter        (n_model_states,) int32: the automaton's letter L(s) of each model state
+    task_name     the definition's name where the formula came from a task file
+    """
+
+    model: MDP
+    automaton: TaskAutomaton
+    letter: NDArray[np.int32]
+    task_name: str = "formula"
+
+    @property
+    def formula(self) -> Formula:
+        return self.automaton.formula
+
+    @property
+    def horizon(self) -> int:
+        return self.automaton.horizon
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(model states, automaton states)"""
+        return self.model.n_states, self.automaton.n_states
+
+    @property
+    def n_states(self) -> int:
+        return self.shape[0] * self.shape[1]
+
+    def enter(self, s: int, q: int) -> int:
+        """The automaton state after reading model state s in q."""
+        return int(self.automaton.delta[self.letter[s], q])
+
+    def describe(self, index: int, t: int | None = None) -> str:
+        """A product state's index, told in the user's names: state, signals, labels, what is remembered."""
+        s, q = divmod(int(index), self.automaton.n_states)
+        signals = ", ".join(f"{name} = {values[s]:g}" for name, values in self.model.signals.items())
+        labels = ", ".join(name for name, values in self.model.labels.items() if values[s])
+        step = f"step {t}, " if t is not None else ""
+        parts = [f"{step}state {self.model.state_name(s)}", signals, labels, self.automaton.describe(q)]
+        return "; ".join(part for part in parts if part)
+
+    def check_bytes(self, keep_policy: bool = True) -> int:
+        """Bytes that one check takes: three layers of values, and an action per step and product state."""
+        layers = 3 * 8 * self.n_states
+        return layers + (2 * self.n_states * self.horizon if keep_policy else 2 * self.n_states)
+
+
+def build_product(
+    model: MDP, task: Formula | Task, encoding: Encoding = "exact", memory_limit: int | None = None
+) -> Product:
+    """Bind a formula's names to a model and compile it to an automaton over the letters that occur there.
+
+    `memory_limit` in bytes (default: four fifths of the free memory). Raises NameLookupError for a label or signal that
+    the model does not have, FragmentError when the encoding does not cover the formula, SizeError before allocating
+    what would not fit.
+    """
+    formula, name = (task.formula, task.name) if isinstance(task, Task) else (task, "formula")
+    _require_names(label_names(formula), model.labels, model.signals, "label", "compare it with a number")
+    _require_names(variables(formula), model.signals, model.labels, "signal", "use it without comparing")
+    valuations = np.stack(
+        [truth(psi, model.signals, model.labels, (model.n_states,)) for psi in atoms_of(formula)], axis=1
+    )
+    letters, letter = np.unique(valuations, axis=0, return_inverse=True)
+    automaton = compile_automaton(formula, encoding, letters, memory_limit)
+    product = Product(model, automaton, letter.astype(np.int32).ravel(), name)
+    require_memory(
+        product.check_bytes(keep_policy=False),
+        f"checking {model.n_states} model states × {automaton.n_states} automaton states",
+        "shorten the inner windows, or coarsen the grid or the time step",
+        memory_limit,
+    )
+    return product
+
+
+_Column = TypeVar("_Column")
+
+
+def _require_names(
+    wanted: Mapping[str, Span | None],
+    known: Mapping[str, _Column],
+    other: Mapping[str, NDArray[np.bool_]] | Mapping[str, NDArray[np.float64]],
+    kind: str,
+    remedy: str,
+) -> None:
+    for name, span in wanted.items():
+        if name not in known:
+            if name in other:
+                message = (
+                    f"{name} is not a {kind} of the model but a {'signal' if kind == 'label' else 'label'}; {remedy}"
+                )
+            else:
+                message = f"the model has no {kind} {name}; {near_misses(name, [*known, *other])}"
+            raise NameLookupError(span.show(message) if span is not None else message)

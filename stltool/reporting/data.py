@@ -1,0 +1,137 @@
+"""Results as plain data: what `--json` prints and what a report is made from."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+
+from stltool.checking import CheckResult, Run, sample_run
+from stltool.errors import SettingsError
+from stltool.learning import Training
+from stltool.policy import Policy
+from stltool.product import Product
+
+FORMAT = "stltool-report-1"
+
+
+def product_data(product: Product) -> dict[str, Any]:
+    """The task and the sizes."""
+    model, automaton = product.model, product.automaton
+    return {
+        "task": product.task_name,
+        "formula": str(product.formula),
+        "horizon": product.horizon,
+        "encoding": automaton.encoding,
+        "exact_encoding": automaton.exact,
+        "model": model.name,
+        "model_digest": model.digest(),
+        "automaton_digest": automaton.digest(),
+        "states": model.n_states,
+        "actions": list(model.action_names),
+        "transitions": model.n_transitions,
+        "automaton_states": automaton.n_states,
+        "letters": automaton.n_letters,
+        "product_states": product.n_states,
+    }
+
+
+def check_data(result: CheckResult, optimum: CheckResult | None = None) -> dict[str, Any]:
+    """One check, flat; `optimum` is the best over all policies, for the gap (default: the result itself)."""
+    best = optimum if optimum is not None else result
+    return {
+        **product_data(result.product),
+        "question": result.question,
+        "policy": result.policy.kind if result.policy is not None else None,
+        "probability": result.probability,
+        "lower": result.lower,
+        "upper": result.upper,
+        "optimum": best.probability,
+        "optimum_lower": best.lower,
+        "optimum_upper": best.upper,
+        "gap": abs(best.probability - result.probability),
+        "status": result.status,
+        "sweeps": result.sweeps,
+        "seconds": result.seconds,
+    }
+
+
+def training_data(training: Training) -> dict[str, Any]:
+    """A training run: method, settings, and its exact learning curve."""
+    return {
+        "method": training.method,
+        "faithful": training.faithful,
+        "seed": training.seed,
+        "settings": dataclasses.asdict(training.settings),
+        "environment_steps": training.environment_steps,
+        "seconds": training.seconds,
+        "history": [dataclasses.asdict(point) for point in training.history],
+    }
+
+
+def report_data(
+    results: Sequence[CheckResult],
+    training: Training | None = None,
+    *,
+    source: str | None = None,
+    command: str | None = None,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Everything a report shows. `source` is the task file's text, `command` what repeats the run."""
+    if not results:
+        raise SettingsError("a report needs at least one check result")
+    product = results[0].product
+    for result in results[1:]:
+        if (result.product.model.digest(), result.product.automaton.digest()) != (
+            product.model.digest(),
+            product.automaton.digest(),
+        ):
+            raise SettingsError("the results of one report belong to one model and one task; write one report for each")
+    optimum = next((r for r in results if r.question != "policy"), None)
+    shown = next((r for r in results if r.question == "policy"), results[0])
+    policy = shown.policy
+    return {
+        "format": FORMAT,
+        "version": metadata.version("stltool"),
+        **product_data(product),
+        "source": source,
+        "command": command,
+        "checks": [check_data(result, optimum) for result in results],
+        "training": training_data(training) if training is not None else None,
+        "run": _run_data(product, policy, seed) if policy is not None else None,
+        "floor": _floor_data(product),
+    }
+
+
+def _run_data(product: Product, policy: Policy, seed: int) -> dict[str, Any]:
+    run: Run = sample_run(product, policy, np.random.default_rng(seed))
+    model, automaton = product.model, product.automaton
+    steps = [
+        {
+            "step": t,
+            "state": model.state_name(s),
+            "signals": {name: float(values[s]) for name, values in model.signals.items()},
+            "labels": [name for name, values in model.labels.items() if values[s]],
+            "memory": automaton.describe(q),
+            "action": run.actions[t] if t < len(run.actions) else None,
+        }
+        for t, (s, q) in enumerate(zip(run.states, run.memory, strict=True))
+    ]
+    return {"satisfied": run.satisfied, "seed": seed, "states": list(run.states), "steps": steps}
+
+
+def _floor_data(product: Product) -> dict[str, Any] | None:
+    layout = product.model.layout
+    if layout is None:
+        return None
+    return {
+        "width": layout.width,
+        "height": layout.height,
+        "column": layout.column.tolist(),
+        "row": layout.row.tolist(),
+        "labels": {name: np.flatnonzero(values).tolist() for name, values in product.model.labels.items()},
+        "initial": np.flatnonzero(product.model.initial).tolist(),
+    }

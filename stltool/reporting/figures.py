@@ -1,0 +1,88 @@
+"""The pictures of a report, as SVG text: learning curve, floor map. The only module that imports matplotlib."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_LABEL_COLOURS = ("#9ecae1", "#fdae6b", "#a1d99b", "#bcbddc", "#fa9fb5", "#fee391", "#c7e9c0", "#d9d9d9")
+_INK, _BLOCKED, _RUN, _CURVE = "#222222", "#4a4a4a", "#b2182b", "#2166ac"
+
+
+def learning_curve(data: dict[str, Any]) -> str:
+    """Exact probability of the greedy policy over environment steps, with the optimum."""
+    history = data["training"]["history"]
+    figure = Figure(figsize=(7.2, 3.4), layout="constrained")
+    axes = figure.subplots()
+    axes.plot([p["steps"] for p in history], [p["probability"] for p in history], color=_CURVE, linewidth=1.8,
+              label="greedy policy, exact")  # fmt: skip
+    optimum = next((c for c in data["checks"] if c["question"] != "policy"), None)
+    if optimum is not None:
+        axes.axhline(optimum["probability"], color=_RUN, linestyle="--", linewidth=1.2,
+                     label=f"optimum {optimum['probability']:.6g}")  # fmt: skip
+    axes.set(xlabel="environment steps", ylabel="P(task)", ylim=(-0.03, 1.03))
+    axes.grid(alpha=0.25)
+    axes.legend(loc="lower right", frameon=False)
+    return _svg(figure, "curve")
+
+
+def floor_map(data: dict[str, Any]) -> str:
+    """The floor with its labels, and the sampled run as a path numbered by steps."""
+    floor = data["floor"]
+    width, height = floor["width"], floor["height"]
+    scale = min(0.8, 6.4 / max(width, height))
+    figure = Figure(figsize=(scale * width + 0.6, scale * height + 0.6), layout="constrained")
+    axes = figure.subplots()
+    axes.set(xlim=(0, width), ylim=(0, height), aspect="equal", xlabel="column", ylabel="row")
+    for axis, size in ((axes.xaxis, width), (axes.yaxis, height)):
+        ticks = range(0, size, max(1, size // 10))
+        axis.set_ticks([tick + 0.5 for tick in ticks], [str(tick) for tick in ticks])
+    axes.set_facecolor(_BLOCKED)
+    _cells(axes, range(len(floor["column"])), floor, "white")
+    for i, (name, states) in enumerate(floor["labels"].items()):
+        _cells(axes, states, floor, _LABEL_COLOURS[i % len(_LABEL_COLOURS)])
+        for s in states:
+            axes.text(floor["column"][s] + 0.06, floor["row"][s] + 0.94, name, va="top", fontsize=13 * scale,
+                      color=_INK, alpha=0.75)  # fmt: skip
+    for s in floor["initial"]:
+        axes.text(floor["column"][s] + 0.06, floor["row"][s] + 0.94, "start", va="top", fontsize=11 * scale, color=_INK)
+    if data["run"] is not None:
+        _path(axes, data["run"]["states"], floor, scale)
+    return _svg(figure, "floor")
+
+
+def _cells(axes: Axes, states: Any, floor: dict[str, Any], colour: str) -> None:
+    for s in states:
+        corner = (floor["column"][s], floor["row"][s])
+        axes.add_patch(matplotlib.patches.Rectangle(corner, 1, 1, facecolor=colour, edgecolor="#cccccc", linewidth=0.6))
+
+
+def _path(axes: Axes, states: list[int], floor: dict[str, Any], scale: float) -> None:
+    """Visits of one cell are spread a little, so that every step number can be read."""
+    seen: dict[int, int] = {}
+    points = []
+    for s in states:
+        visit = seen[s] = seen.get(s, -1) + 1
+        angle, radius = 2.4 * visit, 0.0 if visit == 0 else 0.13 + 0.02 * visit
+        x, y = floor["column"][s] + 0.5, floor["row"][s] + 0.45
+        points.append((x + radius * np.cos(angle), y + radius * np.sin(angle)))
+    xs, ys = np.array(points).T
+    axes.plot(xs, ys, color=_RUN, linewidth=1.3, alpha=0.7)
+    axes.scatter(xs, ys, s=150 * scale**2, color="white", edgecolors=_RUN, linewidths=0.8, zorder=3)
+    for step, (px, py) in enumerate(points):
+        axes.text(px, py, str(step), ha="center", va="center", fontsize=8.5 * scale, color=_RUN, zorder=4)
+
+
+def _svg(figure: Figure, salt: str) -> str:
+    buffer = io.StringIO()
+    with matplotlib.rc_context({"svg.hashsalt": salt, "svg.fonttype": "none", "font.family": "sans-serif"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    text = buffer.getvalue()
+    return text[text.index("<svg") :]

@@ -1,0 +1,61 @@
+"""Report data → one self-contained HTML page; written with the JSON it was made from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from stltool.checking import CheckResult
+from stltool.errors import FileError
+from stltool.files import read_text, write_atomically
+from stltool.learning import Training
+from stltool.reporting.data import FORMAT, report_data
+
+
+def report(results: Sequence[CheckResult], training: Training | None, path: str | Path, **details: Any) -> None:
+    """Write `path` (.html) and the JSON beside it; `details` as in `report_data` (source, command, seed)."""
+    write_report(report_data(results, training, **details), path)
+
+
+def write_report(data: dict[str, Any], path: str | Path) -> None:
+    """Both files of a report, each whole or not at all; the page is made before either is written."""
+    path = Path(path)
+    page = render(data)
+    write_atomically(path.with_suffix(".json"), json.dumps(data, indent=1) + "\n")
+    write_atomically(path, page)
+
+
+def load_report(path: str | Path) -> dict[str, Any]:
+    """The data of a report's JSON file."""
+    try:
+        data = json.loads(read_text(path, "report"))
+        if data["format"] != FORMAT:
+            raise KeyError
+    except (json.JSONDecodeError, KeyError, TypeError):
+        raise FileError(f"{path}: not a report's JSON ({FORMAT}); write one with stltool run") from None
+    return dict(data)
+
+
+def render(data: dict[str, Any]) -> str:
+    """The HTML page, pictures included; nothing is loaded from elsewhere."""
+    import jinja2
+
+    from stltool.reporting import figures
+
+    loader = jinja2.PackageLoader("stltool.reporting", "templates")
+    environment = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["probability"] = probability_text
+    return environment.get_template("report.html").render(
+        data=data,
+        curve=figures.learning_curve(data) if data["training"] else None,
+        floor=figures.floor_map(data) if data["floor"] else None,
+    )
+
+
+def probability_text(value: float) -> str:
+    """A probability with digits that tell it from 0 and 1."""
+    if 0.999 < value < 1:
+        return f"1 − {1 - value:.3g}"
+    return f"{value:.6g}"

@@ -1,0 +1,95 @@
+"""What the terminal shows: progress on stderr, tables on stdout."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+from stltool.reporting.page import probability_text
+
+Advance = Callable[..., None]
+"""Called with (done, total) or (done, total, exact probability so far)."""
+
+
+@contextmanager
+def progress_bar(title: str, quiet: bool = False) -> Iterator[Advance | None]:
+    """A bar on stderr; in a log, where nobody watches, a line at every tenth. `quiet` shows nothing."""
+    console = Console(stderr=True)
+    if quiet:
+        yield None
+    elif console.is_terminal:
+        note = TextColumn("{task.fields[note]}")
+        columns = (TextColumn(title), BarColumn(), MofNCompleteColumn(), note, TimeRemainingColumn())
+        with Progress(*columns, console=console, transient=True) as progress:
+            bar = progress.add_task(title, total=None, note="")
+
+            def advance(done: int, total: int, probability: float | None = None) -> None:
+                progress.update(bar, completed=done, total=total, note=_note(probability))
+
+            yield advance
+    else:
+
+        def log(done: int, total: int, probability: float | None = None) -> None:
+            if total >= 100 and done * 10 // total > (done - 1) * 10 // total:
+                console.print(f"{title}: {done} of {total}  {_note(probability)}", highlight=False)
+
+        yield log
+
+
+def _note(probability: float | None) -> str:
+    return "" if probability is None else f"exact P {probability_text(probability)}"
+
+
+@contextmanager
+def kernels_ready(quiet: bool = False) -> Iterator[None]:
+    """Announce that kernels are being loaded; the first run on a machine compiles them."""
+    console = Console(stderr=True, highlight=False)
+    message = "loading the numerical kernels (compiled on the first run, some seconds)"
+    if quiet:
+        yield
+    elif console.is_terminal:
+        with console.status(message):
+            yield
+    else:
+        console.print(message)
+        yield
+
+
+def print_checks(checks: list[dict[str, Any]]) -> None:
+    """Probabilities with their bounds, a row a check; lines are never cut."""
+    rows: list[tuple[str, ...]] = [("", "P", "lower bound", "upper bound", "gap", "status")]
+    rows += [
+        (
+            "the policy" if check["question"] == "policy" else f"{check['question']} of all",
+            f"{check['probability']:.15f}",
+            f"{check['lower']:.17f}",
+            f"{check['upper']:.17f}",
+            f"{check['gap']:.3g}",
+            check["status"],
+        )
+        for check in checks
+    ]
+    _print_columns(rows)
+
+
+def print_facts(facts: dict[str, Any]) -> None:
+    """Name and value, a line each; lines are never cut."""
+    _print_columns([(name, str(value)) for name, value in facts.items()])
+
+
+def _print_columns(rows: list[tuple[str, ...]]) -> None:
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    console = Console(soft_wrap=True, highlight=False)
+    for row in rows:
+        cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=True)]
+        console.print(Text.assemble((cells[0], "bold"), "  ", "  ".join(cells[1:]).rstrip()))
+
+
+def error(message: str) -> None:
+    """A message about the user's input, as plain text on stderr."""
+    Console(stderr=True, soft_wrap=True, highlight=False, markup=False).print(f"error: {message}")

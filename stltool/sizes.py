@@ -1,0 +1,43 @@
+"""Sizes before memory and time: what would not fit, or never end, is refused with the numbers and the ways out."""
+
+from __future__ import annotations
+
+from stltool.errors import SizeError
+
+_USABLE = 0.8  # of the memory that is free now
+_MOST_DAYS = 7
+
+
+def memory_limit(given: int | None = None) -> int:
+    """Bytes that may be taken: `given`, or four fifths of what the machine has free."""
+    if given is not None:
+        return given
+    import psutil
+
+    return int(psutil.virtual_memory().available * _USABLE)
+
+
+def require_memory(needed: int, what: str, remedy: str, limit: int | None = None) -> None:
+    """Raise SizeError, before anything is allocated, when `needed` bytes are over the limit."""
+    allowed = memory_limit(limit)
+    if needed > allowed:
+        raise SizeError(
+            f"{what} would take {bytes_text(needed)} of memory; {bytes_text(allowed)} may be used; {remedy}"
+        )
+
+
+def bytes_text(n: float) -> str:
+    """A number of bytes as people read it: 1.5 GB."""
+    unit = "B"
+    for larger in ("kB", "MB", "GB", "TB", "PB"):
+        if n < 1000:
+            break
+        n, unit = n / 1000, larger
+    return f"{n:.3g} {unit}"
+
+
+def require_time(operations: float, rate: float, what: str, remedy: str) -> None:
+    """Raise SizeError when `operations` at `rate` a second would run for more than a week."""
+    days = operations / rate / 86400
+    if days > _MOST_DAYS:
+        raise SizeError(f"{what} would take about {days:.3g} days; {remedy}")

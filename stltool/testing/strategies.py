@@ -1,0 +1,165 @@
+"""Hypothesis strategies: random formulas, traces and MDPs that fit together through the same signal and label names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from stltool.logic.formula import (
+    COMPARATORS,
+    Always,
+    And,
+    Arithmetic,
+    Call,
+    Comparison,
+    Constant,
+    Eventually,
+    Formula,
+    Iff,
+    Implies,
+    Interval,
+    Label,
+    Negate,
+    Not,
+    Number,
+    Or,
+    Term,
+    Until,
+    Variable,
+)
+from stltool.models import MDP
+
+LABELS = ("a", "b", "c")
+SIGNALS = ("x", "y")
+_WINDOWED: tuple[Callable[[Interval, Formula], Formula], ...] = (Eventually, Always)
+_VALUES = (-2.0, -1.0, 0.0, 0.5, 1.0, 2.0)  # few, so that comparisons meet their borders
+
+
+def terms(signals: Sequence[str] = SIGNALS) -> st.SearchStrategy[Term]:
+    """Arithmetic that has a value everywhere: no division, no root, small whole exponents."""
+    leaves = st.sampled_from(signals).map(Variable) | st.sampled_from([0.0, 0.5, 1.0, 2.0, 1e-10, 40.0]).map(Number)
+
+    def grow(below: st.SearchStrategy[Term]) -> st.SearchStrategy[Term]:
+        return st.one_of(
+            below.map(Negate),
+            st.builds(Arithmetic, st.sampled_from(["+", "-", "*"]), below, below),
+            st.builds(Arithmetic, st.just("^"), below, st.sampled_from([1.0, 2.0]).map(Number)),
+            st.tuples(below).map(lambda args: Call("abs", args)),
+            st.builds(Call, st.sampled_from(["min", "max"]), st.tuples(below, below) | st.tuples(below, below, below)),
+        )
+
+    return st.recursive(leaves, grow, max_leaves=4)
+
+
+def predicates(
+    labels: Sequence[str] = LABELS, signals: Sequence[str] = SIGNALS, arithmetic: bool = True
+) -> st.SearchStrategy[Formula]:
+    """Boolean formulas of one state: labels, comparisons, constants under the Boolean operators."""
+    leaves: st.SearchStrategy[Formula] = st.sampled_from(labels).map(Label) | st.booleans().map(Constant)
+    if signals and arithmetic:
+        leaves |= st.builds(Comparison, st.sampled_from(COMPARATORS), terms(signals), terms(signals))
+    return st.recursive(leaves, _boolean, max_leaves=4)
+
+
+def intervals(longest: int = 3) -> st.SearchStrategy[Interval]:
+    """Windows [a, b] with b at most `longest`."""
+    bounds = st.tuples(st.integers(0, longest), st.integers(0, longest))
+    return bounds.map(lambda pair: Interval(min(pair), max(pair)))
+
+
+def formulas(
+    labels: Sequence[str] = LABELS,
+    signals: Sequence[str] = SIGNALS,
+    longest: int = 3,
+    max_leaves: int = 8,
+) -> st.SearchStrategy[Formula]:
+    """Any bounded formula: F, G, U with windows [a, b], b at most `longest`, under the Boolean operators."""
+
+    def grow(below: st.SearchStrategy[Formula]) -> st.SearchStrategy[Formula]:
+        return st.one_of(
+            _boolean(below),
+            st.builds(Eventually, intervals(longest), below),
+            st.builds(Always, intervals(longest), below),
+            st.builds(Until, intervals(longest), below, below),
+        )
+
+    return st.recursive(predicates(labels, signals), grow, max_leaves=max_leaves)
+
+
+@st.composite
+def flag_formulas(draw: st.DrawFn, labels: Sequence[str] = LABELS, longest: int = 3, equal: bool = True) -> Formula:
+    """The paper's fragment: outer F or G over a Boolean combination of inner F and G.
+
+    `equal` gives all inner windows one length: the formulas whose flags are exact.
+    """
+    tau = draw(st.integers(1, longest))
+
+    def window() -> Interval:
+        return Interval(0, (tau if equal else draw(st.integers(1, longest))) - 1)
+
+    psi = predicates(labels, signals=())
+    operators = st.sampled_from(_WINDOWED)
+    parts: list[Formula] = [draw(operators)(window(), draw(psi)) for _ in range(draw(st.integers(1, 3)))]
+    body = draw(st.recursive(st.sampled_from(parts), _boolean, max_leaves=4))
+    phi: Formula = draw(operators)(Interval(0, draw(st.integers(0, longest))), body)
+    return Not(phi) if draw(st.booleans()) else phi
+
+
+def _boolean(below: st.SearchStrategy[Formula]) -> st.SearchStrategy[Formula]:
+    some = st.lists(below, min_size=2, max_size=3).map(tuple)
+    return st.one_of(
+        below.map(Not), some.map(And), some.map(Or), st.builds(Implies, below, below), st.builds(Iff, below, below)
+    )
+
+
+@st.composite
+def traces(
+    draw: st.DrawFn, n_steps: int, labels: Sequence[str] = LABELS, signals: Sequence[str] = SIGNALS
+) -> dict[str, NDArray[np.float64] | NDArray[np.bool_]]:
+    """A trace: name → array (n_steps,), few distinct values so that windows and borders are hit."""
+
+    def column(values: Sequence[object]) -> list[object]:
+        return draw(st.lists(st.sampled_from(values), min_size=n_steps, max_size=n_steps))
+
+    trace: dict[str, NDArray[np.float64] | NDArray[np.bool_]] = {}
+    for name in labels:
+        trace[name] = np.array(column([False, True]), dtype=np.bool_)
+    for name in signals:
+        trace[name] = np.array(column(_VALUES), dtype=np.float64)
+    return trace
+
+
+@st.composite
+def models(
+    draw: st.DrawFn,
+    max_states: int = 3,
+    max_actions: int = 2,
+    labels: Sequence[str] = LABELS,
+    signals: Sequence[str] = SIGNALS,
+    single_start: bool = False,
+) -> MDP:
+    """A small MDP with rows over sixteenths, some actions unavailable, and the given names."""
+    n_states = draw(st.integers(1, max_states))
+    n_actions = draw(st.integers(1, max_actions))
+    transitions = np.zeros((n_actions, n_states, n_states))
+    for s in range(n_states):
+        always = draw(st.integers(0, n_actions - 1))
+        for a in range(n_actions):
+            if a == always or draw(st.booleans()):
+                transitions[a, s] = draw(_distributions(n_states))
+    return MDP.from_arrays(
+        transitions,
+        {name: draw(st.lists(st.sampled_from(_VALUES), min_size=n_states, max_size=n_states)) for name in signals},
+        initial=draw(st.integers(0, n_states - 1)) if single_start else draw(_distributions(n_states)),
+        labels={name: draw(st.lists(st.booleans(), min_size=n_states, max_size=n_states)) for name in labels},
+        action_names=[f"act{a}" for a in range(n_actions)],
+    )
+
+
+@st.composite
+def _distributions(draw: st.DrawFn, n: int) -> NDArray[np.float64]:
+    cuts = sorted(draw(st.lists(st.integers(0, 16), min_size=n - 1, max_size=n - 1)))
+    return np.diff([0, *cuts, 16]) / 16

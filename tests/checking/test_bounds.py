@@ -1,0 +1,40 @@
+"""The enclosure's arithmetic against exact fractions."""
+
+from fractions import Fraction
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stltool.checking.bounds import enclose, roundings
+
+
+@given(
+    st.lists(st.lists(st.floats(1e-300, 1.0), min_size=1, max_size=4), min_size=1, max_size=30),
+    st.floats(0.0, 1.0),
+)
+def test_chains_of_dot_products_stay_inside(rows, end):
+    """V ← Σ p·V along a path, once in doubles and once in fractions, rows scaled to sum to at most 1."""
+    value, exact = end, Fraction(end)
+    for row in rows:
+        scaled = [p / (2 * sum(row)) for p in row]
+        total = 0.0
+        for p in scaled:
+            total += p * value
+        exact = sum(Fraction(p) * exact for p in scaled)
+        value = total
+    lower, upper = enclose(value, roundings(len(rows), max(len(row) for row in rows)))
+    assert Fraction(lower) <= exact <= Fraction(upper)
+
+
+@given(st.floats(0, 1), st.integers(1, 10**6))
+def test_bounds_surround_the_value_and_grow(value, n):
+    lower, upper = enclose(value, n)
+    assert 0 <= lower <= value <= upper <= 1
+    wider = enclose(value, 2 * n)
+    assert wider[0] <= lower
+    assert upper <= wider[1]
+
+
+def test_width_at_horizon_1000_is_far_below_the_promise():
+    lower, upper = enclose(0.5, roundings(1000, 9, 9))
+    assert 0 < upper - lower < 1e-11

@@ -1,0 +1,214 @@
+"""`check` against the enumeration of all history-dependent policies, its laws, and the numpy twin."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import stltool as stl
+from stltool.errors import PolicyError, SizeError
+from stltool.logic.formula import Not
+from stltool.testing import flag_formulas, models
+from tests import oracles
+from tests.conftest import ROOT
+
+LABELS = ("a", "b", "c")
+
+
+@st.composite
+def products(draw, longest=2, **options):
+    model = draw(models(**options))
+    return stl.build_product(model, draw(flag_formulas(longest=longest)))
+
+
+def close(result, exact):
+    assert abs(Fraction(result.probability) - exact) <= Fraction(1, 10**12)
+    assert Fraction(result.lower) <= exact <= Fraction(result.upper)
+    assert result.status == "complete"
+
+
+@given(products())
+@settings(max_examples=60)
+def test_optimum_equals_the_tree_of_all_histories(product):
+    model, phi = product.model, product.formula
+    close(stl.check(product), oracles.optimum(model, phi))
+    close(stl.check(product, maximize=False), oracles.optimum(model, phi, maximize=False))
+
+
+@given(products(longest=1, max_states=2, single_start=True))
+@settings(max_examples=40)
+def test_optimum_equals_the_enumeration_of_all_policies(product):
+    model, phi = product.model, product.formula
+    close(stl.check(product), oracles.enumerated_optimum(model, phi))
+    close(stl.check(product, maximize=False), oracles.enumerated_optimum(model, phi, maximize=False))
+
+
+@given(products())
+def test_maximum_and_minimum_are_dual(product):
+    """P_max(Φ) = 1 − P_min(¬Φ)."""
+    negated = stl.build_product(product.model, Not(product.formula))
+    best, worst = stl.check(product), stl.check(negated, maximize=False)
+    assert best.probability == pytest.approx(1 - worst.probability, abs=1e-12)
+    assert stl.check(product, maximize=False).probability <= best.upper
+
+
+def random_policy(product, rng, timed, mixed):
+    n_choices = np.diff(product.model.choice_start)
+    shape = (product.horizon, *product.shape) if timed else product.shape
+    if not mixed:
+        return stl.Policy(product, (rng.random(shape) * n_choices[:, None]).astype(int))
+    weights = rng.random((*shape, n_choices.max())) * (np.arange(n_choices.max()) < n_choices[:, None, None])
+    return stl.Policy(product, weights / weights.sum(axis=-1, keepdims=True))
+
+
+@given(products(), st.integers(0, 2**32 - 1), st.booleans(), st.booleans())
+@settings(max_examples=60)
+def test_a_policys_value_equals_the_tree_of_its_runs(product, seed, timed, mixed):
+    policy = random_policy(product, np.random.default_rng(seed), timed, mixed)
+    result = stl.check(product, policy)
+    exact = oracles.policy_value(product, policy)
+    # weights of a mixture are doubles that sum to 1 within rounding; the enclosure is cut to [0, 1]
+    close(result, min(exact, Fraction(1)) if mixed else exact)
+    assert result.probability <= stl.check(product).upper + 1e-15
+    assert result.probability >= stl.check(product, maximize=False).lower - 1e-15
+
+
+@given(products())
+def test_the_optimal_policy_attains_the_optimum(product):
+    for maximize in (True, False):
+        best = stl.check(product, maximize=maximize)
+        assert stl.check(product, best.policy).probability == best.probability
+        assert stl.check(product, maximize=maximize, keep_policy=False).probability == best.probability
+
+
+@given(products(max_states=4, max_actions=3), st.integers(0, 2**32 - 1))
+def test_numba_and_numpy_agree(product, seed):
+    rng = np.random.default_rng(seed)
+    policies = [None] + [random_policy(product, rng, timed, mixed) for timed in (0, 1) for mixed in (0, 1)]
+    for policy in policies:
+        fast, slow = (stl.check(product, policy, backend=backend) for backend in ("numba", "numpy"))
+        assert fast.probability == pytest.approx(slow.probability, abs=1e-13)
+
+
+def test_threads_change_nothing(floor10, monkeypatch):
+    task = stl.load_task(ROOT / "examples/factory/patrolling.stl")
+    product = stl.build_product(floor10, task)
+    alone = stl.check(product)
+    monkeypatch.setattr("stltool.checking.backward._WORTH_THREADS", 1)
+    together = stl.check(product)
+    assert together.probability == alone.probability
+    assert np.array_equal(together.policy.table, alone.policy.table)
+
+
+def test_sanity_figures_of_the_design(floor5, floor10):
+    factory = ROOT / "examples" / "factory"
+
+    def optimum(model, task, **params):
+        return stl.check(stl.build_product(model, stl.load_task(factory / task, params=params))).probability
+
+    assert optimum(floor5, "patrolling.stl", T=5, tau=5) == pytest.approx(0.737948, abs=5e-7)
+    assert optimum(floor10, "charging.stl", T=10, tau=5) == pytest.approx(0.999971, abs=5e-7)
+    assert optimum(floor5, "charging.stl", T=10, tau=5) > 0.999999
+
+
+@pytest.mark.parametrize("tau", [5, 10])
+def test_optima_of_the_papers_scenarios(floor5, floor10, tau):
+    """Lower bounds and figures of the scenario table (reproduction.md)."""
+    factory = ROOT / "examples" / "factory"
+    for model in (floor5, floor10):
+        reach = stl.load_task(factory / "reaching.stl", params={"T": 10, "tau": tau})
+        assert stl.check(stl.build_product(model, reach)).probability >= 0.9999
+    patrol = [(floor5, 10, 0.99999), (floor5, 15, 0.99999), (floor10, 10, 0.99829), (floor10, 15, 0.99999)]
+    for model, T, figure in patrol:
+        task = stl.load_task(factory / "patrolling.stl", params={"T": T, "tau": T})
+        assert stl.check(stl.build_product(model, task)).probability == pytest.approx(figure, abs=1e-5)
+
+
+PUBLISHED = ROOT.parent / "shared" / "data" / "published-policies"
+
+
+@pytest.mark.skipif(not PUBLISHED.exists(), reason="outside data absent: published-policies")
+@pytest.mark.parametrize(
+    ("table", "floor", "task", "T", "figure"),
+    [
+        ("CFER_tau5_grid5_0905.csv", "floor5", "patrolling.stl", 5, 0.649272),
+        ("naive_tau5_grid5_0905.csv", "floor5", "patrolling.stl", 5, 0.015475),
+        ("naiveER_tau5_grid10_0905.csv", "floor10", "charging.stl", 10, 0.978223),
+    ],
+)
+def test_published_q_tables_have_their_known_probability(request, table, floor, task, T, figure):
+    task = stl.load_task(ROOT / "examples" / "factory" / task, params={"T": T, "tau": 5})
+    product = stl.build_product(request.getfixturevalue(floor), task)
+    policy = stl.Policy.from_q_table(PUBLISHED / table, product)
+    result = stl.check(product, policy)
+    assert result.probability == pytest.approx(figure, abs=1e-6)
+    assert result.probability <= stl.check(product).upper
+
+
+def test_a_stationary_policy_can_be_strictly_worse(patrolling):
+    """The optimum needs the clock: the best stationary policy, by policy iteration over tables, stays below."""
+    best = stl.check(patrolling)
+    first = stl.Policy(patrolling, best.policy.table[0])
+    assert stl.check(patrolling, first).probability < best.probability
+
+
+def test_undefined_states_are_named_when_they_can_be_reached(patrolling):
+    table = stl.check(patrolling).policy.table.copy()
+    s = int(patrolling.model.initial.argmax())
+    table[0, s, :] = -1
+    with pytest.raises(PolicyError, match=r"says nothing about step 0, state \(1,0\); x = 0.3, y = 0.1"):
+        stl.check(patrolling, stl.Policy(patrolling, table))
+    table = stl.check(patrolling).policy.table.copy()
+    table[0, s - 1, :] = -1  # never there at step 0
+    assert stl.check(patrolling, stl.Policy(patrolling, table)).probability == stl.check(patrolling).probability
+
+
+def test_an_enormous_horizon_is_refused_before_memory_is_taken(floor5):
+    product = stl.build_product(floor5, stl.parse("G[0,10^8) F[0,10) A"))
+    with pytest.raises(SizeError, match=r"198 product states over 100000008 steps.*keep_policy=False"):
+        stl.check(product)
+    product = stl.build_product(floor5, stl.parse("G[0,10^15) F[0,10) A"))
+    for options in ({}, {"keep_policy": False}):
+        with pytest.raises(SizeError, match=r"over 1000000000000008 steps would take about .* days"):
+            stl.check(product, **options)
+    with pytest.raises(SizeError, match="would take"):
+        stl.build_product(floor5, stl.parse("G[0,5) F[0,5) A"), memory_limit=100)
+
+
+def test_a_policy_of_another_task_or_model_is_refused(patrolling, floor5, floor10):
+    policy = stl.check(patrolling).policy
+    other_task = stl.build_product(floor5, stl.parse("F[0,5) A"))
+    with pytest.raises(PolicyError, match=r"the policy is for the task G\[0,4\].*not for F\[0,4\] A"):
+        stl.check(other_task, policy)
+    other_model = stl.build_product(floor10, patrolling.formula)
+    with pytest.raises(PolicyError, match=r"for the model floor-5x5 .*not for floor-10x10"):
+        stl.check(other_model, policy)
+
+
+def test_a_formula_that_the_first_state_decides(floor5):
+    for text, value in (("A", 0.0), ("!A", 1.0), ("x < 0.4 & !B", 1.0), ("true", 1.0)):
+        product = stl.build_product(floor5, stl.parse(text))
+        result = stl.check(product)
+        assert (result.probability, result.sweeps) == (value, 0)
+        assert stl.check(product, result.policy).probability == value
+
+
+def test_progress_counts_the_sweeps(patrolling):
+    calls = []
+    stl.check(patrolling, progress=lambda done, total: calls.append((done, total)))
+    assert calls == [(t + 1, 8) for t in range(8)]
+
+
+def test_sampled_runs_are_runs_of_the_policy(patrolling):
+    best = stl.check(patrolling)
+    rng = np.random.default_rng(0)
+    runs = [stl.sample_run(patrolling, best.policy, rng) for _ in range(400)]
+    for run in runs[:50]:
+        padded = [*run.states, *[run.states[-1]] * (9 - len(run.states))]
+        if run.satisfied:
+            assert oracles.holds(patrolling.model, patrolling.formula, padded)
+        assert len(run.states) == len(run.actions) + 1 == len(run.memory)
+    frequency = np.mean([run.satisfied for run in runs])
+    assert abs(frequency - best.probability) < 5 * np.sqrt(best.probability * (1 - best.probability) / len(runs))

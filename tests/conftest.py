@@ -1,0 +1,31 @@
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+import stltool as stl
+
+settings.register_profile(
+    "stltool", deadline=None, print_blob=True, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much]
+)
+settings.load_profile("stltool")
+
+ROOT = Path(__file__).resolve().parent.parent
+FACTORY = ROOT / "examples" / "factory"
+
+
+@pytest.fixture(scope="session")
+def floor5() -> stl.MDP:
+    return stl.load_model(FACTORY / "floor-5x5.toml")
+
+
+@pytest.fixture(scope="session")
+def floor10() -> stl.MDP:
+    return stl.load_model(FACTORY / "floor-10x10.toml")
+
+
+@pytest.fixture
+def patrolling(floor5):
+    """The small sanity task: patrolling with T = tau = 5 on the 5 x 5 floor."""
+    task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 5, "tau": 5})
+    return stl.build_product(floor5, task)

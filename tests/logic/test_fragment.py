@@ -1,0 +1,107 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import stltool as stl
+from stltool.errors import FragmentError
+from stltool.logic.formula import Always, Eventually, Interval
+from stltool.testing import flag_formulas, traces
+from tests.conftest import ROOT
+
+
+def test_decomposition():
+    fragment = stl.check_fragment(stl.parse("G[0,15) (F[0,10) A & !G[0,10) (x < 0.4))"))
+    assert (fragment.outer, fragment.T) == ("G", 15)
+    assert [str(part) for part in fragment.parts] == ["F[0,10) A", "G[0,10) x < 0.4"]
+    assert fragment.uniform
+    assert fragment.combine([True, False])
+    assert not fragment.combine([True, True])
+
+
+def test_negations_flip_the_outer_operator():
+    fragment = stl.check_fragment(stl.parse("!F[0,4) !(a & G[0,3) b)"))
+    assert (fragment.outer, fragment.T) == ("G", 4)
+    assert [str(part) for part in fragment.parts] == ["G[0,1) a", "G[0,3) b"]
+    assert not fragment.uniform
+    assert fragment.combine([True, True])
+    assert not fragment.combine([True, False])
+
+
+def test_boolean_roots_and_bare_predicates():
+    root = stl.check_fragment(stl.parse("a -> F[0,3] b"))
+    assert (root.outer, root.T, [str(p) for p in root.parts]) == ("G", 1, ["G[0,1) a", "F[0,4) b"])
+    single = stl.check_fragment(stl.parse("F[0,9] a"))
+    assert (single.outer, single.T, [str(p) for p in single.parts]) == ("F", 10, ["G[0,1) a"])
+
+
+@given(phi=flag_formulas(equal=False), data=st.data())
+def test_the_decomposition_means_the_formula(phi, data):
+    fragment = stl.check_fragment(phi)
+    trace = data.draw(traces(stl.horizon(phi) + 1))
+    operators = {"F": Eventually, "G": Always}
+
+    def body_at(k):
+        return fragment.combine(
+            [stl.satisfies(operators[p.operator](Interval(0, p.tau - 1), p.psi), trace, k) for p in fragment.parts]
+        )
+
+    some_or_all = any if fragment.outer == "F" else all
+    assert stl.satisfies(phi, trace) == some_or_all(body_at(k) for k in range(fragment.T))
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "says"),
+    [
+        ("G[0,5] F[0,3] G[0,2] a", "line 1, column 8", "depth 3"),
+        ("G[0,5] (a &\n F[0,3] (a U[0,2] b))", "line 2, column 2", "depth 3"),
+        ("F[0,3] (a U[0,2] b)", "line 1, column 9", "until"),
+        ("G[1,5] a", "line 1, column 1", "starts at step 1"),
+        ("G[0,5] F[2,3] a", "line 1, column 8", "starts at step 2"),
+    ],
+)
+def test_a_refusal_names_the_sub_formula_at_fault(text, place, says):
+    with pytest.raises(FragmentError) as caught:
+        stl.check_fragment(stl.parse(text))
+    assert place in str(caught.value)
+    assert says in str(caught.value)
+    assert "use encoding exact" in str(caught.value)
+
+
+ARCH_COMP = ROOT.parent / "shared" / "data" / "stl" / "arch_comp_neutral.txt"
+
+
+@pytest.mark.skipif(not ARCH_COMP.exists(), reason=f"outside data absent: {ARCH_COMP.name}")
+def test_arch_comp_requirements_with_whole_steps():
+    """Those whose bounds are whole numbers get the verdict that the list gives (windows from 0)."""
+    judged = 0
+    for line in ARCH_COMP.read_text().splitlines():
+        if line.startswith("#") or not line.strip():
+            continue
+        name, text, depth, verdict = (part.strip() for part in line.split(";", 3))
+        try:
+            phi = stl.parse(text)
+        except stl.StlToolError:
+            continue  # real-time bounds, `next`
+        if any(isinstance(n, Eventually | Always) and n.interval.a for n in _nodes(phi)):
+            continue
+        inside = "no (" not in verdict
+        try:
+            stl.check_fragment(phi)
+            assert inside, name
+        except FragmentError:
+            assert not inside, name
+        assert int(depth) == _depth(phi), name
+        judged += 1
+    assert judged >= 10
+
+
+def _nodes(phi):
+    from stltool.logic.formula import walk
+
+    return walk(phi)
+
+
+def _depth(phi):
+    from stltool.logic.formula import temporal_depth
+
+    return temporal_depth(phi)

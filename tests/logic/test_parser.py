@@ -1,0 +1,251 @@
+import math
+from fractions import Fraction
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import stltool as stl
+from stltool.errors import FileError, SettingsError, StlSyntaxError
+from stltool.logic.formula import (
+    Always,
+    And,
+    Comparison,
+    Eventually,
+    Iff,
+    Implies,
+    Interval,
+    Label,
+    Negate,
+    Not,
+    Number,
+    Or,
+    Until,
+    Variable,
+    horizon,
+    walk,
+    with_children,
+)
+from stltool.logic.parser import TERMINAL_WORDS, _lark
+from stltool.testing import formulas, predicates
+
+A, B, C = Label("a"), Label("b"), Label("c")
+
+
+@given(formulas(longest=12))
+def test_text_of_a_formula_parses_back_to_it(phi):
+    assert stl.parse(str(phi)) == phi
+
+
+@given(predicates())
+def test_text_of_a_predicate_parses_back_to_it(psi):
+    assert stl.parse(str(psi)) == psi
+
+
+@pytest.mark.parametrize(
+    ("text", "meaning"),
+    [
+        ("a or b -> c", Implies(Or((A, B)), C)),
+        ("a -> b -> c", Implies(A, Implies(B, C))),
+        ("a & b | c", Or((And((A, B)), C))),
+        ("a and b and c", And((A, B, C))),
+        ("(a and b) and c", And((And((A, B)), C))),
+        ("G[0,2] a and b", And((Always(Interval(0, 2), A), B))),
+        ("!a U[1,4) b", Until(Interval(1, 3), Not(A), B)),
+        ("a U[0,1] b & c", And((Until(Interval(0, 1), A, B), C))),
+        ("not x > 0", Not(Comparison(">", Variable("x"), Number(0.0)))),
+        ("a <-> b", Iff(A, B)),
+        ("a xor b", Not(Iff(A, B))),
+        ("ev [0:3] alw (0..3) a", Eventually(Interval(0, 3), Always(Interval(1, 2), A))),
+        ("◇[0,1] □(0,1] ¬a", Eventually(Interval(0, 1), Always(Interval(1, 1), Not(A)))),
+        ("<>[0,1] [] [0,1] a /\\ b \\/ c", Or((And((Eventually(Interval(0, 1), Always(Interval(0, 1), A)), B)), C))),
+        ("-2 <= x", Comparison("<=", Negate(Number(2.0)), Variable("x"))),
+        ("x ≥ 1 # a comment", Comparison(">=", Variable("x"), Number(1.0))),
+        ("a // and\n& b", And((A, B))),
+        ("a<=>b", Iff(A, B)),
+        ("a<->b", Iff(A, B)),
+        ("a=>b", Implies(A, B)),
+        ("a->!b", Implies(A, Not(B))),
+        ("a/\\b||c", Or((And((A, B)), C))),
+        ("x<-1", Comparison("<", Variable("x"), Negate(Number(1.0)))),
+        (
+            "x!=1&x<=1",
+            And((Comparison("!=", Variable("x"), Number(1.0)), Comparison("<=", Variable("x"), Number(1.0)))),
+        ),
+        ("Gate & Format & Under", And((Label("Gate"), Label("Format"), Label("Under")))),
+    ],
+)
+def test_precedence_and_spellings(text, meaning):
+    assert stl.parse(text) == meaning
+
+
+def test_params_are_exact_in_bounds():
+    phi = stl.parse("F[0, 10*step) a & G[T/3, 3^2] x < tau", params={"step": "0.3", "T": 12, "tau": -0.5})
+    assert phi == stl.parse("F[0,3) a & G[4,9] x < -0.5")
+
+
+def test_horizon_counts_steps_after_now():
+    assert stl.horizon(stl.parse("G[0,15) (F[0,15) A & F[0,15) (x < 0.4 & y > 0.6))")) == 28
+    assert stl.horizon(stl.parse("a U[2,5] F[1,3] b")) == 8
+    assert stl.horizon(stl.parse("x > 0")) == 0
+
+
+@given(formulas())
+def test_horizon_is_bounded_by_its_operands(phi):
+    assert all(horizon(node) <= horizon(phi) for node in walk(phi))
+
+
+@given(formulas())
+def test_children_rebuild_their_parent(phi):
+    from stltool.logic.formula import children
+
+    assert with_children(phi, children(phi)) == phi
+
+
+def test_every_terminal_of_the_grammar_has_words():
+    named = {terminal.name for terminal in _lark("task").terminals} | {t.name for t in _lark("formula").terminals}
+    ignored = {name for name in named if name.startswith("__IGNORE")}
+    assert named - ignored <= set(TERMINAL_WORDS)
+    assert set(TERMINAL_WORDS) - named == {"$END"}
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "says"),
+    [
+        ("G[0,3] (a &\n  & b)", "line 2, column 3", "expected a formula"),
+        ("G a", "line 1, column 3", "such as F[0,10]"),
+        ("F (a & b)", "line 1, column 6", "such as F[0,10]"),
+        ("a b", "line 1, column 3", "expected an operator between 'a' and 'b'"),
+        ("2 < x < 4", "line 1, column 1", "write x > 2 & x < 4"),
+        ("x + 1", "line 1, column 1", "x + 1 > 0"),
+        ("sqrt(a & b) > 1", "line 1, column 6", "a truth value where a number must stand"),
+        ("F[0,2.5] a", "line 1, column 5", "2.5 is not a whole number of steps; write 2 or 3"),
+        ("F[3,3) a", "line 1, column 2", "the interval [3,3) is empty"),
+        ("F[5,2] a", "line 1, column 2", "the interval [5,2] is empty"),
+        ("F[-1,2] a", "line 1, column 3", "steps count from 0"),
+        ("F[0,T] a", "line 1, column 5", "T is not a param; give it a value: param T = 10"),
+        ("F[0,1/0] a", "line 1, column 5", "division by zero"),
+        ("F[0,1e999999] a", "line 1, column 5", "out of range"),
+        ("F[0,sqrt(4)] a", "line 1, column 5", "no exact value"),
+        ("x = 3", "line 1, column 3", "write == to compare"),
+        ("a U[0,1] b U[0,2] c", "line 1, column 12", "until does not chain"),
+        ("foo(x) > 2", "line 1, column 4", "foo is not a function"),
+        ("a § b", "line 1, column 3", "the character '§' has no meaning here"),
+        ("3x > 2", "line 1, column 1", "glued to letters"),
+        ("(a", "line 1, column 3", "the text ends here; expected ')'"),
+        ("abs(x, y) > 1", "line 1, column 1", "abs takes one argument, here it has 2"),
+        ("x > 1e400", "line 1, column 5", "too large"),
+    ],
+)
+def test_a_syntax_error_says_where_what_and_what_to_write(text, place, says):
+    with pytest.raises(StlSyntaxError) as caught:
+        stl.parse(text)
+    message = str(caught.value)
+    assert place in message
+    assert says in message
+    line, caret = message.splitlines()[-2:]
+    assert line.strip() in text
+    assert set(caret.strip()) == {"^"}
+    assert caret.index("^") - 4 == int(place.rsplit(" ", 1)[1]) - 1
+
+
+@given(phi=formulas(), data=st.data())
+def test_no_foreign_character_is_ever_dropped(phi, data):
+    text = str(phi)
+    place = data.draw(st.integers(0, len(text)))
+    foreign = data.draw(st.sampled_from("§$@?`'%€\\{}\0\u200b"))
+    with pytest.raises(StlSyntaxError) as caught:
+        stl.parse(text[:place] + foreign + text[place:])
+    assert f"column {place + 1}:" in str(caught.value) or "glued" in str(caught.value)
+
+
+@given(st.text(max_size=40))
+def test_any_text_parses_or_is_refused_in_words(text):
+    try:
+        phi = stl.parse(text)
+    except StlSyntaxError as error:
+        assert str(error)
+    else:
+        assert stl.parse(str(phi)) == phi
+
+
+def test_deep_nesting_is_refused_in_words():
+    with pytest.raises(StlSyntaxError, match="nested too deeply"):
+        stl.parse("!" * 5000 + "a")
+    with pytest.raises(StlSyntaxError, match="empty"):
+        stl.parse("   ")
+
+
+# ------------------------------------------------------------------------------------------- task files
+
+TASK = """
+# comment
+model "floor.toml"
+param T = 10, tau = T/2;   // exact arithmetic
+near := abs(x - 0.5)
+at_A := A
+at_B := near < 0.25 & y > 0.6;
+charging := F[0,T) G[0,tau) at_A
+patrolling := G[0,T) (F[0,tau) at_A & F[0,tau) at_B)
+"""
+
+
+def test_a_task_file_has_model_params_definitions(tmp_path):
+    path = tmp_path / "task.stl"
+    path.write_text(TASK, encoding="utf-8-sig")
+    task = stl.load_task(path)
+    assert task.name == "patrolling"
+    assert task.model == tmp_path / "floor.toml"
+    assert task.params == {"T": Fraction(10), "tau": Fraction(5)}
+    assert task.formula == stl.parse("G[0,9] (F[0,4] A & F[0,4] (abs(x - 0.5) < 0.25 & y > 0.6))")
+    other = stl.load_task(path, params={"T": 20}, task="charging")
+    assert other.formula == stl.parse("F[0,19] G[0,9] A")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "no task in this file"),
+        ("param T = 3", "no task in this file"),
+        ("a := F[0,3] B\nB := x > 0", "B is used on line 1 before it is defined here"),
+        ("param T = 3, T = 4\na := b", "T is defined twice"),
+        ("a := b\na := c", "a is defined twice"),
+        ('model "a"\nmodel "b"\na := b', "a second model line"),
+        ("n := 3 + x", "n is a number, not a task"),
+        ("n := 3 + x\na := n", "a is a number, not a task"),
+        ("param T = 3\na := T", "a is a number, not a task"),
+        ("param T = 3\na := T & b", "T is a param, a number, not a truth value"),
+        ("b := c\na := b > 3", "b is a truth value, not a number"),
+        ("a := b +", "expected a number, a signal or an arithmetic expression"),
+    ],
+)
+def test_a_task_file_with_a_slip_is_refused(text, says):
+    with pytest.raises(StlSyntaxError) as caught:
+        stl.parse_task(text)
+    assert says in str(caught.value)
+
+
+def test_unknown_overrides_and_definitions_name_near_misses():
+    with pytest.raises(StlSyntaxError, match="no param tua to override; did you mean tau"):
+        stl.parse_task(TASK, params={"tua": 3})
+    with pytest.raises(StlSyntaxError, match="no definition patroling; did you mean patrolling"):
+        stl.parse_task(TASK, task="patroling")
+    with pytest.raises(SettingsError, match="param T: 'many' is not a number"):
+        stl.parse_task(TASK, params={"T": "many"})
+    with pytest.raises(SettingsError, match="is not a number"):
+        stl.parse_task(TASK, params={"T": math.nan})
+
+
+@pytest.mark.parametrize("data", [b"\x89PNG\r\n\x1a\n\0\0\0", b"a := \xff\xfe b", b"PK\x03\x04\0"])
+def test_a_binary_file_is_no_task(tmp_path, data):
+    path = tmp_path / "task.stl"
+    path.write_bytes(data)
+    with pytest.raises(FileError, match="not a task file"):
+        stl.load_task(path)
+
+
+def test_missing_files_and_folders_are_named(tmp_path):
+    with pytest.raises(FileError, match="no such task file"):
+        stl.load_task(tmp_path / "none.stl")
+    with pytest.raises(FileError, match="cannot be read"):
+        stl.load_task(tmp_path)

@@ -1,0 +1,119 @@
+"""Grid worlds against the motion model written out by hand (reproduction.md)."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import stltool as stl
+from stltool.errors import FileError, ModelError
+from stltool.models.grid import grid_from_table
+
+COMPASS = {"stay": (0, 0), "N": (0, 1), "S": (0, -1), "W": (-1, 0), "E": (1, 0),
+           "NW": (-1, 1), "SW": (-1, -1), "NE": (1, 1), "SE": (1, -1)}  # fmt: skip
+SIDES = {"N": "NW NE", "S": "SW SE", "W": "NW SW", "E": "NE SE", "NW": "N W", "SW": "S W", "NE": "N E", "SE": "S E"}
+PAPER = ["BB#CC", "BB.CC", "##.##", "#..AA", ".S#AA"]
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_the_papers_floor(scale, floor5, floor10):
+    model = floor5 if scale == 1 else floor10
+    n = 5 * scale
+    cell = {(c, r): PAPER[4 - r // scale][c // scale] for c in range(n) for r in range(n)}
+    free = {place for place, kind in cell.items() if kind != "#"}
+    assert model.n_states == len(free) == (18 if scale == 1 else 72)
+    assert model.action_names == tuple(COMPASS)
+    place_of = [tuple(int(i) for i in model.state_name(s).strip("()").split(",")) for s in range(model.n_states)]
+    index = {place: s for s, place in enumerate(place_of)}
+    assert place_of[int(model.initial.argmax())] == ((1, 0) if scale == 1 else (3, 1))
+    for s, (c, r) in enumerate(place_of):
+        x, y = Fraction(2 * c + 1, 2 * n), Fraction(2 * r + 1, 2 * n)
+        assert (model.signals["x"][s], model.signals["y"][s]) == (float(x), float(y))
+        assert model.labels["A"][s] == (x > Fraction(3, 5) and y < Fraction(2, 5))
+        assert model.labels["B"][s] == (x < Fraction(2, 5) and y > Fraction(3, 5))
+        assert model.labels["C"][s] == (x > Fraction(3, 5) and y > Fraction(3, 5))
+        for a, move in enumerate(COMPASS):
+            row = {}
+            outcomes = [(move, Fraction(93, 100))] + [
+                (other, Fraction(7, 300)) for other in ("stay " + SIDES[move]).split()
+            ] if move != "stay" else [("stay", Fraction(1))]  # fmt: skip
+            for direction, p in outcomes:
+                dx, dy = COMPASS[direction]
+                there = (c + dx, r + dy)
+                row[index[there if there in free else (c, r)]] = (
+                    row.get(index[there if there in free else (c, r)], 0) + p
+                )
+            choice = model.choice_start[s] + a
+            entries = slice(model.row_start[choice], model.row_start[choice + 1])
+            found = dict(zip(model.target[entries].tolist(), model.probability[entries].tolist(), strict=True))
+            assert found == {s2: float(p) for s2, p in row.items()}
+
+
+def table(**changes):
+    return {"kind": "grid", "map": "A.\nS#", "success": "93/100", "slip": "7/300"} | changes
+
+
+def test_four_moves_slip_sideways():
+    model = grid_from_table(table(moves="cross", map="...\n.S.\n..."))
+    assert model.action_names == ("stay", "N", "S", "W", "E")
+    middle = int(model.initial.argmax())
+    north = model.matrix()[[model.choice_start[middle] + 1]].toarray()[0]
+    names = {model.state_name(s): p for s, p in enumerate(north) if p}
+    assert names == {"(1,2)": 0.93, "(1,1)": 7 / 300, "(0,1)": 7 / 300, "(2,1)": 7 / 300}
+
+
+def test_starts():
+    assert grid_from_table(table(map="S.\n.S")).initial.tolist() == [0.5, 0, 0, 0.5]
+    given = grid_from_table(table(map="..\nA#", start=[0, 0]))
+    assert given.state_name(int(given.initial.argmax())) == "(0,0)"
+
+
+def test_without_noise_every_move_succeeds():
+    model = grid_from_table({"kind": "grid", "map": "S."})
+    assert set(model.probability) == {1.0}
+    assert np.allclose(model.signals["x"], [0.5, 1.5])
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"kind": "maze"}, "kind is 'maze'; write kind = \"grid\""),
+        ({"sucess": 1}, "unknown key sucess; did you mean success"),
+        ({"map": ""}, "the grid has no map"),
+        ({"map": "A.\nS"}, r"map line 2 \('S'\) has 1 cells, the first line has 2"),
+        ({"map": "A?\nS."}, "map line 1, cell 2: '\\?' is no cell"),
+        ({"map": "##\n##"}, "every cell of the map is blocked"),
+        ({"map": "A.\n.#"}, "the map has no start"),
+        ({"start": [0, 0]}, "keep one of them"),
+        ({"map": "A.\n.#", "start": [1, 0]}, r"start = \[1, 0\] is blocked or off the map"),
+        ({"map": "A.\n.#", "start": "A"}, r"write start = \[column, row\]"),
+        ({"moves": "knight"}, "moves is 'knight'; choose one of king, cross"),
+        ({"success": "9/10"}, "sum to 97/100, not 1"),
+        ({"success": "often"}, "success is 'often'; write a number or a fraction in quotes"),
+        ({"slip": "1/0"}, "slip is '1/0'"),
+        ({"success": True}, "success is True"),
+        ({"cell": 0}, "the side of a cell is positive"),
+        ({"success": "1e-30", "slip": "333333333333333333333333333333/1000000000000000000000000000000"}, "round them"),
+    ],
+)
+def test_bad_grids_are_refused(changes, says):
+    with pytest.raises(ModelError, match=says):
+        grid_from_table(table(**changes))
+
+
+def test_bad_files_are_named(tmp_path):
+    path = tmp_path / "floor.toml"
+    with pytest.raises(FileError, match="no such model file"):
+        stl.load_model(path)
+    path.write_text("kind = \n")
+    with pytest.raises(ModelError, match=r"floor.toml: not valid TOML: .*line 1"):
+        stl.load_model(path)
+    path.write_text('kind = "grid"\nmap = "A"\nmove = "king"')
+    with pytest.raises(ModelError, match="floor.toml: unknown key move; did you mean moves"):
+        stl.load_model(path)
+
+
+def test_decimals_in_a_file_mean_those_decimals(tmp_path):
+    path = tmp_path / "floor.toml"
+    path.write_text('kind = "grid"\nmap = "S."\nsuccess = 0.7\nslip = 0.1')
+    assert set(stl.load_model(path).probability.tolist()) == {0.1, 0.3, 0.7, 0.9, 1.0}

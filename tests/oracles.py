@@ -1,0 +1,97 @@
+"""Slow and obvious twins: everything clever in stltool is compared with these."""
+
+from __future__ import annotations
+
+import itertools
+from fractions import Fraction
+
+import numpy as np
+
+import stltool as stl
+
+
+def trace_of(model: stl.MDP, states) -> dict:
+    """The trace that a sequence of model states shows."""
+    states = list(states)
+    named = {**model.signals, **model.labels}
+    return {name: values[states] for name, values in named.items()}
+
+
+def holds(model: stl.MDP, phi, states) -> bool:
+    return stl.satisfies(phi, trace_of(model, states))
+
+
+def choices(model: stl.MDP, s: int) -> list[list[tuple[int, Fraction]]]:
+    """For every available action of s its successors with exact probabilities."""
+    rows = []
+    for c in range(model.choice_start[s], model.choice_start[s + 1]):
+        entries = range(model.row_start[c], model.row_start[c + 1])
+        rows.append([(int(model.target[k]), Fraction(float(model.probability[k]))) for k in entries])
+    return rows
+
+
+def initial(model: stl.MDP) -> list[tuple[int, Fraction]]:
+    return [(int(s), Fraction(float(model.initial[s]))) for s in np.flatnonzero(model.initial)]
+
+
+def optimum(model: stl.MDP, phi, maximize: bool = True) -> Fraction:
+    """The best probability over all history-dependent policies, by walking the tree of all histories."""
+    best = max if maximize else min
+    length = stl.horizon(phi) + 1
+
+    def value(history: tuple[int, ...]) -> Fraction:
+        if len(history) == length:
+            return Fraction(holds(model, phi, history))
+        return best(sum(p * value((*history, s2)) for s2, p in row) for row in choices(model, history[-1]))
+
+    return sum((p * value((s,)) for s, p in initial(model)), Fraction(0))
+
+
+def enumerated_optimum(model: stl.MDP, phi, maximize: bool = True) -> Fraction:
+    """The same, literally: every deterministic history-dependent policy, one by one, each evaluated on all traces."""
+    length = stl.horizon(phi) + 1
+    histories = [history for n in range(1, length) for history in itertools.product(range(model.n_states), repeat=n)]
+    options = [range(len(choices(model, history[-1]))) for history in histories]
+    values = []
+    for picks in itertools.product(*options):
+        policy = dict(zip(histories, picks, strict=True))
+        total = Fraction(0)
+        for trace in itertools.product(range(model.n_states), repeat=length):
+            p = dict(initial(model)).get(trace[0], Fraction(0))
+            for n in range(1, length):
+                p *= dict(choices(model, trace[n - 1])[policy[trace[:n]]]).get(trace[n], Fraction(0))
+                if p == 0:
+                    break
+            if p and holds(model, phi, trace):
+                total += p
+        values.append(total)
+    return max(values) if maximize else min(values)
+
+
+def policy_value(product: stl.Product, policy: stl.Policy) -> Fraction:
+    """A policy's probability, by walking all histories; the formula is judged on whole traces."""
+    model, phi = product.model, product.formula
+    length = stl.horizon(phi) + 1
+
+    def value(history: tuple[int, ...], q: int) -> Fraction:
+        if len(history) == length:
+            return Fraction(holds(model, phi, history))
+        s, t = history[-1], len(history) - 1
+        rows = choices(model, s)
+        entry = policy.at(t)[s, q]
+        if policy.deterministic:
+            weights = [Fraction(int(i == entry)) for i in range(len(rows))]
+        else:
+            weights = [Fraction(float(w)) for w in entry[: len(rows)]]
+        return sum(
+            (
+                w * p * value((*history, s2), product.enter(s2, q))
+                for w, row in zip(weights, rows, strict=True)
+                if w
+                for s2, p in row
+            ),
+            Fraction(0),
+        )
+
+    start = product.automaton.initial
+    return sum((p * value((s,), product.enter(s, start)) for s, p in initial(model)), Fraction(0))

@@ -1,0 +1,89 @@
+import html
+import json
+import re
+
+import numpy as np
+import pytest
+
+import stltool as stl
+from stltool.errors import FileError, InexactEncodingWarning, SettingsError
+from stltool.reporting import check_data, load_report, render, report_data
+from stltool.reporting.page import probability_text
+
+
+@pytest.fixture
+def results(patrolling):
+    run = stl.learn(patrolling, "cfer", episodes=60, seed=1)
+    return [stl.check(patrolling), stl.check(patrolling, run.policy)], run
+
+
+def test_a_report_is_one_self_contained_page_and_its_data(results, tmp_path):
+    checks, run = results
+    stl.report(checks, run, tmp_path / "report.html", source="task := …", command="stltool run task.stl", seed=1)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    data = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    assert not re.findall(r"(?:src|href)\s*=\s*[\"'](?!#)", page)  # nothing is loaded from elsewhere
+    assert "<script" not in page
+    assert page.count("<svg") == 2  # learning curve and floor map
+    for check, result in zip(data["checks"], checks, strict=True):
+        assert check["probability"] == result.probability
+        assert f"{result.lower:.17g}" in page
+        assert f"{result.upper:.17g}" in page
+    assert data["checks"][1]["gap"] == checks[0].probability - checks[1].probability
+    for text in (html.escape(str(checks[0].product.formula)), "stltool run task.stl", "seed 1", "task := …"):
+        assert text in page
+    assert len(data["training"]["history"]) == 3
+    assert data["training"]["environment_steps"] == 60 * 8
+
+
+def test_the_page_is_made_from_the_data_alone(results, tmp_path):
+    checks, run = results
+    stl.report(checks, run, tmp_path / "report.html")
+    assert render(load_report(tmp_path / "report.json")) == (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_text_of_the_user_is_escaped(results):
+    checks, run = results
+    page = render(report_data(checks, run, source="a < b <script>alert(1)</script>"))
+    assert "<script>" not in page
+
+
+def test_a_report_without_training_or_floor():
+    model = stl.MDP.from_arrays([np.eye(2)], {"x": [0, 1]}, labels={"A": [0, 1]}, initial=[0.5, 0.5])
+    product = stl.build_product(model, stl.parse("F[0,2) A"))
+    page = render(report_data([stl.check(product)]))
+    assert "<svg" not in page
+    assert "P = 0.5" in page
+
+
+def test_the_approximation_is_said_aloud(floor5):
+    with pytest.warns(InexactEncodingWarning):
+        product = stl.build_product(floor5, stl.parse("F[0,3) (F[0,2) A & G[0,4) B)"), encoding="paper")
+    assert "only approximates this formula" in render(report_data([stl.check(product)]))
+
+
+def test_check_data_has_the_promised_keys(results):
+    checks, _ = results
+    keys = "task formula horizon encoding states automaton_states product_states probability lower upper optimum gap"
+    data = check_data(checks[1], checks[0])
+    assert {*keys.split(), "status", "seconds"} <= set(data)
+    assert json.loads(json.dumps(data)) == data
+
+
+def test_results_of_different_products_do_not_mix(results, floor5):
+    other = stl.check(stl.build_product(floor5, stl.parse("F[0,5) A")))
+    with pytest.raises(SettingsError, match="one model and one task"):
+        report_data([results[0][0], other])
+    with pytest.raises(SettingsError, match="at least one check"):
+        report_data([])
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"format": "other"}'])
+def test_what_is_no_report(tmp_path, text):
+    (tmp_path / "report.json").write_text(text)
+    with pytest.raises(FileError, match="not a report's JSON"):
+        load_report(tmp_path / "report.json")
+
+
+def test_probabilities_near_one_are_told_apart():
+    assert [probability_text(p) for p in (0.0, 0.5, 0.9999930210946937, 1.0)] == ["0", "0.5", "1 − 6.98e-06", "1"]

@@ -1,0 +1,216 @@
+"""The command line as its users meet it: output, exit codes, messages, nothing half-written."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+import stltool as stl
+from stltool import cli
+from tests.conftest import FACTORY
+
+PATROLLING = str(FACTORY / "patrolling.stl")
+SMALL = ["-p", "T=5", "-p", "tau=5"]
+
+
+@pytest.fixture
+def stltool(monkeypatch, capsys):
+    """Run the command line in this process: (exit code, stdout, stderr)."""
+
+    def run(*args):
+        monkeypatch.setattr(sys, "argv", ["stltool", *map(str, args)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        output = capsys.readouterr()
+        assert "Traceback" not in output.err
+        return ended.value.code or 0, output.out, output.err
+
+    return run
+
+
+def test_check_prints_one_object(stltool):
+    code, out, err = stltool("check", PATROLLING, *SMALL, "--json")
+    data = json.loads(out)
+    assert (code, err) == (0, "")
+    assert data["probability"] == pytest.approx(0.737948, abs=5e-7)
+    assert data["lower"] <= data["probability"] <= data["upper"]
+    assert (data["task"], data["horizon"], data["encoding"], data["status"]) == ("patrolling", 8, "exact", "complete")
+    assert (data["states"], data["automaton_states"], data["product_states"]) == (18, 36, 648)
+    assert (data["optimum"], data["gap"]) == (data["probability"], 0)
+
+
+def test_check_table_and_minimum(stltool):
+    code, out, _ = stltool("check", PATROLLING, *SMALL, "--minimize")
+    assert code == 0
+    assert "minimum of all" in out
+    code, out, _ = stltool("check", str(FACTORY / "reaching.stl"))
+    assert "reaching := F[0,9] F[0,4] A" in out
+    assert "maximum of all" in out
+
+
+@pytest.mark.parametrize(("bound", "code", "says"), [("0.7", 0, "holds"), ("0.75", 1, "does not hold")])
+def test_at_least_sets_the_exit_code(stltool, bound, code, says):
+    ended, out, _ = stltool("check", PATROLLING, *SMALL, "--at-least", bound)
+    assert ended == code
+    assert out.rstrip().endswith(says)
+    ended, out, _ = stltool("check", PATROLLING, *SMALL, "--at-least", bound, "--json")
+    assert (ended, json.loads(out)["holds"]) == (code, code == 0)
+
+
+def test_learn_then_check_the_policy(stltool, tmp_path):
+    policy = tmp_path / "deep" / "policy.npz"
+    code, out, _ = stltool("learn", PATROLLING, *SMALL, "-e", 60, "--seed", 2, "--out", policy)
+    assert code == 0
+    assert "480 environment steps" in out
+    code, out, _ = stltool("check", PATROLLING, *SMALL, "--policy", policy, "--json")
+    data = json.loads(out)
+    assert data["question"] == "policy"
+    assert data["gap"] == pytest.approx(data["optimum"] - data["probability"])
+    task = stl.load_task(PATROLLING, params={"T": 5, "tau": 5})
+    product = stl.build_product(stl.load_model(task.model), task)
+    run = stl.learn(product, "cfer", episodes=60, seed=2)
+    assert stl.check(product, run.policy).probability == data["probability"]
+    code, out, _ = stltool("check", PATROLLING, *SMALL, "--policy", policy)
+    assert "the policy" in out
+    assert "maximum of all" in out
+
+
+def test_learn_prints_json_and_takes_settings(stltool, tmp_path):
+    code, out, err = stltool(
+        "learn", PATROLLING, *SMALL, "-m", "naive-er", "--faithful", "-e", 20, "--set", "batch=8", "--set",
+        "scale=paper", "--out", tmp_path / "p.npz", "--json",
+    )  # fmt: skip
+    data = json.loads(out)
+    assert (code, err) == (0, "")
+    assert (data["method"], data["faithful"]) == ("naive-er", True)
+    assert (data["settings"]["batch"], data["settings"]["scale"]) == (8, "paper")
+
+
+def test_the_optimal_policy_can_be_saved_and_checked(stltool, tmp_path):
+    policy = tmp_path / "best.npz"
+    assert stltool("check", PATROLLING, *SMALL, "--save-policy", policy)[0] == 0
+    _, out, _ = stltool("check", PATROLLING, *SMALL, "--policy", policy, "--json")
+    assert json.loads(out)["gap"] == 0
+
+
+def test_run_learns_checks_and_reports(stltool, tmp_path):
+    code, out, err = stltool("run", PATROLLING, *SMALL, "-e", 100, "--out", tmp_path)
+    assert code == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["policy.npz", "report.html", "report.json"]
+    data = json.loads((tmp_path / "report.json").read_text())
+    assert f"{data['checks'][0]['probability']:.15f}" in out
+    assert f"{data['checks'][1]['probability']:.15f}" in out
+    assert "learning (cfer): 100 of 100" in err
+    assert data["command"].startswith("stltool run")
+    page = (tmp_path / "report.html").read_text()
+    (tmp_path / "report.html").unlink()
+    assert stltool("report", tmp_path / "report.json")[0] == 0
+    assert (tmp_path / "report.html").read_text() == page
+    code, out, err = stltool("run", PATROLLING, *SMALL, "-e", 20, "--out", tmp_path, "--json")
+    assert json.loads(out)["checks"][0]["probability"] == data["checks"][0]["probability"]
+    assert err == ""
+
+
+def test_explain(stltool, tmp_path):
+    code, out, _ = stltool("explain", PATROLLING)
+    assert code == 0
+    assert "F[0,10) A, F[0,10) x < 0.4 & y > 0.6" in out
+    _, out, _ = stltool("explain", PATROLLING, "--json")
+    data = json.loads(out)
+    assert (data["horizon"], data["samples_needed"], data["product_states"]) == (18, 19, 18 * 121)
+    assert data["fragment"] == {
+        "outer": "G[0,10)", "parts": ["F[0,10) A", "F[0,10) x < 0.4 & y > 0.6"], "equal_windows": True,
+    }  # fmt: skip
+    path = tmp_path / "deep.stl"
+    path.write_text("deep := G[0,5] F[0,3] G[0,2] a\n")
+    code, out, _ = stltool("explain", path)
+    assert code == 0
+    assert "depth 3" in out
+
+
+def test_the_papers_encoding_warns(stltool, tmp_path):
+    path = tmp_path / "task.stl"
+    path.write_text("task := F[0,3) (F[0,2) A & G[0,4) B)\n")
+    model = FACTORY / "floor-5x5.toml"
+    code, _, err = stltool("check", path, "--model", model, "--encoding", "paper")
+    assert code == 0
+    assert "approximation" in err
+    code, _, err = stltool("check", path, "--model", model)
+    assert code == 2
+    assert "use encoding paper" in err
+
+
+BAD_TASKS = {
+    "unknown label": ("task := F[0,3] Dock", "the model has no label Dock"),
+    "empty interval": ("task := F[3,3) A", "the interval [3,3) is empty"),
+    "non-integer bound": ("task := F[0,2.5] A", "2.5 is not a whole number of steps"),
+    "chained comparison": ("task := F[0,2] (0.1 < x < 0.4)", "write x > 0.1 & x < 0.4"),
+    "missing model": ('model "none.toml"\ntask := F[0,2] A', "none.toml: there is no such model file"),
+    "enormous horizon": ("task := G[0,10^15] F[0,5) A", "would take about"),
+    "enormous window": ("task := G[0,5] F[0,10^12) A", "would take"),
+    "binary": ("\0\1\2", "not a task file: it holds binary data"),
+    "syntax": ("task := G[0,5] (A &", "the text ends here; expected a formula"),
+    "no task": ("# nothing", "no task in this file"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_TASKS)
+def test_bad_tasks_end_with_a_message_and_code_2(stltool, tmp_path, kind):
+    text, says = BAD_TASKS[kind]
+    path = tmp_path / "task.stl"
+    path.write_text(text if "model" in text else f'model "{FACTORY / "floor-5x5.toml"}"\n{text}')
+    for command in (
+        ["check", path],
+        ["run", path, "--out", tmp_path / "out"],
+        ["learn", path, "--out", tmp_path / "p.npz"],
+    ):
+        code, out, err = stltool(*command)
+        assert code == 2, command
+        assert "error: " in err
+        assert says in err
+        assert out == ""
+    assert [entry.name for entry in tmp_path.iterdir()] == ["task.stl"]  # nothing half-written
+
+
+def test_other_bad_input_ends_with_code_2(stltool, tmp_path):
+    policy = tmp_path / "p.npz"
+    assert stltool("check", PATROLLING, *SMALL, "--save-policy", policy)[0] == 0
+    no_model = tmp_path / "task.stl"
+    no_model.write_text("task := F[0,3] A\n")
+    row = tmp_path / "row.toml"
+    row.write_text('kind = "grid"\nmap = "SA"\nsuccess = 0.9\nslip = 0.1\n')
+    cases = [
+        (["check", PATROLLING, "--policy", policy], "this policy is for the task"),
+        (["check", PATROLLING, "--policy", PATROLLING], "not a policy file"),
+        (["check", PATROLLING, "-p", "T"], "is not NAME=VALUE"),
+        (["check", PATROLLING, "-p", "TT=3"], "no param TT to override; did you mean T"),
+        (["check", PATROLLING, "-p", "T=many"], "is not a number"),
+        (["check", PATROLLING, "--task", "patrol"], "no definition patrol; did you mean patrolling"),
+        (["check", PATROLLING, "--encoding", "fast"], "no encoding 'fast'"),
+        (["check", PATROLLING, "--at-least", "1.2"], "a probability lies between 0 and 1"),
+        (["check", no_model], "no model; add a line such as"),
+        (["check", no_model, "--model", row], "sum to 6/5, not 1"),
+        (["run", PATROLLING, "--method", "cefr"], "did you mean cfer"),
+        (["run", PATROLLING, "--episodes", "0"], "episodes is 0"),
+        (["run", PATROLLING, "--set", "replay=3"], "no setting 'replay'; did you mean replays"),
+        (["run", PATROLLING, *SMALL, "-e", "1", "--out", no_model], "cannot be written"),
+        (["report", no_model], "not a report's JSON"),
+        (["check"], "Missing argument"),
+        (["chek", PATROLLING], "No such command"),
+    ]
+    for arguments, says in cases:
+        code, _, err = stltool(*arguments)
+        assert code == 2, arguments
+        assert says in " ".join(err.replace("│", " ").split()), arguments
+
+
+def test_the_installed_command(tmp_path):
+    """Once as a real process, from another folder."""
+    command = [sys.executable, "-m", "stltool", "check", PATROLLING, *SMALL, "--json"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env={**os.environ})
+    assert done.returncode == 0
+    assert json.loads(done.stdout)["optimum"] == pytest.approx(0.737948, abs=5e-7)
+    help_text = subprocess.run([sys.executable, "-m", "stltool", "--help"], capture_output=True, text=True).stdout
+    assert all(command in help_text for command in ("run", "check", "learn", "explain", "report"))

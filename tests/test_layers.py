@@ -1,0 +1,56 @@
+"""The direction of imports: text → formula → automaton → product → learn / check → report."""
+
+import ast
+import subprocess
+import sys
+
+import pytest
+
+from tests.conftest import ROOT
+
+# each room may import itself and the rooms before it; kernels import nothing, nobody imports testing
+ORDER = ["errors", "files", "sizes", "logic", "automata", "models", "product", "policy", "checking", "learning",
+         "reporting", "cli"]  # fmt: skip
+FORBIDDEN = {("automata", "models"), ("models", "automata"), ("models", "logic"), ("checking", "learning")}
+
+
+def imports(path):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("stltool"):
+            room = node.module.removeprefix("stltool").lstrip(".").split(".")[0]
+            yield from [room] if room else [alias.name for alias in node.names]
+        elif isinstance(node, ast.Import):
+            yield from [a.name.split(".")[1] for a in node.names if a.name.startswith("stltool.")]
+
+
+def test_imports_point_one_way():
+    wrong, seen = [], 0
+    for path in (ROOT / "stltool").rglob("*.py"):
+        room = path.relative_to(ROOT / "stltool").parts[0].removesuffix(".py")
+        if room in ("__init__", "testing"):
+            continue
+        for target in imports(path):
+            seen += 1
+            if room == "kernels":
+                allowed = target == "kernels"
+            else:
+                allowed = target == "kernels" or ORDER.index(target) <= ORDER.index(room)
+            if not allowed or (room, target) in FORBIDDEN:
+                wrong.append(f"{path.relative_to(ROOT)} imports {target}")
+    assert seen > 50
+    assert not wrong
+
+
+@pytest.mark.parametrize("module", ["numba", "cvxpy", "matplotlib", "gymnasium", "scipy", "lark", "hypothesis"])
+def test_importing_the_package_stays_light(module):
+    code = f"import sys, stltool; sys.exit({module!r} in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_every_public_name_loads():
+    import stltool
+
+    assert all(getattr(stltool, name) is not None for name in stltool.__all__)
+    assert set(stltool.__all__) == set(stltool._HOME)
+    with pytest.raises(AttributeError, match="no attribute 'chek'"):
+        _ = stltool.chek

@@ -1,0 +1,51 @@
+import pytest
+
+import stltool as stl
+from stltool.errors import InexactEncodingWarning, NameLookupError
+
+
+def test_names_are_bound_or_refused_with_their_place(floor5):
+    cases = [
+        ("F[0,3] D", "line 1, column 8: the model has no label D; known names: A, B, C, x, y"),
+        ("F[0,3] xx > 0.5", "the model has no signal xx; did you mean x?"),
+        ("F[0,3] A > 0.5", "A is not a signal of the model but a label; use it without comparing"),
+        ("F[0,3] x", "x is not a label of the model but a signal; compare it with a number"),
+    ]
+    for text, says in cases:
+        with pytest.raises(NameLookupError) as caught:
+            stl.build_product(floor5, stl.parse(text))
+        assert says in str(caught.value)
+
+
+def test_unknown_labels_of_a_task_file_carry_file_line_and_caret(floor5, tmp_path):
+    path = tmp_path / "task.stl"
+    path.write_text("at_A := A\n  at_D := Dock\ntask := F[0,3] (at_A & at_D)\n")
+    with pytest.raises(NameLookupError) as caught:
+        stl.build_product(floor5, stl.load_task(path))
+    assert f"{path}, line 2, column 11" in str(caught.value)
+    assert str(caught.value).endswith("      at_D := Dock\n              ^^^^")
+
+
+def test_the_way_back_to_the_users_names(patrolling):
+    s = int(patrolling.model.initial.argmax())
+    index = s * patrolling.automaton.n_states + 3 * 6 + 2
+    assert patrolling.describe(index, t=4) == (
+        "step 4, state (1,0); x = 0.3, y = 0.1; flag of F[0,5) A: 3, flag of F[0,5) x < 0.4 & y > 0.6: 2"
+    )
+    assert patrolling.n_states == 18 * 36
+    assert patrolling.task_name == "patrolling"
+
+
+def test_letters_are_those_that_occur(patrolling):
+    assert patrolling.automaton.n_letters == 3  # nowhere both A and B
+    model = patrolling.model
+    for s in range(model.n_states):
+        valuation = [bool(model.labels["A"][s]), bool(model.labels["B"][s])]
+        assert patrolling.automaton.letters[patrolling.letter[s]].tolist() == valuation
+
+
+def test_the_papers_encoding_warns_where_it_approximates(floor5):
+    phi = stl.parse("F[0,3) (F[0,2) A & G[0,4) B)")
+    with pytest.warns(InexactEncodingWarning):
+        product = stl.build_product(floor5, phi, encoding="paper")
+    assert not product.automaton.exact
