@@ -1,4 +1,4 @@
-"""The spine's figures: `make bench` prints them and writes bench/results.md. Results are compared before they are timed.
+"""The spine's figures: `make bench` prints them into bench/results.md. Results are compared before they are timed.
 
 check     backward induction in numba against its numpy twin, on the paper's largest floor and windows
 updates   Q updates a second of corrected cfer against the same updates one by one in plain Python
