@@ -8,6 +8,8 @@ import json
 import shlex
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +18,7 @@ import typer
 from stltool.errors import FragmentError, InexactEncodingWarning, SettingsError, StlToolError
 
 if TYPE_CHECKING:
+    from stltool.automata import TaskAutomaton
     from stltool.learning import Training
     from stltool.logic.task import Task
     from stltool.models import MDP
@@ -35,7 +38,7 @@ Params = Annotated[
     list[str] | None, typer.Option("--param", "-p", metavar="NAME=VALUE", help="override a param of the file")
 ]
 TaskName = Annotated[str | None, typer.Option("--task", help="the definition to use; default: the last one")]
-Encoding = Annotated[str, typer.Option("--encoding", help="exact, or paper (the paper's flags)")]
+Encoding = Annotated[str, typer.Option("--encoding", help="exact, paper (the paper's flags) or history (the τ-MDP)")]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON object instead of a table")]
 Method = Annotated[str, typer.Option("--method", "-m", help="naive, naive-er or cfer")]
 Faithful = Annotated[bool, typer.Option("--faithful", help="the method as published, its slips included")]
@@ -186,8 +189,8 @@ def explain(
 ) -> None:
     """What a task says: horizon, decomposition along the paper's fragment, automaton and product sizes."""
     import stltool as stl
-    from stltool.reporting.data import product_data
-    from stltool.reporting.terminal import print_facts
+    from stltool.reporting.data import disagreement_data, part_data, product_data
+    from stltool.reporting.terminal import print_facts, print_table
     from stltool.sizes import bytes_text
 
     loaded = stl.load_task(task, _params(param), name)
@@ -207,13 +210,20 @@ def explain(
         }
     except FragmentError as refusal:
         facts["fragment"] = {"refused": str(refusal)}
-    if model is not None or loaded.model is not None:
-        try:
+    try:
+        if model is not None or loaded.model is not None:
             product = _bind(loaded, _load_model(loaded, model), encoding)
+            automaton = product.automaton
             facts |= product_data(product)
             facts["check_bytes"] = product.check_bytes()
-        except FragmentError as refusal:
-            facts["automaton"] = {"refused": str(refusal)}
+        else:
+            automaton = _compile(loaded, encoding)
+            facts["automaton_states"] = automaton.n_states
+        facts["parts"] = part_data(automaton)
+        if not automaton.exact:
+            facts["disagrees_on"] = disagreement_data(automaton)
+    except FragmentError as refusal:
+        facts["automaton"] = {"refused": str(refusal)}
     if as_json:
         print(json.dumps(facts))
         return
@@ -229,7 +239,45 @@ def explain(
     if "check_bytes" in facts:
         shown["check bytes"] = bytes_text(facts["check_bytes"])
         shown["actions"] = ", ".join(facts["actions"])
+    shown.pop("parts", None)
+    trace = facts.get("disagrees_on")
     print_facts(shown)
+    if "parts" in facts:
+        typer.echo("\nparts of the automaton (a start's truth is known `delay` steps after it):")
+        print_table(facts["parts"])
+    if trace is not None:
+        typer.echo("\na shortest trace on which the encoding and the formula disagree:")
+        print_table(trace["steps"])
+        typer.echo(f"the encoding says {trace['encoding_says']}, the formula is {trace['formula_is']}")
+
+
+@app.command()
+def export(
+    task: TaskFile,
+    to: Annotated[str, typer.Option("--to", help="dot: the task's automaton for Graphviz")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="file to write; default: print it")] = None,
+    model: Model = None,
+    param: Params = None,
+    name: TaskName = None,
+    encoding: Encoding = "exact",
+) -> None:
+    """The task's automaton in another format: states say what they remember, edges which labels take them."""
+    import stltool as stl
+    from stltool.automata.graph import to_dot
+    from stltool.files import write_atomically
+
+    if to != "dot":
+        raise SettingsError(f"--to {to}: there is no such format; known: dot")
+    loaded = stl.load_task(task, _params(param), name)
+    if model is not None or loaded.model is not None:
+        automaton = _bind(loaded, _load_model(loaded, model), encoding).automaton
+    else:
+        automaton = _compile(loaded, encoding)
+    text = to_dot(automaton)
+    if out is not None:
+        write_atomically(out, text)
+    else:
+        typer.echo(text, nl=False)
 
 
 @app.command()
@@ -276,12 +324,24 @@ def _load_model(task: Task, model: Path | None) -> MDP:
 def _bind(task: Task, model: MDP, encoding: str) -> Product:
     import stltool as stl
 
+    with _warnings_shown():
+        return stl.build_product(model, task, encoding)  # type: ignore[arg-type]  # checked there, with a message
+
+
+def _compile(task: Task, encoding: str) -> TaskAutomaton:
+    import stltool as stl
+
+    with _warnings_shown():
+        return stl.compile_automaton(task.formula, encoding)  # type: ignore[arg-type]  # checked there, with a message
+
+
+@contextmanager
+def _warnings_shown() -> Iterator[None]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", InexactEncodingWarning)
-        product = stl.build_product(model, task, encoding)  # type: ignore[arg-type]  # checked there, with a message
+        yield
     for warning in caught:
         typer.echo(f"warning: {warning.message}", err=True)
-    return product
 
 
 def _params(pairs: list[str] | None) -> dict[str, str]:

@@ -14,17 +14,19 @@ from __future__ import annotations
 import csv
 import io
 import json
+import warnings
 import zipfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.errors import FileError, PolicyError, near_misses
+from stltool.automata import Encoding
+from stltool.errors import FileError, InexactEncodingWarning, PolicyError, near_misses
 from stltool.files import read_text, write_atomically
-from stltool.product import Product
+from stltool.product import Product, build_product, joined
 
 FORMAT = "stltool-policy-1"
 _SIGNAL_TOLERANCE = 1e-6  # published tables print few digits
@@ -53,31 +55,40 @@ class Binding:
         )
 
     def require(self, product: Product, what: str) -> None:
-        """PolicyError, naming both sides, unless this binding is that product's."""
+        """PolicyError, naming both sides, unless this binding is to that product's task and model."""
         here = Binding.of(product)
-        if self.formula != here.formula or self.encoding != here.encoding:
+        if self.formula != here.formula:
             raise PolicyError(
-                f"{what} is for the task {self.formula} (encoding {self.encoding}), not for {here.formula} "
-                f"(encoding {here.encoding}); check it against its own task, or learn one for this"
+                f"{what} is for the task {self.formula}, not for {here.formula}; "
+                "check it against its own task, or learn one for this"
             )
         if self.model_digest != here.model_digest:
             raise PolicyError(
                 f"{what} is for the model {self.model} ({self.model_digest[:12]}), not for {here.model} "
                 f"({here.model_digest[:12]}); check it against its own model, or learn one for this"
             )
-        if self != here:
-            raise PolicyError(
-                f"{what} was made with another automaton of the same task ({self.automaton_digest[:12]}, here "
-                f"{here.automaton_digest[:12]}); learn it again with this version"
-            )
 
 
 class Policy:
-    """See the module's text. Raises PolicyError when the table does not fit the product."""
+    """See the module's text. Raises PolicyError when the table does not fit the product.
+
+    `home` is the product whose automaton states the table speaks of. A policy of the same task and model can be checked
+    on a product with another encoding: `on` translates it.
+    """
 
     def __init__(self, product: Product, table: NDArray[Any]) -> None:
+        self.home = product
         self.binding = Binding.of(product)
         self.table = _checked(product, np.asarray(table))
+
+    def on(self, product: Product) -> tuple[Product, Policy]:
+        """This policy and a product to judge it on: `product`, or its join with what the policy remembers."""
+        self.binding.require(product, "the policy")
+        if self.binding.automaton_digest == product.automaton.digest():
+            return product, self
+        both, memory = joined(product, self.home)
+        axis = 1 if self.stationary else 2
+        return both, Policy(both, np.take(self.table, memory, axis=axis))
 
     @property
     def deterministic(self) -> bool:
@@ -125,16 +136,24 @@ class Policy:
                 f"{path}: not a policy file of this version ({FORMAT}); write one with Policy.save"
             ) from None
         binding.require(product, f"{path}: this policy")
-        return cls(product, table)
+        home = _home(product, binding.encoding)
+        if home.automaton.digest() != binding.automaton_digest:
+            raise PolicyError(
+                f"{path}: this policy was made with another automaton of the same task "
+                f"({binding.automaton_digest[:12]}, here {home.automaton.digest()[:12]}); learn it again"
+            )
+        return cls(home, table)
 
     @classmethod
     def from_q_table(cls, path: str | Path, product: Product) -> Policy:
         """The greedy policy of a Q-table in CSV, ties uniform.
 
         First column: `[signals… registers…]` in the order of the model's signals and the automaton's registers (the
-        flags); then a column per action, by name. States without a row have no preference: uniform.
+        flags); then a column per action, by name. States without a row have no preference: uniform. Where the
+        product's automaton has no flags, the paper's flags are the policy's memory, and `check` judges it exactly.
         """
         names, rows = _read_q_table(path)
+        product = with_flags(product)
         model, automaton = product.model, product.automaton
         if sorted(names) != sorted(model.action_names):
             raise PolicyError(
@@ -172,6 +191,20 @@ def greedy(product: Product, q_values: NDArray[np.float64]) -> Policy:
         best = values == values.max(axis=1, keepdims=True)
         weights[s, :, : values.shape[1]] = best / best.sum(axis=1, keepdims=True)
     return Policy(product, weights)
+
+
+def _home(product: Product, encoding: str) -> Product:
+    """The product of the same model and task in a policy's own encoding; as memory, an approximation is as good."""
+    if product.automaton.encoding == encoding:
+        return product
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", InexactEncodingWarning)
+        return build_product(product.model, product.formula, cast(Encoding, encoding))
+
+
+def with_flags(product: Product) -> Product:
+    """The product itself where its automaton has flags, else the one of the paper's flags."""
+    return product if product.automaton.register_names else _home(product, "paper")
 
 
 # --------------------------------------------------------------------------------------------------- checks

@@ -6,14 +6,14 @@ A product state is a pair (s, q): model state s just read, automaton state q aft
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata import Encoding, TaskAutomaton, compile_automaton
-from stltool.automata.compile import atoms_of
+from stltool.automata.compile import MOST_STATES, atoms_of
 from stltool.errors import NameLookupError, near_misses
 from stltool.logic.formula import Formula, label_names, variables
 from stltool.logic.predicates import truth
@@ -72,24 +72,64 @@ class Product:
         return layers + (2 * self.n_states * self.horizon if keep_policy else 2 * self.n_states)
 
 
+def joined(task: Product, memory: Product) -> tuple[Product, NDArray[np.int64]]:
+    """The product whose verdicts are `task`'s and whose states know those of `memory` too; both of one model.
+
+    Returns it with the memory's automaton state (n_states,) of each of its automaton states. With it, a policy that
+    remembers one way (the paper's flags) is judged by an automaton that remembers another way (the exact one).
+    """
+    pairs, letter = np.unique(np.stack([task.letter, memory.letter], axis=1), axis=0, return_inverse=True)
+    left, right = task.automaton, memory.automaton
+    width = right.n_states
+
+    def after(codes: NDArray[np.int64]) -> NDArray[np.int64]:
+        q, m = np.divmod(codes, width)
+        return left.delta[pairs[:, 0]][:, q].astype(np.int64) * width + right.delta[pairs[:, 1]][:, m]
+
+    start = np.array([left.initial * width + right.initial], dtype=np.int64)
+    known = frontier = start
+    while frontier.size:
+        frontier = np.setdiff1d(after(frontier).ravel(), known)
+        known = np.union1d(known, frontier)
+    q, m = np.divmod(known, width)
+    automaton = replace(
+        left,
+        valuations=np.empty((0, len(left.atoms)), dtype=np.bool_),
+        letter_of=np.empty(0, dtype=np.int32),
+        delta=np.searchsorted(known, after(known)).astype(np.int32),
+        initial=int(np.searchsorted(known, start[0])),
+        verdict_rows=np.ascontiguousarray(left.verdict_rows[:, q]),
+        state_names=tuple(f"{left.state_names[i]} | {right.state_names[j]}" for i, j in zip(q, m, strict=True)),
+        registers=np.empty((0, 0), dtype=np.int32),
+        register_names=(),
+    )
+    return Product(task.model, automaton, letter.astype(np.int32).ravel(), task.task_name), m
+
+
 def build_product(
-    model: MDP, task: Formula | Task, encoding: Encoding = "exact", memory_limit: int | None = None
+    model: MDP,
+    task: Formula | Task,
+    encoding: Encoding = "exact",
+    memory_limit: int | None = None,
+    most_states: int = MOST_STATES,
 ) -> Product:
     """Bind a formula's names to a model and compile it to an automaton over the letters that occur there.
 
-    `memory_limit` in bytes (default: four fifths of the free memory). Raises NameLookupError for a label or signal that
-    the model does not have, FragmentError when the encoding does not cover the formula, SizeError before allocating
-    what would not fit.
+    `encoding` is "exact" (every bounded formula), "paper" (the paper's flags) or "history" (the τ-MDP). `memory_limit`
+    in bytes (default: four fifths of the free memory), `most_states` an automaton may have. Raises NameLookupError for
+    a label or signal that the model does not have, FragmentError when the encoding does not cover the formula,
+    SizeError before allocating what would not fit.
     """
     formula, name = (task.formula, task.name) if isinstance(task, Task) else (task, "formula")
     _require_names(label_names(formula), model.labels, model.signals, "label", "compare it with a number")
     _require_names(variables(formula), model.signals, model.labels, "signal", "use it without comparing")
-    valuations = np.stack(
-        [truth(psi, model.signals, model.labels, (model.n_states,)) for psi in atoms_of(formula)], axis=1
-    )
-    letters, letter = np.unique(valuations, axis=0, return_inverse=True)
-    automaton = compile_automaton(formula, encoding, letters, memory_limit)
-    product = Product(model, automaton, letter.astype(np.int32).ravel(), name)
+    atoms = atoms_of(formula, encoding)
+    values = np.empty((model.n_states, len(atoms)), dtype=np.bool_)
+    for i, psi in enumerate(atoms):
+        values[:, i] = truth(psi, model.signals, model.labels, (model.n_states,))
+    valuations, which = np.unique(values, axis=0, return_inverse=True)
+    automaton = compile_automaton(formula, encoding, valuations, memory_limit, most_states)
+    product = Product(model, automaton, automaton.letter_of[which.ravel()], name)
     require_memory(
         product.check_bytes(keep_policy=False),
         f"checking {model.n_states} model states × {automaton.n_states} automaton states",

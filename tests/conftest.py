@@ -29,3 +29,10 @@ def patrolling(floor5):
     """The small sanity task: patrolling with T = tau = 5 on the 5 x 5 floor."""
     task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 5, "tau": 5})
     return stl.build_product(floor5, task)
+
+
+@pytest.fixture
+def flagged(floor5):
+    """The same with the paper's flags, which are exact here."""
+    task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 5, "tau": 5})
+    return stl.build_product(floor5, task, encoding="paper")

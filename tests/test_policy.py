@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.errors import FileError, PolicyError
+from stltool.errors import FileError, InexactEncodingWarning, PolicyError
 from stltool.policy import greedy
+from tests import oracles
 from tests.checking.test_check import products, random_policy
 
 
@@ -78,9 +79,9 @@ def test_pickles_are_never_loaded(patrolling, tmp_path):
         (np.full((18, 36), "N"), "whole numbers"),
     ],
 )
-def test_tables_that_do_not_fit(patrolling, table, says):
+def test_tables_that_do_not_fit(flagged, table, says):
     with pytest.raises(PolicyError, match=says):
-        stl.Policy(patrolling, table)
+        stl.Policy(flagged, table)
 
 
 def write_q_table(product, q_values, path, rows=None):
@@ -93,17 +94,17 @@ def write_q_table(product, q_values, path, rows=None):
     path.write_text("\n".join(lines) + "\n")
 
 
-def test_a_q_table_is_its_greedy_policy(patrolling, tmp_path):
+def test_a_q_table_is_its_greedy_policy(flagged, tmp_path):
     rng = np.random.default_rng(0)
-    q_values = rng.integers(0, 3, size=(*patrolling.shape, 9)).astype(float)  # with ties
+    q_values = rng.integers(0, 3, size=(*flagged.shape, 9)).astype(float)  # with ties
     path = tmp_path / "q.csv"
-    write_q_table(patrolling, q_values, path)
-    policy = stl.load_policy(path, patrolling)
-    assert np.array_equal(policy.table, greedy(patrolling, q_values).table)
+    write_q_table(flagged, q_values, path)
+    policy = stl.load_policy(path, flagged)
+    assert np.array_equal(policy.table, greedy(flagged, q_values).table)
     best = q_values == q_values.max(axis=2, keepdims=True)
     assert np.allclose(policy.table, best / best.sum(axis=2, keepdims=True))
-    write_q_table(patrolling, q_values, path, rows=[(3, 5)])
-    partial = stl.Policy.from_q_table(path, patrolling).table
+    write_q_table(flagged, q_values, path, rows=[(3, 5)])
+    partial = stl.Policy.from_q_table(path, flagged).table
     assert np.allclose(np.delete(partial.reshape(-1, 9), 3 * 36 + 5, axis=0), 1 / 9)
 
 
@@ -121,11 +122,11 @@ def test_a_q_table_is_its_greedy_policy(patrolling, tmp_path):
         ("HEAD\n" + "[0.3 0.1 0 0],1,2,3,4,5,6,7,8,9\n" * 2, "two rows speak of the same state"),
     ],
 )
-def test_bad_q_tables_are_refused(patrolling, tmp_path, text, says):
+def test_bad_q_tables_are_refused(flagged, tmp_path, text, says):
     path = tmp_path / "q.csv"
-    path.write_text(text.replace("HEAD", "," + ",".join(patrolling.model.action_names)))
+    path.write_text(text.replace("HEAD", "," + ",".join(flagged.model.action_names)))
     with pytest.raises(PolicyError, match=says):
-        stl.load_policy(path, patrolling)
+        stl.load_policy(path, flagged)
 
 
 def test_signals_that_do_not_tell_states_apart(tmp_path):
@@ -135,3 +136,32 @@ def test_signals_that_do_not_tell_states_apart(tmp_path):
     path.write_text(",0\n[1 0],3\n")
     with pytest.raises(PolicyError, match="do not tell its states apart"):
         stl.load_policy(path, product)
+
+
+def test_a_policy_that_remembers_flags_is_judged_by_the_exact_automaton(floor5, patrolling, flagged, tmp_path):
+    """The same probability on the flag product and, joined, on the minimal one."""
+    policy = random_policy(flagged, np.random.default_rng(0), timed=True, mixed=True)
+    assert flagged.n_states > patrolling.n_states
+    on_flags, joined = stl.check(flagged, policy), stl.check(patrolling, policy)
+    assert joined.probability == pytest.approx(on_flags.probability, abs=1e-14)
+    path = tmp_path / "policy.npz"
+    policy.save(path)
+    again = stl.load_policy(path, patrolling)
+    assert stl.check(patrolling, again).probability == joined.probability
+    run = stl.sample_run(patrolling, again, np.random.default_rng(0))
+    assert " | " in run.memory[0]
+
+
+def test_a_policy_with_the_papers_memory_is_judged_by_the_formula(floor5):
+    """Different windows: the flags approximate, the verdict does not; against the tree of all runs."""
+    phi = stl.parse("F[0,2) (F[0,2) A & G[0,3) !B)")
+    small = stl.MDP.from_arrays(
+        [[[0.5, 0.5], [0.25, 0.75]], [[0.0, 1.0], [1.0, 0.0]]], {"x": [0, 1]}, labels={"A": [0, 1], "B": [1, 0]}
+    )
+    with pytest.warns(InexactEncodingWarning):
+        paper = stl.build_product(small, phi, encoding="paper")
+    exact = stl.build_product(small, phi)
+    for seed in range(5):
+        policy = random_policy(paper, np.random.default_rng(seed), timed=True, mixed=False)
+        value = oracles.policy_value(paper, policy)  # judged by the formula on whole traces
+        assert stl.check(exact, policy).probability == pytest.approx(float(value), abs=1e-14)

@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 
 import stltool as stl
@@ -26,13 +27,14 @@ def test_unknown_labels_of_a_task_file_carry_file_line_and_caret(floor5, tmp_pat
     assert str(caught.value).endswith("      at_D := Dock\n              ^^^^")
 
 
-def test_the_way_back_to_the_users_names(patrolling):
+def test_the_way_back_to_the_users_names(patrolling, flagged):
     s = int(patrolling.model.initial.argmax())
-    index = s * patrolling.automaton.n_states + 3 * 6 + 2
-    assert patrolling.describe(index, t=4) == (
-        "step 4, state (1,0); x = 0.3, y = 0.1; flag of F[0,5) A: 3, flag of F[0,5) x < 0.4 & y > 0.6: 2"
+    index = s * flagged.automaton.n_states + 3 * 6 + 2
+    assert flagged.describe(index, t=4) == (
+        "step 4, state (1,0); x = 0.3, y = 0.1; A seen 2 steps ago; x < 0.4 & y > 0.6 seen 3 steps ago"
     )
-    assert patrolling.n_states == 18 * 36
+    assert flagged.n_states == 18 * 36
+    assert patrolling.n_states == 18 * 26
     assert patrolling.task_name == "patrolling"
 
 
@@ -41,7 +43,7 @@ def test_letters_are_those_that_occur(patrolling):
     model = patrolling.model
     for s in range(model.n_states):
         valuation = [bool(model.labels["A"][s]), bool(model.labels["B"][s])]
-        assert patrolling.automaton.letters[patrolling.letter[s]].tolist() == valuation
+        assert patrolling.automaton.letters_at(np.array([valuation])) == patrolling.letter[s]
 
 
 def test_the_papers_encoding_warns_where_it_approximates(floor5):

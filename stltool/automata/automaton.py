@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,35 +21,58 @@ from stltool.logic.formula import Formula
 UNDECIDED, FALSE, TRUE = -1, 0, 1
 
 
+@dataclass(frozen=True)
+class Part:
+    """One part of an automaton's construction: what it watches, and how.
+
+    owed      the formula that every start owes; known `delay` steps after the start
+    method    "flag" (a counter), "oldest" or "each" (pending starts), "single" (windows counted down), "history"
+    explored  states found before minimisation; `states` after it
+    """
+
+    formula: Formula
+    owed: Formula
+    delay: int
+    method: str
+    explored: int
+    states: int
+
+
 @dataclass(frozen=True, eq=False)
 class TaskAutomaton:
     """A deterministic automaton over letters, with verdicts that depend on the step.
 
     formula     what it judges
-    encoding    "exact" | "paper", as asked for
-    exact       whether its verdicts are proven equal to the formula
-    atoms       ψ₁ … ψ_m: the Boolean formulas whose valuation is a letter
-    letters     (n_letters, m) bool: the valuations it reads
+    encoding    "exact" | "paper" | "history", as asked for
+    exact       whether its verdicts are equal to the formula
+    atoms       ψ₁ … ψ_m: the Boolean formulas that it reads
+    valuations  (n_valuations, m) bool: the truth assignments it knows
+    letter_of   (n_valuations,) int32: their letter; valuations that no state tells apart share one
     delta       (n_letters, n_states) int32
     initial     q₀, before s₀ is read
     horizon     h: the step at which every verdict has fallen
     verdict_starts  (k,) int64, ascending from 0: row i of `verdict_rows` holds from step verdict_starts[i] on
     verdict_rows    (k, n_states) int8: TRUE, FALSE or UNDECIDED
-    registers   (n_states, n_registers) int32: what each state remembers, by `register_names`
+    state_names (n_states,): what each state remembers, in the formula's terms
+    parts       what it is made of, with delays and sizes
+    registers   (n_states, n_registers) int32: the flags, by `register_names` (no columns for other encodings)
     """
 
     formula: Formula
     encoding: str
     exact: bool
     atoms: tuple[Formula, ...]
-    letters: NDArray[np.bool_]
+    valuations: NDArray[np.bool_]
+    letter_of: NDArray[np.int32]
     delta: NDArray[np.int32]
     initial: int
     horizon: int
     verdict_starts: NDArray[np.int64]
     verdict_rows: NDArray[np.int8]
-    registers: NDArray[np.int32]
-    register_names: tuple[str, ...]
+    state_names: tuple[str, ...]
+    parts: tuple[Part, ...]
+    registers: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 0), dtype=np.int32))
+    register_names: tuple[str, ...] = ()
 
     @property
     def n_states(self) -> int:
@@ -86,13 +109,17 @@ class TaskAutomaton:
 
     def describe(self, q: int) -> str:
         """What state q remembers, in the formula's terms."""
-        values = zip(self.register_names, self.registers[q], strict=True)
-        return ", ".join(f"{name}: {value}" for name, value in values)
+        return self.state_names[q]
+
+    def letters_at(self, truth: NDArray[np.bool_]) -> NDArray[np.int32]:
+        """The letters of truth assignments (n, m) that the automaton knows."""
+        known = {row.tobytes(): letter for row, letter in zip(self.valuations, self.letter_of.tolist(), strict=True)}
+        return np.array([known[row.tobytes()] for row in np.ascontiguousarray(truth)], dtype=np.int32)
 
     def digest(self) -> str:
         """A SHA-256 over everything that a policy depends on."""
         sha = hashlib.sha256()
         sha.update(f"{self.formula}|{self.encoding}|{self.initial}|{self.horizon}".encode())
-        for array in (self.letters, self.delta, self.verdict_starts, self.verdict_rows):
+        for array in (self.valuations, self.letter_of, self.delta, self.verdict_starts, self.verdict_rows):
             sha.update(str(array.shape).encode() + np.ascontiguousarray(array).tobytes())
         return sha.hexdigest()

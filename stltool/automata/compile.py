@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import warnings
 from typing import Literal, get_args
 
@@ -10,49 +12,100 @@ from numpy.typing import NDArray
 
 from stltool.automata.automaton import TaskAutomaton
 from stltool.automata.flags import flag_automaton
+from stltool.automata.history import history_automaton
+from stltool.automata.residuals import Residuals
+from stltool.automata.windows import window_automaton
 from stltool.errors import FragmentError, InexactEncodingWarning, SettingsError, SizeError
-from stltool.logic.formula import Formula
+from stltool.logic.formula import Formula, boolean_value
 from stltool.logic.fragment import Fragment, check_fragment
 
-Encoding = Literal["exact", "paper"]
+Encoding = Literal["exact", "paper", "history"]
 ENCODINGS: tuple[Encoding, ...] = get_args(Encoding)
+MOST_STATES = 100_000
 
-_MOST_ATOMS = 16  # all valuations of so many predicates are still a table
+_MOST_ATOMS = 14  # all valuations of so many predicates are still a table
 
 
-def atoms_of(phi: Formula) -> tuple[Formula, ...]:
-    """The Boolean formulas whose valuation is a letter of φ's automaton, left to right."""
-    return tuple(part.psi for part in check_fragment(phi).parts)
+def atoms_of(phi: Formula, encoding: Encoding = "exact") -> tuple[Formula, ...]:
+    """The Boolean formulas whose truth an encoding's automaton of φ reads, left to right."""
+    if encoding not in ENCODINGS:
+        raise SettingsError(f"there is no encoding {encoding!r}; choose one of {', '.join(ENCODINGS)}")
+    if encoding == "paper":
+        return tuple(part.psi for part in check_fragment(phi).parts)
+    table = Residuals()
+    table.residual(phi)
+    return tuple(table.atoms)
 
 
 def compile_automaton(
     phi: Formula,
     encoding: Encoding = "exact",
-    letters: NDArray[np.bool_] | None = None,
+    valuations: NDArray[np.bool_] | None = None,
     memory_limit: int | None = None,
+    most_states: int = MOST_STATES,
 ) -> TaskAutomaton:
     """The automaton that judges φ.
 
-    `letters` (n_letters, n_atoms) restricts it to the valuations that occur in a model (`atoms_of` names the columns);
-    by default it reads all of them. Encoding "exact" is proven equal to the formula and refuses what it does not
-    cover; "paper" is the paper's flags, which warn where they may disagree with the formula.
-    Raises FragmentError, SizeError.
+    "exact" covers every bounded formula and is as small as we can make it; "paper" is the paper's flags, which warn
+    where they may disagree with the formula; "history" remembers whole windows. `valuations` (n, n_atoms) restricts it
+    to those that occur in a model (`atoms_of` names the columns); by default it reads all. Compilation stops with a
+    SizeError that names the part that explodes when it grows over `most_states`. Raises FragmentError for "paper" only.
     """
-    if encoding not in ENCODINGS:
-        raise SettingsError(f"there is no encoding {encoding!r}; choose one of {', '.join(ENCODINGS)}")
-    fragment = check_fragment(phi)
-    if not fragment.uniform:
-        if encoding == "exact":
-            raise FragmentError(_different_windows(phi, fragment))
-        warnings.warn(
-            f"encoding paper is an approximation of {phi}: its inner windows differ, so its flags speak of different "
-            "start steps",
-            InexactEncodingWarning,
-            stacklevel=2,
-        )
-    if letters is None:
-        letters = all_valuations(len(fragment.parts))
-    return flag_automaton(phi, fragment, letters, encoding, memory_limit)
+    atoms = atoms_of(phi, encoding)
+    if valuations is None:
+        valuations = all_valuations(len(atoms))
+    if encoding == "paper":
+        fragment = check_fragment(phi)
+        if not fragment.uniform:
+            warnings.warn(
+                f"encoding paper is an approximation of {phi}: its inner windows differ, so its flags speak of "
+                "different start steps",
+                InexactEncodingWarning,
+                stacklevel=2,
+            )
+        return flag_automaton(phi, fragment, valuations, "paper", memory_limit)
+    if encoding == "history":
+        return history_automaton(phi, atoms, valuations, memory_limit)
+    return _exact(phi, valuations, most_states)
+
+
+def _exact(phi: Formula, valuations: NDArray[np.bool_], most_states: int) -> TaskAutomaton:
+    """The window automaton; the flags where they are exact and smaller."""
+    table = Residuals()
+    root = table.residual(phi)
+    flags = _flag_states(phi)
+    try:
+        automaton = window_automaton(phi, table, root, valuations, most_states)
+        if flags is None or automaton.n_states <= math.prod(part.tau + 1 for part in flags.parts):
+            return automaton
+    except SizeError:
+        if flags is None or math.prod(part.tau + 1 for part in flags.parts) > most_states:
+            raise
+    truth = np.array(
+        [
+            [
+                boolean_value(part.psi, lambda psi, row=row: _known(psi, table.atoms, row))  # type: ignore[misc]
+                for part in flags.parts
+            ]
+            for row in valuations.tolist()
+        ],
+        dtype=np.bool_,
+    )
+    flagged = flag_automaton(phi, flags, truth, "exact")
+    return dataclasses.replace(flagged, atoms=tuple(table.atoms), valuations=valuations)
+
+
+def _flag_states(phi: Formula) -> Fragment | None:
+    """The decomposition where the paper's flags are exact."""
+    try:
+        fragment = check_fragment(phi)
+    except FragmentError:
+        return None
+    return fragment if fragment.uniform else None
+
+
+def _known(psi: Formula, atoms: list[Formula], row: list[bool]) -> bool | None:
+    return row[atoms.index(psi)] if psi in atoms else None
 
 
 def all_valuations(n_atoms: int) -> NDArray[np.bool_]:
@@ -64,14 +117,3 @@ def all_valuations(n_atoms: int) -> NDArray[np.bool_]:
         )
     index = np.arange(1 << n_atoms)[:, None]
     return (index >> np.arange(n_atoms) & 1).astype(np.bool_)
-
-
-def _different_windows(phi: Formula, fragment: Fragment) -> str:
-    shortest = min(fragment.parts, key=lambda part: part.tau)
-    windows = ", ".join(str(part) for part in fragment.parts)
-    message = (
-        f"encoding exact covers equal inner windows; here they differ: {windows}; "
-        "make them equal, or use encoding paper and accept its approximation"
-    )
-    span = shortest.formula.span or phi.span
-    return span.show(message) if span is not None else message

@@ -16,24 +16,25 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, TaskAutomaton
+from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, TaskAutomaton
 from stltool.logic.formula import Formula
 from stltool.logic.fragment import Fragment
+from stltool.logic.fragment import Part as FragmentPart
 from stltool.sizes import require_memory
 
 
 def flag_automaton(
-    phi: Formula, fragment: Fragment, letters: NDArray[np.bool_], encoding: str, limit: int | None = None
+    phi: Formula, fragment: Fragment, valuations: NDArray[np.bool_], encoding: str, limit: int | None = None
 ) -> TaskAutomaton:
     """The product of the fragment's flags: Π (τ_i + 1) states.
 
-    `letters` (n_letters, n_parts) holds the valuations of the parts' predicates to read. Raises SizeError before
+    `valuations` (n, n_parts) of the parts' predicates are what it reads. Raises SizeError before
     allocating when the tables would not fit.
     """
     taus = [part.tau for part in fragment.parts]
     shape = tuple(tau + 1 for tau in taus)
     n_states = math.prod(shape)
-    per_state = 4 * len(letters) + 4 * len(taus) + 8 * len(taus) + 3
+    per_state = 4 * len(valuations) + 4 * len(taus) + 8 * len(taus) + 3
     sizes = " × ".join(str(size) for size in shape)
     require_memory(
         n_states * per_state,
@@ -42,8 +43,8 @@ def flag_automaton(
         limit,
     )
     flags = np.indices(shape, dtype=np.int32).reshape(len(taus), n_states)
-    delta = np.empty((len(letters), n_states), dtype=np.int32)
-    for letter, valuation in enumerate(letters):
+    delta = np.empty((len(valuations), n_states), dtype=np.int32)
+    for letter, valuation in enumerate(valuations):
         after = [
             _update(part.operator, part.tau, bool(holds), flag)
             for part, holds, flag in zip(fragment.parts, valuation, flags, strict=True)
@@ -60,15 +61,35 @@ def flag_automaton(
         encoding=encoding,
         exact=fragment.uniform,
         atoms=tuple(part.psi for part in fragment.parts),
-        letters=letters,
+        valuations=valuations,
+        letter_of=np.arange(len(valuations), dtype=np.int32),
         delta=delta,
         initial=0,
         horizon=fragment.T + max(taus) - 2,
         verdict_starts=np.array(starts, dtype=np.int64),
         verdict_rows=np.array(rows, dtype=np.int8),
+        state_names=_names(fragment, flags),
+        parts=tuple(
+            Part(part.formula, part.psi, part.tau - 1, "flag", part.tau + 1, part.tau + 1) for part in fragment.parts
+        ),
         registers=np.ascontiguousarray(flags.T),
         register_names=tuple(f"flag of {part}" for part in fragment.parts),
     )
+
+
+def _names(fragment: Fragment, flags: NDArray[np.int32]) -> tuple[str, ...]:
+    """Every flag vector in words."""
+    words = [[_flag_text(part, f) for f in range(part.tau + 1)] for part in fragment.parts]
+    return tuple("; ".join(word[f] for word, f in zip(words, vector, strict=True)) for vector in flags.T.tolist())
+
+
+def _flag_text(part: FragmentPart, flag: int) -> str:
+    if part.operator == "G":
+        return f"{part.psi} for {flag} step{'s' if flag != 1 else ''}" if flag else f"{part.psi} does not hold"
+    ago = part.tau - flag
+    if flag == 0:
+        return f"{part.psi} not seen in {part.tau} steps"
+    return f"{part.psi} seen now" if ago == 0 else f"{part.psi} seen {ago} step{'s' if ago != 1 else ''} ago"
 
 
 def _update(operator: str, tau: int, holds: bool, flag: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -62,7 +62,6 @@ def check(
     another task or model, or says nothing about a state it reaches; SizeError before allocating what would not fit.
     """
     start = time.perf_counter()
-    sweep = sweeper(product, backend)
     require_time(
         product.horizon * product.model.n_transitions * product.automaton.n_states,
         _RATE,
@@ -71,12 +70,12 @@ def check(
     )
     longest = int(np.diff(product.model.row_start).max())
     if policy is not None:
-        policy.binding.require(product, "the policy")
-        value = _policy_value(product, policy, backend, progress)
+        value = _policy_value(*policy.on(product), backend, progress)
         mixed = 0 if policy.deterministic else policy.table.shape[-1]
         question: Literal["maximum", "minimum", "policy"] = "policy"
     else:
         mixed = 0
+        sweep = sweeper(product, backend)
         question = "maximum" if maximize else "minimum"
         require_memory(
             product.check_bytes(keep_policy),

@@ -15,22 +15,23 @@ from stltool.product import Product
 class Run:
     """One sampled run s₀ … s_n up to the step where the verdict fell.
 
-    `states` has one entry more than `actions`; `memory` holds the automaton state after each; `satisfied` is the
+    `states` has one entry more than `actions`; `memory` tells what is remembered after each; `satisfied` is the
     verdict, which fell at the last step.
     """
 
     states: tuple[int, ...]
     actions: tuple[str, ...]
-    memory: tuple[int, ...]
+    memory: tuple[str, ...]
     satisfied: bool
 
 
 def sample_run(product: Product, policy: Policy, rng: np.random.Generator) -> Run:
     """Follow `policy` from a random first state until the task is decided."""
+    product, policy = policy.on(product)
     model, automaton = product.model, product.automaton
     s = int(rng.choice(model.n_states, p=model.initial / model.initial.sum()))
     q = product.enter(s, automaton.initial)
-    states, actions, memory = [s], [], [q]
+    states, actions, memory = [s], [], [automaton.describe(q)]
     t = 0
     while automaton.verdicts(t)[q] == UNDECIDED:
         table = policy.at(t)[s, q]
@@ -42,5 +43,5 @@ def sample_run(product: Product, policy: Policy, rng: np.random.Generator) -> Ru
         t += 1
         states.append(s)
         actions.append(model.action_names[model.choice_action[c]])
-        memory.append(q)
+        memory.append(automaton.describe(q))
     return Run(tuple(states), tuple(actions), tuple(memory), bool(automaton.verdicts(t)[q] == TRUE))

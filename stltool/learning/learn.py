@@ -21,7 +21,7 @@ from stltool.learning.settings import Settings
 from stltool.learning.trainer import Learner, Point, train
 from stltool.logic.fragment import check_fragment
 from stltool.models.environment import simulator
-from stltool.policy import Policy
+from stltool.policy import Policy, with_flags
 from stltool.product import Product
 from stltool.sizes import require_time
 
@@ -90,8 +90,11 @@ def learn(
     )
     start = time.perf_counter()
     for_environment, for_learner = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
-    problem = Problem.of(product)
     learner: Learner
+    # as published, a policy remembers the paper's flags; whatever it remembers, `product` judges
+    home = with_flags(product) if faithful else product
+    judge = home if home.automaton.exact else product
+    problem = Problem.of(home)
     if faithful:
         outer = check_fragment(product.formula).outer
         learner = _FAITHFUL[method](problem, chosen, outer, for_learner)
@@ -99,7 +102,7 @@ def learn(
         learner = _CORRECTED[method](problem, chosen, for_learner)
 
     def evaluate(table: NDArray[Any]) -> float:
-        return check(product, Policy(product, table)).probability
+        return check(judge, Policy(home, table)).probability
 
     history = train(
         problem,
@@ -112,5 +115,5 @@ def learn(
         evaluate=evaluate,
         progress=progress,
     )
-    policy = Policy(product, learner.policy_table())
+    policy = Policy(home, learner.policy_table())
     return Training(policy, history, method, faithful, seed, chosen, time.perf_counter() - start)

@@ -9,9 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from stltool.automata import TaskAutomaton, compile_automaton
+from stltool.automata.compare import disagreement
+from stltool.automata.compile import all_valuations, atoms_of
 from stltool.checking import CheckResult, Run, sample_run
 from stltool.errors import SettingsError
 from stltool.learning import Training
+from stltool.logic.formula import boolean_value
 from stltool.policy import Policy
 from stltool.product import Product
 
@@ -36,6 +40,50 @@ def product_data(product: Product) -> dict[str, Any]:
         "automaton_states": automaton.n_states,
         "letters": automaton.n_letters,
         "product_states": product.n_states,
+    }
+
+
+def part_data(automaton: TaskAutomaton) -> list[dict[str, Any]]:
+    """The parts of an automaton, with delays and sizes."""
+    return [
+        {
+            "part": str(part.formula),
+            "every_start_owes": str(part.owed),
+            "delay": part.delay,
+            "method": part.method,
+            "explored": part.explored,
+            "states": part.states,
+        }
+        for part in automaton.parts
+    ]
+
+
+def disagreement_data(automaton: TaskAutomaton) -> dict[str, Any] | None:
+    """A shortest trace on which an automaton and its formula disagree, told by the atoms that hold; None if none."""
+    atoms = atoms_of(automaton.formula)
+    valuations = all_valuations(len(atoms))
+    truth = np.array(
+        [
+            [boolean_value(psi, dict(zip(atoms, row, strict=True)).get) for psi in automaton.atoms]
+            for row in valuations.tolist()
+        ]
+    )
+    known = {row.tobytes() for row in automaton.valuations}
+    possible = np.array([row.tobytes() in known for row in truth])
+    valuations, truth = valuations[possible], truth[possible]
+    exact = compile_automaton(automaton.formula, "exact", valuations)
+    trace = disagreement(automaton, exact, automaton.letters_at(truth), exact.letters_at(valuations))
+    if trace is None:
+        return None
+    judged = exact.judge(exact.letters_at(valuations)[trace].tolist())
+    assert judged is not None
+    return {
+        "steps": [
+            {"step": t, **{str(psi): bool(value) for psi, value in zip(atoms, valuations[symbol], strict=True)}}
+            for t, symbol in enumerate(trace)
+        ],
+        "encoding_says": not judged[0],
+        "formula_is": judged[0],
     }
 
 
@@ -108,17 +156,17 @@ def report_data(
 
 def _run_data(product: Product, policy: Policy, seed: int) -> dict[str, Any]:
     run: Run = sample_run(product, policy, np.random.default_rng(seed))
-    model, automaton = product.model, product.automaton
+    model = product.model
     steps = [
         {
             "step": t,
             "state": model.state_name(s),
             "signals": {name: float(values[s]) for name, values in model.signals.items()},
             "labels": [name for name, values in model.labels.items() if values[s]],
-            "memory": automaton.describe(q),
+            "memory": memory,
             "action": run.actions[t] if t < len(run.actions) else None,
         }
-        for t, (s, q) in enumerate(zip(run.states, run.memory, strict=True))
+        for t, (s, memory) in enumerate(zip(run.states, run.memory, strict=True))
     ]
     return {"satisfied": run.satisfied, "seed": seed, "states": list(run.states), "steps": steps}
 

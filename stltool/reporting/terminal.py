@@ -82,6 +82,13 @@ def print_facts(facts: dict[str, Any]) -> None:
     _print_columns([(name, str(value)) for name, value in facts.items()])
 
 
+def print_table(rows: list[dict[str, Any]]) -> None:
+    """Rows of one kind, their keys as the heading."""
+    if rows:
+        heading = tuple(key.replace("_", " ") for key in rows[0])
+        _print_columns([heading, *(tuple(str(value) for value in row.values()) for row in rows)])
+
+
 def _print_columns(rows: list[tuple[str, ...]]) -> None:
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
     console = Console(soft_wrap=True, highlight=False)

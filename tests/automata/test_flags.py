@@ -1,4 +1,4 @@
-"""The specification: the first decided verdict equals the truth of the formula at 0, for every trace."""
+"""The paper's flags: exact when all inner windows are equal, wrong both ways when they are not."""
 
 import numpy as np
 import pytest
@@ -7,91 +7,85 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.automata import UNDECIDED
+from stltool.automata.compare import disagreement
 from stltool.errors import FragmentError, InexactEncodingWarning, SettingsError, SizeError
-from stltool.logic.predicates import truth
+from stltool.reporting.data import disagreement_data
 from stltool.testing import flag_formulas, traces
+from tests.automata.judging import every_trace, judge, judge_all, truth_of_all
 
-
-def judge(automaton, trace):
-    """The automaton's verdict on a trace, its letters read off the atoms' truth."""
-    n = len(next(iter(trace.values())))
-    labels = {name: trace[name] for name in ("a", "b", "c")}
-    signals = {name: trace[name] for name in ("x", "y")}
-    valuations = np.stack([truth(psi, signals, labels, (n,)) for psi in automaton.atoms], axis=1)
-    index = {tuple(row): i for i, row in enumerate(automaton.letters.tolist())}
-    return automaton.judge([index[tuple(row)] for row in valuations.tolist()])
+SEMANTICS_EXAMPLE = "F[0,3) (F[0,2) a & G[0,4) b)"  # semantics.md §2
 
 
 @given(phi=flag_formulas(), data=st.data())
-def test_verdict_equals_the_slow_semantics(phi, data):
-    automaton = stl.compile_automaton(phi)
+def test_equal_windows_are_exact(phi, data):
+    automaton = stl.compile_automaton(phi, "paper")
     assert automaton.exact
     assert automaton.horizon == stl.horizon(phi)
-    trace = data.draw(traces(stl.horizon(phi) + 1))
-    verdict = judge(automaton, trace)
-    assert verdict is not None
-    assert verdict[0] == stl.satisfies(phi, trace)
-
-
-@given(flag_formulas())
-def test_every_verdict_has_fallen_at_the_horizon(phi):
-    automaton = stl.compile_automaton(phi)
     assert (automaton.verdicts(automaton.horizon) != UNDECIDED).all()
     assert automaton.n_states == np.prod([part.tau + 1 for part in stl.check_fragment(phi).parts])
+    trace = data.draw(traces(stl.horizon(phi) + 1))
+    assert judge(automaton, trace)[0] == stl.satisfies(phi, trace)
 
 
-@given(phi=flag_formulas(), data=st.data())
-def test_live_states_are_those_that_some_undecided_run_visits(phi, data):
-    automaton = stl.compile_automaton(phi)
-    live = automaton.live()
-    q = automaton.initial
-    for t in range(automaton.horizon):
-        q = int(automaton.delta[data.draw(st.integers(0, automaton.n_letters - 1)), q])
-        if automaton.verdicts(t)[q] != UNDECIDED:
-            return
-        assert live[t, q]
-
-
-def test_the_papers_flags_are_not_the_formula_when_windows_differ():
-    """The example of semantics.md §2: b always true, a at step 3 only."""
-    phi = stl.parse("F[0,3) (F[0,2) a & G[0,4) b)")
+def paper(text):
     with pytest.warns(InexactEncodingWarning, match="approximation"):
-        automaton = stl.compile_automaton(phi, "paper")
+        return stl.compile_automaton(stl.parse(text), "paper")
+
+
+def test_different_windows_are_wrong_both_ways():
+    automaton = paper(SEMANTICS_EXAMPLE)
     assert not automaton.exact
-    n = stl.horizon(phi) + 1
-    zeros = np.zeros(n)
-    wrong = []
-    for code in range(2**n):
-        a = np.array([code >> t & 1 for t in range(n)], dtype=bool)
-        trace = {"a": a, "b": np.ones(n, dtype=bool), "c": zeros.astype(bool), "x": zeros, "y": zeros}
-        verdict = judge(automaton, trace)
-        assert verdict is not None
-        if verdict[0] != stl.satisfies(phi, trace):
-            wrong.append(stl.satisfies(phi, trace))
-    assert set(wrong) == {True, False}  # it errs both ways
+    everything = every_trace(6)
+    said, true = judge_all(automaton, everything), truth_of_all(automaton.formula, everything)
+    assert (said & ~true).any()
+    assert (~said & true).any()
+    only_at_3 = {"a": np.arange(6) == 3, "b": np.ones(6, dtype=bool)}
+    assert stl.satisfies(automaton.formula, only_at_3)
 
 
-def test_exact_refuses_what_the_flags_would_get_wrong():
-    with pytest.raises(FragmentError) as caught:
-        stl.compile_automaton(stl.parse("F[0,3) (F[0,2) a & G[0,4) b)"))
-    message = str(caught.value)
-    assert "line 1, column 9" in message
-    assert "F[0,2) a, G[0,4) b" in message
-    assert "use encoding paper" in message
+def test_the_shortest_disagreement_is_one_and_shortest():
+    automaton = paper(SEMANTICS_EXAMPLE)
+    found = disagreement_data(automaton)
+    n = automaton.horizon + 1
+    trace = {name: np.array([step[name] for step in found["steps"]] + [False] * n)[:n] for name in ("a", "b")}
+    assert stl.satisfies(automaton.formula, trace) == found["formula_is"] != found["encoding_says"]
+    assert judge(automaton, trace)[0] == found["encoding_says"]
+    # no shorter prefix decides both, differently, on any trace
+    everything = every_trace(n)
+    exact = stl.compile_automaton(automaton.formula)
+    shortest = n
+    for i in range(len(everything["a"])):
+        one = {name: values[i] for name, values in everything.items()}
+        (v, t), (w, u) = judge(automaton, one), judge(exact, one)
+        if v != w:
+            shortest = min(shortest, max(t, u) + 1)
+    assert len(found["steps"]) == shortest
+
+
+def test_equal_automata_do_not_disagree():
+    phi = stl.parse("G[0,4) (F[0,3) a & F[0,3) b)")
+    flags, exact = stl.compile_automaton(phi, "paper"), stl.compile_automaton(phi)
+    symbols = exact.valuations
+    assert disagreement(flags, exact, flags.letters_at(symbols), exact.letters_at(symbols)) is None
+    assert disagreement_data(flags) is None
+
+
+def test_outside_the_fragment_the_paper_has_no_encoding():
+    with pytest.raises(FragmentError, match="use encoding exact"):
+        stl.compile_automaton(stl.parse("G[0,5] F[0,3] G[0,2] a"), "paper")
 
 
 def test_sizes_are_refused_before_memory_is_taken():
     with pytest.raises(SizeError, match=r"1000000001 × 1000000001"):
-        stl.compile_automaton(stl.parse("G[0,10^9) (F[0,10^9) a & F[0,10^9) b)"))
-    many = " | ".join(f"F[0,1] l{i}" for i in range(20))
-    with pytest.raises(SizeError, match="20 different predicates"):
-        stl.compile_automaton(stl.parse(many))
+        stl.compile_automaton(stl.parse("G[0,10^9) (F[0,10^9) a & F[0,10^9) b)"), "paper")
     with pytest.raises(SettingsError, match="no encoding 'fast'; choose one of"):
         stl.compile_automaton(stl.parse("F[0,1] a"), "fast")
 
 
 def test_states_are_told_by_their_flags():
-    automaton = stl.compile_automaton(stl.parse("G[0,5) (F[0,5) A & F[0,5) B)"))
-    assert automaton.describe(6 * 2 + 5) == "flag of F[0,5) A: 2, flag of F[0,5) B: 5"
-    assert automaton.digest() == stl.compile_automaton(automaton.formula).digest()
-    assert automaton.digest() != stl.compile_automaton(stl.parse("G[0,5) (F[0,5) A & F[0,5) C)")).digest()
+    automaton = stl.compile_automaton(stl.parse("G[0,5) (F[0,5) A & G[0,5) B)"), "paper")
+    assert automaton.describe(6 * 2 + 5) == "A seen 3 steps ago; B for 5 steps"
+    assert automaton.describe(6 * 5) == "A seen now; B does not hold"
+    assert automaton.describe(1) == "A not seen in 5 steps; B for 1 step"
+    assert automaton.digest() == stl.compile_automaton(automaton.formula, "paper").digest()
+    assert automaton.digest() != stl.compile_automaton(automaton.formula).digest()

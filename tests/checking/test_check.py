@@ -4,13 +4,13 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.errors import PolicyError, SizeError
 from stltool.logic.formula import Not
-from stltool.testing import flag_formulas, models
+from stltool.testing import flag_formulas, formulas, models
 from tests import oracles
 from tests.conftest import ROOT
 
@@ -19,8 +19,11 @@ LABELS = ("a", "b", "c")
 
 @st.composite
 def products(draw, longest=2, **options):
+    """Random tiny models with tasks of any kind; histories up to five steps."""
     model = draw(models(**options))
-    return stl.build_product(model, draw(flag_formulas(longest=longest)))
+    phi = draw(st.one_of(flag_formulas(longest=longest, equal=False), formulas(longest=longest, max_leaves=5)))
+    assume(stl.horizon(phi) <= 2 * longest + 1)
+    return stl.build_product(model, phi)
 
 
 def close(result, exact):
@@ -147,11 +150,24 @@ def test_published_q_tables_have_their_known_probability(request, table, floor, 
     assert result.probability <= stl.check(product).upper
 
 
-def test_a_stationary_policy_can_be_strictly_worse(patrolling):
-    """The optimum needs the clock: the best stationary policy, by policy iteration over tables, stays below."""
-    best = stl.check(patrolling)
-    first = stl.Policy(patrolling, best.policy.table[0])
-    assert stl.check(patrolling, first).probability < best.probability
+def test_a_stationary_policy_can_be_strictly_worse():
+    """Try again while there is time, take the risk at the last step: the clock is needed."""
+    goal, dead = [0, 1, 0], [0, 0, 1]
+    model = stl.MDP.from_arrays(
+        [[[0.7, 0.3, 0], goal, dead], [[0, 0.5, 0.5], goal, dead]],
+        {"x": [0, 1, 2]},
+        labels={"goal": [0, 1, 0]},
+        action_names=["try", "risk"],
+    )
+    product = stl.build_product(model, stl.parse("F[0,3] goal"))
+    best = stl.check(product)
+    assert best.probability == pytest.approx(1 - 0.7 * 0.7 * 0.5)
+    assert [int(best.policy.at(t)[0, 0]) for t in range(3)] == [0, 0, 1]
+    stationary = [
+        stl.check(product, stl.Policy(product, np.full(product.shape, choice))).probability for choice in (0, 1)
+    ]
+    assert stationary == pytest.approx([1 - 0.7**3, 0.5])
+    assert max(stationary) < best.probability
 
 
 def test_undefined_states_are_named_when_they_can_be_reached(patrolling):

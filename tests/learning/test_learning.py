@@ -27,6 +27,12 @@ def p1(floor5):
     return stl.build_product(floor5, stl.load_task(FACTORY / "patrolling.stl"))
 
 
+@pytest.fixture(scope="module")
+def p1_flags(floor5):
+    """The same with all the paper's flag vectors, reachable or not, as the published learners have them."""
+    return stl.build_product(floor5, stl.load_task(FACTORY / "patrolling.stl"), encoding="paper")
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_corrected_cfer_learns_p1_within_the_papers_budget(p1, seed):
     run = stl.learn(p1, "cfer", episodes=600, evaluate_every=100, seed=seed)
@@ -118,8 +124,8 @@ def test_values_are_fixed_where_the_verdict_has_fallen(patrolling):
     assert not table.live[:, :][patrolling.automaton.verdicts(0)[None].repeat(8, 0) != UNDECIDED].any()
 
 
-def test_kernels_equal_their_python_twins(p1):
-    rng = np.random.default_rng(0)
+def test_kernels_equal_their_python_twins(p1_flags):
+    p1, rng = p1_flags, np.random.default_rng(0)
     problem = Problem.of(p1)
     Q = rng.random((problem.n_states, p1.automaton.n_states, 9))
     tuples = np.stack(
@@ -164,7 +170,8 @@ def test_published_naive_update_by_hand(floor5):
     assert run.environment_steps == 10 + 2
 
 
-def test_published_cfer_stores_one_tuple_for_every_flag_below_tau(p1):
+def test_published_cfer_stores_one_tuple_for_every_flag_below_tau(p1_flags):
+    p1 = p1_flags
     problem, settings = Problem.of(p1), Settings(memory=1000)
     learner = FaithfulCfer(problem, settings, "G", np.random.default_rng(0))
     learner.observe(1, 3, 5, 2, 4, int(p1.automaton.delta[p1.letter[4], 5]))

@@ -1,0 +1,129 @@
+"""An automaton to look at, networkx graph or Graphviz text: states say what they remember, edges for which labels."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+from stltool.automata.automaton import TRUE, UNDECIDED, TaskAutomaton
+from stltool.errors import SizeError
+from stltool.logic.formula import And, Constant, Formula, Not, Or
+
+if TYPE_CHECKING:
+    import networkx
+    from sympy.logic.boolalg import Boolean
+
+_MOST_SIMPLIFIED = 8  # atoms; beyond, an edge lists its valuations
+_MOST_DRAWN = 2000  # states; nobody sees more
+
+
+def to_graph(automaton: TaskAutomaton) -> networkx.DiGraph:
+    """Nodes are states with `name` and `verdicts`; edges carry `condition`, a Boolean formula over the atoms as text.
+
+    Node "start" is the automaton before it has read anything.
+    """
+    import networkx
+
+    graph = networkx.DiGraph(formula=str(automaton.formula), horizon=automaton.horizon, encoding=automaton.encoding)
+    edge_text = lru_cache(maxsize=None)(lambda letters: str(condition(automaton, letters)))
+    for q in range(automaton.n_states):
+        graph.add_node(
+            q, name=automaton.state_names[q], verdicts=verdict_text(automaton, q), initial=q == automaton.initial
+        )
+    for q in range(automaton.n_states):
+        targets: dict[int, list[int]] = {}
+        for letter, successor in enumerate(automaton.delta[:, q].tolist()):
+            targets.setdefault(successor, []).append(letter)
+        for successor, letters in targets.items():
+            graph.add_edge(q, successor, condition=edge_text(tuple(letters)))
+    return graph
+
+
+def to_dot(automaton: TaskAutomaton) -> str:
+    """The same as Graphviz text. Raises SizeError for more states than a picture can show."""
+    import graphviz
+
+    if automaton.n_states > _MOST_DRAWN:
+        raise SizeError(
+            f"the automaton has {automaton.n_states} states; a picture shows at most {_MOST_DRAWN}; shorten the windows"
+        )
+    graph = to_graph(automaton)
+    dot = graphviz.Digraph("task", comment=str(automaton.formula), graph_attr={"rankdir": "LR"})
+    dot.attr(label=graphviz.escape(f"{automaton.formula}\nhorizon {automaton.horizon}, encoding {automaton.encoding}"))
+    dot.attr("node", shape="box", style="rounded")
+    dot.node("before", label="", shape="point")
+    dot.edge("before", str(automaton.initial))
+    for q, node in graph.nodes(data=True):
+        text = node["name"] + (f"\n{node['verdicts']}" if node["verdicts"] else "")
+        dot.node(str(q), label=graphviz.escape(text))
+    for q, successor, edge in graph.edges(data=True):
+        dot.edge(str(q), str(successor), label=graphviz.escape(edge["condition"]))
+    return str(dot.source)
+
+
+def verdict_text(automaton: TaskAutomaton, q: int) -> str:
+    """When a run in state q is decided: "false from step 4 to 7; true from step 8"."""
+    starts = automaton.verdict_starts.tolist()
+    pieces: list[tuple[int, int | None, int]] = []
+    for i, verdict in enumerate(automaton.verdict_rows[:, q].tolist()):
+        end = starts[i + 1] - 1 if i + 1 < len(starts) else None
+        if pieces and pieces[-1][2] == verdict:
+            pieces[-1] = (pieces[-1][0], end, verdict)
+        else:
+            pieces.append((starts[i], end, verdict))
+    return "; ".join(
+        f"{'true' if verdict == TRUE else 'false'} from step {first}{'' if last is None else f' to {last}'}"
+        for first, last, verdict in pieces
+        if verdict != UNDECIDED
+    )
+
+
+def condition(automaton: TaskAutomaton, letters: tuple[int, ...]) -> Formula:
+    """A short Boolean formula over the atoms that holds for these letters and no others that the automaton knows."""
+    rows = [
+        (row, letter in letters)
+        for row, letter in zip(automaton.valuations.tolist(), automaton.letter_of.tolist(), strict=True)
+    ]
+    taken = [row for row, inside in rows if inside]
+    if len(taken) == len(rows):
+        return Constant(True)
+    if not taken:
+        return Constant(False)
+    if len(automaton.atoms) > _MOST_SIMPLIFIED:
+        return _or([_literals(automaton, row) for row in taken])
+    from sympy import SOPform, symbols
+
+    names = symbols([f"a{i}" for i in range(len(automaton.atoms))])
+    known = {tuple(row) for row, _ in rows}
+    every = (tuple(bool(code >> i & 1) for i in range(len(names))) for code in range(1 << len(names)))
+    free = [list(row) for row in every if row not in known]
+    return _from_sympy(SOPform(names, taken, free), automaton)
+
+
+def _literals(automaton: TaskAutomaton, row: list[bool]) -> Formula:
+    parts = [atom if holds else Not(atom) for atom, holds in zip(automaton.atoms, row, strict=True)]
+    return parts[0] if len(parts) == 1 else And(tuple(parts))
+
+
+def _or(parts: list[Formula]) -> Formula:
+    return parts[0] if len(parts) == 1 else Or(tuple(parts))
+
+
+def _from_sympy(expression: Boolean, automaton: TaskAutomaton) -> Formula:
+    match type(expression).__name__:
+        case "BooleanTrue" | "BooleanFalse":
+            return Constant(bool(expression))
+        case "Symbol":
+            return automaton.atoms[int(str(expression)[1:])]
+        case "Not":
+            return Not(_from_sympy(expression.args[0], automaton))
+        case "And":
+            return And(tuple(_from_sympy(part, automaton) for part in _sorted(expression)))
+        case "Or":
+            return Or(tuple(_from_sympy(part, automaton) for part in _sorted(expression)))
+        case other:
+            raise AssertionError(other)
+
+
+def _sorted(expression: Boolean) -> list[Boolean]:
+    return sorted(expression.args, key=lambda part: str(part).lstrip("~"))

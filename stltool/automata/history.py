@@ -1,0 +1,161 @@
+"""The τ-MDP encoding (Aksaray et al. 2016): remember the last τ letters, judge the inner formula on them.
+
+For Φ = F[a,b] φ or G[a,b] φ with D = horizon(φ), a state is the last D + 1 letters, or all of them so far:
+Σ_{i ≤ D+1} |Λ|^i states. After step t the window starts at k = t − D; outer F decides true when φ holds there, outer G
+false when it fails. Any other formula counts as G[0,0]. Exact, and the baseline that blows up: its size is predicted
+before it is built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TypeAlias, assert_never
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, TaskAutomaton
+from stltool.logic.formula import (
+    Always,
+    And,
+    Comparison,
+    Constant,
+    Eventually,
+    Formula,
+    Iff,
+    Implies,
+    Interval,
+    Label,
+    Not,
+    Or,
+    Until,
+    horizon,
+)
+from stltool.sizes import require_memory
+
+_Truth: TypeAlias = NDArray[np.bool_]
+_LONGEST_NAME = 4  # letters shown of a history
+
+
+def history_states(phi: Formula, n_letters: int) -> int:
+    """How many histories the encoding has, before anything is built."""
+    _, _, inner = _outer(phi)
+    return sum(n_letters**i for i in range(horizon(inner) + 2))
+
+
+def history_automaton(
+    phi: Formula, atoms: tuple[Formula, ...], valuations: _Truth, limit: int | None = None
+) -> TaskAutomaton:
+    """The automaton whose states are histories. Raises SizeError before allocating."""
+    operator, interval, inner = _outer(phi)
+    depth, n = horizon(inner) + 1, len(valuations)
+    n_states = history_states(phi, n)
+    require_memory(
+        n_states * (4 * n + 8 * depth + 100),
+        f"the history encoding of {phi}: {n} letters over {depth} steps, {n_states:.4g} states",
+        "use encoding exact",
+        limit,
+    )
+    # states in order of length; a history of length l with letters λ₁ … λ_l (oldest first) has index
+    # offset[l] + Σ λ_i n^(l−i)
+    offset = np.cumsum([0] + [n**length for length in range(depth + 1)])
+    delta = np.empty((n, n_states), dtype=np.int32)
+    for length in range(depth + 1):
+        code = np.arange(n**length)
+        kept = code if length < depth else code % n ** (depth - 1)
+        for letter in range(n):
+            delta[letter, offset[length] : offset[length + 1]] = offset[min(length + 1, depth)] + kept * n + letter
+    full = np.arange(n**depth)
+    steps = [full // n ** (depth - 1 - i) % n for i in range(depth)]
+    truth = {atom: [valuations[step, i] for step in steps] for i, atom in enumerate(atoms)}
+    holds = np.zeros(n_states, dtype=np.bool_)
+    holds[offset[depth] :] = _truth(inner, 0, truth, len(full))
+
+    undecided = np.full(n_states, UNDECIDED, dtype=np.int8)
+    running = np.where(holds, TRUE, UNDECIDED) if operator == "F" else np.where(holds, UNDECIDED, FALSE)
+    final = np.where(holds, TRUE, FALSE)
+    at = {0: undecided}
+    at[interval.a + depth - 1] = running.astype(np.int8)
+    at[interval.b + depth - 1] = final.astype(np.int8)
+    return TaskAutomaton(
+        formula=phi,
+        encoding="history",
+        exact=True,
+        atoms=atoms,
+        valuations=valuations,
+        letter_of=np.arange(n, dtype=np.int32),
+        delta=delta,
+        initial=0,
+        horizon=horizon(phi),
+        verdict_starts=np.array(list(at), dtype=np.int64),
+        verdict_rows=np.array(list(at.values()), dtype=np.int8),
+        state_names=_names(atoms, valuations, depth),
+        parts=(Part(phi, inner, depth - 1, "history", n_states, n_states),),
+    )
+
+
+def _outer(phi: Formula) -> tuple[str, Interval, Formula]:
+    match phi:
+        case Eventually(interval, arg):
+            return "F", interval, arg
+        case Always(interval, arg):
+            return "G", interval, arg
+        case _:
+            return "G", Interval(0, 0), phi
+
+
+def _truth(phi: Formula, k: int, atoms: dict[Formula, list[_Truth]], n: int) -> _Truth:
+    """The truth of φ at position k of every history."""
+    if phi in atoms:
+        return atoms[phi][k]
+    match phi:
+        case Constant(value):
+            return np.full(n, value)
+        case Not(arg):
+            return ~_truth(arg, k, atoms, n)
+        case And(args):
+            return ~_any(~_truth(arg, k, atoms, n) for arg in args)
+        case Or(args):
+            return _any(_truth(arg, k, atoms, n) for arg in args)
+        case Implies(left, right):
+            return ~_truth(left, k, atoms, n) | _truth(right, k, atoms, n)
+        case Iff(left, right):
+            return ~(_truth(left, k, atoms, n) ^ _truth(right, k, atoms, n))
+        case Eventually(interval, arg):
+            return _any(_truth(arg, k + u, atoms, n) for u in range(interval.a, interval.b + 1))
+        case Always(interval, arg):
+            return ~_any(~_truth(arg, k + u, atoms, n) for u in range(interval.a, interval.b + 1))
+        case Until(interval, left, right):
+            result = np.zeros(n, dtype=np.bool_)
+            so_far = np.ones(n, dtype=np.bool_)
+            for u in range(interval.b + 1):
+                if u >= interval.a:
+                    result |= so_far & _truth(right, k + u, atoms, n)
+                so_far &= _truth(left, k + u, atoms, n)
+            return result
+        case Label() | Comparison():
+            raise AssertionError(f"{phi} is no atom of this automaton")
+        case _:
+            assert_never(phi)
+
+
+def _any(values: Iterable[_Truth]) -> _Truth:
+    result: _Truth = np.logical_or.reduce(list(values))
+    return result
+
+
+def _names(atoms: tuple[Formula, ...], valuations: _Truth, depth: int) -> tuple[str, ...]:
+    """The last letters, newest first, by the atoms that held."""
+    words = [
+        "{" + ", ".join(str(atom) for atom, holds in zip(atoms, row, strict=True) if holds) + "}"
+        for row in valuations.tolist()
+    ]
+    names, level = ["at the start"], [""]
+    for length in range(1, depth + 1):
+        level = [
+            word + (f" after {before}" if before and length <= _LONGEST_NAME else " after …" if before else "")
+            for before in level
+            for word in words
+        ]
+        names += level
+    return tuple(names)

@@ -1,0 +1,401 @@
+"""What is left of a formula after reading letters: hash-consed residuals in negation normal form.
+
+    ρ ::= false | true | ±atom | ∧{ρ} | ∨{ρ} | F[a,b] ρ | G[a,b] ρ | ρ U[a,b] ρ | ρ R[a,b] ρ
+
+with R the dual of U. `progress(ρ, letter)` is ρ after one step, its windows counted from the next one:
+
+    F[0,b] ρ → progress(ρ) ∨ F[0,b−1] ρ        F[a,b] ρ → F[a−1,b−1] ρ        G dually
+    ρ U[0,b] σ → progress(σ) ∨ (progress(ρ) ∧ ρ U[0,b−1] σ)     ρ U[a,b] σ → progress(ρ) ∧ ρ U[a−1,b−1] σ
+
+Residuals are kept small by rewriting that keeps meaning: F splits over ∨ and G over ∧, nested windows of one kind add
+up, windows of one operand that touch join, shifts move outwards, and what another operand implies is dropped. `implies`
+is sound, not complete: states it fails to merge are merged by minimisation. Residuals are integers: equal means same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TypeAlias, assert_never
+
+from stltool.logic.formula import (
+    Always,
+    And,
+    Comparison,
+    Constant,
+    Eventually,
+    Formula,
+    Iff,
+    Implies,
+    Label,
+    Not,
+    Or,
+    Until,
+    is_temporal,
+)
+
+Residual: TypeAlias = int
+Letter: TypeAlias = tuple[bool, ...]
+_Key: TypeAlias = tuple[object, ...]
+
+FALSE: Residual = 0
+TRUE: Residual = 1
+
+
+class Residuals:
+    """A table of residuals over the atoms of one formula."""
+
+    def __init__(self) -> None:
+        self.atoms: list[Formula] = []
+        self._atom_index: dict[Formula, int] = {}
+        self._nodes: list[tuple] = [("false",), ("true",)]  # type: ignore[type-arg]
+        self._ids: dict[_Key, Residual] = {("false",): FALSE, ("true",): TRUE}
+        self._implied: dict[tuple[Residual, Residual], bool] = {}
+        self._progressed: dict[tuple[Residual, Letter], Residual] = {}
+        self._horizons: dict[Residual, int] = {}
+        self._negations: dict[Residual, Residual] = {}
+
+    # ------------------------------------------------------------------------------------------ from formulas
+
+    def residual(self, phi: Formula, negated: bool = False) -> Residual:
+        """The residual that means φ (or its negation) at the next step."""
+        if not is_temporal(phi):
+            return self._atom(phi, negated)
+        match phi:
+            case Not(arg):
+                return self.residual(arg, not negated)
+            case And(args):
+                return (self.disj if negated else self.conj)(self.residual(arg, negated) for arg in args)
+            case Or(args):
+                return (self.conj if negated else self.disj)(self.residual(arg, negated) for arg in args)
+            case Implies(left, right):
+                parts = [self.residual(left, not negated), self.residual(right, negated)]
+                return self.conj(parts) if negated else self.disj(parts)
+            case Iff(left, right):
+                same = [self.residual(left), self.residual(right, negated)]
+                other = [self.residual(left, True), self.residual(right, not negated)]
+                return self.disj([self.conj(same), self.conj(other)])
+            case Eventually(interval, arg):
+                make = self.always if negated else self.eventually
+                return make(interval.a, interval.b, self.residual(arg, negated))
+            case Always(interval, arg):
+                make = self.eventually if negated else self.always
+                return make(interval.a, interval.b, self.residual(arg, negated))
+            case Until(interval, left, right):
+                join = self.release if negated else self.until
+                return join(interval.a, interval.b, self.residual(left, negated), self.residual(right, negated))
+            case Constant() | Label() | Comparison():
+                raise AssertionError("a formula without temporal operators is an atom")
+            case _:
+                assert_never(phi)
+
+    def _atom(self, psi: Formula, negated: bool) -> Residual:
+        if isinstance(psi, Constant):
+            return TRUE if psi.value != negated else FALSE
+        while isinstance(psi, Not):
+            psi, negated = psi.arg, not negated
+        if psi not in self._atom_index:
+            self._atom_index[psi] = len(self.atoms)
+            self.atoms.append(psi)
+        return self._node("atom", self._atom_index[psi], not negated)
+
+    def _node(self, *key: object) -> Residual:
+        found = self._ids.get(key)
+        if found is None:
+            found = self._ids[key] = len(self._nodes)
+            self._nodes.append(key)
+        return found
+
+    def node(self, x: Residual) -> tuple:  # type: ignore[type-arg]
+        """(kind, operands…) of a residual."""
+        return self._nodes[x]
+
+    def negation(self, x: Residual) -> Residual:
+        """¬x, in negation normal form again."""
+        if x not in self._negations:
+            match self._nodes[x]:
+                case ("false",):
+                    result = TRUE
+                case ("true",):
+                    result = FALSE
+                case ("atom", index, positive):
+                    result = self._node("atom", index, not positive)
+                case ("and", parts):
+                    result = self.disj(self.negation(part) for part in parts)
+                case ("or", parts):
+                    result = self.conj(self.negation(part) for part in parts)
+                case ("F", a, b, y):
+                    result = self.always(a, b, self.negation(y))
+                case ("G", a, b, y):
+                    result = self.eventually(a, b, self.negation(y))
+                case ("U", a, b, y, z):
+                    result = self.release(a, b, self.negation(y), self.negation(z))
+                case ("R", a, b, y, z):
+                    result = self.until(a, b, self.negation(y), self.negation(z))
+                case other:
+                    raise AssertionError(other)
+            self._negations[x] = result
+        return self._negations[x]
+
+    # ------------------------------------------------------------------------------------------ constructors
+
+    def conj(self, parts: Iterable[Residual]) -> Residual:
+        return self._combine("and", parts, TRUE, FALSE, "G")
+
+    def disj(self, parts: Iterable[Residual]) -> Residual:
+        return self._combine("or", parts, FALSE, TRUE, "F")
+
+    def _combine(
+        self, kind: str, parts: Iterable[Residual], neutral: Residual, absorbing: Residual, op: str
+    ) -> Residual:
+        flat: set[Residual] = set()
+        for part in parts:
+            if part == absorbing:
+                return absorbing
+            node = self._nodes[part]
+            flat.update(node[1] if node[0] == kind else (part,))
+        flat.discard(neutral)
+        if len(flat) > 1:
+            flat = self._joined(flat, op)
+            flat = self._without_implied(flat, weaker=kind == "and")
+        if len(flat) > 1 and any(self.negation(x) in flat for x in flat if self._nodes[x][0] == "atom"):
+            return absorbing
+        if not flat:
+            return neutral
+        return flat.pop() if len(flat) == 1 else self._node(kind, tuple(sorted(flat)))
+
+    def _joined(self, parts: set[Residual], op: str) -> set[Residual]:
+        """Windows of one operand that overlap or touch become one: G over ∧, F over ∨."""
+        windows: dict[Residual, list[tuple[int, int]]] = {}
+        for x in parts:
+            node = self._nodes[x]
+            if node[0] == op:
+                windows.setdefault(node[3], []).append((node[1], node[2]))
+        for operand, spans in windows.items():
+            if len(spans) > 1:
+                parts = {x for x in parts if self._nodes[x][0] != op or self._nodes[x][3] != operand}
+                spans.sort()
+                a, b = spans[0]
+                for c, d in spans[1:]:
+                    if c <= b + 1:
+                        b = max(b, d)
+                    else:
+                        parts.add(self._node(op, a, b, operand))
+                        a, b = c, d
+                parts.add(self._node(op, a, b, operand))
+        return parts
+
+    def _without_implied(self, parts: set[Residual], weaker: bool) -> set[Residual]:
+        kept: list[Residual] = []
+        for x in sorted(parts):
+            if any(self.implies(y, x) if weaker else self.implies(x, y) for y in kept):
+                continue
+            kept = [y for y in kept if not (self.implies(x, y) if weaker else self.implies(y, x))]
+            kept.append(x)
+        return set(kept)
+
+    def eventually(self, a: int, b: int, x: Residual) -> Residual:
+        return self._window("F", "or", self.disj, a, b, x)
+
+    def always(self, a: int, b: int, x: Residual) -> Residual:
+        return self._window("G", "and", self.conj, a, b, x)
+
+    def _window(
+        self, op: str, split: str, join: Callable[[Iterable[Residual]], Residual], a: int, b: int, x: Residual
+    ) -> Residual:
+        node = self._nodes[x]
+        if x in (FALSE, TRUE):
+            return x
+        if node[0] == op:  # nested windows of one kind add up
+            return self._window(op, split, join, a + node[1], b + node[2], node[3])
+        if node[0] == split:
+            return join(self._window(op, split, join, a, b, part) for part in node[1])
+        shift = self._offset(x)
+        if shift:
+            return self._window(op, split, join, a + shift, b + shift, self._earlier(x, shift))
+        if a == b == 0:
+            return x
+        return self._node(op, a, b, x)
+
+    def _offset(self, x: Residual) -> int:
+        """How many steps from now pass before anything matters to x."""
+        match self._nodes[x]:
+            case ("F", a, _, _) | ("G", a, _, _):
+                return int(a)
+            case ("and", parts) | ("or", parts):
+                return min(self._offset(part) for part in parts)
+            case _:
+                return 0
+
+    def _earlier(self, x: Residual, shift: int) -> Residual:
+        match self._nodes[x]:
+            case ("F", a, b, y):
+                return self.eventually(a - shift, b - shift, y)
+            case ("G", a, b, y):
+                return self.always(a - shift, b - shift, y)
+            case ("and", parts):
+                return self.conj(self._earlier(part, shift) for part in parts)
+            case ("or", parts):
+                return self.disj(self._earlier(part, shift) for part in parts)
+            case other:
+                raise AssertionError(other)
+
+    def until(self, a: int, b: int, x: Residual, y: Residual) -> Residual:
+        if y == FALSE or (x == FALSE and a > 0):
+            return FALSE
+        if x == TRUE or b == 0:
+            return self.eventually(a, b, y)
+        if x == FALSE:
+            return y
+        if y == TRUE:
+            return TRUE if a == 0 else self.always(0, a - 1, x)
+        return self._node("U", a, b, x, y)
+
+    def release(self, a: int, b: int, x: Residual, y: Residual) -> Residual:
+        if y == TRUE or (x == TRUE and a > 0):
+            return TRUE
+        if x == FALSE or b == 0:
+            return self.always(a, b, y)
+        if x == TRUE:
+            return y
+        if y == FALSE:
+            return FALSE if a == 0 else self.eventually(0, a - 1, x)
+        return self._node("R", a, b, x, y)
+
+    # ------------------------------------------------------------------------------------------ meaning
+
+    def horizon(self, x: Residual) -> int:
+        """Steps after the next one that can matter."""
+        if x not in self._horizons:
+            match self._nodes[x]:
+                case ("and", parts) | ("or", parts):
+                    value = max(self.horizon(part) for part in parts)
+                case ("F", _, b, y) | ("G", _, b, y):
+                    value = b + self.horizon(y)
+                case ("U", _, b, y, z) | ("R", _, b, y, z):
+                    value = b + max(self.horizon(y), self.horizon(z))
+                case _:
+                    value = 0
+            self._horizons[x] = value
+        return self._horizons[x]
+
+    def atoms_in(self, x: Residual) -> frozenset[int]:
+        """The indices of the atoms that x reads."""
+        node = self._nodes[x]
+        if node[0] == "atom":
+            return frozenset((node[1],))
+        below = node[1] if node[0] in ("and", "or") else node[3:]
+        return frozenset().union(*(self.atoms_in(part) for part in below))
+
+    def progress(self, x: Residual, letter: Letter) -> Residual:
+        """x after reading a letter."""
+        if x <= TRUE:
+            return x
+        key = (x, letter)
+        known = self._progressed.get(key)
+        if known is None:
+            known = self._progressed[key] = self._progress(x, letter)
+        return known
+
+    def _progress(self, x: Residual, letter: Letter) -> Residual:
+        match self._nodes[x]:
+            case ("atom", index, positive):
+                return TRUE if letter[index] == positive else FALSE
+            case ("and", parts):
+                return self.conj(self.progress(part, letter) for part in parts)
+            case ("or", parts):
+                return self.disj(self.progress(part, letter) for part in parts)
+            case ("F", 0, b, y):
+                later = self.eventually(0, b - 1, y) if b else FALSE
+                return self.disj((self.progress(y, letter), later))
+            case ("G", 0, b, y):
+                later = self.always(0, b - 1, y) if b else TRUE
+                return self.conj((self.progress(y, letter), later))
+            case ("F", a, b, y):
+                return self.eventually(a - 1, b - 1, y)
+            case ("G", a, b, y):
+                return self.always(a - 1, b - 1, y)
+            case ("U", a, b, y, z):
+                later = self.until(max(a - 1, 0), b - 1, y, z) if b else FALSE
+                stay = self.conj((self.progress(y, letter), later))
+                return stay if a else self.disj((self.progress(z, letter), stay))
+            case ("R", a, b, y, z):
+                later = self.release(max(a - 1, 0), b - 1, y, z) if b else TRUE
+                stay = self.disj((self.progress(y, letter), later))
+                return stay if a else self.conj((self.progress(z, letter), stay))
+            case other:
+                raise AssertionError(other)
+
+    def implies(self, x: Residual, y: Residual) -> bool:
+        """Whether x ⇒ y can be seen from the structure. Sound; False may mean "not seen"."""
+        if x in (y, FALSE) or y == TRUE:
+            return True
+        if x == TRUE or y == FALSE:
+            return False
+        key = (x, y)
+        known = self._implied.get(key)
+        if known is None:
+            known = self._implied[key] = self._implies(x, y)
+        return known
+
+    def _implies(self, x: Residual, y: Residual) -> bool:
+        left, right = self._nodes[x], self._nodes[y]
+        if left[0] == "or":
+            return all(self.implies(part, y) for part in left[1])
+        if right[0] == "and":
+            return all(self.implies(x, part) for part in right[1])
+        if left[0] == "and" and any(self.implies(part, y) for part in left[1]):
+            return True
+        if right[0] == "or" and any(self.implies(x, part) for part in right[1]):
+            return True
+        match left, right:
+            case (("F", a, b, p), ("F", c, d, q)) if c <= a and b <= d and self.implies(p, q):
+                return True
+            case (("G", a, b, p), ("G", c, d, q)) if a <= c and d <= b and self.implies(p, q):
+                return True
+            case (("G", a, b, p), ("F", c, d, q)) if max(a, c) <= min(b, d) and self.implies(p, q):
+                return True
+            case (("U", a, b, p, q), ("U", c, d, r, s)) if (
+                c <= a and b <= d and self.implies(p, r) and self.implies(q, s)
+            ):
+                return True
+            case (("R", a, b, p, q), ("R", c, d, r, s)) if (
+                a <= c and d <= b and self.implies(p, r) and self.implies(q, s)
+            ):
+                return True
+            case (("U", a, b, _, q), ("F", c, d, s)) if c <= a and b <= d and self.implies(q, s):
+                return True
+            case (("G", a, b, p), ("R", c, d, _, s)) if a <= c and d <= b and self.implies(p, s):
+                return True
+        if left[0] == "G" and left[1] == 0 and self.implies(left[3], y):
+            return True
+        if right[0] == "F" and right[1] == 0 and self.implies(x, right[3]):
+            return True
+        if right[0] == "U" and right[1] == 0 and self.implies(x, right[4]):
+            return True
+        return bool(left[0] == "R" and left[1] == 0 and self.implies(left[4], y))
+
+    # ------------------------------------------------------------------------------------------ text
+
+    def formula(self, x: Residual) -> Formula:
+        """The residual as a formula, windows counted from the next step."""
+        from stltool.logic.formula import Interval
+
+        match self._nodes[x]:
+            case ("false",) | ("true",):
+                return Constant(x == TRUE)
+            case ("atom", index, positive):
+                return self.atoms[index] if positive else Not(self.atoms[index])
+            case ("and", parts):
+                return And(tuple(self.formula(part) for part in parts))
+            case ("or", parts):
+                return Or(tuple(self.formula(part) for part in parts))
+            case ("F", a, b, y):
+                return Eventually(Interval(a, b), self.formula(y))
+            case ("G", a, b, y):
+                return Always(Interval(a, b), self.formula(y))
+            case ("U", a, b, y, z):
+                return Until(Interval(a, b), self.formula(y), self.formula(z))
+            case ("R", a, b, y, z):
+                return Not(Until(Interval(a, b), self.formula(self.negation(y)), self.formula(self.negation(z))))
+            case other:
+                raise AssertionError(other)
