@@ -1,5 +1,5 @@
 """The command line: parse arguments, call the public API, print. Exit codes: 0 done, 1 the asked bound does not hold,
-2 the input is at fault (a message on stderr, no traceback).
+2 the input is at fault (a message on stderr, no traceback), 3 stltool itself is.
 """
 
 from __future__ import annotations
@@ -7,11 +7,12 @@ from __future__ import annotations
 import json
 import shlex
 import sys
+import traceback
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -66,12 +67,13 @@ def run(
 ) -> None:
     """Learn a policy, check it exactly, write the report: the main job."""
     import stltool as stl
-    from stltool.files import read_text
+    from stltool.files import read_text, require_folder
     from stltool.reporting import report_data, write_report
     from stltool.reporting.terminal import print_checks, print_facts, progress_bar
 
     _, product = _product(task, model, param, name, encoding, as_json)
     folder = out if out is not None else Path("out") / product.task_name
+    require_folder(folder)
     with progress_bar("checking the optimum", quiet=as_json) as bar:
         best = stl.check(product, progress=bar)
     with progress_bar(f"learning ({method})", quiet=as_json) as bar:
@@ -353,6 +355,8 @@ def _settings(pairs: list[str] | None) -> dict[str, Any]:
     settings: dict[str, Any] = {}
     for pair in pairs or []:
         key, text = _pair(pair, "--set replays=50")
+        if key in ("episodes", "seed", "method", "faithful", "product", "progress"):
+            raise SettingsError(f"--set {key}: there is an option or argument of its own for it; see --help")
         for kind in (int, float, str):
             try:
                 settings[key] = kind(text)
@@ -386,7 +390,18 @@ def main() -> None:
     try:
         app()
     except StlToolError as fault:
-        from stltool.reporting.terminal import error
+        _end(str(fault), 2)
+    except (MemoryError, RecursionError) as fault:
+        _end(f"too large for this machine ({type(fault).__name__}); shorten the windows or simplify the task", 2)
+    except OSError as fault:
+        _end(f"{fault.filename or 'output'}: {fault.strerror}", 2)
+    except Exception:  # our own fault: shown whole, and not mistaken for exit code 1, "does not hold"
+        traceback.print_exc()
+        _end("this is a fault of stltool, not of your input; please report it with the lines above", 3)
 
-        error(str(fault))
-        sys.exit(2)
+
+def _end(message: str, code: int) -> NoReturn:
+    from stltool.reporting.terminal import error
+
+    error(message)
+    sys.exit(code)

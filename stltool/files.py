@@ -9,15 +9,19 @@ from pathlib import Path
 from stltool.errors import FileError
 
 
-def read_text(path: str | Path, what: str) -> str:
-    """The text of a file, or a FileError that says why it has none. `what` names the file's role ("task file")."""
-    path = Path(path)
+def read_bytes(path: str | Path, what: str) -> bytes:
+    """A file's content, or a FileError. `what` names the file's role ("policy file")."""
     try:
-        data = path.read_bytes()
+        return Path(path).read_bytes()
     except FileNotFoundError:
         raise FileError(f"{path}: there is no such {what}") from None
     except OSError as error:
         raise FileError(f"{path}: this {what} cannot be read: {error.strerror}") from None
+
+
+def read_text(path: str | Path, what: str) -> str:
+    """The text of a file, or a FileError that says why it has none. `what` names the file's role ("task file")."""
+    data = read_bytes(path, what)
     if b"\0" in data:
         raise FileError(f"{path}: not a {what}: it holds binary data (a zero byte at offset {data.index(0)})")
     try:
@@ -31,9 +35,11 @@ def read_text(path: str | Path, what: str) -> str:
 
 def write_atomically(path: str | Path, data: bytes | str) -> None:
     """Write `data` beside `path` and move it into place, so that a crash leaves the old file."""
-    path = Path(path)
+    path = Path(path).resolve()  # through a link, to what it names
+    if path.exists() and not path.is_file():
+        raise FileError(f"{path}: cannot be written: it is not a regular file; name another")
     if isinstance(data, str):
-        data = data.encode("utf-8")
+        data = data.encode("utf-8", errors="backslashreplace")
     temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -49,6 +55,15 @@ def write_atomically(path: str | Path, data: bytes | str) -> None:
         if temporary is not None:
             Path(temporary).unlink(missing_ok=True)
         raise FileError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def require_folder(path: str | Path) -> None:
+    """FileError before the work, where a folder for its results could not be made after it; makes nothing."""
+    existing = Path(path).resolve()
+    while not existing.exists():
+        existing = existing.parent
+    if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
+        raise FileError(f"{path}: cannot be a folder for results: {existing} is no folder to write in; name another")
 
 
 def _umask() -> int:

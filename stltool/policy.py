@@ -15,7 +15,6 @@ import csv
 import io
 import json
 import warnings
-import zipfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -24,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata import Encoding
-from stltool.errors import FileError, InexactEncodingWarning, PolicyError, near_misses
-from stltool.files import read_text, write_atomically
+from stltool.errors import InexactEncodingWarning, PolicyError, near_misses
+from stltool.files import read_bytes, read_text, write_atomically
 from stltool.product import Product, build_product, joined
 
 FORMAT = "stltool-policy-1"
@@ -111,6 +110,8 @@ class Policy:
 
     def save(self, path: str | Path) -> None:
         """Write the policy as .npz with a JSON header, the old file or the new one."""
+        if Path(path).suffix.lower() == ".csv":
+            raise PolicyError(f"{path}: a policy is saved as .npz; .csv is for Q-tables of others")
         header = json.dumps({"format": FORMAT, **asdict(self.binding)})
         buffer = io.BytesIO()
         np.savez_compressed(buffer, header=np.frombuffer(header.encode("utf-8"), dtype=np.uint8), table=self.table)
@@ -119,19 +120,19 @@ class Policy:
     @classmethod
     def load(cls, path: str | Path, product: Product) -> Policy:
         """Read a policy for this product; PolicyError names both sides when it belongs to another."""
+        data = read_bytes(path, "policy file")
         try:
-            with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
+            with np.load(io.BytesIO(data), allow_pickle=False) as archive:
                 header = json.loads(archive["header"].tobytes().decode("utf-8"))
                 table = archive["table"]
             if header.pop("format") != FORMAT:
                 raise ValueError
             header["action_names"] = tuple(header["action_names"])
             binding = Binding(**header)
-        except FileNotFoundError:
-            raise FileError(f"{path}: there is no such policy file") from None
-        except OSError as error:
-            raise FileError(f"{path}: this policy file cannot be read: {error.strerror or error}") from None
-        except (ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile):
+            texts = (*binding.action_names, binding.formula, binding.encoding, binding.model)
+            if not all(isinstance(text, str) for text in (*texts, binding.model_digest, binding.automaton_digest)):
+                raise ValueError
+        except Exception:  # a damaged archive fails in many ways, all of them the file's
             raise PolicyError(
                 f"{path}: not a policy file of this version ({FORMAT}); write one with Policy.save"
             ) from None
@@ -142,7 +143,10 @@ class Policy:
                 f"{path}: this policy was made with another automaton of the same task "
                 f"({binding.automaton_digest[:12]}, here {home.automaton.digest()[:12]}); learn it again"
             )
-        return cls(home, table)
+        try:
+            return cls(home, table)
+        except PolicyError as error:
+            raise PolicyError(f"{path}: {error}") from None
 
     @classmethod
     def from_q_table(cls, path: str | Path, product: Product) -> Policy:
@@ -166,7 +170,8 @@ class Policy:
                 f"{path}: the index has {keys.shape[1]} numbers; {n_signals} signals ({', '.join(model.signals)}) and "
                 f"{n_registers} registers ({', '.join(automaton.register_names)}) are needed"
             )
-        s = _find_rows(path, keys[:, :n_signals], np.stack(list(model.signals.values()), axis=1), "state")
+        signals = np.array(list(model.signals.values())).reshape(n_signals, model.n_states).T
+        s = _find_rows(path, keys[:, :n_signals], signals, "state")
         q = _find_rows(path, keys[:, n_signals:], automaton.registers.astype(np.float64), "automaton state")
         if len(np.unique(s * automaton.n_states + q)) < len(s):
             raise PolicyError(f"{path}: two rows speak of the same state")
@@ -225,7 +230,7 @@ def _checked(product: Product, table: NDArray[Any]) -> NDArray[Any]:
                 f"the policy takes choice {table[where]} in state {product.model.state_name(s)}, "
                 f"which has {n_choices[s]}, counted from 0"
             )
-        return np.ascontiguousarray(table, dtype=np.int16)
+        return np.ascontiguousarray(np.maximum(table, -1) if table.dtype.kind == "i" else table, dtype=np.int16)
     if table.dtype.kind != "f":
         raise PolicyError(f"the policy's table holds {table.dtype}; whole numbers (choices) or weights are needed")
     if table.shape not in ((*base, most), (*timed, most)):
@@ -245,7 +250,11 @@ def _checked(product: Product, table: NDArray[Any]) -> NDArray[Any]:
 
 
 def _read_q_table(path: str | Path) -> tuple[list[str], tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    reader = csv.reader(io.StringIO(read_text(path, "Q-table")))
+    lines = csv.reader(read_text(path, "Q-table").splitlines())
+    try:
+        reader = iter(list(lines))
+    except csv.Error as error:
+        raise PolicyError(f"{path}, line {lines.line_num}: not a Q-table in CSV: {error}") from None
     header = next(reader, [])
     names = [name.strip() for name in header[1:]]
     keys: list[list[float]] = []
@@ -258,7 +267,7 @@ def _read_q_table(path: str | Path) -> tuple[list[str], tuple[NDArray[np.float64
                 raise ValueError
             key = [float(text) for text in row[0].strip().strip("[]()").replace(",", " ").split()]
             value = [float(text) for text in row[1:]]
-            if (keys and len(key) != len(keys[0])) or not np.isfinite(value).all():
+            if (keys and len(key) != len(keys[0])) or not np.isfinite([*key, *value]).all():
                 raise ValueError
         except ValueError:
             raise PolicyError(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stltool.automata import Encoding, TaskAutomaton, compile_automaton
 from stltool.automata.compile import MOST_STATES, atoms_of
 from stltool.errors import NameLookupError, near_misses
-from stltool.logic.formula import Formula, label_names, variables
+from stltool.logic.formula import Formula, label_names, require_formula, variables
 from stltool.logic.predicates import truth
 from stltool.logic.source import Span
 from stltool.logic.task import Task
@@ -121,12 +121,20 @@ def build_product(
     SizeError before allocating what would not fit.
     """
     formula, name = (task.formula, task.name) if isinstance(task, Task) else (task, "formula")
+    require_formula(formula)
     _require_names(label_names(formula), model.labels, model.signals, "label", "compare it with a number")
     _require_names(variables(formula), model.signals, model.labels, "signal", "use it without comparing")
+    if isinstance(task, Task):
+        for own in (*task.params, *task.definitions):
+            if own in model.labels or own in model.signals:
+                raise NameLookupError(
+                    f"{task.path or task.name}: {own} is defined in the task, and the model has a "
+                    f"{'label' if own in model.labels else 'signal'} of that name; rename the one in the task"
+                )
     atoms = atoms_of(formula, encoding)
     values = np.empty((model.n_states, len(atoms)), dtype=np.bool_)
     for i, psi in enumerate(atoms):
-        values[:, i] = truth(psi, model.signals, model.labels, (model.n_states,))
+        values[:, i] = truth(psi, model.signals, model.labels, model.n_states)
     valuations, which = np.unique(values, axis=0, return_inverse=True)
     automaton = compile_automaton(formula, encoding, valuations, memory_limit, most_states)
     product = Product(model, automaton, automaton.letter_of[which.ravel()], name)

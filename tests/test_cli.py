@@ -100,8 +100,8 @@ def test_run_learns_checks_and_reports(stltool, tmp_path):
     assert code == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["policy.npz", "report.html", "report.json"]
     data = json.loads((tmp_path / "report.json").read_text())
-    assert f"{data['checks'][0]['probability']:.15f}" in out
-    assert f"{data['checks'][1]['probability']:.15f}" in out
+    assert f"{data['checks'][0]['probability']:.15g}" in out
+    assert f"{data['checks'][1]['probability']:.15g}" in out
     assert "learning (cfer): 100 of 100" in err
     assert data["command"].startswith("stltool run")
     page = (tmp_path / "report.html").read_text()
@@ -213,7 +213,13 @@ def test_other_bad_input_ends_with_code_2(stltool, tmp_path):
         (["run", PATROLLING, "--method", "cefr"], "did you mean cfer"),
         (["run", PATROLLING, "--episodes", "0"], "episodes is 0"),
         (["run", PATROLLING, "--set", "replay=3"], "no setting 'replay'; did you mean replays"),
-        (["run", PATROLLING, *SMALL, "-e", "1", "--out", no_model], "cannot be written"),
+        (["run", PATROLLING, *SMALL, "-e", "1", "--out", no_model], "is no folder to write in; name another"),
+        (["run", PATROLLING, "--set", "seed=3"], "there is an option or argument of its own"),
+        (["run", PATROLLING, "--set", "decay=abc"], "decay is 'abc'; it must be positive"),
+        (["run", PATROLLING, "--seed", "-1"], "seed is -1; it must be a whole number from 0"),
+        (["run", PATROLLING, "--set", "memory=99999999999999"], "a replay memory of 99999999999999 transitions"),
+        (["learn", PATROLLING, *SMALL, "-e", "1", "--out", tmp_path / "q.csv"], "a policy is saved as .npz"),
+        (["learn", PATROLLING, *SMALL, "-e", "1", "--out", tmp_path], "not a regular file"),
         (["report", no_model], "not a report's JSON"),
         (["check"], "Missing argument"),
         (["chek", PATROLLING], "No such command"),

@@ -1,4 +1,5 @@
 import json
+import os
 
 import numpy as np
 import pytest
@@ -127,6 +128,43 @@ def test_bad_q_tables_are_refused(flagged, tmp_path, text, says):
     path.write_text(text.replace("HEAD", "," + ",".join(flagged.model.action_names)))
     with pytest.raises(PolicyError, match=says):
         stl.load_policy(path, flagged)
+
+
+@pytest.mark.parametrize("entry", [-65536, -65000, -1])
+def test_any_negative_entry_says_nothing(patrolling, entry):
+    policy = stl.Policy(patrolling, np.full(patrolling.shape, entry))
+    assert (policy.table == -1).all()
+    with pytest.raises(PolicyError, match="says nothing about step 0"):
+        stl.check(patrolling, policy)
+
+
+def test_damaged_archives_are_refused(patrolling, tmp_path):
+    path = tmp_path / "policy.npz"
+    stl.check(patrolling).policy.save(path)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
+    refused = 0
+    for _ in range(200):
+        damaged = bytearray(whole)
+        damaged[int(rng.integers(len(whole)))] ^= 1 << int(rng.integers(8))
+        path.write_bytes(bytes(damaged))
+        try:
+            stl.load_policy(path, patrolling)  # a flip in the padding may do no harm
+        except PolicyError as error:
+            refused += "policy.npz" in str(error)
+    assert refused > 100
+
+
+def test_links_are_followed_and_devices_left_alone(patrolling, tmp_path):
+    policy = stl.check(patrolling).policy
+    (tmp_path / "real.npz").write_bytes(b"old")
+    (tmp_path / "link.npz").symlink_to(tmp_path / "real.npz")
+    policy.save(tmp_path / "link.npz")
+    assert (tmp_path / "link.npz").is_symlink()
+    assert stl.load_policy(tmp_path / "real.npz", patrolling).table.shape == policy.table.shape
+    os.mkfifo(tmp_path / "pipe.npz")
+    with pytest.raises(FileError, match="not a regular file"):
+        policy.save(tmp_path / "pipe.npz")
 
 
 def test_signals_that_do_not_tell_states_apart(tmp_path):

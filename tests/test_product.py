@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import stltool as stl
-from stltool.errors import InexactEncodingWarning, NameLookupError
+from stltool.errors import InexactEncodingWarning, NameLookupError, StlSyntaxError
 
 
 def test_names_are_bound_or_refused_with_their_place(floor5):
@@ -25,6 +25,29 @@ def test_unknown_labels_of_a_task_file_carry_file_line_and_caret(floor5, tmp_pat
         stl.build_product(floor5, stl.load_task(path))
     assert f"{path}, line 2, column 11" in str(caught.value)
     assert str(caught.value).endswith("      at_D := Dock\n              ^^^^")
+
+
+def test_a_name_with_two_meanings_is_refused(floor5):
+    for text in ("param x = 3\nr := F[0,3] (x > 2)", "A := x > 0.9\nr := F[0,3] A"):
+        with pytest.raises(NameLookupError, match=r"is defined in the task, and the model has a (signal|label)"):
+            stl.build_product(floor5, stl.parse_task(text))
+
+
+def test_predicates_are_decided_exactly(floor5):
+    """No cell has x - y > 1/5 with y > 3/5; in doubles, 0.9 - 0.7 is more than 0.2."""
+    assert stl.check(stl.build_product(floor5, stl.parse("F[0,10] (x - y > 0.2 & y > 0.6)"))).probability == 0
+
+
+def test_text_is_not_a_formula(floor5):
+    calls = [
+        lambda text: stl.build_product(floor5, text),
+        lambda text: stl.satisfies(text, {"A": [1]}),
+        stl.check_fragment,
+        stl.compile_automaton,
+    ]
+    for call in calls:
+        with pytest.raises(StlSyntaxError, match="call stltool.parse on the text first"):
+            call("F[0,3] A")
 
 
 def test_the_way_back_to_the_users_names(patrolling, flagged):

@@ -16,7 +16,7 @@ from stltool.automata.history import history_automaton
 from stltool.automata.residuals import Residuals
 from stltool.automata.windows import window_automaton
 from stltool.errors import FragmentError, InexactEncodingWarning, SettingsError, SizeError
-from stltool.logic.formula import Formula, boolean_value
+from stltool.logic.formula import Formula, atoms, boolean_value, require_formula
 from stltool.logic.fragment import Fragment, check_fragment
 
 Encoding = Literal["exact", "paper", "history"]
@@ -28,13 +28,12 @@ _MOST_ATOMS = 14  # all valuations of so many predicates are still a table
 
 def atoms_of(phi: Formula, encoding: Encoding = "exact") -> tuple[Formula, ...]:
     """The Boolean formulas whose truth an encoding's automaton of φ reads, left to right."""
+    require_formula(phi)
     if encoding not in ENCODINGS:
         raise SettingsError(f"there is no encoding {encoding!r}; choose one of {', '.join(ENCODINGS)}")
     if encoding == "paper":
         return tuple(part.psi for part in check_fragment(phi).parts)
-    table = Residuals()
-    table.residual(phi)
-    return tuple(table.atoms)
+    return atoms(phi)
 
 
 def compile_automaton(
@@ -51,9 +50,9 @@ def compile_automaton(
     to those that occur in a model (`atoms_of` names the columns); by default it reads all. Compilation stops with a
     SizeError that names the part that explodes when it grows over `most_states`. Raises FragmentError for "paper" only.
     """
-    atoms = atoms_of(phi, encoding)
+    read = atoms_of(phi, encoding)
     if valuations is None:
-        valuations = all_valuations(len(atoms))
+        valuations = all_valuations(len(read))
     if encoding == "paper":
         fragment = check_fragment(phi)
         if not fragment.uniform:
@@ -65,13 +64,13 @@ def compile_automaton(
             )
         return flag_automaton(phi, fragment, valuations, "paper", memory_limit)
     if encoding == "history":
-        return history_automaton(phi, atoms, valuations, memory_limit)
+        return history_automaton(phi, read, valuations, memory_limit)
     return _exact(phi, valuations, most_states)
 
 
 def _exact(phi: Formula, valuations: NDArray[np.bool_], most_states: int) -> TaskAutomaton:
     """The window automaton; the flags where they are exact and smaller."""
-    table = Residuals()
+    table = Residuals(atoms(phi))
     root = table.residual(phi)
     flags = _flag_states(phi)
     try:
@@ -92,7 +91,7 @@ def _exact(phi: Formula, valuations: NDArray[np.bool_], most_states: int) -> Tas
         dtype=np.bool_,
     )
     flagged = flag_automaton(phi, flags, truth, "exact")
-    return dataclasses.replace(flagged, atoms=tuple(table.atoms), valuations=valuations)
+    return dataclasses.replace(flagged, atoms=table.atoms, valuations=valuations)
 
 
 def _flag_states(phi: Formula) -> Fragment | None:
@@ -104,8 +103,8 @@ def _flag_states(phi: Formula) -> Fragment | None:
     return fragment if fragment.uniform else None
 
 
-def _known(psi: Formula, atoms: list[Formula], row: list[bool]) -> bool | None:
-    return row[atoms.index(psi)] if psi in atoms else None
+def _known(psi: Formula, read: tuple[Formula, ...], row: list[bool]) -> bool | None:
+    return row[read.index(psi)] if psi in read else None
 
 
 def all_valuations(n_atoms: int) -> NDArray[np.bool_]:

@@ -14,7 +14,7 @@ is sound, not complete: states it fails to merge are merged by minimisation. Res
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import TypeAlias, assert_never
 
 from stltool.logic.formula import (
@@ -42,11 +42,11 @@ TRUE: Residual = 1
 
 
 class Residuals:
-    """A table of residuals over the atoms of one formula."""
+    """A table of residuals over given atoms: those of one formula, say."""
 
-    def __init__(self) -> None:
-        self.atoms: list[Formula] = []
-        self._atom_index: dict[Formula, int] = {}
+    def __init__(self, atoms: Sequence[Formula]) -> None:
+        self.atoms = tuple(atoms)
+        self._atom_index = {psi: i for i, psi in enumerate(self.atoms)}
         self._nodes: list[tuple] = [("false",), ("true",)]  # type: ignore[type-arg]
         self._ids: dict[_Key, Residual] = {("false",): FALSE, ("true",): TRUE}
         self._implied: dict[tuple[Residual, Residual], bool] = {}
@@ -89,13 +89,10 @@ class Residuals:
                 assert_never(phi)
 
     def _atom(self, psi: Formula, negated: bool) -> Residual:
-        if isinstance(psi, Constant):
-            return TRUE if psi.value != negated else FALSE
         while isinstance(psi, Not):
             psi, negated = psi.arg, not negated
-        if psi not in self._atom_index:
-            self._atom_index[psi] = len(self.atoms)
-            self.atoms.append(psi)
+        if isinstance(psi, Constant):
+            return TRUE if psi.value != negated else FALSE
         return self._node("atom", self._atom_index[psi], not negated)
 
     def _node(self, *key: object) -> Residual:

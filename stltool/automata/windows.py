@@ -258,7 +258,7 @@ def _multiply(
         formula=phi,
         encoding="exact",
         exact=True,
-        atoms=tuple(table.atoms),
+        atoms=table.atoms,
         valuations=valuations,
         letter_of=letter_of.astype(np.int32).ravel(),
         delta=np.ascontiguousarray(letters),

@@ -5,12 +5,15 @@ All terms are nonnegative, so a value computed with n roundings along every path
     |δ| ≤ γ = n·u / (1 − n·u),   u = 2⁻⁵³,        |ε| ≤ n·2⁻¹⁰⁷³ (underflow)
 
 and max, min and verdicts add none. Hence V ∈ [(V̂ − ε)/(1 + γ), (V̂ + ε)/(1 − γ)], evaluated here in fractions and
-rounded outwards. One rounding a row entry is counted for reading decimals and fractions into doubles.
+rounded outwards. One rounding a row entry is counted for reading decimals and fractions into doubles. Rows of doubles
+seldom sum to 1 exactly: what a row lacks or exceeds, the *defect*, may belong to any successor, so every sweep widens
+the enclosure by the largest defect; then it can be cut to [0, 1].
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from fractions import Fraction
 
 _U = Fraction(1, 2**53)
@@ -26,13 +29,18 @@ def roundings(sweeps: int, row_length: int, choices_mixed: int = 0) -> int:
     return sweeps * (row_length + 1 + choices_mixed) + 3
 
 
-def enclose(value: float, n_roundings: int) -> tuple[float, float]:
-    """(lower, upper) around the exact value, within [0, 1]."""
+def defect(rows: Iterable[Iterable[float]]) -> Fraction:
+    """The largest |Σ row − 1|, exactly."""
+    return max((abs(sum(map(Fraction, row), Fraction(0)) - 1) for row in rows), default=Fraction(0))
+
+
+def enclose(value: float, n_roundings: int, missing: Fraction = Fraction(0)) -> tuple[float, float]:
+    """(lower, upper) around the exact value, within [0, 1]; `missing` is the defects' sum along a path."""
     gamma = n_roundings * _U / (1 - n_roundings * _U)
     slack = n_roundings * _UNDERFLOW
-    lower = _round_down((Fraction(value) - slack) / (1 + gamma))
-    upper = _round_up((Fraction(value) + slack) / (1 - gamma))
-    return max(0.0, lower), min(1.0, upper)
+    lower = _round_down((Fraction(value) - slack) / (1 + gamma) - missing)
+    upper = _round_up((Fraction(value) + slack) / (1 - gamma) + missing)
+    return min(max(0.0, lower), 1.0), max(min(1.0, upper), 0.0)
 
 
 def _round_down(exact: Fraction) -> float:

@@ -6,17 +6,20 @@ The optimum over all policies, history-dependent and randomised ones included, i
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Literal
 
 import numpy as np
 
 from stltool.automata import UNDECIDED
 from stltool.checking.backward import Backend, Floats, Progress, induct, sweeper
-from stltool.checking.bounds import enclose, roundings
-from stltool.errors import PolicyError
+from stltool.checking.bounds import defect, enclose, roundings
+from stltool.errors import PolicyError, SettingsError
+from stltool.models import MDP
 from stltool.policy import Policy
 from stltool.product import Product
 from stltool.sizes import require_memory, require_time
@@ -62,15 +65,21 @@ def check(
     another task or model, or says nothing about a state it reaches; SizeError before allocating what would not fit.
     """
     start = time.perf_counter()
+    if backend not in ("numba", "numpy"):
+        raise SettingsError(f"there is no backend {backend!r}; choose numba or numpy")
     require_time(
         product.horizon * product.model.n_transitions * product.automaton.n_states,
         _RATE,
         f"sweeping {product.n_states} product states over {product.horizon} steps",
         "shorten the windows",
     )
+    weight_defect = Fraction(0)
     longest = int(np.diff(product.model.row_start).max())
     if policy is not None:
         value = _policy_value(*policy.on(product), backend, progress)
+        if not policy.deterministic:
+            weights = np.unique(policy.table.reshape(-1, policy.table.shape[-1]), axis=0)
+            weight_defect = defect(weights.tolist())
         mixed = 0 if policy.deterministic else policy.table.shape[-1]
         question: Literal["maximum", "minimum", "policy"] = "policy"
     else:
@@ -91,9 +100,17 @@ def check(
 
         value = induct(product, best_choice, sweep.gather, progress)
         policy = Policy(product, tables) if keep_policy else None
-    lower, upper = enclose(value, roundings(product.horizon, longest, mixed))
+    missing = product.horizon * (_row_defect(product.model) + weight_defect) + defect([product.model.initial])
+    lower, upper = enclose(value, roundings(product.horizon, longest, mixed), missing)
     seconds = time.perf_counter() - start
+    value = min(max(value, 0.0), 1.0)
     return CheckResult(product, question, value, lower, upper, policy, product.horizon, seconds)
+
+
+def _row_defect(model: MDP) -> Fraction:
+    """The largest defect of a row; rows that repeat (a grid's few kinds) are summed once."""
+    rows = {model.probability[a:b].tobytes() for a, b in itertools.pairwise(model.row_start.tolist())}
+    return defect(np.frombuffer(row).tolist() for row in rows)
 
 
 def _policy_value(product: Product, policy: Policy, backend: Backend, progress: Progress | None) -> float:

@@ -78,18 +78,20 @@ def learn(
     for name in settings:
         if name not in known:
             raise SettingsError(f"there is no setting {name!r}; {near_misses(name, known)}")
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise SettingsError(f"seed is {seed!r}; it must be a whole number from 0")
     if product.horizon < 1:
         raise SettingsError(f"{product.formula} is decided by the first state; there is nothing to learn")
     chosen = Settings(**settings)
     episode_length = product.horizon + 2 if faithful else product.horizon
     require_time(
-        chosen.episodes * episode_length,
+        chosen.episodes * (episode_length + chosen.replays + chosen.batch * episode_length / chosen.period),
         _RATE,
         f"{chosen.episodes} episodes of {episode_length} steps",
         "shorten the windows or take fewer episodes",
     )
     start = time.perf_counter()
-    for_environment, for_learner = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+    for_environment, for_learner = (np.random.default_rng(s) for s in np.random.SeedSequence(int(seed)).spawn(2))
     learner: Learner
     # as published, a policy remembers the paper's flags; whatever it remembers, `product` judges
     home = with_flags(product) if faithful else product
@@ -116,4 +118,4 @@ def learn(
         progress=progress,
     )
     policy = Policy(home, learner.policy_table())
-    return Training(policy, history, method, faithful, seed, chosen, time.perf_counter() - start)
+    return Training(policy, history, method, faithful, int(seed), chosen, time.perf_counter() - start)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.sizes import require_memory
+
 
 class ReplayMemory:
     """Holds the last `capacity` rows of `width` int32 columns."""
 
     def __init__(self, capacity: int, width: int) -> None:
+        require_memory(4 * capacity * width, f"a replay memory of {capacity} transitions", "set a smaller memory")
         self.rows = np.zeros((capacity, width), dtype=np.int32)
         self.size = 0
         self._next = 0

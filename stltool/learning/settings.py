@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import Literal
 
 from stltool.errors import SettingsError
@@ -40,17 +42,23 @@ class Settings:
 
     def __post_init__(self) -> None:
         for name in ("episodes", "evaluate_every", "memory", "period", "batch"):
-            self._require(
-                name, isinstance(getattr(self, name), int) and getattr(self, name) >= 1, "a whole number from 1"
-            )
-        self._require("replays", isinstance(self.replays, int) and self.replays >= 0, "a whole number from 0")
-        self._require("decay", self.decay > 0, "positive")
+            self._require(name, _whole(getattr(self, name)) and getattr(self, name) >= 1, "a whole number from 1")
+        self._require("replays", _whole(self.replays) and self.replays >= 0, "a whole number from 0")
+        self._require("decay", _real(self.decay) and self.decay > 0, "positive")
         for name in ("epsilon_start", "epsilon_end", "gamma"):
-            self._require(name, 0 <= getattr(self, name) <= 1, "between 0 and 1")
+            self._require(name, _real(getattr(self, name)) and 0 <= getattr(self, name) <= 1, "between 0 and 1")
         for name in ("least_step", "alpha"):
-            self._require(name, 0 < getattr(self, name) <= 1, "above 0 and at most 1")
+            self._require(name, _real(getattr(self, name)) and 0 < getattr(self, name) <= 1, "above 0 and at most 1")
         self._require("scale", self.scale in ("published", "paper"), "published or paper")
 
     def _require(self, name: str, fine: bool, what: str) -> None:
         if not fine:
             raise SettingsError(f"{name} is {getattr(self, name)!r}; it must be {what}")
+
+
+def _whole(value: object) -> bool:
+    return not isinstance(value, bool) and isinstance(value, Integral)
+
+
+def _real(value: object) -> bool:
+    return not isinstance(value, bool) and isinstance(value, Real) and math.isfinite(value)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias, assert_never
+from typing import Literal, TypeAlias, assert_never, get_args
 
 from stltool.errors import StlSyntaxError
 from stltool.logic.source import Span
@@ -208,6 +208,15 @@ def _at_least_two(args: tuple[Formula, ...], name: str) -> None:
 # ------------------------------------------------------------------------------------------- questions about formulas
 
 
+def require_formula(phi: object) -> None:
+    """StlSyntaxError, saying what to call, where something else than a formula was given."""
+    if not isinstance(phi, get_args(Formula)):
+        hint = (
+            "call stltool.parse on the text first" if isinstance(phi, str) else "give a formula, as stltool.parse makes"
+        )
+        raise StlSyntaxError(f"{phi!r} is not a formula; {hint}")
+
+
 def children(phi: Formula) -> tuple[Formula, ...]:
     """The operands, left to right."""
     match phi:
@@ -279,6 +288,21 @@ def temporal_depth(phi: Formula) -> int:
     """How deep temporal operators are nested: 0 for a Boolean formula over predicates."""
     below = max((temporal_depth(child) for child in children(phi)), default=0)
     return below + isinstance(phi, Eventually | Always | Until)
+
+
+def atoms(phi: Formula) -> tuple[Formula, ...]:
+    """The largest sub-formulas without temporal operators, left to right, each once; no negations, no constants."""
+    found: dict[Formula, None] = {}
+    stack = [phi]
+    while stack:
+        node = stack.pop()
+        while isinstance(node, Not):
+            node = node.arg
+        if is_temporal(node):
+            stack.extend(reversed(children(node)))
+        elif not isinstance(node, Constant):
+            found[node] = None
+    return tuple(found)
 
 
 def boolean_value(phi: Formula, value: Callable[[Formula], bool | None]) -> bool:

@@ -44,7 +44,8 @@ from stltool.logic.formula import (
     Term,
     Until,
     Variable,
-    horizon,
+    children,
+    walk,
 )
 from stltool.logic.grammar import grammar_text
 from stltool.logic.printer import term_text
@@ -57,6 +58,10 @@ _COMPARATOR_SPELLINGS = {"≤": "<=", "≥": ">=", "≠": "!="}
 _FORMULAS = get_args(Formula)
 _LONGEST_NUMBER = 60  # characters; a longer literal is a slip, and its exact value would fill memory
 _LARGEST_EXPONENT = 64
+_LARGEST_BITS = 4000
+_LARGEST_BOUND = 10**15
+_MOST_NODES = 50_000
+_DEEPEST = 200
 _EQUAL_HINT = "write == to compare, := to define"
 
 # What the parser expected, in words. A test holds that every terminal of the grammar stands here.
@@ -147,6 +152,8 @@ def parse_task(
     if chosen not in builder.definitions:
         raise StlSyntaxError(f"{name}: no definition {chosen}; {near_misses(chosen, builder.definitions)}")
     formula = builder.definitions[chosen]
+    if isinstance(formula, _FORMULAS):
+        _require_shallow(cast(Formula, formula), source)
     if not isinstance(formula, _FORMULAS):
         raise StlSyntaxError(
             f"{name}: {chosen} is a number, not a task; end the file with a formula or choose one by name"
@@ -170,9 +177,11 @@ def _exact_params(params: Mapping[str, ParamValue] | None) -> dict[str, Fraction
     values = {}
     for name, value in (params or {}).items():
         try:
-            if len(str(value)) > _LONGEST_NUMBER or abs(Decimal(str(value)).adjusted()) > _LARGEST_EXPONENT:
+            text = str(value)
+            parts = [Decimal(part) for part in text.split("/", 1)]
+            if len(text) > _LONGEST_NUMBER or any(abs(part.adjusted()) > _LARGEST_EXPONENT for part in parts):
                 raise ValueError
-            values[name] = Fraction(str(value))
+            values[name] = Fraction(text)
         except (ValueError, InvalidOperation, ZeroDivisionError):
             raise SettingsError(f"param {name}: {value!r} is not a number; write for example {name}=20") from None
     return values
@@ -192,7 +201,8 @@ class _Builder:
         self.overrides = overrides or {}
         self.definitions: dict[str, Formula | Term] = {}
         self.model: str | None = None
-        self.labels_used: dict[str, Span] = {}
+        self.names_used: dict[str, Span] = {}  # labels and signals, where first
+        self.budget = _MOST_NODES
 
     # ------------------------------------------------------------------------------------------ statements
 
@@ -230,11 +240,20 @@ class _Builder:
         name = str(token)
         if name in self.params or name in self.definitions:
             self.fail(token, f"{name} is defined twice; give this {what} another name")
-        if name in self.labels_used and what == "definition":
-            place = self.labels_used[name]
-            self.fail(token, f"{name} is used on line {place.line} before it is defined here; move this definition up")
+        if name in self.names_used:
+            place = self.names_used[name]
+            self.fail(
+                token,
+                f"{name} is a label or signal on line {place.line} and would be a {what} from here on; "
+                f"give this {what} another name, or move it up if line {place.line} means it",
+            )
 
     # ------------------------------------------------------------------------------------------ truth values
+
+    def spend(self, tree: Tree[Token], nodes: int) -> None:
+        self.budget -= nodes
+        if self.budget < 0:
+            self.fail(tree, f"definitions used many times make this formula larger than {_MOST_NODES} operators")
 
     def formula(self, tree: Tree[Token]) -> Formula:
         span = self.span(tree)
@@ -277,11 +296,12 @@ class _Builder:
         if name in self.definitions:
             node = self.definitions[name]
             if isinstance(node, _FORMULAS):
+                self.spend(tree, sum(1 for _ in walk(cast(Formula, node))))
                 return cast(Formula, node)
             self.fail(tree, f"{name} is a number here, not a truth value; compare it, as in {name} > 0")
         if name in self.params:
             self.fail(tree, f"{name} is a param, a number, not a truth value; compare something with it")
-        self.labels_used.setdefault(name, span)
+        self.names_used.setdefault(name, span)
         return Label(name, span=span)
 
     def comparator(self, token: Tree[Token] | Token) -> Comparator:
@@ -319,6 +339,8 @@ class _Builder:
                 f"the bound {float(value):g} is not a whole number of steps; "
                 f"write {math.floor(value)} or {math.ceil(value)}",
             )
+        if abs(value) > _LARGEST_BOUND:
+            self.fail(tree, "this bound is out of range; count in larger steps")
         return value.numerator
 
     # ------------------------------------------------------------------------------------------ numbers
@@ -356,7 +378,7 @@ class _Builder:
     def named_term(self, tree: Tree[Token]) -> Term:
         name, span = str(tree.children[0]), self.span(tree)
         if name in self.params:
-            value = float(self.params[name])
+            value = self.param_value(tree, self.params[name])
             number = Number(abs(value), span=span)
             return Negate(number, span=span) if value < 0 else number
         if name in self.definitions:
@@ -364,12 +386,19 @@ class _Builder:
             if isinstance(node, _FORMULAS):
                 self.fail(tree, f"{name} is a truth value, not a number; it cannot be compared or computed with")
             return cast(Term, node)
+        self.names_used.setdefault(name, span)
         return Variable(name, span=span)
+
+    def param_value(self, tree: Tree[Token], value: Fraction) -> float:
+        try:
+            return float(value)
+        except OverflowError:
+            self.fail(tree, "the value of this param is too large to compare with")
 
     def literal_float(self, token: Token) -> float:
         value = float(str(token))
-        if not math.isfinite(value):
-            self.fail(token, f"{token} is too large for a double")
+        if not math.isfinite(value) or (value == 0 and Decimal(str(token)) != 0):
+            self.fail(token, f"{token} is too {'small' if value == 0 else 'large'} for a double")
         return value
 
     def constant(self, tree: Tree[Token]) -> Fraction:
@@ -425,10 +454,9 @@ class _Builder:
                     self.fail(tree, "division by zero")
                 return a / b
             case "^":
-                if b.denominator != 1 or abs(b) > _LARGEST_EXPONENT or (a == 0 and b < 0):
-                    self.fail(
-                        tree, f"the exponent must be whole and at most {_LARGEST_EXPONENT}; give the number itself"
-                    )
+                large = max(a.numerator.bit_length(), a.denominator.bit_length()) * abs(b) > _LARGEST_BITS
+                if b.denominator != 1 or abs(b) > _LARGEST_EXPONENT or (a == 0 and b < 0) or large:
+                    self.fail(tree, f"this power is out of range: whole exponents up to {_LARGEST_EXPONENT} only")
                 return a**b.numerator
             case other:
                 raise AssertionError(f"the grammar's operator {other} has no meaning")
@@ -461,15 +489,44 @@ def _guard_depth(build: Callable[[Tree[Token]], _Result], source: Source) -> Cal
     def guarded(tree: Tree[Token]) -> _Result:
         try:
             result = build(tree)
-            if isinstance(result, _FORMULAS):
-                horizon(cast(Formula, result))  # as deep as any later walk goes
-            return result
         except RecursionError:
-            raise StlSyntaxError(
-                f"{source.name}: operators are nested too deeply; name parts of the formula by definitions"
-            ) from None
+            raise _too_deep(source) from None
+        if isinstance(result, _FORMULAS):
+            _require_shallow(cast(Formula, result), source)
+        return result
 
     return guarded
+
+
+def _require_shallow(phi: Formula, source: Source) -> None:
+    """Later walks recurse; a depth that they all bear is the limit."""
+    level: list[Formula | Term] = [phi]
+    for _ in range(_DEEPEST):
+        level = [child for node in level for child in _operands(node)]
+        if not level:
+            return
+    raise _too_deep(source)
+
+
+def _operands(node: Formula | Term) -> tuple[Formula | Term, ...]:
+    match node:
+        case Comparison(_, left, right) | Arithmetic(_, left, right):
+            return (left, right)
+        case Negate(arg):
+            return (arg,)
+        case Call(_, args):
+            return args
+        case Number() | Variable():
+            return ()
+        case _:
+            return children(node)
+
+
+def _too_deep(source: Source) -> StlSyntaxError:
+    return StlSyntaxError(
+        f"{source.name}: operators are nested too deeply, over {_DEEPEST} levels; simplify the formula, or write "
+        "a & b & c in one level"
+    )
 
 
 # --------------------------------------------------------------------------------------------------- syntax errors
@@ -515,7 +572,10 @@ def _hint(token: Token, earlier: list[Token | None], accepted: set[str]) -> str 
     temporal = ("_EVENTUALLY", "_ALWAYS", "_UNTIL")
     opened = types[0] in temporal and types[1] in ("LPAR", "LSQB")
     if types[1] in temporal or opened or "DOTS" in accepted:
-        return "a temporal operator needs an interval in whole steps, such as F[0,10]"
+        return (
+            "a temporal operator needs an interval in whole steps, such as F[0,10] (a label with an operator's name, "
+            "F, G or U, must be renamed)"
+        )
     if token.type == "EQUAL":
         return _EQUAL_HINT
     if token.type == "_UNTIL" and "_AND" in accepted:

@@ -3,8 +3,9 @@
     (s,t) ⊨ F[a,b] φ   iff  (s,u) ⊨ φ for some u in t+a … t+b          G[a,b]: for every such u
     (s,t) ⊨ φ U[a,b] ψ iff  (s,u) ⊨ ψ for some u in t+a … t+b, and (s,v) ⊨ φ for every v in t … u−1
 
-Robustness replaces "some" by max, "every" by min, and predicates by signed margins. Everything else in stltool that
-judges traces is tested against this file.
+Robustness replaces "some" by max, "every" by min, and predicates by signed margins. Arithmetic is exact: a real number
+is the decimal that it prints as (0.1 is 1/10), so borders such as x + y == 0.8 are decided as written; only sqrt and
+broken powers are rounded. Everything else in stltool that judges traces is tested against this file.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Mapping
-from typing import TypeAlias, assert_never
+from fractions import Fraction
+from typing import Any, TypeAlias, assert_never
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,19 +45,24 @@ from stltool.logic.formula import (
     Variable,
     horizon,
     label_names,
+    require_formula,
     variables,
 )
+
+_LARGEST_EXPONENT = 1000  # above, a power is computed in doubles
 
 Signal: TypeAlias = Mapping[str, ArrayLike]
 """name → array (n_steps,): reals for variables, Booleans (or 0 / 1) for labels."""
 
-COMPARE: dict[Comparator, Callable[[float, float], bool]] = {
+Real: TypeAlias = Fraction | float  # a float only for infinities and after sqrt or a broken power
+
+COMPARE: dict[Comparator, Callable[[Real, Real], bool]] = {
     "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq, "!=": operator.ne,
 }  # fmt: skip
-COMPUTE: dict[ArithmeticOperator, Callable[[float, float], float]] = {
+COMPUTE: dict[ArithmeticOperator, Callable[[Any, Any], Real]] = {
     "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "^": operator.pow,
 }  # fmt: skip
-CALL: dict[FunctionName, Callable[..., float]] = {"abs": abs, "min": min, "max": max, "sqrt": math.sqrt}
+CALL: dict[FunctionName, Callable[..., Real]] = {"abs": abs, "min": min, "max": max, "sqrt": math.sqrt}
 
 
 def satisfies(phi: Formula, signal: Signal, t: int = 0) -> bool:
@@ -78,6 +85,7 @@ def robustness(phi: Formula, signal: Signal, t: int = 0) -> float:
 
 def _samples(phi: Formula, signal: Signal, t: int) -> dict[str, NDArray[np.float64]]:
     """The arrays of the names that φ reads, as floats, each long enough to decide φ at t."""
+    require_formula(phi)
     if t < 0:
         raise TraceError(f"step {t} is before the trace; steps count from 0")
     needed = t + horizon(phi) + 1
@@ -157,7 +165,7 @@ def _margin(phi: Formula, signal: Mapping[str, NDArray[np.float64]], t: int) -> 
         case Label(name):
             return math.inf if signal[name][t] else -math.inf
         case Comparison(op, left, right):
-            return _comparison_margin(op, _value(left, signal, t), _value(right, signal, t))
+            return float(_comparison_margin(op, _value(left, signal, t), _value(right, signal, t)))
         case Not(arg):
             return -_margin(arg, signal, t)
         case And(args):
@@ -186,28 +194,34 @@ def _window(interval: Interval, t: int) -> range:
     return range(t + interval.a, t + interval.b + 1)
 
 
-def _comparison_margin(op: Comparator, left: float, right: float) -> float:
+def _comparison_margin(op: Comparator, left: Real, right: Real) -> Real:
     if left == right:  # also inf against inf, whose difference is no number
         return 0.0
+    difference = left - right
     match op:
         case ">" | ">=":
-            return left - right
+            return difference
         case "<" | "<=":
-            return right - left
+            return -difference
         case "==":
-            return -abs(left - right)
+            return min(difference, -difference)
         case "!=":
-            return abs(left - right)
+            return max(difference, -difference)
         case _:
             assert_never(op)
 
 
-def _value(term: Term, signal: Mapping[str, NDArray[np.float64]], t: int) -> float:
+def exact(value: float) -> Real:
+    """The decimal that a double prints as, as a fraction; infinities as they are."""
+    return Fraction(repr(float(value))) if math.isfinite(value) else float(value)
+
+
+def _value(term: Term, signal: Mapping[str, NDArray[np.float64]], t: int) -> Real:
     match term:
         case Number(value):
-            return value
+            return exact(value)
         case Variable(name):
-            return float(signal[name][t])
+            return exact(signal[name][t])
         case Negate(arg):
             return -_value(arg, signal, t)
         case Arithmetic(op, left, right):
@@ -219,14 +233,17 @@ def _value(term: Term, signal: Mapping[str, NDArray[np.float64]], t: int) -> flo
             assert_never(term)
 
 
-def _apply(term: Term, function: Callable[..., float], *values: float) -> float:
+def _apply(term: Term, function: Callable[..., Real], *values: Real) -> Real:
     """The function's value, or a TraceError where it has none (1/0, sqrt(-1), an overflow, 0^-1)."""
+    value: Real
     try:
+        if function is operator.pow and not -_LARGEST_EXPONENT <= values[1] <= _LARGEST_EXPONENT:
+            values = (float(values[0]), float(values[1]))  # digits beyond number; rounded instead
         value = function(*values)
     except (ZeroDivisionError, ValueError, OverflowError):
         value = math.nan
-    if isinstance(value, complex) or math.isnan(value):
-        shown = ", ".join(f"{v:g}" for v in values)
+    if isinstance(value, complex) or (isinstance(value, float) and math.isnan(value)):
+        shown = ", ".join(f"{float(v):g}" for v in values)
         message = f"this has no value for the operands {shown}; guard it or change the predicate"
         raise TraceError(term.span.show(message) if term.span else f"{type(term).__name__}: {message}")
     return value

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Mapping
-from decimal import Decimal
+from decimal import Decimal, InvalidOperation
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,7 @@ MOVES = {
     "king": ("stay", "N", "S", "W", "E", "NW", "SW", "NE", "SE"),
     "cross": ("stay", "N", "S", "W", "E"),
 }
+_LONGEST_NUMBER, _LARGEST_EXPONENT = 70, 60
 _KEYS = ("kind", "map", "cell", "moves", "success", "slip", "start", "name")
 
 
@@ -53,7 +54,7 @@ def load_grid(path: str | Path) -> MDP:
     path = Path(path)
     try:
         table = tomllib.loads(read_text(path, "model file"), parse_float=Decimal)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise ModelError(f"{path}: not valid TOML: {error}") from None
     try:
         return grid_from_table(table, default_name=path.stem)
@@ -70,11 +71,14 @@ def grid_from_table(table: Mapping[str, Any], default_name: str = "grid") -> MDP
             raise ModelError(f"unknown key {key}; {near_misses(key, _KEYS)}")
     cells = _read_map(table.get("map"))
     moves = table.get("moves", "king")
-    if moves not in MOVES:
+    if not isinstance(moves, str) or moves not in MOVES:
         raise ModelError(f"moves is {moves!r}; choose one of {', '.join(MOVES)}")
     success = _fraction(table, "success", Fraction(1))
     slip = _fraction(table, "slip", (1 - success) / 3)
-    if not (0 <= success <= 1 and 0 <= slip <= 1) or success + 3 * slip != 1:
+    for key, value in (("success", success), ("slip", slip)):
+        if not 0 <= value <= 1:
+            raise ModelError(f"{key} is {value}; a probability lies between 0 and 1")
+    if success + 3 * slip != 1:
         raise ModelError(f"success {success} and three times slip {slip} sum to {success + 3 * slip}, not 1")
     cell = _fraction(table, "cell", Fraction(1))
     if cell <= 0:
@@ -218,8 +222,10 @@ def _centres(position: NDArray[np.int64], cell: Fraction) -> NDArray[np.float64]
 def _fraction(table: Mapping[str, Any], key: str, default: Fraction) -> Fraction:
     value = table.get(key, default)
     try:
-        if isinstance(value, bool):
+        if isinstance(value, bool) or len(str(value)) > _LONGEST_NUMBER:
+            raise ValueError
+        if any(abs(Decimal(part).adjusted()) > _LARGEST_EXPONENT for part in str(value).split("/", 1)):
             raise ValueError
         return Fraction(value)
-    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
+    except (TypeError, ValueError, InvalidOperation, ZeroDivisionError, OverflowError):
         raise ModelError(f'{key} is {value!r}; write a number or a fraction in quotes, such as "7/300"') from None

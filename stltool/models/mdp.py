@@ -66,6 +66,10 @@ class MDP:
 
     def __post_init__(self) -> None:
         _validate(self)
+        arrays: list[NDArray[Any]] = [self.choice_start, self.choice_action, self.row_start, self.target]
+        arrays += [self.probability, self.initial, *self.signals.values(), *self.labels.values()]
+        for array in arrays:
+            array.setflags(write=False)  # the digest stands for the content
 
     # ------------------------------------------------------------------------------------------ sizes and names
 
@@ -139,7 +143,11 @@ class MDP:
         for a, matrix in enumerate(stack):
             if matrix.shape != (n_states, n_states):
                 raise ModelError(f"transitions of action {a} have shape {matrix.shape}, not ({n_states}, {n_states})")
-        names = tuple(action_names) if action_names is not None else tuple(str(a) for a in range(len(stack)))
+        names = (
+            tuple(str(name) for name in action_names)
+            if action_names is not None
+            else tuple(str(a) for a in range(len(stack)))
+        )
         if len(names) != len(stack):
             raise ModelError(f"{len(names)} action names for {len(stack)} actions")
         by_state = np.arange(n_states * len(stack)).reshape(len(stack), n_states).T.ravel()
@@ -160,7 +168,7 @@ class MDP:
             signals={key: _floats(values, f"signal {key}") for key, values in signals.items()},
             labels={key: _booleans(values, key) for key, values in (labels or {}).items()},
             action_names=names,
-            state_names=state_names,
+            state_names=tuple(str(s) for s in state_names) if state_names is not None else None,
             name=name,
         )
 
@@ -180,9 +188,11 @@ def _matrices(transitions: ArrayLike | Iterable[Any]) -> Iterable[Any]:
 def _matrix(matrix: Any, action: int) -> Any:
     from scipy.sparse import issparse
 
-    if issparse(matrix):
-        return matrix.astype(np.float64)
     try:
+        if np.iscomplexobj(matrix):
+            raise TypeError
+        if issparse(matrix):
+            return matrix.astype(np.float64)
         array = np.asarray(matrix, dtype=np.float64)
     except (TypeError, ValueError):
         raise ModelError(f"transitions of action {action} are not numbers") from None
@@ -193,6 +203,8 @@ def _matrix(matrix: Any, action: int) -> Any:
 
 def _floats(values: ArrayLike, what: str) -> Floats:
     try:
+        if np.iscomplexobj(values):
+            raise TypeError
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
         raise ModelError(f"{what} does not hold numbers") from None

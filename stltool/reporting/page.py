@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from pathlib import Path
 from typing import Any
+
+import jinja2
 
 from stltool.checking import CheckResult
 from stltool.errors import FileError
@@ -22,6 +25,8 @@ def report(results: Sequence[CheckResult], training: Training | None, path: str 
 def write_report(data: dict[str, Any], path: str | Path) -> None:
     """Both files of a report, each whole or not at all; the page is made before either is written."""
     path = Path(path)
+    if path.suffix.lower() == ".json":
+        raise FileError(f"{path}: the page needs a name of its own, such as {path.with_suffix('.html').name}")
     page = render(data)
     write_atomically(path.with_suffix(".json"), json.dumps(data, indent=1) + "\n")
     write_atomically(path, page)
@@ -29,28 +34,39 @@ def write_report(data: dict[str, Any], path: str | Path) -> None:
 
 def load_report(path: str | Path) -> dict[str, Any]:
     """The data of a report's JSON file."""
+    text = read_text(path, "report")
     try:
-        data = json.loads(read_text(path, "report"))
+        data = json.loads(text)
         if data["format"] != FORMAT:
             raise KeyError
-    except (json.JSONDecodeError, KeyError, TypeError):
+        render(data)  # whatever is missing or of another type shows here
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError, jinja2.TemplateError):
         raise FileError(f"{path}: not a report's JSON ({FORMAT}); write one with stltool run") from None
     return dict(data)
 
 
 def render(data: dict[str, Any]) -> str:
     """The HTML page, pictures included; nothing is loaded from elsewhere."""
-    import jinja2
-
     from stltool.reporting import figures
 
     loader = jinja2.PackageLoader("stltool.reporting", "templates")
-    environment = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment = jinja2.Environment(
+        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
     environment.filters["probability"] = probability_text
+    environment.globals["bound_texts"] = bound_texts
     return environment.get_template("report.html").render(
         data=data,
         curve=figures.learning_curve(data) if data["training"] else None,
         floor=figures.floor_map(data) if data["floor"] else None,
+    )
+
+
+def bound_texts(lower: float, upper: float) -> tuple[str, str]:
+    """An enclosure in 17 digits, rounded outwards: what is printed encloses too."""
+    return (
+        str(Context(prec=17, rounding=ROUND_FLOOR).create_decimal_from_float(lower)),
+        str(Context(prec=17, rounding=ROUND_CEILING).create_decimal_from_float(upper)),
     )
 
 

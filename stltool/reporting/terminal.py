@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from stltool.reporting.page import probability_text
+from stltool.reporting.page import bound_texts, probability_text
 
 Advance = Callable[..., None]
 """Called with (done, total) or (done, total, exact probability so far)."""
@@ -66,9 +66,8 @@ def print_checks(checks: list[dict[str, Any]]) -> None:
     rows += [
         (
             "the policy" if check["question"] == "policy" else f"{check['question']} of all",
-            f"{check['probability']:.15f}",
-            f"{check['lower']:.17f}",
-            f"{check['upper']:.17f}",
+            f"{check['probability']:.15g}",
+            *bound_texts(check["lower"], check["upper"]),
             f"{check['gap']:.3g}",
             check["status"],
         )

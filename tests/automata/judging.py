@@ -16,7 +16,7 @@ def judge(automaton, trace):
     signals = {name: trace[name] for name in ("x", "y") if name in trace}
     values = np.empty((n, len(automaton.atoms)), dtype=bool)
     for i, psi in enumerate(automaton.atoms):
-        values[:, i] = truth(psi, signals, labels, (n,))
+        values[:, i] = truth(psi, signals, labels, n)
     return automaton.judge(automaton.letters_at(values).tolist())
 
 
@@ -34,7 +34,7 @@ def judge_all(automaton, traces):
         labels = {name: values[:, t] for name, values in traces.items()}
         values = np.empty((n, len(automaton.atoms)), dtype=bool)
         for i, psi in enumerate(automaton.atoms):
-            values[:, i] = truth(psi, {}, labels, (n,))
+            values[:, i] = truth(psi, {}, labels, n)
         letters[:, t] = automaton.letters_at(values)
     q = np.full(n, automaton.initial)
     verdict = np.full(n, UNDECIDED)

@@ -75,7 +75,7 @@ def test_predicates_over_arrays_agree_with_the_slow_semantics(psi, data):
     trace = data.draw(traces(n))
     signals = {name: trace[name] for name in ("x", "y")}
     labels = {name: trace[name] for name in ("a", "b", "c")}
-    fast = truth(psi, signals, labels, (n,))
+    fast = truth(psi, signals, labels, n)
     assert fast.tolist() == [stl.satisfies(psi, trace, t) for t in range(n)]
 
 
@@ -121,7 +121,21 @@ def test_a_missing_signal_names_near_misses():
 
 
 def test_a_term_without_value_in_some_state_is_an_error():
-    with pytest.raises(TraceError, match="no value for some state or sample"):
-        truth(stl.parse("1 / x > 0"), {"x": np.array([1.0, 0.0])}, {}, (2,))
+    x = {"x": np.array([1.0, 0.0])}
+    with pytest.raises(TraceError, match="no value for the operands 1, 0"):
+        truth(stl.parse("1 / x > 0"), x, {}, 2)
+    assert truth(stl.parse("x > 0 & 1 / x > 0"), x, {}, 2).tolist() == [True, False]  # guarded
     with pytest.raises(ValueError, match="temporal"):
-        truth(stl.parse("F[0,1] a"), {}, {"a": np.array([True])}, (1,))
+        truth(stl.parse("F[0,1] a"), {}, {"a": np.array([True])}, 1)
+
+
+def test_borders_are_decided_as_written():
+    """0.1 + 0.2 is 0.3, whatever doubles make of it."""
+    for text in ("x + y == 0.3", "x + 0.2 >= 0.3", "y - x <= 0.1", "3 * x == 0.3", "x / y == 0.5", "x^2 == 0.01"):
+        assert stl.satisfies(stl.parse(text), {"x": [0.1], "y": [0.2]}), text
+        signals = {"x": np.array([0.1, 0.5]), "y": np.array([0.2, 0.5])}
+        assert truth(stl.parse(text), signals, {}, 2)[0], text
+    assert stl.robustness(stl.parse("x + y > 0.3"), {"x": [0.1], "y": [0.2]}) == 0.0
+    assert stl.satisfies(stl.parse("x^0.5 > 1.4 & x^1000 > 2"), {"x": [2.0]})
+    with pytest.raises(TraceError, match="no value"):
+        stl.satisfies(stl.parse("x^5000 > 2"), {"x": [2.0]})

@@ -51,6 +51,7 @@ def test_models_of_the_strategy_are_distributions(model):
         ({"transitions": []}, "no action"),
         ({"transitions": [[["a", 0], [0, 1]]]}, "transitions of action 0 are not numbers"),
         ({"transitions": [[1.0, 0.0]]}, r"a matrix \(S, S\) is needed"),
+        ({"transitions": [STAY * 1j]}, "transitions of action 0 are not numbers"),
         ({"signals": {"x": [0.0]}}, r"x has shape \(1,\); one value for each of the 2 states"),
         ({"signals": {"x": [0.0, np.inf]}}, "signal x is inf in state 1; it must be finite"),
         ({"signals": {"x": ["far", 1]}}, "signal x does not hold numbers"),
@@ -69,6 +70,11 @@ def test_models_of_the_strategy_are_distributions(model):
 def test_bad_arrays_are_refused_with_state_and_action(changes, says):
     with pytest.raises(ModelError, match=says):
         build(**changes)
+
+
+def test_a_model_does_not_change_behind_its_digest():
+    with pytest.raises(ValueError, match="read-only"):
+        build().probability[:] = 0.3
 
 
 def test_state_names_appear_in_messages():

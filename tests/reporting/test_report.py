@@ -1,14 +1,17 @@
 import html
 import json
 import re
+from fractions import Fraction
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.errors import FileError, InexactEncodingWarning, SettingsError
 from stltool.reporting import check_data, load_report, render, report_data
-from stltool.reporting.page import probability_text
+from stltool.reporting.page import bound_texts, probability_text
 
 
 @pytest.fixture
@@ -27,8 +30,8 @@ def test_a_report_is_one_self_contained_page_and_its_data(results, tmp_path):
     assert page.count("<svg") == 2  # learning curve and floor map
     for check, result in zip(data["checks"], checks, strict=True):
         assert check["probability"] == result.probability
-        assert f"{result.lower:.17g}" in page
-        assert f"{result.upper:.17g}" in page
+        for bound in bound_texts(result.lower, result.upper):
+            assert f">{bound}<" in page
     assert data["checks"][1]["gap"] == checks[0].probability - checks[1].probability
     for text in (html.escape(str(checks[0].product.formula)), "stltool run task.stl", "seed 1", "task := …"):
         assert text in page
@@ -78,11 +81,19 @@ def test_results_of_different_products_do_not_mix(results, floor5):
         report_data([])
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"format": "other"}'])
+@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"format": "stltool-report-1"}', '{"format": "other"}'])
 def test_what_is_no_report(tmp_path, text):
     (tmp_path / "report.json").write_text(text)
     with pytest.raises(FileError, match="not a report's JSON"):
         load_report(tmp_path / "report.json")
+
+
+@given(st.floats(0, 1), st.floats(0, 1))
+def test_printed_bounds_enclose_the_bounds(one, other):
+    lower, upper = sorted((one, other))
+    low, high = bound_texts(lower, upper)
+    assert Fraction(low) <= Fraction(lower)
+    assert Fraction(high) >= Fraction(upper)
 
 
 def test_probabilities_near_one_are_told_apart():
