@@ -17,7 +17,7 @@ lint: .venv/installed-dev
 	$(BIN)/mypy
 
 bench: .venv/installed-dev
-	$(BIN)/python bench/spine.py
+	$(BIN)/python bench/run.py
 
 format: .venv/installed-dev
 	$(BIN)/ruff check --fix .

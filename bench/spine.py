@@ -1,4 +1,4 @@
-"""The spine's figures: `make bench` prints them into bench/results.md. Results are compared before they are timed.
+"""Checking and learning: `make bench` writes the figures to bench/results.md. Results are compared before timing.
 
 check     backward induction in numba against its numpy twin, on the paper's largest floor and windows
 updates   Q updates a second of corrected cfer against the same updates one by one in plain Python
@@ -7,16 +7,12 @@ memory    peak of a whole `stltool run` of that scenario
 
 from __future__ import annotations
 
-import datetime
-import os
-import platform
 import resource
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -93,26 +89,12 @@ def memory() -> str:
     return f"| peak memory of `stltool run`, 10 × 10 floor, T = τ = 15, 500 episodes | – | {peak:.0f} MB |"
 
 
-def main() -> None:
+def table() -> list[str]:
     kernels.warm_up()
     product = p4()
-    packages = ", ".join(f"{name} {metadata.version(name)}" for name in ("numpy", "numba", "scipy"))
-    lines = [
-        "# Benchmark results",
-        "",
-        f"`make bench` on {datetime.date.today()}: {platform.machine()}, {os.cpu_count()} cores, "
-        f"Python {platform.python_version()}, {packages}.",
-        "",
-        "| what | against | figure |",
-        "|---|---|---|",
-        check_ratio(product),
-        update_ratio(product),
-        memory(),
-    ]
-    text = "\n".join(lines) + "\n"
-    print(text)
-    (ROOT / "bench" / "results.md").write_text(text, encoding="utf-8")
+    lines = ["| what | against | figure |", "|---|---|---|"]
+    return [*lines, check_ratio(product), update_ratio(product), memory()]
 
 
 if __name__ == "__main__":
-    main()
+    print("\n".join(table()))

@@ -26,7 +26,8 @@ class Part:
     """One part of an automaton's construction: what it watches, and how.
 
     owed      the formula that every start owes; known `delay` steps after the start
-    method    "flag" (a counter), "oldest" or "each" (pending starts), "single" (windows counted down), "history"
+    method    "flag" (a counter), "oldest" or "each" (pending starts), "until" (open or ended), "single" (windows
+              counted down), "history"
     explored  states found before minimisation; `states` after it
     """
 

@@ -2,9 +2,10 @@
 
 The root (or its negation) is a conjunction of parts (residuals.py splits outer G over ∧ and outer F over ∨):
 
-    G[a,b] φ     a *watch*: every start k in a…b owes φ; judged at k + D, D = horizon(φ)
-    F[a,b] φ     a watch over ¬φ whose violation is a success; success is remembered
-    anything else, a *single* start: the residual itself, its windows counted down
+    G[a,b] φ         a *watch*: every start k in a…b owes φ; judged at k + D, D = horizon(φ)
+    F[a,b] φ         a watch over ¬φ whose violation is a success; success is remembered
+    φ U[a,b] ψ       over atoms: open, done or broken; the verdict's clock closes the window
+    anything else    a *single* start: the residual itself, its windows counted down
 
 A watch needs no clock for its outer window: which starts count is said by verdict_t. Its state holds the starts that
 are still pending, each with its age and residual, oldest first. Three ways to hold them, the smallest is taken:
@@ -36,7 +37,7 @@ from stltool.errors import SizeError
 from stltool.logic.formula import Formula
 from stltool.logic.formula import horizon as formula_horizon
 
-Method: TypeAlias = Literal["oldest", "each", "single"]
+Method: TypeAlias = Literal["oldest", "each", "single", "until"]
 _Pending: TypeAlias = tuple[tuple[int, Residual], ...]  # (age, residual), oldest first
 _State: TypeAlias = tuple[str, int, _Pending]
 
@@ -47,7 +48,7 @@ _FIRST_BUDGET = 3000  # states that each method may explore before the others ha
 _WORTH_TRYING = 8  # times the best size so far
 
 
-class _Explosion(Exception):
+class Explosion(Exception):
     """A machine grew over its budget."""
 
 
@@ -88,58 +89,60 @@ def _machine(table: Residuals, x: Residual, letters: Sequence[Letter], most_stat
     success = table.node(x)[0] == "F"
     watched = table.negation(x) if success else x
     methods: list[Method] = ["single"]
-    if table.node(watched)[0] in ("G", "atom"):
+    kind, *operands = table.node(watched)
+    if kind in ("U", "R") and all(table.horizon(y) == 0 for y in operands[2:]):
+        methods = ["until"]
+    elif kind in ("G", "atom"):
         methods.insert(0, "oldest")
-        if table.node(watched)[1] > 0 and not success:
+        if operands[0] > 0 and not success:
             methods.insert(1, "each")
     for budget in sorted({min(most_states, size) for size in (_FIRST_BUDGET, 10 * _FIRST_BUDGET, most_states)}):
         found: list[Machine] = []
         for method in methods:
             room = min(budget, *(_WORTH_TRYING * len(machine.outcome) + 16 for machine in found), budget)
             # a debt can stay open to its last step, each step a state of its own
-            longest = table.horizon(x if method == "single" else _owed(table, watched))
+            longest = table.horizon(_owed(table, watched, method))
             if longest >= room or (method == "single" and found and len(found[0].outcome) <= longest):
                 continue
             try:
-                if method == "single":
-                    found.append(_explore(table, x, letters, room, method, False, flipped))
-                else:
-                    found.append(_explore(table, watched, letters, room, method, success, flipped))
-            except _Explosion:
+                negated = success and method != "single"
+                found.append(_explore(table, watched if negated else x, letters, room, method, negated, flipped))
+            except Explosion:
                 continue
         if found:
             return min(found, key=lambda machine: len(machine.outcome))
     raise _too_large(table, x, most_states)
 
 
-def _owed(table: Residuals, x: Residual) -> Residual:
-    """What every start of a watch owes: φ of G[a,b] φ, an atom itself."""
+def _owed(table: Residuals, x: Residual, method: Method) -> Residual:
+    """What every start owes: φ of a watch over G[a,b] φ; a single start owes everything; an until its right side."""
     node = table.node(x)
-    return int(node[3]) if node[0] == "G" else x
+    if method == "until":
+        return int(node[4])
+    return int(node[3]) if method != "single" and node[0] == "G" else x
 
 
 def _explore(
     table: Residuals, x: Residual, letters: Sequence[Letter], budget: int, method: Method, success: bool, flipped: bool
 ) -> Machine:
     """Follow every letter from the start until nothing new appears, then minimise."""
-    a, b = table.node(x)[1:3] if method != "single" and table.node(x)[0] == "G" else (0, 0)
-    owed = x if method == "single" else _owed(table, x)
+    a, b = table.node(x)[1:3] if method == "until" or (method != "single" and table.node(x)[0] == "G") else (0, 0)
+    owed = _owed(table, x, method)
     delay = table.horizon(owed)
-    waits = a if method == "oldest" else 0
-    start: _State = ("waits", waits, ()) if waits else ("runs", 0, ())
-    first_start: _State = ("begins", 0, ()) if method == "single" else start
-    step = _single_step(table, owed) if method == "single" else _watch_step(table, owed, delay, method)
-
-    def following(state: _State, letter: Letter) -> _State:
-        if state[0] == "waits":
-            return ("waits", state[1] - 1, ()) if state[1] > 1 else ("runs", 0, ())
-        return step(state, letter)
-
+    start: _State = ("begins", 0, ()) if method == "single" else ("runs", 0, ())
+    if a and method in ("oldest", "until"):
+        start = ("waits", a, ())
+    if method == "single":
+        step = _single_step(table, owed)
+    elif method == "until":
+        step = _until_step(table, x)
+    else:
+        step = _watch_step(table, owed, delay, method)
     # a part reads its own atoms only: letters that agree on them are explored once
     own = sorted(table.atoms_in(x))
     seen = [tuple(value and i in own for i, value in enumerate(letter)) for letter in letters]
     distinct = sorted(set(seen))
-    states, delta = explore(first_start, distinct, following, budget)
+    states, delta = explore(start, distinct, step, budget)
     delta = delta[[distinct.index(letter) for letter in seen]]
     outcome = np.array([{"bad": _BAD, "good": _GOOD}.get(state[0], _OPEN) for state in states], dtype=np.int8)
     if success:  # a violated ¬φ is a success; it is never forgotten
@@ -160,9 +163,9 @@ def _explore(
         delta=small,
         outcome=outcome[representative],
         names=tuple(_name(table, states[i], success != flipped) for i in representative),
-        first=a + delay if method != "single" else 0,
+        first=a + delay if method not in ("single", "until") else 0,
         last=b + delay if method != "single" else table.horizon(x),
-        good_at_end=not success,
+        good_at_end=not success and not (method == "until" and table.node(x)[0] == "U"),
     )
 
 
@@ -170,6 +173,8 @@ def _watch_step(table: Residuals, owed: Residual, delay: int, method: Method) ->
     """One letter for a watch: pending starts progress, a new one begins, the one of age D is judged."""
 
     def step(state: _State, letter: Letter) -> _State:
+        if state[0] == "waits":
+            return _next_wait(state)
         if state[0] == "bad" and method == "oldest":
             return state
         pending = [(age + 1, table.progress(x, letter)) for age, x in state[2]]
@@ -185,6 +190,28 @@ def _watch_step(table: Residuals, owed: Residual, delay: int, method: Method) ->
                 continue
             kept.append((age, x))
         return ("bad" if bad else "runs", 0, tuple(kept))
+
+    return step
+
+
+def _next_wait(state: _State) -> _State:
+    return ("waits", state[1] - 1, ()) if state[1] > 1 else ("runs", 0, ())
+
+
+def _until_step(table: Residuals, x: Residual) -> Callable[[_State, Letter], _State]:
+    """One letter for φ U[a,b] ψ or φ R[a,b] ψ over atoms: after a steps only the verdict's clock counts."""
+    kind, _, _, left, right = table.node(x)
+    # U ends well when ψ holds and badly when φ fails first; R ends badly when ψ fails and well when φ holds first
+    ends, ended, breaks, broken = (YES, "good", NO, "bad") if kind == "U" else (NO, "bad", YES, "good")
+
+    def step(state: _State, letter: Letter) -> _State:
+        if state[0] in ("bad", "good"):
+            return state
+        if state[0] == "runs" and table.progress(right, letter) == ends:
+            return (ended, 0, ())
+        if table.progress(left, letter) == breaks:
+            return (broken, 0, ())
+        return _next_wait(state) if state[0] == "waits" else state
 
     return step
 
@@ -217,7 +244,7 @@ def explore(
                 number = index[after] = len(states)
                 states.append(after)
                 if number >= budget:
-                    raise _Explosion
+                    raise Explosion
             row.append(number)
         rows.append(row)
     return states, np.array(rows, dtype=np.int32).T.copy()
@@ -325,13 +352,12 @@ def _conjunction(machines: Sequence[Machine], index: NDArray[np.int64], t: int, 
     for machine, states in zip(machines, index, strict=True):
         outcome = machine.outcome[states]
         over = t >= machine.last
+        good = outcome == _GOOD
+        bad = (outcome == _BAD) & (machine.first <= t <= machine.last)
         if machine.good_at_end:
-            counts = machine.first <= t <= machine.last
-            bad = (outcome == _BAD) & counts
-            good = (outcome == _GOOD) | (over & ~bad)
+            good |= over & ~bad
         else:
-            good = outcome == _GOOD
-            bad = over & ~good
+            bad |= over & ~good
         failed |= bad
         holding &= good
     verdict = np.where(failed, FALSE, np.where(holding, HOLDS, UNDECIDED)).astype(np.int8)
