@@ -79,8 +79,8 @@ def progression(phi: stl.Formula) -> str:
     return str(len(states))
 
 
-def number(n: int) -> str:
-    return str(n) if n < 10**6 else f"{float(n):.2g}" if n < 10**300 else "> 1e300"
+def number(n: float) -> str:
+    return str(n) if n < 10**6 else f"{float(n):.2g}"
 
 
 def table() -> list[str]:

@@ -11,12 +11,13 @@ import traceback
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from stltool.errors import FragmentError, InexactEncodingWarning, SettingsError, StlToolError
+from stltool.errors import FragmentError, InexactEncodingWarning, SettingsError, SizeError, StlToolError
 
 if TYPE_CHECKING:
     from stltool.automata import TaskAutomaton
@@ -71,7 +72,7 @@ def run(
     from stltool.reporting import report_data, write_report
     from stltool.reporting.terminal import print_checks, print_facts, progress_bar
 
-    _, product = _product(task, model, param, name, encoding, as_json)
+    product = _product(task, model, param, name, encoding, as_json)
     folder = out if out is not None else Path("out") / product.task_name
     require_folder(folder)
     with progress_bar("checking the optimum", quiet=as_json) as bar:
@@ -123,7 +124,7 @@ def check(
 
     if at_least is not None and not 0 <= at_least <= 1:
         raise SettingsError(f"--at-least {at_least}: a probability lies between 0 and 1")
-    _, product = _product(task, model, param, name, encoding, as_json)
+    product = _product(task, model, param, name, encoding, as_json, learning=False)
     chosen = stl.load_policy(policy, product) if policy is not None else None
     with progress_bar("checking", quiet=as_json) as bar:
         optimum = stl.check(product, maximize=not minimize, keep_policy=save_policy is not None, progress=bar)
@@ -164,7 +165,7 @@ def learn(
     from stltool.reporting import training_data
     from stltool.reporting.terminal import print_facts, progress_bar
 
-    _, product = _product(task, model, param, name, encoding, as_json)
+    product = _product(task, model, param, name, encoding, as_json)
     with progress_bar(f"learning ({method})", quiet=as_json) as bar:
         training = stl.learn(
             product, method, faithful=faithful, episodes=episodes, seed=seed, progress=bar, **_settings(setting)
@@ -191,7 +192,7 @@ def explain(
 ) -> None:
     """What a task says: horizon, decomposition along the paper's fragment, automaton and product sizes."""
     import stltool as stl
-    from stltool.reporting.data import disagreement_data, part_data, product_data
+    from stltool.reporting.data import disagreement_data, encoding_sizes, part_data, product_data
     from stltool.reporting.terminal import print_facts, print_table
     from stltool.sizes import bytes_text
 
@@ -221,10 +222,11 @@ def explain(
         else:
             automaton = _compile(loaded, encoding)
             facts["automaton_states"] = automaton.n_states
+        facts |= encoding_sizes(automaton)
         facts["parts"] = part_data(automaton)
         if not automaton.exact:
             facts["disagrees_on"] = disagreement_data(automaton)
-    except FragmentError as refusal:
+    except (FragmentError, SizeError) as refusal:
         facts["automaton"] = {"refused": str(refusal)}
     if as_json:
         print(json.dumps(facts))
@@ -234,6 +236,11 @@ def explain(
         for key, value in facts.items()
         if not isinstance(value, dict) and "digest" not in key
     }
+    for key in ("flag states", "history states"):
+        if key in shown:
+            size = shown[key]
+            large = isinstance(size, int) and size >= 10**9
+            shown[key] = "no such encoding" if size is None else f"{Decimal(size):.3g}" if large else size
     shown["params"] = ", ".join(f"{key} = {value}" for key, value in facts["params"].items()) or "none"
     for key in ("fragment", "automaton"):
         for detail, value in facts.get(key, {}).items():
@@ -301,8 +308,14 @@ def report(
 
 
 def _product(
-    task: Path, model: Path | None, param: list[str] | None, name: str | None, encoding: str, quiet: bool
-) -> tuple[Task, Product]:
+    task: Path,
+    model: Path | None,
+    param: list[str] | None,
+    name: str | None,
+    encoding: str,
+    quiet: bool,
+    learning: bool = True,
+) -> Product:
     import stltool as stl
     from stltool import kernels
     from stltool.reporting.terminal import kernels_ready
@@ -310,8 +323,8 @@ def _product(
     loaded = stl.load_task(task, _params(param), name)
     product = _bind(loaded, _load_model(loaded, model), encoding)
     with kernels_ready(quiet):
-        kernels.warm_up()
-    return loaded, product
+        kernels.warm_up(learning)
+    return product
 
 
 def _load_model(task: Task, model: Path | None) -> MDP:

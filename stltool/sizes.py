@@ -17,7 +17,7 @@ def memory_limit(given: int | None = None) -> int:
     return int(psutil.virtual_memory().available * _USABLE)
 
 
-def require_memory(needed: int, what: str, remedy: str, limit: int | None = None) -> None:
+def require_memory(needed: float, what: str, remedy: str, limit: int | None = None) -> None:
     """Raise SizeError, before anything is allocated, when `needed` bytes are over the limit."""
     allowed = memory_limit(limit)
     if needed > allowed:

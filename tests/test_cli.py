@@ -120,6 +120,9 @@ def test_explain(stltool, tmp_path):
     _, out, _ = stltool("explain", PATROLLING, "--json")
     data = json.loads(out)
     assert (data["horizon"], data["samples_needed"], data["product_states"]) == (18, 19, 18 * 101)
+    assert (data["automaton_states"], data["flag_states"]) == (101, 121)
+    assert data["history_states"] == sum(3**i for i in range(11))  # letters that occur on the floor: A, B, neither
+    assert [(part["delay"], part["states"]) for part in data["parts"]] == [(9, 11), (9, 11)]
     assert data["fragment"] == {
         "outer": "G[0,10)", "parts": ["F[0,10) A", "F[0,10) x < 0.4 & y > 0.6"], "equal_windows": True,
     }  # fmt: skip

@@ -8,6 +8,7 @@ before it is built.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import TypeAlias, assert_never
 
@@ -37,10 +38,15 @@ _Truth: TypeAlias = NDArray[np.bool_]
 _LONGEST_NAME = 4  # letters shown of a history
 
 
-def history_states(phi: Formula, n_letters: int) -> int:
-    """How many histories the encoding has, before anything is built."""
+def history_states(phi: Formula, n_letters: int) -> int | float:
+    """How many histories the encoding has, before anything is built; inf beyond what a double holds."""
     _, _, inner = _outer(phi)
-    return sum(n_letters**i for i in range(horizon(inner) + 2))
+    longest = horizon(inner) + 1
+    if n_letters == 1:
+        return longest + 1
+    if longest * math.log2(n_letters) > 1000:
+        return math.inf
+    return int((n_letters ** (longest + 1) - 1) // (n_letters - 1))
 
 
 def history_automaton(
@@ -49,13 +55,14 @@ def history_automaton(
     """The automaton whose states are histories. Raises SizeError before allocating."""
     operator, interval, inner = _outer(phi)
     depth, n = horizon(inner) + 1, len(valuations)
-    n_states = history_states(phi, n)
+    predicted = history_states(phi, n)
     require_memory(
-        n_states * (4 * n + 8 * depth + 100),
-        f"the history encoding of {phi}: {n} letters over {depth} steps, {n_states:.4g} states",
+        predicted * (4 * n + 8 * depth + 100),
+        f"the history encoding of {phi}: {n} letters over {depth} steps, {predicted:.4g} states",
         "use encoding exact",
         limit,
     )
+    n_states = int(predicted)
     # states in order of length; a history of length l with letters λ₁ … λ_l (oldest first) has index
     # offset[l] + Σ λ_i n^(l−i)
     offset = np.cumsum([0] + [n**length for length in range(depth + 1)])

@@ -4,9 +4,12 @@ Compiled once per machine (`cache=True`); importing this package alone loads not
 """
 
 
-def warm_up() -> None:
-    """Load every kernel; the first call on a machine compiles them, some seconds."""
-    from stltool.kernels import learning, sweep
+def warm_up(learning: bool = True) -> None:
+    """Load the kernels of checking, and of learning; the first call on a machine compiles them, some seconds."""
+    from stltool.kernels import sweep
 
     sweep.warm_up()
-    learning.warm_up()
+    if learning:
+        from stltool.kernels import learning as learners
+
+        learners.warm_up()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from importlib import metadata
 from typing import Any
@@ -12,10 +13,12 @@ import numpy as np
 from stltool.automata import TaskAutomaton, compile_automaton
 from stltool.automata.compare import disagreement
 from stltool.automata.compile import all_valuations, atoms_of
+from stltool.automata.history import history_states
 from stltool.checking import CheckResult, Run, sample_run
-from stltool.errors import SettingsError
+from stltool.errors import FragmentError, SettingsError
 from stltool.learning import Training
 from stltool.logic.formula import boolean_value
+from stltool.logic.fragment import check_fragment
 from stltool.policy import Policy
 from stltool.product import Product
 
@@ -56,6 +59,17 @@ def part_data(automaton: TaskAutomaton) -> list[dict[str, Any]]:
         }
         for part in automaton.parts
     ]
+
+
+def encoding_sizes(automaton: TaskAutomaton) -> dict[str, Any]:
+    """How many states the other encodings of the same formula would have; None where there is no such encoding."""
+    flags: int | None
+    try:
+        flags = math.prod(part.tau + 1 for part in check_fragment(automaton.formula).parts)
+    except FragmentError:
+        flags = None
+    histories = history_states(automaton.formula, len(automaton.valuations))
+    return {"flag_states": flags, "history_states": histories if histories < math.inf else "over 1e300"}
 
 
 def disagreement_data(automaton: TaskAutomaton) -> dict[str, Any] | None:
