@@ -5,9 +5,9 @@ All terms are nonnegative, so a value computed with n roundings along every path
     |δ| ≤ γ = n·u / (1 − n·u),   u = 2⁻⁵³,        |ε| ≤ n·2⁻¹⁰⁷³ (underflow)
 
 and max, min and verdicts add none. Hence V ∈ [(V̂ − ε)/(1 + γ), (V̂ + ε)/(1 − γ)], evaluated here in fractions and
-rounded outwards. One rounding a row entry is counted for reading decimals and fractions into doubles. Rows of doubles
-seldom sum to 1 exactly: what a row lacks or exceeds, the *defect*, may belong to any successor, so every sweep widens
-the enclosure by the largest defect; then it can be cut to [0, 1].
+rounded outwards. One rounding a row entry is counted for reading decimals and fractions into doubles. Rows given as
+doubles seldom sum to 1 exactly: what a row lacks or exceeds, the *defect*, may belong to any successor, so every sweep
+widens the enclosure by the largest defect; then it can be cut to [0, 1].
 """
 
 from __future__ import annotations
@@ -34,10 +34,17 @@ def defect(rows: Iterable[Iterable[float]]) -> Fraction:
     return max((abs(sum(map(Fraction, row), Fraction(0)) - 1) for row in rows), default=Fraction(0))
 
 
-def enclose(value: float, n_roundings: int, missing: Fraction = Fraction(0)) -> tuple[float, float]:
+def can_underflow(steps: int, smallest: float) -> bool:
+    """Whether a product of `steps` factors, each at least `smallest`, can leave the normal doubles (2⁻¹⁰²²)."""
+    return steps * math.log2(smallest) < -1000
+
+
+def enclose(
+    value: float, n_roundings: int, missing: Fraction = Fraction(0), underflow: bool = True
+) -> tuple[float, float]:
     """(lower, upper) around the exact value, within [0, 1]; `missing` is the defects' sum along a path."""
     gamma = n_roundings * _U / (1 - n_roundings * _U)
-    slack = n_roundings * _UNDERFLOW
+    slack = n_roundings * _UNDERFLOW if underflow else Fraction(0)
     lower = _round_down((Fraction(value) - slack) / (1 + gamma) - missing)
     upper = _round_up((Fraction(value) + slack) / (1 - gamma) + missing)
     return min(max(0.0, lower), 1.0), max(min(1.0, upper), 0.0)

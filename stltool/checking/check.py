@@ -17,7 +17,7 @@ import numpy as np
 
 from stltool.automata import UNDECIDED
 from stltool.checking.backward import Backend, Floats, Progress, induct, sweeper
-from stltool.checking.bounds import defect, enclose, roundings
+from stltool.checking.bounds import can_underflow, defect, enclose, roundings
 from stltool.errors import PolicyError, SettingsError
 from stltool.models import MDP
 from stltool.policy import Policy
@@ -73,13 +73,14 @@ def check(
         f"sweeping {product.n_states} product states over {product.horizon} steps",
         "shorten the windows",
     )
-    weight_defect = Fraction(0)
+    weight_defect, smallest = Fraction(0), 1.0
     longest = int(np.diff(product.model.row_start).max())
     if policy is not None:
         value = _policy_value(*policy.on(product), backend, progress)
         if not policy.deterministic:
             weights = np.unique(policy.table.reshape(-1, policy.table.shape[-1]), axis=0)
             weight_defect = defect(weights.tolist())
+            smallest = _smallest(weights)
         mixed = 0 if policy.deterministic else policy.table.shape[-1]
         question: Literal["maximum", "minimum", "policy"] = "policy"
     else:
@@ -101,14 +102,23 @@ def check(
         value = induct(product, best_choice, sweep.gather, progress)
         policy = Policy(product, tables) if keep_policy else None
     missing = product.horizon * (_row_defect(product.model) + weight_defect) + defect([product.model.initial])
-    lower, upper = enclose(value, roundings(product.horizon, longest, mixed), missing)
+    factors = (2 if mixed else 1) * product.horizon + 1
+    underflow = can_underflow(factors, min(smallest, _smallest(product.model.probability, product.model.initial)))
+    lower, upper = enclose(value, roundings(product.horizon, longest, mixed), missing, underflow)
     seconds = time.perf_counter() - start
     value = min(max(value, 0.0), 1.0)
     return CheckResult(product, question, value, lower, upper, policy, product.horizon, seconds)
 
 
+def _smallest(*arrays: Floats) -> float:
+    """The smallest positive entry."""
+    return min(float(array[array > 0].min(initial=1.0)) for array in arrays)
+
+
 def _row_defect(model: MDP) -> Fraction:
-    """The largest defect of a row; rows that repeat (a grid's few kinds) are summed once."""
+    """The largest defect of a row as given; rows that repeat are summed once."""
+    if model.rounded:  # as given they sum to 1; the roundings are counted entry by entry
+        return Fraction(0)
     rows = {model.probability[a:b].tobytes() for a, b in itertools.pairwise(model.row_start.tolist())}
     return defect(np.frombuffer(row).tolist() for row in rows)
 

@@ -105,6 +105,7 @@ def grid_from_table(table: Mapping[str, Any], default_name: str = "grid") -> MDP
         state_names=names,
         layout=GridLayout(width, height, column, row),
         name=str(table.get("name", default_name)),
+        rounded=True,
     )
 
 

@@ -46,6 +46,7 @@ class MDP:
     initial       (n_states,) probabilities of the first state
     signals       name → (n_states,) reals
     labels        name → (n_states,) Booleans
+    rounded       whether the probabilities are the doubles nearest to fractions that sum to 1 exactly, row by row
     Raises ModelError, naming state and action, when a row is no distribution, a state has no action, a value is not
     finite, or a shape does not fit.
     """
@@ -62,6 +63,7 @@ class MDP:
     state_names: Sequence[str] | None = None
     layout: GridLayout | None = None
     name: str = "model"
+    rounded: bool = False
     _digest: list[str] = field(default_factory=list, repr=False)
 
     def __post_init__(self) -> None:

@@ -224,6 +224,21 @@ def test_rows_that_do_not_sum_to_one_widen_the_enclosure(excess):
     assert 1 - never.upper <= surely.upper
 
 
+def test_models_given_in_fractions_have_no_defect(floor5):
+    """Their rows sum to 1 as given, so what cannot happen has the enclosure [0, 0]."""
+    never = stl.check(stl.build_product(floor5, stl.parse("F[0,50] (A & B)")))
+    assert (never.lower, never.probability, never.upper) == (0, 0, 0)
+
+
+def test_a_probability_below_the_doubles_is_not_zero():
+    """1e-200 twice underflows to 0; the enclosure knows (and that the rows exceed 1 by 1e-200)."""
+    tiny = 1e-200
+    model = stl.MDP.from_arrays([[[1 - tiny, tiny, 0], [1 - tiny, 0, tiny], [0, 0, 1]]], {"x": [0, 1, 2]})
+    result = stl.check(stl.build_product(model, stl.parse("G[2,2] (x > 1)")))
+    assert result.probability == 0
+    assert 0 < result.upper < 1e-199
+
+
 def test_progress_counts_the_sweeps(patrolling):
     calls = []
     stl.check(patrolling, progress=lambda done, total: calls.append((done, total)))
