@@ -119,6 +119,7 @@ def check(
 ) -> None:
     """The exact probability that the task holds: of the best policy, or of a given one."""
     import stltool as stl
+    from stltool.policy import require_policy_file
     from stltool.reporting import check_data
     from stltool.reporting.terminal import print_checks, print_facts, progress_bar
 
@@ -126,6 +127,8 @@ def check(
         raise SettingsError(f"--at-least {at_least}: a probability lies between 0 and 1")
     product = _product(task, model, param, name, encoding, as_json, learning=False)
     chosen = stl.load_policy(policy, product) if policy is not None else None
+    if save_policy is not None:
+        require_policy_file(save_policy)
     with progress_bar("checking", quiet=as_json) as bar:
         optimum = stl.check(product, maximize=not minimize, keep_policy=save_policy is not None, progress=bar)
     result = optimum if chosen is None else stl.check(product, chosen)
@@ -162,9 +165,11 @@ def learn(
 ) -> None:
     """Learn a policy without knowing the probabilities, and save it."""
     import stltool as stl
+    from stltool.policy import require_policy_file
     from stltool.reporting import training_data
     from stltool.reporting.terminal import print_facts, progress_bar
 
+    require_policy_file(out)
     product = _product(task, model, param, name, encoding, as_json)
     with progress_bar(f"learning ({method})", quiet=as_json) as bar:
         training = stl.learn(
@@ -225,7 +230,10 @@ def explain(
         facts |= encoding_sizes(automaton)
         facts["parts"] = part_data(automaton)
         if not automaton.exact:
-            facts["disagrees_on"] = disagreement_data(automaton)
+            try:
+                facts["disagrees_on"] = disagreement_data(automaton)
+            except SizeError as refusal:
+                facts["disagreement"] = str(refusal)
     except (FragmentError, SizeError) as refusal:
         facts["automaton"] = {"refused": str(refusal)}
     if as_json:
@@ -255,7 +263,10 @@ def explain(
         typer.echo("\nparts of the automaton (a start's truth is known `delay` steps after it):")
         print_table(facts["parts"])
     if trace is not None:
-        typer.echo("\na shortest trace on which the encoding and the formula disagree:")
+        typer.echo(
+            "\na shortest trace on which the encoding and the formula disagree (without a model, comparisons are"
+        )
+        typer.echo("taken as independent of each other):")
         print_table(trace["steps"])
         typer.echo(f"the encoding says {trace['encoding_says']}, the formula is {trace['formula_is']}")
 

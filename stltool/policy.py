@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata import Encoding
-from stltool.errors import InexactEncodingWarning, PolicyError, near_misses
-from stltool.files import read_bytes, read_text, write_atomically
+from stltool.errors import FileError, InexactEncodingWarning, PolicyError, near_misses
+from stltool.files import read_bytes, read_text, require_folder, write_atomically
 from stltool.product import Product, build_product, joined
 
 FORMAT = "stltool-policy-1"
@@ -110,8 +110,7 @@ class Policy:
 
     def save(self, path: str | Path) -> None:
         """Write the policy as .npz with a JSON header, the old file or the new one."""
-        if Path(path).suffix.lower() == ".csv":
-            raise PolicyError(f"{path}: a policy is saved as .npz; .csv is for Q-tables of others")
+        require_policy_file(path)
         header = json.dumps({"format": FORMAT, **asdict(self.binding)})
         buffer = io.BytesIO()
         np.savez_compressed(buffer, header=np.frombuffer(header.encode("utf-8"), dtype=np.uint8), table=self.table)
@@ -178,6 +177,16 @@ class Policy:
         q_values = np.zeros((*product.shape, model.n_actions))
         q_values[s, q] = values[:, [names.index(name) for name in model.action_names]]
         return greedy(product, q_values)
+
+
+def require_policy_file(path: str | Path) -> None:
+    """An error, before the work, where a policy could not be saved after it."""
+    path = Path(path)
+    if path.suffix.lower() == ".csv":
+        raise PolicyError(f"{path}: a policy is saved as .npz; .csv is for Q-tables of others")
+    if path.exists() and not path.is_file():
+        raise FileError(f"{path}: cannot be written: it is not a regular file; name another")
+    require_folder(path.parent)
 
 
 def load_policy(path: str | Path, product: Product) -> Policy:
@@ -285,15 +294,19 @@ def _find_rows(
     path: str | Path, wanted: NDArray[np.float64], known: NDArray[np.float64], what: str
 ) -> NDArray[np.int64]:
     """For every wanted row the index of the one known row equal to it."""
-    rounded = {tuple(row): i for i, row in enumerate(np.round(known / _SIGNAL_TOLERANCE).astype(np.int64).tolist())}
+    rounded = {_key(row): i for i, row in enumerate(known.tolist())}
     if len(rounded) < len(known):
         raise PolicyError(f"{path}: the model's signals do not tell its states apart, so a Q-table cannot name them")
     found = np.empty(len(wanted), dtype=np.int64)
-    for number, row in enumerate(np.round(wanted / _SIGNAL_TOLERANCE).astype(np.int64).tolist()):
-        index = rounded.get(tuple(row))
+    for number, row in enumerate(wanted.tolist()):
+        index = rounded.get(_key(row))
         if index is None:
             shown = " ".join(f"{value:g}" for value in wanted[number])
             examples = (" ".join(f"{value:g}" for value in line) for line in known[:8])
             raise PolicyError(f"{path}: row {number + 1}: there is no {what} {shown}; {near_misses(shown, examples)}")
         found[number] = index
     return found
+
+
+def _key(row: list[float]) -> tuple[int, ...]:
+    return tuple(round(value / _SIGNAL_TOLERANCE) for value in row)

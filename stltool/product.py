@@ -91,6 +91,11 @@ def joined(task: Product, memory: Product) -> tuple[Product, NDArray[np.int64]]:
     while frontier.size:
         frontier = np.setdiff1d(after(frontier).ravel(), known)
         known = np.union1d(known, frontier)
+        require_memory(
+            8 * len(known) * (len(pairs) + 10),
+            f"joining {left.n_states} task states with {width} states that the policy remembers",
+            "check the policy with its own encoding",
+        )
     q, m = np.divmod(known, width)
     automaton = replace(
         left,

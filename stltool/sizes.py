@@ -28,7 +28,7 @@ def require_memory(needed: float, what: str, remedy: str, limit: int | None = No
 
 def bytes_text(n: float) -> str:
     """A number of bytes as people read it: 1.5 GB."""
-    unit = "B"
+    n, unit = float(min(n, 10**300)), "B"
     for larger in ("kB", "MB", "GB", "TB", "PB"):
         if n < 1000:
             break

@@ -6,12 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata.automaton import UNDECIDED, TaskAutomaton
+from stltool.errors import SizeError
+
+_MOST_VISITED = 300_000
 
 
 def disagreement(
     left: TaskAutomaton, right: TaskAutomaton, left_letters: NDArray[np.int32], right_letters: NDArray[np.int32]
 ) -> list[int] | None:
     """The shortest sequence of symbols after which both have decided, differently; None if they always agree.
+
+    Raises SizeError when the search would visit too many pairs of states.
 
     `left_letters` and `right_letters` (n_symbols,) give each automaton's letter for a symbol (a valuation, say).
     """
@@ -31,6 +36,8 @@ def disagreement(
                 if (t, after) in came_from:
                     continue
                 came_from[(t, after)] = (state, symbol)
+                if len(came_from) > _MOST_VISITED:
+                    raise SizeError(f"no trace looked for: over {_MOST_VISITED} pairs of states to search")
                 if UNDECIDED not in (v, w):
                     if v != w:
                         return _path(came_from, t, after)

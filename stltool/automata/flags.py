@@ -12,6 +12,7 @@ approximation, which `exact` says is not the formula.
 from __future__ import annotations
 
 import math
+from decimal import Decimal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +39,7 @@ def flag_automaton(
     sizes = " × ".join(str(size) for size in shape)
     require_memory(
         n_states * per_state,
-        f"the automaton of {phi}: {sizes} = {n_states:.4g} states",
+        f"the automaton of {phi}: {sizes} = {Decimal(n_states):.4g} states",
         "shorten the inner windows or coarsen the time step",
         limit,
     )

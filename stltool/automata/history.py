@@ -76,7 +76,7 @@ def history_automaton(
     steps = [full // n ** (depth - 1 - i) % n for i in range(depth)]
     truth = {atom: [valuations[step, i] for step in steps] for i, atom in enumerate(atoms)}
     holds = np.zeros(n_states, dtype=np.bool_)
-    holds[offset[depth] :] = _truth(inner, 0, truth, len(full))
+    holds[offset[depth] :] = _Histories(truth, len(full)).truth(inner, 0)
 
     undecided = np.full(n_states, UNDECIDED, dtype=np.int8)
     running = np.where(holds, TRUE, UNDECIDED) if operator == "F" else np.where(holds, UNDECIDED, FALSE)
@@ -111,39 +111,49 @@ def _outer(phi: Formula) -> tuple[str, Interval, Formula]:
             return "G", Interval(0, 0), phi
 
 
-def _truth(phi: Formula, k: int, atoms: dict[Formula, list[_Truth]], n: int) -> _Truth:
-    """The truth of φ at position k of every history."""
-    if phi in atoms:
-        return atoms[phi][k]
-    match phi:
-        case Constant(value):
-            return np.full(n, value)
-        case Not(arg):
-            return ~_truth(arg, k, atoms, n)
-        case And(args):
-            return ~_any(~_truth(arg, k, atoms, n) for arg in args)
-        case Or(args):
-            return _any(_truth(arg, k, atoms, n) for arg in args)
-        case Implies(left, right):
-            return ~_truth(left, k, atoms, n) | _truth(right, k, atoms, n)
-        case Iff(left, right):
-            return ~(_truth(left, k, atoms, n) ^ _truth(right, k, atoms, n))
-        case Eventually(interval, arg):
-            return _any(_truth(arg, k + u, atoms, n) for u in range(interval.a, interval.b + 1))
-        case Always(interval, arg):
-            return ~_any(~_truth(arg, k + u, atoms, n) for u in range(interval.a, interval.b + 1))
-        case Until(interval, left, right):
-            result = np.zeros(n, dtype=np.bool_)
-            so_far = np.ones(n, dtype=np.bool_)
-            for u in range(interval.b + 1):
-                if u >= interval.a:
-                    result |= so_far & _truth(right, k + u, atoms, n)
-                so_far &= _truth(left, k + u, atoms, n)
-            return result
-        case Label() | Comparison():
-            raise AssertionError(f"{phi} is no atom of this automaton")
-        case _:
-            assert_never(phi)
+class _Histories:
+    """Truth at a position of every full history, each (φ, k) computed once."""
+
+    def __init__(self, atoms: dict[Formula, list[_Truth]], n: int) -> None:
+        self._atoms, self._n = atoms, n
+        self._known: dict[tuple[int, int], _Truth] = {}
+
+    def truth(self, phi: Formula, k: int) -> _Truth:
+        key = (id(phi), k)
+        if key not in self._known:
+            self._known[key] = self._atoms[phi][k] if phi in self._atoms else self._truth(phi, k)
+        return self._known[key]
+
+    def _truth(self, phi: Formula, k: int) -> _Truth:
+        match phi:
+            case Constant(value):
+                return np.full(self._n, value)
+            case Not(arg):
+                return ~self.truth(arg, k)
+            case And(args):
+                return ~_any(~self.truth(arg, k) for arg in args)
+            case Or(args):
+                return _any(self.truth(arg, k) for arg in args)
+            case Implies(left, right):
+                return ~self.truth(left, k) | self.truth(right, k)
+            case Iff(left, right):
+                return ~(self.truth(left, k) ^ self.truth(right, k))
+            case Eventually(interval, arg):
+                return _any(self.truth(arg, k + u) for u in range(interval.a, interval.b + 1))
+            case Always(interval, arg):
+                return ~_any(~self.truth(arg, k + u) for u in range(interval.a, interval.b + 1))
+            case Until(interval, left, right):
+                result = np.zeros(self._n, dtype=np.bool_)
+                so_far = np.ones(self._n, dtype=np.bool_)
+                for u in range(interval.b + 1):
+                    if u >= interval.a:
+                        result |= so_far & self.truth(right, k + u)
+                    so_far &= self.truth(left, k + u)
+                return result
+            case Label() | Comparison():
+                raise AssertionError(f"{phi} is no atom of this automaton")
+            case _:
+                assert_never(phi)
 
 
 def _any(values: Iterable[_Truth]) -> _Truth:

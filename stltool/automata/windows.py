@@ -21,7 +21,7 @@ A conjunction is false as soon as one part is, true when all are; so a part need
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -45,6 +45,7 @@ _State: TypeAlias = tuple[str, int, _Pending]
 _OPEN, _BAD, _GOOD = 0, 1, 2
 
 _FIRST_BUDGET = 3000  # states that each method may explore before the others have had their turn
+_LONGEST_EACH = 500  # pending starts a state of method "each" may hold
 _WORTH_TRYING = 8  # times the best size so far
 
 
@@ -94,7 +95,7 @@ def _machine(table: Residuals, x: Residual, letters: Sequence[Letter], most_stat
         methods = ["until"]
     elif kind in ("G", "atom"):
         methods.insert(0, "oldest")
-        if operands[0] > 0 and not success:
+        if operands[0] > 0 and not success and table.horizon(_owed(table, watched, "each")) <= _LONGEST_EACH:
             methods.insert(1, "each")
     for budget in sorted({min(most_states, size) for size in (_FIRST_BUDGET, 10 * _FIRST_BUDGET, most_states)}):
         found: list[Machine] = []
@@ -143,7 +144,8 @@ def _explore(
     seen = [tuple(value and i in own for i, value in enumerate(letter)) for letter in letters]
     distinct = sorted(set(seen))
     states, delta = explore(start, distinct, step, budget)
-    delta = delta[[distinct.index(letter) for letter in seen]]
+    number = {letter: i for i, letter in enumerate(distinct)}
+    delta = delta[[number[letter] for letter in seen]]
     outcome = np.array([{"bad": _BAD, "good": _GOOD}.get(state[0], _OPEN) for state in states], dtype=np.int8)
     if success:  # a violated ¬φ is a success; it is never forgotten
         outcome = np.where(outcome == _BAD, _GOOD, _OPEN).astype(np.int8)
@@ -162,7 +164,7 @@ def _explore(
         part=part,
         delta=small,
         outcome=outcome[representative],
-        names=tuple(_name(table, states[i], success != flipped) for i in representative),
+        names=tuple(_name(table, states[i], owed, method, success != flipped) for i in representative),
         first=a + delay if method not in ("single", "until") else 0,
         last=b + delay if method != "single" else table.horizon(x),
         good_at_end=not success and not (method == "until" and table.node(x)[0] == "U"),
@@ -271,6 +273,11 @@ def _multiply(
 ) -> TaskAutomaton:
     """The reachable synchronous product with the conjunction's verdicts, minimised."""
     horizon = formula_horizon(phi)
+    # valuations that no part tells apart are multiplied once
+    stacked, letter_of = np.unique(np.concatenate([m.delta for m in machines], axis=1), axis=0, return_inverse=True)
+    letter_of = letter_of.ravel()
+    cuts = np.cumsum([m.delta.shape[1] for m in machines])[:-1]
+    machines = [replace(m, delta=d) for m, d in zip(machines, np.split(stacked, cuts, axis=1), strict=True)]
     index, delta = _reachable(machines, most_states, phi)
     changes = sorted({0, *(t for m in machines for t in (m.first, m.last, m.last + 1) if t < horizon), horizon})
     rows = np.array([_conjunction(machines, index, t, horizon) for t in changes], dtype=np.int8)
@@ -280,14 +287,14 @@ def _multiply(
     delta, representative = quotient(delta, classes)
     different = [0] + [i for i in range(1, len(rows)) if (rows[i] != rows[i - 1]).any()]
     names = tuple("; ".join(m.names[index[j, i]] for j, m in enumerate(machines)) for i in representative)
-    letters, letter_of = np.unique(delta, axis=0, return_inverse=True)
+    letters, merged = np.unique(delta, axis=0, return_inverse=True)
     return TaskAutomaton(
         formula=phi,
         encoding="exact",
         exact=True,
         atoms=table.atoms,
         valuations=valuations,
-        letter_of=letter_of.astype(np.int32).ravel(),
+        letter_of=merged.ravel()[letter_of].astype(np.int32),
         delta=np.ascontiguousarray(letters),
         initial=0,
         horizon=horizon,
@@ -368,25 +375,36 @@ def _conjunction(machines: Sequence[Machine], index: NDArray[np.int64], t: int, 
 # --------------------------------------------------------------------------------------------------- names
 
 
-def _name(table: Residuals, state: _State, negated: bool) -> str:
-    """What a state remembers; where ¬φ is watched, told of φ: a debt of ¬φ is a start at which φ is still possible."""
+def _name(table: Residuals, state: _State, owed: Residual, method: Method, negated: bool) -> str:
+    """What a state remembers, told of φ where ¬φ is watched: a debt of ¬φ is a start at which φ is still possible.
+
+    A name speaks of starts, never of the verdict: which starts count is the verdict's clock to say.
+    """
     kind, waits, pending = state
     if kind == "waits":
-        return f"{waits} steps before the window"
+        return f"{_steps(waits)} before the window"
     if kind == "begins":
         return "at the start"
     if kind in ("good", "bad"):
-        return "done" if (kind == "good") != negated else "violated"
+        ended = "succeeded" if (kind == "good") != negated else "failed"
+        if method in ("single", "until"):
+            return ended
+        return f"a start has {ended}" if method == "oldest" else f"the start {_steps(table.horizon(owed))} ago {ended}"
     if not pending:
         return "nothing pending"
     age, x = pending[0]
-    node = table.node(x)
-    if node[0] == "F" and node[1] == 0 and table.node(node[3])[0] == "atom":
-        _, index, positive = table.node(node[3])
-        steps = f"{age + 1} step{'s' if age else ''}"
-        psi = table.atoms[index]
-        text = f"{psi} not seen for {steps}" if positive else f"{psi} for {steps}"
-    else:
-        left = table.formula(table.negation(x) if negated else x)
-        text = f"{'possible' if negated else 'due'} since {age} step{'s' if age != 1 else ''}: {left}"
+    kind, *rest = table.node(x)
+    # an F[0,D] ψ that was owed, alone or as an alternative, and is open still: ψ has not been seen since the start
+    alternatives = table.node(owed)[1] if table.node(owed)[0] == "or" else (owed,)
+    if kind == "F" and method != "single" and ("F", 0, rest[1] + age + 1, rest[2]) in map(table.node, alternatives):
+        node = table.node(rest[2])
+        if rest[0] == 0 and node[0] == "atom":
+            text = f"{table.atoms[node[1]]} {'not seen ' if node[2] else ''}for {_steps(age + 1)}"
+            return text if len(pending) == 1 else f"{text} (and {len(pending) - 1} later)"
+    left = table.formula(table.negation(x) if negated else x)
+    text = f"{'possible' if negated else 'due'} since {_steps(age)}: {left}"
     return text if len(pending) == 1 else f"{text} (and {len(pending) - 1} later)"
+
+
+def _steps(n: int) -> str:
+    return f"{n} step{'' if n == 1 else 's'}"

@@ -76,7 +76,14 @@ def check(
     weight_defect, smallest = Fraction(0), 1.0
     longest = int(np.diff(product.model.row_start).max())
     if policy is not None:
-        value = _policy_value(*policy.on(product), backend, progress)
+        judge, rebased = policy.on(product)
+        require_memory(
+            judge.check_bytes(keep_policy=False),
+            f"checking {judge.n_states} product states",
+            "shorten the windows",
+            memory_limit,
+        )
+        value = _policy_value(judge, rebased, backend, progress)
         if not policy.deterministic:
             weights = np.unique(policy.table.reshape(-1, policy.table.shape[-1]), axis=0)
             weight_defect = defect(weights.tolist())

@@ -9,6 +9,7 @@ from importlib import metadata
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stltool.automata import TaskAutomaton, compile_automaton
 from stltool.automata.compare import disagreement
@@ -17,7 +18,7 @@ from stltool.automata.history import history_states
 from stltool.checking import CheckResult, Run, sample_run
 from stltool.errors import FragmentError, SettingsError
 from stltool.learning import Training
-from stltool.logic.formula import boolean_value
+from stltool.logic.formula import Comparison, Formula, Label, boolean_value, walk
 from stltool.logic.fragment import check_fragment
 from stltool.policy import Policy
 from stltool.product import Product
@@ -73,27 +74,32 @@ def encoding_sizes(automaton: TaskAutomaton) -> dict[str, Any]:
 
 
 def disagreement_data(automaton: TaskAutomaton) -> dict[str, Any] | None:
-    """A shortest trace on which an automaton and its formula disagree, told by the atoms that hold; None if none."""
-    atoms = atoms_of(automaton.formula)
-    valuations = all_valuations(len(atoms))
-    truth = np.array(
-        [
-            [boolean_value(psi, dict(zip(atoms, row, strict=True)).get) for psi in automaton.atoms]
-            for row in valuations.tolist()
-        ]
-    )
-    known = {row.tobytes() for row in automaton.valuations}
-    possible = np.array([row.tobytes() in known for row in truth])
-    valuations, truth = valuations[possible], truth[possible]
-    exact = compile_automaton(automaton.formula, "exact", valuations)
-    trace = disagreement(automaton, exact, automaton.letters_at(truth), exact.letters_at(valuations))
+    """A shortest trace on which an automaton and its formula disagree, told by labels and comparisons; None if none.
+
+    Only valuations that the automaton knows occur: with a model, those of its states. Without one, comparisons are
+    taken as independent of each other. Raises SizeError when the search would be too large.
+    """
+    leaves = list(dict.fromkeys(n for n in walk(automaton.formula) if isinstance(n, Label | Comparison)))
+    valuations = all_valuations(len(leaves))
+
+    def truths(psis: Sequence[Formula]) -> NDArray[np.bool_]:
+        known: list[dict[Formula, bool]] = [dict(zip(leaves, row, strict=True)) for row in valuations.tolist()]
+        return np.array([[boolean_value(psi, row.get) for psi in psis] for row in known], dtype=np.bool_)
+
+    truth, exact_truth = truths(automaton.atoms), truths(atoms_of(automaton.formula))
+    occurring = {row.tobytes() for row in automaton.valuations}
+    possible = np.array([row.tobytes() in occurring for row in truth])
+    valuations, truth, exact_truth = valuations[possible], truth[possible], exact_truth[possible]
+    exact = compile_automaton(automaton.formula, "exact", np.unique(exact_truth, axis=0))
+    letters = exact.letters_at(exact_truth)
+    trace = disagreement(automaton, exact, automaton.letters_at(truth), letters)
     if trace is None:
         return None
-    judged = exact.judge(exact.letters_at(valuations)[trace].tolist())
+    judged = exact.judge(letters[trace].tolist())
     assert judged is not None
     return {
         "steps": [
-            {"step": t, **{str(psi): bool(value) for psi, value in zip(atoms, valuations[symbol], strict=True)}}
+            {"step": t, **{str(leaf): bool(value) for leaf, value in zip(leaves, valuations[symbol], strict=True)}}
             for t, symbol in enumerate(trace)
         ],
         "encoding_says": not judged[0],

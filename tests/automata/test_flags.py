@@ -62,6 +62,17 @@ def test_the_shortest_disagreement_is_one_and_shortest():
     assert len(found["steps"]) == shortest
 
 
+def test_disagreements_are_of_labels_not_of_predicates():
+    """`a & b` cannot hold without `a`: the trace is told by labels, so it can happen."""
+    found = disagreement_data(paper("G[0,3] (F[0,2] (a & b) & F[0,4] a)"))
+    assert all(set(step) == {"step", "a", "b"} for step in found["steps"])
+
+
+def test_a_search_too_large_is_given_up_in_words():
+    with pytest.raises(SizeError, match="no trace looked for: over"):
+        disagreement_data(paper("G[0,20] ((F[0,12] a & G[0,15] b) | (F[0,10] c & F[0,13] d))"))
+
+
 def test_equal_automata_do_not_disagree():
     phi = stl.parse("G[0,4) (F[0,3) a & F[0,3) b)")
     flags, exact = stl.compile_automaton(phi, "paper"), stl.compile_automaton(phi)

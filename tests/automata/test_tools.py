@@ -1,6 +1,7 @@
 """Minimisation, the history encoding's sizes, graphs."""
 
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
+from stltool.automata import UNDECIDED
 from stltool.automata.graph import condition, to_dot, to_graph, verdict_text
 from stltool.automata.history import history_states
 from stltool.automata.minimise import coarsest_partition, quotient
@@ -72,6 +74,8 @@ def test_the_history_encodings_size_is_predicted(phi):
 
 
 def test_the_history_encoding_is_refused_before_it_is_built():
+    with pytest.raises(SizeError, match=r"2 letters over 2001 steps, inf states"):
+        stl.compile_automaton(stl.parse("G[0,5] F[0,2000] a"), "history")
     with pytest.raises(SizeError, match=r"4 letters over 15 steps, 1.432e\+09 states .*use encoding exact"):
         stl.compile_automaton(stl.parse("G[0,15) (F[0,15) a & F[0,15) b)"), "history", memory_limit=10**9)
 
@@ -111,6 +115,40 @@ def test_conditions_are_short_and_use_what_the_model_rules_out(floor5):
     assert "l8" in str(condition(wide, (0,)))
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "G[0,9] F[0,4] a",
+        "F[0,9] G[0,4] a",
+        "G[0,9] (a -> F[2,5] b)",
+        "G[0,9] (a -> F[0,5] b)",
+        "F[0,6] G[0,3] a & G[0,9] (F[0,3] a & F[0,4] b)",
+        "G[2,6] F[0,3] !a",
+        "F[0,9] (a & G[0,3] b)",
+        "G[3,9] F[1,3] a",
+    ],
+)
+def test_names_of_states_are_true_of_the_run(text):
+    automaton = stl.compile_automaton(stl.parse(text))
+    rng = np.random.default_rng(0)
+    claims = 0
+    for _ in range(60):
+        q, seen = automaton.initial, []
+        for t in range(automaton.horizon):
+            i = int(rng.integers(len(automaton.valuations)))
+            seen.append(dict(zip(map(str, automaton.atoms), automaton.valuations[i].tolist(), strict=True)))
+            q = automaton.delta[automaton.letter_of[i], q]
+            if automaton.verdicts(t)[q] != UNDECIDED:
+                break
+            for name in automaton.describe(q).split("; "):
+                if claim := re.match(r"(\w+) (not seen )?for (\d+) steps?", name):
+                    claims += 1
+                    last = seen[-int(claim[3]) :]
+                    assert len(last) == int(claim[3])
+                    assert all(step[claim[1]] is (claim[2] is None) for step in last), (name, seen)
+    assert claims > 20 or "->" in text or "&" in text
+
+
 def test_verdicts_in_words():
     automaton = stl.compile_automaton(stl.parse("G[0,4] F[0,3] a"))
     texts = {verdict_text(automaton, q) for q in range(automaton.n_states)}
@@ -132,4 +170,4 @@ def test_states_of_an_example_tell_what_they_remember():
     task = stl.load_task(ROOT / "examples/factory/charging.stl")
     automaton = stl.compile_automaton(task.formula)
     assert "x > 0.6 & y > 0.6 for 3 steps" in automaton.state_names
-    assert "done" in automaton.state_names
+    assert "a start has succeeded" in automaton.state_names

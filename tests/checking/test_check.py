@@ -175,6 +175,8 @@ def test_undefined_states_are_named_when_they_can_be_reached(patrolling):
     table[0, s, :] = -1
     with pytest.raises(PolicyError, match=r"says nothing about step 0, state \(1,0\); x = 0.3, y = 0.1"):
         stl.check(patrolling, stl.Policy(patrolling, table))
+    with pytest.raises(PolicyError, match="says nothing about step 0"):
+        stl.sample_run(patrolling, stl.Policy(patrolling, table), np.random.default_rng(0))
     table = stl.check(patrolling).policy.table.copy()
     table[0, s - 1, :] = -1  # never there at step 0
     assert stl.check(patrolling, stl.Policy(patrolling, table)).probability == stl.check(patrolling).probability
