@@ -72,7 +72,7 @@ def _exact(phi: Formula, valuations: NDArray[np.bool_], most_states: int) -> Tas
     """The window automaton; the flags where they are exact and smaller."""
     table = Residuals(atoms(phi))
     root = table.residual(phi)
-    flags = _flag_states(phi)
+    flags = _exact_flags(phi)
     try:
         automaton = window_automaton(phi, table, root, valuations, most_states)
         if flags is None or automaton.n_states <= math.prod(part.tau + 1 for part in flags.parts):
@@ -80,31 +80,19 @@ def _exact(phi: Formula, valuations: NDArray[np.bool_], most_states: int) -> Tas
     except SizeError:
         if flags is None or math.prod(part.tau + 1 for part in flags.parts) > most_states:
             raise
-    truth = np.array(
-        [
-            [
-                boolean_value(part.psi, lambda psi, row=row: _known(psi, table.atoms, row))  # type: ignore[misc]
-                for part in flags.parts
-            ]
-            for row in valuations.tolist()
-        ],
-        dtype=np.bool_,
-    )
+    known: list[dict[Formula, bool]] = [dict(zip(table.atoms, row, strict=True)) for row in valuations.tolist()]
+    truth = np.array([[boolean_value(part.psi, row.get) for part in flags.parts] for row in known], dtype=np.bool_)
     flagged = flag_automaton(phi, flags, truth, "exact")
     return dataclasses.replace(flagged, atoms=table.atoms, valuations=valuations)
 
 
-def _flag_states(phi: Formula) -> Fragment | None:
+def _exact_flags(phi: Formula) -> Fragment | None:
     """The decomposition where the paper's flags are exact."""
     try:
         fragment = check_fragment(phi)
     except FragmentError:
         return None
     return fragment if fragment.uniform else None
-
-
-def _known(psi: Formula, read: tuple[Formula, ...], row: list[bool]) -> bool | None:
-    return row[read.index(psi)] if psi in read else None
 
 
 def all_valuations(n_atoms: int) -> NDArray[np.bool_]:

@@ -117,6 +117,19 @@ def test_never_more_states_than_the_flags_when_windows_are_equal(phi):
     assert exact.n_states <= flags.n_states
 
 
+@given(phi=flag_formulas(longest=2), data=st.data())
+def test_the_flags_stand_in_where_the_windows_explode(phi, data):
+    def explode(*_):
+        raise SizeError("too large")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("stltool.automata.compile.window_automaton", explode)
+        automaton = stl.compile_automaton(phi)
+    assert (automaton.encoding, automaton.exact) == ("exact", True)
+    trace = data.draw(traces(stl.horizon(phi) + 1))
+    assert judge(automaton, trace)[0] == stl.satisfies(phi, trace)
+
+
 @pytest.mark.parametrize(
     ("text", "states"),
     [
