@@ -36,8 +36,7 @@ def read_text(path: str | Path, what: str) -> str:
 def write_atomically(path: str | Path, data: bytes | str) -> None:
     """Write `data` beside `path` and move it into place, so that a crash leaves the old file."""
     path = Path(path).resolve()  # through a link, to what it names
-    if path.exists() and not path.is_file():
-        raise FileError(f"{path}: cannot be written: it is not a regular file; name another")
+    require_replaceable(path)
     if isinstance(data, str):
         data = data.encode("utf-8", errors="backslashreplace")
     temporary = None
@@ -55,6 +54,12 @@ def write_atomically(path: str | Path, data: bytes | str) -> None:
         if temporary is not None:
             Path(temporary).unlink(missing_ok=True)
         raise FileError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def require_replaceable(path: Path) -> None:
+    """FileError where something else than a regular file has that name: a folder, a pipe, a device."""
+    if path.exists() and not path.is_file():
+        raise FileError(f"{path}: cannot be written: it is not a regular file; name another")
 
 
 def require_folder(path: str | Path) -> None:

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata import Encoding
-from stltool.errors import FileError, InexactEncodingWarning, PolicyError, near_misses
-from stltool.files import read_bytes, read_text, require_folder, write_atomically
+from stltool.errors import InexactEncodingWarning, PolicyError, near_misses
+from stltool.files import read_bytes, read_text, require_folder, require_replaceable, write_atomically
 from stltool.product import Product, build_product, joined
 
 FORMAT = "stltool-policy-1"
@@ -184,9 +184,14 @@ def require_policy_file(path: str | Path) -> None:
     path = Path(path)
     if path.suffix.lower() == ".csv":
         raise PolicyError(f"{path}: a policy is saved as .npz; .csv is for Q-tables of others")
-    if path.exists() and not path.is_file():
-        raise FileError(f"{path}: cannot be written: it is not a regular file; name another")
+    require_replaceable(path)
     require_folder(path.parent)
+
+
+def silence(product: Product, s: int, q: int, t: int) -> PolicyError:
+    """The error for a policy that says nothing about a place it can reach, in the user's names."""
+    where = product.describe(s * product.automaton.n_states + q, t)
+    return PolicyError(f"the policy says nothing about {where}, which it can reach; give it an action there")
 
 
 def load_policy(path: str | Path, product: Product) -> Policy:

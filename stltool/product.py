@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from stltool.automata import Encoding, TaskAutomaton, compile_automaton
 from stltool.automata.compile import MOST_STATES, atoms_of
+from stltool.automata.reach import reachable
 from stltool.errors import NameLookupError, near_misses
 from stltool.logic.formula import Formula, label_names, require_formula, variables
 from stltool.logic.predicates import truth
@@ -86,23 +87,22 @@ def joined(task: Product, memory: Product) -> tuple[Product, NDArray[np.int64]]:
         q, m = np.divmod(codes, width)
         return left.delta[pairs[:, 0]][:, q].astype(np.int64) * width + right.delta[pairs[:, 1]][:, m]
 
-    start = np.array([left.initial * width + right.initial], dtype=np.int64)
-    known = frontier = start
-    while frontier.size:
-        frontier = np.setdiff1d(after(frontier).ravel(), known)
-        known = np.union1d(known, frontier)
+    def guard(n_states: int) -> None:
         require_memory(
-            8 * len(known) * (len(pairs) + 10),
+            8 * n_states * (len(pairs) + 10),
             f"joining {left.n_states} task states with {width} states that the policy remembers",
             "check the policy with its own encoding",
         )
+
+    start = left.initial * width + right.initial
+    known, delta = reachable(start, after, guard)
     q, m = np.divmod(known, width)
     automaton = replace(
         left,
         valuations=np.empty((0, len(left.atoms)), dtype=np.bool_),
         letter_of=np.empty(0, dtype=np.int32),
-        delta=np.searchsorted(known, after(known)).astype(np.int32),
-        initial=int(np.searchsorted(known, start[0])),
+        delta=delta,
+        initial=int(np.searchsorted(known, start)),
         verdict_rows=np.ascontiguousarray(left.verdict_rows[:, q]),
         state_names=tuple(f"{left.state_names[i]} | {right.state_names[j]}" for i, j in zip(q, m, strict=True)),
         registers=np.empty((0, 0), dtype=np.int32),

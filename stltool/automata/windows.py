@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from stltool.automata.automaton import FALSE, UNDECIDED, Part, TaskAutomaton
 from stltool.automata.automaton import TRUE as HOLDS
 from stltool.automata.minimise import coarsest_partition, quotient
+from stltool.automata.reach import reachable
 from stltool.automata.residuals import FALSE as NO
 from stltool.automata.residuals import TRUE as YES
 from stltool.automata.residuals import Letter, Residual, Residuals
@@ -100,7 +101,7 @@ def _machine(table: Residuals, x: Residual, letters: Sequence[Letter], most_stat
     for budget in sorted({min(most_states, size) for size in (_FIRST_BUDGET, 10 * _FIRST_BUDGET, most_states)}):
         found: list[Machine] = []
         for method in methods:
-            room = min(budget, *(_WORTH_TRYING * len(machine.outcome) + 16 for machine in found), budget)
+            room = min([budget, *(_WORTH_TRYING * len(machine.outcome) + 16 for machine in found)])
             # a debt can stay open to its last step, each step a state of its own
             longest = table.horizon(_owed(table, watched, method))
             if longest >= room or (method == "single" and found and len(found[0].outcome) <= longest):
@@ -219,6 +220,8 @@ def _until_step(table: Residuals, x: Residual) -> Callable[[_State, Letter], _St
 
 
 def _single_step(table: Residuals, owed: Residual) -> Callable[[_State, Letter], _State]:
+    """One letter for the only start: its residual progresses until it is true or false."""
+
     def step(state: _State, letter: Letter) -> _State:
         if state[0] in ("bad", "good"):
             return state
@@ -316,24 +319,19 @@ def _reachable(
     if int(strides[-1]) * sizes[-1] >= 2**62:
         raise _product_too_large(phi, sizes, most_states)
     weights = strides.astype(np.int64)
-    known = np.zeros(1, dtype=np.int64)
-    frontier = known
-    while frontier.size:
-        parts = _split(frontier, sizes)
-        after = sum(
-            weight * machine.delta[:, part].astype(np.int64)
-            for weight, machine, part in zip(weights, machines, parts, strict=True)
-        )
-        frontier = np.setdiff1d(np.asarray(after).ravel(), known)
-        known = np.union1d(known, frontier)
-        if len(known) > most_states:
+
+    def after(codes: NDArray[np.int64]) -> NDArray[np.int64]:
+        total = np.zeros((machines[0].delta.shape[0], len(codes)), dtype=np.int64)
+        for weight, machine, part in zip(weights, machines, _split(codes, sizes), strict=True):
+            total += weight * machine.delta[:, part]
+        return total
+
+    def guard(n_states: int) -> None:
+        if n_states > most_states:
             raise _product_too_large(phi, sizes, most_states)
-    parts = _split(known, sizes)
-    after = sum(
-        weight * machine.delta[:, part].astype(np.int64)
-        for weight, machine, part in zip(weights, machines, parts, strict=True)
-    )
-    return np.stack(parts), np.searchsorted(known, np.asarray(after)).astype(np.int32)
+
+    known, delta = reachable(0, after, guard)
+    return np.stack(_split(known, sizes)), delta
 
 
 def _split(codes: NDArray[np.int64], sizes: Sequence[int]) -> list[NDArray[np.int64]]:

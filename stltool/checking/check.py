@@ -20,7 +20,7 @@ from stltool.checking.backward import Backend, Floats, Progress, induct, sweeper
 from stltool.checking.bounds import can_underflow, defect, enclose, roundings
 from stltool.errors import PolicyError, SettingsError
 from stltool.models import MDP
-from stltool.policy import Policy
+from stltool.policy import Policy, silence
 from stltool.product import Product
 from stltool.sizes import require_memory, require_time
 
@@ -141,11 +141,11 @@ def _policy_value(product: Product, policy: Policy, backend: Backend, progress: 
 
     value = induct(product, follow, sweep.gather, progress)
     if math.isnan(value):
-        raise PolicyError(_undefined(product, policy))
+        raise _undefined(product, policy)
     return value
 
 
-def _undefined(product: Product, policy: Policy) -> str:
+def _undefined(product: Product, policy: Policy) -> PolicyError:
     """The first reachable place where the policy says nothing (its NaN reached the start), in the user's names."""
     model, automaton = product.model, product.automaton
     reached = {(int(s), product.enter(int(s), automaton.initial)) for s in np.flatnonzero(model.initial)}
@@ -156,8 +156,7 @@ def _undefined(product: Product, policy: Policy) -> str:
             if verdicts[q] != UNDECIDED:
                 continue
             if table[s, q] < 0:
-                where = product.describe(s * automaton.n_states + q, t)
-                return f"the policy says nothing about {where}, which it can reach; give it an action there"
+                return silence(product, s, q, t)
             c = model.choice_start[s] + table[s, q]
             successors = model.target[model.row_start[c] : model.row_start[c + 1]]
             following |= {(int(n), product.enter(int(n), q)) for n in successors}

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stltool.automata import TRUE, UNDECIDED
-from stltool.errors import PolicyError
-from stltool.policy import Policy
+from stltool.policy import Policy, silence
 from stltool.product import Product
 
 
@@ -37,8 +36,7 @@ def sample_run(product: Product, policy: Policy, rng: np.random.Generator) -> Ru
     while automaton.verdicts(t)[q] == UNDECIDED:
         table = policy.at(t)[s, q]
         if policy.deterministic and table < 0:
-            where = product.describe(s * automaton.n_states + q, t)
-            raise PolicyError(f"the policy says nothing about {where}, which it can reach; give it an action there")
+            raise silence(product, s, q, t)
         i = int(table) if policy.deterministic else int(rng.choice(len(table), p=table / table.sum()))
         c = model.choice_start[s] + i
         row = slice(model.row_start[c], model.row_start[c + 1])

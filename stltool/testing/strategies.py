@@ -54,12 +54,10 @@ def terms(signals: Sequence[str] = SIGNALS) -> st.SearchStrategy[Term]:
     return st.recursive(leaves, grow, max_leaves=4)
 
 
-def predicates(
-    labels: Sequence[str] = LABELS, signals: Sequence[str] = SIGNALS, arithmetic: bool = True
-) -> st.SearchStrategy[Formula]:
+def predicates(labels: Sequence[str] = LABELS, signals: Sequence[str] = SIGNALS) -> st.SearchStrategy[Formula]:
     """Boolean formulas of one state: labels, comparisons, constants under the Boolean operators."""
     leaves: st.SearchStrategy[Formula] = st.sampled_from(labels).map(Label) | st.booleans().map(Constant)
-    if signals and arithmetic:
+    if signals:
         leaves |= st.builds(Comparison, st.sampled_from(COMPARATORS), terms(signals), terms(signals))
     return st.recursive(leaves, _boolean, max_leaves=4)
 
