@@ -5,7 +5,7 @@ from fractions import Fraction
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stltool.checking.bounds import enclose, roundings
+from stltool.checking.bounds import can_underflow, enclose, roundings
 
 
 @given(
@@ -38,3 +38,20 @@ def test_bounds_surround_the_value_and_grow(value, n):
 def test_width_at_horizon_1000_is_far_below_the_promise():
     lower, upper = enclose(0.5, roundings(1000, 9, 9))
     assert 0 < upper - lower < 1e-11
+
+
+@given(st.lists(st.floats(1e-300, 1.0), min_size=1, max_size=12))
+def test_products_that_leave_the_doubles_stay_inside(factors):
+    """One way only: rounding and underflow are all there is, and the slack goes only where nothing can underflow."""
+    value, exact = 1.0, Fraction(1)
+    for p in factors:
+        value, exact = p * value, Fraction(p) * exact
+    underflow = can_underflow(len(factors), min(factors))
+    lower, upper = enclose(value, roundings(len(factors), 1), underflow=underflow)
+    assert Fraction(lower) <= exact <= Fraction(upper)
+
+
+def test_an_underflow_to_zero_is_seen():
+    assert can_underflow(2, 1e-200)
+    assert not can_underflow(2, 1e-100)
+    assert enclose(1e-200 * 1e-200, roundings(2, 1), underflow=can_underflow(2, 1e-200))[1] > 0
