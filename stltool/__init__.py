@@ -24,7 +24,7 @@ One straight way through the house, and the map in reading order:
     checking/     the exact probability of the best policy, or of a given one, with bounds
     learning/     policies from experience alone
     reporting/    results → JSON, HTML, terminal
-    cli.py        the same from the command line
+    cli/          the same from the command line
     kernels/      numba loops; testing/  Hypothesis strategies for users' own tests
 """
 

@@ -1,0 +1,40 @@
+"""The command line: parse arguments, call the public API, print. Exit codes: 0 done, 1 the asked bound does not hold,
+2 the input is at fault (a message on stderr, no traceback), 3 stltool itself is.
+"""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from typing import NoReturn
+
+from stltool.cli.app import app
+from stltool.errors import StlToolError
+
+# each registers its command, in the order that --help shows
+# isort: off
+from stltool.cli import run, check, learn, explain, export, report
+
+__all__ = ["app", "check", "explain", "export", "learn", "main", "report", "run"]
+
+
+def main() -> None:
+    """The entry point: runs the app; a fault of the user's input ends with its message and exit code 2."""
+    try:
+        app()
+    except StlToolError as fault:
+        _end(str(fault), 2)
+    except (MemoryError, RecursionError) as fault:
+        _end(f"too large for this machine ({type(fault).__name__}); shorten the windows or simplify the task", 2)
+    except OSError as fault:
+        _end(f"{fault.filename or 'output'}: {fault.strerror}", 2)
+    except Exception:  # our own fault: shown whole, and not mistaken for exit code 1, "does not hold"
+        traceback.print_exc()
+        _end("this is a fault of stltool, not of your input; please report it with the lines above", 3)
+
+
+def _end(message: str, code: int) -> NoReturn:
+    from stltool.reporting.terminal import error
+
+    error(message)
+    sys.exit(code)

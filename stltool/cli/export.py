@@ -1,0 +1,48 @@
+"""`stltool export`: automata in other formats."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stltool.cli.app import app
+from stltool.cli.options import (
+    Encoding,
+    Model,
+    Params,
+    TaskFile,
+    TaskName,
+)
+from stltool.cli.steps import bind, compile_task, read_params, task_model
+from stltool.errors import SettingsError
+
+
+@app.command()
+def export(
+    task: TaskFile,
+    to: Annotated[str, typer.Option("--to", help="dot: the task's automaton for Graphviz")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="file to write; default: print it")] = None,
+    model: Model = None,
+    param: Params = None,
+    name: TaskName = None,
+    encoding: Encoding = "exact",
+) -> None:
+    """The task's automaton in another format: states say what they remember, edges which labels take them."""
+    import stltool as stl
+    from stltool.automata.graph import to_dot
+    from stltool.files import write_atomically
+
+    if to != "dot":
+        raise SettingsError(f"--to {to}: there is no such format; known: dot")
+    loaded = stl.load_task(task, read_params(param), name)
+    if model is not None or loaded.model is not None:
+        automaton = bind(loaded, task_model(loaded, model), encoding).automaton
+    else:
+        automaton = compile_task(loaded, encoding)
+    text = to_dot(automaton)
+    if out is not None:
+        write_atomically(out, text)
+    else:
+        typer.echo(text, nl=False)

@@ -1,0 +1,63 @@
+"""`stltool learn`: a policy from experience."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stltool.cli.app import app
+from stltool.cli.options import (
+    AsJson,
+    Encoding,
+    Episodes,
+    Faithful,
+    Method,
+    Model,
+    Params,
+    Seed,
+    Set,
+    TaskFile,
+    TaskName,
+)
+from stltool.cli.steps import make_product, read_settings, training_text
+
+
+@app.command()
+def learn(
+    task: TaskFile,
+    out: Annotated[Path, typer.Option("--out", "-o", help="policy file to write (.npz)", show_default=False)],
+    method: Method = "cfer",
+    faithful: Faithful = False,
+    episodes: Episodes = 1000,
+    seed: Seed = 0,
+    setting: Set = None,
+    model: Model = None,
+    param: Params = None,
+    name: TaskName = None,
+    encoding: Encoding = "exact",
+    as_json: AsJson = False,
+) -> None:
+    """Learn a policy without knowing the probabilities, and save it."""
+    import stltool as stl
+    from stltool.policy import require_policy_file
+    from stltool.reporting import training_data
+    from stltool.reporting.terminal import print_facts, progress_bar
+
+    require_policy_file(out)
+    product = make_product(task, model, param, name, encoding, as_json)
+    with progress_bar(f"learning ({method})", quiet=as_json) as bar:
+        training = stl.learn(
+            product, method, faithful=faithful, episodes=episodes, seed=seed, progress=bar, **read_settings(setting)
+        )
+    training.policy.save(out)
+    if as_json:
+        print(json.dumps({"task": product.task_name, "formula": str(product.formula), **training_data(training)}))
+        return
+    print_facts({
+        "learned": training_text(training),
+        "exact P": f"{training.history[-1].probability:.12g}",
+        "policy": out,
+    })  # fmt: skip

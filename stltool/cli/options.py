@@ -1,0 +1,24 @@
+"""The options that several commands share, spelled once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+TaskFile = Annotated[Path, typer.Argument(help="task file (.stl)", show_default=False)]
+Model = Annotated[Path | None, typer.Option("--model", help="model file; default: the task file's model line")]
+Params = Annotated[
+    list[str] | None, typer.Option("--param", "-p", metavar="NAME=VALUE", help="override a param of the file")
+]
+TaskName = Annotated[str | None, typer.Option("--task", help="the definition to use; default: the last one")]
+Encoding = Annotated[str, typer.Option("--encoding", help="exact, paper (the paper's flags) or history (the τ-MDP)")]
+AsJson = Annotated[bool, typer.Option("--json", help="print one JSON object instead of a table")]
+Method = Annotated[str, typer.Option("--method", "-m", help="naive, naive-er or cfer")]
+Faithful = Annotated[bool, typer.Option("--faithful", help="the method as published, its slips included")]
+Episodes = Annotated[int, typer.Option("--episodes", "-e", help="training episodes")]
+Seed = Annotated[int, typer.Option("--seed", "-s", help="seed of every random choice")]
+Set = Annotated[
+    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="a learner's setting, e.g. replays=50")
+]

@@ -1,0 +1,74 @@
+"""`stltool run`: the main job."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stltool.cli.app import app
+from stltool.cli.options import (
+    AsJson,
+    Encoding,
+    Episodes,
+    Faithful,
+    Method,
+    Model,
+    Params,
+    Seed,
+    Set,
+    TaskFile,
+    TaskName,
+)
+from stltool.cli.steps import make_product, read_settings, training_text
+
+
+@app.command()
+def run(
+    task: TaskFile,
+    model: Model = None,
+    param: Params = None,
+    name: TaskName = None,
+    encoding: Encoding = "exact",
+    method: Method = "cfer",
+    faithful: Faithful = False,
+    episodes: Episodes = 1000,
+    seed: Seed = 0,
+    setting: Set = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="folder for the results; default: out/NAME")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Learn a policy, check it exactly, write the report: the main job."""
+    import stltool as stl
+    from stltool.files import read_text, require_folder
+    from stltool.reporting import report_data, write_report
+    from stltool.reporting.terminal import print_checks, print_facts, progress_bar
+
+    product = make_product(task, model, param, name, encoding, as_json)
+    folder = out if out is not None else Path("out") / product.task_name
+    require_folder(folder)
+    with progress_bar("checking the optimum", quiet=as_json) as bar:
+        best = stl.check(product, progress=bar)
+    with progress_bar(f"learning ({method})", quiet=as_json) as bar:
+        training = stl.learn(
+            product, method, faithful=faithful, episodes=episodes, seed=seed, progress=bar, **read_settings(setting)
+        )
+    mine = stl.check(product, training.policy)
+    command = "stltool " + shlex.join(sys.argv[1:])
+    data = report_data([best, mine], training, source=read_text(task, "task file"), command=command, seed=seed)
+    training.policy.save(folder / "policy.npz")
+    write_report(data, folder / "report.html")
+    if as_json:
+        print(json.dumps(data))
+        return
+    print_facts({
+        "task": f"{product.task_name} := {product.formula}",
+        "product": f"{product.shape[0]} model states × {product.shape[1]} automaton states, horizon {product.horizon}",
+        "learned": training_text(training),
+    })  # fmt: skip
+    print_checks(data["checks"])
+    print_facts({"report": folder / "report.html", "data": folder / "report.json", "policy": folder / "policy.npz"})

@@ -1,0 +1,105 @@
+"""What several commands do: from their arguments to a product, settings, and words for the terminal."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from stltool.errors import InexactEncodingWarning, SettingsError
+
+if TYPE_CHECKING:
+    from stltool.automata import TaskAutomaton
+    from stltool.learning import Training
+    from stltool.logic.task import Task
+    from stltool.models import MDP
+    from stltool.product import Product
+
+
+def make_product(
+    task: Path,
+    model: Path | None,
+    param: list[str] | None,
+    name: str | None,
+    encoding: str,
+    quiet: bool,
+    learning: bool = True,
+) -> Product:
+    import stltool as stl
+    from stltool import kernels
+    from stltool.reporting.terminal import kernels_ready
+
+    loaded = stl.load_task(task, read_params(param), name)
+    product = bind(loaded, task_model(loaded, model), encoding)
+    with kernels_ready(quiet):
+        kernels.warm_up(learning)
+    return product
+
+
+def task_model(task: Task, model: Path | None) -> MDP:
+    import stltool as stl
+
+    path = model if model is not None else task.model
+    if path is None:
+        raise SettingsError(f'{task.path}: no model; add a line such as model "floor.toml", or give --model FILE')
+    return stl.load_model(path)
+
+
+def bind(task: Task, model: MDP, encoding: str) -> Product:
+    import stltool as stl
+
+    with warnings_shown():
+        return stl.build_product(model, task, encoding)  # type: ignore[arg-type]  # checked there, with a message
+
+
+def compile_task(task: Task, encoding: str) -> TaskAutomaton:
+    import stltool as stl
+
+    with warnings_shown():
+        return stl.compile_automaton(task.formula, encoding)  # type: ignore[arg-type]  # checked there, with a message
+
+
+@contextmanager
+def warnings_shown() -> Iterator[None]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", InexactEncodingWarning)
+        yield
+    for warning in caught:
+        typer.echo(f"warning: {warning.message}", err=True)
+
+
+def read_params(pairs: list[str] | None) -> dict[str, str]:
+    return dict(read_pair(pair, "-p T=20") for pair in pairs or [])
+
+
+def read_settings(pairs: list[str] | None) -> dict[str, Any]:
+    """Settings of a learner: numbers where they look like numbers."""
+    settings: dict[str, Any] = {}
+    for pair in pairs or []:
+        key, text = read_pair(pair, "--set replays=50")
+        if key in ("episodes", "seed", "method", "faithful", "product", "progress"):
+            raise SettingsError(f"--set {key}: there is an option or argument of its own for it; see --help")
+        for kind in (int, float, str):
+            try:
+                settings[key] = kind(text)
+                break
+            except ValueError:
+                continue
+    return settings
+
+
+def read_pair(text: str, example: str) -> tuple[str, str]:
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip() or not value.strip():
+        raise SettingsError(f"{text!r} is not NAME=VALUE; write for example {example}")
+    return key.strip(), value.strip()
+
+
+def training_text(training: Training) -> str:
+    episodes, steps = training.settings.episodes, training.environment_steps
+    method = training.method + (" as published" if training.faithful else "")
+    return f"{method}, {episodes} episodes, {steps} environment steps, {training.seconds:.1f} s"
