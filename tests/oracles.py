@@ -23,15 +23,15 @@ def holds(model: stl.MDP, phi, states) -> bool:
 
 def choices(model: stl.MDP, s: int) -> list[list[tuple[int, Fraction]]]:
     """For every available action of s its successors with exact probabilities."""
-    rows = []
+    rows, exact = [], model.exact()
     for c in range(model.choice_start[s], model.choice_start[s + 1]):
         entries = range(model.row_start[c], model.row_start[c + 1])
-        rows.append([(int(model.target[k]), Fraction(float(model.probability[k]))) for k in entries])
+        rows.append([(int(model.target[k]), Fraction(int(exact.numerator[k]), exact.denominator)) for k in entries])
     return rows
 
 
 def initial(model: stl.MDP) -> list[tuple[int, Fraction]]:
-    return [(int(s), Fraction(float(model.initial[s]))) for s in np.flatnonzero(model.initial)]
+    return [(int(s), model.exact().initial_share(s)) for s in np.flatnonzero(model.initial)]
 
 
 def optimum(model: stl.MDP, phi, maximize: bool = True) -> Fraction:
@@ -95,3 +95,43 @@ def policy_value(product: stl.Product, policy: stl.Policy) -> Fraction:
 
     start = product.automaton.initial
     return sum((p * value((s,), product.enter(s, start)) for s, p in initial(model)), Fraction(0))
+
+
+def layered_value(product: stl.Product, policy: stl.Policy | None = None, maximize: bool = True) -> Fraction:
+    """Backward induction on the product, a Fraction a state, as semantics.md §3 writes it."""
+    model, automaton = product.model, product.automaton
+    rows = [choices(model, s) for s in range(model.n_states)]
+    n_q = automaton.n_states
+
+    def decided(t: int, q: int) -> Fraction | None:
+        verdict = automaton.verdicts(t)[q]
+        return None if verdict < 0 else Fraction(int(verdict))
+
+    values = [[decided(product.horizon, q) for q in range(n_q)] for _ in rows]
+    for t in range(product.horizon - 1, -1, -1):
+        layer = [[decided(t, q) for q in range(n_q)] for _ in rows]
+        for s, q in itertools.product(range(len(rows)), range(n_q)):
+            if layer[s][q] is not None:
+                continue
+            options = [sum(p * values[s2][product.enter(s2, q)] for s2, p in row) for row in rows[s]]
+            if policy is None:
+                layer[s][q] = max(options) if maximize else min(options)
+            elif policy.deterministic:
+                layer[s][q] = options[policy.at(t)[s, q]]
+            else:
+                weights = [Fraction(float(w)) for w in policy.at(t)[s, q]]
+                layer[s][q] = sum(w * o for w, o in zip(weights, options, strict=False)) / sum(weights)
+        values = layer
+    return sum((p * values[s][product.enter(s, automaton.initial)] for s, p in initial(model)), Fraction(0))
+
+
+def random_model(rng: np.random.Generator, denominator: int, n_states: int = 3, n_actions: int = 2) -> stl.MDP:
+    """A small MDP whose probabilities are fractions over (divisors of) one denominator, with labels A and B."""
+
+    def row() -> list[Fraction]:
+        cuts = sorted(int(rng.integers(0, denominator, endpoint=True)) for _ in range(n_states - 1))
+        return [Fraction(b - a, denominator) for a, b in itertools.pairwise([0, *cuts, denominator])]
+
+    transitions = np.array([[row() for _ in range(n_states)] for _ in range(n_actions)], dtype=object)
+    labels = {name: rng.integers(0, 2, n_states) for name in "AB"}
+    return stl.MDP.from_arrays(transitions, {"x": np.arange(n_states)}, np.array(row(), dtype=object), labels)

@@ -16,7 +16,12 @@ import math
 from collections.abc import Iterable
 from fractions import Fraction
 
+import numpy as np
+
+from stltool.models import MDP
+
 _U = Fraction(1, 2**53)
+_EXACT_SUMS = 1_000_000  # transitions
 _UNDERFLOW = Fraction(1, 2**1073)
 
 
@@ -34,6 +39,16 @@ def defect(rows: Iterable[Iterable[float]]) -> Fraction:
     return max((abs(sum(map(Fraction, row), Fraction(0)) - 1) for row in rows), default=Fraction(0))
 
 
+def model_defects(model: MDP) -> tuple[Fraction, Fraction]:
+    """The largest defect of a row, and of the initial distribution; an upper bound where exact sums would take long."""
+    if model.fractions is not None or model.n_transitions <= _EXACT_SUMS:
+        return model.exact().defects(model.row_start)
+    lengths = np.diff(model.row_start)
+    sums = np.add.reduceat(model.probability, model.row_start[:-1])
+    rounding = _U * int(lengths.max()) * 2  # of summing, in any order, terms whose sum is below 2
+    return Fraction(float(np.abs(sums - 1).max())) + rounding, defect([model.initial.tolist()])
+
+
 def can_underflow(steps: int, smallest: float) -> bool:
     """Whether a product of `steps` factors, each at least `smallest`, can leave the normal doubles (2⁻¹⁰²²)."""
     return steps * math.log2(smallest) < -1000
@@ -45,16 +60,18 @@ def enclose(
     """(lower, upper) around the exact value, within [0, 1]; `missing` is the defects' sum along a path."""
     gamma = n_roundings * _U / (1 - n_roundings * _U)
     slack = n_roundings * _UNDERFLOW if underflow else Fraction(0)
-    lower = _round_down((Fraction(value) - slack) / (1 + gamma) - missing)
-    upper = _round_up((Fraction(value) + slack) / (1 - gamma) + missing)
+    lower = round_down((Fraction(value) - slack) / (1 + gamma) - missing)
+    upper = round_up((Fraction(value) + slack) / (1 - gamma) + missing)
     return min(max(0.0, lower), 1.0), max(min(1.0, upper), 0.0)
 
 
-def _round_down(exact: Fraction) -> float:
+def round_down(exact: Fraction) -> float:
+    """The largest double that is not above."""
     nearest = float(exact)
     return nearest if Fraction(nearest) <= exact else math.nextafter(nearest, -math.inf)
 
 
-def _round_up(exact: Fraction) -> float:
+def round_up(exact: Fraction) -> float:
+    """The smallest double that is not below."""
     nearest = float(exact)
     return nearest if Fraction(nearest) >= exact else math.nextafter(nearest, math.inf)

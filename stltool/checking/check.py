@@ -6,7 +6,6 @@ The optimum over all policies, history-dependent and randomised ones included, i
 
 from __future__ import annotations
 
-import itertools
 import math
 import time
 from dataclasses import dataclass
@@ -14,17 +13,20 @@ from fractions import Fraction
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stltool.automata import UNDECIDED
-from stltool.checking.backward import Backend, Floats, Progress, induct, sweeper
-from stltool.checking.bounds import can_underflow, defect, enclose, roundings
+from stltool.checking.backward import Backend, Floats, Progress, Values, induct, sweeper
+from stltool.checking.bounds import can_underflow, defect, enclose, model_defects, round_down, round_up, roundings
+from stltool.checking.fixed import FixedPoint, fixed_point
+from stltool.checking.rational import exact_probability, require_exact
 from stltool.errors import PolicyError, SettingsError
-from stltool.models import MDP
 from stltool.policy import Policy, silence
 from stltool.product import Product
 from stltool.sizes import require_memory, require_time
 
 _RATE = 1e9  # multiply-adds a second, roughly, on one core
+_SHARP = 1e-9  # the relative width below which a fixed-point enclosure is not swept again in doubles
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +36,8 @@ class CheckResult:
     probability   the value computed; lower ≤ exact value ≤ upper, rounding included, for the model as given
     question      "maximum" | "minimum" (over all policies) | "policy"
     policy        the policy that attains it (None where it was not kept)
+    fraction      the exact value where it was asked for; lower and upper are then the doubles next to it
+    arithmetic    "double" | "fixed" (int64, rounded up) | "rational": what the enclosure rests on
     status        "complete": all `sweeps` = horizon steps were swept; nothing was truncated
     seconds       wall time of the sweeps
     """
@@ -46,6 +50,8 @@ class CheckResult:
     policy: Policy | None
     sweeps: int
     seconds: float
+    fraction: Fraction | None = None
+    arithmetic: Literal["double", "fixed", "rational"] = "double"
     status: str = "complete"
 
 
@@ -54,95 +60,143 @@ def check(
     policy: Policy | None = None,
     *,
     maximize: bool = True,
+    exact: bool = False,
     keep_policy: bool = True,
+    arithmetic: Literal["auto", "double", "fixed"] = "auto",
     backend: Backend = "numba",
     memory_limit: int | None = None,
     progress: Progress | None = None,
 ) -> CheckResult:
     """The probability that the task holds: under `policy`, or the maximum (minimum) over all policies.
 
-    `keep_policy=False` saves the memory of the optimal policy's table. Raises PolicyError when the policy belongs to
-    another task or model, or says nothing about a state it reaches; SizeError before allocating what would not fit.
+    `exact=True` adds the fraction itself. `arithmetic="auto"` takes fixed point where its enclosure is the narrower
+    one, doubles elsewhere. `keep_policy=False` saves the memory of the optimal policy's table. Raises PolicyError when
+    the policy belongs to another task or model, or says nothing about a state it reaches; ModelError when an exact
+    answer is asked of rows that do not sum to 1; SizeError before allocating what would not fit.
     """
     start = time.perf_counter()
-    if backend not in ("numba", "numpy"):
-        raise SettingsError(f"there is no backend {backend!r}; choose numba or numpy")
+    _require_known("backend", backend, ("numba", "numpy"))
+    _require_known("arithmetic", arithmetic, ("auto", "double", "fixed"))
     require_time(
         product.horizon * product.model.n_transitions * product.automaton.n_states,
         _RATE,
         f"sweeping {product.n_states} product states over {product.horizon} steps",
         "shorten the windows",
     )
-    weight_defect, smallest = Fraction(0), 1.0
-    longest = int(np.diff(product.model.row_start).max())
+    if exact:
+        require_exact(product.model)
+    question: Literal["maximum", "minimum", "policy"]
     if policy is not None:
-        judge, rebased = policy.on(product)
-        require_memory(
-            judge.check_bytes(keep_policy=False),
-            f"checking {judge.n_states} product states",
-            "shorten the windows",
-            memory_limit,
-        )
-        value = _policy_value(judge, rebased, backend, progress)
-        if not policy.deterministic:
-            weights = np.unique(policy.table.reshape(-1, policy.table.shape[-1]), axis=0)
-            weight_defect = defect(weights.tolist())
-            smallest = _smallest(weights)
-        mixed = 0 if policy.deterministic else policy.table.shape[-1]
-        question: Literal["maximum", "minimum", "policy"] = "policy"
+        question, keep_policy = "policy", False
+        product_of_both, rebased = policy.on(product)
+        inside = f"checking {product_of_both.n_states} product states"
     else:
-        mixed = 0
-        sweep = sweeper(product, backend)
         question = "maximum" if maximize else "minimum"
-        require_memory(
-            product.check_bytes(keep_policy),
-            f"checking {product.n_states} product states over {product.horizon} steps"
-            + (", the policy's table included" if keep_policy else ""),
-            "use keep_policy=False, or shorten the windows" if keep_policy else "shorten the windows",
-            memory_limit,
+        product_of_both, rebased = product, None
+        inside = f"checking {product.n_states} product states over {product.horizon} steps"
+    inside += ", the policy's table included" if keep_policy else ""
+    remedy = "use keep_policy=False, or shorten the windows" if keep_policy else "shorten the windows"
+    require_memory(product_of_both.check_bytes(keep_policy), inside, remedy, memory_limit)
+    tables = np.zeros((product.horizon, *product.shape), dtype=np.int16) if keep_policy else None
+    sweeps = _Sweeps(product_of_both, rebased, maximize, tables, backend, progress)
+    used: Literal["double", "fixed", "rational"]
+    fraction = None
+    if exact:
+        if rebased is not None:
+            sweeps.enclosed("double")  # finds where the policy says nothing
+        fraction = exact_probability(
+            product_of_both, rebased, maximize, tables, memory_limit=memory_limit, progress=progress
         )
-        tables = np.zeros((product.horizon if keep_policy else 1, *product.shape), dtype=np.int16)
-
-        def best_choice(t: int, W: Floats, out: Floats) -> None:
-            sweep.optimum(W, maximize, out, tables[t if keep_policy else 0])
-
-        value = induct(product, best_choice, sweep.gather, progress)
-        policy = Policy(product, tables) if keep_policy else None
-    missing = product.horizon * (_row_defect(product.model) + weight_defect) + defect([product.model.initial])
-    factors = (2 if mixed else 1) * product.horizon + 1
-    underflow = can_underflow(factors, min(smallest, _smallest(product.model.probability, product.model.initial)))
-    lower, upper = enclose(value, roundings(product.horizon, longest, mixed), missing, underflow)
+        value, lower, upper, used = float(fraction), round_down(fraction), round_up(fraction), "rational"
+    else:
+        value, lower, upper, used = sweeps.enclosed(arithmetic)
+    if tables is not None:
+        policy = Policy(product, tables)
     seconds = time.perf_counter() - start
-    value = min(max(value, 0.0), 1.0)
-    return CheckResult(product, question, value, lower, upper, policy, product.horizon, seconds)
+    return CheckResult(
+        product, question, value, lower, upper, policy, product.horizon, seconds, fraction=fraction, arithmetic=used
+    )
+
+
+def _require_known(what: str, given: str, known: tuple[str, ...]) -> None:
+    if given not in known:
+        raise SettingsError(f"there is no {what} {given!r}; choose {', '.join(known)}")
+
+
+@dataclass(frozen=True, eq=False)
+class _Sweeps:
+    """One question about one product, answered in fixed point or in doubles."""
+
+    product: Product
+    policy: Policy | None
+    maximize: bool
+    tables: NDArray[np.int16] | None
+    backend: Backend
+    progress: Progress | None
+
+    def enclosed(self, arithmetic: str) -> tuple[float, float, float, Literal["double", "fixed"]]:
+        """(value, lower, upper, the arithmetic it took)"""
+        scale = None
+        if arithmetic != "double" and (self.policy is None or self.policy.deterministic):
+            scale = fixed_point(self.product.model)
+        if scale is not None and (arithmetic == "fixed" or self._narrower(scale)):
+            fixed = scale.enclose(self.product.model, self.product.horizon, self._entry_values(scale))
+            # a small probability keeps more of its digits in doubles
+            if arithmetic == "fixed" or fixed[2] - fixed[1] <= _SHARP * fixed[2]:
+                return *fixed, "fixed"
+        elif arithmetic == "fixed":
+            raise SettingsError(
+                "fixed point needs probabilities that share a small denominator, and a policy that does not mix; "
+                "use arithmetic='auto'"
+            )
+        return *self._in_doubles(), "double"
+
+    def _narrower(self, scale: FixedPoint) -> bool:
+        h = self.product.horizon
+        return scale.roundings(h) / scale.one < roundings(h, self._row_length()) * 2.0**-52
+
+    def _row_length(self) -> int:
+        return int(np.diff(self.product.model.row_start).max())
+
+    def _entry_values(self, scale: FixedPoint | None) -> Values:
+        policy, tables = self.policy, self.tables
+        swept = sweeper(self.product, self.backend, scale)
+        unused = np.zeros(self.product.shape, dtype=np.int16) if tables is None and policy is None else None
+
+        def sweep(t: int, W: Values, out: Values) -> None:
+            if policy is None:
+                table = tables[t] if tables is not None else unused
+                assert table is not None
+                swept.optimum(W, self.maximize, out, table)
+            elif policy.deterministic:
+                swept.policy(W, policy.at(t), out)
+            else:
+                swept.mixture(W, policy.at(t), out)
+
+        entry = induct(self.product, swept, sweep, self.progress)
+        if policy is not None and (np.isnan(entry) | (entry < 0)).any():
+            raise _undefined(self.product, policy)
+        return entry
+
+    def _in_doubles(self) -> tuple[float, float, float]:
+        model, h = self.product.model, self.product.horizon
+        entry = self._entry_values(None)
+        value = math.fsum(model.initial[np.flatnonzero(model.initial)] * entry)
+        mixed, weight_defect, smallest = 0, Fraction(0), _smallest(model.probability, model.initial)
+        if self.policy is not None and not self.policy.deterministic:
+            weights = np.unique(self.policy.table.reshape(-1, self.policy.table.shape[-1]), axis=0)
+            mixed, weight_defect = weights.shape[1], defect(weights.tolist())
+            smallest = min(smallest, _smallest(weights))
+        row_defect, start_defect = model_defects(model)
+        missing = h * (row_defect + weight_defect) + start_defect
+        underflow = can_underflow((2 if mixed else 1) * h + 1, smallest)
+        lower, upper = enclose(value, roundings(h, self._row_length(), mixed), missing, underflow)
+        return min(max(value, 0.0), 1.0), lower, upper
 
 
 def _smallest(*arrays: Floats) -> float:
     """The smallest positive entry."""
     return min(float(array[array > 0].min(initial=1.0)) for array in arrays)
-
-
-def _row_defect(model: MDP) -> Fraction:
-    """The largest defect of a row as given; rows that repeat are summed once."""
-    if model.rounded:  # as given they sum to 1; the roundings are counted entry by entry
-        return Fraction(0)
-    rows = {model.probability[a:b].tobytes() for a, b in itertools.pairwise(model.row_start.tolist())}
-    return defect(np.frombuffer(row).tolist() for row in rows)
-
-
-def _policy_value(product: Product, policy: Policy, backend: Backend, progress: Progress | None) -> float:
-    sweep = sweeper(product, backend)
-
-    def follow(t: int, W: Floats, out: Floats) -> None:
-        if policy.deterministic:
-            sweep.policy(W, policy.at(t), out)
-        else:
-            sweep.mixture(W, policy.at(t), out)
-
-    value = induct(product, follow, sweep.gather, progress)
-    if math.isnan(value):
-        raise _undefined(product, policy)
-    return value
 
 
 def _undefined(product: Product, policy: Policy) -> PolicyError:

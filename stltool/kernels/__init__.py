@@ -6,9 +6,10 @@ Compiled once per machine (`cache=True`); importing this package alone loads not
 
 def warm_up(learning: bool = True) -> None:
     """Load the kernels of checking, and of learning; the first call on a machine compiles them, some seconds."""
-    from stltool.kernels import sweep
+    from stltool.kernels import fixed, sweep
 
     sweep.warm_up()
+    fixed.warm_up()
     if learning:
         from stltool.kernels import learning as learners
 

@@ -104,7 +104,8 @@ def warm_up() -> None:
     """Compile or load every kernel here, on a model of one state."""
     start, index, one = np.array([0, 1], dtype=np.int64), np.zeros(1, dtype=np.int32), np.ones(1)
     layer, rows = np.zeros((1, 1)), (start, start, index, one)
-    gather(layer, index, np.zeros((1, 1), dtype=np.int32), 0, 1, layer.copy())
+    for dtype in (np.float64, np.int64):
+        gather(layer.astype(dtype), index, np.zeros((1, 1), dtype=np.int32), 0, 1, layer.astype(dtype))
     optimum(*rows, layer, True, 0, 1, layer.copy(), np.zeros((1, 1), dtype=np.int16))
     policy(*rows, layer, np.zeros((1, 1), dtype=np.int16), 0, 1, layer.copy())
     mixture(*rows, layer, np.ones((1, 1, 1)), 0, 1, layer.copy())

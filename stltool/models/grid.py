@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Mapping
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from stltool.errors import ModelError, near_misses
 from stltool.files import read_text
+from stltool.models.fractions import Fractions, parse_fraction
 from stltool.models.mdp import MDP, GridLayout
 
 _COMPASS = {
@@ -45,7 +46,6 @@ MOVES = {
     "king": ("stay", "N", "S", "W", "E", "NW", "SW", "NE", "SE"),
     "cross": ("stay", "N", "S", "W", "E"),
 }
-_LONGEST_NUMBER, _LARGEST_EXPONENT = 70, 60
 _KEYS = ("kind", "map", "cell", "moves", "success", "slip", "start", "name")
 
 
@@ -91,21 +91,23 @@ def grid_from_table(table: Mapping[str, Any], default_name: str = "grid") -> MDP
     index[row, column] = np.arange(len(row))
     letters = sorted(set("".join(cells.ravel())) - set("#.S"))
     names = tuple(f"({c},{r})" for c, r in zip(column.tolist(), row.tolist(), strict=True))
-    choice_start, row_start, target, probability = _transitions(index, row, column, MOVES[moves], success, slip)
+    choice_start, row_start, target, shares, whole = _transitions(index, row, column, MOVES[moves], success, slip)
+    first = _start(table.get("start"), cells, index, row, column)
+    starts = int(first.sum())
     return MDP(
         choice_start=choice_start,
         choice_action=np.tile(np.arange(len(MOVES[moves]), dtype=np.int32), len(row)),
         row_start=row_start,
         target=target,
-        probability=probability,
-        initial=_start(table.get("start"), cells, index, row, column),
+        probability=shares / whole,
+        initial=first / starts,
         signals={"x": _centres(column, cell), "y": _centres(row, cell)},
         labels={letter: cells[line, column] == letter for letter in letters},
         action_names=MOVES[moves],
         state_names=names,
         layout=GridLayout(width, height, column, row),
         name=str(table.get("name", default_name)),
-        rounded=True,
+        fractions=Fractions(shares, whole, first, starts),
     )
 
 
@@ -116,11 +118,8 @@ def _transitions(
     moves: tuple[str, ...],
     success: Fraction,
     slip: Fraction,
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]]:
-    """choice_start, row_start, target, probability; every state has every move.
-
-    Probabilities are added as integers over one denominator, then rounded once.
-    """
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32], NDArray[np.int64], int]:
+    """choice_start, row_start, target, and the probabilities as integers over the last; every state has every move."""
     from scipy.sparse import coo_array
 
     n_states, n_moves = len(row), len(moves)
@@ -146,12 +145,12 @@ def _transitions(
     matrix = coo_array((numerators, (rows, columns)), shape=(n_states * n_moves, n_states)).tocsr()
     matrix.sum_duplicates()
     matrix.eliminate_zeros()
-    shares: NDArray[np.float64] = matrix.data / denominator
     return (
         np.arange(n_states + 1, dtype=np.int64) * n_moves,
         matrix.indptr.astype(np.int64),
         matrix.indices.astype(np.int32),
-        shares,
+        matrix.data,
+        denominator,
     )
 
 
@@ -192,16 +191,16 @@ def _start(
     index: NDArray[np.int64],
     row: NDArray[np.int64],
     column: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    """The initial distribution: the key `start`, or the S cells (several: uniform)."""
+) -> NDArray[np.int64]:
+    """The first states' weights: the key `start`, or the S cells (several: uniform)."""
     marked = cells[index.shape[0] - 1 - row, column] == "S"
     if given is None:
         if not marked.any():
             raise ModelError(
                 "the map has no start; mark a cell S, or write start = [column, row] (from the bottom left)"
             )
-        uniform: NDArray[np.float64] = marked / marked.sum()
-        return uniform
+        weights: NDArray[np.int64] = marked.astype(np.int64)
+        return weights
     if marked.any():
         raise ModelError("the map marks a start S and the key start gives one; keep one of them")
     if not (isinstance(given, list) and len(given) == 2 and all(type(n) is int for n in given)):
@@ -209,8 +208,8 @@ def _start(
     c, r = given
     if not (0 <= r < index.shape[0] and 0 <= c < index.shape[1]) or index[r, c] < 0:
         raise ModelError(f"start = [{c}, {r}] is blocked or off the map of {index.shape[1]} × {index.shape[0]} cells")
-    point = np.zeros(len(row))
-    point[index[r, c]] = 1.0
+    point = np.zeros(len(row), dtype=np.int64)
+    point[index[r, c]] = 1
     return point
 
 
@@ -223,10 +222,6 @@ def _centres(position: NDArray[np.int64], cell: Fraction) -> NDArray[np.float64]
 def _fraction(table: Mapping[str, Any], key: str, default: Fraction) -> Fraction:
     value = table.get(key, default)
     try:
-        if isinstance(value, bool) or len(str(value)) > _LONGEST_NUMBER:
-            raise ValueError
-        if any(abs(Decimal(part).adjusted()) > _LARGEST_EXPONENT for part in str(value).split("/", 1)):
-            raise ValueError
-        return Fraction(value)
-    except (TypeError, ValueError, InvalidOperation, ZeroDivisionError, OverflowError):
+        return parse_fraction(value)
+    except ValueError:
         raise ModelError(f'{key} is {value!r}; write a number or a fraction in quotes, such as "7/300"') from None

@@ -11,12 +11,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stltool.errors import ModelError, near_misses
+from stltool.models.fractions import Fractions, of_doubles, over_one, parse_fraction
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -46,7 +48,8 @@ class MDP:
     initial       (n_states,) probabilities of the first state
     signals       name → (n_states,) reals
     labels        name → (n_states,) Booleans
-    rounded       whether the probabilities are the doubles nearest to fractions that sum to 1 exactly, row by row
+    fractions     what the doubles `probability` and `initial` stand for, where the model was given in fractions or
+                  decimals; `exact()` has it for every model
     Raises ModelError, naming state and action, when a row is no distribution, a state has no action, a value is not
     finite, or a shape does not fit.
     """
@@ -63,8 +66,9 @@ class MDP:
     state_names: Sequence[str] | None = None
     layout: GridLayout | None = None
     name: str = "model"
-    rounded: bool = False
+    fractions: Fractions | None = None
     _digest: list[str] = field(default_factory=list, repr=False)
+    _exact: list[Fractions] = field(default_factory=list, repr=False)
 
     def __post_init__(self) -> None:
         _validate(self)
@@ -94,6 +98,11 @@ class MDP:
     def state_name(self, s: int) -> str:
         return self.state_names[s] if self.state_names is not None else str(s)
 
+    def place(self, choice: int) -> str:
+        """A choice in the user's names: "state (0,1), action N"."""
+        s = int(np.searchsorted(self.choice_start, choice, side="right")) - 1
+        return f"state {self.state_name(s)}, action {self.action_names[self.choice_action[choice]]}"
+
     def matrix(self) -> csr_array:
         """The transition probabilities as a scipy CSR array (n_choices, n_states), sharing memory."""
         from scipy.sparse import csr_array
@@ -116,6 +125,15 @@ class MDP:
             self._digest.append(sha.hexdigest())
         return self._digest[0]
 
+    def exact(self) -> Fractions:
+        """The probabilities exactly: as given in fractions, or what the doubles mean (models/fractions.py)."""
+        if self.fractions is not None:
+            return self.fractions
+        if not self._exact:
+            start = of_doubles(self.initial, np.array([0, self.n_states]))
+            self._exact.append(Fractions(*of_doubles(self.probability, self.row_start), *start))
+        return self._exact[0]
+
     # ------------------------------------------------------------------------------------------ building
 
     @classmethod
@@ -133,12 +151,14 @@ class MDP:
 
         transitions   array (A, S, S), or a list of A matrices (S, S), dense or scipy sparse; row s of matrix a is the
                       distribution over successors. A row of zeros says that action a is not available in state s.
+                      Entries may be Fractions or texts such as "2/5", which are kept exactly.
         signals       name → (S,) finite reals;  labels  name → (S,) Booleans
         initial       a state's index or name, or a distribution (S,)
         """
         from scipy import sparse
 
-        stack = [sparse.csr_array(_matrix(m, a)) for a, m in enumerate(_matrices(transitions))]
+        given = [_matrix(m, a) for a, m in enumerate(_matrices(transitions))]
+        stack = [sparse.csr_array(m if sparse.issparse(m) else m.astype(np.float64)) for m in given]
         if not stack:
             raise ModelError("transitions hold no action; give one (S, S) matrix per action")
         n_states = stack[0].shape[1]
@@ -160,13 +180,23 @@ class MDP:
         rows = rows[available]
         action = np.tile(np.arange(len(stack), dtype=np.int32), n_states)[available]
         per_state = available.reshape(n_states, len(stack)).sum(axis=1)
+        row_start = rows.indptr.astype(np.int64)
+        start, exact_start = _initial(initial, n_states, state_names)
+        fractions = None
+        if exact_start is not None or any(m.dtype == object for m in given):
+            source = np.repeat(np.arange(n_states * len(stack))[available] // len(stack), np.diff(row_start))
+            entries = zip(np.repeat(action, np.diff(row_start)), source, rows.indices, rows.data, strict=True)
+            exact = [given[a][s, n] if given[a].dtype == object else Fraction(repr(float(p))) for a, s, n, p in entries]
+            begin = over_one(exact_start) if exact_start is not None else of_doubles(start, np.array([0, n_states]))
+            fractions = Fractions(*over_one(exact), *begin)
         return cls(
             choice_start=np.concatenate([[0], np.cumsum(per_state)]).astype(np.int64),
             choice_action=action,
-            row_start=rows.indptr.astype(np.int64),
+            row_start=row_start,
             target=rows.indices.astype(np.int32),
             probability=rows.data.astype(np.float64),
-            initial=_initial(initial, n_states, state_names),
+            initial=start,
+            fractions=fractions,
             signals={key: _floats(values, f"signal {key}") for key, values in signals.items()},
             labels={key: _booleans(values, key) for key, values in (labels or {}).items()},
             action_names=names,
@@ -188,6 +218,7 @@ def _matrices(transitions: ArrayLike | Iterable[Any]) -> Iterable[Any]:
 
 
 def _matrix(matrix: Any, action: int) -> Any:
+    """One action's matrix: scipy sparse or dense doubles, or an object array of Fractions where it holds any."""
     from scipy.sparse import issparse
 
     try:
@@ -195,12 +226,19 @@ def _matrix(matrix: Any, action: int) -> Any:
             raise TypeError
         if issparse(matrix):
             return matrix.astype(np.float64)
-        array = np.asarray(matrix, dtype=np.float64)
+        array = np.asarray(matrix)
+        array = _parsed(array) if array.dtype.kind in "OU" else array.astype(np.float64)
     except (TypeError, ValueError):
         raise ModelError(f"transitions of action {action} are not numbers") from None
     if array.ndim != 2:
         raise ModelError(f"transitions of action {action} have shape {array.shape}; a matrix (S, S) is needed")
     return array
+
+
+def _parsed(array: NDArray[Any]) -> NDArray[np.object_]:
+    """Fractions from numbers and texts, element by element."""
+    parsed: NDArray[np.object_] = np.frompyfunc(parse_fraction, 1, 1)(array)
+    return parsed
 
 
 def _floats(values: ArrayLike, what: str) -> Floats:
@@ -219,7 +257,10 @@ def _booleans(values: ArrayLike, name: str) -> NDArray[np.bool_]:
     return array.astype(np.bool_)
 
 
-def _initial(initial: int | str | ArrayLike, n_states: int, state_names: Sequence[str] | None) -> Floats:
+def _initial(
+    initial: int | str | ArrayLike, n_states: int, state_names: Sequence[str] | None
+) -> tuple[Floats, list[Fraction] | None]:
+    """The initial distribution in doubles, and in Fractions where it was given in them."""
     if isinstance(initial, str):
         if state_names is None or initial not in state_names:
             raise ModelError(f"there is no initial state {initial!r}; {near_misses(initial, state_names or ())}")
@@ -229,8 +270,15 @@ def _initial(initial: int | str | ArrayLike, n_states: int, state_names: Sequenc
             raise ModelError(f"the initial state {initial} is not one of 0 … {n_states - 1}")
         point = np.zeros(n_states)
         point[initial] = 1.0
-        return point
-    return _floats(initial, "the initial distribution")
+        return point, None
+    array = np.asarray(initial)
+    if array.dtype.kind in "OU":
+        try:
+            exact = [parse_fraction(value) for value in array.ravel().tolist()]
+        except ValueError as error:
+            raise ModelError(f"the initial distribution does not hold numbers: {error}") from None
+        return np.array(exact, dtype=np.float64), exact
+    return _floats(array, "the initial distribution"), None
 
 
 def _validate(m: MDP) -> None:
@@ -270,18 +318,14 @@ def _validate_distribution(initial: Floats, n_states: int) -> None:
 
 
 def _validate_rows(m: MDP) -> None:
-    def at(choice: int) -> str:
-        state = int(np.searchsorted(m.choice_start, choice, side="right")) - 1
-        return f"state {m.state_name(state)}, action {m.action_names[m.choice_action[choice]]}"
-
     def choice_of(entry: int) -> int:
         return int(np.searchsorted(m.row_start, entry, side="right")) - 1
 
     bad = np.flatnonzero(~np.isfinite(m.probability) | (m.probability <= 0) | (m.probability > 1 + _ROW_TOLERANCE))
     if bad.size:
         value, successor = m.probability[bad[0]], m.state_name(m.target[bad[0]])
-        raise ModelError(f"{at(choice_of(bad[0]))}: {value:.12g} to state {successor} is no probability")
+        raise ModelError(f"{m.place(choice_of(bad[0]))}: {value:.12g} to state {successor} is no probability")
     sums = np.add.reduceat(m.probability, m.row_start[:-1])
     wrong = np.flatnonzero(np.abs(sums - 1) > _ROW_TOLERANCE)
     if wrong.size:
-        raise ModelError(f"{at(wrong[0])}: the probabilities sum to {sums[wrong[0]]:.12g}, not 1")
+        raise ModelError(f"{m.place(wrong[0])}: the probabilities sum to {sums[wrong[0]]:.12g}, not 1")

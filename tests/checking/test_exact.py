@@ -1,0 +1,199 @@
+"""The exact fraction and the enclosures around it, against a Fraction a state; QComp's published rationals."""
+
+import itertools
+import json
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import stltool as stl
+from stltool.checking.fixed import fixed_point
+from stltool.checking.rational import exact_probability
+from stltool.checking.reach import first_steps
+from stltool.errors import ModelError, SettingsError, SizeError
+from stltool.testing import strategies
+from tests import oracles
+from tests.conftest import ROOT
+
+QCOMP = ROOT.parent / "shared" / "data" / "qcomp"
+FORMULAS = ["F[0,6] (A & B)", "G[0,5] F[0,2] A", "F[0,2] G[0,3] (A | B)", "A U[1,7] B", "G[0,3] (A -> F[1,3] B)"]
+DENOMINATORS = [1, 2, 10, 16, 300, 997, 10**6, 3 * 10**11, 10**17]
+
+
+def instances(count, seed):
+    """Random products, their kinds of denominators and formulas in turn."""
+    rng = np.random.default_rng(seed)
+    kinds = itertools.cycle(itertools.product(DENOMINATORS, FORMULAS))
+    for _, (denominator, text) in zip(range(count), kinds, strict=False):
+        yield rng, stl.build_product(oracles.random_model(rng, denominator), stl.parse(text))
+
+
+def policies(rng, product):
+    """A deterministic policy of each step, and a mixed one."""
+    shape = (product.horizon, *product.shape)
+    yield stl.Policy(product, rng.integers(0, 2, shape).astype(np.int16))
+    weights = rng.random((*product.shape, 2))
+    yield stl.Policy(product, weights / weights.sum(axis=-1, keepdims=True))
+
+
+def test_no_enclosure_ever_misses_the_exact_value():
+    """Thousands of answers: maximum, minimum, policies; doubles, fixed point, kernel and twin."""
+    answers = 0
+    for rng, product in instances(450, seed=1):
+        small = fixed_point(product.model) is not None
+        for maximize, policy in ((True, None), (False, None), *((True, policy) for policy in policies(rng, product))):
+            truth = oracles.layered_value(product, policy, maximize)
+            deterministic = policy is None or policy.deterministic
+            for arithmetic in ["auto", "double"] + ["fixed"] * (small and deterministic):
+                for backend in ("numba", "numpy"):
+                    result = stl.check(product, policy, maximize=maximize, arithmetic=arithmetic, backend=backend)
+                    assert result.lower <= truth <= result.upper
+                    assert result.lower <= result.probability <= result.upper
+                    assert result.upper - result.lower < (1e-13 if arithmetic != "fixed" else 1e-8)
+                    answers += 1
+    assert answers > 5000
+
+
+def test_the_fraction_is_the_fraction():
+    for rng, product in instances(180, seed=2):
+        for maximize, policy in ((True, None), (False, None), *((True, policy) for policy in policies(rng, product))):
+            truth = oracles.layered_value(product, policy, maximize)
+            result = stl.check(product, policy, maximize=maximize, exact=True)
+            assert (result.fraction, result.arithmetic) == (truth, "rational")
+            assert result.lower <= truth <= result.upper <= np.nextafter(result.lower, 2)
+            assert exact_probability(product, policy, maximize, in_kernel=False) == truth
+            if policy is None:  # the policy that comes with it attains the value exactly
+                assert oracles.layered_value(product, result.policy) == truth
+
+
+@settings(max_examples=60)
+@given(st.data())
+def test_exact_optima_of_any_formula(data):
+    """Against the tree of all histories and the slow semantics: automaton, product and arithmetic together."""
+    model = data.draw(strategies.models())
+    phi = data.draw(strategies.formulas(longest=2, max_leaves=4).filter(lambda f: stl.horizon(f) <= 4))
+    maximize = data.draw(st.booleans())
+    product = stl.build_product(model, phi)
+    assert stl.check(product, maximize=maximize, exact=True).fraction == oracles.optimum(model, phi, maximize)
+
+
+def test_fixed_point_is_exact_until_it_must_round():
+    """With D = 2, sixty sweeps divide evenly: the enclosure is one number."""
+    model = stl.MDP.from_arrays([[[0.5, 0.5], [0, 1]]], {"x": [0, 1]})
+    result = stl.check(stl.build_product(model, stl.parse("F[0,50] x > 0")), arithmetic="fixed")
+    assert result.lower == result.upper == 1 - 2.0**-50
+    late = stl.check(stl.build_product(model, stl.parse("G[0,70] x < 1")), arithmetic="fixed")
+    assert late.lower == 0 < Fraction(1, 2**70) < late.upper
+    assert stl.check(stl.build_product(model, stl.parse("G[0,70] x < 1"))).arithmetic == "double"  # sharper there
+
+
+def test_width_at_horizon_1000(floor5):
+    product = stl.build_product(floor5, stl.parse("G[0,991] F[0,9] A"))
+    assert product.horizon == 1000
+    fixed, double = (stl.check(product, keep_policy=False, arithmetic=a) for a in ("auto", "double"))
+    exact = stl.check(product, keep_policy=False, exact=True)
+    assert (fixed.arithmetic, double.arithmetic) == ("fixed", "double")
+    assert fixed.upper - fixed.lower < 1e-13
+    assert double.upper - double.lower < 4e-12
+    for result in (fixed, double):
+        assert result.lower <= exact.fraction <= result.upper
+
+
+def test_decimals_mean_themselves():
+    """0.1 is 1/10, as a double, a text, a Fraction."""
+    rows = [[0.1, 0.9], [0.3, 0.7]]
+    given = [rows, [[str(p) for p in row] for row in rows], [[Fraction(str(p)) for p in row] for row in rows]]
+    for transitions in given:
+        model = stl.MDP.from_arrays([transitions], {"x": [0, 1]})
+        assert model.exact().denominator == 10
+        result = stl.check(stl.build_product(model, stl.parse("G[0,3] x < 1")), exact=True)
+        assert result.fraction == Fraction(1, 1000)
+
+
+def test_an_exact_answer_needs_exact_rows():
+    third = 1 / 3
+    model = stl.MDP.from_arrays([[[third, third, third], [0, 1, 0], [0, 0, 1]]], {"x": [0, 1, 2]})
+    product = stl.build_product(model, stl.parse("F[0,3] x > 1"))
+    with pytest.raises(ModelError, match=r"state 0, action 0: the probabilities sum to 1 − .*fractions, such as"):
+        stl.check(product, exact=True)
+    with pytest.raises(SettingsError, match="share a small denominator"):
+        stl.check(product, arithmetic="fixed")
+    result = stl.check(product)
+    assert result.lower <= Fraction(13, 27) <= result.upper
+    start = stl.MDP.from_arrays([np.eye(3)], {"x": [0, 1, 2]}, initial=[third] * 3)
+    with pytest.raises(ModelError, match="the initial distribution: the probabilities sum to 1 − "):
+        stl.check(stl.build_product(start, stl.parse("F[0,3] x > 1")), exact=True)
+
+
+def test_what_would_not_fit_is_refused_first(floor5):
+    product = stl.build_product(floor5, stl.parse("G[0,900] F[0,50] A"))
+    with pytest.raises(SizeError, match=r"exact arithmetic on .* over 950 steps would take"):
+        stl.check(product, exact=True, keep_policy=False, memory_limit=100_000)
+
+
+def test_unknown_settings_are_named(patrolling):
+    with pytest.raises(SettingsError, match="no arithmetic 'float'; choose auto, double, fixed"):
+        stl.check(patrolling, arithmetic="float")
+
+
+@settings(max_examples=40)
+@given(strategies.models(), strategies.formulas(longest=2, max_leaves=3))
+def test_first_steps_are_breadth_first(model, phi):
+    product = stl.build_product(model, phi)
+    h = product.horizon
+    expected = np.full(product.shape, h + 1)
+    layer = {(s, product.enter(s, product.automaton.initial)) for s, _ in oracles.initial(model)}
+    for t in range(h + 1):
+        for place in layer:
+            expected[place] = min(expected[place], t)
+        layer = {
+            (n, product.enter(n, q)) for s, q in layer for row in oracles.choices(model, s) for n, p in row if p > 0
+        }
+    assert (first_steps(product) == expected).all()
+
+
+# --------------------------------------------------------------------------------------------------------- QComp
+
+
+def published(name):
+    path = QCOMP / f"{name}.json"
+    if not path.exists():
+        pytest.skip("the QComp models are not beside this checkout")
+    return {entry["property"]: Fraction(entry["value"]) for entry in json.loads(path.read_text())["expected"]}
+
+
+def test_resource_gathering_to_the_last_digit():
+    (value,) = published("resource_gathering_200_15_15").values()
+    model = stl.load_model(QCOMP / "resource_gathering_200_15_15.tra")
+    assert (model.n_states, model.n_choices, model.n_transitions) == (24064, 77312, 83456)
+    product = stl.build_product(model, stl.parse("F[0,200] success"))
+    result = stl.check(product, exact=True, keep_policy=False)
+    assert result.fraction == value == Fraction(40402280165576036172779067978949245387, 5 * 10**37)
+    enclosed = stl.check(product, keep_policy=False)
+    assert enclosed.lower <= value <= enclosed.upper
+    assert enclosed.upper - enclosed.lower < 6e-15
+
+
+@pytest.mark.parametrize(
+    ("name", "prop", "text", "maximize", "short"),
+    [
+        ("consensus_2_2", 'Pmin=? [F "finished_ones"]', "F[0,K] finished_ones", False, 1e-9),
+        ("consensus_2_2", 'Pmax=? [F "finished_disagree"]', "F[0,K] finished_disagree", True, 1e-9),
+        ("zeroconf_dl_1000_1_true_10", 'Pmax=? [!"fresh" U "late"]', "!fresh U[0,K] late", True, 1e-14),
+        ("zeroconf_dl_1000_1_true_10", 'Pmin=? [!"fresh" U "late"]', "!fresh U[0,K] late", False, 1e-14),
+    ],
+)
+def test_unbounded_published_values_are_approached_from_below(name, prop, text, maximize, short):
+    """P of a bounded reach grows with its bound towards the published value without one."""
+    value = published(name)[prop]
+    model = stl.load_model(QCOMP / f"{name}.tra")
+    bounds = []
+    for k in (200, 1000):
+        product = stl.build_product(model, stl.parse(text.replace("K", str(k))))
+        bounds.append(stl.check(product, maximize=maximize, keep_policy=False))
+    assert bounds[0].lower <= bounds[1].upper
+    assert bounds[1].lower <= value
+    assert value - Fraction(bounds[1].upper) < short
