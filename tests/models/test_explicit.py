@@ -16,6 +16,7 @@ STA = "(x,up)\n0:(0,true)\n1:(-3,false)\n2:(7,true)\n"
 
 def write(folder, tra=TRA, lab=LAB, sta=STA):
     for ending, text in (("tra", tra), ("lab", lab), ("sta", sta)):
+        (folder / f"m.{ending}").unlink(missing_ok=True)
         if text is not None:
             (folder / f"m.{ending}").write_text(text, encoding="utf-8")
     return folder / "m.tra"
@@ -80,7 +81,10 @@ def test_rounded_decimals_load_with_a_defect(tmp_path):
         ({"tra": "1 1 2\n0 0 0 1/2\n0 0 0 1/2\n"}, r"line 3: .*this successor of state 0, choice 0 stands twice"),
         ({"tra": "1 1 2\n0 0 0 1\n"}, "1 transitions, and the first line says 2; is the file cut off"),
         ({"tra": "1 2 1\n0 0 0 1\n"}, "1 choices, and the first line says 2"),
-        ({"tra": "2 2 3\n0 0 0 1/2 a\n0 0 1 1/2 b\n1 0 1 1\n"}, "line 3: .*choice 0 of state 0 has the action a in an earlier line"),
+        (
+            {"tra": "2 2 3\n0 0 0 1/2 a\n0 0 1 1/2 b\n1 0 1 1\n"},
+            "line 3: .*choice 0 of state 0 has the action a in an earlier line",
+        ),
         ({"tra": "2 1 1\n0 0 0 1\n", "lab": None, "sta": None}, "state 1 has no action; give it one that stays"),
         ({"tra": "1 1 1\n0 0 0 0\n"}, "state 0, choice 0: the probabilities sum to 0, not 1"),
         ({"tra": "1 1 1\n0 0 0 1/2\n", "lab": None, "sta": None}, "m.tra: state 0, action 0: .* sum to 0.5, not 1"),
