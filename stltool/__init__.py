@@ -22,6 +22,7 @@ One straight way through the house, and the map in reading order:
     product.py    MDP × TaskAutomaton, never built as a matrix
     policy.py     a table over (t?, s, q), saved and loaded without pickle
     checking/     the exact probability of the best policy, or of a given one, with bounds
+    recheck.py    certificates of those bounds re-checked; imports nothing of stltool
     learning/     policies from experience alone
     reporting/    results → JSON, HTML, terminal
     cli/          the same from the command line
@@ -35,7 +36,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from stltool.automata import TaskAutomaton, compile_automaton
-    from stltool.checking import CheckResult, Run, check, sample_run
+    from stltool.checking import CheckResult, Run, check, sample_run, write_certificate
     from stltool.errors import StlToolError
     from stltool.learning import Settings, Training, learn
     from stltool.logic.formula import Formula, horizon
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from stltool.models import MDP, load_model
     from stltool.policy import Policy, load_policy
     from stltool.product import Product, build_product
+    from stltool.recheck import certify
     from stltool.reporting import report
 
 __version__ = "0.1.0"
@@ -55,6 +57,7 @@ _HOME = {
     "CheckResult": "checking", "Formula": "logic.formula", "Fragment": "logic.fragment", "MDP": "models",
     "Policy": "policy", "Product": "product", "Run": "checking", "Settings": "learning", "StlToolError": "errors",
     "Task": "logic.task", "TaskAutomaton": "automata", "Training": "learning", "build_product": "product",
+    "certify": "recheck", "write_certificate": "checking",
     "check": "checking", "check_fragment": "logic.fragment", "compile_automaton": "automata",
     "horizon": "logic.formula", "learn": "learning", "load_model": "models", "load_policy": "policy",
     "load_task": "logic.parser", "parse": "logic.parser", "parse_task": "logic.parser", "report": "reporting",
@@ -65,6 +68,7 @@ __all__ = [  # noqa: RUF022 - in reading order
     "parse", "Formula", "horizon", "satisfies", "robustness", "check_fragment", "Fragment",
     "load_task", "parse_task", "Task", "compile_automaton", "TaskAutomaton", "load_model", "MDP",
     "build_product", "Product", "Policy", "load_policy", "check", "CheckResult", "sample_run", "Run",
+    "write_certificate", "certify",
     "learn", "Training", "Settings", "report", "StlToolError",
 ]  # fmt: skip
 

@@ -38,6 +38,10 @@ class PolicyError(StlToolError):
     """A policy does not fit the product it is to be used on."""
 
 
+class CertificateError(StlToolError):
+    """A certificate is not one, or belongs to another task or model."""
+
+
 class SizeError(StlToolError):
     """What was asked for would not fit; raised before any memory is taken."""
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 from stltool.errors import FileError
 
@@ -35,25 +38,32 @@ def read_text(path: str | Path, what: str) -> str:
 
 def write_atomically(path: str | Path, data: bytes | str) -> None:
     """Write `data` beside `path` and move it into place, so that a crash leaves the old file."""
+    with atomic_file(path) as file:
+        file.write(data.encode("utf-8", errors="backslashreplace") if isinstance(data, str) else data)
+
+
+@contextmanager
+def atomic_file(path: str | Path) -> Iterator[IO[bytes]]:
+    """A binary file beside `path` that takes its place when the block ends well, and vanishes when it does not."""
     path = Path(path).resolve()  # through a link, to what it names
     require_replaceable(path)
-    if isinstance(data, str):
-        data = data.encode("utf-8", errors="backslashreplace")
     temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         mode = path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~_umask()
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
             temporary = file.name
-            file.write(data)
+            yield file
             file.flush()
             os.fsync(file.fileno())
         os.chmod(temporary, mode)
         os.replace(temporary, path)
-    except OSError as error:
+    except BaseException as error:
         if temporary is not None:
             Path(temporary).unlink(missing_ok=True)
-        raise FileError(f"{path}: cannot be written: {error.strerror}") from None
+        if isinstance(error, OSError):
+            raise FileError(f"{path}: cannot be written: {error.strerror}") from None
+        raise
 
 
 def require_replaceable(path: Path) -> None:

@@ -1,5 +1,6 @@
 """The command line as its users meet it: output, exit codes, messages, nothing half-written."""
 
+import gzip
 import json
 import os
 import subprocess
@@ -48,6 +49,79 @@ def test_check_table_and_minimum(stltool):
     code, out, _ = stltool("check", str(FACTORY / "reaching.stl"))
     assert "reaching := F[0,9] F[0,4] A" in out
     assert "maximum of all" in out
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "says"),
+    [
+        (["--at-least", "73794/100000"], 0, "P >= 73794/100000  holds"),
+        (["--at-most", "0.7"], 1, "P <= 0.7  does not hold"),
+        (["--at-least", "0.7", "--at-most", "0.8"], 0, "P <= 0.8  holds"),
+        (["--at-least", "0.7", "--at-most", "0.73"], 1, "P <= 0.73  does not hold"),
+        (["--at-least", "0.73794757279959"], 1, "not decided: the bound lies inside the enclosure; add --exact"),
+        (["--at-least", "0.73794757279959", "--exact"], 0, "P >= 0.73794757279959  holds"),
+        (["--at-most", "0.73794757279959", "--exact"], 0, "P <= 0.73794757279959  holds"),
+        (["--at-least", "0.7379475727995900000001", "--exact"], 1, "does not hold"),
+    ],
+)  # fmt: skip
+def test_verdicts_for_continuous_integration(stltool, options, code, says):
+    ended, out, _ = stltool("check", PATROLLING, *SMALL, *options)
+    assert ended == code
+    assert out.rstrip().endswith(says)
+    ended, out, _ = stltool("check", PATROLLING, *SMALL, *options, "--json")
+    data = json.loads(out)
+    assert (ended, data["holds"], data["decided"]) == (code, code == 0, "not decided" not in says)
+
+
+def test_the_exact_fraction(stltool):
+    code, out, _ = stltool("check", PATROLLING, *SMALL, "--exact")
+    assert code == 0
+    assert "exact P  73794757279959/100000000000000" in out
+    data = json.loads(stltool("check", PATROLLING, *SMALL, "--exact", "--json")[1])
+    assert (data["exact"], data["arithmetic"]) == ("73794757279959/100000000000000", "rational")
+    long = stltool("check", PATROLLING, "-p", "T=100", "--exact")[1]
+    assert "a fraction of " in long
+
+
+def test_certificates_are_written_and_rechecked(stltool, tmp_path):
+    file = tmp_path / "c.jsonl.gz"
+    code, out, _ = stltool("check", PATROLLING, *SMALL, "--certificate", file)
+    assert (code, out.split()[-1]) == (0, str(file))
+    code, out, _ = stltool("certify", file, PATROLLING, *SMALL)
+    assert code == 0
+    assert "proved    0.7379475727995" in out
+    assert "the same task, model and automaton" in out
+    data = json.loads(stltool("certify", file, "--json")[1])
+    assert (data["proved"], data["compared_with"], data["pairs"]) == (True, None, 198)
+    code, _, err = stltool("certify", file, PATROLLING)
+    assert code == 2
+    assert "the task of this certificate is G[0,4]" in err
+    changed = tmp_path / "c.jsonl"
+    text = gzip.decompress(file.read_bytes()).decode()
+    changed.write_text(text.replace('"upper":[', '"upper":[1', 1))
+    code, _, err = stltool("certify", changed)
+    assert code == 1
+    assert "refused: " in err
+    assert stltool("certify", PATROLLING)[0] == 2
+    assert stltool("certify", tmp_path / "none")[0] == 2
+
+
+def test_certificates_of_given_policies(stltool, tmp_path):
+    saved, file = tmp_path / "p.npz", tmp_path / "c.jsonl"
+    stltool("check", PATROLLING, *SMALL, "--save-policy", saved)
+    code, _, _ = stltool("check", PATROLLING, *SMALL, "--policy", saved, "--exact", "--certificate", file)
+    assert code == 0
+    data = json.loads(stltool("certify", file, "--json")[1])
+    assert (data["claim"], data["lower"], data["upper"]) == ("policy", *["73794757279959/100000000000000"] * 2)
+
+
+def test_an_explicit_model_on_the_command_line(stltool, tmp_path):
+    (tmp_path / "m.tra").write_text("2 2 3\n0 0 0 2/3\n0 0 1 1/3\n1 0 1 1\n")
+    (tmp_path / "m.lab").write_text('0="init" 1="done"\n0: 0\n1: 1\n')
+    (tmp_path / "t.stl").write_text('model "m.tra"\nsoon := F[0,2] done\n')
+    code, out, _ = stltool("check", tmp_path / "t.stl", "--exact")
+    assert code == 0
+    assert "exact P  5/9" in out
 
 
 @pytest.mark.parametrize(("bound", "code", "says"), [("0.7", 0, "holds"), ("0.75", 1, "does not hold")])

@@ -54,6 +54,16 @@ class CheckResult:
     arithmetic: Literal["double", "fixed", "rational"] = "double"
     status: str = "complete"
 
+    def at_least(self, bound: float | Fraction) -> bool | None:
+        """Whether the exact value is at least `bound`; None where the bound lies inside the enclosure."""
+        lower, upper = (self.lower, self.upper) if self.fraction is None else (self.fraction, self.fraction)
+        return True if lower >= bound else False if upper < bound else None
+
+    def at_most(self, bound: float | Fraction) -> bool | None:
+        """Whether the exact value is at most `bound`; None where the bound lies inside the enclosure."""
+        lower, upper = (self.lower, self.upper) if self.fraction is None else (self.fraction, self.fraction)
+        return True if upper <= bound else False if lower > bound else None
+
 
 def check(
     product: Product,

@@ -11,7 +11,9 @@ policies, whose weights (in proportion to the doubles given) enter as integers o
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,16 +146,9 @@ def _in_python(
                 best[there] = np.where(better, i, best[there])
             if tables is not None:
                 tables[t] = best
-        elif policy.deterministic:
-            chosen = model.choice_start[:-1, None] + np.maximum(policy.at(t), 0)
-            values = np.take_along_axis(per_choice, chosen, axis=0)
         else:
-            weight, shared = _weights(policy.at(t))
-            factor *= shared
-            values = np.zeros(product.shape, dtype=object)
-            for i in range(weight.shape[2]):
-                there = np.flatnonzero(n_choices > i)
-                values[there] += weight[there, :, i] * per_choice[model.choice_start[there] + i]
+            chosen, shared = follower(model, policy.at(t))
+            values, factor = chosen(per_choice), factor * shared
         one *= factor
         verdicts = automaton.verdicts(t)
         values[:, verdicts == TRUE] = one
@@ -164,7 +159,25 @@ def _in_python(
     return total / one
 
 
-def _weights(table: NDArray[np.float64]) -> tuple[Integers, int]:
+def follower(model: MDP, table: NDArray[Any]) -> tuple[Callable[[Integers], Integers], int]:
+    """What a policy's table of one step makes of values (n_choices, Q): (S, Q), times the second result."""
+    if table.dtype.kind == "i":
+        chosen = model.choice_start[:-1, None] + np.maximum(table, 0)
+        return lambda per_choice: np.take_along_axis(per_choice, chosen, axis=0), 1
+    weight, shared = weights(table)
+    n_choices = np.diff(model.choice_start)
+
+    def mix(per_choice: Integers) -> Integers:
+        values: Integers = np.zeros(table.shape[:2], dtype=object)
+        for i in range(table.shape[2]):
+            there = np.flatnonzero(n_choices > i)
+            values[there] += weight[there, :, i] * per_choice[model.choice_start[there] + i]
+        return values
+
+    return mix, shared
+
+
+def weights(table: NDArray[np.float64]) -> tuple[Integers, int]:
     """A mixture's weights (S, Q, C), each row scaled to sum to 1, as integers over one denominator."""
     rows, which = np.unique(table.reshape(-1, table.shape[-1]), axis=0, return_inverse=True)
     shares = []

@@ -1,10 +1,12 @@
-"""When a product state can first be reached, over all policies: breadth-first search, a frontier a step."""
+"""Which product states can be reached, and when: over all policies, or under one."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.automata import UNDECIDED
+from stltool.policy import Policy
 from stltool.product import Product
 
 
@@ -22,11 +24,41 @@ def first_steps(product: Product) -> NDArray[np.int32]:
         first[s, q] = t
         if t == product.horizon or not s.size:
             break
-        length = state_start[s + 1] - state_start[s]
-        offset = np.arange(length.sum()) - np.repeat(np.cumsum(length) - length, length)
-        target = model.target[np.repeat(state_start[s], length) + offset]
-        after = delta[product.letter[target], np.repeat(q, length)]
+        target, after = _successors(product, state_start[s], state_start[s + 1], q)
         new = first[target, after] > product.horizon
         codes = np.unique(target[new].astype(np.int64) * delta.shape[1] + after[new])
         s, q = np.divmod(codes, delta.shape[1])
     return first
+
+
+def policy_layers(product: Product, policy: Policy) -> list[NDArray[np.uint8]]:
+    """For each step 0 … h−1 the undecided pairs (s, q) that the policy can be in, packed bit by bit."""
+    model, automaton = product.model, product.automaton
+    now = np.zeros(product.shape, dtype=np.bool_)
+    s = np.flatnonzero(model.initial)
+    now[s, automaton.delta[product.letter[s], automaton.initial]] = True
+    layers = []
+    for t in range(product.horizon):
+        now[:, automaton.verdicts(t) != UNDECIDED] = False
+        layers.append(np.packbits(now))
+        s, q = np.nonzero(now)
+        table = policy.at(t)[s, q]
+        if policy.deterministic:
+            choice = model.choice_start[s] + table
+        else:
+            which, number = np.nonzero(table)
+            choice, q = model.choice_start[s[which]] + number, q[which]
+        target, after = _successors(product, model.row_start[choice], model.row_start[choice + 1], q)
+        now = np.zeros(product.shape, dtype=np.bool_)
+        now[target, after] = True
+    return layers
+
+
+def _successors(
+    product: Product, start: NDArray[np.int64], end: NDArray[np.int64], q: NDArray[np.int64]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """(s', q') over the transitions start[i] … end[i] − 1, each taken from memory q[i]."""
+    length = end - start
+    offset = np.arange(length.sum()) - np.repeat(np.cumsum(length) - length, length)
+    target = product.model.target[np.repeat(start, length) + offset]
+    return target, product.automaton.delta[product.letter[target], np.repeat(q, length)]

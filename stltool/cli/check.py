@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import json
+from fractions import Fraction
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import (
-    AsJson,
-    Encoding,
-    Model,
-    Params,
-    TaskFile,
-    TaskName,
-)
-from stltool.cli.steps import make_product
-from stltool.errors import SettingsError
+from stltool.cli.options import AsJson, Encoding, Model, Params, TaskFile, TaskName
+from stltool.cli.steps import make_product, read_probability
+
+_VERDICTS = {
+    True: "holds",
+    False: "does not hold",
+    None: "not decided: the bound lies inside the enclosure; add --exact",
+}
 
 
 @app.command()
@@ -28,11 +27,19 @@ def check(
         Path | None, typer.Option("--policy", help="policy file (.npz) or Q-table (.csv); default: the best of all")
     ] = None,
     minimize: Annotated[bool, typer.Option("--minimize", help="the least instead of the greatest probability")] = False,
+    exact: Annotated[bool, typer.Option("--exact", help="the probability as a fraction, without any rounding")] = False,
     at_least: Annotated[
-        float | None, typer.Option("--at-least", metavar="P", help="exit code 1 unless the probability is at least P")
+        str | None, typer.Option("--at-least", metavar="P", help="exit code 1 unless the probability is at least P")
+    ] = None,
+    at_most: Annotated[
+        str | None, typer.Option("--at-most", metavar="P", help="exit code 1 unless the probability is at most P")
     ] = None,
     save_policy: Annotated[
         Path | None, typer.Option("--save-policy", metavar="FILE", help="write the optimal policy (.npz)")
+    ] = None,
+    certificate: Annotated[
+        Path | None,
+        typer.Option("--certificate", metavar="FILE", help="write what proves the bounds (.jsonl, or .jsonl.gz)"),
     ] = None,
     model: Model = None,
     param: Params = None,
@@ -42,36 +49,51 @@ def check(
 ) -> None:
     """The exact probability that the task holds: of the best policy, or of a given one."""
     import stltool as stl
+    from stltool.files import require_folder, require_replaceable
     from stltool.policy import require_policy_file
     from stltool.reporting import check_data
-    from stltool.reporting.terminal import print_checks, print_facts, progress_bar
+    from stltool.reporting.terminal import fraction_text, print_checks, print_facts, progress_bar
 
-    if at_least is not None and not 0 <= at_least <= 1:
-        raise SettingsError(f"--at-least {at_least}: a probability lies between 0 and 1")
-    product = make_product(task, model, param, name, encoding, as_json, learning=False)
-    chosen = stl.load_policy(policy, product) if policy is not None else None
+    bounds: list[tuple[str, str, Fraction]] = [
+        (option, text, read_probability(text, option))
+        for option, text in (("--at-least", at_least), ("--at-most", at_most))
+        if text is not None
+    ]
     if save_policy is not None:
         require_policy_file(save_policy)
+    if certificate is not None:
+        require_replaceable(certificate)
+        require_folder(certificate.resolve().parent)
+    product = make_product(task, model, param, name, encoding, as_json, learning=False)
+    chosen = stl.load_policy(policy, product) if policy is not None else None
+    keep = save_policy is not None or (certificate is not None and chosen is None)
     with progress_bar("checking", quiet=as_json) as bar:
-        optimum = stl.check(product, maximize=not minimize, keep_policy=save_policy is not None, progress=bar)
-    result = optimum if chosen is None else stl.check(product, chosen)
+        optimum = stl.check(
+            product, maximize=not minimize, exact=exact and chosen is None, keep_policy=keep, progress=bar
+        )
+    result = optimum if chosen is None else stl.check(product, chosen, exact=exact)
     if save_policy is not None and optimum.policy is not None:
         optimum.policy.save(save_policy)
+    if certificate is not None:
+        stl.write_certificate(result, certificate)
     data = check_data(result, optimum)
-    if at_least is not None:
-        data["at_least"], data["holds"] = at_least, result.lower >= at_least
+    verdicts = []
+    for option, text, bound in bounds:
+        holds = result.at_least(bound) if option == "--at-least" else result.at_most(bound)
+        verdicts.append((f"P {'>=' if option == '--at-least' else '<='} {text}", holds))
+        data[option.strip("-").replace("-", "_")] = float(bound)
+    if verdicts:
+        data["holds"] = all(holds is True for _, holds in verdicts)
+        data["decided"] = all(holds is not None for _, holds in verdicts)
     if as_json:
         print(json.dumps(data))
     else:
         print_facts({"task": f"{product.task_name} := {product.formula}"})
         print_checks([check_data(optimum), data] if chosen is not None else [data])
-        if at_least is not None:
-            print_facts({f"P >= {at_least}": _verdict(result.lower, result.upper, at_least)})
-    if at_least is not None and not data["holds"]:
+        if result.fraction is not None:
+            print_facts({"exact P": fraction_text(result.fraction)})
+        print_facts({claim: _VERDICTS[holds] for claim, holds in verdicts})
+        if certificate is not None:
+            print_facts({"certificate": certificate})
+    if verdicts and not data["holds"]:
         raise typer.Exit(1)
-
-
-def _verdict(lower: float, upper: float, bound: float) -> str:
-    if lower >= bound:
-        return "holds"
-    return "does not hold" if upper < bound else "not decided: the bound lies inside the enclosure"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -103,3 +104,16 @@ def training_text(training: Training) -> str:
     episodes, steps = training.settings.episodes, training.environment_steps
     method = training.method + (" as published" if training.faithful else "")
     return f"{method}, {episodes} episodes, {steps} environment steps, {training.seconds:.1f} s"
+
+
+def read_probability(text: str, option: str) -> Fraction:
+    """A probability as typed: a decimal or a fraction, exactly."""
+    from stltool.models.fractions import parse_fraction
+
+    try:
+        value = parse_fraction(text)
+    except ValueError:
+        raise SettingsError(f"{option} {text}: write a probability such as 0.95 or 19/20") from None
+    if not 0 <= value <= 1:
+        raise SettingsError(f"{option} {text}: a probability lies between 0 and 1")
+    return value

@@ -117,6 +117,8 @@ def check_data(result: CheckResult, optimum: CheckResult | None = None) -> dict[
         "probability": result.probability,
         "lower": result.lower,
         "upper": result.upper,
+        "exact": str(result.fraction) if result.fraction is not None else None,
+        "arithmetic": result.arithmetic,
         "optimum": best.probability,
         "optimum_lower": best.lower,
         "optimum_upper": best.upper,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from decimal import ROUND_CEILING, ROUND_FLOOR, Context
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -62,12 +63,14 @@ def render(data: dict[str, Any]) -> str:
     )
 
 
-def bound_texts(lower: float, upper: float) -> tuple[str, str]:
+def bound_texts(lower: float | Fraction, upper: float | Fraction) -> tuple[str, str]:
     """An enclosure in 17 digits, rounded outwards: what is printed encloses too."""
-    return (
-        str(Context(prec=17, rounding=ROUND_FLOOR).create_decimal_from_float(lower)),
-        str(Context(prec=17, rounding=ROUND_CEILING).create_decimal_from_float(upper)),
+    texts = (
+        Context(prec=17, rounding=rounding).divide(*map(Decimal, bound.as_integer_ratio()))
+        for bound, rounding in ((lower, ROUND_FLOOR), (upper, ROUND_CEILING))
     )
+    low, high = map(str, texts)
+    return low, high
 
 
 def probability_text(value: float) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from fractions import Fraction
 from typing import Any
 
 from rich.console import Console
@@ -12,6 +13,7 @@ from rich.text import Text
 
 from stltool.reporting.page import bound_texts, probability_text
 
+_LONGEST_FRACTION = 400
 Advance = Callable[..., None]
 """Called with (done, total) or (done, total, exact probability so far)."""
 
@@ -94,6 +96,12 @@ def _print_columns(rows: list[tuple[str, ...]]) -> None:
     for row in rows:
         cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=True)]
         console.print(Text.assemble((cells[0], "bold"), "  ", "  ".join(cells[1:]).rstrip()))
+
+
+def fraction_text(value: Fraction) -> str:
+    """A fraction whole, or what it is like where it is too long to read."""
+    text = str(value)
+    return text if len(text) <= _LONGEST_FRACTION else f"a fraction of {len(text)} digits; --json prints it"
 
 
 def error(message: str) -> None:

@@ -1,0 +1,66 @@
+"""`stltool certify`: certificates re-checked by code that shares nothing with what wrote them."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stltool.cli.app import app
+from stltool.cli.options import AsJson, Encoding, Model, Params, TaskName
+from stltool.cli.steps import bind, read_params, task_model
+from stltool.errors import CertificateError
+
+
+@app.command()
+def certify(
+    file: Annotated[Path, typer.Argument(help="certificate (.jsonl or .jsonl.gz)", show_default=False)],
+    task: Annotated[
+        Path | None, typer.Argument(help="task file (.stl) that the certificate must be of", show_default=False)
+    ] = None,
+    model: Model = None,
+    param: Params = None,
+    name: TaskName = None,
+    encoding: Encoding = "exact",
+    as_json: AsJson = False,
+) -> None:
+    """Re-check a certificate in exact arithmetic; with TASK, that it speaks of this task and model.
+
+    Exit code 0: the bounds are proved. 1: refused, with the place. 2: no certificate, or one of another task or model.
+    """
+    import stltool as stl
+    from stltool.checking import require_certificate_of
+    from stltool.recheck import NotACertificate, Refused
+    from stltool.recheck import certify as recheck
+    from stltool.reporting.page import bound_texts
+    from stltool.reporting.terminal import error, print_facts
+
+    try:
+        if task is not None:
+            loaded = stl.load_task(task, read_params(param), name)
+            require_certificate_of(file, bind(loaded, task_model(loaded, model), encoding))
+        proved = recheck(str(file))
+    except NotACertificate as refusal:
+        raise CertificateError(f"{file}: {refusal}; write one with stltool check --certificate") from None
+    except Refused as refusal:
+        error(f"{file}: refused: {refusal}")
+        raise typer.Exit(1) from None
+    except FileNotFoundError:
+        raise CertificateError(f"{file}: there is no such certificate") from None
+    if as_json:
+        print(json.dumps(proved | {"proved": True, "compared_with": str(task) if task is not None else None}))
+        return
+    lower, upper = bound_texts(*(Fraction(proved[key]) for key in ("lower", "upper")))
+    question = {"maximum": "the maximum of all policies", "minimum": "the minimum of all policies"}
+    print_facts({
+        "proved": f"{lower} <= P <= {upper}",
+        "P": question.get(proved["claim"], f"of the policy listed ({proved['policy']})"),
+        "task": f"{proved['task']} := {proved['formula']}",
+        "checked": f"{proved['pairs']} pairs of state and memory in {proved['layers']} layers, whole numbers only",
+        "rows": "sum to 1 exactly" if proved["defect"] == "0" else f"sum to 1 up to {proved['defect']}, allowed for",
+        "compared": f"with {task}: the same task, model and automaton" if task is not None else
+        "with nothing: the model and automaton are the file's own; give TASK to compare them with yours",
+    })  # fmt: skip
