@@ -18,7 +18,7 @@ import hashlib
 import json
 import sys
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from typing import Any, NoReturn
 
@@ -40,10 +40,13 @@ def require(holds: bool, problem: str) -> None:
         raise Refused(problem)
 
 
-def certify(path: str) -> dict[str, Any]:
-    """Check every line of the certificate; returns its header with what was counted. Raises Refused, OSError."""
+def certify(path: str, progress: Callable[[int, int], None] | None = None) -> dict[str, Any]:
+    """Check every line of the certificate; returns its header with what was counted. Raises Refused, OSError.
+
+    `progress` is called with (layers done, layers in all).
+    """
     try:
-        return _certify(lines(path))
+        return _certify(lines(path), progress or (lambda done, total: None))
     except _DAMAGE as error:
         raise NotACertificate(f"not a certificate ({FORMAT}), or a damaged one: {error!r}") from None
 
@@ -69,7 +72,7 @@ def _not_whole(text: str) -> NoReturn:
     raise Refused(f"{text} is no whole number")
 
 
-def _certify(items: Iterator[dict[str, Any]]) -> dict[str, Any]:
+def _certify(items: Iterator[dict[str, Any]], progress: Callable[[int, int], None]) -> dict[str, Any]:
     header = next(items, {})
     if header.get("format") != FORMAT:
         raise NotACertificate(f"not a certificate ({FORMAT})")
@@ -129,6 +132,7 @@ def _certify(items: Iterator[dict[str, Any]]) -> dict[str, Any]:
             require(low * D * one * total <= least * unit, f"{where}: the lower bound is above what a step gives")
             found[at] = high, low
         t, one, after, bounds, pairs = t - 1, unit, now, found, pairs + len(found)
+        progress(header["horizon"] - t, header["horizon"])
     conclusion = next(items, {})
     require(next(items, None) is None, "there are lines after the conclusion")
     start, total = model["initial"], model["initial_denominator"]

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata import FALSE, TRUE, UNDECIDED
+from stltool.checking.backward import Progress
 from stltool.checking.check import CheckResult
 from stltool.checking.rational import follower, weights
 from stltool.checking.reach import first_steps, policy_layers
@@ -40,7 +41,9 @@ _LARGEST = 2**62  # what D units may come to in int64
 _FINE, _FINEST = 2**48, 2**60  # units in 1: enough for int64, and for Python's integers where int64 has fewer
 
 
-def write_certificate(result: CheckResult, path: str | Path, memory_limit: int | None = None) -> None:
+def write_certificate(
+    result: CheckResult, path: str | Path, memory_limit: int | None = None, progress: Progress | None = None
+) -> None:
     """Write what proves a result's bounds: JSON lines, packed where the name ends in .gz.
 
     The result must have kept its policy. An exact result gets a certificate without any rounding.
@@ -68,6 +71,8 @@ def write_certificate(result: CheckResult, path: str | Path, memory_limit: int |
             line = (json.dumps(part, separators=(",", ":"), ensure_ascii=False) + "\n").encode()
             seal.update(line)
             out.write(line)
+            if progress is not None and "t" in part:
+                progress(product.horizon - part["t"], product.horizon)
         out.write((json.dumps({"sha256": seal.hexdigest()}) + "\n").encode())
 
 

@@ -36,13 +36,14 @@ def certify(
     from stltool.recheck import NotACertificate, Refused
     from stltool.recheck import certify as recheck
     from stltool.reporting.page import bound_texts
-    from stltool.reporting.terminal import error, print_facts
+    from stltool.reporting.terminal import error, print_facts, progress_bar
 
     try:
         if task is not None:
             loaded = stl.load_task(task, read_params(param), name)
             require_certificate_of(file, bind(loaded, task_model(loaded, model), encoding))
-        proved = recheck(str(file))
+        with progress_bar("checking layers", quiet=as_json) as bar:
+            proved = recheck(str(file), bar)
     except NotACertificate as refusal:
         raise CertificateError(f"{file}: {refusal}; write one with stltool check --certificate") from None
     except Refused as refusal:

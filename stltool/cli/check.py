@@ -75,7 +75,8 @@ def check(
     if save_policy is not None and optimum.policy is not None:
         optimum.policy.save(save_policy)
     if certificate is not None:
-        stl.write_certificate(result, certificate)
+        with progress_bar("writing the certificate", quiet=as_json) as bar:
+            stl.write_certificate(result, certificate, progress=bar)
     data = check_data(result, optimum)
     verdicts = []
     for option, text, bound in bounds:

@@ -1,0 +1,53 @@
+"""Every page of docs/ tells the truth: its commands print what stands there, its programs run."""
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from stltool import cli
+from tests.conftest import ROOT
+
+PAGES = sorted((ROOT / "docs").glob("*.md"))
+
+
+def blocks(page, language):
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder with the examples, as a checkout has them."""
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_there_are_pages_with_commands():
+    assert {page.stem for page in PAGES} >= {"certificates"}
+    assert all(blocks(page, "console") for page in PAGES)
+
+
+def comparable(text):
+    """Without what differs from run to run: seconds, and spaces at the ends of lines."""
+    return [re.sub(r"\b\d+(\.\d+)? s\b", "# s", line).rstrip() for line in text.strip().splitlines()]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_commands_print_what_the_page_shows(page, folder, capsys, monkeypatch):
+    for block in blocks(page, "console"):
+        for command, shown in re.findall(r"^\$ (stltool .*)\n((?:(?!\$ ).*\n)*)", block, flags=re.MULTILINE):
+            monkeypatch.setattr(sys, "argv", shlex.split(command))
+            with pytest.raises(SystemExit):
+                cli.main()
+            assert comparable(capsys.readouterr().out) == comparable(shown), command
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_programs_run(page, folder):
+    for code in blocks(page, "python"):
+        done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
