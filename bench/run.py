@@ -9,6 +9,7 @@ from importlib import metadata
 from pathlib import Path
 
 import automata
+import rigour
 import spine
 
 versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("stltool", "numpy", "numba", "scipy"))
@@ -21,6 +22,10 @@ lines = [
     "## Checking and learning",
     "",
     *spine.table(),
+    "",
+    "## Enclosures and exact fractions",
+    "",
+    *rigour.table(),
     "",
     "## Automata: states by encoding, seconds to compile the exact one",
     "",

@@ -15,17 +15,18 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata import UNDECIDED
 from stltool.checking.backward import Backend, Floats, Progress, Values, induct, sweeper
 from stltool.checking.bounds import can_underflow, defect, enclose, model_defects, round_down, round_up, roundings
 from stltool.checking.fixed import FixedPoint, fixed_point
 from stltool.checking.rational import exact_probability, require_exact
+from stltool.checking.reach import policy_layers
 from stltool.errors import PolicyError, SettingsError
-from stltool.policy import Policy, silence
+from stltool.policy import Policy
 from stltool.product import Product
 from stltool.sizes import require_memory, require_time
 
 _RATE = 1e9  # multiply-adds a second, roughly, on one core
+_NAMED = 3  # silent places in a message
 _SHARP = 1e-9  # the relative width below which a fixed-point enclosure is not swept again in doubles
 
 
@@ -210,19 +211,18 @@ def _smallest(*arrays: Floats) -> float:
 
 
 def _undefined(product: Product, policy: Policy) -> PolicyError:
-    """The first reachable place where the policy says nothing (its NaN reached the start), in the user's names."""
-    model, automaton = product.model, product.automaton
-    reached = {(int(s), product.enter(int(s), automaton.initial)) for s in np.flatnonzero(model.initial)}
-    for t in range(product.horizon):
-        verdicts, table = automaton.verdicts(t), policy.at(t)
-        following = set()
-        for s, q in sorted(reached):
-            if verdicts[q] != UNDECIDED:
-                continue
-            if table[s, q] < 0:
-                return silence(product, s, q, t)
-            c = model.choice_start[s] + table[s, q]
-            successors = model.target[model.row_start[c] : model.row_start[c + 1]]
-            following |= {(int(n), product.enter(int(n), q)) for n in successors}
-        reached = following
-    raise AssertionError("a NaN reached the start without an undefined state")
+    """Where the policy says nothing (its NaN reached the start): the places it can reach, then how many it cannot."""
+    places: dict[tuple[int, int], int] = {}  # (s, q) → the first step it is reached at
+    for t, layer in enumerate(policy_layers(product, policy)):
+        reached = np.unpackbits(layer, count=product.n_states).reshape(product.shape).astype(np.bool_)
+        for s, q in np.argwhere(reached & (policy.at(t) < 0)).tolist():
+            places.setdefault((s, q), t)
+    silent = policy.table < 0
+    others = int((silent if policy.stationary else silent.any(axis=0)).sum()) - len(places)
+    named = list(places.items())[:_NAMED]
+    shown = " | ".join(product.describe(s * product.automaton.n_states + q, t) for (s, q), t in named)
+    more = f" | and {len(places) - _NAMED} more" if len(places) > _NAMED else ""
+    unreached = f" ({others} others it cannot reach)" if others else ""
+    return PolicyError(
+        f"the policy says nothing about {shown}{more}, which it can reach{unreached}; add an action there"
+    )

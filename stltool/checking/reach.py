@@ -32,7 +32,10 @@ def first_steps(product: Product) -> NDArray[np.int32]:
 
 
 def policy_layers(product: Product, policy: Policy) -> list[NDArray[np.uint8]]:
-    """For each step 0 … h−1 the undecided pairs (s, q) that the policy can be in, packed bit by bit."""
+    """For each step 0 … h−1 the undecided pairs (s, q) that the policy can be in, packed bit by bit.
+
+    Where the policy says nothing its runs end.
+    """
     model, automaton = product.model, product.automaton
     now = np.zeros(product.shape, dtype=np.bool_)
     s = np.flatnonzero(model.initial)
@@ -44,7 +47,7 @@ def policy_layers(product: Product, policy: Policy) -> list[NDArray[np.uint8]]:
         s, q = np.nonzero(now)
         table = policy.at(t)[s, q]
         if policy.deterministic:
-            choice = model.choice_start[s] + table
+            choice, q = (model.choice_start[s] + table)[table >= 0], q[table >= 0]
         else:
             which, number = np.nonzero(table)
             choice, q = model.choice_start[s[which]] + number, q[which]

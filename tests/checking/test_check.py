@@ -182,6 +182,24 @@ def test_undefined_states_are_named_when_they_can_be_reached(patrolling):
     assert stl.check(patrolling, stl.Policy(patrolling, table)).probability == stl.check(patrolling).probability
 
 
+def test_silent_places_are_told_apart(patrolling):
+    """Reachable ones first, by name; the others by number."""
+    table = np.full((8, *patrolling.shape), -1, dtype=np.int16)
+    with pytest.raises(PolicyError, match=r"nothing about step 0, state \(1,0\).*, which it can reach \(467 others"):
+        stl.check(patrolling, stl.Policy(patrolling, table))
+    table = stl.check(patrolling).policy.table[0].copy()  # stationary
+    corners = [patrolling.model.state_names.index(name) for name in ("(0,0)", "(4,4)")]
+    table[:] = 0
+    table[int(patrolling.model.initial.argmax())] = 3  # W, towards the corner; elsewhere it stays
+    table[corners] = -1
+    with pytest.raises(PolicyError) as refusal:
+        stl.check(patrolling, stl.Policy(patrolling, table))
+    message = str(refusal.value)
+    assert "about step 1, state (0,0)" in message
+    assert "state (4,4)" not in message
+    assert "others it cannot reach" in message
+
+
 def test_an_enormous_horizon_is_refused_before_memory_is_taken(floor5):
     product = stl.build_product(floor5, stl.parse("G[0,10^8) F[0,10) A"))
     with pytest.raises(SizeError, match=r"198 product states over 100000008 steps.*keep_policy=False"):

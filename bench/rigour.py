@@ -1,0 +1,110 @@
+"""Numbers one can stand on: enclosures and exact fractions, their cost beside a plain sweep and Storm.
+
+enclosure  `check` with its enclosure (fixed point) against backward induction in doubles alone, horizon 1000
+exact      QComp's resource-gathering (F<=200 success) as a fraction, against Storm's exact engine on the same model
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+import stltool as stl
+from stltool import kernels
+from stltool.checking.backward import induct, sweeper
+from stltool.kernels import rational
+
+ROOT = Path(__file__).resolve().parent.parent
+QCOMP = ROOT.parent / "shared" / "data" / "qcomp" / "resource_gathering_200_15_15.tra"
+
+
+def enclosure_row() -> str:
+    model = stl.load_model(ROOT / "examples" / "factory" / "floor-10x10.toml")
+    product = stl.build_product(model, stl.parse("G[0,991] (F[0,9] A & F[0,9] B)"))
+    assert product.horizon == 1000
+    plain_sweeps, table = sweeper(product, "numba"), np.zeros(product.shape, dtype=np.int16)
+
+    def plain() -> float:
+        step = lambda t, W, out: plain_sweeps.optimum(W, True, out, table)  # noqa: E731
+        return float(induct(product, plain_sweeps, step, None)[0])
+
+    def enclosed() -> stl.CheckResult:
+        return stl.check(product, keep_policy=False, arithmetic="fixed")
+
+    result = enclosed()
+    exact = stl.check(product, keep_policy=False, exact=True).fraction
+    assert exact is not None
+    assert result.lower <= exact <= result.upper
+    assert abs(plain() - exact) < 1e-9
+    seconds = _paired(plain, enclosed, 9)
+    what = f"enclosure, 10 × 10 floor, horizon 1000, width {result.upper - result.lower:.1g}"
+    return f"| {what} | the plain sweep | {seconds[1] / seconds[0]:.2f} × its time |"
+
+
+def exact_row() -> str:
+    if not QCOMP.exists():
+        return "| exact fraction, resource-gathering | Storm's exact engine | not measured: the model is not here |"
+    model = stl.load_model(QCOMP)
+    product = stl.build_product(model, stl.parse("F[0,200] success"))
+
+    def ours() -> Fraction | None:
+        return stl.check(product, exact=True, keep_policy=False).fraction
+
+    try:
+        import stormpy
+    except ImportError:
+        return "| exact fraction, resource-gathering | Storm's exact engine | not measured: stormpy is not installed |"
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "model.drn"
+        file.write_text(_drn(model))
+        storm = stormpy.build_model_from_drn[stormpy.Rational](str(file))
+    (prop,) = stormpy.parse_properties('Pmax=? [F<=200 "success"]')
+    results = []
+
+    def theirs() -> None:
+        results.append(stormpy.model_checking(storm, prop, only_initial_states=True))
+
+    seconds = _paired(ours, theirs, 5)
+    assert ours() == Fraction(str(results[0].get_value(storm.initial_states[0])))
+    return (
+        f"| exact fraction, resource-gathering ({seconds[0]:.2f} s) | Storm's exact engine ({seconds[1]:.2f} s), "
+        f"models loaded | {seconds[1] / seconds[0]:.0f} × faster |"
+    )
+
+
+def _paired(first, second, n: int) -> tuple[float, float]:
+    """The shortest of n runs of each, taken in turn."""
+    times: tuple[list[float], list[float]] = ([], [])
+    for _ in range(n):
+        for action, kept in zip((first, second), times, strict=True):
+            start = time.perf_counter()
+            action()
+            kept.append(time.perf_counter() - start)
+    return min(times[0]), min(times[1])
+
+
+def _drn(model: stl.MDP) -> str:
+    exact = model.exact()
+    lines = ["@type: MDP", "@value_type: rational", "@parameters", "", "@reward_models", ""]
+    lines += ["@nr_states", str(model.n_states), "@nr_choices", str(model.n_choices), "@model"]
+    for s in range(model.n_states):
+        lines.append(" ".join(["state", str(s), *(name for name, values in model.labels.items() if values[s])]))
+        for i, c in enumerate(range(model.choice_start[s], model.choice_start[s + 1])):
+            lines.append(f"\taction {i}")
+            for k in range(model.row_start[c], model.row_start[c + 1]):
+                lines.append(f"\t\t{model.target[k]} : {Fraction(int(exact.numerator[k]), exact.denominator)}")
+    return "\n".join(lines) + "\n"
+
+
+def table() -> list[str]:
+    kernels.warm_up(learning=False)
+    rational.warm_up()
+    return ["| what | against | figure |", "|---|---|---|", enclosure_row(), exact_row()]
+
+
+if __name__ == "__main__":
+    print("\n".join(table()))
