@@ -113,6 +113,9 @@ def test_certificates_of_given_policies(stltool, tmp_path):
     assert code == 0
     data = json.loads(stltool("certify", file, "--json")[1])
     assert (data["claim"], data["lower"], data["upper"]) == ("policy", *["73794757279959/100000000000000"] * 2)
+    assert stltool("certify", file, PATROLLING, *SMALL, "--policy", saved)[0] == 0
+    code, _, err = stltool("certify", file, "--policy", saved)
+    assert (code, "give TASK too" in err) == (2, True)
 
 
 def test_an_explicit_model_on_the_command_line(stltool, tmp_path):

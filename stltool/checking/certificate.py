@@ -37,6 +37,7 @@ from stltool.product import Product
 from stltool.recheck import FORMAT, lines
 from stltool.sizes import require_memory
 
+_PARTS = ("model", "automaton")
 _LARGEST = 2**62  # what D units may come to in int64
 _FINE, _FINEST = 2**48, 2**60  # units in 1: enough for int64, and for Python's integers where int64 has fewer
 
@@ -76,21 +77,32 @@ def write_certificate(
         out.write((json.dumps({"sha256": seal.hexdigest()}) + "\n").encode())
 
 
-def require_certificate_of(path: str | Path, product: Product) -> None:
-    """CertificateError, with what differs, unless a certificate speaks of this product's task, model and automaton."""
-    found = list(itertools.islice(lines(str(path)), 3))
-    own = _header(product, "", None), _model_part(product.model), _automaton_part(product)
-    for key, what in (("formula", "the task"), ("horizon", "the horizon")):
-        if found[0].get(key) != own[0][key]:
-            raise CertificateError(f"{path}: {what} of this certificate is {found[0].get(key)}, not {own[0][key]}")
-    names = f"{found[0].get('model')}, not {product.model.name}"
-    for i, what in ((1, "model"), (2, "automaton")):
-        for key, value in own[i].items():
-            if found[i].get(key) != value:
+def require_certificate_of(path: str | Path, product: Product, policy: Policy | None = None) -> None:
+    """CertificateError, with what differs, unless a certificate speaks of this product's task, model and automaton.
+
+    With `policy`, its claim must also be about that policy, choice by choice.
+    """
+    items = lines(str(path))
+    header, *found = itertools.islice(items, 3)
+    if policy is not None:
+        product, policy = policy.on(product)
+    own = _header(product, "policy", policy)
+    for key in ("formula", "horizon", *(["claim"] if policy is not None else [])):
+        if header.get(key) != own[key]:
+            what = "task" if key == "formula" else key
+            raise CertificateError(f"{path}: the {what} of this certificate is {header.get(key)}, not {own[key]}")
+    for part, mine, what in zip(found, (_model_part(product.model), _automaton_part(product)), _PARTS, strict=True):
+        for key, value in mine.items():
+            if part.get(key) != value:
                 raise CertificateError(
-                    f"{path}: this certificate is of another {what} (its {key} differ; it names the model {names}); "
-                    "write one with stltool check --certificate"
+                    f"{path}: this certificate is of another {what} (its {key} differs; the model there is called "
+                    f"{header.get('model')}, here {product.model.name}); write one with stltool check --certificate"
                 )
+    if policy is not None:
+        for layer in itertools.takewhile(lambda item: "t" in item, items):
+            s, q = np.divmod(np.array(layer["at"], dtype=np.int64), product.automaton.n_states)
+            if layer["choice"] != _listed(product.model, policy.at(layer["t"]), s, q):
+                raise CertificateError(f"{path}: this certificate is of another policy (step {layer['t']} differs)")
 
 
 def _parts(product: Product, policy: Policy, result: CheckResult) -> Iterator[dict[str, Any]]:

@@ -12,7 +12,7 @@ import typer
 from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Params, TaskName
 from stltool.cli.steps import bind, read_params, task_model
-from stltool.errors import CertificateError
+from stltool.errors import CertificateError, SettingsError
 
 
 @app.command()
@@ -20,6 +20,9 @@ def certify(
     file: Annotated[Path, typer.Argument(help="certificate (.jsonl or .jsonl.gz)", show_default=False)],
     task: Annotated[
         Path | None, typer.Argument(help="task file (.stl) that the certificate must be of", show_default=False)
+    ] = None,
+    policy: Annotated[
+        Path | None, typer.Option("--policy", help="policy file or Q-table that the certificate must be of")
     ] = None,
     model: Model = None,
     param: Params = None,
@@ -41,7 +44,10 @@ def certify(
     try:
         if task is not None:
             loaded = stl.load_task(task, read_params(param), name)
-            require_certificate_of(file, bind(loaded, task_model(loaded, model), encoding))
+            product = bind(loaded, task_model(loaded, model), encoding)
+            require_certificate_of(file, product, stl.load_policy(policy, product) if policy is not None else None)
+        elif policy is not None:
+            raise SettingsError("--policy: a policy is read for a task; give TASK too")
         with progress_bar("checking layers", quiet=as_json) as bar:
             proved = recheck(str(file), bar)
     except NotACertificate as refusal:

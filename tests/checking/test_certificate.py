@@ -229,7 +229,7 @@ def test_a_certificate_of_another_task_or_model_is_named(tmp_path, patrolling, f
     require_certificate_of(path, patrolling)
     others = {
         r"the task of this certificate is G\[0,4\].*, not F\[0,8\] A": stl.build_product(floor5, stl.parse("F[0,8] A")),
-        r"of another model .*it names the model floor-5x5, not floor-10x10": stl.build_product(
+        r"of another model .*called floor-5x5, here floor-10x10": stl.build_product(
             floor10, patrolling.formula
         ),
         "of another automaton": stl.build_product(floor5, patrolling.formula, encoding="history"),
@@ -248,3 +248,21 @@ def test_what_cannot_be_certified_is_said_first(tmp_path, patrolling):
     with pytest.raises(FileError, match="not a regular file"):
         stl.write_certificate(stl.check(patrolling), tmp_path / "folder.jsonl")
     assert list(tmp_path.iterdir()) == [tmp_path / "folder.jsonl"]
+
+
+def test_a_certificate_of_a_policy_names_its_policy(tmp_path, patrolling, flagged):
+    """Also of one that remembers another way: its certificate is of the joint memory."""
+    path = tmp_path / "c.jsonl"
+    uniform = np.full((*flagged.shape, 9), 1 / 9)
+    policies = [stl.check(patrolling).policy, stl.Policy(flagged, uniform)]
+    for policy in policies:
+        result = stl.check(patrolling, policy)
+        stl.write_certificate(result, path)
+        stl.certify(str(path))
+        require_certificate_of(path, patrolling, policy)
+        other = stl.Policy(policy.home, np.zeros(policy.home.shape, dtype=np.int16))
+        with pytest.raises(CertificateError, match=r"of another policy \(step . differs\)"):
+            require_certificate_of(path, patrolling, other)
+    stl.write_certificate(stl.check(patrolling), path)
+    with pytest.raises(CertificateError, match="the claim of this certificate is maximum, not policy"):
+        require_certificate_of(path, patrolling, policies[0])
