@@ -21,7 +21,7 @@ One straight way through the house, and the map in reading order:
     models/       a file or arrays → MDP; MDP → something that only resets and steps
     product.py    MDP × TaskAutomaton, never built as a matrix
     policy.py     a table over (t?, s, q), saved and loaded without pickle
-    checking/     the exact probability of the best policy, or of a given one, with bounds
+    checking/     the exact probability of the best policy, or of a given one, with bounds; estimates from runs
     recheck.py    certificates of those bounds re-checked; imports nothing of stltool
     learning/     policies from experience alone
     reporting/    results → JSON, HTML, terminal
@@ -36,7 +36,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from stltool.automata import TaskAutomaton, compile_automaton
-    from stltool.checking import CheckResult, Run, check, sample_run, write_certificate
+    from stltool.checking import (
+        CheckResult,
+        Estimate,
+        Run,
+        SequentialTest,
+        check,
+        estimate,
+        sample_run,
+        sprt,
+        write_certificate,
+    )
     from stltool.errors import StlToolError
     from stltool.learning import Settings, Training, learn
     from stltool.logic.formula import Formula, horizon
@@ -58,6 +68,7 @@ _HOME = {
     "Policy": "policy", "Product": "product", "Run": "checking", "Settings": "learning", "StlToolError": "errors",
     "Task": "logic.task", "TaskAutomaton": "automata", "Training": "learning", "build_product": "product",
     "certify": "recheck", "write_certificate": "checking",
+    "Estimate": "checking", "SequentialTest": "checking", "estimate": "checking", "sprt": "checking",
     "check": "checking", "check_fragment": "logic.fragment", "compile_automaton": "automata",
     "horizon": "logic.formula", "learn": "learning", "load_model": "models", "load_policy": "policy",
     "load_task": "logic.parser", "parse": "logic.parser", "parse_task": "logic.parser", "report": "reporting",
@@ -68,7 +79,7 @@ __all__ = [  # noqa: RUF022 - in reading order
     "parse", "Formula", "horizon", "satisfies", "robustness", "check_fragment", "Fragment",
     "load_task", "parse_task", "Task", "compile_automaton", "TaskAutomaton", "load_model", "MDP",
     "build_product", "Product", "Policy", "load_policy", "check", "CheckResult", "sample_run", "Run",
-    "write_certificate", "certify",
+    "estimate", "Estimate", "sprt", "SequentialTest", "write_certificate", "certify",
     "learn", "Training", "Settings", "report", "StlToolError",
 ]  # fmt: skip
 

@@ -4,8 +4,8 @@ Compiled once per machine (`cache=True`); importing this package alone loads not
 """
 
 
-def warm_up(learning: bool = True) -> None:
-    """Load the kernels of checking, and of learning; the first call on a machine compiles them, some seconds."""
+def warm_up(learning: bool = True, rollouts: bool = False) -> None:
+    """Load the kernels of checking, learning, rollouts; the first call on a machine compiles them, some seconds."""
     from stltool.kernels import fixed, sweep
 
     sweep.warm_up()
@@ -14,3 +14,7 @@ def warm_up(learning: bool = True) -> None:
         from stltool.kernels import learning as learners
 
         learners.warm_up()
+    if rollouts:
+        from stltool.kernels import rollout
+
+        rollout.warm_up()

@@ -1,0 +1,400 @@
+"""Statistical checks: the probability that a policy satisfies the task, judged by sampled runs alone.
+
+n runs, fixed beforehand, k of them satisfied; δ = 1 − confidence. The Clopper–Pearson interval [l, u] of any p:
+
+    l = the p with P(X ≥ k) = δ/2,  u = the p with P(X ≤ k) = δ/2,   X binomial(n, p);   P(l ≤ p ≤ u) ≥ 1 − δ
+
+(δ instead of δ/2 for a one-sided bound). It lies inside Hoeffding's k/n ± √(ln(2/δ) / 2n), so Okamoto's number of
+runs ⌈ln(2/δ) / 2ε²⌉ is always enough for |k/n − p| ≤ ε; `runs_needed` finds a smaller one.
+
+Sequential probability ratio test, H₀: p ≥ p₀ = θ + d against H₁: p ≤ p₁ = θ − d, after n runs with k satisfied:
+
+    λ = k · ln(p₁/p₀) + (n − k) · ln((1−p₁)/(1−p₀));   stop with H₁ when λ ≥ ln(1/α), with H₀ when λ ≤ ln β
+
+Wald's customary bounds (1−β)/α and β/(1−α) keep the errors only approximately; these, a little wider, keep them: e^λ is
+a martingale under p₀, so P(ever λ ≥ ln(1/α)) ≤ α, also for p > p₀ and when the test is cut short; likewise for β.
+
+Looking at an interval while runs come in and stopping when it pleases would void its confidence: there is no such
+option. Sources: Clopper & Pearson, Biometrika 26 (1934); Okamoto, Ann. Inst. Stat. Math. 10 (1958); Wald, Ann. Math.
+Stat. 16 (1945); Younes & Simmons, Information and Computation 204 (2006).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
+from fractions import Fraction
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.checking.backward import Progress
+from stltool.checking.rollouts import Rollouts, Verdicts
+from stltool.errors import SettingsError
+from stltool.models.environment import Resettable
+from stltool.policy import Policy
+from stltool.product import Product
+from stltool.sizes import require_time
+
+Side: TypeAlias = Literal["both", "lower", "upper"]
+
+RUNS, MOST_RUNS = 10_000, 10_000_000
+_RATE = 1e7  # runs a second at the very best, each decided after few steps
+_GRID = 64  # outcomes looked at at a time when runs are planned
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """How many runs satisfied the task, and what follows for the probability.
+
+    probability   satisfied / runs, the maximum likelihood estimate
+    lower, upper  with `confidence` the probability lies between them (a one-sided bound leaves 0 or 1 on its other
+                  side). The confidence is of the method: of many estimates from fresh seeds, at least such a share
+                  contain the probability.
+    steps         steps of all runs, where they were made here
+    """
+
+    runs: int
+    satisfied: int
+    probability: float
+    lower: float
+    upper: float
+    confidence: float
+    side: Side = "both"
+    method: str = "Clopper-Pearson"
+    steps: int | None = None
+    seconds: float = 0.0
+
+    @property
+    def statement(self) -> str:
+        """What was found, in words; bounds are rounded outwards."""
+        lower = Context(prec=6, rounding=ROUND_FLOOR).create_decimal_from_float(self.lower)
+        upper = Context(prec=6, rounding=ROUND_CEILING).create_decimal_from_float(self.upper)
+        found = {
+            "both": f"lies in [{lower:f}, {upper:f}]",
+            "lower": f"is at least {lower:f}",
+            "upper": f"is at most {upper:f}",
+        }
+        return f"with confidence {100 * self.confidence:g} % the probability {found[self.side]}"
+
+
+@dataclass(frozen=True)
+class SequentialTest:
+    """How a sequential probability ratio test of P ≥ `at_least` ended.
+
+    verdict   "holds" | "does not hold" | "undecided" (`runs` reached the most allowed, nothing is claimed)
+    alpha     bounds the probability of "does not hold" where P ≥ at_least + indifference
+    beta      bounds the probability of "holds" where P ≤ at_least − indifference
+    log_likelihood_ratio   ln(P(runs | at_least − indifference) / P(runs | at_least + indifference)); the test stops
+                           when it leaves (accept_below, reject_above) = (ln β, ln 1/α)
+    """
+
+    verdict: Literal["holds", "does not hold", "undecided"]
+    at_least: float
+    indifference: float
+    alpha: float
+    beta: float
+    runs: int
+    satisfied: int
+    log_likelihood_ratio: float
+    accept_below: float
+    reject_above: float
+    seconds: float = 0.0
+
+    @property
+    def statement(self) -> str:
+        """The verdict with what its error probability is a probability of."""
+        above, below = (f"{self.at_least + margin:.12g}" for margin in (self.indifference, -self.indifference))
+        ends = {
+            "holds": f"holds; were P at most {below}, this would be said with probability at most {self.beta:g}",
+            "does not hold": f"does not hold; were P at least {above}, this would be said with probability at most "
+            f"{self.alpha:g}",
+            "undecided": f"is not decided after {self.runs} runs; nothing is claimed",
+        }
+        return f"P >= {self.at_least:g} {ends[self.verdict]}"
+
+
+# ------------------------------------------------------------------------------------------------ runs of a policy
+
+
+def estimate(
+    product: Product,
+    policy: Policy,
+    *,
+    runs: int | None = None,
+    epsilon: float | None = None,
+    confidence: float = 0.99,
+    side: Side = "both",
+    seed: int = 0,
+    environment: Resettable | None = None,
+    progress: Progress | None = None,
+) -> Estimate:
+    """The probability that the task holds under `policy`, estimated from independent runs, with its interval.
+
+    runs          how many, fixed beforehand (10 000), or
+    epsilon       so many that neither bound is farther than this from the estimate, whatever is seen
+    side          "both" bounds, or with all confidence a "lower" or an "upper" one
+    seed          of every random choice made here: same seed, same result
+    environment   anything whose `reset()` and `step(i)` (the i-th available action of the current state) return the
+                  index of a state as the model counts them; the model's probabilities are then not read. Default: the
+                  model itself, all runs at once.
+    progress      called with (runs done, runs)
+
+    Raises PolicyError where the policy says nothing about a state a run reaches, ModelError where the environment
+    returns no state, SettingsError for settings out of range, SizeError for runs beyond a week.
+    """
+    n = planned_runs(runs, epsilon, confidence, side)
+    rollouts = Rollouts(product, policy, n, _checked_seed(seed), environment)
+    result = estimate_from(rollouts, n, confidence=confidence, side=side, progress=progress)
+    return replace(result, steps=rollouts.steps)
+
+
+def sprt(
+    product: Product,
+    policy: Policy,
+    at_least: float,
+    *,
+    indifference: float = 0.01,
+    alpha: float = 0.01,
+    beta: float = 0.01,
+    most_runs: int = MOST_RUNS,
+    seed: int = 0,
+    environment: Resettable | None = None,
+    progress: Progress | None = None,
+) -> SequentialTest:
+    """Test whether the task holds under `policy` with probability `at_least`, with as few runs as that takes.
+
+    Where P lies within `indifference` of `at_least` either answer is right. `alpha` bounds the probability of a wrong
+    "does not hold", `beta` that of a wrong "holds"; "undecided" after `most_runs` claims nothing. `progress` is called
+    with (runs done, most_runs); the rest as for `estimate`.
+    """
+    hypotheses(at_least, indifference, alpha, beta, most_runs)
+    rollouts = Rollouts(product, policy, most_runs, _checked_seed(seed), environment)
+    return sprt_from(
+        rollouts, at_least, indifference=indifference, alpha=alpha, beta=beta, most_runs=most_runs, progress=progress
+    )
+
+
+# --------------------------------------------------------------------------------------- verdicts from anywhere
+
+
+def estimate_from(
+    verdicts: Iterable[bool | Verdicts],
+    runs: int,
+    *,
+    confidence: float = 0.99,
+    side: Side = "both",
+    progress: Progress | None = None,
+) -> Estimate:
+    """The same from the first `runs` verdicts of independent runs, one by one or in arrays (n,) bool, in their order.
+
+    `runs` must not depend on what the verdicts are.
+    """
+    start = time.perf_counter()
+    runs = planned_runs(runs, None, confidence, side)
+    done = satisfied = 0
+    for some in _batches(verdicts):
+        batch = some[: runs - done]
+        done, satisfied = done + len(batch), satisfied + int(batch.sum())
+        if progress is not None:
+            progress(done, runs)
+        if done == runs:
+            break
+    if done < runs:
+        raise SettingsError(f"the verdicts ended after {done} of {runs} runs; give as many as runs says")
+    seconds = time.perf_counter() - start
+    lower, upper = clopper_pearson(satisfied, runs, confidence, side)
+    return Estimate(runs, satisfied, satisfied / runs, lower, upper, float(confidence), side, seconds=seconds)
+
+
+def sprt_from(
+    verdicts: Iterable[bool | Verdicts],
+    at_least: float,
+    *,
+    indifference: float = 0.01,
+    alpha: float = 0.01,
+    beta: float = 0.01,
+    most_runs: int = MOST_RUNS,
+    progress: Progress | None = None,
+) -> SequentialTest:
+    """The sequential test on verdicts of independent runs, one by one or in arrays (n,) bool, in the order of the runs.
+
+    It takes no more than it needs; "undecided" after `most_runs`, or where the verdicts end before.
+    """
+    start = time.perf_counter()
+    p0, p1 = hypotheses(at_least, indifference, alpha, beta, most_runs)
+    per_success = math.log1p(float((p1 - p0) / p0)) if p1 > 0 else -math.inf
+    per_failure = math.log1p(float((p0 - p1) / (1 - p0))) if p0 < 1 else math.inf
+    accept, reject = math.log(beta), -math.log(alpha)
+    done = satisfied = 0
+    ratio = 0.0
+    for some in _batches(verdicts):
+        batch = some[: most_runs - done]
+        if not len(batch):
+            continue
+        k = satisfied + np.cumsum(batch)
+        n = done + np.arange(1, len(batch) + 1)
+        with np.errstate(invalid="ignore"):  # both infinite: the first verdict decides, what follows is nobody's
+            ratios = _times(k, per_success) + _times(n - k, per_failure)
+        stops = (ratios <= accept) | (ratios >= reject)
+        last = int(stops.argmax()) if stops.any() else len(batch) - 1
+        done, satisfied, ratio = int(n[last]), int(k[last]), float(ratios[last])
+        if progress is not None:
+            progress(done, most_runs)
+        if stops.any() or done == most_runs:
+            break
+    verdict: Literal["holds", "does not hold", "undecided"] = (
+        "holds" if ratio <= accept else "does not hold" if ratio >= reject else "undecided"
+    )
+    return SequentialTest(
+        verdict, float(at_least), float(indifference), float(alpha), float(beta), done, satisfied, ratio, accept,
+        reject, seconds=time.perf_counter() - start,
+    )  # fmt: skip
+
+
+def _batches(verdicts: Iterable[bool | Verdicts]) -> Iterator[Verdicts]:
+    for given in [verdicts] if isinstance(verdicts, np.ndarray) else verdicts:
+        batch = np.atleast_1d(np.asarray(given))
+        if batch.dtype != np.bool_ or batch.ndim != 1:
+            raise SettingsError(f"a verdict is {given!r}; give True or False, or an array (n,) of them")
+        yield batch
+
+
+def _times(count: NDArray[np.int64], value: float) -> NDArray[np.float64]:
+    """count · value, where nothing times infinity is nothing."""
+    return np.multiply(count, value, out=np.zeros(len(count)), where=count > 0)
+
+
+# ------------------------------------------------------------------------------------------------- mathematics
+
+
+def clopper_pearson(satisfied: int, runs: int, confidence: float = 0.99, side: Side = "both") -> tuple[float, float]:
+    """(lower, upper) around the probability of which `satisfied` of `runs` independent runs are a sample."""
+    planned_runs(runs, None, confidence, side)
+    if not 0 <= satisfied <= runs:
+        raise SettingsError(f"{satisfied} of {runs} runs satisfied: that cannot be")
+    from scipy.stats import beta  # its quantiles; binomtest's own interval stops at an absolute 1e-12
+
+    tail = _tail(confidence, side)
+    lower = float(beta.ppf(tail, satisfied, runs - satisfied + 1)) if side != "upper" and satisfied > 0 else 0.0
+    upper = float(beta.isf(tail, satisfied + 1, runs - satisfied)) if side != "lower" and satisfied < runs else 1.0
+    return lower, upper
+
+
+def okamoto_runs(epsilon: float, confidence: float = 0.99, side: Side = "both") -> int:
+    """⌈ln(1/tail) / 2ε²⌉ with tail δ/2, or δ for one side: Okamoto's (Chernoff's, Hoeffding's) number of runs."""
+    _require_confidence(confidence, side)
+    if not 0 < _number(epsilon, "epsilon") < Fraction(1, 2):
+        raise SettingsError(f"epsilon is {epsilon}; a half-width lies between 0 and 0.5, exclusive, such as 0.01")
+    return math.ceil(-math.log(_tail(confidence, side)) / (2 * float(epsilon) ** 2))
+
+
+def runs_needed(epsilon: float, confidence: float = 0.99, side: Side = "both") -> int:
+    """Runs after which no Clopper–Pearson bound can be farther than `epsilon` from the estimate, whatever is seen.
+
+    Never more than Okamoto's number, for ordinary confidences some 40 % fewer.
+    """
+    enough, too_few = okamoto_runs(epsilon, confidence, side), 0
+    what = f"an interval of ±{epsilon:g} at confidence {confidence:g} takes up to {enough:.3g} runs; these"
+    _require_runs(enough, "runs", what)
+    tail = _tail(confidence, side)
+    while enough - too_few > 1:
+        n = (enough + too_few) // 2
+        if _excess(n, tail) <= epsilon:
+            enough = n
+        else:
+            too_few = n
+    return enough
+
+
+def _excess(runs: int, tail: float) -> float:
+    """The largest upper − k/n over all outcomes k (by symmetry also of k/n − lower): it rises with k, then falls."""
+    from scipy.stats import beta
+
+    first, last = 0, runs - 1  # k = n has no upper bound to speak of
+    while True:
+        k = np.unique(np.linspace(first, last, min(_GRID, last - first + 1)).round().astype(np.int64))
+        excess = beta.isf(tail, k + 1, runs - k) - k / runs
+        top = int(excess.argmax())
+        if last - first < _GRID:
+            return float(excess[top])
+        first, last = int(k[max(top - 1, 0)]), int(k[min(top + 1, len(k) - 1)])
+
+
+def _tail(confidence: float, side: Side) -> float:
+    """The probability that one bound may fail with."""
+    missing = 1 - Fraction(str(confidence))
+    return float(missing / 2 if side == "both" else missing)
+
+
+# ------------------------------------------------------------------------------------------- checks on the way in
+
+
+def planned_runs(
+    runs: int | None = None, epsilon: float | None = None, confidence: float = 0.99, side: Side = "both"
+) -> int:
+    """How many runs `estimate` makes with these settings; SettingsError or SizeError where they make no sense."""
+    _require_confidence(confidence, side)
+    if runs is not None and epsilon is not None:
+        raise SettingsError("runs and epsilon are given; epsilon says how many runs it takes, so give one of the two")
+    if epsilon is not None:
+        return runs_needed(epsilon, confidence, side)
+    n = RUNS if runs is None else runs
+    _require_runs(n, "runs")
+    return int(n)
+
+
+def hypotheses(
+    at_least: float, indifference: float = 0.01, alpha: float = 0.01, beta: float = 0.01, most_runs: int = MOST_RUNS
+) -> tuple[Fraction, Fraction]:
+    """p₀ and p₁ of `sprt` with these settings, as the decimals they were written in; SettingsError where they make
+    no sense."""
+    _require_runs(most_runs, "most_runs")
+    theta, margin = _number(at_least, "at_least"), _number(indifference, "indifference")
+    if not 0 < theta < 1:
+        raise SettingsError(f"at_least is {at_least}; a probability above 0 and below 1 can be tested")
+    if margin <= 0:
+        raise SettingsError(f"indifference is {indifference}; above 0 is needed: runs tell no equal numbers apart")
+    p0, p1 = theta + margin, theta - margin
+    if p0 > 1 or p1 < 0:
+        raise SettingsError(
+            f"the indifference region {float(p1):.12g} … {float(p0):.12g} leaves [0, 1]; "
+            f"take an indifference of at most {float(min(theta, 1 - theta)):.12g}"
+        )
+    errors = _number(alpha, "alpha"), _number(beta, "beta")
+    for value, name in zip(errors, ("alpha", "beta"), strict=True):
+        if not 0 < value < 1:
+            raise SettingsError(f"{name} is {float(value)}; an error probability lies between 0 and 1, exclusive")
+    if sum(errors) >= 1:
+        raise SettingsError(f"alpha + beta is {float(sum(errors)):g}; below 1 is needed, else a coin would do as well")
+    return p0, p1
+
+
+def _number(value: float, name: str) -> Fraction:
+    try:
+        return Fraction(str(value))
+    except (ValueError, ZeroDivisionError):
+        raise SettingsError(f"{name} is {value!r}; a number is needed") from None
+
+
+def _require_confidence(confidence: float, side: str) -> None:
+    if not 0 < _number(confidence, "confidence") < 1:
+        raise SettingsError(f"confidence is {confidence}; it lies between 0 and 1, exclusive, such as 0.99")
+    if side not in get_args(Side):
+        raise SettingsError(f"side is {side!r}; choose both, lower or upper")
+
+
+def _require_runs(runs: int, name: str, what: str | None = None) -> None:
+    if not isinstance(runs, int | np.integer) or runs < 1:
+        raise SettingsError(f"{name} is {runs!r}; at least 1 is needed")
+    require_time(runs, _RATE, what or f"{runs} runs", "take a wider interval or fewer runs")
+
+
+def _checked_seed(seed: int) -> int:
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise SettingsError(f"seed is {seed!r}; it must be a whole number from 0")
+    return int(seed)

@@ -1,0 +1,85 @@
+"""One step of many runs at once. n live runs, each with its state s, memory q and number; u (n,) uniform in [0, 1).
+
+    pick     choice[k] = chosen[s, q]                                            a deterministic policy
+    mix      choice[k] = the first i with Σ_{j ≤ i} w[s,q,j] > u · Σ_j w[s,q,j]  a mixture
+    move     s' = the first successor whose cumulated probability exceeds u · (the row's total),  q' = δ(L(s'), q)
+
+Runs are independent, so processors look up several at a time; the loop over steps is outside.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+F64: TypeAlias = NDArray[np.float64]
+I8: TypeAlias = NDArray[np.int8]
+I16: TypeAlias = NDArray[np.int16]
+I32: TypeAlias = NDArray[np.int32]
+I64: TypeAlias = NDArray[np.int64]
+
+
+@njit(cache=True, nogil=True)
+def pick(chosen: I16, s: I32, q: I32, choice: I16) -> int:
+    """The first run where the policy says nothing (a negative entry), or −1."""
+    for k in range(len(choice)):
+        choice[k] = chosen[s[k], q[k]]
+        if choice[k] < 0:
+            return k
+    return -1
+
+
+@njit(cache=True, nogil=True)
+def mix(weight: F64, u: F64, s: I32, q: I32, choice: I16) -> None:
+    for k in range(len(choice)):
+        row = weight[s[k], q[k]]
+        total = 0.0
+        for w in row:
+            total += w
+        x, below = u[k] * total, 0.0
+        for i in range(len(row)):
+            below += row[i]
+            if x < below:
+                choice[k] = i
+                break
+
+
+@njit(cache=True, nogil=True)
+def move(
+    choice_start: I64, row_start: I64, target: I32, sums: F64, letter: I32, delta: I32, verdict: I8,
+    choice: I16, u: F64, s: I32, q: I32, number: I32, outcome: I8,
+) -> int:  # fmt: skip
+    """Runs still undecided move up to the front; how many they are. outcome[number] takes every run's verdict."""
+    live = 0
+    for k in range(len(choice)):
+        c = choice_start[s[k]] + choice[k]
+        lo, hi = row_start[c], row_start[c + 1] - 1
+        x = u[k] * sums[hi]
+        while lo < hi:
+            middle = (lo + hi) // 2
+            if x < sums[middle]:
+                hi = middle
+            else:
+                lo = middle + 1
+        after = target[lo]
+        memory = delta[letter[after], q[k]]
+        outcome[number[k]] = verdict[memory]
+        s[live], q[live], number[live] = after, memory, number[k]
+        live += verdict[memory] < 0
+    return live
+
+
+def warm_up() -> None:
+    """Compile or load every kernel here, on a model of one state; a model's arrays are read-only."""
+    start, target, sums = np.array([0, 1], dtype=np.int64), np.zeros(1, dtype=np.int32), np.ones(1)
+    for array in (start, target):
+        array.setflags(write=False)
+    index, choice, u = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int16), np.zeros(1)
+    pick(np.zeros((1, 1), dtype=np.int16), index, index, choice)
+    mix(np.ones((1, 1, 1)), u, index, index, choice)
+    verdict, outcome = np.zeros(1, dtype=np.int8), np.zeros(1, dtype=np.int8)
+    delta = np.zeros((1, 1), dtype=np.int32)
+    move(start, start, target, sums, index.copy(), delta, verdict, choice, u, index, index, index, outcome)
