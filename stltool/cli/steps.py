@@ -29,6 +29,7 @@ def make_product(
     encoding: str,
     quiet: bool,
     learning: bool = True,
+    rollouts: bool = False,
 ) -> Product:
     import stltool as stl
     from stltool import kernels
@@ -37,7 +38,7 @@ def make_product(
     loaded = stl.load_task(task, read_params(param), name)
     product = bind(loaded, task_model(loaded, model), encoding)
     with kernels_ready(quiet):
-        kernels.warm_up(learning)
+        kernels.warm_up(learning, rollouts)
     return product
 
 

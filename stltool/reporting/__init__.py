@@ -1,6 +1,8 @@
 """Results → JSON, HTML, terminal. The HTML page is made from the JSON alone, so it can be made again."""
 
-from stltool.reporting.data import check_data, report_data, training_data
+from stltool.reporting.data import check_data, estimate_data, report_data, training_data
 from stltool.reporting.page import load_report, render, report, write_report
 
-__all__ = ["check_data", "load_report", "render", "report", "report_data", "training_data", "write_report"]
+__all__ = [
+    "check_data", "estimate_data", "load_report", "render", "report", "report_data", "training_data", "write_report",
+]  # fmt: skip

@@ -15,7 +15,7 @@ from stltool.automata import TaskAutomaton, compile_automaton
 from stltool.automata.compare import disagreement
 from stltool.automata.compile import all_valuations, atoms_of
 from stltool.automata.history import history_states
-from stltool.checking import CheckResult, Run, sample_run
+from stltool.checking import CheckResult, Estimate, Run, SequentialTest, sample_run
 from stltool.errors import FragmentError, SettingsError
 from stltool.learning import Training
 from stltool.logic.formula import Comparison, Formula, Label, boolean_value, walk
@@ -129,6 +129,38 @@ def check_data(result: CheckResult, optimum: CheckResult | None = None) -> dict[
     }
 
 
+def estimate_data(
+    result: Estimate | SequentialTest,
+    product: Product,
+    policy: Policy,
+    seed: int,
+    exact: CheckResult | None = None,
+) -> dict[str, Any]:
+    """One statistical check, flat; `exact` is the same policy's exact check, to be shown beside it."""
+    inside, decided = None, {}
+    if isinstance(result, SequentialTest):
+        decided = {"holds": result.verdict == "holds"}
+    elif exact is not None:
+        inside = result.lower <= exact.upper and exact.lower <= result.upper
+    return {
+        **product_data(product),
+        "policy": policy.kind,
+        "seed": seed,
+        **_finite(dataclasses.asdict(result)),
+        **decided,
+        "statement": result.statement,
+        "exact": exact.probability if exact is not None else None,
+        "exact_lower": exact.lower if exact is not None else None,
+        "exact_upper": exact.upper if exact is not None else None,
+        "exact_inside": inside,
+    }
+
+
+def _finite(data: dict[str, Any]) -> dict[str, Any]:
+    """JSON has no infinity: a ratio that is infinite is left out."""
+    return {key: value for key, value in data.items() if not (isinstance(value, float) and math.isinf(value))}
+
+
 def training_data(training: Training) -> dict[str, Any]:
     """A training run: method, settings, and its exact learning curve."""
     return {
@@ -149,8 +181,12 @@ def report_data(
     source: str | None = None,
     command: str | None = None,
     seed: int = 0,
+    estimates: Sequence[Estimate] = (),
 ) -> dict[str, Any]:
-    """Everything a report shows. `source` is the task file's text, `command` what repeats the run."""
+    """Everything a report shows. `source` is the task file's text, `command` what repeats the run.
+
+    `estimates` of the policy shown (the given one, else the optimal one) stand beside its exact probability.
+    """
     if not results:
         raise SettingsError("a report needs at least one check result")
     product = results[0].product
@@ -170,6 +206,7 @@ def report_data(
         "source": source,
         "command": command,
         "checks": [check_data(result, optimum) for result in results],
+        "estimates": [{**dataclasses.asdict(estimate), "statement": estimate.statement} for estimate in estimates],
         "training": training_data(training) if training is not None else None,
         "run": _run_data(product, policy, seed) if policy is not None else None,
         "floor": _floor_data(product),

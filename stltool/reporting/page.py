@@ -19,7 +19,7 @@ from stltool.reporting.data import FORMAT, report_data
 
 
 def report(results: Sequence[CheckResult], training: Training | None, path: str | Path, **details: Any) -> None:
-    """Write `path` (.html) and the JSON beside it; `details` as in `report_data` (source, command, seed)."""
+    """Write `path` (.html) and the JSON beside it; `details` as in `report_data` (source, command, seed, estimates)."""
     write_report(report_data(results, training, **details), path)
 
 

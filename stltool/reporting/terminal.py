@@ -35,9 +35,12 @@ def progress_bar(title: str, quiet: bool = False) -> Iterator[Advance | None]:
 
             yield advance
     else:
+        shown = 0
 
         def log(done: int, total: int, probability: float | None = None) -> None:
-            if total >= 100 and done * 10 // total > (done - 1) * 10 // total:
+            nonlocal shown
+            if total >= 100 and done * 10 // total > shown:
+                shown = done * 10 // total
                 console.print(f"{title}: {done} of {total}  {_note(probability)}", highlight=False)
 
         yield log

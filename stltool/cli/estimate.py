@@ -1,0 +1,123 @@
+"""`stltool estimate`: the probability from sampled runs, with an interval, or a sequential test of a bound."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from stltool.cli.app import app
+from stltool.cli.options import (
+    AsJson,
+    Encoding,
+    Model,
+    Params,
+    Seed,
+    TaskFile,
+    TaskName,
+)
+from stltool.cli.steps import make_product
+from stltool.errors import SettingsError
+
+
+@app.command()
+def estimate(
+    task: TaskFile,
+    policy: Annotated[
+        Path | None, typer.Option("--policy", help="policy file (.npz) or Q-table (.csv); default: the best of all")
+    ] = None,
+    runs: Annotated[int | None, typer.Option("--runs", "-n", help="runs to sample; default: 10000")] = None,
+    epsilon: Annotated[
+        float | None,
+        typer.Option("--epsilon", metavar="E", help="as many runs as bounds within E of the estimate take"),
+    ] = None,
+    confidence: Annotated[float | None, typer.Option("--confidence", help="of the interval; default: 0.99")] = None,
+    side: Annotated[
+        str | None, typer.Option("--side", help="both bounds (default), or only a lower or an upper one")
+    ] = None,
+    at_least: Annotated[
+        float | None, typer.Option("--at-least", metavar="P", help="sequential test; exit code 1 unless P holds")
+    ] = None,
+    indifference: Annotated[
+        float | None,
+        typer.Option("--indifference", metavar="D", help="of --at-least: either answer within D of P; 0.01"),
+    ] = None,
+    alpha: Annotated[
+        float | None, typer.Option("--alpha", help='of --at-least: probability of a wrong "does not hold"; 0.01')
+    ] = None,
+    beta: Annotated[
+        float | None, typer.Option("--beta", help='of --at-least: probability of a wrong "holds"; 0.01')
+    ] = None,
+    most_runs: Annotated[
+        int | None, typer.Option("--most-runs", help="of --at-least: undecided after so many; 10000000")
+    ] = None,
+    exact: Annotated[bool, typer.Option("--exact/--no-exact", help="show the exact probability beside it")] = True,
+    seed: Seed = 0,
+    model: Model = None,
+    param: Params = None,
+    name: TaskName = None,
+    encoding: Encoding = "exact",
+    as_json: AsJson = False,
+) -> None:
+    """The probability that the task holds, from sampled runs of a policy: an interval, or a test of a bound."""
+    import stltool as stl
+    from stltool.checking.statistical import hypotheses, planned_runs
+    from stltool.reporting import estimate_data
+    from stltool.reporting.terminal import print_facts, progress_bar
+
+    fixed = _given(runs=runs, epsilon=epsilon, confidence=confidence, side=side)
+    sequential = _given(indifference=indifference, alpha=alpha, beta=beta, most_runs=most_runs)
+    if at_least is None and sequential:
+        raise SettingsError(f"{_option(sequential)} belongs to a sequential test; give --at-least P with it")
+    if at_least is not None and fixed:
+        raise SettingsError(
+            f"{_option(fixed)} belongs to an interval; a sequential test takes as many runs as it needs, bounded by "
+            "--most-runs; leave out one of the two"
+        )
+    if policy is None and not exact:
+        raise SettingsError("--no-exact needs --policy FILE: the best policy comes from the exact check")
+    if at_least is None:
+        planned_runs(**fixed)
+    else:
+        hypotheses(at_least, **sequential)
+    product = make_product(task, model, param, name, encoding, as_json, learning=False, rollouts=True)
+    chosen = stl.load_policy(policy, product) if policy is not None else None
+    truth = None
+    if exact:
+        with progress_bar("checking", quiet=as_json) as bar:
+            truth = stl.check(product, chosen, progress=bar)
+        chosen = truth.policy if chosen is None else chosen
+    assert chosen is not None
+    with progress_bar("simulating", quiet=as_json) as bar:
+        result: stl.Estimate | stl.SequentialTest
+        if at_least is None:
+            result = stl.estimate(product, chosen, seed=seed, progress=bar, **fixed)
+        else:
+            result = stl.sprt(product, chosen, at_least, seed=seed, progress=bar, **sequential)
+    data = estimate_data(result, product, chosen, seed, truth)
+    if as_json:
+        print(json.dumps(data))
+    else:
+        steps = f", {result.steps} steps" if isinstance(result, stl.Estimate) else ""
+        facts = {
+            "task": f"{product.task_name} := {product.formula}",
+            "policy": f"{policy if policy is not None else 'the best of all'} ({chosen.kind})",
+            "runs": f"{result.runs}, {result.satisfied} satisfied{steps}, seed {seed}, {result.seconds:.3g} s",
+            "found" if at_least is None else f"P >= {at_least}": data["statement"],
+        }
+        if truth is not None:
+            inside = {True: ", in the interval", False: ", outside the interval", None: ""}[data["exact_inside"]]
+            facts["exact P"] = f"{truth.probability:.12g}{inside}"
+        print_facts(facts)
+    if at_least is not None and not data["holds"]:
+        raise typer.Exit(1)
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def _option(options: dict[str, Any]) -> str:
+    return "--" + next(iter(options)).replace("_", "-")
