@@ -2,6 +2,7 @@
 
 check     backward induction in numba against its numpy twin, on the paper's largest floor and windows
 updates   Q updates a second of corrected cfer against the same updates one by one in plain Python
+rollouts  steps a second of runs in lock step against runs sampled one by one in plain Python
 memory    peak of a whole `stltool run` of that scenario
 """
 
@@ -19,6 +20,7 @@ import numpy as np
 
 import stltool as stl
 from stltool import kernels
+from stltool.checking import estimate_from
 from stltool.kernels.learning import clocked_transition
 from stltool.learning import Settings
 from stltool.learning.problem import Problem
@@ -78,6 +80,23 @@ def update_ratio(product: stl.Product) -> str:
     return f"| Q updates a second ({fast:.3g}) | the same loop in plain Python ({slow:.3g}) | {fast / slow:.0f} × |"
 
 
+def rollout_ratio() -> str:
+    task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 5, "tau": 5})
+    product = stl.build_product(stl.load_model(FACTORY / "floor-5x5.toml"), task)
+    best = stl.check(product)
+    assert best.policy is not None
+    policy, rng = best.policy, np.random.default_rng(0)
+    few = [stl.sample_run(product, policy, rng) for _ in range(3000)]
+    slowly = estimate_from([run.satisfied for run in few], len(few), confidence=0.9999)
+    quickly = stl.estimate(product, policy, runs=3_000_000, confidence=0.9999)
+    assert all(result.lower <= best.probability <= result.upper for result in (slowly, quickly))
+    seconds = best_of(3, lambda: [stl.sample_run(product, policy, rng) for _ in range(3000)])
+    slow = sum(len(run.actions) for run in few) / seconds
+    assert quickly.steps is not None
+    fast = quickly.steps / min(stl.estimate(product, policy, runs=quickly.runs).seconds for _ in range(7))
+    return f"| rollout steps a second ({fast:.3g}) | `sample_run`, one by one ({slow:.3g}) | {fast / slow:.0f} × |"
+
+
 def memory() -> str:
     with tempfile.TemporaryDirectory() as folder:
         command = [
@@ -90,10 +109,10 @@ def memory() -> str:
 
 
 def table() -> list[str]:
-    kernels.warm_up()
+    kernels.warm_up(rollouts=True)
     product = p4()
     lines = ["| what | against | figure |", "|---|---|---|"]
-    return [*lines, check_ratio(product), update_ratio(product), memory()]
+    return [*lines, check_ratio(product), update_ratio(product), rollout_ratio(), memory()]
 
 
 if __name__ == "__main__":
