@@ -61,7 +61,10 @@ def followed(draw):
 @given(followed())
 @settings(max_examples=50)
 def test_rollouts_counted_out_are_the_exact_probability(case):
-    """Rows over sixteenths, weights over quarters: over all combinations of midpoints the share is P, as a fraction."""
+    """Rows over sixteenths, weights over quarters: over all combinations of i/16 and i/4 the share is P, as a fraction.
+
+    These are the very borders, so a number that falls on one has to belong to the successor above it.
+    """
     product, policy = case
     per_step = [16] if policy.deterministic else [4, 16]
     values = [16, *per_step * product.horizon]
@@ -69,7 +72,7 @@ def test_rollouts_counted_out_are_the_exact_probability(case):
 
     def draw(number):
         i = next(used)
-        return (number // math.prod(values[:i]) % values[i] + 0.5) / values[i]
+        return (number // math.prod(values[:i]) % values[i]) / values[i]
 
     verdicts, steps = follow(product, policy, cumulated(product.model), runs, draw)
     assert Fraction(int(verdicts.sum()), runs) == oracles.policy_value(product, policy)
@@ -133,7 +136,9 @@ def test_verdicts_depend_on_the_seed_alone(runs, monkeypatch):
         some = Rollouts(product, policy, runs, 11)
         made[workers] = np.concatenate(list(some))
         assert len(made[workers]) == runs
+        steps = some.steps
         assert np.array_equal(np.concatenate(list(some)), made[workers])  # iterated again: the same runs
+        assert some.steps == steps
     assert np.array_equal(made[1], made[2])
     assert np.array_equal(made[1], made[7])
     if runs > BLOCK:
@@ -167,6 +172,16 @@ def test_a_silent_policy_is_named_only_where_it_is_reached(patrolling):
     for black_box in (None, environment):
         with pytest.raises(PolicyError, match=r"says nothing about step 0, state \(1,0\); x = 0.3, y = 0.1"):
             stl.estimate(patrolling, stl.Policy(patrolling, table), runs=100, environment=black_box)
+
+
+def test_rows_that_sum_to_less_than_one_are_scaled():
+    """The first successor's share is 0.5 + 8e-10 of 1 − 8e-10, which is 0.5 + 1.2e-9 of the whole."""
+    model = stl.MDP.from_arrays([[[0.5 + 8e-10, 0.5 - 1.6e-9], [0, 1]]], {"x": [0, 1]}, labels={"A": [0, 1]})
+    product = stl.build_product(model, stl.parse("F[0,1] A"))
+    policy = stl.Policy(product, np.zeros(product.shape, dtype=int))
+    for u, satisfied in ((0.5 + 1e-9, False), (0.5 + 2e-9, True)):
+        verdicts, _ = follow(product, policy, cumulated(model), 1, lambda number, u=u: np.array([u]))
+        assert verdicts[0] == satisfied
 
 
 def test_rows_are_summed_one_by_one():
