@@ -1,8 +1,6 @@
 """`stltool estimate`: intervals and sequential tests as their users meet them."""
 
 import json
-import re
-import shlex
 import sys
 
 import numpy as np
@@ -12,7 +10,7 @@ import stltool as stl
 from stltool import cli
 from stltool.checking.statistical import runs_needed
 from stltool.reporting import render, report_data
-from tests.conftest import FACTORY, ROOT
+from tests.conftest import FACTORY
 
 PATROLLING = str(FACTORY / "patrolling.stl")
 SMALL = ["-p", "T=5", "-p", "tau=5"]
@@ -127,22 +125,3 @@ def test_a_report_shows_estimates_beside_the_exact_value(patrolling):
     assert estimate.statement in page
     assert "exact probability is 0.737948" in page
     assert "Statistical check" not in render(report_data([best]))
-
-
-def test_the_documentation_shows_what_happens(monkeypatch, capsys):
-    """Its commands print what it says, seconds apart, and its Python runs."""
-    monkeypatch.chdir(ROOT)
-    page = (ROOT / "docs/statistical.md").read_text(encoding="utf-8")
-    shown = re.findall(r"    \$ (stltool .*)\n((?:    .+\n)+)", page)
-    assert len(shown) == 2
-    for command, output in shown:
-        monkeypatch.setattr(sys, "argv", shlex.split(command))
-        with pytest.raises(SystemExit):
-            cli.main()
-        printed, expected = capsys.readouterr().out, re.sub(r"(?m)^    ", "", output)
-        assert [re.sub(r", [\d.e-]+ s$", "", line) for line in printed.splitlines()] == [
-            re.sub(r", [\d.e-]+ s$", "", line) for line in expected.splitlines()
-        ]
-    (block,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
-    exec(compile(block, "docs/statistical.md", "exec"), {})
-    assert capsys.readouterr().out.count("with confidence 99 %") == 2
