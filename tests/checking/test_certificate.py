@@ -229,9 +229,7 @@ def test_a_certificate_of_another_task_or_model_is_named(tmp_path, patrolling, f
     require_certificate_of(path, patrolling)
     others = {
         r"the task of this certificate is G\[0,4\].*, not F\[0,8\] A": stl.build_product(floor5, stl.parse("F[0,8] A")),
-        r"of another model .*called floor-5x5, here floor-10x10": stl.build_product(
-            floor10, patrolling.formula
-        ),
+        r"of another model .*called floor-5x5, here floor-10x10": stl.build_product(floor10, patrolling.formula),
         "of another automaton": stl.build_product(floor5, patrolling.formula, encoding="history"),
     }
     for says, product in others.items():
