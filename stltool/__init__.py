@@ -39,11 +39,15 @@ if TYPE_CHECKING:
     from stltool.checking import (
         CheckResult,
         Estimate,
+        LikelyRuns,
         Run,
+        Sensitivity,
         SequentialTest,
         check,
         estimate,
+        likely_runs,
         sample_run,
+        sensitivity,
         sprt,
         write_certificate,
     )
@@ -68,6 +72,7 @@ _HOME = {
     "Policy": "policy", "Product": "product", "Run": "checking", "Settings": "learning", "StlToolError": "errors",
     "Task": "logic.task", "TaskAutomaton": "automata", "Training": "learning", "build_product": "product",
     "certify": "recheck", "write_certificate": "checking",
+    "likely_runs": "checking", "LikelyRuns": "checking", "sensitivity": "checking", "Sensitivity": "checking",
     "Estimate": "checking", "SequentialTest": "checking", "estimate": "checking", "sprt": "checking",
     "check": "checking", "check_fragment": "logic.fragment", "compile_automaton": "automata",
     "horizon": "logic.formula", "learn": "learning", "load_model": "models", "load_policy": "policy",
@@ -80,6 +85,7 @@ __all__ = [  # noqa: RUF022 - in reading order
     "load_task", "parse_task", "Task", "compile_automaton", "TaskAutomaton", "load_model", "MDP",
     "build_product", "Product", "Policy", "load_policy", "check", "CheckResult", "sample_run", "Run",
     "estimate", "Estimate", "sprt", "SequentialTest", "write_certificate", "certify",
+    "likely_runs", "LikelyRuns", "sensitivity", "Sensitivity",
     "learn", "Training", "Settings", "report", "StlToolError",
 ]  # fmt: skip
 

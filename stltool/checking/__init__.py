@@ -2,10 +2,13 @@
 
 from stltool.checking.certificate import require_certificate_of, write_certificate
 from stltool.checking.check import CheckResult, check
+from stltool.checking.likely import LikelyRun, LikelyRuns, likely_runs
 from stltool.checking.sampling import Run, sample_run
+from stltool.checking.sensitivity import Sensitivity, sensitivity
 from stltool.checking.statistical import Estimate, SequentialTest, estimate, estimate_from, sprt, sprt_from
 
 __all__ = [
-    "CheckResult", "Estimate", "Run", "SequentialTest", "check", "estimate", "estimate_from", "require_certificate_of",
-    "sample_run", "sprt", "sprt_from", "write_certificate",
+    "CheckResult", "Estimate", "LikelyRun", "LikelyRuns", "Run", "Sensitivity", "SequentialTest", "check", "estimate",
+    "estimate_from", "likely_runs", "require_certificate_of", "sample_run", "sensitivity", "sprt", "sprt_from",
+    "write_certificate",
 ]  # fmt: skip

@@ -1,0 +1,182 @@
+"""Which state's success probability moves P most: derivatives of a fixed policy's P with respect to the model's rows.
+
+With x_t(s,q) the probability of being in (s,q), undecided, after step t, and V the policy's values, the product rule
+over the horizon gives, for every entry of every row,
+
+    ∂P/∂p(s'|c) = Σ_{t,q} x_t(s,q) π_t(c|s,q) V_{t+1}(s', δ(L(s'),q))           for c a choice of s
+
+A row stays a distribution, so a single entry cannot move. A choice's *tilt* moves its row towards its intended
+successor ŝ, the most probable one (the first of equals), and takes from the others in proportion:
+
+    p_ε(ŝ) = p(ŝ) + ε,   p_ε(s') = p(s') (1 − ε / Σ_{s''≠ŝ} p(s''))
+    tilt(c) = dP/dε at 0 = ∂P/∂p(ŝ|c) − Σ_{s'≠ŝ} p(s') ∂P/∂p(s'|c) / Σ_{s'≠ŝ} p(s')
+
+A row with one successor has no tilt (0). A state's derivative is the sum over its choices: all its rows tilted at once.
+For an optimal policy it is the derivative of the optimum too, wherever that has one (envelope theorem). One pass back
+and one forth over the unfolded product: nothing is truncated. Source: the adjoint method; for Markov chains, Cao,
+Stochastic Learning and Optimization, Springer 2007, ch. 2 (performance derivatives).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from stltool.automata import TRUE
+from stltool.checking.backward import Floats, Progress
+from stltool.checking.check import check
+from stltool.checking.unfold import Unfolding
+from stltool.policy import Policy
+from stltool.product import Product
+from stltool.sizes import require_memory
+
+
+@dataclass(frozen=True)
+class ActionSensitivity:
+    """One action of a state: its intended successor with its probability, the tilt, and how often it is expected."""
+
+    action: str
+    intended: str
+    success: float
+    derivative: float
+    times: float
+
+
+@dataclass(frozen=True)
+class StateSensitivity:
+    """One state, in the user's names; `actions` are those that the policy takes, the most telling one first."""
+
+    state: int
+    name: str
+    derivative: float
+    steepest: float
+    visits: float
+    actions: tuple[ActionSensitivity, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Derivatives of a policy's P, per unit of probability; see the module's text.
+
+    probability   P under the policy
+    gradient      (n_transitions,) ∂P/∂p of each entry of the model's rows
+    tilt          (n_choices,) per choice
+    derivative    (n_states,) per state: the sum of its choices' tilts
+    steepest      (n_states,) what moving probability from one successor to another can do at most, summed over choices
+    visits        (n_states,) expected number of steps that find the run there, undecided
+    times         (n_choices,) expected number of times that a choice is taken
+    """
+
+    product: Product
+    policy: Policy
+    probability: float
+    gradient: Floats
+    tilt: Floats
+    derivative: Floats
+    steepest: Floats
+    visits: Floats
+    times: Floats
+
+    def ranked(self, count: int | None = None) -> tuple[StateSensitivity, ...]:
+        """States that the policy acts in, the largest |derivative| first, then by `steepest`, then in model order."""
+        model = self.product.model
+        visited = np.flatnonzero(self.visits > 0)
+        order = np.lexsort((visited, -self.steepest[visited], -np.abs(self.derivative[visited])))
+        return tuple(
+            StateSensitivity(
+                state=s,
+                name=model.state_name(s),
+                derivative=float(self.derivative[s]),
+                steepest=float(self.steepest[s]),
+                visits=float(self.visits[s]),
+                actions=self._actions(s),
+            )
+            for s in visited[order][:count].tolist()
+        )
+
+    def _actions(self, s: int) -> tuple[ActionSensitivity, ...]:
+        model = self.product.model
+        found = []
+        for c in range(model.choice_start[s], model.choice_start[s + 1]):
+            if self.times[c] > 0:
+                first = int(model.row_start[c])
+                k = first + int(model.probability[first : model.row_start[c + 1]].argmax())
+                found.append(
+                    ActionSensitivity(
+                        action=model.action_names[model.choice_action[c]],
+                        intended=model.state_name(int(model.target[k])),
+                        success=float(model.probability[k]),
+                        derivative=float(self.tilt[c]),
+                        times=float(self.times[c]),
+                    )
+                )
+        return tuple(sorted(found, key=lambda action: (-abs(action.derivative), -action.times)))
+
+
+def sensitivity(
+    product: Product,
+    policy: Policy | None = None,
+    *,
+    memory_limit: int | None = None,
+    progress: Progress | None = None,
+) -> Sensitivity:
+    """How P under `policy` (default: the optimal one) moves with the model's probabilities, the policy held fixed.
+
+    Raises PolicyError where the policy says nothing about a place it reaches or belongs to another task, SizeError
+    before taking memory that is not there.
+    """
+    if policy is None:
+        policy = check(product, memory_limit=memory_limit).policy
+        assert policy is not None
+    product, policy = policy.on(product)
+    model = product.model
+    require_memory(
+        8 * (4 * model.n_transitions + 4 * model.n_choices + 4 * model.n_states),
+        f"derivatives for {model.n_transitions} transitions",
+        "coarsen the grid",
+        memory_limit,
+    )
+    unfolding = Unfolding(product, policy, memory_limit, progress)
+    values = unfolding.probabilities(TRUE)
+    gradient, visits, times = np.zeros(model.n_transitions), np.zeros(model.n_states), np.zeros(model.n_choices)
+    reach = unfolding.start
+    for t in range(len(unfolding.layers) - 1):
+        nodes = unfolding.undecided(t)
+        np.add.at(visits, unfolding.layers[t][nodes] // product.automaton.n_states, reach[nodes])
+        edges = unfolding.edges(t)
+        flow = reach[edges.source] * edges.weight
+        moved = flow * model.probability[edges.entry]
+        np.add.at(gradient, edges.entry, flow * values[t + 1][edges.child])
+        np.add.at(times, edges.choice, moved)
+        reach = np.zeros(len(unfolding.layers[t + 1]))
+        np.add.at(reach, edges.child, moved)
+    tilt, steepest = _per_choice(product, gradient)
+    per_state = model.choice_start[:-1]
+    return Sensitivity(
+        product=product,
+        policy=policy,
+        probability=math.fsum(unfolding.start * values[0]),
+        gradient=gradient,
+        tilt=tilt,
+        derivative=np.add.reduceat(tilt, per_state),
+        steepest=np.add.reduceat(steepest, per_state),
+        visits=visits,
+        times=times,
+    )
+
+
+def _per_choice(product: Product, gradient: Floats) -> tuple[Floats, Floats]:
+    """(tilt, steepest) of each choice from the entries' gradient."""
+    model = product.model
+    tilt, steepest = np.zeros(model.n_choices), np.zeros(model.n_choices)
+    for c, (a, b) in enumerate(itertools.pairwise(model.row_start.tolist())):
+        slope = gradient[a:b]
+        if b - a > 1 and slope.any():
+            p, k = model.probability[a:b], int(model.probability[a:b].argmax())
+            others = np.arange(b - a) != k
+            tilt[c] = slope[k] - (p[others] @ slope[others]) / p[others].sum()
+            steepest[c] = slope.max() - slope.min()
+    return tilt, steepest
