@@ -13,9 +13,9 @@ from stltool.errors import StlToolError
 
 # each registers its command, in the order that --help shows
 # isort: off
-from stltool.cli import run, check, certify, estimate, learn, explain, export, report
+from stltool.cli import run, check, why, certify, estimate, learn, explain, export, report
 
-__all__ = ["app", "certify", "check", "estimate", "explain", "export", "learn", "main", "report", "run"]
+__all__ = ["app", "certify", "check", "estimate", "explain", "export", "learn", "main", "report", "run", "why"]
 
 
 def main() -> None:

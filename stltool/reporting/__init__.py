@@ -1,8 +1,10 @@
 """Results → JSON, HTML, terminal. The HTML page is made from the JSON alone, so it can be made again."""
 
-from stltool.reporting.data import check_data, estimate_data, report_data, training_data
+from stltool.reporting.data import check_data, estimate_data, product_data, report_data, training_data
 from stltool.reporting.page import load_report, render, report, write_report
+from stltool.reporting.runs import likely_data, sensitivity_data
 
 __all__ = [
-    "check_data", "estimate_data", "load_report", "render", "report", "report_data", "training_data", "write_report",
+    "check_data", "estimate_data", "likely_data", "load_report", "product_data", "render", "report", "report_data",
+    "sensitivity_data", "training_data", "write_report",
 ]  # fmt: skip

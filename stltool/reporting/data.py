@@ -15,15 +15,18 @@ from stltool.automata import TaskAutomaton, compile_automaton
 from stltool.automata.compare import disagreement
 from stltool.automata.compile import all_valuations, atoms_of
 from stltool.automata.history import history_states
-from stltool.checking import CheckResult, Estimate, Run, SequentialTest, sample_run
+from stltool.checking import CheckResult, Estimate, Run, SequentialTest, likely_runs, sample_run, sensitivity
 from stltool.errors import FragmentError, SettingsError
 from stltool.learning import Training
 from stltool.logic.formula import Comparison, Formula, Label, boolean_value, walk
 from stltool.logic.fragment import check_fragment
 from stltool.policy import Policy
 from stltool.product import Product
+from stltool.reporting.runs import likely_data, sensitivity_data
 
 FORMAT = "stltool-report-1"
+_LIKELY, _SENSITIVE = 5, 5  # runs and states that a report shows
+_MOST_EDGES = 1e7  # of the unfolded product, at most: some seconds; beyond, `stltool why` may still be asked
 
 
 def product_data(product: Product) -> dict[str, Any]:
@@ -209,7 +212,20 @@ def report_data(
         "estimates": [{**dataclasses.asdict(estimate), "statement": estimate.statement} for estimate in estimates],
         "training": training_data(training) if training is not None else None,
         "run": _run_data(product, policy, seed) if policy is not None else None,
+        "why": _why_data(product, policy) if policy is not None else None,
         "floor": _floor_data(product),
+    }
+
+
+def _why_data(product: Product, policy: Policy) -> dict[str, Any] | None:
+    """The most probable violating runs and the most sensitive states; None where finding them could take long."""
+    branches = 1 if policy.deterministic else policy.table.shape[-1]
+    successors = product.model.n_transitions / product.model.n_choices
+    if product.horizon * product.n_states * branches * successors > _MOST_EDGES:
+        return None
+    return {
+        **likely_data(likely_runs(product, policy, count=_LIKELY)),
+        "sensitive": sensitivity_data(sensitivity(product, policy), _SENSITIVE),
     }
 
 

@@ -33,8 +33,8 @@ def learning_curve(data: dict[str, Any]) -> str:
     return _svg(figure, "curve")
 
 
-def floor_map(data: dict[str, Any]) -> str:
-    """The floor with its labels, and the sampled run as a path numbered by steps."""
+def floor_map(data: dict[str, Any], states: list[int] | None = None) -> str:
+    """The floor with its labels, and a run (default: the sampled one) as a path numbered by steps."""
     floor = data["floor"]
     width, height = floor["width"], floor["height"]
     scale = min(0.8, 6.4 / max(width, height))
@@ -53,8 +53,10 @@ def floor_map(data: dict[str, Any]) -> str:
                       color=_INK, alpha=0.75)  # fmt: skip
     for s in floor["initial"]:
         axes.text(floor["column"][s] + 0.06, floor["row"][s] + 0.94, "start", va="top", fontsize=11 * scale, color=_INK)
-    if data["run"] is not None:
-        _path(axes, data["run"]["states"], floor, scale)
+    if states is None and data["run"] is not None:
+        states = data["run"]["states"]
+    if states is not None:
+        _path(axes, states, floor, scale)
     return _svg(figure, "floor")
 
 

@@ -16,6 +16,7 @@ from stltool.errors import FileError
 from stltool.files import read_text, write_atomically
 from stltool.learning import Training
 from stltool.reporting.data import FORMAT, report_data
+from stltool.reporting.runs import trace_text, verdict_text
 
 
 def report(results: Sequence[CheckResult], training: Training | None, path: str | Path, **details: Any) -> None:
@@ -56,10 +57,15 @@ def render(data: dict[str, Any]) -> str:
     )
     environment.filters["probability"] = probability_text
     environment.globals["bound_texts"] = bound_texts
+    environment.globals.update(trace_text=trace_text, verdict_text=verdict_text)
+    why = data.get("why")  # reports of earlier versions have none
+    likely = why["runs"] if why else []
     return environment.get_template("report.html").render(
         data=data,
+        why=why,
         curve=figures.learning_curve(data) if data["training"] else None,
         floor=figures.floor_map(data) if data["floor"] else None,
+        likely_floor=figures.floor_map(data, likely[0]["state_indices"]) if data["floor"] and likely else None,
     )
 
 

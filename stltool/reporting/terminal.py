@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.text import Text
 
 from stltool.reporting.page import bound_texts, probability_text
+from stltool.reporting.runs import trace_text, verdict_text
 
 _LONGEST_FRACTION = 400
 Advance = Callable[..., None]
@@ -91,6 +92,57 @@ def print_table(rows: list[dict[str, Any]]) -> None:
     if rows:
         heading = tuple(key.replace("_", " ") for key in rows[0])
         _print_columns([heading, *(tuple(str(value) for value in row.values()) for row in rows)])
+
+
+def print_likely(data: dict[str, Any], count: int) -> None:
+    """The most probable runs of a verdict, three lines a run, the first `count` of them."""
+    verdict, found = "satisfied" if data["satisfied"] else "violated", data["runs"]
+    whole = probability_text(data["verdict_probability"])
+    if not found:
+        print_facts({verdict: "no run of positive probability"})
+        return
+    runs = "1 run" if len(found) == 1 else f"{len(found)} runs"
+    if data["exhausted"]:
+        told = f"in {runs}, all there are"
+    elif data["asked_mass"] is None:
+        told = f"{100 * data['covered']:.3g} % of it in the most probable {runs}"
+    elif data["status"] == "complete":
+        told = f"{runs} are the fewest that cover {100 * data['asked_mass']:.3g} % of it"
+    else:
+        told = data["status"]
+    print_facts({verdict: f"probability {whole}; {told}"})
+    for number, run in enumerate(found[:count], start=1):
+        share = f", {100 * run['share']:.3g} %" if run["share"] is not None else ""
+        rows = {f"run {number}": f"probability {run['probability']:.6g}{share}; {verdict_text(run)}"}
+        rows[""] = trace_text(run["states"], run["labels"], run["actions"])
+        print()
+        print_facts(rows)
+        if run["remembered"] is not None:
+            print_facts({" " * len(f"run {number}"): f"before the verdict: {run['remembered']}"})
+    if len(found) > count:
+        print_facts({"\nand": f"{len(found) - count} more; -k prints more of them, --json all"})
+
+
+def print_sensitive(rows: list[dict[str, Any]]) -> None:
+    """States by what their success probability does to P, with the actions that tell most."""
+    print()
+    if not rows:
+        print_facts({"sensitive": "no state; no success probability moves P"})
+    print_table(
+        [
+            {
+                "state": row["name"],
+                "dP/dp": f"{row['derivative']:.4g}",
+                "steepest": f"{row['steepest']:.4g}",
+                "visits": f"{row['visits']:.4g}",
+                "mostly by": ", ".join(
+                    f"{action['action']} to {action['intended']} (p = {action['success']:.4g})"
+                    for action in row["actions"][:2]
+                ),
+            }
+            for row in rows
+        ]
+    )
 
 
 def _print_columns(rows: list[tuple[str, ...]]) -> None:

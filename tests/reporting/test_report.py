@@ -12,6 +12,7 @@ import stltool as stl
 from stltool.errors import FileError, InexactEncodingWarning, SettingsError
 from stltool.reporting import check_data, load_report, render, report_data
 from stltool.reporting.page import bound_texts, probability_text
+from stltool.reporting.runs import trace_text
 
 
 @pytest.fixture
@@ -27,7 +28,7 @@ def test_a_report_is_one_self_contained_page_and_its_data(results, tmp_path):
     data = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
     assert not re.findall(r"(?:src|href)\s*=\s*[\"'](?!#)", page)  # nothing is loaded from elsewhere
     assert "<script" not in page
-    assert page.count("<svg") == 2  # learning curve and floor map
+    assert page.count("<svg") == 3  # learning curve, floor maps with a sampled run and the likeliest violation
     for check, result in zip(data["checks"], checks, strict=True):
         assert check["probability"] == result.probability
         for bound in bound_texts(result.lower, result.upper):
@@ -57,6 +58,44 @@ def test_a_report_without_training_or_floor():
     page = render(report_data([stl.check(product)]))
     assert "<svg" not in page
     assert "P = 0.5" in page
+
+
+def test_a_report_tells_why_it_fails(results):
+    checks, run = results
+    data = report_data(checks, run)
+    page = html.unescape(render(data))
+    likely = stl.likely_runs(checks[1].product, run.policy, count=5)
+    assert [row["probability"] for row in data["why"]["runs"]] == [row.probability for row in likely.runs]
+    for row in data["why"]["runs"]:
+        assert f"violated at step {row['step']}" in page
+        assert f"<td>{trace_text(row['states'], row['labels'], row['actions'])}</td>" in page
+    moves = stl.sensitivity(checks[1].product, run.policy).ranked(5)
+    assert [row["name"] for row in data["why"]["sensitive"]] == [row.name for row in moves if row.derivative]
+    assert f"{moves[0].derivative:.4g}</td>" in page
+    del data["why"]  # as earlier versions wrote it
+    assert "Why it fails" not in render(data)
+
+
+def test_a_report_without_a_violating_run(floor5):
+    product = stl.build_product(floor5, stl.parse("F[0,2) (A | !A)"))
+    page = render(report_data([stl.check(product)]))
+    assert "No run of positive probability violates the task." in page
+    assert page.count("<svg") == 1
+    assert "dP" not in page
+
+
+def test_a_large_unfolding_is_left_to_those_who_ask(results, monkeypatch):
+    checks, _ = results
+    monkeypatch.setattr("stltool.reporting.data._MOST_EDGES", 100)
+    data = report_data(checks)
+    assert data["why"] is None
+    assert "Why it fails" not in render(data)
+
+
+def test_a_trace_in_one_line():
+    text = trace_text(["a", "b", "b", "b"], [[], ["A", "B"], ["A", "B"], []], ["go", "stay", "stay"])
+    assert text == "a go → 2 × b {A, B} stay → b"
+    assert trace_text(["a"], [["A"]], []) == "a {A}"
 
 
 def test_the_approximation_is_said_aloud(floor5):

@@ -1,0 +1,92 @@
+"""`stltool why`: the runs behind a probability, and the states that it hangs on."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stltool.cli.app import app
+from stltool.cli.options import (
+    AsJson,
+    Encoding,
+    Model,
+    Params,
+    TaskFile,
+    TaskName,
+)
+from stltool.cli.steps import make_product
+from stltool.errors import SettingsError
+
+
+@app.command()
+def why(
+    task: TaskFile,
+    policy: Annotated[
+        Path | None, typer.Option("--policy", help="policy file (.npz) or Q-table (.csv); default: the best of all")
+    ] = None,
+    minimize: Annotated[bool, typer.Option("--minimize", help="the worst of all policies instead of the best")] = False,
+    satisfying: Annotated[
+        bool, typer.Option("--satisfying", help="runs that satisfy the task, not violate it")
+    ] = False,
+    count: Annotated[int, typer.Option("--count", "-k", metavar="K", help="runs to print")] = 5,
+    mass: Annotated[
+        float | None, typer.Option("--mass", metavar="SHARE", help="the smallest set of runs with this share, as 0.9")
+    ] = None,
+    most: Annotated[int, typer.Option("--most", metavar="N", help="runs of that set at most")] = 10_000,
+    states: Annotated[int, typer.Option("--states", metavar="N", help="sensitive states to print")] = 5,
+    model: Model = None,
+    param: Params = None,
+    name: TaskName = None,
+    encoding: Encoding = "exact",
+    as_json: AsJson = False,
+) -> None:
+    """Why P is what it is: the most probable runs that violate the task, and the states whose success moves P most."""
+    import stltool as stl
+    from stltool.reporting import likely_data, product_data, sensitivity_data
+    from stltool.reporting.terminal import print_facts, print_likely, print_sensitive, progress_bar
+
+    if minimize and policy is not None:
+        raise SettingsError("--minimize asks for the worst of all policies, --policy for a given one; keep one of them")
+    if count < 1:
+        raise SettingsError(f"-k {count}: ask for 1 run or more")
+    if states < 0:
+        raise SettingsError(f"--states {states}: ask for 0 states or more")
+    product = make_product(task, model, param, name, encoding, as_json, learning=False)
+    given = stl.load_policy(policy, product) if policy is not None else None
+    if given is None:
+        with progress_bar("checking", quiet=as_json) as bar:
+            result = stl.check(product, maximize=not minimize, progress=bar)
+    followed = given if given is not None else result.policy
+    with progress_bar("finding runs", quiet=as_json) as bar:
+        likely = stl.likely_runs(
+            product, followed, satisfied=satisfying, count=count, mass=mass, most=most, progress=bar
+        )
+    with progress_bar("finding derivatives", quiet=as_json) as bar:
+        moves = stl.sensitivity(product, followed, progress=bar)
+    if given is not None:
+        result = stl.check(product, given)
+    data = {
+        **product_data(product),
+        "question": result.question,
+        "policy": likely.policy.kind,
+        "probability": result.probability,
+        "lower": result.lower,
+        "upper": result.upper,
+        "asked_mass": mass,
+        **likely_data(likely),
+        "sensitive": sensitivity_data(moves, states),
+    }
+    if as_json:
+        print(json.dumps(data))
+        return
+    print_facts({
+        "task": f"{product.task_name} := {product.formula}",
+        "policy": f"{policy or result.question + ' of all'} ({likely.policy.kind})",
+        "P": f"{result.probability:.15g}",
+    })  # fmt: skip
+    print_likely(data, count)
+    if states:
+        print_sensitive(data["sensitive"])

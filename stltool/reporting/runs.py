@@ -1,0 +1,70 @@
+"""Runs and sensitivities as plain data, and a run as one line of text."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+from stltool.checking import LikelyRun, LikelyRuns, Sensitivity
+from stltool.product import Product
+
+
+def likely_data(result: LikelyRuns) -> dict[str, Any]:
+    """The most probable runs of a verdict, in the user's names; `share` is of the verdict's probability."""
+    return {
+        "satisfied": result.satisfied,
+        "verdict_probability": result.probability,
+        "mass": result.mass,
+        "covered": result.covered,
+        "exhausted": result.exhausted,
+        "status": result.status,
+        "runs": [_run_data(result.product, run, result.probability) for run in result.runs],
+    }
+
+
+def _run_data(product: Product, run: LikelyRun, whole: float) -> dict[str, Any]:
+    """State i was left by action i; `remembered` is what was known before the verdict fell, None if at once."""
+    model = product.model
+    return {
+        "probability": run.probability,
+        "log_probability": run.log_probability,
+        "share": run.probability / whole if whole else None,
+        "satisfied": run.satisfied,
+        "step": run.step,
+        "certain_from": run.certain,
+        "remembered": run.memory[-2] if run.step else None,
+        "state_indices": list(run.states),
+        "states": [model.state_name(s) for s in run.states],
+        "labels": [[name for name, values in model.labels.items() if values[s]] for s in run.states],
+        "actions": list(run.actions),
+        "memory": list(run.memory),
+    }
+
+
+def trace_text(states: Sequence[str], labels: Sequence[Sequence[str]], actions: Sequence[str]) -> str:
+    """A run in one line, each state with its labels and the action taken there: (1,0) N → 2 × (1,1) {A} E → (1,1)."""
+    told = []
+    for state, shown, action in itertools.zip_longest(states, labels, actions):
+        told.append(" ".join(filter(None, [state, f"{{{', '.join(shown)}}}" if shown else "", action])))
+    grouped = [(text, len(list(same))) for text, same in itertools.groupby(told)]
+    return " → ".join(text if n == 1 else f"{n} × {text}" for text, n in grouped)
+
+
+def verdict_text(run: dict[str, Any]) -> str:
+    """When a run's verdict fell: violated at step 7 (certain from step 3)."""
+    verdict = "satisfied" if run["satisfied"] else "violated"
+    early = f" (certain from step {run['certain_from']})" if run["certain_from"] < run["step"] else ""
+    return f"{verdict} at step {run['step']}{early}"
+
+
+def sensitivity_data(result: Sensitivity, count: int) -> list[dict[str, Any]]:
+    """The `count` states whose success probability moves P most, with those actions; none that does not move it."""
+    moving = [row for row in result.ranked(count) if row.derivative]
+    return [
+        dataclasses.asdict(
+            dataclasses.replace(row, actions=tuple(action for action in row.actions if action.derivative))
+        )
+        for row in moving
+    ]
