@@ -1,13 +1,17 @@
 """`stltool why` as its users meet it."""
 
 import json
+import re
+import shlex
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
 import stltool as stl
 from tests import test_cli
-from tests.conftest import FACTORY
+from tests.conftest import FACTORY, ROOT
 from tests.test_cli import PATROLLING, SMALL
 
 stltool = test_cli.stltool  # the fixture
@@ -111,3 +115,14 @@ def test_bad_input_ends_with_code_2(stltool, tmp_path):
         code, out, err = stltool("why", PATROLLING, *SMALL, *arguments)
         assert (code, out) == (2, ""), arguments
         assert says in " ".join(err.replace("│", " ").split()), arguments
+
+
+def test_the_page_shows_what_is_printed(stltool, monkeypatch):
+    """docs/why.md: its command and its program, run from the checkout."""
+    monkeypatch.chdir(ROOT)
+    page = (ROOT / "docs" / "why.md").read_text(encoding="utf-8")
+    command, shown = re.search(r"^\$ stltool (.*)\n((?s:.*?))^```", page, re.MULTILINE).groups()
+    assert stltool(*shlex.split(command))[1] == shown
+    program, printed = re.search(r"(?s)```python\n(.*?)```\n\nprints\n\n```\n(.*?)```", page).groups()
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == (printed, "")
