@@ -132,6 +132,14 @@ def test_a_masss_set_is_smallest(case, mass):
         assert sum(sorted(runs, reverse=True)[: n - 1]) < goal
 
 
+@pytest.mark.parametrize(("mass", "n"), [(0.3, 1), (0.5, 1), (0.51, 2), (0.9, 2), (0.901, 3), (1.0, 3)])
+def test_a_mass_that_a_set_has_exactly(mass, n):
+    """0.5, 0.4, 0.1: rounding neither adds a run nor spares one; several first states."""
+    model = stl.MDP.from_arrays([np.eye(3)], {"x": [0, 1, 2]}, initial=[0.1, 0.5, 0.4])
+    result = stl.likely_runs(stl.build_product(model, stl.parse("x < 5")), satisfied=True, mass=mass)
+    assert [run.states for run in result.runs] == [(1,), (2,), (0,)][:n]
+
+
 @given(cases())
 @settings(max_examples=30)
 def test_certain_is_where_no_other_verdict_is_left(case):
