@@ -151,6 +151,13 @@ def test_certain_is_where_no_other_verdict_is_left(case):
             assert (verdicts == {satisfied}) == (n >= run.certain)
 
 
+def test_of_equally_probable_runs_the_shorter_comes_first():
+    rows = [[0, 0.5, 0.5, 0], [0, 0, 0, 1], [0, 0, 1, 0], [0, 0, 0, 1]]
+    model = stl.MDP.from_arrays([rows], {"x": range(4)}, labels={"A": [0, 0, 1, 1]})
+    result = stl.likely_runs(stl.build_product(model, stl.parse("F[0,2] A")), satisfied=True)
+    assert [run.states for run in result.runs] == [(0, 2), (0, 1, 3)]
+
+
 def test_networkx_finds_the_same(patrolling):
     """On the floor, under a policy that draws its actions: the 200 best paths of the graph of all (t, s, q, action)."""
     policy = random_policy(patrolling, np.random.default_rng(3), timed=True, mixed=True)
