@@ -251,6 +251,10 @@ def test_probabilities_below_the_doubles_keep_their_logarithm():
     assert run.probability == result.probability == 0
     assert run.log_probability == pytest.approx(40 * math.log(1e-9))
     assert result.exhausted
+    row = [1 - 2e-9, 1e-9, 1e-9]
+    many = stl.MDP.from_arrays([[row, row, row]], {"x": [0, 1, 2]}, labels={"A": [0, 1, 1]}, initial=1)
+    one = stl.likely_runs(stl.build_product(many, stl.parse("G[0,40] A")), satisfied=True, count=1)
+    assert (len(one.runs), one.covered, one.exhausted) == (1, 0.0, False)
     with pytest.raises(SettingsError, match="less than 1e-300 together.*ask for a count"):
         stl.likely_runs(product, satisfied=True, mass=0.5)
 
