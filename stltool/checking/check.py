@@ -186,7 +186,7 @@ class _Sweeps:
 
         entry = induct(self.product, swept, sweep, self.progress)
         if policy is not None and (np.isnan(entry) | (entry < 0)).any():
-            raise _undefined(self.product, policy)
+            raise undefined(self.product, policy)
         return entry
 
     def _in_doubles(self) -> tuple[float, float, float]:
@@ -210,7 +210,7 @@ def _smallest(*arrays: Floats) -> float:
     return min(float(array[array > 0].min(initial=1.0)) for array in arrays)
 
 
-def _undefined(product: Product, policy: Policy) -> PolicyError:
+def undefined(product: Product, policy: Policy) -> PolicyError:
     """Where the policy says nothing (its NaN reached the start): the places it can reach, then how many it cannot."""
     places: dict[tuple[int, int], int] = {}  # (s, q) → the first step it is reached at
     for t, layer in enumerate(policy_layers(product, policy)):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from stltool.automata import UNDECIDED
 from stltool.checking.backward import Floats, Progress
-from stltool.errors import PolicyError
+from stltool.checking.check import undefined
 from stltool.policy import Policy
 from stltool.product import Product
 from stltool.sizes import memory_limit, require_memory, require_time
@@ -25,7 +25,6 @@ Indices = NDArray[np.int64]
 
 _RATE = 1e7  # edges a second, roughly
 _EDGE_BYTES, _LAYER_BYTES = 100, 500  # while a layer's edges are made; of an empty layer
-_SHOWN = 5  # undefined places that a message names
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,15 +72,11 @@ class Unfolding:
         self.start = model.initial[first]
         self.layers = [first * automaton.n_states + automaton.delta[product.letter[first], automaton.initial]]
         self.bytes = 0
-        silent: list[tuple[int, Indices]] = []
         for t in range(product.horizon):
             self.bytes += 24 * len(self.layers[-1]) + _LAYER_BYTES
             nodes = self.undecided(t)
-            if policy.deterministic:
-                empty = policy.at(t)[self._split(t, nodes)] < 0
-                if empty.any():
-                    silent.append((t, self.layers[t][nodes[empty]]))
-                    nodes = nodes[~empty]
+            if policy.deterministic and (policy.at(t)[self._split(t, nodes)] < 0).any():
+                raise undefined(product, policy)
             reached = np.zeros(product.n_states, dtype=np.bool_)
             reached[self._expand(t, nodes)[-1]] = True
             self.layers.append(np.flatnonzero(reached))
@@ -89,8 +84,6 @@ class Unfolding:
                 progress(t + 1, product.horizon)
             if not len(self.undecided(t + 1)):
                 break
-        if silent:
-            raise self._undefined(silent)
 
     def verdicts(self, t: int) -> NDArray[np.int8]:
         """The verdict of every node of layer t."""
@@ -155,22 +148,3 @@ class Unfolding:
             target.astype(np.int64) * automaton.n_states + automaton.delta[self.product.letter[target], q[pick[which]]]
         )
         return pick[which], choice[which], entry, weight[which], index
-
-    def _undefined(self, silent: list[tuple[int, Indices]]) -> PolicyError:
-        """Names the places that the policy reaches and says nothing about, by steps, then others of its table."""
-        product, table = self.product, self.policy.table
-        places = [(t, int(index)) for t, found in silent for index in found]
-        lines = [f"  {product.describe(index, t)}" for t, index in places[:_SHOWN]]
-        if len(places) > _SHOWN:
-            lines.append(f"  and {len(places) - _SHOWN} more")
-        met = {index if self.policy.stationary else t * product.n_states + index for t, index in places}
-        others = np.setdiff1d(np.flatnonzero(table < 0), np.array(sorted(met)), assume_unique=True)
-        if len(others):
-            lines.append(f"and about {len(others)} that it does not reach before, such as")
-            steps, indices = np.divmod(others[:_SHOWN], product.n_states)
-            for t, index in zip(steps.tolist(), indices.tolist(), strict=True):
-                lines.append(f"  {product.describe(index, None if self.policy.stationary else t)}")
-        noun = "a place" if len(places) == 1 else f"{len(places)} places"
-        return PolicyError(
-            f"the policy says nothing about {noun} that it can reach; give it an action there:\n" + "\n".join(lines)
-        )

@@ -284,21 +284,14 @@ def test_undefined_places_are_named_the_reachable_first(patrolling):
     start = int(patrolling.model.initial.argmax())
     table[1, start] = -1
     table[0, start - 1, 0] = -1  # never there at step 0
-    with pytest.raises(PolicyError) as error:
+    with pytest.raises(PolicyError, match=r"nothing about step 1, state \(1,0\); .*which it can reach \(\d+ others"):
         stl.likely_runs(patrolling, stl.Policy(patrolling, table))
-    lines = str(error.value).splitlines()
-    assert lines[0] == "the policy says nothing about a place that it can reach; give it an action there:"
-    assert lines[1].startswith("  step 1, state (1,0); x = 0.3, y = 0.1; A not seen for 2 steps")
-    assert lines[2] == f"and about {patrolling.shape[1]} that it does not reach before, such as"
-    assert lines[3].startswith("  step 0, state (0,0)")
-    assert len(lines) == 8
     table = stl.check(patrolling).policy.table.copy()
     table[0, start - 1, 0] = -1
     assert stl.likely_runs(patrolling, stl.Policy(patrolling, table)).runs == stl.likely_runs(patrolling).runs
     silent = stl.Policy(patrolling, np.full(patrolling.shape, -1))
-    with pytest.raises(PolicyError, match=r"state \(1,0\); x = 0.3") as error:
+    with pytest.raises(PolicyError, match=rf"state \(1,0\); .*\({patrolling.n_states - 1} others it cannot reach\)"):
         stl.sensitivity(patrolling, silent)
-    assert f"about {patrolling.n_states - 1} that it does not reach before" in str(error.value)
 
 
 @pytest.mark.parametrize(
