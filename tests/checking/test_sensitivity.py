@@ -139,6 +139,27 @@ def test_one_try_after_another():
     assert (action.action, action.intended, action.success) == ("try", "hall", 0.75)
 
 
+def test_states_and_actions_in_order():
+    """The largest change first, up or down; of the actions those that the policy takes, the most telling first."""
+    good, bad = [0, 0, 0.75, 0.25], [0, 0, 0.25, 0.75]
+    goal, pit = [0, 0, 1, 0], [0, 0, 0, 1]
+    model = stl.MDP.from_arrays(
+        [[good, good, goal, pit], [bad, bad, goal, pit], [good, good, goal, pit]], {"x": range(4)},
+        initial=[0.25, 0.75, 0, 0], labels={"goal": [0, 0, 1, 0]}, action_names=["up", "down", "never"],
+    )  # fmt: skip
+    product = stl.build_product(model, stl.parse("F[0,1] goal"))
+    weights = np.zeros((*product.shape, 3))
+    weights[..., 0] = 1
+    weights[1] = [0.25, 0.75, 0]
+    result = stl.sensitivity(product, stl.Policy(product, weights))
+    first, second = result.ranked()
+    assert (first.state, second.state) == (1, 0)
+    assert (first.derivative, second.derivative) == pytest.approx((0.75 * (0.25 - 0.75), 0.25))
+    assert [(action.action, action.intended) for action in first.actions] == [("down", "3"), ("up", "2")]
+    assert [action.derivative for action in first.actions] == pytest.approx([-0.75 * 0.75, 0.75 * 0.25])
+    assert first.steepest == pytest.approx(0.75)
+
+
 def test_for_an_optimal_policy_it_is_the_optimums_derivative(patrolling):
     """Envelope theorem: the floor's best P with another success probability in one state, policies free."""
     model = patrolling.model

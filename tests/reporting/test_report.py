@@ -12,7 +12,7 @@ import stltool as stl
 from stltool.errors import FileError, InexactEncodingWarning, SettingsError
 from stltool.reporting import check_data, load_report, render, report_data
 from stltool.reporting.page import bound_texts, probability_text
-from stltool.reporting.runs import trace_text
+from stltool.reporting.runs import trace_text, verdict_text
 
 
 @pytest.fixture
@@ -92,7 +92,10 @@ def test_a_large_unfolding_is_left_to_those_who_ask(results, monkeypatch):
     assert "Why it fails" not in render(data)
 
 
-def test_a_trace_in_one_line():
+def test_a_trace_and_a_verdict_in_one_line():
+    fell = {"satisfied": False, "step": 4, "certain_from": 4}
+    assert verdict_text(fell) == "violated at step 4"
+    assert verdict_text({**fell, "satisfied": True, "certain_from": 2}) == "satisfied at step 4 (certain from step 2)"
     text = trace_text(["a", "b", "b", "b"], [[], ["A", "B"], ["A", "B"], []], ["go", "stay", "stay"])
     assert text == "a go → 2 × b {A, B} stay → b"
     assert trace_text(["a"], [["A"]], []) == "a {A}"
