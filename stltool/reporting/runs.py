@@ -61,10 +61,8 @@ def verdict_text(run: dict[str, Any]) -> str:
 
 def sensitivity_data(result: Sensitivity, count: int) -> list[dict[str, Any]]:
     """The `count` states whose success probability moves P most, with those actions; none that does not move it."""
-    moving = [row for row in result.ranked(count) if row.derivative]
     return [
-        dataclasses.asdict(
-            dataclasses.replace(row, actions=tuple(action for action in row.actions if action.derivative))
-        )
-        for row in moving
+        dataclasses.asdict(row) | {"actions": [dataclasses.asdict(a) for a in row.actions if a.derivative]}
+        for row in result.ranked(count)
+        if row.derivative
     ]
