@@ -39,16 +39,20 @@ if TYPE_CHECKING:
     from stltool.checking import (
         CheckResult,
         Estimate,
+        Front,
         LikelyRuns,
         Run,
         Sensitivity,
         SequentialTest,
+        Tradeoff,
         check,
         estimate,
         likely_runs,
+        pareto,
         sample_run,
         sensitivity,
         sprt,
+        tradeoff,
         write_certificate,
     )
     from stltool.errors import StlToolError
@@ -60,7 +64,7 @@ if TYPE_CHECKING:
     from stltool.logic.task import Task
     from stltool.models import MDP, load_model
     from stltool.policy import Policy, load_policy
-    from stltool.product import Product, build_product
+    from stltool.product import JointProduct, Product, build_joint_product, build_product
     from stltool.recheck import certify
     from stltool.reporting import report
 
@@ -69,6 +73,8 @@ __version__ = "0.1.0"
 # name → the module it is loaded from when first used, so that `import stltool` stays light
 _HOME = {
     "CheckResult": "checking", "Formula": "logic.formula", "Fragment": "logic.fragment", "MDP": "models",
+    "Front": "checking", "JointProduct": "product", "Tradeoff": "checking", "build_joint_product": "product",
+    "pareto": "checking", "tradeoff": "checking",
     "Policy": "policy", "Product": "product", "Run": "checking", "Settings": "learning", "StlToolError": "errors",
     "Task": "logic.task", "TaskAutomaton": "automata", "Training": "learning", "build_product": "product",
     "certify": "recheck", "write_certificate": "checking",
@@ -86,6 +92,7 @@ __all__ = [  # noqa: RUF022 - in reading order
     "build_product", "Product", "Policy", "load_policy", "check", "CheckResult", "sample_run", "Run",
     "estimate", "Estimate", "sprt", "SequentialTest", "write_certificate", "certify",
     "likely_runs", "LikelyRuns", "sensitivity", "Sensitivity",
+    "build_joint_product", "JointProduct", "tradeoff", "Tradeoff", "pareto", "Front",
     "learn", "Training", "Settings", "report", "StlToolError",
 ]  # fmt: skip
 

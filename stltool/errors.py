@@ -50,6 +50,14 @@ class SettingsError(StlToolError):
     """A setting of a learner or of a command is out of range."""
 
 
+class InfeasibleError(StlToolError):
+    """No policy meets the constraints that were asked for."""
+
+
+class SolverError(StlToolError):
+    """A numerical solver ended without an answer."""
+
+
 class FileError(StlToolError):
     """A file cannot be read or written, or holds something else than its name says."""
 

@@ -6,7 +6,8 @@ action). Four forms, told apart by dtype and shape, with S model states, Q autom
     (S, Q) int16       stationary              (h, S, Q) int16       one table a step
     (S, Q, C) float64  stationary mixture      (h, S, Q, C) float64  mixture a step
 
-A negative entry says nothing about that state. A policy is bound to formula and model by digests.
+A negative entry says nothing about that state. A policy is bound to formula and model by digests. Over a joint product
+Q counts the states of the joint automaton: they know the step, and the policy serves each of the tasks.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from stltool.automata import Encoding
 from stltool.errors import InexactEncodingWarning, PolicyError, near_misses
 from stltool.files import read_bytes, read_text, require_folder, require_replaceable, write_atomically
-from stltool.product import Product, build_product, joined
+from stltool.product import JointProduct, Product, build_joint_product, build_product, joined
 
 FORMAT = "stltool-policy-1"
 _SIGNAL_TOLERANCE = 1e-6  # published tables print few digits
@@ -33,7 +34,10 @@ _SIGNAL_TOLERANCE = 1e-6  # published tables print few digits
 
 @dataclass(frozen=True)
 class Binding:
-    """What a policy belongs to, as its file's header says it."""
+    """What a policy belongs to, as its file's header says it.
+
+    `tasks` are all tasks that it remembers, `formula` first, where it is of a joint product.
+    """
 
     formula: str
     encoding: str
@@ -41,24 +45,28 @@ class Binding:
     model_digest: str
     automaton_digest: str
     action_names: tuple[str, ...]
+    tasks: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, product: Product) -> Binding:
+    def of(cls, product: Product | JointProduct) -> Binding:
+        together = [str(task.formula) for task in product.tasks] if isinstance(product, JointProduct) else []
         return cls(
-            formula=str(product.formula),
+            formula=together[0] if isinstance(product, JointProduct) else str(product.formula),
             encoding=product.automaton.encoding,
             model=product.model.name,
             model_digest=product.model.digest(),
             automaton_digest=product.automaton.digest(),
             action_names=product.model.action_names,
+            tasks=tuple(together),
         )
 
     def require(self, product: Product, what: str) -> None:
         """PolicyError, naming both sides, unless this binding is to that product's task and model."""
         here = Binding.of(product)
-        if self.formula != here.formula:
+        known = self.tasks or (self.formula,)
+        if here.formula not in known:
             raise PolicyError(
-                f"{what} is for the task {self.formula}, not for {here.formula}; "
+                f"{what} is for the task {' and the task '.join(known)}, not for {here.formula}; "
                 "check it against its own task, or learn one for this"
             )
         if self.model_digest != here.model_digest:
@@ -72,10 +80,10 @@ class Policy:
     """See the module's text. Raises PolicyError when the table does not fit the product.
 
     `home` is the product whose automaton states the table speaks of. A policy of the same task and model can be checked
-    on a product with another encoding: `on` translates it.
+    on a product with another encoding, one of a joint product on that of each of its tasks: `on` translates it.
     """
 
-    def __init__(self, product: Product, table: NDArray[Any]) -> None:
+    def __init__(self, product: Product | JointProduct, table: NDArray[Any]) -> None:
         self.home = product
         self.binding = Binding.of(product)
         self.table = _checked(product, np.asarray(table))
@@ -87,7 +95,8 @@ class Policy:
             return product, self
         both, memory = joined(product, self.home)
         axis = 1 if self.stationary else 2
-        return both, Policy(both, np.take(self.table, memory, axis=axis))
+        table = self.table if self.stationary else self.table[: both.horizon]
+        return both, Policy(both, np.take(table, memory, axis=axis))
 
     @property
     def deterministic(self) -> bool:
@@ -100,7 +109,7 @@ class Policy:
     @property
     def kind(self) -> str:
         """In words, for reports."""
-        time = "stationary" if self.stationary else "time-dependent"
+        time = "stationary" if self.stationary and not isinstance(self.home, JointProduct) else "time-dependent"
         return f"{time}, {'deterministic' if self.deterministic else 'mixed'}"
 
     def at(self, t: int) -> NDArray[Any]:
@@ -127,8 +136,9 @@ class Policy:
             if header.pop("format") != FORMAT:
                 raise ValueError
             header["action_names"] = tuple(header["action_names"])
+            header["tasks"] = tuple(header.get("tasks", ()))
             binding = Binding(**header)
-            texts = (*binding.action_names, binding.formula, binding.encoding, binding.model)
+            texts = (*binding.action_names, binding.formula, *binding.tasks, binding.encoding, binding.model)
             if not all(isinstance(text, str) for text in (*texts, binding.model_digest, binding.automaton_digest)):
                 raise ValueError
         except Exception:  # a damaged archive fails in many ways, all of them the file's
@@ -136,7 +146,7 @@ class Policy:
                 f"{path}: not a policy file of this version ({FORMAT}); write one with Policy.save"
             ) from None
         binding.require(product, f"{path}: this policy")
-        home = _home(product, binding.encoding)
+        home = _home(product, binding.encoding) if not binding.tasks else _joint_home(product, binding)
         if home.automaton.digest() != binding.automaton_digest:
             raise PolicyError(
                 f"{path}: this policy was made with another automaton of the same task "
@@ -221,6 +231,16 @@ def _home(product: Product, encoding: str) -> Product:
         return build_product(product.model, product.formula, cast(Encoding, encoding))
 
 
+def _joint_home(product: Product, binding: Binding) -> JointProduct:
+    """The joint product of the tasks that a policy remembers."""
+    from stltool.logic.parser import parse  # lark is slow to load
+
+    tasks = {f"task {i}": parse(text) for i, text in enumerate(binding.tasks, start=1)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", InexactEncodingWarning)
+        return build_joint_product(product.model, tasks, cast(Encoding, binding.encoding))
+
+
 def with_flags(product: Product) -> Product:
     """The product itself where its automaton has flags, else the one of the paper's flags."""
     return product if product.automaton.register_names else _home(product, "paper")
@@ -229,7 +249,7 @@ def with_flags(product: Product) -> Product:
 # --------------------------------------------------------------------------------------------------- checks
 
 
-def _checked(product: Product, table: NDArray[Any]) -> NDArray[Any]:
+def _checked(product: Product | JointProduct, table: NDArray[Any]) -> NDArray[Any]:
     n_choices = np.diff(product.model.choice_start)
     most = int(n_choices.max())
     base, timed = product.shape, (product.horizon, *product.shape)

@@ -5,17 +5,17 @@ A product state is a pair (s, q): model state s just read, automaton state q aft
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata import Encoding, TaskAutomaton, compile_automaton
+from stltool.automata import Encoding, JointAutomaton, TaskAutomaton, compile_automaton, join_automata
 from stltool.automata.compile import MOST_STATES, atoms_of
 from stltool.automata.reach import reachable
-from stltool.errors import NameLookupError, near_misses
+from stltool.errors import NameLookupError, SettingsError, near_misses
 from stltool.logic.formula import Formula, label_names, require_formula, variables
 from stltool.logic.predicates import truth
 from stltool.logic.source import Span
@@ -61,11 +61,7 @@ class Product:
     def describe(self, index: int, t: int | None = None) -> str:
         """A product state's index, told in the user's names: state, signals, labels, what is remembered."""
         s, q = divmod(int(index), self.automaton.n_states)
-        signals = ", ".join(f"{name} = {values[s]:g}" for name, values in self.model.signals.items())
-        labels = ", ".join(name for name, values in self.model.labels.items() if values[s])
-        step = f"step {t}, " if t is not None else ""
-        parts = [f"{step}state {self.model.state_name(s)}", signals, labels, self.automaton.describe(q)]
-        return "; ".join(part for part in parts if part)
+        return _place(self.model, s, self.automaton.describe(q), t)
 
     def check_bytes(self, keep_policy: bool = True) -> int:
         """Bytes that one check takes: three layers of values, and an action per step and product state."""
@@ -73,7 +69,55 @@ class Product:
         return layers + (2 * self.n_states * self.horizon if keep_policy else 2 * self.n_states)
 
 
-def joined(task: Product, memory: Product) -> tuple[Product, NDArray[np.int64]]:
+@dataclass(frozen=True, eq=False)
+class JointProduct:
+    """Several tasks over one model, remembered together: what trade-offs are made on.
+
+    tasks     their products, each with a name of its own
+    automaton what is remembered of all of them, the step included
+    letter    (n_model_states,) int32: the joint letter of each model state
+    """
+
+    model: MDP
+    tasks: tuple[Product, ...]
+    automaton: JointAutomaton
+    letter: NDArray[np.int32]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(task.task_name for task in self.tasks)
+
+    @property
+    def horizon(self) -> int:
+        """The longest of the tasks' horizons."""
+        return self.automaton.horizon
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(model states, states of the joint automaton)"""
+        return self.model.n_states, self.automaton.n_states
+
+    def task(self, name: str) -> int:
+        """The number of the task of that name; NameLookupError where there is none."""
+        if name not in self.names:
+            raise NameLookupError(f"there is no task {name} here; {near_misses(name, self.names)}")
+        return self.names.index(name)
+
+    def describe(self, index: int, t: int | None = None) -> str:
+        """As `Product.describe`."""
+        s, q = divmod(int(index), self.automaton.n_states)
+        return _place(self.model, s, self.automaton.describe(q), t)
+
+
+def _place(model: MDP, s: int, memory: str, t: int | None) -> str:
+    signals = ", ".join(f"{name} = {values[s]:g}" for name, values in model.signals.items())
+    labels = ", ".join(name for name, values in model.labels.items() if values[s])
+    step = f"step {t}, " if t is not None else ""
+    parts = [f"{step}state {model.state_name(s)}", signals, labels, memory]
+    return "; ".join(part for part in parts if part)
+
+
+def joined(task: Product, memory: Product | JointProduct) -> tuple[Product, NDArray[np.int64]]:
     """The product whose verdicts are `task`'s and whose states know those of `memory` too; both of one model.
 
     Returns it with the memory's automaton state (n_states,) of each of its automaton states. With it, a policy that
@@ -85,7 +129,9 @@ def joined(task: Product, memory: Product) -> tuple[Product, NDArray[np.int64]]:
 
     def after(codes: NDArray[np.int64]) -> NDArray[np.int64]:
         q, m = np.divmod(codes, width)
-        return left.delta[pairs[:, 0]][:, q].astype(np.int64) * width + right.delta[pairs[:, 1]][:, m]
+        codes = left.delta[pairs[:, 0]][:, q].astype(np.int64) * width
+        codes += right.delta[pairs[:, 1]][:, m]
+        return codes
 
     def guard(n_states: int) -> None:
         require_memory(
@@ -104,7 +150,7 @@ def joined(task: Product, memory: Product) -> tuple[Product, NDArray[np.int64]]:
         delta=delta,
         initial=int(np.searchsorted(known, start)),
         verdict_rows=np.ascontiguousarray(left.verdict_rows[:, q]),
-        state_names=tuple(f"{left.state_names[i]} | {right.state_names[j]}" for i, j in zip(q, m, strict=True)),
+        state_names=tuple(f"{left.describe(i)} | {right.describe(j)}" for i, j in zip(q, m, strict=True)),
         registers=np.empty((0, 0), dtype=np.int32),
         register_names=(),
     )
@@ -150,6 +196,39 @@ def build_product(
         memory_limit,
     )
     return product
+
+
+def build_joint_product(
+    model: MDP,
+    tasks: Sequence[Task] | Mapping[str, Formula | Task],
+    encoding: Encoding = "exact",
+    memory_limit: int | None = None,
+) -> JointProduct:
+    """Bind several tasks to one model and remember them together.
+
+    `tasks` are named by their definitions, or by the mapping. Raises SettingsError where two have one name, SizeError
+    before allocating what would not fit, and what `build_product` raises for each.
+    """
+    if isinstance(tasks, Mapping):
+        named = list(tasks.items())
+    else:
+        for task in tasks:
+            if not isinstance(task, Task):
+                raise SettingsError(f"{task} has no name; give tasks as a mapping from names to formulas")
+        named = [(task.name, task) for task in tasks]
+    if not named:
+        raise SettingsError("there is no task to trade off; give at least one")
+    names = [name for name, _ in named]
+    for name in names:
+        if names.count(name) > 1:
+            raise SettingsError(f"two tasks are called {name}; give each a name of its own, in a mapping for example")
+    products = tuple(
+        replace(build_product(model, task, encoding, memory_limit), task_name=name) for name, task in named
+    )
+    rows = np.stack([product.letter for product in products], axis=1)
+    letters, letter = np.unique(rows, axis=0, return_inverse=True)
+    automaton = join_automata([product.automaton for product in products], letters, memory_limit)
+    return JointProduct(model, products, automaton, letter.astype(np.int32).ravel())
 
 
 _Column = TypeVar("_Column")

@@ -135,3 +135,39 @@ def random_model(rng: np.random.Generator, denominator: int, n_states: int = 3, 
     transitions = np.array([[row() for _ in range(n_states)] for _ in range(n_actions)], dtype=object)
     labels = {name: rng.integers(0, 2, n_states) for name in "AB"}
     return stl.MDP.from_arrays(transitions, {"x": np.arange(n_states)}, np.array(row(), dtype=object), labels)
+
+
+def achievable(model: stl.MDP, phis, cost=None) -> set[tuple[Fraction, ...]]:
+    """(P(φ) for each φ, then the expected cost) of every deterministic history-dependent policy, as a set.
+
+    `cost` (S,) is paid in every state but the last one of the longest horizon.
+    """
+    length = max(map(stl.horizon, phis)) + 1
+    paid = [Fraction(float(c)) for c in cost] if cost is not None else [Fraction(0)] * model.n_states
+
+    def points(history: tuple[int, ...]) -> set[tuple[Fraction, ...]]:
+        if len(history) == length:
+            held = (Fraction(holds(model, phi, history)) for phi in phis)
+            return {(*held, sum((paid[s] for s in history[:-1]), Fraction(0)))}
+        return {p for row in choices(model, history[-1]) for p in mixed([(points((*history, s)), w) for s, w in row])}
+
+    def mixed(parts: list[tuple[set[tuple[Fraction, ...]], Fraction]]) -> set[tuple[Fraction, ...]]:
+        sums = {(Fraction(0),) * (len(phis) + 1)}
+        for part, w in parts:
+            sums = {tuple(a + w * b for a, b in zip(x, y, strict=True)) for x in sums for y in part}
+        return sums
+
+    found = mixed([(points((s,)), w) for s, w in initial(model)])
+    return found if cost is not None else {point[:-1] for point in found}
+
+
+def best_mixture(points, floor: Fraction) -> Fraction | None:
+    """max x over mixtures of points (x, y) with y >= floor: two of them are enough; None where none reaches it."""
+    above = [p for p in points if p[1] >= floor]
+    values = [x for x, _ in above]
+    for x, y in above:
+        for u, v in points:
+            if v < floor:
+                part = (floor - v) / (y - v)
+                values.append(part * x + (1 - part) * u)
+    return max(values, default=None)

@@ -3,12 +3,14 @@
 from stltool.checking.certificate import require_certificate_of, write_certificate
 from stltool.checking.check import CheckResult, check
 from stltool.checking.likely import LikelyRun, LikelyRuns, likely_runs
+from stltool.checking.pareto import Front, pareto
 from stltool.checking.sampling import Run, sample_run
 from stltool.checking.sensitivity import Sensitivity, sensitivity
 from stltool.checking.statistical import Estimate, SequentialTest, estimate, estimate_from, sprt, sprt_from
+from stltool.checking.tradeoff import Tradeoff, tradeoff
 
 __all__ = [
-    "CheckResult", "Estimate", "LikelyRun", "LikelyRuns", "Run", "Sensitivity", "SequentialTest", "check", "estimate",
-    "estimate_from", "likely_runs", "require_certificate_of", "sample_run", "sensitivity", "sprt", "sprt_from",
-    "write_certificate",
+    "CheckResult", "Estimate", "Front", "LikelyRun", "LikelyRuns", "Run", "Sensitivity", "SequentialTest", "Tradeoff",
+    "check", "estimate", "estimate_from", "likely_runs", "pareto", "require_certificate_of", "sample_run",
+    "sensitivity", "sprt", "sprt_from", "tradeoff", "write_certificate",
 ]  # fmt: skip

@@ -58,11 +58,17 @@ def enclose(
     value: float, n_roundings: int, missing: Fraction = Fraction(0), underflow: bool = True
 ) -> tuple[float, float]:
     """(lower, upper) around the exact value, within [0, 1]; `missing` is the defects' sum along a path."""
+    lower, upper = around(value, n_roundings, missing, underflow)
+    return min(max(0.0, round_down(lower)), 1.0), max(min(1.0, round_up(upper)), 0.0)
+
+
+def around(
+    value: float, n_roundings: int, missing: Fraction = Fraction(0), underflow: bool = True
+) -> tuple[Fraction, Fraction]:
+    """The same for any sum of nonnegative terms, in fractions and not cut to [0, 1]."""
     gamma = n_roundings * _U / (1 - n_roundings * _U)
     slack = n_roundings * _UNDERFLOW if underflow else Fraction(0)
-    lower = round_down((Fraction(value) - slack) / (1 + gamma) - missing)
-    upper = round_up((Fraction(value) + slack) / (1 - gamma) + missing)
-    return min(max(0.0, lower), 1.0), max(min(1.0, upper), 0.0)
+    return (Fraction(value) - slack) / (1 + gamma) - missing, (Fraction(value) + slack) / (1 - gamma) + missing
 
 
 def round_down(exact: Fraction) -> float:

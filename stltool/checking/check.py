@@ -193,11 +193,11 @@ class _Sweeps:
         model, h = self.product.model, self.product.horizon
         entry = self._entry_values(None)
         value = math.fsum(model.initial[np.flatnonzero(model.initial)] * entry)
-        mixed, weight_defect, smallest = 0, Fraction(0), _smallest(model.probability, model.initial)
+        mixed, weight_defect, smallest = 0, Fraction(0), least_positive(model.probability, model.initial)
         if self.policy is not None and not self.policy.deterministic:
             weights = np.unique(self.policy.table.reshape(-1, self.policy.table.shape[-1]), axis=0)
             mixed, weight_defect = weights.shape[1], defect(weights.tolist())
-            smallest = min(smallest, _smallest(weights))
+            smallest = min(smallest, least_positive(weights))
         row_defect, start_defect = model_defects(model)
         missing = h * (row_defect + weight_defect) + start_defect
         underflow = can_underflow((2 if mixed else 1) * h + 1, smallest)
@@ -205,7 +205,7 @@ class _Sweeps:
         return min(max(value, 0.0), 1.0), lower, upper
 
 
-def _smallest(*arrays: Floats) -> float:
+def least_positive(*arrays: Floats) -> float:
     """The smallest positive entry."""
     return min(float(array[array > 0].min(initial=1.0)) for array in arrays)
 

@@ -1,0 +1,137 @@
+"""Several tasks remembered together, step by step: what is known after step t until every verdict has fallen.
+
+    layer t:  (q₁ … q_N) after reading s_t, where q_i = • from the step on at which task i's verdict fell
+    δ_t(λ, (q₁ … q_N)) = (q₁' … q_N'),   q_i' = δ_i(λ, q_i), or • if verdict_{t+1}(q_i') is decided
+
+A verdict depends on the step and an automaton forgets it afterwards, so the step belongs to the memory: the layers, one
+after the other, are the states of one automaton. What a verdict was is told on the way into •, and need not be kept:
+no reward to come depends on it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.automata.automaton import TRUE, UNDECIDED, TaskAutomaton
+from stltool.errors import SizeError
+from stltool.sizes import require_memory
+
+DECIDED = -1
+_LAYER_BYTES = 1000  # of a layer, however small
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """What can be remembered at one step, for N tasks.
+
+    states   (n, N) int32, distinct rows: each task's automaton state, DECIDED once its verdict has fallen
+    delta    (n_letters, n) int32: the row of the next layer after reading a letter; zeros in the last layer
+    holds    (N, n_letters, n) bool: whether the task's verdict falls on reading that letter, and is true
+    """
+
+    states: NDArray[np.int32]
+    delta: NDArray[np.int32]
+    holds: NDArray[np.bool_]
+
+    @property
+    def decided(self) -> NDArray[np.bool_]:
+        """(n,) where every verdict has fallen."""
+        result: NDArray[np.bool_] = (self.states == DECIDED).all(axis=1)
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class JointAutomaton:
+    """The layers before s₀ is read (`start`, one state) and after steps 0 … h, h the longest of the tasks' horizons.
+
+    Its states are numbered: the start, then layer by layer; the one of the last layer stays where it is.
+    """
+
+    automata: tuple[TaskAutomaton, ...]
+    start: Layer
+    layers: tuple[Layer, ...]
+
+    initial = 0
+
+    @property
+    def horizon(self) -> int:
+        return len(self.layers) - 1
+
+    @property
+    def encoding(self) -> str:
+        return self.automata[0].encoding
+
+    @cached_property
+    def offsets(self) -> NDArray[np.int64]:
+        """(h + 2,): the number of each layer's first state, and how many states there are."""
+        return np.cumsum([1, *(len(layer.states) for layer in self.layers)])
+
+    @property
+    def n_states(self) -> int:
+        return int(self.offsets[-1])
+
+    @cached_property
+    def delta(self) -> NDArray[np.int32]:
+        """(n_letters, n_states) int32"""
+        into = [*self.offsets[:-1], self.offsets[-2]]
+        parts = [layer.delta + first for layer, first in zip((self.start, *self.layers), into, strict=True)]
+        return np.concatenate(parts, axis=1).astype(np.int32)
+
+    def describe(self, q: int) -> str:
+        """What a state remembers, task by task."""
+        if q == self.initial:
+            return "at the start"
+        t = int(np.searchsorted(self.offsets, q, side="right")) - 1
+        states = self.layers[t].states[q - self.offsets[t]].tolist()
+        told = ("decided" if i == DECIDED else a.describe(i) for a, i in zip(self.automata, states, strict=True))
+        return f"after step {t}: {' | '.join(told)}"
+
+    def digest(self) -> str:
+        """A SHA-256 over everything that a policy depends on."""
+        sha = hashlib.sha256("|".join(automaton.digest() for automaton in self.automata).encode())
+        sha.update(str(self.delta.shape).encode() + self.delta.tobytes())
+        return sha.hexdigest()
+
+
+def join_automata(
+    automata: Sequence[TaskAutomaton], letters: NDArray[np.int32], memory_limit: int | None = None
+) -> JointAutomaton:
+    """The joint memory of several automata; `letters` (n_letters, N): each joint letter as the automata read it.
+
+    Raises SizeError before a layer is made that would not fit.
+    """
+    horizon = max(automaton.horizon for automaton in automata)
+    sizes = [automaton.n_states + 1 for automaton in automata]
+    what = f"remembering {' × '.join(str(size - 1) for size in sizes)} automaton states over {horizon} steps"
+    remedy = "shorten the windows, or trade fewer tasks off"
+    strides = np.cumprod([1, *sizes[:-1]], dtype=object)
+    if int(strides[-1]) * sizes[-1] >= 2**62:
+        raise SizeError(f"{what} is too much to number; {remedy}")
+    require_memory(horizon * _LAYER_BYTES, what, remedy, memory_limit)
+    taken = 0
+    states = np.array([[automaton.initial for automaton in automata]], dtype=np.int32)
+    layers = []
+    for t in range(horizon + 1):
+        cells = len(letters) * len(states)
+        taken += cells * (4 + len(automata)) + _LAYER_BYTES
+        require_memory(taken + 40 * cells, what, remedy, memory_limit)
+        codes = np.zeros((len(letters), len(states)), dtype=np.int64)
+        holds = np.empty((len(automata), *codes.shape), dtype=np.bool_)
+        for i, automaton in enumerate(automata):
+            still = states[:, i] != DECIDED
+            after = automaton.delta[letters[:, i]][:, np.maximum(states[:, i], 0)]
+            verdict = automaton.verdicts(t)[after]
+            holds[i] = still & (verdict == TRUE)
+            codes += int(strides[i]) * np.where(still & (verdict == UNDECIDED), after + 1, 0).astype(np.int64)
+        known, delta = np.unique(codes, return_inverse=True)
+        layers.append(Layer(states, delta.reshape(codes.shape).astype(np.int32), holds))
+        states = np.stack(np.unravel_index(known, sizes[::-1])[::-1], axis=1).astype(np.int32) - 1
+    nowhere = np.zeros((len(letters), len(states)), dtype=np.int32)
+    last = Layer(states, nowhere, np.zeros((len(automata), *nowhere.shape), dtype=np.bool_))
+    return JointAutomaton(tuple(automata), layers[0], (*layers[1:], last))

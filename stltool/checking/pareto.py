@@ -1,0 +1,167 @@
+"""The Pareto front of two tasks: which pairs of probabilities no policy improves in one without losing in the other.
+
+The pairs that policies achieve are a polygon. For w ≥ 0, w₁ + w₂ = 1, one weighted backward induction (weighted.py)
+gives a corner p(w) of it and a line that no policy crosses:
+
+    w·p ≤ U(w)   for every achievable p,          w·p(w) = U(w)   but for rounding
+
+From the two corners best for one task alone, the segment between neighbours A, B is closed when the weights that are
+normal to it find nothing above it (within the tolerance); else their corner divides it. The segment that may hide most,
+between it and the lines of its ends, is tried first. Source: Forejt, Kwiatkowska and Parker, "Pareto curves for
+probabilistic model checking", ATVA 2012.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import time
+from dataclasses import dataclass
+from fractions import Fraction
+
+from stltool.checking.backward import Progress
+from stltool.checking.bounds import round_up
+from stltool.checking.weighted import Criteria, Figure, best, probability
+from stltool.errors import SettingsError
+from stltool.product import JointProduct
+
+_SAME = 1e-12  # probabilities that differ by less are one
+
+
+@dataclass(frozen=True)
+class Corner:
+    """A deterministic policy's probabilities, best for `weights`: weights·p ≤ `bound` for every policy, rounding
+    included.
+    """
+
+    probabilities: tuple[Figure, Figure]
+    weights: tuple[float, float]
+    bound: float
+
+    @property
+    def point(self) -> tuple[float, float]:
+        return self.probabilities[0].value, self.probabilities[1].value
+
+
+@dataclass(frozen=True, eq=False)
+class Front:
+    """The front, from the corner best for the first task to the one best for the second; between them policies mix.
+
+    corners     undominated, in that order
+    lines       (w₁, w₂, U): w·p ≤ U for every policy, rounding included
+    gap         how far at most, in the direction of its normal, the true front is above the corners' segments
+    inductions  backward inductions taken
+    status      "complete", or that the number of corners asked for was reached first
+    """
+
+    joint: JointProduct
+    corners: tuple[Corner, ...]
+    lines: tuple[tuple[float, float, float], ...]
+    gap: float
+    inductions: int
+    status: str
+    seconds: float
+
+    def at_least(self, second: float) -> tuple[float, float] | None:
+        """(achieved by mixing corners, upper bound on) P(first) where P(second) >= `second`; None if out of reach."""
+        if not 0 <= second <= 1:
+            raise SettingsError(f"P({self.joint.names[1]}) >= {second}: a probability lies between 0 and 1")
+        points = [corner.point for corner in self.corners]
+        if second > points[-1][1]:
+            return None
+        bounds = [(Fraction(u) - Fraction(w2) * Fraction(second)) / Fraction(w1) for w1, w2, u in self.lines if w1 > 0]
+        above = round_up(min(*bounds, Fraction(1))) if bounds else 1.0
+        if second <= points[0][1]:
+            return points[0][0], above
+        (a1, a2), (b1, b2) = next((a, b) for a, b in itertools.pairwise(points) if a[1] <= second <= b[1])
+        return (b1 if a2 == b2 else b1 + (a1 - b1) * (b2 - second) / (b2 - a2)), above
+
+
+def pareto(
+    joint: JointProduct, *, points: int = 100, tolerance: float = 1e-9, progress: Progress | None = None
+) -> Front:
+    """The Pareto front of a joint product's two tasks.
+
+    At most `points` backward inductions are taken; a segment is closed when nothing lies more than `tolerance` above
+    it. Raises SettingsError for other than two tasks, and for a setting out of range.
+    """
+    started = time.perf_counter()
+    if len(joint.tasks) != 2:
+        raise SettingsError(f"a Pareto front is of two tasks, not of {len(joint.tasks)}; choose two")
+    if points < 2:
+        raise SettingsError(f"points = {points}: a front needs at least the best of either task, 2 points")
+    if not 0 < tolerance < 1:
+        raise SettingsError(f"tolerance = {tolerance}: a number between 0 and 1 is needed")
+    criteria = Criteria(joint)
+    found: list[Corner] = []
+
+    def corner(w1: float, w2: float) -> Corner:
+        top, each, _ = best(criteria, (w1, w2))
+        first, second = map(probability, each)
+        found.append(Corner((first, second), (w1, w2), top.upper))
+        if progress is not None:
+            progress(len(found), points)
+        return found[-1]
+
+    left, right = corner(1.0, 0.0), corner(0.0, 1.0)
+    number = itertools.count()  # of segments, so that equals are never compared further
+    open_ = [(-_hidden(left, right), next(number), left, right)]
+    closed = 0.0  # what closed segments may hide
+    while -open_[0][0] > tolerance and len(found) < points:
+        _, _, a, b = heapq.heappop(open_)
+        middle = corner(*_normal(a, b))
+        above = _above(middle, a)
+        if above > tolerance:
+            for segment in ((a, middle), (middle, b)):
+                heapq.heappush(open_, (-_hidden(*segment), next(number), *segment))
+        else:
+            closed = max(closed, above)
+            heapq.heappush(open_, (0.0, next(number), a, b))
+    gap = max(closed, -open_[0][0])
+    return Front(
+        joint=joint,
+        corners=_undominated(found),
+        lines=tuple((*c.weights, c.bound) for c in found),
+        gap=gap,
+        inductions=len(found),
+        status="complete" if gap <= tolerance else f"stopped after {points} points; ask for more",
+        seconds=time.perf_counter() - started,
+    )
+
+
+def _normal(a: Corner, b: Corner) -> tuple[float, float]:
+    """The weights that a and b are equally good for."""
+    (a1, a2), (b1, b2) = a.point, b.point
+    across, along = max(b2 - a2, 0.0), max(a1 - b1, 0.0)
+    total = across + along
+    return (across / total, along / total) if total > 0 else (0.5, 0.5)
+
+
+def _above(c: Corner, a: Corner) -> float:
+    """How far at most an achievable point is above a, in the direction of c's weights."""
+    return c.bound - sum(w * figure.lower for w, figure in zip(c.weights, a.probabilities, strict=True))
+
+
+def _hidden(a: Corner, b: Corner) -> float:
+    """How far at most the front is above the segment from a to b: where the lines of its ends meet."""
+    if max(abs(p - q) for p, q in zip(a.point, b.point, strict=True)) < _SAME:
+        return 0.0
+    (w1, w2), (u1, u2), (v1, v2) = _normal(a, b), a.weights, b.weights
+    det = u1 * v2 - u2 * v1
+    if abs(det) < _SAME:
+        return 0.0
+    meets = ((w1 * v2 - w2 * v1) * a.bound + (u1 * w2 - u2 * w1) * b.bound) / det
+    return meets - w1 * a.probabilities[0].lower - w2 * a.probabilities[1].lower
+
+
+def _undominated(corners: list[Corner]) -> tuple[Corner, ...]:
+    """Those that no other beats, one of each point, best for the first task first."""
+    kept: list[Corner] = []
+    for corner in sorted(corners, key=lambda c: (-c.point[0], -c.point[1])):
+        # earlier ones are better for the first task, so this one must be better for the second
+        if kept and corner.point[1] <= kept[-1].point[1] + _SAME:
+            continue
+        while kept and kept[-1].point[0] <= corner.point[0] + _SAME:
+            kept.pop()
+        kept.append(corner)
+    return tuple(kept)

@@ -1,0 +1,255 @@
+"""The best probability of one task where others keep theirs and costs keep their budgets, with a certificate.
+
+    P* = max P(Φ_o)   subject to   P(Φ_i) ≥ c_i,   E Σ_{t<h} g_k(s_t) ≤ B_k        over all policies
+
+The linear programme (occupation.py) gives a randomised policy of (t, s, q) and multipliers λ ≥ 0. Neither is believed:
+the policy's probabilities and costs are computed anew by backward induction, and for *any* λ ≥ 0, by weak duality,
+
+    P* ≤ max_π [P(Φ_o) + Σ λ_i (P(Φ_i) − c_i) + Σ μ_k (B_k − E cost_k)]
+
+whose right side is one weighted backward induction (weighted.py), with rounding enclosed. The gap between the two is
+what the solver's arithmetic may have cost.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from stltool.checking.backward import Progress
+from stltool.checking.bounds import round_up
+from stltool.checking.occupation import MOST_VARIABLES, Programme, policy_of, programme, solve
+from stltool.checking.weighted import Choices, Criteria, Figure, Weights, best, cost, of_policy, probability
+from stltool.errors import InfeasibleError, SettingsError, SolverError
+from stltool.policy import Policy
+from stltool.product import JointProduct
+from stltool.sizes import require_memory
+
+_MARGIN = 1e-9  # bounds are asked for with so much to spare, where there is room
+_ROOM = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Tradeoff:
+    """How a trade-off ended.
+
+    maximize       the task whose probability was maximised
+    at_least, budget  the constraints, by task and by cost
+    probabilities  each task's probability under `policy`, and `costs` each budgeted cost's expectation: computed by
+                   backward induction, lower ≤ exact ≤ upper
+    bound          no policy that keeps the constraints has a higher probability (rounding included)
+    multipliers    λ of each constraint, by task or cost: what its bound costs the maximum, per unit
+    policy         randomised, over the joint product; None where it was not kept
+    randomised     at how many of the reached places (t, s, q) the policy draws between choices
+    size           the programme's variables, rows and nonzeros
+    status         "complete", or which constraint is missed by how little
+    """
+
+    joint: JointProduct
+    maximize: str
+    at_least: Mapping[str, float]
+    budget: Mapping[str, float]
+    probabilities: Mapping[str, Figure]
+    costs: Mapping[str, Figure]
+    bound: float
+    multipliers: Mapping[str, float]
+    policy: Policy | None
+    randomised: int
+    size: Mapping[str, int]
+    status: str
+    seconds: float
+
+    @property
+    def probability(self) -> float:
+        """P of the maximised task under the policy."""
+        return self.probabilities[self.maximize].value
+
+    @property
+    def gap(self) -> float:
+        """How much higher a policy's probability could be at most."""
+        return max(0.0, self.bound - self.probabilities[self.maximize].lower)
+
+
+def tradeoff(
+    joint: JointProduct,
+    maximize: str,
+    *,
+    at_least: Mapping[str, float] | None = None,
+    budget: Mapping[str, float] | None = None,
+    keep_policy: bool = True,
+    most_variables: int = MOST_VARIABLES,
+    progress: Progress | None = None,
+) -> Tradeoff:
+    """Maximise a task's probability where others have `at_least` theirs and expected costs keep their `budget`.
+
+    A cost is a signal (at least 0 everywhere) or a label (1 where it holds), summed over the states s₀ … s_{h−1}, h the
+    longest horizon of all tasks. Raises InfeasibleError, with what is possible, where no policy keeps the constraints,
+    SettingsError for a bound out of range, NameLookupError for an unknown task or cost, SizeError before building a
+    programme of more than `most_variables`, SolverError where the solver gives up.
+    """
+    started = time.perf_counter()
+    at_least, budget = dict(at_least or {}), dict(budget or {})
+    criteria = Criteria(joint, tuple(budget))
+    objective = joint.task(maximize)
+    for name, bound in at_least.items():
+        joint.task(name)
+        if not 0 <= bound <= 1:
+            raise SettingsError(f"P({name}) >= {bound}: a probability lies between 0 and 1")
+    for name, bound in budget.items():
+        if not (math.isfinite(bound) and bound >= 0):
+            raise SettingsError(f"E[{name}] <= {bound}: a budget is a finite number, at least 0")
+    if keep_policy:
+        most_choices = int(np.diff(joint.model.choice_start).max())
+        require_memory(
+            4 * 8 * math.prod(joint.shape) * most_choices,
+            f"a policy over {joint.shape[0]} model states × {joint.shape[1]} joint automaton states",
+            "use keep_policy=False, or shorten the windows",
+        )
+    asked = _Asked(criteria, at_least, budget)
+    room = asked.require_possible(progress)
+    lp = programme(criteria, most_variables)
+    floors = {i: float(floor) for i, floor in asked.floors.items()}
+    eased = {i: b + _MARGIN * asked.unit(i) if room[i] > _ROOM * asked.unit(i) else b for i, b in floors.items()}
+    solution = solve(lp, objective, eased) or solve(lp, objective, floors)
+    if solution is None:
+        raise asked.contradiction(lp)
+    multipliers = dict(zip(floors, solution.multipliers.tolist(), strict=True))
+    upper, otherwise = asked.certificate(objective, multipliers)
+    weights = policy_of(lp, solution.x, otherwise)
+    figures = of_policy(criteria, weights)
+    probabilities, costs = asked.told(figures)
+    return Tradeoff(
+        joint=joint,
+        maximize=maximize,
+        at_least=at_least,
+        budget=budget,
+        probabilities=probabilities,
+        costs=costs,
+        bound=min(1.0, round_up(upper)),
+        multipliers=dict(zip((*at_least, *budget), multipliers.values(), strict=True)),
+        policy=_as_policy(joint, weights) if keep_policy else None,
+        randomised=sum(
+            int(((layer[place] > 0).sum(axis=1) > 1).sum()) for layer, place in zip(weights, lp.nodes, strict=True)
+        ),
+        size=lp.size,
+        status=asked.status(probabilities, costs),
+        seconds=time.perf_counter() - started,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """The constraints as floors of criteria: P(Φ_i) ≥ c_i, and what is saved of a cost ≥ h·ḡ − B."""
+
+    criteria: Criteria
+    at_least: Mapping[str, float]
+    budget: Mapping[str, float]
+
+    @property
+    def floors(self) -> dict[int, Fraction]:
+        """Criterion → what it must reach, exactly; tasks first, then costs."""
+        tasks = {self.criteria.joint.task(name): Fraction(bound) for name, bound in self.at_least.items()}
+        costs = zip(self.criteria.most_saved, self.budget.values(), strict=True)
+        first = len(self.criteria.joint.tasks)
+        return tasks | {first + k: most - Fraction(bound) for k, (most, bound) in enumerate(costs)}
+
+    def unit(self, i: int) -> float:
+        """What a difference of a criterion is measured in."""
+        k = i - len(self.criteria.joint.tasks)
+        return 1.0 if k < 0 else float(self.criteria.most_saved[k]) or 1.0
+
+    def require_possible(self, progress: Progress | None) -> dict[int, float]:
+        """How far each floor is below what is possible; InfeasibleError where one alone is out of reach."""
+        room = {}
+        for i, floor in self.floors.items():
+            top = best(self.criteria, np.eye(len(self.criteria))[i], progress)[0]
+            if Fraction(top.upper) < floor:
+                raise InfeasibleError(f"{self.text(i)} cannot be met: {self.possible(i, Fraction(top.upper), 'its')}")
+            room[i] = float(Fraction(top.value) - floor)
+        return room
+
+    def certificate(self, objective: int, multipliers: Mapping[int, float]) -> tuple[Fraction, Choices]:
+        """An upper bound on the objective under constraints with these multipliers, and the weighted sum's choices."""
+        weights = np.eye(len(self.criteria))[objective]
+        for i, multiplier in multipliers.items():
+            weights[i] += multiplier
+        top, _, chosen = best(self.criteria, weights)
+        floors = self.floors
+        # 1 + λ is rounded where the objective is constrained too
+        spent = Fraction(weights[objective]) - 1
+        exact = {i: spent if i == objective else Fraction(value) for i, value in multipliers.items()}
+        return Fraction(top.upper) - sum((value * floors[i] for i, value in exact.items()), Fraction(0)), chosen
+
+    def contradiction(self, lp: Programme) -> InfeasibleError | SolverError:
+        """The first constraint that those before it put out of reach, with what it can be beside them."""
+        floors = self.floors
+        order = list(floors)
+        for n, i in enumerate(order[1:], start=1):
+            before = {j: float(floors[j]) for j in order[:n]}
+            solution = solve(lp, i, before)
+            if solution is None:
+                break
+            upper, _ = self.certificate(i, dict(zip(before, solution.multipliers.tolist(), strict=True)))
+            if upper < floors[i]:
+                given = " and ".join(self.text(j) for j in before)
+                return InfeasibleError(
+                    f"{given} and {self.text(i)} cannot be met together: with {given}, "
+                    f"{self.possible(i, upper, self.named(i))}"
+                )
+        return SolverError(
+            f"whether {' and '.join(map(self.text, order))} can be met is too close for the solver to tell; "
+            "move the bounds a little away from what is possible"
+        )
+
+    def told(self, figures: list[Figure]) -> tuple[dict[str, Figure], dict[str, Figure]]:
+        """The figures of all criteria, as probabilities and costs."""
+        names, n = self.criteria.joint.names, len(self.criteria.joint.tasks)
+        costs = zip(self.budget, figures[n:], self.criteria.most_saved, strict=True)
+        return (
+            {name: probability(figure) for name, figure in zip(names, figures, strict=False)},
+            {name: cost(figure, most) for name, figure, most in costs},
+        )
+
+    def status(self, probabilities: Mapping[str, Figure], costs: Mapping[str, Figure]) -> str:
+        """ "complete" where every constraint holds, rounding included."""
+        missed = {f"P({name})": bound - probabilities[name].lower for name, bound in self.at_least.items()}
+        missed |= {f"E[{name}]": costs[name].upper - bound for name, bound in self.budget.items()}
+        parts = [f"{name} misses its bound by {by:.2g}" for name, by in missed.items() if by > 0]
+        return "; ".join(parts) or "complete"
+
+    def named(self, i: int) -> str:
+        k = i - len(self.criteria.joint.tasks)
+        return f"P({self.criteria.joint.names[i]})" if k < 0 else f"E[{self.criteria.costs[k]}]"
+
+    def text(self, i: int) -> str:
+        """The constraint as the user would write it."""
+        k = i - len(self.criteria.joint.tasks)
+        if k < 0:
+            return f"{self.named(i)} >= {self.at_least[self.criteria.joint.names[i]]:g}"
+        return f"{self.named(i)} <= {self.budget[self.criteria.costs[k]]:g}"
+
+    def possible(self, i: int, upper: Fraction, whose: str) -> str:
+        """What a criterion can be at best, told so that it differs from the bound that it misses."""
+        k = i - len(self.criteria.joint.tasks)
+        most = upper if k < 0 else self.criteria.most_saved[k] - upper
+        bound = self.at_least[self.criteria.joint.names[i]] if k < 0 else self.budget[self.criteria.costs[k]]
+        texts = (f"{float(most):.{digits}g}" for digits in range(6, 18))
+        shown = next((text for text in texts if (float(text) - bound) * (1 if k < 0 else -1) < 0), str(float(most)))
+        if whose == "its":
+            return f"its {'maximum' if k < 0 else 'minimum'} is {shown}"
+        return f"{whose} is at {'most' if k < 0 else 'least'} {shown}"
+
+
+def _as_policy(joint: JointProduct, weights: Weights) -> Policy:
+    """The policy over the joint automaton's states; before s₀ and after the horizon, where none is asked, the first."""
+    offsets = joint.automaton.offsets
+    table = np.zeros((*joint.shape, int(np.diff(joint.model.choice_start).max())))
+    table[:, [0, *range(offsets[-2], offsets[-1])], 0] = 1.0
+    for first, layer in zip(offsets, weights, strict=False):
+        table[:, first : first + layer.shape[1]] = layer
+    return Policy(joint, table)

@@ -1,0 +1,483 @@
+"""Trade-offs against the points of all deterministic history-dependent policies, and their mixtures, in fractions."""
+
+import itertools
+import json
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+import stltool as stl
+from stltool.automata.joint import DECIDED
+from stltool.checking.weighted import Criteria, best, of_policy
+from stltool.errors import InfeasibleError, NameLookupError, PolicyError, SettingsError, SizeError, SolverError
+from stltool.testing import flag_formulas, formulas, models
+from tests import oracles
+from tests.conftest import FACTORY
+
+SMALL = Fraction(1, 10**7)
+ENCLOSED = Fraction(1, 10**12)
+
+
+@st.composite
+def joints(draw, n_tasks=2, longest=2, **options):
+    """Tiny models with tasks of any kind, of different horizons, and a signal `fuel` that is a cost."""
+    model = draw(models(max_actions=2, **options))
+    kinds = st.one_of(flag_formulas(longest=longest, equal=False), formulas(longest=longest, max_leaves=4))
+    phis = [draw(kinds) for _ in range(n_tasks)]
+    assume(1 <= max(map(stl.horizon, phis)) <= 3)
+    fuel = draw(st.lists(st.sampled_from([0.0, 0.5, 1.0, 3.0]), min_size=model.n_states, max_size=model.n_states))
+    model = stl.MDP.from_arrays(
+        dense(model), {**model.signals, "fuel": fuel}, model.initial, model.labels, model.action_names
+    )
+    return stl.build_joint_product(model, {f"task{i}": phi for i, phi in enumerate(phis)})
+
+
+def dense(model):
+    transitions = np.zeros((model.n_actions, model.n_states, model.n_states))
+    for s in range(model.n_states):
+        for c in range(model.choice_start[s], model.choice_start[s + 1]):
+            row = slice(model.row_start[c], model.row_start[c + 1])
+            transitions[model.choice_action[c], s, model.target[row]] = model.probability[row]
+    return transitions
+
+
+def points_of(joint, cost=None):
+    points = oracles.achievable(joint.model, [task.formula for task in joint.tasks], cost)
+    assume(len(points) < 2000)
+    return points
+
+
+def encloses(figure, exact):
+    assert Fraction(figure.lower) <= exact <= Fraction(figure.upper)
+    assert figure.upper - figure.lower < 1e-11
+
+
+# --------------------------------------------------------------------------------------------------- memory
+
+
+@given(joints(n_tasks=3), st.data())
+@settings(max_examples=30)
+def test_the_joint_automaton_tells_every_verdict_once(joint, data):
+    """Along any run each task's verdict falls on the step at which its own automaton says so, and never again."""
+    automaton = joint.automaton
+    steps = st.lists(st.integers(0, joint.model.n_states - 1), min_size=joint.horizon + 1, max_size=joint.horizon + 1)
+    run = data.draw(steps)
+    layer, column, q = automaton.start, 0, automaton.initial
+    fell = {}
+    for t, s in enumerate(run):
+        letter = joint.letter[s]
+        for i in range(3):
+            was, now = layer.states[column, i], automaton.layers[t].states[layer.delta[letter, column], i]
+            if was != DECIDED and now == DECIDED:
+                fell[i] = (bool(layer.holds[i, letter, column]), t)
+            else:
+                assert not layer.holds[i, letter, column]
+        layer, column, q = automaton.layers[t], layer.delta[letter, column], automaton.delta[letter, q]
+        assert q == automaton.offsets[t] + column
+        assert automaton.describe(q).startswith(f"after step {t}: ")
+    assert fell == {i: task.automaton.judge(task.letter[run]) for i, task in enumerate(joint.tasks)}
+    assert layer.decided.all()
+    assert (automaton.delta[:, q] == q).all()
+
+
+def test_verdicts_that_an_automaton_forgets_are_kept():
+    """The paper's flags of G F A recover after a violation; the joint memory does not."""
+    model = stl.MDP.from_arrays([[[0, 1], [1, 0]]], {"x": [0, 1]}, 0, {"A": [1, 0]})
+    phi = stl.parse("G[0,3) F[0,1) A")
+    joint = stl.build_joint_product(model, {"never": phi, "soon": stl.parse("F[0,4) !A")}, encoding="paper")
+    figures = best(Criteria(joint), (1, 0))[1]
+    assert [f.value for f in figures] == [0, 1]
+
+
+# --------------------------------------------------------------------------------------------------- weighted sums
+
+
+@given(joints(), st.lists(st.sampled_from([0.0, 0.25, 1.0, 3.0]), min_size=3, max_size=3))
+@settings(max_examples=30)
+def test_the_best_weighted_sum_is_that_of_all_points(joint, weights):
+    fuel = joint.model.signals["fuel"]
+    criteria = Criteria(joint, ("fuel",))
+    most = Fraction(float(fuel.max())) * joint.horizon
+    points = {(p, q, most - cost) for p, q, cost in points_of(joint, fuel)}
+    top, each, chosen = best(criteria, weights)
+    exact = [tuple(map(Fraction, weights)), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    encloses(top, max(sum(w * x for w, x in zip(exact[0], p, strict=True)) for p in points))
+    attained = [sum(Fraction(w) * Fraction(f.value) for w, f in zip(weights, each, strict=True))]
+    assert abs(attained[0] - Fraction(top.value)) < ENCLOSED
+    near = min(max(abs(x - Fraction(f.value)) for x, f in zip(p, each, strict=True)) for p in points)
+    assert near < ENCLOSED
+    for i, w in enumerate(exact[1:]):
+        encloses(best(criteria, [float(x) for x in w])[0], max(p[i] for p in points))
+    n_choices = int(np.diff(joint.model.choice_start).max())
+    policy = [np.eye(n_choices)[choice] for choice in chosen]
+    assert [f.value for f in of_policy(criteria, policy)] == pytest.approx([f.value for f in each], abs=1e-13)
+
+
+# --------------------------------------------------------------------------------------------------- the programme
+
+
+@given(joints(n_tasks=1))
+@settings(max_examples=25)
+def test_one_objective_is_backward_induction(joint):
+    result = stl.tradeoff(joint, "task0")
+    optimum = stl.check(joint.tasks[0])
+    assert result.probability == pytest.approx(optimum.probability, abs=1e-7)
+    assert result.bound >= optimum.lower
+    assert result.bound == pytest.approx(optimum.probability, abs=1e-12)
+    assert (result.status, result.randomised) == ("complete", 0)
+
+
+@given(joints(), st.fractions(0, 1, max_denominator=64))
+@settings(max_examples=30)
+def test_the_constrained_optimum_is_the_best_mixture(joint, part):
+    points = points_of(joint)
+    low, high = min(y for _, y in points), max(y for _, y in points)
+    floor = float(low + part * (high - low))
+    assume(Fraction(floor) <= high)
+    exact = oracles.best_mixture(points, Fraction(floor))
+    result = stl.tradeoff(joint, "task0", at_least={"task1": floor})
+    figure, kept = result.probabilities["task0"], result.probabilities["task1"]
+    assert Fraction(figure.value) == pytest.approx(exact, abs=1e-7)
+    assert exact <= Fraction(result.bound) <= exact + SMALL
+    assert Fraction(kept.lower) >= Fraction(floor) or "P(task1) misses its bound by" in result.status
+    assert kept.value >= floor - 1e-8
+    assert result.gap < 1e-6
+    assert result.multipliers["task1"] >= 0
+    assert result.randomised <= 1  # a corner of the programme: no more than constraints
+    # the policy's figures, judged task by task by the checker
+    for task, name in zip(joint.tasks, joint.names, strict=True):
+        judged = stl.check(task, result.policy)
+        assert judged.probability == pytest.approx(result.probabilities[name].value, abs=1e-13)
+        exact_value = oracles.policy_value(*result.policy.on(task))
+        encloses(result.probabilities[name], min(exact_value, Fraction(1)))
+
+
+@given(joints(), st.fractions(0, 1, max_denominator=64))
+@settings(max_examples=25)
+def test_a_budget_is_kept_by_the_best_mixture(joint, part):
+    fuel = joint.model.signals["fuel"]
+    points = {(p, -cost) for p, _, cost in points_of(joint, fuel)}
+    low, high = min(y for _, y in points), max(y for _, y in points)
+    budget = float(-(low + part * (high - low)))
+    exact = oracles.best_mixture(points, -Fraction(budget))
+    result = stl.tradeoff(joint, "task0", budget={"fuel": budget})
+    assert Fraction(result.probability) == pytest.approx(exact, abs=1e-7)
+    assert exact <= Fraction(result.bound) <= exact + SMALL
+    assert result.costs["fuel"].value <= budget + 1e-7
+    assert Fraction(result.costs["fuel"].upper) <= Fraction(budget) or "E[fuel] misses" in result.status
+    assert expected_cost(result, fuel) == pytest.approx(result.costs["fuel"].value, abs=1e-12)
+
+
+def expected_cost(result, cost):
+    """Σ over runs, forwards."""
+    joint, total = result.joint, 0.0
+    model, automaton = joint.model, joint.automaton
+    here = {}
+    for s, p in oracles.initial(model):
+        here[s, int(automaton.delta[joint.letter[s], 0])] = float(p)
+    for _ in range(joint.horizon):
+        total += sum(p * cost[s] for (s, _), p in here.items())
+        after = {}
+        for (s, q), p in here.items():
+            for w, row in zip(result.policy.table[s, q], oracles.choices(model, s), strict=False):
+                for n, probability in row:
+                    place = n, int(automaton.delta[joint.letter[n], q])
+                    after[place] = after.get(place, 0.0) + p * w * float(probability)
+        here = after
+    return total
+
+
+@given(joints(), st.fractions(0, 1, max_denominator=8), st.fractions(0, 1, max_denominator=8))
+@settings(max_examples=15)
+def test_task_and_budget_together_are_certified(joint, part, other):
+    """A mixture keeps both bounds; the certificate is above it and above every mixture that keeps them."""
+    fuel = joint.model.signals["fuel"]
+    points = sorted(points_of(joint, fuel))
+    inside = [
+        sum(c * x for c, x in zip((part, 1 - part), pair, strict=True))
+        for pair in zip(points[0], points[-1], strict=True)
+    ]
+    floor, budget = float(inside[1]) - 1e-6, float(inside[2]) + 1e-6
+    result = stl.tradeoff(joint, "task0", at_least={"task1": max(floor, 0.0)}, budget={"fuel": budget})
+    assert result.probability >= float(inside[0]) - 1e-7
+    assert result.gap < 1e-6
+    lam, mu = Fraction(result.multipliers["task1"]), Fraction(result.multipliers["fuel"])
+    c, b = Fraction(max(floor, 0.0)), Fraction(budget)
+    dual = max(p + lam * (q - c) + mu * (b - cost) for p, q, cost in points)
+    assert Fraction(result.bound) >= min(dual, 1)
+    assert Fraction(result.bound) <= min(dual, 1) + ENCLOSED
+    assert result.randomised <= 2
+
+
+# --------------------------------------------------------------------------------------------------- fronts
+
+
+@given(joints())
+@settings(max_examples=30)
+def test_the_front_is_that_of_all_points(joint):
+    points = points_of(joint)
+    front = stl.pareto(joint)
+    assert front.status == "complete"
+    assert 0 <= front.gap <= 1e-9
+    corners = [corner.point for corner in front.corners]
+    assert corners == sorted(corners, key=lambda p: (-p[0], p[1]))
+    assert len(set(corners)) == len(corners)
+    for x, y in corners:
+        assert min(max(abs(p - Fraction(x)), abs(q - Fraction(y))) for p, q in points) < ENCLOSED
+        assert Fraction(x) >= oracles.best_mixture(points, Fraction(y) - ENCLOSED) - SMALL
+    for w1, w2, u in front.lines:
+        assert all(Fraction(w1) * p + Fraction(w2) * q <= Fraction(u) for p, q in points)
+    ends = max(p for p, _ in points), max(q for _, q in points)
+    assert corners[0][0] == pytest.approx(float(ends[0]), abs=1e-12)
+    assert corners[-1][1] == pytest.approx(float(ends[1]), abs=1e-12)
+    for _, y in points:
+        achieved, above = front.at_least(min(float(y), corners[-1][1]))
+        exact = oracles.best_mixture(points, min(Fraction(float(y)), ends[1]))
+        assert Fraction(above) >= exact - ENCLOSED
+        assert abs(Fraction(achieved) - exact) < SMALL
+
+
+@given(joints(), st.floats(0, 1))
+@settings(max_examples=15)
+def test_front_and_programme_agree(joint, part):
+    front = stl.pareto(joint)
+    low, high = front.corners[0].point[1], front.corners[-1].point[1]
+    floor = low + part * (high - low) * 0.999
+    achieved, above = front.at_least(floor)
+    result = stl.tradeoff(joint, "task0", at_least={"task1": floor}, keep_policy=False)
+    assert result.policy is None
+    assert result.probability == pytest.approx(achieved, abs=1e-7)
+    assert result.bound == pytest.approx(above, abs=1e-7)
+
+
+def factory(name, T=5, tau=6):
+    return stl.load_task(FACTORY / "tradeoff.stl", {"T": T, "tau": tau}, name)
+
+
+@pytest.fixture(scope="module")
+def shift(floor5):
+    return stl.build_joint_product(floor5, [factory("charging"), factory("patrolling")])
+
+
+def test_the_factorys_front(shift, floor5):
+    """The example of the documentation; ends are the tasks' own optima, and the programme meets every segment."""
+    front = stl.pareto(shift)
+    assert front.status == "complete"
+    assert len(front.corners) >= 3
+    for i, task in enumerate(shift.tasks):
+        assert front.corners[-i].point[i] == pytest.approx(stl.check(task).probability, abs=1e-12)
+    for a, b in itertools.pairwise(front.corners):
+        floor = (a.point[1] + b.point[1]) / 2
+        result = stl.tradeoff(shift, "charging", at_least={"patrolling": floor}, keep_policy=False)
+        assert result.status == "complete"
+        assert front.at_least(floor)[0] == pytest.approx(result.probability, abs=1e-7)
+        slope = (a.point[0] - b.point[0]) / (b.point[1] - a.point[1])
+        assert result.multipliers["patrolling"] == pytest.approx(slope, rel=1e-4)
+
+
+def test_a_front_that_stops_early_says_so(shift):
+    front = stl.pareto(shift, points=3)
+    assert front.inductions == 3
+    assert front.status == "stopped after 3 points; ask for more"
+    whole = stl.pareto(shift)
+    assert whole.inductions > 3
+    assert front.gap > 1e-6
+    for corner in whole.corners:  # the gap tells the truth
+        achieved, above = front.at_least(corner.point[1])
+        assert achieved <= corner.point[0] + 1e-12
+        assert above >= corner.point[0] - 1e-12
+
+
+def test_progress_counts_points_and_sweeps(shift):
+    calls = []
+    stl.pareto(shift, points=3, progress=lambda done, total: calls.append((done, total)))
+    assert calls == [(1, 3), (2, 3), (3, 3)]
+
+
+# --------------------------------------------------------------------------------------------------- policies
+
+
+def test_a_joint_policy_survives_its_file(shift, floor5, tmp_path):
+    result = stl.tradeoff(shift, "charging", at_least={"patrolling": 0.3})
+    path = tmp_path / "policy.npz"
+    result.policy.save(path)
+    assert result.policy.kind == "time-dependent, mixed"
+    for name in ("charging", "patrolling"):
+        for encoding in ("exact", "paper"):
+            product = stl.build_product(floor5, factory(name), encoding)
+            again = stl.load_policy(path, product)
+            assert np.array_equal(again.table, result.policy.table)
+            value = stl.check(product, again).probability
+            assert value == pytest.approx(result.probabilities[name].value, abs=1e-12)
+            run = stl.sample_run(product, again, np.random.default_rng(0))
+            assert len(run.states) > 1
+    other = stl.build_product(floor5, stl.parse("F[0,5) A"))
+    with pytest.raises(PolicyError, match=r"is for the task F\[0.* and the task G\[0.*, not for F\[0,4\] A"):
+        stl.load_policy(path, other)
+    timed = np.zeros((shift.horizon, *shift.shape), dtype=int)
+    both = stl.Policy(shift, timed)
+    first = stl.Policy(shift, timed[0])
+    for task in shift.tasks:
+        assert stl.check(task, both).probability == stl.check(task, first).probability
+
+
+def test_a_policy_with_a_budget_over_one_task_survives_too(floor5, tmp_path):
+    joint = stl.build_joint_product(floor5, [factory("charging")])
+    assert joint.task("charging") == 0
+    result = stl.tradeoff(joint, "charging", budget={"A": 1.0})
+    assert result.costs["A"].upper <= 1.0
+    result.policy.save(tmp_path / "policy.npz")
+    again = stl.load_policy(tmp_path / "policy.npz", joint.tasks[0])
+    assert stl.check(joint.tasks[0], again).probability == pytest.approx(result.probability, abs=1e-12)
+
+
+def test_a_header_with_tasks_that_are_no_texts_is_refused(shift, tmp_path):
+    path = tmp_path / "policy.npz"
+    result = stl.tradeoff(shift, "charging")
+    result.policy.save(path)
+    with np.load(path) as archive:
+        header, table = json.loads(archive["header"].tobytes()), archive["table"]
+    for tasks, says in (([1, 2], "not a policy file"), (header["tasks"][::-1], "made with another automaton")):
+        changed = json.dumps({**header, "tasks": tasks}).encode()
+        np.savez(path, header=np.frombuffer(changed, dtype=np.uint8), table=table)
+        with pytest.raises(PolicyError, match=says):
+            stl.load_policy(path, shift.tasks[0])
+
+
+# --------------------------------------------------------------------------------------------------- bad input
+
+
+def test_what_one_constraint_makes_impossible(shift):
+    most = stl.check(shift.tasks[1]).probability
+    with pytest.raises(InfeasibleError) as caught:
+        stl.tradeoff(shift, "charging", at_least={"patrolling": 0.99})
+    assert str(caught.value) == f"P(patrolling) >= 0.99 cannot be met: its maximum is {most:.6g}"
+    just_over = most + 1e-10
+    with pytest.raises(InfeasibleError) as caught:
+        stl.tradeoff(shift, "charging", at_least={"patrolling": just_over})
+    assert float(str(caught.value).split()[-1]) < just_over
+    exactly = stl.tradeoff(shift, "charging", at_least={"patrolling": most})
+    assert exactly.probabilities["patrolling"].value == pytest.approx(most, abs=1e-9)
+
+
+def test_what_constraints_make_impossible_together(shift):
+    charge, patrol = (stl.check(task).probability for task in shift.tasks)
+    with pytest.raises(InfeasibleError) as caught:
+        stl.tradeoff(shift, "charging", at_least={"charging": charge, "patrolling": patrol})
+    most = stl.tradeoff(shift, "patrolling", at_least={"charging": charge}).probability
+    beginning, _, figure = str(caught.value).rpartition(" ")
+    assert beginning == (
+        f"P(charging) >= {charge:g} and P(patrolling) >= {patrol:g} cannot be met together: "
+        f"with P(charging) >= {charge:g}, P(patrolling) is at most"
+    )
+    assert float(figure) == pytest.approx(most, abs=1e-6)
+    with pytest.raises(InfeasibleError, match=r"with P\(patrolling\) >= 0.3, E\[A\] is at least [0-9.]+$"):
+        stl.tradeoff(shift, "charging", at_least={"patrolling": 0.3}, budget={"A": 0.1})
+    with pytest.raises(InfeasibleError, match=r"^E\[x\] <= 0.1 cannot be met: its minimum is [0-9.]+$"):
+        stl.tradeoff(shift, "charging", budget={"x": 0.1})
+
+
+def test_a_contradiction_among_three_names_the_first(floor5):
+    tasks = {name: stl.parse(f"F[0,4] G[0,1] {name}") for name in ("A", "B", "C")}
+    joint = stl.build_joint_product(floor5, tasks)
+    with pytest.raises(InfeasibleError, match=r"P\(A\) >= 0.9 and P\(B\) >= 0.9 cannot be met together"):
+        stl.tradeoff(joint, "C", at_least={"A": 0.9, "B": 0.9, "C": 0.9})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "says"),
+    [
+        ({"maximize": "chargin"}, NameLookupError, "there is no task chargin here; did you mean charging?"),
+        ({"at_least": {"resting": 0.5}}, NameLookupError, "there is no task resting"),
+        ({"at_least": {"patrolling": 1.5}}, SettingsError, r"P\(patrolling\) >= 1.5: a probability lies between"),
+        ({"at_least": {"patrolling": float("nan")}}, SettingsError, "lies between 0 and 1"),
+        ({"budget": {"x": -1}}, SettingsError, r"E\[x\] <= -1: a budget is a finite number"),
+        ({"budget": {"x": float("inf")}}, SettingsError, "finite"),
+        ({"budget": {"z": 1}}, NameLookupError, "the model has no signal z to be a cost; known names: A, B, C, x, y"),
+        ({"most_variables": 10}, SizeError, r"a linear programme of \d+ variables, .* over the limit of 10 variables"),
+    ],
+)
+def test_bad_arguments(shift, arguments, error, says):
+    with pytest.raises(error, match=says):
+        stl.tradeoff(shift, **{"maximize": "charging", **arguments})
+
+
+def test_bad_tasks_and_fronts(floor5, shift):
+    charging = factory("charging")
+    with pytest.raises(SettingsError, match="two tasks are called charging"):
+        stl.build_joint_product(floor5, [charging, factory("charging", T=3)])
+    with pytest.raises(SettingsError, match=r"F\[0,3\] A has no name"):
+        stl.build_joint_product(floor5, [stl.parse("F[0,3] A")])
+    with pytest.raises(SettingsError, match="no task"):
+        stl.build_joint_product(floor5, [])
+    with pytest.raises(SettingsError, match="of two tasks, not of 1"):
+        stl.pareto(stl.build_joint_product(floor5, [charging]))
+    for options, says in (
+        ({"points": 1}, "at least the best of either"),
+        ({"tolerance": 0}, "tolerance = 0"),
+        ({"tolerance": float("nan")}, "tolerance = nan"),
+    ):
+        with pytest.raises(SettingsError, match=says):
+            stl.pareto(shift, **options)
+    front = stl.pareto(shift)
+    assert front.at_least(0.999999) is None
+    with pytest.raises(SettingsError, match="lies between 0 and 1"):
+        front.at_least(1.5)
+
+
+def test_negative_costs_are_refused():
+    model = stl.MDP.from_arrays([[[0, 1], [1, 0]]], {"x": [0, -2.5]}, 0, {"A": [1, 0]})
+    joint = stl.build_joint_product(model, {"task": stl.parse("F[0,3] A")})
+    with pytest.raises(SettingsError, match=r"signal x is -2.5 in state 1; a cost is at least 0"):
+        stl.tradeoff(joint, "task", budget={"x": 1})
+
+
+def test_sizes_are_refused_before_memory_is_taken(floor5):
+    with pytest.raises(SizeError, match=r"remembering 11 automaton states over \d+ steps would take"):
+        stl.build_joint_product(floor5, {"long": stl.parse("G[0,10^12) F[0,10) A")})
+    with pytest.raises(SizeError, match=r"remembering \d+ × 101 automaton states over 18 steps would take"):
+        stl.build_joint_product(floor5, [factory("charging"), factory("patrolling", T=10, tau=10)], memory_limit=60_000)
+
+
+def test_a_solver_that_gives_up_is_named(shift, monkeypatch):
+    import cvxpy
+
+    monkeypatch.setattr(cvxpy.Problem, "status", property(lambda self: "user_limit"))
+    with pytest.raises(SolverError, match=r"programme of \d+ variables and \d+ rows: HiGHS ended with the status user"):
+        stl.tradeoff(shift, "charging")
+
+    def fail(*_, **__):
+        raise cvxpy.SolverError("no answer")
+
+    monkeypatch.setattr(cvxpy.Problem, "solve", fail)
+    with pytest.raises(SolverError, match="no answer; shorten the windows"):
+        stl.tradeoff(shift, "charging")
+
+
+def test_tasks_that_the_first_state_decides(floor5):
+    joint = stl.build_joint_product(floor5, {"here": stl.parse("A"), "not": stl.parse("!A")})
+    result = stl.tradeoff(joint, "not", at_least={"here": 0.0}, budget={"x": 0.0})
+    assert (result.probability, result.bound, result.size["variables"]) == (1, 1, 0)
+    assert result.gap < 1e-14
+    assert stl.check(joint.tasks[1], result.policy).probability == 1
+    with pytest.raises(InfeasibleError, match=r"P\(here\) >= 0.1 cannot be met: its maximum is 0$"):
+        stl.tradeoff(joint, "not", at_least={"here": 0.1})
+    front = stl.pareto(joint)
+    assert [corner.point for corner in front.corners] == [(0, 1)]
+
+
+def test_cost_scales_do_not_matter(floor5):
+    """The same budget in another unit: the same policy's value, the multiplier in that unit."""
+    results = []
+    for scale in (1.0, 1e6, 1e-6):
+        signals = {**floor5.signals, "watt": floor5.signals["x"] * scale}
+        model = stl.MDP.from_arrays(dense(floor5), signals, floor5.initial, floor5.labels, floor5.action_names)
+        joint = stl.build_joint_product(model, [factory("charging"), factory("patrolling")])
+        result = stl.tradeoff(joint, "charging", budget={"watt": 3.0 * scale})
+        assert result.gap < 1e-6
+        results.append((result.probability, result.multipliers["watt"] * scale))
+    assert results[1] == pytest.approx(results[0], abs=1e-6)
+    assert results[2] == pytest.approx(results[0], abs=1e-6)
