@@ -1,12 +1,17 @@
-"""The README's pictures, from the demo's report: `make demo && .venv/bin/python docs/pictures.py`."""
+"""The pictures of README and docs: `make demo && .venv/bin/python docs/pictures.py`."""
 
 from pathlib import Path
 
+import stltool as stl
 from stltool.files import write_atomically
-from stltool.reporting import load_report
+from stltool.reporting import load_report, write_front_picture
 from stltool.reporting.figures import floor_map, learning_curve
 
 HERE = Path(__file__).parent
 data = load_report(HERE.parent / "out" / "patrolling" / "report.json")
 write_atomically(HERE / "learning-curve.svg", learning_curve(data))
 write_atomically(HERE / "floor.svg", floor_map(data))
+shift = HERE.parent / "examples" / "factory" / "tradeoff.stl"
+tasks = [stl.load_task(shift, task=name) for name in ("charging", "patrolling")]
+joint = stl.build_joint_product(stl.load_model(tasks[0].model), tasks)
+write_front_picture(stl.pareto(joint), HERE / "front.svg")

@@ -15,6 +15,7 @@ such a policy. Source: Altman, "Constrained Markov decision processes", 1999, ov
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -29,7 +30,7 @@ from stltool.sizes import require_memory
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-MOST_VARIABLES = 1_000_000
+MOST_VARIABLES = 500_000  # some minutes
 
 _BYTES = 200  # a non-zero, in our matrices, cvxpy's and the solver's
 _TOLERANCE = 1e-9  # of the solver, on rows and on reduced costs
@@ -126,17 +127,17 @@ def programme(criteria: Criteria, most_variables: int = MOST_VARIABLES) -> Progr
     return Programme(criteria, flow, inflow, csr_array(reward), constant, nodes, firsts)
 
 
-def solve(lp: Programme, objective: int, bounds: dict[int, float]) -> Solution | None:
-    """Maximise one criterion where others are at least `bounds`; None where that is infeasible.
+def solve(lp: Programme, objective: int, bounds: Mapping[int, float], most_iterations: int | None = None) -> Solution:
+    """Maximise one criterion where others are at least `bounds`.
 
-    Raises SolverError, with the solver's status, where it ends without an optimum.
+    Raises SolverError, with the solver's status, where it ends without an optimum. Simplex is slow to tell that there
+    is none: ask for bounds that can be met, or limit its iterations.
     """
     import cvxpy as cp
 
     constrained = list(bounds)
     if lp.flow.shape[1] == 0:  # decided by the first state
-        met = all(lp.constant[i] >= bounds[i] for i in constrained)
-        return Solution(np.empty(0), np.zeros(len(constrained))) if met else None
+        return Solution(np.empty(0), np.zeros(len(constrained)))
     x = cp.Variable(lp.flow.shape[1], nonneg=True)
     requirements = [lp.flow @ x == lp.inflow]
     scale = np.ones(len(constrained))
@@ -147,22 +148,20 @@ def solve(lp: Programme, objective: int, bounds: dict[int, float]) -> Solution |
         requirements.append(rows.multiply(1 / scale[:, None]).tocsr() @ x >= needed / scale)
     problem = cp.Problem(cp.Maximize(lp.reward[[objective]].toarray()[0] @ x), requirements)
     options = {"primal_feasibility_tolerance": _TOLERANCE, "dual_feasibility_tolerance": _TOLERANCE}
+    if most_iterations is not None:
+        options["simplex_iteration_limit"] = most_iterations
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what is inaccurate shows in the certificate's gap
             problem.solve(solver=cp.HIGHS, highs_options=options)  # type: ignore[no-untyped-call]
-    except cp.SolverError as error:
-        raise SolverError(f"{_named(lp)}: {error}; shorten the windows, or scale the costs nearer to 1") from None
-    if problem.status in (
-        cp.INFEASIBLE,
-        cp.INFEASIBLE_INACCURATE,
-        "infeasible_or_unbounded",
-    ):  # no criterion is unbounded
-        return None
-    if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
+        status = problem.status
+    except (cp.SolverError, ValueError) as error:  # ValueError: cvxpy cannot read a result without a solution
+        status = str(error).split(";")[0].split(":")[0]
+    if status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
         raise SolverError(
-            f"{_named(lp)}: HiGHS ended with the status {problem.status}; shorten the windows, scale the costs nearer "
-            "to 1, or move the bounds a little away from what is possible"
+            f"the linear programme of {lp.flow.shape[1]} variables and {lp.flow.shape[0]} rows: HiGHS ended with "
+            f"{status!r}; shorten the windows, scale costs nearer to 1, or move the bounds a little away from what is "
+            "possible"
         )
     duals = np.array(requirements[1].dual_value) if constrained else np.empty(0)
     return Solution(np.maximum(np.array(x.value), 0), np.maximum(duals, 0) / scale)
@@ -220,7 +219,3 @@ def _ranges(starts: NDArray[np.int64], lengths: NDArray[np.int64]) -> NDArray[np
     """start, start + 1, …, start + length − 1 for each, one after the other."""
     before = np.cumsum(lengths) - lengths
     return np.repeat(starts - before, lengths) + np.arange(int(lengths.sum()))
-
-
-def _named(lp: Programme) -> str:
-    return f"the linear programme of {lp.flow.shape[1]} variables and {lp.flow.shape[0]} rows"

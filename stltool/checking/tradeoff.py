@@ -23,15 +23,16 @@ import numpy as np
 
 from stltool.checking.backward import Progress
 from stltool.checking.bounds import round_up
-from stltool.checking.occupation import MOST_VARIABLES, Programme, policy_of, programme, solve
+from stltool.checking.occupation import MOST_VARIABLES, Programme, Solution, policy_of, programme, solve
 from stltool.checking.weighted import Choices, Criteria, Figure, Weights, best, cost, of_policy, probability
 from stltool.errors import InfeasibleError, SettingsError, SolverError
 from stltool.policy import Policy
 from stltool.product import JointProduct
 from stltool.sizes import require_memory
 
-_MARGIN = 1e-9  # bounds are asked for with so much to spare, where there is room
-_ROOM = 1e-6
+_MARGINS = (1e-9, 1e-7)  # bounds are asked for with so much to spare, where there is room; the next if it falls short
+_ROOM = 1e-6  # the least such room
+_ITERATIONS = 50  # of the simplex method a row, before bounds are taken to be out of its reach
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,18 +112,18 @@ def tradeoff(
             "use keep_policy=False, or shorten the windows",
         )
     asked = _Asked(criteria, at_least, budget)
-    room = asked.require_possible(progress)
+    highest = asked.require_possible(progress)
     lp = programme(criteria, most_variables)
-    floors = {i: float(floor) for i, floor in asked.floors.items()}
-    eased = {i: b + _MARGIN * asked.unit(i) if room[i] > _ROOM * asked.unit(i) else b for i, b in floors.items()}
-    solution = solve(lp, objective, eased) or solve(lp, objective, floors)
-    if solution is None:
-        raise asked.contradiction(lp)
-    multipliers = dict(zip(floors, solution.multipliers.tolist(), strict=True))
-    upper, otherwise = asked.certificate(objective, multipliers)
-    weights = policy_of(lp, solution.x, otherwise)
-    figures = of_policy(criteria, weights)
-    probabilities, costs = asked.told(figures)
+    room = asked.require_together(lp, highest)
+    for margin in _MARGINS:
+        solution = asked.solve(lp, objective, room, margin)
+        multipliers = dict(zip(room, solution.multipliers.tolist(), strict=True))
+        upper, otherwise = asked.certificate(objective, multipliers)
+        weights = policy_of(lp, solution.x, otherwise)
+        probabilities, costs = asked.told(of_policy(criteria, weights))
+        status = asked.status(probabilities, costs)
+        if status == "complete" or not any(room.values()):
+            break
     return Tradeoff(
         joint=joint,
         maximize=maximize,
@@ -137,7 +138,7 @@ def tradeoff(
             int(((layer[place] > 0).sum(axis=1) > 1).sum()) for layer, place in zip(weights, lp.nodes, strict=True)
         ),
         size=lp.size,
-        status=asked.status(probabilities, costs),
+        status=status,
         seconds=time.perf_counter() - started,
     )
 
@@ -163,15 +164,45 @@ class _Asked:
         k = i - len(self.criteria.joint.tasks)
         return 1.0 if k < 0 else float(self.criteria.most_saved[k]) or 1.0
 
-    def require_possible(self, progress: Progress | None) -> dict[int, float]:
-        """How far each floor is below what is possible; InfeasibleError where one alone is out of reach."""
-        room = {}
+    def require_possible(self, progress: Progress | None) -> dict[int, Fraction]:
+        """The highest that each constrained criterion can be; InfeasibleError where that is below its floor."""
+        highest = {}
         for i, floor in self.floors.items():
             top = best(self.criteria, np.eye(len(self.criteria))[i], progress)[0]
             if Fraction(top.upper) < floor:
                 raise InfeasibleError(f"{self.text(i)} cannot be met: {self.possible(i, Fraction(top.upper), 'its')}")
-            room[i] = float(Fraction(top.value) - floor)
+            highest[i] = Fraction(top.upper)
+        return highest
+
+    def require_together(self, lp: Programme, highest: Mapping[int, Fraction]) -> dict[int, bool]:
+        """Constraint by constraint, whether there is room above it beside those before; InfeasibleError, with what is
+        possible, for the first that they put out of reach.
+        """
+        room: dict[int, bool] = {}
+        for i, floor in self.floors.items():
+            upper = highest[i]
+            if room:
+                solution = self.solve(lp, i, room, _MARGINS[0])
+                upper, _ = self.certificate(i, dict(zip(room, solution.multipliers.tolist(), strict=True)))
+            if upper < floor:
+                given = " and ".join(map(self.text, room))
+                raise InfeasibleError(
+                    f"{given} and {self.text(i)} cannot be met together: with {given}, "
+                    f"{self.possible(i, upper, self.named(i))}"
+                )
+            room[i] = float(upper - floor) > _ROOM * self.unit(i)
         return room
+
+    def solve(self, lp: Programme, objective: int, room: Mapping[int, bool], margin: float) -> Solution:
+        """The programme under those constraints, with a margin where there is room, without at the edge of what is
+        possible; where the solver does not find an end there, a margin below.
+        """
+        floors = self.floors
+        near = {i: float(floors[i]) + (margin * self.unit(i) if roomy else 0.0) for i, roomy in room.items()}
+        try:
+            return solve(lp, objective, near, _ITERATIONS * (lp.size["rows"] + 1000) if room else None)
+        except SolverError:
+            return solve(lp, objective, {i: float(floors[i]) - margin * self.unit(i) for i in room})
 
     def certificate(self, objective: int, multipliers: Mapping[int, float]) -> tuple[Fraction, Choices]:
         """An upper bound on the objective under constraints with these multipliers, and the weighted sum's choices."""
@@ -184,27 +215,6 @@ class _Asked:
         spent = Fraction(weights[objective]) - 1
         exact = {i: spent if i == objective else Fraction(value) for i, value in multipliers.items()}
         return Fraction(top.upper) - sum((value * floors[i] for i, value in exact.items()), Fraction(0)), chosen
-
-    def contradiction(self, lp: Programme) -> InfeasibleError | SolverError:
-        """The first constraint that those before it put out of reach, with what it can be beside them."""
-        floors = self.floors
-        order = list(floors)
-        for n, i in enumerate(order[1:], start=1):
-            before = {j: float(floors[j]) for j in order[:n]}
-            solution = solve(lp, i, before)
-            if solution is None:
-                break
-            upper, _ = self.certificate(i, dict(zip(before, solution.multipliers.tolist(), strict=True)))
-            if upper < floors[i]:
-                given = " and ".join(self.text(j) for j in before)
-                return InfeasibleError(
-                    f"{given} and {self.text(i)} cannot be met together: with {given}, "
-                    f"{self.possible(i, upper, self.named(i))}"
-                )
-        return SolverError(
-            f"whether {' and '.join(map(self.text, order))} can be met is too close for the solver to tell; "
-            "move the bounds a little away from what is possible"
-        )
 
     def told(self, figures: list[Figure]) -> tuple[dict[str, Figure], dict[str, Figure]]:
         """The figures of all criteria, as probabilities and costs."""

@@ -13,9 +13,12 @@ from stltool.errors import StlToolError
 
 # each registers its command, in the order that --help shows
 # isort: off
-from stltool.cli import run, check, why, certify, estimate, learn, explain, export, report
+from stltool.cli import run, check, why, tradeoff, pareto, certify, estimate, learn, explain, export, report
 
-__all__ = ["app", "certify", "check", "estimate", "explain", "export", "learn", "main", "report", "run", "why"]
+__all__ = [
+    "app", "certify", "check", "estimate", "explain", "export", "learn", "main", "pareto", "report", "run", "tradeoff",
+    "why",
+]  # fmt: skip
 
 
 def main() -> None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from stltool.learning import Training
     from stltool.logic.task import Task
     from stltool.models import MDP
-    from stltool.product import Product
+    from stltool.product import JointProduct, Product
 
 
 def make_product(
@@ -40,6 +40,23 @@ def make_product(
     with kernels_ready(quiet):
         kernels.warm_up(learning, rollouts)
     return product
+
+
+def make_joint_product(
+    task: Path, names: list[str], model: Path | None, param: list[str] | None, encoding: str, quiet: bool
+) -> JointProduct:
+    """The definitions `names` of one task file, remembered together."""
+    import stltool as stl
+    from stltool import kernels
+    from stltool.reporting.terminal import kernels_ready
+
+    params = read_params(param)
+    loaded = [stl.load_task(task, params, name) for name in names]
+    with warnings_shown():
+        joint = stl.build_joint_product(task_model(loaded[0], model), loaded, encoding)  # type: ignore[arg-type]
+    with kernels_ready(quiet):
+        kernels.warm_up(learning=False)
+    return joint
 
 
 def task_model(task: Task, model: Path | None) -> MDP:

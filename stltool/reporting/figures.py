@@ -1,4 +1,4 @@
-"""The pictures of a report, as SVG text: learning curve, floor map. The only module that imports matplotlib."""
+"""The pictures: learning curve, floor map, Pareto front; SVG text, or PNG. The only module that imports matplotlib."""
 
 from __future__ import annotations
 
@@ -58,6 +58,26 @@ def floor_map(data: dict[str, Any], states: list[int] | None = None) -> str:
     if states is not None:
         _path(axes, states, floor, scale)
     return _svg(figure, "floor")
+
+
+def pareto_front(data: dict[str, Any], kind: str) -> str | bytes:
+    """The achievable pairs under the corners' polygon; `kind` is svg or png."""
+    first, second = data["tasks"]
+    points = [[corner["probabilities"][name]["value"] for name in (first, second)] for corner in data["corners"]]
+    xs, ys = np.array([[0.0, points[-1][1]], *points[::-1], [points[0][0], 0.0]]).T
+    figure = Figure(figsize=(5.4, 4.8), layout="constrained")
+    axes = figure.subplots()
+    axes.fill([0.0, *xs], [0.0, *ys], color=_CURVE, alpha=0.12, linewidth=0)
+    axes.plot(xs, ys, color=_CURVE, linewidth=1.0, linestyle=":")
+    axes.plot(xs[1:-1], ys[1:-1], color=_CURVE, linewidth=1.8, marker="o", markersize=4, label="Pareto front, exact")
+    axes.set(xlabel=f"P({first})", ylabel=f"P({second})", xlim=(0, 1.03), ylim=(0, 1.03), aspect="equal")
+    axes.grid(alpha=0.25)
+    axes.legend(loc="lower left", frameon=False)
+    if kind == "svg":
+        return _svg(figure, "front")
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
+    return buffer.getvalue()
 
 
 def _cells(axes: Axes, states: Any, floor: dict[str, Any], colour: str) -> None:

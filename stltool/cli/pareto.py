@@ -1,0 +1,65 @@
+"""`stltool pareto`: the front of two tasks."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stltool.cli.app import app
+from stltool.cli.options import AsJson, Encoding, Model, Params, TaskFile
+from stltool.cli.steps import make_joint_product
+from stltool.errors import SettingsError
+
+
+@app.command()
+def pareto(
+    task: TaskFile,
+    tasks: Annotated[str, typer.Option("--tasks", metavar="NAME,NAME", help="two definitions of the task file")],
+    points: Annotated[int, typer.Option("--points", help="backward inductions to take at most")] = 100,
+    plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="draw the front (.svg or .png)")] = None,
+    model: Model = None,
+    param: Params = None,
+    encoding: Encoding = "exact",
+    as_json: AsJson = False,
+) -> None:
+    """The Pareto front of two tasks: the probabilities that no policy improves in one without losing in the other."""
+    import stltool as stl
+    from stltool.reporting import front_data, write_front_picture
+    from stltool.reporting.terminal import print_facts, print_table, progress_bar
+    from stltool.reporting.tradeoffs import require_picture
+
+    names = [name.strip() for name in tasks.split(",")]
+    if len(names) != 2 or not all(names):
+        raise SettingsError(
+            f"--tasks {tasks}: two names are needed, with a comma between; write for example --tasks a,b"
+        )
+    if plot is not None:
+        require_picture(plot)
+    joint = make_joint_product(task, names, model, param, encoding, as_json)
+    with progress_bar("finding corners", quiet=as_json) as bar:
+        front = stl.pareto(joint, points=points, progress=bar)
+    if plot is not None:
+        write_front_picture(front, plot)
+    if as_json:
+        print(json.dumps(front_data(front)))
+        return
+    print_facts({name: product.formula for name, product in zip(names, joint.tasks, strict=True)})
+    typer.echo("\ncorners of the front; between neighbours, policies mix:")
+    print_table(
+        [
+            {
+                **{f"P({name})": f"{value:.12g}" for name, value in zip(names, corner.point, strict=True)},
+                **{f"weight_{name}": f"{weight:.6g}" for name, weight in zip(names, corner.weights, strict=True)},
+            }
+            for corner in front.corners
+        ]
+    )
+    typer.echo()
+    print_facts({
+        "front": f"{front.status}; {front.inductions} backward inductions, {front.seconds:.1f} s",
+        "gap": f"{front.gap:.3g} at most above the segments",
+        **({"plot": plot} if plot is not None else {}),
+    })  # fmt: skip

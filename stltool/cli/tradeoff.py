@@ -1,0 +1,99 @@
+"""`stltool tradeoff`: the best probability of one task under constraints on others and on costs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stltool.cli.app import app
+from stltool.cli.options import AsJson, Encoding, Model, Params, TaskFile
+from stltool.cli.steps import make_joint_product
+from stltool.errors import SettingsError
+
+
+@app.command()
+def tradeoff(
+    task: TaskFile,
+    maximize: Annotated[str, typer.Option("--maximize", metavar="NAME", help="the definition to maximise")],
+    require: Annotated[
+        list[str] | None, typer.Option("--require", metavar="NAME>=P", help="another definition's least probability")
+    ] = None,
+    budget: Annotated[
+        list[str] | None, typer.Option("--budget", metavar="SIGNAL<=B", help="a signal's or label's most expected sum")
+    ] = None,
+    save_policy: Annotated[
+        Path | None, typer.Option("--save-policy", metavar="FILE", help="write the policy (.npz)")
+    ] = None,
+    model: Model = None,
+    param: Params = None,
+    encoding: Encoding = "exact",
+    as_json: AsJson = False,
+) -> None:
+    """The best probability of a task while others keep theirs and expected costs keep their budgets."""
+    import stltool as stl
+    from stltool.policy import require_policy_file
+    from stltool.reporting import tradeoff_data
+    from stltool.reporting.terminal import print_facts, print_table, progress_bar
+
+    at_least = _read_bounds(require, ">=", "--require", "patrolling>=0.9")
+    budgets = _read_bounds(budget, "<=", "--budget", "fuel<=12")
+    if save_policy is not None:
+        require_policy_file(save_policy)
+    names = list(dict.fromkeys([maximize, *at_least]))
+    joint = make_joint_product(task, names, model, param, encoding, as_json)
+    with progress_bar("checking what is possible", quiet=as_json) as bar:
+        result = stl.tradeoff(
+            joint, maximize, at_least=at_least, budget=budgets, keep_policy=save_policy is not None, progress=bar
+        )
+    if save_policy is not None and result.policy is not None:
+        result.policy.save(save_policy)
+    if as_json:
+        print(json.dumps(tradeoff_data(result)))
+        return
+    print_facts({name: product.formula for name, product in zip(names, joint.tasks, strict=True)})
+    typer.echo()
+    figures = {f"P({name})": (figure, name, ">=", at_least) for name, figure in result.probabilities.items()}
+    figures |= {f"E[{name}]": (figure, name, "<=", budgets) for name, figure in result.costs.items()}
+    print_table(
+        [
+            {
+                "": shown,
+                "value": f"{figure.value:.12g}",
+                "lower_bound": f"{figure.lower:.12g}",
+                "upper_bound": f"{figure.upper:.12g}",
+                "asked": f"{sign} {bounds[name]:g}" if name in bounds else "maximum" if name == maximize else "",
+                "multiplier": f"{result.multipliers[name]:.6g}" if name in bounds else "",
+            }
+            for shown, (figure, name, sign, bounds) in figures.items()
+        ]
+    )
+    typer.echo()
+    size = result.size
+    print_facts({
+        "no policy exceeds": f"P({maximize}) = {result.bound:.12g}, a gap of {result.gap:.3g}",
+        "status": result.status,
+        "programme": f"{size['variables']} variables, {size['rows']} rows, {size['nonzeros']} non-zeros; "
+                     f"{result.seconds:.1f} s in all",
+        "randomised": f"at {result.randomised} of {size['rows']} places (step, state, memory)",
+        **({"policy": save_policy} if save_policy is not None else {}),
+    })  # fmt: skip
+
+
+def _read_bounds(texts: list[str] | None, sign: str, option: str, example: str) -> dict[str, float]:
+    """NAME>=P or NAME<=B, each name once."""
+    bounds: dict[str, float] = {}
+    for text in texts or []:
+        name, found, value = (part.strip() for part in text.partition(sign))
+        try:
+            number = float(value)
+        except ValueError:
+            found = ""
+        if not found or not name:
+            raise SettingsError(f'{option} {text}: a name, {sign} and a number are needed; write {option} "{example}"')
+        if name in bounds:
+            raise SettingsError(f"{option}: {name} has two bounds; give one")
+        bounds[name] = number
+    return bounds

@@ -1,0 +1,88 @@
+"""Trade-offs and fronts as plain data, and a front as a picture: .svg or .png by the file's ending."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from stltool.checking import Front, Tradeoff
+from stltool.errors import SettingsError
+from stltool.files import require_folder, require_replaceable, write_atomically
+from stltool.product import JointProduct
+
+_PICTURES = (".svg", ".png")
+
+
+def joint_data(joint: JointProduct) -> dict[str, Any]:
+    """The tasks and the sizes."""
+    return {
+        "tasks": {task.task_name: str(task.formula) for task in joint.tasks},
+        "model": joint.model.name,
+        "model_digest": joint.model.digest(),
+        "horizon": joint.horizon,
+        "encoding": joint.automaton.encoding,
+        "states": joint.model.n_states,
+        "automaton_states": {task.task_name: task.automaton.n_states for task in joint.tasks},
+        "joint_states": joint.automaton.n_states,
+    }
+
+
+def tradeoff_data(result: Tradeoff) -> dict[str, Any]:
+    """A trade-off, flat; figures are {value, lower, upper}."""
+    return {
+        **joint_data(result.joint),
+        "maximize": result.maximize,
+        "at_least": dict(result.at_least),
+        "budget": dict(result.budget),
+        "probabilities": {name: dataclasses.asdict(figure) for name, figure in result.probabilities.items()},
+        "costs": {name: dataclasses.asdict(figure) for name, figure in result.costs.items()},
+        "bound": result.bound,
+        "gap": result.gap,
+        "multipliers": dict(result.multipliers),
+        "policy": result.policy.kind if result.policy is not None else None,
+        "randomised": result.randomised,
+        "size": dict(result.size),
+        "status": result.status,
+        "seconds": result.seconds,
+    }
+
+
+def front_data(front: Front) -> dict[str, Any]:
+    """A front: its corners in order, and the lines that no policy crosses."""
+    names = front.joint.names
+    return {
+        **joint_data(front.joint),
+        "corners": [
+            {
+                "probabilities": {
+                    name: dataclasses.asdict(figure) for name, figure in zip(names, corner.probabilities, strict=True)
+                },
+                "weights": dict(zip(names, corner.weights, strict=True)),
+                "bound": corner.bound,
+            }
+            for corner in front.corners
+        ],
+        "lines": [{"weights": [w1, w2], "bound": bound} for w1, w2, bound in front.lines],
+        "gap": front.gap,
+        "inductions": front.inductions,
+        "status": front.status,
+        "seconds": front.seconds,
+    }
+
+
+def require_picture(path: str | Path) -> None:
+    """An error, before the work, where a picture could not be written after it."""
+    path = Path(path)
+    if path.suffix.lower() not in _PICTURES:
+        raise SettingsError(f"{path}: a picture is written as .svg or .png; name one of them")
+    require_replaceable(path)
+    require_folder(path.parent)
+
+
+def write_front_picture(front: Front, path: str | Path) -> None:
+    """The front as a picture, the old file or the new one."""
+    from stltool.reporting.figures import pareto_front
+
+    require_picture(path)
+    write_atomically(path, pareto_front(front_data(front), Path(path).suffix.lower()[1:]))

@@ -1,0 +1,141 @@
+"""`stltool pareto` and `stltool tradeoff` as their users meet them."""
+
+import json
+import re
+
+import pytest
+
+import stltool as stl
+from tests.conftest import FACTORY, ROOT
+from tests.test_cli import stltool  # noqa: F401 - the fixture that runs the command line
+
+TASK = str(FACTORY / "tradeoff.stl")
+SMALL = ["-p", "T=5", "-p", "tau=6"]
+BOTH = ["--tasks", "charging,patrolling"]
+
+
+@pytest.fixture(scope="module")
+def front(floor5):
+    tasks = [stl.load_task(TASK, {"T": 5, "tau": 6}, name) for name in ("charging", "patrolling")]
+    return stl.pareto(stl.build_joint_product(floor5, tasks))
+
+
+def test_pareto_prints_the_corners(stltool, front):  # noqa: F811
+    code, out, err = stltool("pareto", TASK, *SMALL, *BOTH, "--json")
+    data = json.loads(out)
+    assert (code, err) == (0, "")
+    shown = [
+        tuple(corner["probabilities"][n]["value"] for n in ("charging", "patrolling")) for corner in data["corners"]
+    ]
+    assert shown == [corner.point for corner in front.corners]
+    assert data["status"] == "complete"
+    assert data["tasks"]["charging"] == "F[0,4] G[0,2] C"
+    assert len(data["lines"]) == data["inductions"] == front.inductions
+    code, out, err = stltool("pareto", TASK, *SMALL, *BOTH)
+    assert code == 0
+    assert all(f"{x:.12g}" in out and f"{y:.12g}" in out for x, y in shown)
+    code, out, _ = stltool("pareto", TASK, *SMALL, *BOTH, "--points", 2)
+    assert "stopped after 2 points; ask for more" in out
+
+
+@pytest.mark.parametrize("ending", ["svg", "PNG"])
+def test_pareto_draws_the_front(stltool, tmp_path, ending):  # noqa: F811
+    first, again = (tmp_path / f"{name}.{ending}" for name in ("front", "again"))
+    for path in (first, again):
+        code, out, _ = stltool("pareto", TASK, *SMALL, *BOTH, "--plot", path)
+        assert code == 0
+        assert str(path) in out
+    picture = first.read_bytes()
+    assert picture == again.read_bytes()
+    if ending == "svg":
+        assert picture.startswith(b"<svg")
+        assert b"P(charging)" in picture
+        assert b"P(patrolling)" in picture
+    else:
+        assert picture.startswith(b"\x89PNG")
+
+
+def test_tradeoff_prints_and_saves(stltool, front, tmp_path):  # noqa: F811
+    policy = tmp_path / "policy.npz"
+    arguments = [
+        "tradeoff",
+        TASK,
+        *SMALL,
+        "--maximize",
+        "charging",
+        "--require",
+        "patrolling >= 0.5",
+        "--budget",
+        "C<=3",
+    ]
+    code, out, err = stltool(*arguments, "--json", "--save-policy", policy)
+    data = json.loads(out)
+    assert (code, err, data["status"]) == (0, "", "complete")
+    value = data["probabilities"]["charging"]["value"]
+    assert value <= front.at_least(0.5)[1]
+    assert data["probabilities"]["patrolling"]["lower"] >= 0.5
+    assert data["costs"]["C"]["upper"] <= 3
+    assert 0 <= data["gap"] < 1e-6
+    assert data["size"]["variables"] == 9 * data["size"]["rows"]
+    for name in ("charging", "patrolling"):
+        code, out, _ = stltool("check", TASK, *SMALL, "--task", name, "--policy", policy, "--json")
+        assert json.loads(out)["probability"] == pytest.approx(data["probabilities"][name]["value"], abs=1e-12)
+        assert json.loads(out)["policy"] == "time-dependent, mixed"
+    code, out, _ = stltool(*arguments)
+    assert code == 0
+    for text in (f"{value:.12g}", ">= 0.5", "<= 3", "maximum", "no policy exceeds", "complete", "randomised"):
+        assert text in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["pareto", "--tasks", "charging"], "two names are needed"),
+        (["pareto", "--tasks", "charging,"], "two names are needed"),
+        (["pareto", "--tasks", "charging,charging"], "two tasks are called charging"),
+        (["pareto", "--tasks", "charging,resting"], "resting"),
+        (["pareto", *BOTH, "--points", "1"], "at least the best of either task"),
+        (["pareto", *BOTH, "--plot", "front.pdf"], "a picture is written as .svg or .png"),
+        (["tradeoff", "--maximize", "resting"], "resting"),
+        (["tradeoff", "--maximize", "charging", "--require", "patrolling=0.9"], 'write --require "patrolling>=0.9"'),
+        (["tradeoff", "--maximize", "charging", "--require", "patrolling>=much"], "a name, >= and a number"),
+        (["tradeoff", "--maximize", "charging", "--require", ">=0.5"], "a name, >= and a number"),
+        (["tradeoff", "--maximize", "charging", "--require", "patrolling>=2"], "a probability lies between 0 and 1"),
+        (["tradeoff", "--maximize", "charging", "--require", "patrolling>=nan"], "a probability lies between 0 and 1"),
+        (["tradeoff", "--maximize", "charging", "--budget", "fuel<=2"], "no signal fuel to be a cost"),
+        (["tradeoff", "--maximize", "charging", "--budget", "C<=2", "--budget", "C<=3"], "C has two bounds"),
+        (["tradeoff", "--maximize", "charging", "--save-policy", "p.csv"], "a policy is saved as .npz"),
+        (
+            ["tradeoff", "--maximize", "charging", "--require", "patrolling>=0.99"],
+            "P(patrolling) >= 0.99 cannot be met: its maximum is 0.956745",
+        ),
+    ],
+)
+def test_bad_input_ends_with_its_message(stltool, tmp_path, monkeypatch, arguments, says):  # noqa: F811
+    monkeypatch.chdir(tmp_path)
+    command, *rest = arguments
+    code, out, err = stltool(command, TASK, *SMALL, *rest)
+    assert (code, out) == (2, "")
+    assert says in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_documentations_commands_and_figures(stltool, monkeypatch):  # noqa: F811
+    """Every command of the page runs, and prints what the page shows."""
+    monkeypatch.chdir(ROOT)
+    text = (ROOT / "docs" / "tradeoffs.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```\n\$ stltool (.*?)\n(.*?)```", text, flags=re.DOTALL)
+    assert len(blocks) >= 3
+    for command, shown in blocks:
+        code, out, err = stltool(*command.replace('"', "").split())
+        assert code in (0, 2)
+        lines = [_rough(line) for line in (out + err).splitlines()]
+        assert all(_rough(line) in lines for line in shown.splitlines() if line != "…"), command
+    [code] = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    exec(compile(code, "docs/tradeoffs.md", "exec"), {})
+
+
+def _rough(line):
+    """Numbers to four digits; without what another release of the solver may change: times, gaps, places of draws."""
+    line = re.sub(r"[\d.]+ s\b|a gap of .*|gap .*|randomised .*|programme .*", "", line)
+    return re.sub(r"\d+\.\d+(e-\d+)?", lambda number: f"{float(number[0]):.4g}", line).split()
