@@ -116,6 +116,19 @@ def test_the_best_weighted_sum_is_that_of_all_points(joint, weights):
     assert [f.value for f in of_policy(criteria, policy)] == pytest.approx([f.value for f in each], abs=1e-13)
 
 
+@pytest.mark.parametrize("excess", [9e-10, -8e-10])
+def test_rows_that_do_not_sum_to_one_widen_the_enclosure(excess):
+    """What a row lacks or exceeds may belong to any successor: of three sure steps, three times the excess."""
+    rows = [[[0.5, 0.5 + excess], [0, 1]]]
+    model = stl.MDP.from_arrays(rows, {"x": [0, 1]}, labels={"A": [1, 1]})
+    joint = stl.build_joint_product(model, {"A": stl.parse("G[0,3] A"), "B": stl.parse("G[0,3] x < 0.5")})
+    top, (sure, _), chosen = best(Criteria(joint), (4, 0))
+    followed = of_policy(Criteria(joint), [np.ones((*choice.shape, 1)) for choice in chosen])[0]
+    for figure, most in ((sure, 1), (followed, 1), (top, 4)):
+        assert figure.lower <= most <= figure.upper
+        assert figure.upper - figure.lower == pytest.approx(2 * 3 * most * abs(excess), rel=0.01)
+
+
 # --------------------------------------------------------------------------------------------------- the programme
 
 
