@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 
 import pytest
 
@@ -120,22 +121,20 @@ def test_bad_input_ends_with_its_message(stltool, tmp_path, monkeypatch, argumen
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_documentations_commands_and_figures(stltool, monkeypatch):  # noqa: F811
-    """Every command of the page runs, and prints what the page shows."""
+def test_the_pages_programmes(stltool, monkeypatch):  # noqa: F811
+    """What the page shows of linear programmes, but for what another release of the solver may change."""
     monkeypatch.chdir(ROOT)
     text = (ROOT / "docs" / "tradeoffs.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```\n\$ stltool (.*?)\n(.*?)```", text, flags=re.DOTALL)
-    assert len(blocks) >= 3
+    assert len(blocks) == 2
     for command, shown in blocks:
-        code, out, err = stltool(*command.replace('"', "").split())
-        assert code in (0, 2)
+        code, out, err = stltool(*shlex.split(command))
+        assert code == (2 if err.endswith("0.996515\n") else 0)
         lines = [_rough(line) for line in (out + err).splitlines()]
-        assert all(_rough(line) in lines for line in shown.splitlines() if line != "…"), command
-    [code] = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
-    exec(compile(code, "docs/tradeoffs.md", "exec"), {})
+        assert all(_rough(line) in lines for line in shown.splitlines()), command
 
 
 def _rough(line):
-    """Numbers to four digits; without what another release of the solver may change: times, gaps, places of draws."""
-    line = re.sub(r"[\d.]+ s\b|a gap of .*|gap .*|randomised .*|programme .*", "", line)
+    """Numbers to four digits; without gaps, sizes, times and places of draws."""
+    line = re.sub(r"a gap of .*|gap .*|randomised .*|programme .*", "", line)
     return re.sub(r"\d+\.\d+(e-\d+)?", lambda number: f"{float(number[0]):.4g}", line).split()
