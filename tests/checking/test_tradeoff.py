@@ -291,6 +291,23 @@ def test_the_factorys_front(shift, floor5):
         assert result.multipliers["patrolling"] == pytest.approx(slope, rel=1e-4)
 
 
+def test_the_programme_holds_what_is_reachable_and_open(shift):
+    """Nine choices a place. Without costs it ends where all is decided; with costs it goes on to the horizon."""
+    small = stl.tradeoff(shift, "charging", keep_policy=False).size
+    large = stl.tradeoff(shift, "charging", budget={"x": 100.0}, keep_policy=False).size
+    model, automaton = shift.model, shift.automaton
+    layers = [{(int(s), int(automaton.start.delta[shift.letter[s], 0])) for s in np.flatnonzero(model.initial)}]
+    for layer in automaton.layers[:-2]:
+        successors = {(n, j) for s, j in layers[-1] for row in oracles.choices(model, s) for n, _ in row}
+        layers.append({(n, int(layer.delta[shift.letter[n], j])) for n, j in successors})
+    open_ = sum(
+        not layer.decided[j] for layer, places in zip(automaton.layers, layers, strict=False) for _, j in places
+    )
+    assert (small["rows"], large["rows"]) == (open_, sum(map(len, layers)))
+    assert open_ < large["rows"]
+    assert (small["variables"], large["variables"]) == (9 * small["rows"], 9 * large["rows"])
+
+
 def test_a_front_that_stops_early_says_so(shift):
     front = stl.pareto(shift, points=3)
     assert front.inductions == 3
