@@ -207,14 +207,15 @@ class _Asked:
     def certificate(self, objective: int, multipliers: Mapping[int, float]) -> tuple[Fraction, Choices]:
         """An upper bound on the objective under constraints with these multipliers, and the weighted sum's choices."""
         weights = np.eye(len(self.criteria))[objective]
-        for i, multiplier in multipliers.items():
-            weights[i] += multiplier
+        others = {
+            i: multiplier for i, multiplier in multipliers.items() if i != objective
+        }  # its own bound costs nothing
+        for i, multiplier in others.items():
+            weights[i] = multiplier
         top, _, chosen = best(self.criteria, weights)
         floors = self.floors
-        # 1 + λ is rounded where the objective is constrained too
-        spent = Fraction(weights[objective]) - 1
-        exact = {i: spent if i == objective else Fraction(value) for i, value in multipliers.items()}
-        return Fraction(top.upper) - sum((value * floors[i] for i, value in exact.items()), Fraction(0)), chosen
+        spent = sum((Fraction(multiplier) * floors[i] for i, multiplier in others.items()), Fraction(0))
+        return Fraction(top.upper) - spent, chosen
 
     def told(self, figures: list[Figure]) -> tuple[dict[str, Figure], dict[str, Figure]]:
         """The figures of all criteria, as probabilities and costs."""

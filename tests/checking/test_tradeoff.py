@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import re
 from fractions import Fraction
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.automata.joint import DECIDED
+from stltool.checking.occupation import policy_of, programme, solve
 from stltool.checking.weighted import Criteria, best, of_policy
 from stltool.errors import InfeasibleError, NameLookupError, PolicyError, SettingsError, SizeError, SolverError
 from stltool.testing import flag_formulas, formulas, models
@@ -306,6 +308,37 @@ def test_the_programme_holds_what_is_reachable_and_open(shift):
     assert (small["rows"], large["rows"]) == (open_, sum(map(len, layers)))
     assert open_ < large["rows"]
     assert (small["variables"], large["variables"]) == (9 * small["rows"], 9 * large["rows"])
+
+
+def test_a_refused_size_is_the_true_one(shift):
+    lp = programme(Criteria(shift))
+    size, nodes = lp.size, np.concatenate([s for s, _ in lp.nodes])
+    successors = [sum(map(len, oracles.choices(shift.model, s))) for s in range(shift.model.n_states)]
+    with pytest.raises(SizeError) as caught:
+        stl.tradeoff(shift, "charging", most_variables=10)
+    told = [int(number) for number in re.findall(r"\d+", str(caught.value))[:3]]
+    assert told[:2] == [size["variables"], size["rows"]]
+    assert told[2] == size["variables"] + sum(successors[s] for s in nodes) >= size["nonzeros"]
+
+
+def test_a_bound_on_the_maximised_task_itself(shift):
+    free = stl.tradeoff(shift, "charging", keep_policy=False)
+    bounded = stl.tradeoff(shift, "charging", at_least={"charging": 0.5}, keep_policy=False)
+    assert bounded.probability == pytest.approx(free.probability, abs=1e-12)
+    assert bounded.gap < 1e-12
+
+
+def test_the_solvers_noise_is_no_draw(shift):
+    criteria = Criteria(shift)
+    lp = programme(criteria)
+    x = solve(lp, 0, {}).x
+    otherwise = best(criteria, (1, 0))[2]
+    clean = policy_of(lp, x, otherwise)[0]
+    first = slice(lp.firsts[0], lp.firsts[1])  # step 0 is reached surely
+    x[first] += 1e-10 * np.random.default_rng(0).random(first.stop)
+    noisy = policy_of(lp, x, otherwise)[0]
+    assert np.array_equal(noisy, clean)
+    assert set(clean.ravel()) == {0.0, 1.0}
 
 
 def test_a_front_that_stops_early_says_so(shift):
