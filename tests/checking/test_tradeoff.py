@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.automata.joint import DECIDED
 from stltool.checking.occupation import policy_of, programme, solve
-from stltool.checking.weighted import Criteria, best, of_policy
+from stltool.checking.pareto import Corner, _undominated
+from stltool.checking.weighted import Criteria, Figure, best, of_policy
 from stltool.errors import InfeasibleError, NameLookupError, PolicyError, SettingsError, SizeError, SolverError
 from stltool.testing import flag_formulas, formulas, models
 from tests import oracles
@@ -339,6 +340,15 @@ def test_the_solvers_noise_is_no_draw(shift):
     noisy = policy_of(lp, x, otherwise)[0]
     assert np.array_equal(noisy, clean)
     assert set(clean.ravel()) == {0.0, 1.0}
+
+
+def test_points_that_differ_by_rounding_are_one():
+    def corner(x, y):
+        return Corner((Figure(x, x, x), Figure(y, y, y)), (0.5, 0.5), 1.0)
+
+    points = [(0.5, 0.2), (0.5 - 1e-16, 0.6), (0.3, 0.6), (0.2, 0.9), (0.1, 0.9 + 1e-16), (0.2, 0.9)]
+    kept = _undominated([corner(*point) for point in points])
+    assert [c.point for c in kept] == [(0.5 - 1e-16, 0.6), (0.2, 0.9)]
 
 
 def test_a_front_that_stops_early_says_so(shift):
