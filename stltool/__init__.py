@@ -49,6 +49,7 @@ if TYPE_CHECKING:
         estimate,
         likely_runs,
         pareto,
+        robust_check,
         sample_run,
         sensitivity,
         sprt,
@@ -83,13 +84,14 @@ _HOME = {
     "check": "checking", "check_fragment": "logic.fragment", "compile_automaton": "automata",
     "horizon": "logic.formula", "learn": "learning", "load_model": "models", "load_policy": "policy",
     "load_task": "logic.parser", "parse": "logic.parser", "parse_task": "logic.parser", "report": "reporting",
-    "robustness": "logic.semantics", "sample_run": "checking", "satisfies": "logic.semantics",
+    "robust_check": "checking", "robustness": "logic.semantics", "sample_run": "checking",
+    "satisfies": "logic.semantics",
 }  # fmt: skip
 
 __all__ = [  # noqa: RUF022 - in reading order
     "parse", "Formula", "horizon", "satisfies", "robustness", "check_fragment", "Fragment",
     "load_task", "parse_task", "Task", "compile_automaton", "TaskAutomaton", "load_model", "MDP",
-    "build_product", "Product", "Policy", "load_policy", "check", "CheckResult", "sample_run", "Run",
+    "build_product", "Product", "Policy", "load_policy", "check", "CheckResult", "robust_check", "sample_run", "Run",
     "estimate", "Estimate", "sprt", "SequentialTest", "write_certificate", "certify",
     "likely_runs", "LikelyRuns", "sensitivity", "Sensitivity",
     "build_joint_product", "JointProduct", "tradeoff", "Tradeoff", "pareto", "Front",

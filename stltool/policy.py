@@ -6,7 +6,8 @@ action). Four forms, told apart by dtype and shape, with S model states, Q autom
     (S, Q) int16       stationary              (h, S, Q) int16       one table a step
     (S, Q, C) float64  stationary mixture      (h, S, Q, C) float64  mixture a step
 
-A negative entry says nothing about that state. A policy is bound to formula and model by digests. Over a joint product
+A negative entry says nothing about that state. A policy is bound to formula and model by digests; where the model has
+intervals, by its nominal model's, so that a policy made for the one can be judged on the other. Over a joint product
 Q counts the states of the joint automaton: they know the step, and the policy serves each of the tasks.
 """
 
@@ -54,7 +55,7 @@ class Binding:
             formula=together[0] if isinstance(product, JointProduct) else str(product.formula),
             encoding=product.automaton.encoding,
             model=product.model.name,
-            model_digest=product.model.digest(),
+            model_digest=product.model.nominal().digest(),  # a policy fits a model whatever its intervals
             automaton_digest=product.automaton.digest(),
             action_names=product.model.action_names,
             tasks=tuple(together),

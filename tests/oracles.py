@@ -30,8 +30,72 @@ def choices(model: stl.MDP, s: int) -> list[list[tuple[int, Fraction]]]:
     return rows
 
 
+def vertices(row: list[tuple[Fraction, Fraction]]) -> list[list[Fraction]]:
+    """The corners of { lower <= p <= upper, sum p = 1 }: all entries but one at an end, whatever fits the last."""
+    found = []
+    for free in range(len(row)):
+        others = [ends for i, ends in enumerate(row) if i != free]
+        for picks in itertools.product(*others):
+            last = 1 - sum(picks, Fraction(0))
+            if row[free][0] <= last <= row[free][1]:
+                found.append([*picks[:free], last, *picks[free:]])
+    return found
+
+
+def interval_choices(model: stl.MDP, s: int) -> list[tuple[list[int], list[list[Fraction]]]]:
+    """For every available action of s its successors, and the corners of nature's polytope."""
+    rows = []
+    for c in range(model.choice_start[s], model.choice_start[s + 1]):
+        entries = range(model.row_start[c], model.row_start[c + 1])
+        ends = [(Fraction(float(model.intervals.lower[k])), Fraction(float(model.intervals.upper[k]))) for k in entries]
+        rows.append(([int(model.target[k]) for k in entries], vertices(ends)))
+    return rows
+
+
+def robust_optimum(model: stl.MDP, phi, maximize: bool, nature_minimizes: bool) -> Fraction:
+    """The game's value by walking the tree of all histories; nature picks a corner at every history and action."""
+    best, nature = max if maximize else min, min if nature_minimizes else max
+    length = stl.horizon(phi) + 1
+    rows = [interval_choices(model, s) for s in range(model.n_states)]
+
+    def value(history: tuple[int, ...]) -> Fraction:
+        if len(history) == length:
+            return Fraction(holds(model, phi, history))
+        options = []
+        for targets, corners in rows[history[-1]]:
+            after = [value((*history, s2)) for s2 in targets]
+            options.append(nature(sum(p * v for p, v in zip(corner, after, strict=True)) for corner in corners))
+        return best(options)
+
+    return sum((p * value((s,)) for s, p in initial(model)), Fraction(0))
+
+
+def robust_policy_value(product: stl.Product, policy: stl.Policy, nature_minimizes: bool) -> Fraction:
+    """A policy's value under the least (greatest) nature, by walking all histories."""
+    model, phi = product.model, product.formula
+    nature = min if nature_minimizes else max
+    length = stl.horizon(phi) + 1
+    rows = [interval_choices(model, s) for s in range(model.n_states)]
+
+    def value(history: tuple[int, ...], q: int) -> Fraction:
+        if len(history) == length:
+            return Fraction(holds(model, phi, history))
+        s, total = history[-1], Fraction(0)
+        entry = policy.at(len(history) - 1)[s, q]
+        for i, (targets, corners) in enumerate(rows[s]):
+            weight = Fraction(int(i == entry)) if policy.deterministic else Fraction(float(entry[i]))
+            if weight:
+                after = [value((*history, s2), product.enter(s2, q)) for s2 in targets]
+                total += weight * nature(sum(p * v for p, v in zip(c, after, strict=True)) for c in corners)
+        return total
+
+    start = product.automaton.initial
+    return sum((p * value((s,), product.enter(s, start)) for s, p in initial(model)), Fraction(0))
+
+
 def initial(model: stl.MDP) -> list[tuple[int, Fraction]]:
-    return [(int(s), model.exact().initial_share(s)) for s in np.flatnonzero(model.initial)]
+    exact = model.nominal().exact()
+    return [(int(s), exact.initial_share(s)) for s in np.flatnonzero(model.initial)]
 
 
 def optimum(model: stl.MDP, phi, maximize: bool = True) -> Fraction:

@@ -4,6 +4,7 @@ from stltool.checking.certificate import require_certificate_of, write_certifica
 from stltool.checking.check import CheckResult, check
 from stltool.checking.likely import LikelyRun, LikelyRuns, likely_runs
 from stltool.checking.pareto import Front, pareto
+from stltool.checking.robust import robust_check
 from stltool.checking.sampling import Run, sample_run
 from stltool.checking.sensitivity import Sensitivity, sensitivity
 from stltool.checking.statistical import Estimate, SequentialTest, estimate, estimate_from, sprt, sprt_from
@@ -11,6 +12,6 @@ from stltool.checking.tradeoff import Tradeoff, tradeoff
 
 __all__ = [
     "CheckResult", "Estimate", "Front", "LikelyRun", "LikelyRuns", "Run", "Sensitivity", "SequentialTest", "Tradeoff",
-    "check", "estimate", "estimate_from", "likely_runs", "pareto", "require_certificate_of", "sample_run",
+    "check", "estimate", "estimate_from", "likely_runs", "pareto", "require_certificate_of", "robust_check", "sample_run",
     "sensitivity", "sprt", "sprt_from", "tradeoff", "write_certificate",
 ]  # fmt: skip

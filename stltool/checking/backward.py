@@ -82,6 +82,7 @@ def _decide(product: Product, t: int, values: Values, one: float) -> None:
 
 def sweeper(product: Product, backend: Backend, scale: FixedPoint | None = None) -> Sweeper:
     """The arithmetic for this product, in doubles or in fixed point: kernels, or their twin in numpy."""
+    product.model.require_points()
     return NumbaSweeper(product, scale) if backend == "numba" else NumpySweeper(product, scale)
 
 
@@ -94,7 +95,8 @@ class NumbaSweeper:
         model = product.model
         self._lookup = (product.letter, product.automaton.delta)
         self._structure = (model.choice_start, model.row_start, model.target)
-        self._gather, self._mixture = sweep.gather, sweep.mixture
+        self._gather: Callable[..., None] = sweep.gather
+        self._mixture: Callable[..., None] = sweep.mixture
         self.dtype: Number = np.float64 if scale is None else np.int64
         self.one: float = 1.0 if scale is None else scale.one
         self._kernels: ModuleType = sweep if scale is None else fixed

@@ -37,6 +37,7 @@ class CheckResult:
     probability   the value computed; lower ≤ exact value ≤ upper, rounding included, for the model as given
     question      "maximum" | "minimum" (over all policies) | "policy"
     policy        the policy that attains it (None where it was not kept)
+    nature        where the probabilities are intervals: whether they fall "against" or "with" what is asked for
     fraction      the exact value where it was asked for; lower and upper are then the doubles next to it
     arithmetic    "double" | "fixed" (int64, rounded up) | "rational": what the enclosure rests on
     status        "complete": all `sweeps` = horizon steps were swept; nothing was truncated
@@ -54,6 +55,7 @@ class CheckResult:
     fraction: Fraction | None = None
     arithmetic: Literal["double", "fixed", "rational"] = "double"
     status: str = "complete"
+    nature: Literal["against", "with"] | None = None
 
     def at_least(self, bound: float | Fraction) -> bool | None:
         """Whether the exact value is at least `bound`; None where the bound lies inside the enclosure."""

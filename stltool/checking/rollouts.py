@@ -47,6 +47,8 @@ class Rollouts:
     def __init__(
         self, product: Product, policy: Policy, runs: int, seed: int, environment: Resettable | None = None
     ) -> None:
+        if environment is None:
+            product.model.require_points()
         self.product, self.policy = policy.on(product)
         self.runs = runs
         self.steps = 0

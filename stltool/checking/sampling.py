@@ -27,6 +27,7 @@ class Run:
 
 def sample_run(product: Product, policy: Policy, rng: np.random.Generator) -> Run:
     """Follow `policy` from a random first state until the task is decided."""
+    product.model.require_points()
     product, policy = policy.on(product)
     model, automaton = product.model, product.automaton
     s = int(rng.choice(model.n_states, p=model.initial / model.initial.sum()))

@@ -59,6 +59,7 @@ class Unfolding:
     def __init__(
         self, product: Product, policy: Policy, limit: int | None = None, progress: Progress | None = None
     ) -> None:
+        product.model.require_points()
         require_time(
             product.horizon * product.model.n_transitions * product.automaton.n_states,
             _RATE,

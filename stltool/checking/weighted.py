@@ -65,6 +65,7 @@ class Criteria:
     costs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        self.joint.model.require_points()
         for name in self.costs:
             cost_values(self.joint.model, name)
         S, horizon = self.joint.model.n_states, self.joint.horizon

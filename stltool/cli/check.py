@@ -11,7 +11,8 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Params, TaskFile, TaskName
-from stltool.cli.steps import make_product, read_probability
+from stltool.cli.steps import NATURES, judge_by, make_product, read_probability
+from stltool.errors import SettingsError
 
 _VERDICTS = {
     True: "holds",
@@ -41,6 +42,10 @@ def check(
         Path | None,
         typer.Option("--certificate", metavar="FILE", help="write what proves the bounds (.jsonl, or .jsonl.gz)"),
     ] = None,
+    nature: Annotated[
+        str | None,
+        typer.Option("--nature", help="where probabilities are intervals: against (default), with, or nominal"),
+    ] = None,
     model: Model = None,
     param: Params = None,
     name: TaskName = None,
@@ -65,19 +70,26 @@ def check(
         require_replaceable(certificate)
         require_folder(certificate.resolve().parent)
     product = make_product(task, model, param, name, encoding, as_json, learning=False)
+    uncertain = product.model.intervals is not None
+    product, judge = judge_by(product, nature)
+    robust = uncertain and nature != "nominal"
+    if robust and (exact or certificate is not None):
+        raise SettingsError("--exact and --certificate need one probability each; add --nature nominal")
+    fraction = {"exact": True} if exact else {}
     chosen = stl.load_policy(policy, product) if policy is not None else None
     keep = save_policy is not None or (certificate is not None and chosen is None)
     with progress_bar("checking", quiet=as_json) as bar:
-        optimum = stl.check(
-            product, maximize=not minimize, exact=exact and chosen is None, keep_policy=keep, progress=bar
-        )
-    result = optimum if chosen is None else stl.check(product, chosen, exact=exact)
+        asked = fraction if chosen is None else {}
+        optimum = judge(product, maximize=not minimize, keep_policy=keep, progress=bar, **asked)
+    result = optimum if chosen is None else judge(product, chosen, maximize=not minimize, **fraction)
     if save_policy is not None and optimum.policy is not None:
         optimum.policy.save(save_policy)
     if certificate is not None:
         with progress_bar("writing the certificate", quiet=as_json) as bar:
             stl.write_certificate(result, certificate, progress=bar)
     data = check_data(result, optimum)
+    if uncertain:
+        data["nature"] = nature or "against"
     verdicts = []
     for option, text, bound in bounds:
         holds = result.at_least(bound) if option == "--at-least" else result.at_most(bound)
@@ -90,10 +102,13 @@ def check(
         print(json.dumps(data))
     else:
         print_facts({"task": f"{product.task_name} := {product.formula}"})
+        if uncertain:
+            print_facts({"nature": NATURES[data["nature"]]})
         print_checks([check_data(optimum), data] if chosen is not None else [data])
         if result.fraction is not None:
             print_facts({"exact P": fraction_text(result.fraction)})
-        print_facts({claim: _VERDICTS[holds] for claim, holds in verdicts})
+        remedy = "; add --exact" if robust else ""  # which has no exact arithmetic
+        print_facts({claim: _VERDICTS[holds].removesuffix(remedy) for claim, holds in verdicts})
         if certificate is not None:
             print_facts({"certificate": certificate})
     if verdicts and not data["holds"]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,10 +17,18 @@ from stltool.errors import InexactEncodingWarning, SettingsError
 
 if TYPE_CHECKING:
     from stltool.automata import TaskAutomaton
+    from stltool.checking import CheckResult
     from stltool.learning import Training
     from stltool.logic.task import Task
     from stltool.models import MDP
     from stltool.product import JointProduct, Product
+
+
+NATURES = {
+    "against": "against: probabilities move within their intervals, at every step, against what is asked for",
+    "with": "with: probabilities move within their intervals, at every step, in favour of what is asked for",
+    "nominal": "nominal: one fixed probability inside every interval",
+}
 
 
 def make_product(
@@ -38,7 +48,7 @@ def make_product(
     loaded = stl.load_task(task, read_params(param), name)
     product = bind(loaded, task_model(loaded, model), encoding)
     with kernels_ready(quiet):
-        kernels.warm_up(learning, rollouts)
+        kernels.warm_up(learning, rollouts, product.model.intervals is not None)
     return product
 
 
@@ -57,6 +67,24 @@ def make_joint_product(
     with kernels_ready(quiet):
         kernels.warm_up(learning=False)
     return joint
+
+
+def judge_by(product: Product, nature: str | None) -> tuple[Product, Callable[..., CheckResult]]:
+    """What to ask on a product: `check`, or for intervals `robust_check` with that nature (default: against).
+
+    "nominal" is the ordinary check of the product with the nominal probabilities.
+    """
+    import stltool as stl
+
+    if product.model.intervals is None:
+        if nature is not None:
+            raise SettingsError(f"--nature {nature}: the model's probabilities are no intervals; leave --nature out")
+        return product, stl.check
+    if nature == "nominal":
+        return replace(product, model=product.model.nominal()), stl.check
+    if nature is not None and nature not in NATURES:
+        raise SettingsError(f"--nature {nature}: choose {', '.join(NATURES)}")
+    return product, partial(stl.robust_check, nature=nature or "against")  # type: ignore[arg-type]  # checked above
 
 
 def task_model(task: Task, model: Path | None) -> MDP:

@@ -4,12 +4,16 @@ Compiled once per machine (`cache=True`); importing this package alone loads not
 """
 
 
-def warm_up(learning: bool = True, rollouts: bool = False) -> None:
-    """Load the kernels of checking, learning, rollouts; the first call on a machine compiles them, some seconds."""
+def warm_up(learning: bool = True, rollouts: bool = False, intervals: bool = False) -> None:
+    """Load the kernels of checking, and those asked for; the first call on a machine compiles them, some seconds."""
     from stltool.kernels import fixed, sweep
 
     sweep.warm_up()
     fixed.warm_up()
+    if intervals:
+        from stltool.kernels import robust
+
+        robust.warm_up()
     if learning:
         from stltool.kernels import learning as learners
 

@@ -1,6 +1,7 @@
 """Where the world comes from: a model file or arrays → MDP; an MDP → something that only resets and steps."""
 
+from stltool.models.intervals import Intervals
 from stltool.models.load import load_model
 from stltool.models.mdp import MDP, GridLayout
 
-__all__ = ["MDP", "GridLayout", "load_model"]
+__all__ = ["MDP", "GridLayout", "Intervals", "load_model"]

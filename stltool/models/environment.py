@@ -50,6 +50,7 @@ def cumulated(model: MDP) -> NDArray[np.float64]:
 
 def simulator(model: MDP, rng: np.random.Generator) -> Environment:
     """Sample the model's transitions with the given generator."""
+    model.require_points()
     sums = cumulated(model)
     first = np.cumsum(model.initial)
     choice_start, row_start = model.choice_start.tolist(), model.row_start.tolist()

@@ -10,6 +10,9 @@
     success = "93/100"       the move is the action's
     slip = "7/300"           each of three others: stay, and the two neighbouring directions
 
+Noise that is known only roughly is written as intervals, `success = [0.9, 0.95]` or `"[9/10, 19/20]"`, and the model
+is one for `robust_check`: at every step nature picks each outcome's probability in its interval, so that they sum to 1.
+
 `stay` always stays. A move into a blocked cell or off the map leaves the robot where it is; corners may be cut.
 Numbers are decimals or fractions in quotes, and mean exactly that: rows are summed as fractions, then rounded once.
 """
@@ -22,7 +25,7 @@ from collections.abc import Mapping
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +33,11 @@ from numpy.typing import NDArray
 from stltool.errors import ModelError, near_misses
 from stltool.files import read_text
 from stltool.models.fractions import Fractions, parse_fraction
+from stltool.models.intervals import Intervals
 from stltool.models.mdp import MDP, GridLayout
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 _COMPASS = {
     "N": (0, 1),
@@ -73,13 +80,7 @@ def grid_from_table(table: Mapping[str, Any], default_name: str = "grid") -> MDP
     moves = table.get("moves", "king")
     if not isinstance(moves, str) or moves not in MOVES:
         raise ModelError(f"moves is {moves!r}; choose one of {', '.join(MOVES)}")
-    success = _fraction(table, "success", Fraction(1))
-    slip = _fraction(table, "slip", (1 - success) / 3)
-    for key, value in (("success", success), ("slip", slip)):
-        if not 0 <= value <= 1:
-            raise ModelError(f"{key} is {value}; a probability lies between 0 and 1")
-    if success + 3 * slip != 1:
-        raise ModelError(f"success {success} and three times slip {slip} sum to {success + 3 * slip}, not 1")
+    success, slip, uncertain = _noise(table)
     cell = _fraction(table, "cell", Fraction(1))
     if cell <= 0:
         raise ModelError(f"cell is {cell}; the side of a cell is positive")
@@ -91,7 +92,7 @@ def grid_from_table(table: Mapping[str, Any], default_name: str = "grid") -> MDP
     index[row, column] = np.arange(len(row))
     letters = sorted(set("".join(cells.ravel())) - set("#.S"))
     names = tuple(f"({c},{r})" for c, r in zip(column.tolist(), row.tolist(), strict=True))
-    choice_start, row_start, target, shares, whole = _transitions(index, row, column, MOVES[moves], success, slip)
+    choice_start, row_start, target, least, most, whole = _transitions(index, row, column, MOVES[moves], success, slip)
     first = _start(table.get("start"), cells, index, row, column)
     starts = int(first.sum())
     return MDP(
@@ -99,7 +100,8 @@ def grid_from_table(table: Mapping[str, Any], default_name: str = "grid") -> MDP
         choice_action=np.tile(np.arange(len(MOVES[moves]), dtype=np.int32), len(row)),
         row_start=row_start,
         target=target,
-        probability=shares / whole,
+        # of the ends before they are cut to 1, so that the nominal model has one noise everywhere
+        probability=Intervals(least / whole, most / whole).nominal(row_start) if uncertain else least / whole,
         initial=first / starts,
         signals={"x": _centres(column, cell), "y": _centres(row, cell)},
         labels={letter: cells[line, column] == letter for letter in letters},
@@ -107,8 +109,56 @@ def grid_from_table(table: Mapping[str, Any], default_name: str = "grid") -> MDP
         state_names=names,
         layout=GridLayout(width, height, column, row),
         name=str(table.get("name", default_name)),
-        fractions=Fractions(shares, whole, first, starts),
+        fractions=None if uncertain else Fractions(least, whole, first, starts),
+        intervals=Intervals(least / whole, np.minimum(most, whole) / whole) if uncertain else None,
     )
+
+
+_Ends: TypeAlias = tuple[Fraction, Fraction]
+
+
+def _noise(table: Mapping[str, Any]) -> tuple[_Ends, _Ends, bool]:
+    """Lower and upper end of success and of slip, and whether an interval was written."""
+    success = _ends(table, "success", (Fraction(1), Fraction(1)))
+    slip = _ends(table, "slip", ((1 - success[1]) / 3, (1 - success[0]) / 3))
+    uncertain = any(_is_interval(table.get(key)) for key in ("success", "slip"))
+    for key, (lower, upper) in (("success", success), ("slip", slip)):
+        if lower < 0 or upper > 1:
+            wrong = lower if lower < 0 else upper
+            raise ModelError(f"{key} is {wrong}; a probability lies between 0 and 1")
+        if lower > upper:
+            raise ModelError(f"{key} is [{lower}, {upper}]; the lower end comes first")
+    least, most = success[0] + 3 * slip[0], success[1] + 3 * slip[1]
+    if not uncertain and least != 1:
+        raise ModelError(f"success {success[0]} and three times slip {slip[0]} sum to {least}, not 1")
+    if not least <= 1 <= most:
+        raise ModelError(
+            f"success [{success[0]}, {success[1]}] and three times slip [{slip[0]}, {slip[1]}] sum to {least} … "
+            f"{most}, and never to 1; widen one of them"
+        )
+    return success, slip, uncertain
+
+
+def _is_interval(value: object) -> bool:
+    return isinstance(value, list) or (isinstance(value, str) and value.strip().startswith("["))
+
+
+def _ends(table: Mapping[str, Any], key: str, default: _Ends) -> _Ends:
+    """A probability, or an interval of two: `[0.9, 0.95]`, `["9/10", "19/20"]` or `"[9/10, 19/20]"`."""
+    value = table.get(key)
+    if value is None:
+        return default
+    if not _is_interval(value):
+        number = _fraction(table, key, default[0])
+        return number, number
+    parts = value if isinstance(value, list) else value.strip().removeprefix("[").removesuffix("]").split(",")
+    if len(parts) != 2 or (isinstance(value, str) and not value.strip().endswith("]")):
+        shown = f"[{', '.join(map(str, value))}]" if isinstance(value, list) else repr(value)
+        raise ModelError(f'{key} is {shown}; write an interval as [0.9, 0.95] or ["9/10", "19/20"]')
+    lower, upper = (
+        _fraction({key: part.strip() if isinstance(part, str) else part}, key, Fraction(0)) for part in parts
+    )
+    return lower, upper
 
 
 def _transitions(
@@ -116,40 +166,54 @@ def _transitions(
     row: NDArray[np.int64],
     column: NDArray[np.int64],
     moves: tuple[str, ...],
-    success: Fraction,
-    slip: Fraction,
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32], NDArray[np.int64], int]:
-    """choice_start, row_start, target, and the probabilities as integers over the last; every state has every move."""
+    success: _Ends,
+    slip: _Ends,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32], NDArray[np.int64], NDArray[np.int64], int]:
+    """choice_start, row_start, target, and the ends of probabilities as integers over the last; upper ends can pass 1.
+
+    Every state has every move. Outcomes that lead to the same cell (a wall stands there) add their ends: a
+    distribution over cells within the added ends always comes from one over outcomes, for a cell's share y of
+    [Σ l_j, Σ u_j] can be split as l_j + θ·(u_j − l_j) with one θ in [0, 1], and totals agree.
+    """
     from scipy.sparse import coo_array
 
     n_states, n_moves = len(row), len(moves)
-    denominator = math.lcm(success.denominator, slip.denominator)
+    denominator = math.lcm(*(end.denominator for end in (*success, *slip)))
     if denominator >= 2**53:
-        raise ModelError(f"success {success} and slip {slip} have no common denominator below 2^53; round them")
+        written = ["–".join(dict.fromkeys(map(str, ends))) for ends in (success, slip)]
+        raise ModelError(
+            f"success {written[0]} and slip {written[1]} have no common denominator below 2^53; round them"
+        )
     circle = [name for name in _COMPASS if name in moves]
-    entries: list[tuple[NDArray[np.int64], NDArray[np.int64], int]] = []
+    entries: list[tuple[NDArray[np.int64], NDArray[np.int64], _Ends]] = []
     states = np.arange(n_states)
     for a, move in enumerate(moves):
         choice = states * n_moves + a
         if move == "stay":
-            entries.append((choice, states, denominator))
+            entries.append((choice, states, (Fraction(1), Fraction(1))))
             continue
         place = circle.index(move)
         sides = (circle[place - 1], circle[(place + 1) % len(circle)])
         for direction, chance in ((move, success), ("stay", slip), (sides[0], slip), (sides[1], slip)):
-            numerator = chance.numerator * (denominator // chance.denominator)
-            entries.append((choice, _move(index, row, column, direction), numerator))
+            entries.append((choice, _move(index, row, column, direction), chance))
     rows = np.concatenate([choice for choice, _, _ in entries])
     columns = np.concatenate([successor for _, successor, _ in entries])
-    numerators = np.concatenate([np.full(n_states, n, dtype=np.int64) for _, _, n in entries])
-    matrix = coo_array((numerators, (rows, columns)), shape=(n_states * n_moves, n_states)).tocsr()
-    matrix.sum_duplicates()
-    matrix.eliminate_zeros()
+
+    def added(end: int) -> csr_array:
+        counts = [int(chance[end] * denominator) for _, _, chance in entries]
+        matrix = coo_array((np.repeat(counts, n_states), (rows, columns)), shape=(n_states * n_moves, n_states)).tocsr()
+        matrix.sum_duplicates()
+        return matrix
+
+    lower, upper = added(0), added(1)  # of one pattern, zeros included
+    possible = upper.data > 0
+    before = np.concatenate([[0], np.cumsum(possible)])
     return (
         np.arange(n_states + 1, dtype=np.int64) * n_moves,
-        matrix.indptr.astype(np.int64),
-        matrix.indices.astype(np.int32),
-        matrix.data,
+        before[upper.indptr].astype(np.int64),
+        upper.indices[possible].astype(np.int32),
+        lower.data[possible],
+        upper.data[possible],
         denominator,
     )
 

@@ -10,15 +10,16 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stltool.errors import ModelError, near_misses
+from stltool.errors import ModelError, SettingsError, near_misses
 from stltool.models.fractions import Fractions, of_doubles, over_one, parse_fraction
+from stltool.models.intervals import Intervals
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -43,13 +44,15 @@ class GridLayout:
 
 @dataclass(frozen=True, eq=False)
 class MDP:
-    """See the module's text; build one with `MDP.from_arrays` or `load_model`.
+    """See the module's text; build one with `MDP.from_arrays`, `MDP.from_intervals` or `load_model`.
 
     initial       (n_states,) probabilities of the first state
     signals       name → (n_states,) reals
     labels        name → (n_states,) Booleans
     fractions     what the doubles `probability` and `initial` stand for, where the model was given in fractions or
                   decimals; `exact()` has it for every model
+    intervals     where the probabilities are known up to intervals: their ends; `probability` is then
+                  `intervals.nominal(row_start)`, and only `robust_check` answers for the model
     Raises ModelError, naming state and action, when a row is no distribution, a state has no action, a value is not
     finite, or a shape does not fit.
     """
@@ -67,6 +70,7 @@ class MDP:
     layout: GridLayout | None = None
     name: str = "model"
     fractions: Fractions | None = None
+    intervals: Intervals | None = None
     _digest: list[str] = field(default_factory=list, repr=False)
     _exact: list[Fractions] = field(default_factory=list, repr=False)
 
@@ -74,6 +78,8 @@ class MDP:
         _validate(self)
         arrays: list[NDArray[Any]] = [self.choice_start, self.choice_action, self.row_start, self.target]
         arrays += [self.probability, self.initial, *self.signals.values(), *self.labels.values()]
+        if self.intervals is not None:
+            arrays += [self.intervals.lower, self.intervals.upper]
         for array in arrays:
             array.setflags(write=False)  # the digest stands for the content
 
@@ -107,7 +113,36 @@ class MDP:
         """The transition probabilities as a scipy CSR array (n_choices, n_states), sharing memory."""
         from scipy.sparse import csr_array
 
+        self.require_points()
         return csr_array((self.probability, self.target, self.row_start), shape=(self.n_choices, self.n_states))
+
+    def require_points(self) -> None:
+        """SettingsError where the probabilities are intervals: for everything that would need one distribution."""
+        if self.intervals is not None:
+            raise SettingsError(
+                "the model's probabilities are intervals; use stl.robust_check (stltool check --nature), "
+                "or the ordinary model inside them, model.nominal() (stltool check --nature nominal)"
+            )
+
+    def nominal(self) -> MDP:
+        """The ordinary model with the nominal probabilities, given as doubles; without intervals the model itself.
+
+        States, choices and actions stay as they are; entries whose probability must be 0 are left out.
+        """
+        if self.intervals is None:
+            return self
+        kept = self.probability > 0
+        before = np.concatenate([[0], np.cumsum(kept)])
+        return replace(
+            self,
+            row_start=before[self.row_start].astype(np.int64),
+            target=self.target[kept],
+            probability=self.probability[kept],
+            fractions=None,
+            intervals=None,
+            _digest=[],
+            _exact=[],
+        )
 
     def digest(self) -> str:
         """A SHA-256 over the whole content, names included."""
@@ -119,6 +154,8 @@ class MDP:
                 *(("signal " + name, self.signals[name]) for name in sorted(self.signals)),
                 *(("label " + name, self.labels[name]) for name in sorted(self.labels)),
             ]  # fmt: skip
+            if self.intervals is not None:
+                arrays += [("lower", self.intervals.lower), ("upper", self.intervals.upper)]
             for title, array in arrays:
                 sha.update(f"{title}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
             sha.update("\0".join(self.action_names).encode())
@@ -127,6 +164,7 @@ class MDP:
 
     def exact(self) -> Fractions:
         """The probabilities exactly: as given in fractions, or what the doubles mean (models/fractions.py)."""
+        self.require_points()
         if self.fractions is not None:
             return self.fractions
         if not self._exact:
@@ -155,36 +193,67 @@ class MDP:
         signals       name → (S,) finite reals;  labels  name → (S,) Booleans
         initial       a state's index or name, or a distribution (S,)
         """
-        from scipy import sparse
+        given = _given(transitions, "transitions")
+        return cls._of_rows(_by_state(given), given, None, signals, initial, labels, action_names, state_names, name)
 
-        given = [_matrix(m, a) for a, m in enumerate(_matrices(transitions))]
-        stack = [sparse.csr_array(m if sparse.issparse(m) else m.astype(np.float64)) for m in given]
-        if not stack:
-            raise ModelError("transitions hold no action; give one (S, S) matrix per action")
-        n_states = stack[0].shape[1]
-        for a, matrix in enumerate(stack):
-            if matrix.shape != (n_states, n_states):
-                raise ModelError(f"transitions of action {a} have shape {matrix.shape}, not ({n_states}, {n_states})")
+    @classmethod
+    def from_intervals(
+        cls,
+        lower: ArrayLike | Iterable[Any],
+        upper: ArrayLike | Iterable[Any],
+        signals: Mapping[str, ArrayLike],
+        initial: int | str | ArrayLike = 0,
+        labels: Mapping[str, ArrayLike] | None = None,
+        action_names: Sequence[str] | None = None,
+        state_names: Sequence[str] | None = None,
+        name: str = "model",
+    ) -> MDP:
+        """An MDP whose probabilities are intervals [lower, upper], for `robust_check`.
+
+        lower, upper  as `transitions` of `from_arrays`: array (A, S, S), or a list of A matrices (S, S). Entries with
+                      upper end 0 cannot happen; a row of zeros in `upper` is an action that is not available.
+        The rest as in `from_arrays`. Raises ModelError, naming state and action, unless 0 <= lower <= upper <= 1 and
+        every row holds a distribution.
+        """
+        rows = _by_state(_given(upper, "upper ends"))
+        ends = Intervals(_aligned(_by_state(_given(lower, "lower ends")), rows), rows.data.astype(np.float64))
+        return cls._of_rows(rows, [], ends, signals, initial, labels, action_names, state_names, name)
+
+    @classmethod
+    def _of_rows(
+        cls,
+        rows: csr_array,
+        given: list[Any],
+        intervals: Intervals | None,
+        signals: Mapping[str, ArrayLike],
+        initial: int | str | ArrayLike,
+        labels: Mapping[str, ArrayLike] | None,
+        action_names: Sequence[str] | None,
+        state_names: Sequence[str] | None,
+        name: str,
+    ) -> MDP:
+        """From rows (S·A, S), the actions of a state one after another; empty rows are unavailable actions.
+
+        `given` are the matrices that the rows are from, for entries that are to be kept exactly.
+        """
+        n_states = rows.shape[1]
+        n_actions = rows.shape[0] // n_states
         names = (
             tuple(str(name) for name in action_names)
             if action_names is not None
-            else tuple(str(a) for a in range(len(stack)))
+            else tuple(str(a) for a in range(n_actions))
         )
-        if len(names) != len(stack):
-            raise ModelError(f"{len(names)} action names for {len(stack)} actions")
-        by_state = np.arange(n_states * len(stack)).reshape(len(stack), n_states).T.ravel()
-        rows = sparse.csr_array(sparse.vstack(stack, format="csr"))[by_state]
-        rows.sum_duplicates()
-        rows.eliminate_zeros()
+        if len(names) != n_actions:
+            raise ModelError(f"{len(names)} action names for {n_actions} actions")
         available = np.diff(rows.indptr) > 0
         rows = rows[available]
-        action = np.tile(np.arange(len(stack), dtype=np.int32), n_states)[available]
-        per_state = available.reshape(n_states, len(stack)).sum(axis=1)
+        action = np.tile(np.arange(n_actions, dtype=np.int32), n_states)[available]
+        per_state = available.reshape(n_states, n_actions).sum(axis=1)
         row_start = rows.indptr.astype(np.int64)
         start, exact_start = _initial(initial, n_states, state_names)
         fractions = None
-        if exact_start is not None or any(m.dtype == object for m in given):
-            source = np.repeat(np.arange(n_states * len(stack))[available] // len(stack), np.diff(row_start))
+        if intervals is None and (exact_start is not None or any(m.dtype == object for m in given)):
+            source = np.repeat(np.arange(n_states * n_actions)[available] // n_actions, np.diff(row_start))
             entries = zip(np.repeat(action, np.diff(row_start)), source, rows.indices, rows.data, strict=True)
             exact = [given[a][s, n] if given[a].dtype == object else Fraction(repr(float(p))) for a, s, n, p in entries]
             begin = over_one(exact_start) if exact_start is not None else of_doubles(start, np.array([0, n_states]))
@@ -194,9 +263,10 @@ class MDP:
             choice_action=action,
             row_start=row_start,
             target=rows.indices.astype(np.int32),
-            probability=rows.data.astype(np.float64),
+            probability=rows.data.astype(np.float64) if intervals is None else intervals.nominal(row_start),
             initial=start,
             fractions=fractions,
+            intervals=intervals,
             signals={key: _floats(values, f"signal {key}") for key, values in signals.items()},
             labels={key: _booleans(values, key) for key, values in (labels or {}).items()},
             action_names=names,
@@ -208,16 +278,64 @@ class MDP:
 # ------------------------------------------------------------------------------------------- checks on the way in
 
 
-def _matrices(transitions: ArrayLike | Iterable[Any]) -> Iterable[Any]:
-    if isinstance(transitions, np.ndarray) and transitions.ndim != 3:
-        raise ModelError(f"transitions have shape {transitions.shape}; an array (A, S, S) is needed")
+def _given(matrices: ArrayLike | Iterable[Any], what: str) -> list[Any]:
+    """One matrix (S, S) per action, each as `_matrix` reads it."""
+    given = [_matrix(m, a, what) for a, m in enumerate(_matrices(matrices, what))]
+    if not given:
+        raise ModelError(f"{what} hold no action; give one (S, S) matrix per action")
+    n_states = given[0].shape[1]
+    for a, matrix in enumerate(given):
+        if matrix.shape != (n_states, n_states):
+            raise ModelError(f"{what} of action {a} have shape {matrix.shape}, not ({n_states}, {n_states})")
+    return given
+
+
+def _by_state(given: list[Any]) -> csr_array:
+    """Rows (S·A, S) in doubles, the actions of a state one after another."""
+    from scipy import sparse
+
+    n_states = given[0].shape[1]
+    stack = [sparse.csr_array(m if sparse.issparse(m) else m.astype(np.float64)) for m in given]
+    order = np.arange(n_states * len(stack)).reshape(len(stack), n_states).T.ravel()
+    rows = sparse.csr_array(sparse.vstack(stack, format="csr"))[order]
+    rows.sum_duplicates()
+    rows.eliminate_zeros()
+    return rows
+
+
+def _aligned(lower: csr_array, upper: csr_array) -> Floats:
+    """The lower end of every entry of `upper`."""
+    if lower.shape != upper.shape:
+        raise ModelError(
+            f"lower ends are of {lower.shape[0] // lower.shape[1]} actions and {lower.shape[1]} states, upper ends of "
+            f"{upper.shape[0] // upper.shape[1]} actions and {upper.shape[1]} states"
+        )
+    n_states = upper.shape[1]
+    places, known = (np.repeat(np.arange(m.shape[0]), np.diff(m.indptr)) * n_states + m.indices for m in (lower, upper))
+    entry = np.searchsorted(known, places)
+    without = np.flatnonzero(np.append(known, -1)[entry] != places)
+    if without.size:
+        row, successor = divmod(int(places[without[0]]), n_states)
+        s, a = divmod(row, upper.shape[0] // n_states)
+        raise ModelError(
+            f"state {s}, action {a}: the lower end {lower.data[without[0]]:.12g} to state {successor} is over the "
+            "upper end 0"
+        )
+    ends = np.zeros(len(known))
+    ends[entry] = lower.data
+    return ends
+
+
+def _matrices(matrices: ArrayLike | Iterable[Any], what: str) -> Iterable[Any]:
+    if isinstance(matrices, np.ndarray) and matrices.ndim != 3:
+        raise ModelError(f"{what} have shape {matrices.shape}; an array (A, S, S) is needed")
     try:
-        return list(transitions)  # type: ignore[arg-type]
+        return list(matrices)  # type: ignore[arg-type]
     except TypeError:
-        raise ModelError("transitions must be an array (A, S, S) or a list of (S, S) matrices") from None
+        raise ModelError(f"{what} must be an array (A, S, S) or a list of (S, S) matrices") from None
 
 
-def _matrix(matrix: Any, action: int) -> Any:
+def _matrix(matrix: Any, action: int, what: str) -> Any:
     """One action's matrix: scipy sparse or dense doubles, or an object array of Fractions where it holds any."""
     from scipy.sparse import issparse
 
@@ -229,9 +347,9 @@ def _matrix(matrix: Any, action: int) -> Any:
         array = np.asarray(matrix)
         array = _parsed(array) if array.dtype.kind in "OU" else array.astype(np.float64)
     except (TypeError, ValueError):
-        raise ModelError(f"transitions of action {action} are not numbers") from None
+        raise ModelError(f"{what} of action {action} are not numbers") from None
     if array.ndim != 2:
-        raise ModelError(f"transitions of action {action} have shape {array.shape}; a matrix (S, S) is needed")
+        raise ModelError(f"{what} of action {action} have shape {array.shape}; a matrix (S, S) is needed")
     return array
 
 
@@ -321,7 +439,10 @@ def _validate_rows(m: MDP) -> None:
     def choice_of(entry: int) -> int:
         return int(np.searchsorted(m.row_start, entry, side="right")) - 1
 
-    bad = np.flatnonzero(~np.isfinite(m.probability) | (m.probability <= 0) | (m.probability > 1 + _ROW_TOLERANCE))
+    if m.intervals is not None:
+        m.intervals.validate(m.row_start, m.probability, m.place, lambda k: m.state_name(m.target[k]))
+    low = m.probability < 0 if m.intervals is not None else m.probability <= 0  # intervals may force a 0
+    bad = np.flatnonzero(~np.isfinite(m.probability) | low | (m.probability > 1 + _ROW_TOLERANCE))
     if bad.size:
         value, successor = m.probability[bad[0]], m.state_name(m.target[bad[0]])
         raise ModelError(f"{m.place(choice_of(bad[0]))}: {value:.12g} to state {successor} is no probability")

@@ -116,6 +116,7 @@ def check_data(result: CheckResult, optimum: CheckResult | None = None) -> dict[
     return {
         **product_data(result.product),
         "question": result.question,
+        "nature": result.nature,
         "policy": result.policy.kind if result.policy is not None else None,
         "probability": result.probability,
         "lower": result.lower,
@@ -199,20 +200,21 @@ def report_data(
             product.automaton.digest(),
         ):
             raise SettingsError("the results of one report belong to one model and one task; write one report for each")
-    optimum = next((r for r in results if r.question != "policy"), None)
+    optima = {r.nature: r for r in reversed(results) if r.question != "policy"}
     shown = next((r for r in results if r.question == "policy"), results[0])
     policy = shown.policy
+    points = product.model.intervals is None  # else there is no one distribution to sample from
     return {
         "format": FORMAT,
         "version": metadata.version("stltool"),
         **product_data(product),
         "source": source,
         "command": command,
-        "checks": [check_data(result, optimum) for result in results],
+        "checks": [check_data(result, optima.get(result.nature)) for result in results],
         "estimates": [{**dataclasses.asdict(estimate), "statement": estimate.statement} for estimate in estimates],
         "training": training_data(training) if training is not None else None,
-        "run": _run_data(product, policy, seed) if policy is not None else None,
-        "why": _why_data(product, policy) if policy is not None else None,
+        "run": _run_data(product, policy, seed) if policy is not None and points else None,
+        "why": _why_data(product, policy) if policy is not None and points else None,
         "floor": _floor_data(product),
     }
 

@@ -71,7 +71,8 @@ def print_checks(checks: list[dict[str, Any]]) -> None:
     rows: list[tuple[str, ...]] = [("", "P", "lower bound", "upper bound", "gap", "status")]
     rows += [
         (
-            "the policy" if check["question"] == "policy" else f"{check['question']} of all",
+            ("the policy" if check["question"] == "policy" else f"{check['question']} of all")
+            + (f", nature {check['nature']}" if check["nature"] in ("against", "with") else ""),
             f"{check['probability']:.15g}",
             *bound_texts(check["lower"], check["upper"]),
             f"{check['gap']:.3g}",

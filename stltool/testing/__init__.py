@@ -1,5 +1,5 @@
 """Hypothesis strategies for formulas, traces and MDPs, for your own property tests: `pip install stltool[test]`."""
 
-from stltool.testing.strategies import flag_formulas, formulas, models, predicates, traces
+from stltool.testing.strategies import flag_formulas, formulas, interval_models, models, predicates, traces
 
-__all__ = ["flag_formulas", "formulas", "models", "predicates", "traces"]
+__all__ = ["flag_formulas", "formulas", "interval_models", "models", "predicates", "traces"]

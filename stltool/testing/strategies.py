@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
@@ -155,6 +156,25 @@ def models(
         labels={name: draw(st.lists(st.booleans(), min_size=n_states, max_size=n_states)) for name in labels},
         action_names=[f"act{a}" for a in range(n_actions)],
     )
+
+
+@st.composite
+def interval_models(draw: st.DrawFn, /, **options: Any) -> MDP:
+    """A small MDP with intervals over sixteenths; `options` as in `models`.
+
+    Every row holds a distribution of `models`, its ends each up to 1/4 away; entries that were 0 may have become
+    possible, and lower ends may be 0.
+    """
+    model = draw(models(**options))
+    n_actions, n_states = model.n_actions, model.n_states
+    lower, upper = (np.zeros((n_actions, n_states, n_states)) for _ in range(2))
+    steps = st.lists(st.integers(0, 4), min_size=n_states, max_size=n_states).map(lambda ns: np.array(ns) / 16)
+    rows = model.matrix().toarray()
+    for s in range(n_states):
+        for c in range(model.choice_start[s], model.choice_start[s + 1]):
+            lower[model.choice_action[c], s] = np.maximum(rows[c] - draw(steps), 0)
+            upper[model.choice_action[c], s] = np.minimum(rows[c] + draw(steps), 1)
+    return MDP.from_intervals(lower, upper, model.signals, model.initial, model.labels, action_names=model.action_names)
 
 
 @st.composite

@@ -5,8 +5,9 @@
     NAME.lab    0="init" 1="deadlock" 2="done", then "state: number number …"
     NAME.sta    (x,y,b), then "state:(0,1,true)"
 
-Probabilities are decimals or fractions such as 2/5, kept exactly. Labels become labels, the variables of `.sta`
-signals (false 0, true 1), and `init` marks the first state; without a `.lab` it is state 0.
+Probabilities are decimals or fractions such as 2/5, kept exactly, or intervals of them such as [0.6,0.9]. Labels become
+labels, the variables of `.sta` signals (false 0, true 1), and `init` marks the first state; without a `.lab` it is
+state 0.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import re
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 from stltool.errors import ModelError
 from stltool.files import read_text
 from stltool.models.fractions import Fractions, over_one, parse_fraction
+from stltool.models.intervals import Intervals
 from stltool.models.mdp import MDP
 from stltool.sizes import require_memory
 
@@ -33,12 +35,12 @@ _LABEL = re.compile(r'(\d+)="([^"]*)"')
 def load_explicit(path: str | Path) -> MDP:
     """Read `path` (.tra) and the .lab and .sta files of the same name. Raises FileError, ModelError."""
     path = Path(path)
-    n_states, rows = _transitions(path)
+    n_states, rows, uncertain = _transitions(path)
     choice_start, row_start = [0], [0]
     action_names: dict[str, int] = {}
     choice_action: list[int] = []
     target: list[int] = []
-    shares: list[Fraction] = []
+    shares: list[_Ends] = []
     for s in range(n_states):
         taken: dict[str, int] = {}
         for number, (action, row) in sorted(rows.get(s, {}).items()):
@@ -52,9 +54,11 @@ def load_explicit(path: str | Path) -> MDP:
                 shares.append(row[successor])
             row_start.append(len(target))
         choice_start.append(len(choice_action))
-    numerator, denominator = over_one(shares)
+    lower, upper = (np.array([float(share[end]) for share in shares]) for end in (0, 1))
+    intervals = Intervals(lower, upper) if uncertain else None
     labels = _labels(path.with_suffix(".lab"), n_states)
     initial = _initial(labels.get("init"), path)
+    first = (np.arange(n_states) == initial).astype(np.int64)
     names, signals = _variables(path.with_suffix(".sta"), n_states)
     both = sorted(set(signals) & set(labels))
     if both:
@@ -67,24 +71,27 @@ def load_explicit(path: str | Path) -> MDP:
             choice_action=np.array(choice_action, dtype=np.int32),
             row_start=np.array(row_start, dtype=np.int64),
             target=np.array(target, dtype=np.int32),
-            probability=np.array([float(share) for share in shares]),
-            initial=(np.arange(n_states) == initial).astype(np.float64),
+            probability=intervals.nominal(np.array(row_start)) if intervals is not None else lower,
+            initial=first.astype(np.float64),
             signals=signals,
             labels=labels,
             action_names=tuple(action_names),
             state_names=names,
             name=path.stem,
-            fractions=Fractions(numerator, denominator, (np.arange(n_states) == initial).astype(np.int64), 1),
+            fractions=Fractions(*over_one(share for share, _ in shares), first, 1) if not uncertain else None,
+            intervals=intervals,
         )
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
 
 
-_Rows = dict[int, dict[int, tuple[str, dict[int, Fraction]]]]
-"""state → choice number in the file → (action, successor → probability)"""
+_Ends: TypeAlias = tuple[Fraction, Fraction]
+_Rows: TypeAlias = dict[int, dict[int, tuple[str, dict[int, _Ends]]]]
+"""state → choice number in the file → (action, successor → lower and upper end of its probability)"""
 
 
-def _transitions(path: Path) -> tuple[int, _Rows]:
+def _transitions(path: Path) -> tuple[int, _Rows, bool]:
+    """The number of states, their rows, and whether an interval was written."""
     lines = _lines(path, "transition file")
     number, header = next(lines, (1, ""))
     try:
@@ -101,7 +108,7 @@ def _transitions(path: Path) -> tuple[int, _Rows]:
     )
     chain = len(counts) == 2
     rows: _Rows = {}
-    known: dict[str, Fraction] = {}
+    known: dict[str, _Ends] = {}
     found = 0
     for number, line in lines:
         words = line.split()
@@ -112,13 +119,13 @@ def _transitions(path: Path) -> tuple[int, _Rows]:
             text = words[3]
             if len(words) > (4 if chain else 5):
                 raise ValueError
-            share = known[text] if text in known else known.setdefault(text, parse_fraction(text))
+            share = known[text] if text in known else known.setdefault(text, _parse_ends(text))
         except (ValueError, IndexError):
             form = "state successor probability" if chain else "state choice successor probability [action]"
-            _fail(path, number, line, f'write "{form}" with a decimal or a fraction such as 2/5')
+            _fail(path, number, line, f'write "{form}" with a decimal or a fraction such as 2/5, or [0.6,0.9]')
         if not (0 <= s < n_states and 0 <= successor < n_states):
             _fail(path, number, line, f"states are 0 … {n_states - 1} by the first line")
-        if not 0 <= share <= 1:
+        if not 0 <= share[0] <= share[1] <= 1:
             _fail(path, number, line, f"{text} is no probability")
         action, row = rows.setdefault(s, {}).setdefault(choice, (words[4] if len(words) > 4 else "", {}))
         if len(words) > 4 and words[4] != action:
@@ -131,14 +138,23 @@ def _transitions(path: Path) -> tuple[int, _Rows]:
         if successor in row:
             _fail(path, number, line, f"this successor of state {s}, choice {choice} stands twice; add the two up")
         found += 1
-        if share:
+        if share[1]:
             row[successor] = share
     if found != n_transitions:
         raise ModelError(f"{path}: {found} transitions, and the first line says {n_transitions}; is the file cut off?")
     if not chain and sum(map(len, rows.values())) != counts[1]:
         raise ModelError(f"{path}: {sum(map(len, rows.values()))} choices, and the first line says {counts[1]}")
     _require_rows(path, rows)
-    return n_states, rows
+    return n_states, rows, any(text.startswith("[") for text in known)
+
+
+def _parse_ends(text: str) -> _Ends:
+    """A probability, or [lower,upper]. Raises ValueError for anything else."""
+    if text.startswith("[") and text.endswith("]"):
+        lower, upper = (parse_fraction(end) for end in text[1:-1].split(","))
+        return lower, upper
+    share = parse_fraction(text)
+    return share, share
 
 
 def _require_rows(path: Path, rows: _Rows) -> None:

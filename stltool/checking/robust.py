@@ -1,0 +1,201 @@
+"""`robust_check`: the probability of a task where the model's probabilities are known up to intervals.
+
+    V_t(s,q) = 1 / 0                                                  if verdict_t(q) is true / false
+             = opt_c nature_{p ∈ P(c)} Σ_s' p(s') · V_{t+1}(s', δ(L(s'), q))     otherwise
+    P(c)     = { lower ≤ p ≤ upper, Σ p = 1 }
+
+opt is max or min over the state's choices, or a policy's mixture; nature works against it (max–min, min–max) or with it
+(max–max, min–min). Nature chooses anew at every step and knows (t, s, q) and the choice taken: the
+dynamic, (s,a)-rectangular reading. Over all history-dependent policies and natures the values are these (Iyengar,
+"Robust dynamic programming", 2005; Nilim and El Ghaoui, 2005). A fixed distribution is one of nature's ways, so where
+one governs the whole run, a policy's value against nature is no more, and with it no less, than its value there.
+
+The inner optimum needs no solver: start from the lower ends and hand the budget 1 − Σ lower out in the order of W,
+each entry up to its width (Givan, Leach and Dean, 2000): a fractional knapsack. h sweeps, no stopping rule.
+
+**The enclosure.** Let a row have d entries, u = 2⁻⁵³, ends lower*, upper* as given and lower, upper their doubles. By
+duality, for W in [0, 1], nature's maximum is min over λ in [0, 1] of
+
+    S·λ + Σ_k (W_k − λ)⁺·upper_k − Σ_k (λ − W_k)⁺·lower_k,       S = 1 the mass handed out.
+
+So ends moved by η_k each and mass moved by σ move it by at most Σ η_k + |σ|. The loop's weights p̂ = lower + take are
+optimal for the ends lower, lower + fl(upper − lower) and for their own mass Σ p̂: every error of the loop is one of
+ends or mass, or of the last sum. Ends: two roundings (decimals to doubles, the width), η_k ≤ 2u, 2du in all.
+Mass: d subtractions and d additions of at most one, 2du; or, where the budget is negative or outlasts the widths,
+what the ends are off by, 2du too. Sum: d + 1 roundings of at most one. Together (5d + 1)u and terms of second order,
+less than 8du while d ≤ 2²⁰. Minimum: 1 − W. The exact operator moves values by no more than W moves, so h sweeps add
+up to 8hdu = h·d·2⁻⁵⁰; a mixture of m choices adds 2mu a sweep. Rows of doubles may miss Σ lower ≤ 1 ≤ Σ upper by a
+defect D: it counts as moved ends and moved mass, 2D a sweep; the weights of a mixture likewise.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from fractions import Fraction
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.checking.backward import Backend, Floats, NumbaSweeper, NumpySweeper, Progress, Sweeper, Values, induct
+from stltool.checking.bounds import defect, enclose
+from stltool.checking.check import CheckResult, undefined
+from stltool.errors import SettingsError
+from stltool.models import Intervals
+from stltool.policy import Policy
+from stltool.product import Product
+from stltool.sizes import require_memory, require_time
+
+Nature = Literal["against", "with"]
+
+_RATE = 1e8  # entries sorted and added a second, roughly, on one core
+_LONGEST_ROW = 2**20
+_U = Fraction(1, 2**53)
+
+
+def robust_check(
+    product: Product,
+    policy: Policy | None = None,
+    *,
+    maximize: bool = True,
+    nature: Nature = "against",
+    keep_policy: bool = True,
+    backend: Backend = "numba",
+    memory_limit: int | None = None,
+    progress: Progress | None = None,
+) -> CheckResult:
+    """The guaranteed (or the hoped for) probability that the task holds, on a model with intervals.
+
+    maximize, nature   True, "against": max–min, what the best policy guarantees     True, "with": max–max
+                       False, "against": min–max                                     False, "with": min–min
+    policy             None: the optimum over all policies. Given: its least probability where nature is against a
+                       maximum or with a minimum, else its greatest; nature sees which choice a mixture has taken
+    keep_policy        False saves the memory of the optimal policy's table; `backend` as in `check`
+
+    Raises SettingsError for a model without intervals, PolicyError when the policy belongs to another task or model or
+    says nothing about a state it may reach, SizeError before allocating what would not fit.
+    """
+    start = time.perf_counter()
+    intervals = product.model.intervals
+    if intervals is None:
+        raise SettingsError(
+            "the model has no intervals; use stl.check, or give them with MDP.from_intervals or success = [lo, hi]"
+        )
+    if nature not in ("against", "with"):
+        raise SettingsError(f"nature is {nature!r}; choose against or with")
+    if backend not in ("numba", "numpy"):
+        raise SettingsError(f"there is no backend {backend!r}; choose numba or numpy")
+    longest = int(np.diff(product.model.row_start).max())
+    if longest > _LONGEST_ROW:
+        raise SettingsError(f"a row has {longest} entries; robust checks take up to {_LONGEST_ROW}")
+    judge, rebased = policy.on(product) if policy is not None else (product, None)
+    kept = policy is None and keep_policy
+    require_time(
+        product.horizon * product.model.n_transitions * judge.automaton.n_states,
+        _RATE,
+        f"sweeping {judge.n_states} product states over {product.horizon} steps",
+        "shorten the windows",
+    )
+    require_memory(
+        judge.check_bytes(kept),
+        f"checking {judge.n_states} product states over {product.horizon} steps"
+        + (", the policy's table included" if kept else ""),
+        "use keep_policy=False, or shorten the windows" if kept else "shorten the windows",
+        memory_limit,
+    )
+    minimal = maximize == (nature == "against")
+    swept = robust_sweeper(judge, intervals, minimal, backend)
+    question: Literal["maximum", "minimum", "policy"]
+    question = "policy" if rebased is not None else "maximum" if maximize else "minimum"
+    tables = np.zeros((product.horizon if kept else 1, *product.shape), dtype=np.int16)
+
+    def sweep(t: int, W: Values, out: Values) -> None:
+        if rebased is None:
+            swept.optimum(W, maximize, out, tables[t if kept else 0])
+        elif rebased.deterministic:
+            swept.policy(W, rebased.at(t), out)
+        else:
+            swept.mixture(W, rebased.at(t), out)
+
+    entry = induct(judge, swept, sweep, progress)
+    if rebased is not None and np.isnan(entry).any():
+        raise undefined(judge, rebased)
+    value = math.fsum(product.model.initial[np.flatnonzero(product.model.initial)] * entry)
+    weight_defect, mixed = Fraction(0), 0
+    if rebased is not None and not rebased.deterministic:
+        mixed = rebased.table.shape[-1]
+        weight_defect = defect(np.unique(rebased.table.reshape(-1, mixed), axis=0).tolist())
+    initial_defect = defect([product.model.initial])
+    a_sweep = (8 * longest + 2 * mixed) * _U + 2 * _defect(product) + 2 * weight_defect
+    growth = product.horizon * weight_defect + initial_defect  # what defects of weights make of earlier errors
+    slack = (product.horizon * a_sweep + initial_defect) / (1 - growth) if growth < 1 else Fraction(1)
+    lower, upper = enclose(value, 3, slack, underflow=False)  # the initial sum's; a first sweep's slack is larger
+    if kept:
+        policy = Policy(product, tables)
+    seconds = time.perf_counter() - start
+    value = min(max(value, 0.0), 1.0)
+    return CheckResult(product, question, value, lower, upper, policy, product.horizon, seconds, nature=nature)
+
+
+def _defect(product: Product) -> Fraction:
+    """By how much, exactly, a row's ends miss Σ lower ≤ 1 ≤ Σ upper at most; rows that repeat are summed once."""
+    model, intervals = product.model, product.model.intervals
+    assert intervals is not None
+    worst = Fraction(0)
+    for ends, sign in ((intervals.lower, 1), (intervals.upper, -1)):
+        sums = np.add.reduceat(ends, model.row_start[:-1])
+        close = (sums - 1) * sign > -_LONGEST_ROW * 2.0**-52  # with the sums' roundings; the others miss nothing
+        bounds = itertools.compress(itertools.pairwise(model.row_start.tolist()), close.tolist())
+        for row in {ends[a:b].tobytes() for a, b in bounds}:
+            worst = max(worst, sign * (sum(map(Fraction, np.frombuffer(row).tolist()), Fraction(0)) - 1))
+    return worst
+
+
+def _budget(product: Product, intervals: Intervals) -> Floats:
+    """1 − Σ lower of every choice (n_choices,)."""
+    missing = 1 - np.add.reduceat(intervals.lower, product.model.row_start[:-1])
+    budget: Floats = np.maximum(missing, 0.0)
+    return budget
+
+
+def robust_sweeper(product: Product, intervals: Intervals, minimal: bool, backend: Backend) -> Sweeper:
+    """The plain sweep's arithmetic with nature's choice in the place of the probabilities."""
+    return (_NumbaSweeper if backend == "numba" else _NumpySweeper)(product, intervals, minimal)
+
+
+class _NumbaSweeper(NumbaSweeper):
+    def __init__(self, product: Product, intervals: Intervals, minimal: bool) -> None:
+        from stltool.kernels import robust
+
+        super().__init__(product)
+        self._kernels, self._mixture = robust, robust.mixture
+        self._shares = (intervals.lower, intervals.upper - intervals.lower, _budget(product, intervals), minimal)
+
+
+class _NumpySweeper(NumpySweeper):
+    def __init__(self, product: Product, intervals: Intervals, minimal: bool) -> None:
+        super().__init__(product)
+        self._matrix = _Nature(product, intervals, minimal)
+
+
+class _Nature:
+    """The numpy twin's matrix: `self @ W` (n_choices, Q), choice by choice and entry by entry."""
+
+    def __init__(self, product: Product, intervals: Intervals, minimal: bool) -> None:
+        self._model, self._intervals, self._minimal = product.model, intervals, minimal
+        self._budget = _budget(product, intervals)
+
+    def __matmul__(self, W: Floats) -> Floats:
+        out = np.zeros((self._model.n_choices, W.shape[1]))
+        for c, (a, b) in enumerate(itertools.pairwise(self._model.row_start.tolist())):
+            values = W[self._model.target[a:b]]
+            order: NDArray[np.int64] = np.argsort(values if self._minimal else -values, axis=0, kind="stable")
+            lower, width = self._intervals.lower[a:b], (self._intervals.upper - self._intervals.lower)[a:b]
+            left = np.full(W.shape[1], self._budget[c])
+            for k in order:
+                take = np.minimum(width[k], left)
+                left -= take
+                out[c] += (lower[k] + take) * np.take_along_axis(values, k[None], axis=0)[0]
+        return np.where(out > 1, 1.0, out)

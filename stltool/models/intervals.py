@@ -1,0 +1,87 @@
+"""Transition probabilities known up to intervals, and a distribution inside them.
+
+Row c of an interval MDP is the polytope
+
+    P(c) = { p :  lower_k ≤ p_k ≤ upper_k for every entry k,  Σ_k p_k = 1 },       not empty: Σ lower ≤ 1 ≤ Σ upper
+
+one for each choice, independent of each other: (s,a)-rectangular uncertainty. Its nominal distribution goes from the
+lower ends the same fraction r of every width,  p_k = lower_k + r·(upper_k − lower_k),  r = (1 − Σ lower) / Σ width.
+
+Source: Givan, Leach and Dean, "Bounded-parameter Markov decision processes", Artificial Intelligence 122 (2000).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.errors import ModelError
+
+Floats: TypeAlias = NDArray[np.float64]
+
+_TOLERANCE = 1e-9  # by how much ends read as doubles may miss Σ lower ≤ 1 ≤ Σ upper
+
+
+@dataclass(frozen=True, eq=False)
+class Intervals:
+    """lower, upper (n_transitions,): the ends of each entry of a model's rows, in the order of its `target`.
+
+    Lower ends may be 0: nature may then do without that successor. A model made with them checks them.
+    """
+
+    lower: Floats
+    upper: Floats
+
+    def nominal(self, row_start: NDArray[np.int64]) -> Floats:
+        """The nominal distribution of every row (n_transitions,); entries that must be 0 are 0."""
+        width = self.upper - self.lower
+        total = np.add.reduceat(width, row_start[:-1])
+        missing = 1 - np.add.reduceat(self.lower, row_start[:-1])
+        with np.errstate(invalid="ignore"):  # ends that are no numbers are refused by their model, by name
+            share = np.clip(np.divide(missing, total, out=np.zeros_like(total), where=total > 0), 0, 1)
+        inside: Floats = self.lower + np.repeat(share, np.diff(row_start)) * width
+        return inside
+
+    def validate(
+        self, row_start: NDArray[np.int64], nominal: Floats, at: Callable[[int], str], to: Callable[[int], str]
+    ) -> None:
+        """ModelError, naming state and action, unless every row holds a distribution and `nominal` lies inside.
+
+        `at` and `to` tell a choice and an entry's successor in the user's names.
+        """
+
+        def choice_of(entry: int) -> int:
+            return int(np.searchsorted(row_start, entry, side="right")) - 1
+
+        shape = (int(row_start[-1]),)
+        for what, ends in (("lower", self.lower), ("upper", self.upper)):
+            if ends.shape != shape:
+                raise ModelError(
+                    f"the {what} ends have shape {ends.shape}; one for each of {shape[0]} entries is needed"
+                )
+        bad = np.flatnonzero(~((self.lower >= 0) & (self.lower <= self.upper) & (self.upper <= 1) & (self.upper > 0)))
+        if bad.size:
+            k = int(bad[0])
+            raise ModelError(
+                f"{at(choice_of(k))}: [{self.lower[k]:.12g}, {self.upper[k]:.12g}] to state {to(k)} is no interval of "
+                "probabilities; write 0 <= lower <= upper <= 1, and leave out what cannot happen"
+            )
+        for ends, wrong, says in (
+            (self.lower, 1, "lower ends sum to {:.12g}, more than 1; lower one of them"),
+            (self.upper, -1, "upper ends sum to {:.12g}, less than 1; raise one of them"),
+        ):
+            sums = np.add.reduceat(ends, row_start[:-1])
+            empty = np.flatnonzero((sums - 1) * wrong > _TOLERANCE)
+            if empty.size:
+                raise ModelError(f"{at(int(empty[0]))}: the {says.format(sums[empty[0]])}")
+        outside = np.flatnonzero(~((self.lower - _TOLERANCE <= nominal) & (nominal <= self.upper + _TOLERANCE)))
+        if outside.size:
+            k = int(outside[0])
+            raise ModelError(
+                f"{at(choice_of(k))}: the probability {nominal[k]:.12g} to state {to(k)} is outside "
+                f"[{self.lower[k]:.12g}, {self.upper[k]:.12g}]; make a model's probabilities with Intervals.nominal"
+            )

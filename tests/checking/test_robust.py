@@ -1,0 +1,488 @@
+"""`robust_check` against trees of histories with nature's corners, exact integers, a convex programme, and its laws."""
+
+import inspect
+import itertools
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+import stltool as stl
+from stltool.automata import TRUE, UNDECIDED
+from stltool.errors import PolicyError, SettingsError, SizeError
+from stltool.logic.formula import Not
+from stltool.models import Intervals
+from stltool.models.environment import simulator
+from stltool.policy import with_flags
+from stltool.testing import flag_formulas, formulas, interval_models, models
+from tests import oracles
+from tests.checking.test_check import close, random_policy
+
+QUESTIONS = [(maximize, nature) for maximize in (True, False) for nature in ("against", "with")]
+
+
+def minimizes(maximize, nature):
+    """Whether nature wants the probability small."""
+    return maximize == (nature == "against")
+
+
+@st.composite
+def products(draw, longest=2, most=3, **options):
+    model = draw(interval_models(**options))
+    phi = draw(st.one_of(flag_formulas(longest=longest, equal=False), formulas(longest=longest, max_leaves=5)))
+    assume(stl.horizon(phi) <= most)
+    return stl.build_product(model, phi)
+
+
+@given(products())
+@settings(max_examples=25)
+def test_values_equal_the_tree_of_all_histories(product):
+    for maximize, nature in QUESTIONS:
+        result = stl.robust_check(product, maximize=maximize, nature=nature)
+        exact = oracles.robust_optimum(product.model, product.formula, maximize, minimizes(maximize, nature))
+        close(result, exact)
+        assert (result.question, result.nature) == ("maximum" if maximize else "minimum", nature)
+
+
+@given(products(longest=1, most=2, max_states=2, single_start=True), st.sampled_from(QUESTIONS))
+@settings(max_examples=25)
+def test_values_equal_the_enumeration_of_all_policies_and_natures(product, question):
+    """Literally: the best over every policy of the worst over every strategy of nature, history-dependent both."""
+    maximize, nature = question
+    model, phi = product.model, product.formula
+    start, length = int(np.flatnonzero(model.initial)[0]), stl.horizon(phi) + 1
+    nodes = [(start, *rest) for n in range(length - 1) for rest in itertools.product(range(model.n_states), repeat=n)]
+    rows = {node: oracles.interval_choices(model, node[-1]) for node in nodes}
+    places = [(node, c) for node in nodes for c in range(len(rows[node]))]
+
+    def value(history, policy, strategy):
+        if len(history) == length:
+            return Fraction(oracles.holds(model, phi, history))
+        c = policy[history]
+        chances = zip(rows[history][c][0], strategy[history, c], strict=True)
+        return sum(p * value((*history, s), policy, strategy) for s, p in chances if p)
+
+    def values(policy):
+        for corners in itertools.product(*(rows[node][c][1] for node, c in places if policy[node] == c)):
+            taken = [place for place in places if policy[place[0]] == place[1]]
+            yield value((start,), policy, dict(zip(taken, corners, strict=True)))
+
+    inner = min if minimizes(maximize, nature) else max
+    policies = itertools.product(*(range(len(rows[node])) for node in nodes))
+    best = (max if maximize else min)(inner(values(dict(zip(nodes, picks, strict=True)))) for picks in policies)
+    close(stl.robust_check(product, maximize=maximize, nature=nature), best)
+
+
+@given(products(), st.integers(0, 2**32 - 1), st.booleans(), st.booleans(), st.sampled_from(QUESTIONS))
+@settings(max_examples=40)
+def test_a_policys_value_equals_the_tree_of_its_runs(product, seed, timed, mixed, question):
+    maximize, nature = question
+    policy = random_policy(product, np.random.default_rng(seed), timed, mixed)
+    result = stl.robust_check(product, policy, maximize=maximize, nature=nature)
+    exact = oracles.robust_policy_value(product, policy, minimizes(maximize, nature))
+    close(result, min(exact, Fraction(1)))
+    assert (result.question, result.policy) == ("policy", policy)
+    bound = stl.robust_check(product, maximize=maximize, nature=nature)
+    assert result.lower <= bound.upper if maximize else result.upper >= bound.lower
+
+
+# ------------------------------------------------------------------------------------------- the enclosure
+
+
+def random_ends(rng, n, denominator):
+    """Lower and upper ends over a denominator, Σ lower <= 1 <= Σ upper, often with equality."""
+    cuts = np.sort(rng.integers(0, denominator + 1, n - 1))
+    inside = np.diff([0, *cuts, denominator])
+    reach = denominator // int(rng.choice([1, 5, 50]))
+    lower = np.maximum(inside - rng.integers(0, reach + 1, n) * (rng.random() < 0.8), 0)
+    upper = np.minimum(inside + rng.integers(0, reach + 1, n) * (rng.random() < 0.8), denominator)
+    return lower, upper
+
+
+def exact_nature(lower, upper, denominator, values, minimize):
+    """denominator · opt Σ p·v in integers, v integers: the budget goes to the best entries first."""
+    left = denominator - sum(lower)
+    total = sum(lo * v for lo, v in zip(lower, values, strict=True))
+    for k in sorted(range(len(values)), key=values.__getitem__, reverse=not minimize):
+        take = min(upper[k] - lower[k], left)
+        total, left = total + take * values[k], left - take
+    assert left == 0
+    return total
+
+
+@given(st.integers(0, 2**32 - 1), st.booleans())
+@settings(max_examples=200)
+def test_the_exact_greedy_takes_the_best_corner(seed, minimize):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 5))
+    lower, upper = (ends.tolist() for ends in random_ends(rng, n, 12))
+    values = rng.integers(0, 5, n).tolist()
+    ends = [(Fraction(a, 12), Fraction(b, 12)) for a, b in zip(lower, upper, strict=True) if b]
+    kept = [v for v, b in zip(values, upper, strict=True) if b]
+    worths = [sum(p * v for p, v in zip(corner, kept, strict=True)) for corner in oracles.vertices(ends)]
+    greedy = exact_nature(lower, upper, 12, values, minimize)
+    assert Fraction(greedy, 12) == (min if minimize else max)(worths)
+
+
+@pytest.mark.parametrize("denominator", [10, 1000, 3**7, 10**17, 2**52])
+@pytest.mark.parametrize("n_block", [3, 12])
+def test_thousands_of_exact_values_lie_in_their_enclosures(denominator, n_block):
+    """Many small models in one, ends read from fractions; the exact values in integers. Never outside, never wide."""
+    rng = np.random.default_rng(denominator + n_block)
+    n_blocks, horizon = 96 // n_block, 8
+    n = n_blocks * n_block
+    ends = np.zeros((2, 2, n, n), dtype=object)
+    for s in range(n):
+        block = slice(s // n_block * n_block, (s // n_block + 1) * n_block)
+        for a in range(2):
+            ends[0, a, s, block], ends[1, a, s, block] = random_ends(rng, n_block, denominator)
+    goal, bad = rng.random(n) < 0.25, rng.random(n) < 0.15
+    doubles = [[[float(Fraction(int(x), denominator)) for x in row] for row in m] for m in (*ends[0], *ends[1])]
+    model = stl.MDP.from_intervals(doubles[:2], doubles[2:], {}, labels={"goal": goal, "bad": bad})
+    product = stl.build_product(model, stl.parse(f"!bad U[0,{horizon}] goal"))
+    automaton = product.automaton
+    compared = 0
+    for maximize, nature in QUESTIONS:
+        best = max if maximize else min
+        exact = {}
+        for t in range(horizon, -1, -1):
+            for s, q in itertools.product(range(n), range(automaton.n_states)):
+                verdict = automaton.verdicts(t)[q]
+                if verdict != UNDECIDED:
+                    exact[t, s, q] = int(verdict == TRUE) * denominator ** (horizon - t)
+                    continue
+                block = slice(s // n_block * n_block, (s // n_block + 1) * n_block)
+                after = [exact[t + 1, s2, product.enter(s2, q)] for s2 in range(block.start, block.stop)]
+                exact[t, s, q] = best(
+                    exact_nature(
+                        [int(x) for x in ends[0, a, s, block]], [int(x) for x in ends[1, a, s, block]],
+                        denominator, after, minimizes(maximize, nature),
+                    )
+                    for a in range(2)
+                )  # fmt: skip
+        for s in np.flatnonzero(~goal & ~bad):
+            here = replace(product, model=replace(model, initial=np.eye(n)[s], _digest=[]))
+            result = stl.robust_check(here, maximize=maximize, nature=nature, keep_policy=False)
+            value = Fraction(exact[0, int(s), product.enter(int(s), automaton.initial)], denominator**horizon)
+            assert Fraction(result.lower) <= value <= Fraction(result.upper)
+            assert result.upper - result.lower < 1e-12
+            compared += 1
+    assert compared > 150
+
+
+@pytest.mark.parametrize("nature", ["against", "with"])
+def test_errors_that_add_up_over_many_steps_stay_inside(nature):
+    """Staying alive for 400 steps at 0.9983, …: every step repeats the error of reading that decimal."""
+    horizon, worst = 400, Fraction(0)
+    for thousandths in range(9981, 9999):
+        low, high = Fraction(thousandths, 10000), Fraction(thousandths + 1, 10000)
+        lower = [[float(low), float(1 - high)], [0, 1]]
+        upper = [[float(high), float(1 - low)], [0, 1]]
+        model = stl.MDP.from_intervals([lower], [upper], {}, labels={"a": [1, 0]})
+        result = stl.robust_check(stl.build_product(model, stl.parse(f"G[0,{horizon}] a")), nature=nature)
+        exact = (low if nature == "against" else high) ** horizon
+        assert Fraction(result.lower) <= exact <= Fraction(result.upper)
+        worst = max(worst, abs(Fraction(result.probability) / exact - 1) * 2**53)
+    assert worst > 20  # roundings: the initial sum's three would not cover them
+
+
+def test_the_enclosure_is_narrow_over_a_thousand_steps():
+    rng = np.random.default_rng(0)
+    inside = rng.dirichlet(np.ones(10), size=(2, 10))
+    model = stl.MDP.from_intervals(inside * 0.9, np.minimum(inside * 1.1, 1), {}, labels={"a": np.arange(10) < 9})
+    for nature in ("against", "with"):
+        result = stl.robust_check(stl.build_product(model, stl.parse("G[0,1000] F[0,3] a")), nature=nature)
+        assert 0 < result.upper - result.lower < 1e-9
+        assert result.lower <= result.probability <= result.upper
+
+
+def test_rows_that_miss_one_widen_the_enclosure():
+    """[0.1, 0.1] ten times, in doubles, sums to a little over 1: what is too much may belong to any entry."""
+    tenth = np.full((1, 10, 10), 0.1)
+    off = tenth * (1 + 1e-10)
+    labels = {"a": [1] * 5 + [0] * 5}
+    widths = []
+    for ends in (tenth, off):
+        product = stl.build_product(stl.MDP.from_intervals(ends, ends, {}, labels=labels), stl.parse("F[1,1] a"))
+        result = stl.robust_check(product)
+        assert result.lower <= 0.5 <= result.upper
+        widths.append(result.upper - result.lower)
+    assert widths[0] < 1e-13
+    assert 3.9e-10 < widths[1] < 4.1e-10
+
+
+def test_the_weights_of_a_mixture_may_miss_one():
+    """Nine choices of 1/9 each in doubles: a defect of the policy widens too."""
+    model = stl.MDP.from_intervals(np.ones((9, 1, 1)), np.ones((9, 1, 1)), {}, labels={"a": [1]})
+    product = stl.build_product(model, stl.parse("G[0,50] a"))
+    assume_defect = 1e-10
+    weights = np.full((*product.shape, 9), (1 + assume_defect) / 9)
+    result = stl.robust_check(product, stl.Policy(product, weights))
+    assert result.upper == 1
+    assert 1 - result.lower > 50 * assume_defect
+    even = stl.robust_check(product, stl.Policy(product, np.full((*product.shape, 9), 1 / 9)))
+    assert even.lower > 1 - 1e-12
+
+
+# ------------------------------------------------------------------------------------------- laws
+
+
+@given(models(max_states=4), st.sampled_from(QUESTIONS))
+@settings(max_examples=60)
+def test_points_as_intervals_are_the_ordinary_check(model, question):
+    maximize, nature = question
+    points = Intervals(model.probability.copy(), model.probability.copy())
+    same = replace(model, intervals=points, fractions=None, _digest=[])
+    phi = stl.parse("G[0,2] (F[0,2] a | b)")
+    robust = stl.robust_check(stl.build_product(same, phi), maximize=maximize, nature=nature)
+    plain = stl.check(stl.build_product(model, phi), maximize=maximize)
+    assert robust.probability == pytest.approx(plain.probability, abs=1e-14)
+    assert robust.lower <= plain.upper
+    assert plain.lower <= robust.upper
+
+
+@given(products(max_states=4, max_actions=3))
+@settings(max_examples=40)
+def test_intervals_enclose_the_nominal_model(product):
+    """max–min <= the nominal maximum <= max–max; and the same policy's values."""
+    nominal = replace(product, model=product.model.nominal())
+    for maximize in (True, False):
+        inside = stl.check(nominal, maximize=maximize)
+        policy = stl.Policy(product, inside.policy.table)
+        for given_policy in (None, policy):
+            ends = [
+                stl.robust_check(product, given_policy, maximize=maximize, nature=nature)
+                for nature in ("against", "with")
+            ]
+            low, high = ends if maximize else ends[::-1]
+            assert low.lower <= inside.upper
+            assert inside.lower <= high.upper
+
+
+@given(products(max_states=4), st.sampled_from(QUESTIONS))
+@settings(max_examples=60)
+def test_wider_intervals_give_nature_more(product, question):
+    maximize, nature = question
+    model = product.model
+    wide = Intervals(model.intervals.lower / 2, np.minimum(model.intervals.upper * 1.5, 1))
+    wider = replace(
+        product,
+        model=replace(model, intervals=wide, probability=wide.nominal(model.row_start), fractions=None, _digest=[]),
+    )
+    a, b = (stl.robust_check(p, maximize=maximize, nature=nature).probability for p in (product, wider))
+    assert b <= a + 1e-14 if minimizes(maximize, nature) else b >= a - 1e-14
+
+
+@given(products(max_states=4))
+@settings(max_examples=40)
+def test_maximum_and_minimum_are_dual(product):
+    """max–min of Φ = 1 − min–max of ¬Φ; max–max of Φ = 1 − min–min of ¬Φ."""
+    negated = stl.build_product(product.model, Not(product.formula))
+    for nature in ("against", "with"):
+        best, worst = stl.robust_check(product, nature=nature), stl.robust_check(negated, maximize=False, nature=nature)
+        assert best.probability == pytest.approx(1 - worst.probability, abs=1e-13)
+
+
+@given(products(max_states=4, max_actions=3), st.sampled_from(QUESTIONS))
+@settings(max_examples=40)
+def test_the_optimal_policy_attains_the_optimum(product, question):
+    options = dict(zip(("maximize", "nature"), question, strict=True))
+    best = stl.robust_check(product, **options)
+    assert stl.robust_check(product, best.policy, **options).probability == best.probability
+    unkept = stl.robust_check(product, keep_policy=False, **options)
+    assert (unkept.probability, unkept.policy) == (best.probability, None)
+
+
+@given(products(max_states=4, max_actions=3), st.integers(0, 2**32 - 1), st.sampled_from(QUESTIONS))
+@settings(max_examples=40)
+def test_numba_and_numpy_agree(product, seed, question):
+    options = dict(zip(("maximize", "nature"), question, strict=True))
+    rng = np.random.default_rng(seed)
+    policies = [None] + [random_policy(product, rng, timed, mixed) for timed in (0, 1) for mixed in (0, 1)]
+    for policy in policies:
+        fast, slow = (stl.robust_check(product, policy, backend=backend, **options) for backend in ("numba", "numpy"))
+        assert fast.probability == pytest.approx(slow.probability, abs=1e-15)
+
+
+def test_long_rows_are_sorted_too():
+    rng = np.random.default_rng(3)
+    inside = rng.dirichlet(np.ones(60), size=(2, 60))
+    model = stl.MDP.from_intervals(inside * 0.5, np.minimum(inside * 1.7, 1), {}, labels={"a": rng.random(60) < 0.1})
+    product = stl.build_product(model, stl.parse("F[0,4] (a & F[0,3] a)"))
+    for maximize, nature in QUESTIONS:
+        fast, slow = (
+            stl.robust_check(product, maximize=maximize, nature=nature, backend=backend).probability
+            for backend in ("numba", "numpy")
+        )
+        assert fast == pytest.approx(slow, abs=1e-14)
+
+
+def test_threads_change_nothing(floor5, monkeypatch):
+    product = stl.build_product(blurred(floor5), stl.parse("G[0,10) (F[0,8) A & F[0,8) B)"))
+    for nature in ("against", "with"):
+        alone = stl.robust_check(product, nature=nature)
+        with monkeypatch.context() as patch:
+            patch.setattr("stltool.checking.backward._WORTH_THREADS", 1)
+            together = stl.robust_check(product, nature=nature)
+        assert together.probability == alone.probability
+        assert np.array_equal(together.policy.table, alone.policy.table)
+
+
+def test_progress_counts_the_sweeps(floor5):
+    calls = []
+    product = stl.build_product(blurred(floor5), stl.parse("F[0,4] A"))
+    stl.robust_check(product, progress=lambda done, total: calls.append((done, total)))
+    assert calls == [(t + 1, 4) for t in range(4)]
+
+
+# ------------------------------------------------------------------------------------------- a convex programme
+
+
+def programme_value(product, maximize, minimal):
+    """Backward induction whose inner problem is one cvxpy programme a step: all rows and automaton states at once."""
+    import cvxpy as cp
+
+    model, automaton = product.model, product.automaton
+    n_q = automaton.n_states
+    p = cp.Variable((model.n_transitions, n_q))
+    successor = cp.Parameter((model.n_transitions, n_q))
+    in_row = np.repeat(np.eye(model.n_choices), np.diff(model.row_start), axis=1)
+    lower, upper = (np.repeat(ends[:, None], n_q, axis=1) for ends in (model.intervals.lower, model.intervals.upper))
+    worth = cp.sum(cp.multiply(p, successor))
+    problem = cp.Problem(
+        cp.Minimize(worth) if minimal else cp.Maximize(worth), [p >= lower, p <= upper, in_row @ p == 1]
+    )
+    values = np.tile(automaton.verdicts(product.horizon) == TRUE, (model.n_states, 1)).astype(float)
+    for t in range(product.horizon - 1, -1, -1):
+        gathered = np.array([[values[s, product.enter(s, q)] for q in range(n_q)] for s in range(model.n_states)])
+        successor.value = gathered[model.target]
+        problem.solve(solver=cp.CLARABEL)
+        per_choice = in_row @ (p.value * successor.value)
+        verdicts = automaton.verdicts(t)
+        for s in range(model.n_states):
+            options = per_choice[model.choice_start[s] : model.choice_start[s + 1]]
+            values[s] = options.max(axis=0) if maximize else options.min(axis=0)
+            values[s] = np.where(verdicts == UNDECIDED, values[s], verdicts == TRUE)
+    return sum(model.initial[s] * values[s, product.enter(s, automaton.initial)] for s in range(model.n_states))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_values_agree_with_a_convex_programme(seed):
+    rng = np.random.default_rng(seed)
+    inside = rng.dirichlet(np.ones(4), size=(2, 4))
+    lower, upper = np.maximum(inside - rng.random(inside.shape) / 3, 0), np.minimum(inside + rng.random() / 3, 1)
+    labels = {name: rng.random(4) < 0.5 for name in "ab"}
+    model = stl.MDP.from_intervals(lower, upper, {}, initial=np.full(4, 0.25), labels=labels)
+    product = stl.build_product(model, stl.parse("G[0,2] F[0,2] a & F[0,3] (b U[0,2] a)"))
+    for maximize, nature in QUESTIONS:
+        result = stl.robust_check(product, maximize=maximize, nature=nature)
+        assert result.probability == pytest.approx(
+            programme_value(product, maximize, minimizes(maximize, nature)), abs=1e-7
+        )
+
+
+# ------------------------------------------------------------------------------------------- policies, bad input
+
+
+def blurred(model, by=0.01):
+    """The model with every probability known up to `by`."""
+    ends = Intervals(np.maximum(model.probability - by, 0), np.minimum(model.probability + by, 1))
+    return replace(model, intervals=ends, probability=ends.nominal(model.row_start), fractions=None, _digest=[])
+
+
+def test_a_value_by_hand():
+    """Two tries at [0.6, 0.9]: nature takes 0.6 against us and 0.9 with us, at every step."""
+    model = stl.MDP.from_intervals(
+        [[[0.1, 0.6], [0, 1]]], [[[0.4, 0.9], [0, 1]]], {}, labels={"goal": [0, 1]}, action_names=["try"]
+    )
+    product = stl.build_product(model, stl.parse("F[0,2] goal"))
+    figures = [stl.robust_check(product, nature=nature).probability for nature in ("against", "with")]
+    assert figures == pytest.approx([1 - 0.4**2, 1 - 0.1**2])
+
+
+def test_nature_sees_the_choice_of_a_mixture():
+    """Each action reaches a with [0, 1]; nature spoils whichever was taken, or both help."""
+    rows = [[[0, 1, 0], [0, 1, 0], [0, 0, 1]], [[0, 0, 1], [0, 1, 0], [0, 0, 1]]]
+    free = [[0, 1, 1], [0, 1, 0], [0, 0, 1]]
+    lower = [[[0, 0, 0], *rows[0][1:]], [[0, 0, 0], *rows[1][1:]]]
+    model = stl.MDP.from_intervals(lower, [free, free], {}, labels={"a": [0, 1, 0]})
+    product = stl.build_product(model, stl.parse("F[1,1] a"))
+    coin = stl.Policy(product, np.full((*product.shape, 2), 0.5))
+    assert stl.robust_check(product, coin).probability == 0
+    assert stl.robust_check(product, coin, nature="with").probability == 1
+    assert stl.robust_check(product, coin, maximize=False, nature="against").probability == 1
+    assert stl.robust_check(product, coin, maximize=False, nature="with").probability == 0
+
+
+def test_policies_go_between_a_model_its_intervals_and_encodings(floor5, tmp_path):
+    phi = stl.parse("F[0,8) G[0,2) A")
+    product = stl.build_product(blurred(floor5), phi)
+    nominal = replace(product, model=product.model.nominal())
+    learned = stl.learn(nominal, "cfer", episodes=200, seed=0).policy
+    guaranteed, hoped = (stl.robust_check(product, learned, nature=nature) for nature in ("against", "with"))
+    usual = stl.check(nominal, learned).probability
+    assert guaranteed.probability < usual < hoped.probability
+    best = stl.robust_check(product)
+    best.policy.save(tmp_path / "robust.npz")
+    assert stl.check(nominal, stl.load_policy(tmp_path / "robust.npz", nominal)).probability >= best.lower
+    flagged = with_flags(product)
+    by_flags = stl.robust_check(flagged)
+    assert by_flags.probability == pytest.approx(best.probability, abs=1e-13)
+    judged = stl.robust_check(product, by_flags.policy)  # translated by a join with the flags
+    assert judged.probability == pytest.approx(best.probability, abs=1e-13)
+    with pytest.raises(PolicyError, match="is for the model"):
+        stl.robust_check(stl.build_product(blurred(floor5, by=0.02), phi), best.policy)
+
+
+def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
+    product = stl.build_product(blurred(floor5), stl.parse("F[0,3] A"))
+    policy = stl.robust_check(product).policy
+    rng = np.random.default_rng(0)
+    for ask in (
+        lambda: stl.check(product),
+        lambda: stl.check(product, policy),
+        lambda: stl.check(product, backend="numpy"),
+        lambda: stl.learn(product, episodes=1),
+        lambda: stl.learn(product, faithful=True, episodes=1),
+        lambda: stl.sample_run(product, policy, rng),
+        lambda: simulator(product.model, rng),
+        lambda: product.model.matrix(),
+        lambda: product.model.exact(),
+        lambda: stl.check(product, exact=True),
+        lambda: stl.write_certificate(stl.robust_check(product), tmp_path / "proof.jsonl"),
+    ):
+        with pytest.raises(SettingsError, match=r"are intervals; use stl.robust_check .* model.nominal\(\)"):
+            ask()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_public_function_on_products_knows_of_intervals():
+    """A function that is new here must answer for intervals or refuse them, with a line in the test above."""
+    refusing, fit = {"check", "learn", "sample_run"}, {"robust_check", "build_product"}
+    found = {name: getattr(stl, name) for name in stl.__all__ if inspect.isfunction(getattr(stl, name))}
+    asks = {name for name, ask in found.items() if {"product", "model"} & set(inspect.signature(ask).parameters)}
+    assert asks - {"load_policy", "certify"} == refusing | fit
+
+
+def test_bad_questions_are_refused(floor5):
+    product = stl.build_product(blurred(floor5), stl.parse("F[0,3] A"))
+    with pytest.raises(SettingsError, match="no intervals; use stl.check"):
+        stl.robust_check(stl.build_product(floor5, stl.parse("F[0,3] A")))
+    with pytest.raises(SettingsError, match="nature is 'kind'; choose against or with"):
+        stl.robust_check(product, nature="kind")
+    with pytest.raises(SettingsError, match="no backend 'cuda'"):
+        stl.robust_check(product, backend="cuda")
+    with pytest.raises(SizeError, match="keep_policy=False"):
+        stl.robust_check(product, memory_limit=100)
+    with pytest.raises(SizeError, match="days"):
+        stl.robust_check(stl.build_product(blurred(floor5), stl.parse("G[0,10^13) F[0,3] A")))
+    silent = np.full(product.shape, -1)
+    with pytest.raises(PolicyError, match="says nothing about step 0"):
+        stl.robust_check(product, stl.Policy(product, silent))
+    table = stl.robust_check(product).policy.table.copy()
+    table[2, int(product.model.initial.argmax())] = -1  # the first two moves may leave the robot where it is
+    with pytest.raises(PolicyError, match="says nothing about step 2"):
+        stl.robust_check(product, stl.Policy(product, table))

@@ -1,0 +1,116 @@
+"""`stltool check` on models with intervals."""
+
+import json
+
+import pytest
+
+import stltool as stl
+from tests.conftest import FACTORY
+from tests.test_cli import stltool  # noqa: F401 - the fixture
+
+UNCERTAIN = str(FACTORY / "uncertain.stl")
+SMALL = ["-p", "T=5", "-p", "tau=5"]
+
+
+@pytest.fixture
+def product():
+    task = stl.load_task(UNCERTAIN, params={"T": 5, "tau": 5})
+    return stl.build_product(stl.load_model(task.model), task)
+
+
+@pytest.mark.parametrize("minimize", [False, True])
+@pytest.mark.parametrize("nature", [None, "against", "with"])
+def test_check_asks_nature(stltool, product, nature, minimize):  # noqa: F811
+    options = [*(["--nature", nature] if nature else []), *(["--minimize"] if minimize else [])]
+    code, out, err = stltool("check", UNCERTAIN, *SMALL, *options, "--json")
+    data = json.loads(out)
+    expected = stl.robust_check(product, maximize=not minimize, nature=nature or "against")
+    assert (code, err, data["nature"]) == (0, "", nature or "against")
+    assert [data[key] for key in ("probability", "lower", "upper")] == [
+        expected.probability, expected.lower, expected.upper,
+    ]  # fmt: skip
+    _, out, _ = stltool("check", UNCERTAIN, *SMALL, *options)
+    assert f"nature  {nature or 'against'}: probabilities move within their intervals" in out
+    assert f"{'minimum' if minimize else 'maximum'} of all, nature {nature or 'against'}" in out
+
+
+def test_the_nominal_model_is_checked_when_asked(stltool, product):  # noqa: F811
+    code, out, _ = stltool("check", UNCERTAIN, *SMALL, "--nature", "nominal", "--json")
+    data = json.loads(out)
+    nominal = stl.build_product(product.model.nominal(), product.formula)
+    assert (code, data["nature"], data["probability"]) == (0, "nominal", stl.check(nominal).probability)
+    assert (
+        "nominal: one fixed probability inside every interval"
+        in stltool("check", UNCERTAIN, *SMALL, "--nature", "nominal")[1]
+    )
+
+
+def test_policies_are_saved_and_judged_by_every_nature(stltool, product, tmp_path):  # noqa: F811
+    values = {}
+    for made in ("against", "nominal"):
+        path = tmp_path / f"{made}.npz"
+        assert stltool("check", UNCERTAIN, *SMALL, "--nature", made, "--save-policy", path)[0] == 0
+        for nature in ("against", "with", "nominal"):
+            _, out, _ = stltool("check", UNCERTAIN, *SMALL, "--nature", nature, "--policy", path, "--json")
+            data = json.loads(out)
+            assert (data["question"], data["nature"]) == ("policy", nature)
+            values[made, nature] = data["probability"]
+            assert data["gap"] == pytest.approx(data["optimum"] - data["probability"], abs=1e-15)
+    assert values["against", "against"] == stl.robust_check(product).probability
+    assert values["nominal", "against"] <= values["against", "against"] < values["against", "nominal"]
+    assert values["against", "nominal"] <= values["nominal", "nominal"] < values["nominal", "with"]
+    # asked for the least probability, nature against a policy makes it large
+    _, out, _ = stltool("check", UNCERTAIN, *SMALL, "--minimize", "--policy", tmp_path / "against.npz", "--json")
+    assert json.loads(out)["probability"] == values["against", "with"]
+
+
+def test_at_least_holds_whatever_nature_does(stltool, product):  # noqa: F811
+    guaranteed, hoped = (stl.robust_check(product, nature=nature).probability for nature in ("against", "with"))
+    between = (guaranteed + hoped) / 2
+    for nature, code, says in (("against", 1, "does not hold"), ("with", 0, "holds")):
+        ended, out, _ = stltool("check", UNCERTAIN, *SMALL, "--nature", nature, "--at-least", between)
+        assert (ended, out.rstrip().endswith(says)) == (code, True)
+
+
+def test_bad_natures_and_wrong_commands_end_with_a_message(stltool, tmp_path):  # noqa: F811
+    for arguments, says in (
+        (["check", UNCERTAIN, "--nature", "kind"], "--nature kind: choose against, with, nominal"),
+        (["check", FACTORY / "patrolling.stl", "--nature", "with"], "no intervals; leave --nature out"),
+        (["learn", UNCERTAIN, "--out", tmp_path / "p.npz"], "probabilities are intervals; use stl.robust_check"),
+        (["run", UNCERTAIN, "--out", tmp_path / "run"], "probabilities are intervals; use stl.robust_check"),
+    ):
+        code, out, err = stltool(*arguments)
+        assert (code, out) == (2, "")
+        assert says in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_report_tells_the_nature(product, tmp_path):
+    results = [stl.robust_check(product, nature=nature) for nature in ("against", "with")]
+    mine = stl.robust_check(product, results[0].policy, nature="with")
+    stl.report([*results, mine], None, tmp_path / "robust.html")
+    page = (tmp_path / "robust.html").read_text()
+    assert "maximum over all policies, nature against" in page
+    assert "the policy&#39;s value, nature with" in page
+    data = json.loads((tmp_path / "robust.json").read_text())
+    assert [check["nature"] for check in data["checks"]] == ["against", "with", "with"]
+    assert data["checks"][0]["gap"] == data["checks"][1]["gap"] == 0
+    assert data["checks"][2]["gap"] == pytest.approx(results[1].probability - mine.probability)
+    assert data["run"] is None
+
+
+def test_exact_arithmetic_and_certificates_need_one_probability_each(stltool, tmp_path):  # noqa: F811
+    path = tmp_path / "proof.jsonl"
+    for option in (["--exact"], ["--certificate", path]):
+        code, out, err = stltool("check", UNCERTAIN, *SMALL, *option)
+        assert (code, out) == (2, "")
+        assert "need one probability each; add --nature nominal" in err
+    assert not path.exists()
+    assert stltool("check", UNCERTAIN, *SMALL, "--nature", "nominal", "--certificate", path)[0] == 0
+    assert stltool("certify", path)[0] == 0
+
+
+def test_a_bound_inside_the_enclosure_has_no_exact_way_out(stltool, product):  # noqa: F811
+    value = stl.robust_check(product).probability
+    code, out, _ = stltool("check", UNCERTAIN, *SMALL, "--at-least", repr(value))
+    assert (code, out.rstrip().endswith("not decided: the bound lies inside the enclosure")) == (1, True)
