@@ -12,6 +12,6 @@ from stltool.checking.tradeoff import Tradeoff, tradeoff
 
 __all__ = [
     "CheckResult", "Estimate", "Front", "LikelyRun", "LikelyRuns", "Run", "Sensitivity", "SequentialTest", "Tradeoff",
-    "check", "estimate", "estimate_from", "likely_runs", "pareto", "require_certificate_of", "robust_check", "sample_run",
-    "sensitivity", "sprt", "sprt_from", "tradeoff", "write_certificate",
+    "check", "estimate", "estimate_from", "likely_runs", "pareto", "require_certificate_of", "robust_check",
+    "sample_run", "sensitivity", "sprt", "sprt_from", "tradeoff", "write_certificate",
 ]  # fmt: skip

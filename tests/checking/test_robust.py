@@ -440,6 +440,7 @@ def test_policies_go_between_a_model_its_intervals_and_encodings(floor5, tmp_pat
 def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
     product = stl.build_product(blurred(floor5), stl.parse("F[0,3] A"))
     policy = stl.robust_check(product).policy
+    joint = stl.build_joint_product(blurred(floor5), {"one": stl.parse("F[0,3] A"), "two": stl.parse("F[0,3] B")})
     rng = np.random.default_rng(0)
     for ask in (
         lambda: stl.check(product),
@@ -453,6 +454,12 @@ def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
         lambda: product.model.exact(),
         lambda: stl.check(product, exact=True),
         lambda: stl.write_certificate(stl.robust_check(product), tmp_path / "proof.jsonl"),
+        lambda: stl.likely_runs(product, policy),
+        lambda: stl.sensitivity(product, policy),
+        lambda: stl.estimate(product, policy, runs=10),
+        lambda: stl.sprt(product, policy, 0.5),
+        lambda: stl.pareto(joint),
+        lambda: stl.tradeoff(joint, "one"),
     ):
         with pytest.raises(SettingsError, match=r"are intervals; use stl.robust_check .* model.nominal\(\)"):
             ask()
@@ -461,9 +468,11 @@ def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
 
 def test_every_public_function_on_products_knows_of_intervals():
     """A function that is new here must answer for intervals or refuse them, with a line in the test above."""
-    refusing, fit = {"check", "learn", "sample_run"}, {"robust_check", "build_product"}
+    refusing = {"check", "learn", "sample_run", "likely_runs", "sensitivity", "estimate", "sprt", "pareto", "tradeoff"}
+    fit = {"robust_check", "build_product", "build_joint_product"}
     found = {name: getattr(stl, name) for name in stl.__all__ if inspect.isfunction(getattr(stl, name))}
-    asks = {name for name, ask in found.items() if {"product", "model"} & set(inspect.signature(ask).parameters)}
+    models = {"product", "model", "joint"}
+    asks = {name for name, ask in found.items() if models & set(inspect.signature(ask).parameters)}
     assert asks - {"load_policy", "certify"} == refusing | fit
 
 
