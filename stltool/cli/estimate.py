@@ -18,7 +18,7 @@ from stltool.cli.options import (
     TaskFile,
     TaskName,
 )
-from stltool.cli.steps import make_product
+from stltool.cli.steps import make_product, read_probability
 from stltool.errors import SettingsError
 
 
@@ -38,7 +38,7 @@ def estimate(
         str | None, typer.Option("--side", help="both bounds (default), or only a lower or an upper one")
     ] = None,
     at_least: Annotated[
-        float | None, typer.Option("--at-least", metavar="P", help="sequential test; exit code 1 unless P holds")
+        str | None, typer.Option("--at-least", metavar="P", help="sequential test; exit code 1 unless P holds")
     ] = None,
     indifference: Annotated[
         float | None,
@@ -69,19 +69,20 @@ def estimate(
 
     fixed = _given(runs=runs, epsilon=epsilon, confidence=confidence, side=side)
     sequential = _given(indifference=indifference, alpha=alpha, beta=beta, most_runs=most_runs)
-    if at_least is None and sequential:
+    bound = float(read_probability(at_least, "--at-least")) if at_least is not None else None
+    if bound is None and sequential:
         raise SettingsError(f"{_option(sequential)} belongs to a sequential test; give --at-least P with it")
-    if at_least is not None and fixed:
+    if bound is not None and fixed:
         raise SettingsError(
             f"{_option(fixed)} belongs to an interval; a sequential test takes as many runs as it needs, bounded by "
             "--most-runs; leave out one of the two"
         )
     if policy is None and no_exact:
         raise SettingsError("--no-exact needs --policy FILE: the best policy comes from the exact check")
-    if at_least is None:
+    if bound is None:
         planned_runs(**fixed)
     else:
-        hypotheses(at_least, **sequential)
+        hypotheses(bound, **sequential)
     product = make_product(task, model, param, name, encoding, as_json, learning=False, rollouts=True)
     chosen = stl.load_policy(policy, product) if policy is not None else None
     truth = None
@@ -92,10 +93,10 @@ def estimate(
     assert chosen is not None
     with progress_bar("simulating", quiet=as_json) as bar:
         result: stl.Estimate | stl.SequentialTest
-        if at_least is None:
+        if bound is None:
             result = stl.estimate(product, chosen, seed=seed, progress=bar, **fixed)
         else:
-            result = stl.sprt(product, chosen, at_least, seed=seed, progress=bar, **sequential)
+            result = stl.sprt(product, chosen, bound, seed=seed, progress=bar, **sequential)
     data = estimate_data(result, product, chosen, seed, truth)
     if as_json:
         print(json.dumps(data))
@@ -111,7 +112,7 @@ def estimate(
             inside = {True: ", in the interval", False: ", outside the interval", None: ""}[data["exact_inside"]]
             facts["exact P"] = f"{truth.probability:.12g}{inside}"
         print_facts(facts)
-    if at_least is not None and not data["holds"]:
+    if bound is not None and not data["holds"]:
         raise typer.Exit(1)
 
 

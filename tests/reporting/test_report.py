@@ -140,3 +140,8 @@ def test_printed_bounds_enclose_the_bounds(one, other):
 
 def test_probabilities_near_one_are_told_apart():
     assert [probability_text(p) for p in (0.0, 0.5, 0.9999930210946937, 1.0)] == ["0", "0.5", "1 − 6.98e-06", "1"]
+
+
+def test_a_fraction_is_shown_whole(patrolling, tmp_path):
+    stl.report([stl.check(patrolling, exact=True)], None, tmp_path / "r.html")
+    assert "73794757279959/100000000000000" in (tmp_path / "r.html").read_text(encoding="utf-8")
