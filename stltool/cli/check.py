@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Params, TaskFile, TaskName
+from stltool.cli.options import AsJson, Encoding, Model, Params, PolicyFile, TaskFile, TaskName
 from stltool.cli.steps import NATURES, judge_by, make_product, read_probability
 from stltool.errors import SettingsError
 
@@ -24,9 +24,7 @@ _VERDICTS = {
 @app.command()
 def check(
     task: TaskFile,
-    policy: Annotated[
-        Path | None, typer.Option("--policy", help="policy file (.npz) or Q-table (.csv); default: the best of all")
-    ] = None,
+    policy: PolicyFile = None,
     minimize: Annotated[bool, typer.Option("--minimize", help="the least instead of the greatest probability")] = False,
     exact: Annotated[bool, typer.Option("--exact", help="the probability as a fraction, without any rounding")] = False,
     at_least: Annotated[

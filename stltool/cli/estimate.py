@@ -3,21 +3,12 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import (
-    AsJson,
-    Encoding,
-    Model,
-    Params,
-    Seed,
-    TaskFile,
-    TaskName,
-)
+from stltool.cli.options import AsJson, Encoding, Model, Params, PolicyFile, Seed, TaskFile, TaskName
 from stltool.cli.steps import make_product, read_probability
 from stltool.errors import SettingsError
 
@@ -25,9 +16,7 @@ from stltool.errors import SettingsError
 @app.command()
 def estimate(
     task: TaskFile,
-    policy: Annotated[
-        Path | None, typer.Option("--policy", help="policy file (.npz) or Q-table (.csv); default: the best of all")
-    ] = None,
+    policy: PolicyFile = None,
     runs: Annotated[int | None, typer.Option("--runs", "-n", help="runs to sample; default: 10000")] = None,
     epsilon: Annotated[
         float | None,

@@ -9,14 +9,7 @@ from typing import Any
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import (
-    AsJson,
-    Encoding,
-    Model,
-    Params,
-    TaskFile,
-    TaskName,
-)
+from stltool.cli.options import AsJson, Encoding, Model, Params, TaskFile, TaskName
 from stltool.cli.steps import bind, compile_task, read_params, task_model
 from stltool.errors import FragmentError, SizeError
 

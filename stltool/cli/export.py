@@ -8,13 +8,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import (
-    Encoding,
-    Model,
-    Params,
-    TaskFile,
-    TaskName,
-)
+from stltool.cli.options import Encoding, Model, Params, TaskFile, TaskName
 from stltool.cli.steps import bind, compile_task, read_params, task_model
 from stltool.errors import SettingsError
 

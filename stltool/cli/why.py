@@ -3,20 +3,12 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import (
-    AsJson,
-    Encoding,
-    Model,
-    Params,
-    TaskFile,
-    TaskName,
-)
+from stltool.cli.options import AsJson, Encoding, Model, Params, PolicyFile, TaskFile, TaskName
 from stltool.cli.steps import make_product
 from stltool.errors import SettingsError
 
@@ -24,9 +16,7 @@ from stltool.errors import SettingsError
 @app.command()
 def why(
     task: TaskFile,
-    policy: Annotated[
-        Path | None, typer.Option("--policy", help="policy file (.npz) or Q-table (.csv); default: the best of all")
-    ] = None,
+    policy: PolicyFile = None,
     minimize: Annotated[bool, typer.Option("--minimize", help="the worst of all policies instead of the best")] = False,
     satisfying: Annotated[
         bool, typer.Option("--satisfying", help="runs that satisfy the task, not violate it")

@@ -12,6 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from stltool.kernels.sweep import optimum as sums
+
 I16: TypeAlias = NDArray[np.int16]
 I32: TypeAlias = NDArray[np.int32]
 I64: TypeAlias = NDArray[np.int64]
@@ -22,34 +24,11 @@ def optimum(
     choice_start: I64, row_start: I64, target: I32, numerator: I64, denominator: int, W: I64,
     maximize: bool, lo: int, hi: int, out: I64, best: I16,
 ) -> None:  # fmt: skip
-    n_q = W.shape[1]
-    total = np.empty(n_q, dtype=np.int64)
+    sums(choice_start, row_start, target, numerator, W, maximize, lo, hi, out, best)
     inverse = 1.0 / denominator
     for s in range(lo, hi):
-        first = choice_start[s]
-        for c in range(first, choice_start[s + 1]):
-            total[:] = 0
-            for k in range(row_start[c], row_start[c + 1]):
-                n = numerator[k]
-                row = W[target[k]]
-                for q in range(n_q):
-                    total[q] += n * row[q]
-            if c == first:
-                for q in range(n_q):
-                    out[s, q] = total[q]
-                    best[s, q] = 0
-            elif maximize:
-                for q in range(n_q):
-                    if total[q] > out[s, q]:
-                        out[s, q] = total[q]
-                        best[s, q] = c - first
-            else:
-                for q in range(n_q):
-                    if total[q] < out[s, q]:
-                        out[s, q] = total[q]
-                        best[s, q] = c - first
         # ⌈x / D⌉ without an integer division, which does not vectorise: a quotient in doubles, the remainder's, exactly
-        for q in range(n_q):
+        for q in range(out.shape[1]):
             x = out[s, q]
             y = np.int64(x * inverse)
             y += np.int64(np.ceil((x - y * denominator) * inverse))

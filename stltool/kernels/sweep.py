@@ -9,7 +9,7 @@ Loops release the GIL, so threads can share the states out. Inner loops run alon
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numba import njit
@@ -19,6 +19,7 @@ F64: TypeAlias = NDArray[np.float64]
 I16: TypeAlias = NDArray[np.int16]
 I32: TypeAlias = NDArray[np.int32]
 I64: TypeAlias = NDArray[np.int64]
+Numbers: TypeAlias = NDArray[Any]
 
 
 @njit(cache=True, nogil=True)
@@ -32,15 +33,16 @@ def gather(values: F64, letter: I32, delta: I32, lo: int, hi: int, out: F64) -> 
 
 @njit(cache=True, nogil=True)
 def optimum(
-    choice_start: I64, row_start: I64, target: I32, probability: F64, W: F64,
-    maximize: bool, lo: int, hi: int, out: F64, best: I16,
+    choice_start: I64, row_start: I64, target: I32, probability: Numbers, W: Numbers,
+    maximize: bool, lo: int, hi: int, out: Numbers, best: I16,
 ) -> None:  # fmt: skip
+    """In doubles; in integers where `probability`, W and out are int64 (kernels/fixed.py)."""
     n_q = W.shape[1]
-    total = np.empty(n_q)
+    total = np.empty(n_q, dtype=W.dtype)
     for s in range(lo, hi):
         first = choice_start[s]
         for c in range(first, choice_start[s + 1]):
-            total[:] = 0.0
+            total[:] = 0
             for k in range(row_start[c], row_start[c + 1]):
                 p = probability[k]
                 row = W[target[k]]
