@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.automata import TRUE, UNDECIDED
+from stltool.checking.backward import sweeper
 from stltool.errors import PolicyError, SettingsError, SizeError
 from stltool.logic.formula import Not
 from stltool.models import Intervals
@@ -452,6 +453,7 @@ def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
         lambda: simulator(product.model, rng),
         lambda: product.model.matrix(),
         lambda: product.model.exact(),
+        lambda: sweeper(product, "numba"),
         lambda: stl.check(product, exact=True),
         lambda: stl.write_certificate(stl.robust_check(product), tmp_path / "proof.jsonl"),
         lambda: stl.likely_runs(product, policy),

@@ -76,6 +76,14 @@ def test_the_nominal_model_takes_one_share_of_every_width():
     assert forced.nominal().n_transitions == 4  # what must be 0 is left out
 
 
+def test_the_nominal_model_is_given_in_doubles(floor5):
+    """Whatever fractions stood beside the ends: they are not the nominal ones."""
+    ends = Intervals(np.maximum(floor5.probability - 0.1, 0), np.minimum(floor5.probability + 0.2, 1))
+    model = replace(floor5, intervals=ends, probability=ends.nominal(floor5.row_start), _digest=[])
+    assert floor5.fractions is not None
+    assert model.nominal().fractions is None
+
+
 def test_the_digest_covers_the_ends():
     model = build()
     digests = {model.digest(), build(upper=[STAY, np.minimum(np.array(UPPER) + 0.05, 1)]).digest()}
@@ -127,6 +135,8 @@ def test_shapes_must_agree():
     model = build()
     with pytest.raises(ModelError, match=r"the lower ends have shape \(2,\); one for each of 6 entries"):
         replace(model, intervals=Intervals(np.zeros(2), np.ones(2)), fractions=None, _digest=[])
+    with pytest.raises(ModelError, match=r"\[0, 0\] to state 0 is no interval .* leave out what cannot happen"):
+        replace(model, intervals=Intervals(np.zeros(6), np.array([0.0, 1, 1, 1, 1, 1])), _digest=[])
     lower = np.where(model.intervals.lower == 0.1, 0.3, model.intervals.lower)
     with pytest.raises(ModelError, match=r"the probability 0.25 to state 0 is outside \[0.3, 0.4\]"):
         replace(model, intervals=Intervals(lower, model.intervals.upper), fractions=None, _digest=[])
@@ -228,12 +238,14 @@ def test_a_file_with_intervals(tmp_path):
 
 def test_transition_files_with_intervals(tmp_path):
     path = tmp_path / "m.tra"
-    path.write_text("2 3 5\n0 0 0 [0.1,2/5] try\n0 0 1 [0.6,0.9] try\n0 1 0 1 stay\n1 0 1 0.5\n1 0 0 [1/2,1/2]\n")
+    path.write_text(
+        "2 3 6\n0 0 0 [0.1,2/5] try\n0 0 1 [0.6,0.9] try\n0 1 0 1 stay\n0 1 1 [0,0] stay\n1 0 1 0.5\n1 0 0 [0,1/2]\n"
+    )
     model = stl.load_model(path)
     assert rows(model) == {
         ("0", "try"): {"0": (0.1, 0.4), "1": (0.6, 0.9)},
         ("0", "stay"): {"0": (1, 1)},
-        ("1", "0"): {"0": (0.5, 0.5), "1": (0.5, 0.5)},
+        ("1", "0"): {"0": (0, 0.5), "1": (0.5, 0.5)},
     }
     assert model.fractions is None
     assert model.nominal().matrix().toarray()[0].tolist() == pytest.approx([0.25, 0.75])
