@@ -439,6 +439,9 @@ def _validate_rows(m: MDP) -> None:
     def choice_of(entry: int) -> int:
         return int(np.searchsorted(m.row_start, entry, side="right")) - 1
 
+    empty = np.flatnonzero(np.diff(m.row_start) == 0)
+    if empty.size:
+        raise ModelError(f"{m.place(int(empty[0]))}: the probabilities sum to 0, not 1")
     if m.intervals is not None:
         m.intervals.validate(m.row_start, m.probability, m.place, lambda k: m.state_name(m.target[k]))
     low = m.probability < 0 if m.intervals is not None else m.probability <= 0  # intervals may force a 0

@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -116,3 +118,10 @@ def test_the_simulator_follows_the_distribution():
         if environment.reset() == 0:
             moves.append(environment.step(1))
     assert abs(np.mean(moves) - 0.9) < 0.03
+
+
+def test_a_choice_without_successors_is_named(floor5):
+    row_start = floor5.row_start.copy()
+    row_start[1] = 0  # the first choice's entries go to the second
+    with pytest.raises(ModelError, match=r"state \(0,4\), action stay: the probabilities sum to 0, not 1"):
+        dataclasses.replace(floor5, row_start=row_start, fractions=None)
