@@ -59,6 +59,7 @@ def test_check_table_and_minimum(stltool):
         (["--at-least", "0.7", "--at-most", "0.8"], 0, "P <= 0.8  holds"),
         (["--at-least", "0.7", "--at-most", "0.73"], 1, "P <= 0.73  does not hold"),
         (["--at-least", "0.73794757279959"], 1, "not decided: the bound lies inside the enclosure; add --exact"),
+        (["--at-most", "0.73794757279959"], 1, "not decided: the bound lies inside the enclosure; add --exact"),
         (["--at-least", "0.73794757279959", "--exact"], 0, "P >= 0.73794757279959  holds"),
         (["--at-most", "0.73794757279959", "--exact"], 0, "P <= 0.73794757279959  holds"),
         (["--at-least", "0.7379475727995900000001", "--exact"], 1, "does not hold"),

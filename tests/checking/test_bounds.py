@@ -2,9 +2,13 @@
 
 from fractions import Fraction
 
+import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import stltool as stl
+from stltool.checking import bounds
 from stltool.checking.bounds import can_underflow, enclose, roundings
 
 
@@ -55,3 +59,15 @@ def test_an_underflow_to_zero_is_seen():
     assert can_underflow(2, 1e-200)
     assert not can_underflow(2, 1e-100)
     assert enclose(1e-200 * 1e-200, roundings(2, 1), underflow=can_underflow(2, 1e-200))[1] > 0
+
+
+@given(st.lists(st.floats(0.01, 1.0), min_size=2, max_size=9), st.floats(-9e-10, 9e-10))
+def test_defects_of_large_models_are_bounded_from_above(weights, excess):
+    """Where exact sums would take long, sums of doubles with their roundings do."""
+    row = np.array(weights) / sum(weights) * (1 + excess)
+    model = stl.MDP.from_arrays([np.tile(row, (len(row), 1))], {})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bounds, "_EXACT_SUMS", 0)
+        estimated = bounds.model_defects(model)[0]
+    exact = abs(sum(map(Fraction, row.tolist())) - 1)
+    assert exact <= estimated <= exact + Fraction(1, 10**14)

@@ -141,6 +141,53 @@ def test_no_changed_entry_becomes_a_lie(tmp_path):
     assert accepted > 30  # where bounds have slack, or unreached states are concerned
 
 
+def test_a_lie_as_small_as_can_be(tmp_path):
+    """Where all is certain, one unit is all: D = 1 and one = 1."""
+    model = stl.MDP.from_arrays([[[0, 1], [0, 1]]], {"x": [0, 1]})
+    result = stl.check(stl.build_product(model, stl.parse("F[0,2] x > 2")), exact=True)
+    sure = stl.check(stl.build_product(model, stl.parse("F[0,2] x > 0")), exact=True)
+    path = tmp_path / "c.jsonl"
+    for honest, key, lie in ((result, "lower", 1), (sure, "upper", 0)):
+        stl.write_certificate(honest, path)
+        *parts, _ = read(path)
+        assert parts[-2]["one"] == 1
+        parts[-2][key] = [lie] * len(parts[-2][key])
+        parts[-1][key] = str(lie)
+        with pytest.raises(recheck.Refused, match="bound is (above|below) what a step gives"):
+            stl.certify(write(path, parts))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda parts: parts[1]["choices"][0].__setitem__(0, [0, -10, 1, 310]), "no probability"),
+        (lambda parts: parts[1]["choices"][0].__setitem__(0, [-1, parts[1]["denominator"]]), "no probability"),
+        (lambda parts: parts[1]["choices"].__setitem__(0, []), "no choice"),
+        (lambda parts: parts[1].__setitem__("denominator", -300), "no probability"),
+        (lambda parts: parts[1]["initial"].__setitem__(0, [-1, 1]), "no distribution"),
+        (lambda parts: parts[1].__setitem__("initial", [[0, -1], [1, 2]]), "no distribution"),
+        (lambda parts: parts[2]["letter"].__setitem__(0, -1), "none of the automaton's"),
+        (lambda parts: parts[2]["letter"].pop(), "no letter"),
+        (lambda parts: parts[2]["delta"][0].__setitem__(0, -1), "table is not whole"),
+        (lambda parts: parts[2].__setitem__("start", -1), "start is not whole"),
+        (lambda parts: parts[2]["verdicts"][0][1].__setitem__(0, 2), "verdicts are not whole"),
+        (lambda parts: parts[0].__setitem__("claim", "median"), "unknown claim 'median'"),
+        (lambda parts: parts[0].__setitem__("horizon", 9), "layer 8 is missing"),
+        (lambda parts: parts[3].__setitem__("one", 0), "layer 7 is missing"),
+        (lambda parts: parts[3]["choice"].__setitem__(0, 9), "no such choice"),
+        (lambda parts: parts[3]["choice"].__setitem__(0, [2, -1, *[0] * 7]), "no such choice"),
+        (lambda parts: parts[4]["at"].__setitem__(1, parts[4]["at"][0]), "listed twice"),
+    ],
+)  # fmt: skip
+def test_what_is_no_model_or_automaton_is_refused(tmp_path, patrolling, change, says):
+    path = tmp_path / "c.jsonl"
+    stl.write_certificate(stl.check(patrolling), path)
+    *parts, _ = read(path)
+    change(parts)
+    with pytest.raises(recheck.Refused, match=says):
+        stl.certify(write(path, parts))
+
+
 @pytest.mark.parametrize("key", ["lower", "upper"])
 def test_a_conclusion_beyond_the_layers_is_refused(tmp_path, key):
     path = tmp_path / "c.jsonl"
