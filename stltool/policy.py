@@ -193,8 +193,8 @@ class Policy:
 def require_policy_file(path: str | Path) -> None:
     """An error, before the work, where a policy could not be saved after it."""
     path = Path(path)
-    if path.suffix.lower() == ".csv":
-        raise PolicyError(f"{path}: a policy is saved as .npz; .csv is for Q-tables of others")
+    if path.suffix.lower() != ".npz":  # so that no other file is lost
+        raise PolicyError(f"{path}: a policy is saved as .npz; name it so")
     require_replaceable(path)
     require_folder(path.parent)
 

@@ -16,6 +16,8 @@ from __future__ import annotations
 import gzip
 import hashlib
 import json
+import os
+import re
 import sys
 import zlib
 from collections.abc import Callable, Iterator
@@ -23,8 +25,8 @@ from fractions import Fraction
 from typing import Any, NoReturn
 
 FORMAT = "stltool-certificate-1"
-_DAMAGE = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, EOFError,
-           zlib.error, gzip.BadGzipFile)  # fmt: skip
+DAMAGE = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, EOFError, MemoryError,
+          zlib.error, gzip.BadGzipFile)  # fmt: skip
 
 
 class Refused(Exception):
@@ -45,21 +47,27 @@ def certify(path: str, progress: Callable[[int, int], None] | None = None) -> di
 
     `progress` is called with (layers done, layers in all).
     """
+    longest = sys.get_int_max_str_digits()
+    sys.set_int_max_str_digits(0)  # exact numbers are as long as they are
     try:
         return _certify(lines(path), progress or (lambda done, total: None))
-    except _DAMAGE as error:
+    except DAMAGE as error:
         raise NotACertificate(f"not a certificate ({FORMAT}), or a damaged one: {error!r}") from None
+    finally:
+        sys.set_int_max_str_digits(longest)
 
 
 def lines(path: str) -> Iterator[dict[str, Any]]:
     """The objects of the file in order, whole numbers only; the seal (a digest of all lines before it) at the end."""
     with open(path, "rb") as plain:
         packed = plain.read(2) == b"\x1f\x8b"
+    if os.path.getsize(path) == 0:
+        raise NotACertificate("the file is empty")
     digest, seal = hashlib.sha256(), None
     with gzip.open(path, "rb") if packed else open(path, "rb") as file:
         for line in file:
             require(seal is None, "there is text after the seal")
-            item = json.loads(line, parse_float=_not_whole, parse_constant=_not_whole)
+            item = json.loads(line, parse_float=_not_whole, parse_constant=_not_whole, object_pairs_hook=_once)
             seal = item.get("sha256")
             if seal is None:
                 digest.update(line)
@@ -72,13 +80,19 @@ def _not_whole(text: str) -> NoReturn:
     raise Refused(f"{text} is no whole number")
 
 
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    require(len(dict(pairs)) == len(pairs), "an object has one key twice")
+    return dict(pairs)
+
+
 def _certify(items: Iterator[dict[str, Any]], progress: Callable[[int, int], None]) -> dict[str, Any]:
     header = next(items, {})
     if header.get("format") != FORMAT:
         raise NotACertificate(f"not a certificate ({FORMAT})")
     model, automaton = next(items, {}), next(items, {})
-    claim, D, Q = header["claim"], model["denominator"], automaton["memory"]
-    letter, delta, verdict_rows = automaton["letter"], automaton["delta"], dict(automaton["verdicts"])
+    claim, horizon, D, Q = header["claim"], header["horizon"], model["denominator"], automaton["memory"]
+    letter, delta, start = automaton["letter"], automaton["delta"], automaton["start"]
+    verdict_rows, starts = dict(automaton["verdicts"]), [t for t, _ in automaton["verdicts"]]
 
     # a choice is its successors [(s', n)] and what its row lacks of 1 (below 0: exceeds), which may go anywhere
     def choice(row: list[int]) -> tuple[list[tuple[int, int]], int]:
@@ -86,15 +100,19 @@ def _certify(items: Iterator[dict[str, Any]], progress: Callable[[int, int], Non
 
     choices = [[choice(row) for row in options] for options in model["choices"]]
     entries = [entry for options in choices for successors, _ in options for entry in successors]
+    told = [*(header[key] for key in ("task", "formula", "encoding", "model")), header["policy"] or ""]
+    require(all(isinstance(text, str) and text.isprintable() for text in told), "the header's texts are not printable")
+    require(type(horizon) is int and horizon >= 0, f"the horizon {horizon!r} is no number of steps")
     require(claim in ("maximum", "minimum", "policy"), f"unknown claim {claim!r}")
     require(D > 0 and all(n >= 0 and 0 <= s < len(choices) for s, n in entries), "a transition is no probability")
     require(all(choices) and len(letter) == len(choices), "a state has no choice, or no letter")
     require(all(0 <= i < len(delta) for i in letter), "a letter is none of the automaton's")
     require(all(len(row) == Q and all(0 <= q < Q for q in row) for row in delta), "the automaton's table is not whole")
+    require(starts == sorted(set(starts)) and starts[0] == 0, "the verdicts' steps do not ascend from 0")
     require(all(len(row) == Q and {*row} <= {-1, 0, 1} for row in verdict_rows.values()), "the verdicts are not whole")
 
     def verdicts(t: int) -> list[int]:
-        row: list[int] = verdict_rows[max(start for start in verdict_rows if start <= t)]
+        row: list[int] = verdict_rows[max(first for first in starts if first <= t)]
         return row
 
     def expected(successors: list[tuple[int, int]], q: int) -> tuple[int, int]:
@@ -107,7 +125,7 @@ def _certify(items: Iterator[dict[str, Any]], progress: Callable[[int, int], Non
             high, low = high + n * u, low + n * v
         return high, low
 
-    t, one, after, pairs = header["horizon"], 1, verdicts(header["horizon"]), 0
+    t, one, after, pairs = horizon, 1, verdicts(horizon), 0
     bounds: dict[int, tuple[int, int]] = {}  # s·Q + q → (U, L) in units of 1/one, at step t
     while t > 0:
         layer = next(items, {})
@@ -118,6 +136,7 @@ def _certify(items: Iterator[dict[str, Any]], progress: Callable[[int, int], Non
             (s, q), where = divmod(at, Q), f"step {t - 1}, state {at // Q}, memory {at % Q}"
             options = choices[s]
             weights = listed if isinstance(listed, list) else [int(c == listed) for c in range(len(options))]
+            require(isinstance(low, int) and isinstance(high, int), f"{where}: a bound is no number")
             require(at >= 0 and now[q] < 0 and at not in found, f"{where}: decided, or listed twice")
             require(len(weights) == len(options) and min(weights) >= 0 < sum(weights), f"{where}: no such choice")
             # what a row lacks may go where it is worth most, what it exceeds be taken there
@@ -132,28 +151,32 @@ def _certify(items: Iterator[dict[str, Any]], progress: Callable[[int, int], Non
             require(low * D * one * total <= least * unit, f"{where}: the lower bound is above what a step gives")
             found[at] = high, low
         t, one, after, bounds, pairs = t - 1, unit, now, found, pairs + len(found)
-        progress(header["horizon"] - t, header["horizon"])
-    conclusion = next(items, {})
+        progress(horizon - t, horizon)
+    claimed, initial, total = next(items, {}), model["initial"], model["initial_denominator"]
     require(next(items, None) is None, "there are lines after the conclusion")
-    start, total = model["initial"], model["initial_denominator"]
-    lack = total - sum(n for _, n in start)
-    require(total > 0 and 0 <= automaton["start"] < Q, "the start is not whole")
-    require(all(n >= 0 and 0 <= s < len(choices) for s, n in start), "the start is no distribution")
-    high, low = expected(start, automaton["start"])
-    proved = Fraction(low + min(0, lack) * one, one * total), Fraction(high + max(0, lack) * one, one * total)
-    require(
-        Fraction(conclusion["lower"]) <= proved[0], f"the claimed lower bound is above {proved[0]}, which is proved"
-    )
-    require(
-        Fraction(conclusion["upper"]) >= proved[1], f"the claimed upper bound is below {proved[1]}, which is proved"
-    )
-    defects = [Fraction(abs(lack), D) for row in choices for _, lack in row]
-    defect = max(Fraction(abs(lack), total), *defects)
-    return header | conclusion | {"layers": header["horizon"], "pairs": pairs, "defect": str(defect)}
+    lack = total - sum(n for _, n in initial)
+    require(total > 0 and 0 <= start < Q, "the start is not whole")
+    require(all(n >= 0 and 0 <= s < len(choices) for s, n in initial), "the start is no distribution")
+    high, low = expected(initial, start)
+    proved = {"lower": Fraction(low + min(0, lack) * one, one * total),
+              "upper": Fraction(high + max(0, lack) * one, one * total)}  # fmt: skip
+    require({*claimed} == {*proved}, "the conclusion is no lower and upper bound")
+    for key, bound in claimed.items():
+        require(isinstance(bound, str) and bool(re.fullmatch(r"-?\d+(/\d+)?", bound)), f"{bound!r} is no fraction")
+        proves = proved[key] >= Fraction(bound) if key == "lower" else proved[key] <= Fraction(bound)
+        require(proves, f"the claimed {key} bound is not what is proved")
+    defect = max(Fraction(abs(lack), total), *(Fraction(abs(n), D) for options in choices for _, n in options))
+    return header | claimed | {"layers": horizon, "pairs": pairs, "defect": str(defect)}
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2 or sys.argv[1].startswith("-"):
+        print("usage: python recheck.py FILE    (exit code 0: proved, 1: refused, 2: no certificate)", file=sys.stderr)
+        sys.exit(2)
     try:
-        print(json.dumps(certify(sys.argv[1])))
+        told = certify(sys.argv[1])
+        print(f"proved for the model and automaton in the file: {told['lower']} <= P <= {told['upper']}")
+        print(json.dumps(told))
     except (Refused, OSError) as refusal:
-        sys.exit(f"refused: {refusal}")
+        print(f"refused: {refusal}", file=sys.stderr)
+        sys.exit(2 if isinstance(refusal, NotACertificate | OSError) else 1)

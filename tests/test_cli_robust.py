@@ -104,10 +104,12 @@ def test_exact_arithmetic_and_certificates_need_one_probability_each(stltool, tm
     for option in (["--exact"], ["--certificate", path]):
         code, out, err = stltool("check", UNCERTAIN, *SMALL, *option)
         assert (code, out) == (2, "")
-        assert "need one probability each; add --nature nominal" in err
+        assert "need probabilities that are no intervals; add --nature nominal" in err
     assert not path.exists()
     assert stltool("check", UNCERTAIN, *SMALL, "--nature", "nominal", "--certificate", path)[0] == 0
-    assert stltool("certify", path)[0] == 0
+    assert stltool("certify", path, UNCERTAIN, *SMALL)[0] == 0
+    code, out, _ = stltool("check", UNCERTAIN, *SMALL, "--nature", "nominal", "--exact")
+    assert (code, "exact P  " in out) == (0, True)
 
 
 def test_a_bound_inside_the_enclosure_has_no_exact_way_out(stltool, product):  # noqa: F811

@@ -379,6 +379,12 @@ def _name(table: Residuals, state: _State, owed: Residual, method: Method, negat
     A name speaks of starts, never of the verdict: which starts count is the verdict's clock to say.
     """
     kind, waits, pending = state
+    if method == "oldest" and table.horizon(owed) == 0 and kind not in ("waits", "begins"):
+        # F[a,b] ψ or G[a,b] ψ with ψ of one state: what counts is whether ψ has occurred, or failed, in the window
+        psi = table.formula(table.negation(owed) if negated else owed)
+        if negated:
+            return f"{psi} seen" if kind == "bad" else f"{psi} not seen yet"
+        return f"{psi} has failed" if kind == "bad" else f"{psi} so far"
     if kind == "waits":
         return f"{_steps(waits)} before the window"
     if kind == "begins":

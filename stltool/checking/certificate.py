@@ -16,6 +16,7 @@ import itertools
 import json
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import IO, Any
@@ -29,9 +30,9 @@ from stltool.checking.check import CheckResult
 from stltool.checking.rational import follower, weights
 from stltool.checking.reach import first_steps, policy_layers
 from stltool.errors import CertificateError, SettingsError
-from stltool.files import atomic_file
+from stltool.files import atomic_file, require_folder, require_replaceable
 from stltool.models import MDP
-from stltool.models.fractions import Integers
+from stltool.models.fractions import Integers, long_numbers
 from stltool.policy import Policy
 from stltool.product import Product
 from stltool.recheck import FORMAT, lines
@@ -44,14 +45,16 @@ _FINE, _FINEST = 2**48, 2**60  # units in 1: enough for int64, and for Python's 
 
 def write_certificate(
     result: CheckResult, path: str | Path, memory_limit: int | None = None, progress: Progress | None = None
-) -> None:
-    """Write what proves a result's bounds: JSON lines, packed where the name ends in .gz.
+) -> tuple[Fraction, Fraction]:
+    """Write what proves bounds of a result: JSON lines, packed where the name ends in .gz. Returns the bounds.
+
+    They come from a fixed point of their own, so they may differ from the result's in the last digits.
 
     The result must have kept its policy. An exact result gets a certificate without any rounding.
     """
     if result.policy is None:
         raise SettingsError("a certificate lists the policy; check with keep_policy=True")
-    path = Path(path)
+    path = require_certificate_file(path)
     product, policy = result.product, result.policy
     if result.question == "policy":
         product, policy = policy.on(product)
@@ -66,7 +69,8 @@ def write_certificate(
         memory_limit,
     )
     parts = _parts(product, policy, result)
-    with atomic_file(path) as file, _packed(file, path) as out:
+    part: dict[str, Any] = {}
+    with long_numbers(), atomic_file(path) as file, _packed(file, path) as out:
         seal = hashlib.sha256()
         for part in parts:
             line = (json.dumps(part, separators=(",", ":"), ensure_ascii=False) + "\n").encode()
@@ -75,13 +79,27 @@ def write_certificate(
             if progress is not None and "t" in part:
                 progress(product.horizon - part["t"], product.horizon)
         out.write((json.dumps({"sha256": seal.hexdigest()}) + "\n").encode())
+        return Fraction(part["lower"]), Fraction(part["upper"])
+
+
+def require_certificate_file(path: str | Path) -> Path:
+    """The path where a certificate may be written; SettingsError for other endings, so that no other file is lost."""
+    path = Path(path)
+    if not path.name.lower().endswith((".jsonl", ".jsonl.gz")):
+        raise SettingsError(f"{path}: a certificate is written as .jsonl, or packed as .jsonl.gz; name it so")
+    require_replaceable(path)
+    require_folder(path.resolve().parent)
+    return path
 
 
 def require_certificate_of(path: str | Path, product: Product, policy: Policy | None = None) -> None:
     """CertificateError, with what differs, unless a certificate speaks of this product's task, model and automaton.
 
-    With `policy`, its claim must also be about that policy, choice by choice.
+    With `policy`, its claim must also be about that policy, choice by choice. The bounds are not checked again here:
+    call `stltool.certify` first.
     """
+    if product.model.intervals is not None:
+        product = replace(product, model=product.model.nominal())  # certificates are of one distribution
     items = lines(str(path))
     header, *found = itertools.islice(items, 3)
     if policy is not None:
@@ -94,6 +112,10 @@ def require_certificate_of(path: str | Path, product: Product, policy: Policy | 
     for part, mine, what in zip(found, (_model_part(product.model), _automaton_part(product)), _PARTS, strict=True):
         for key, value in mine.items():
             if part.get(key) != value:
+                if policy is None and header.get("claim") == "policy" and what == "automaton":
+                    raise CertificateError(
+                        f"{path}: this certificate is of a policy with a memory of its own; give --policy too"
+                    )
                 raise CertificateError(
                     f"{path}: this certificate is of another {what} (its {key} differs; the model there is called "
                     f"{header.get('model')}, here {product.model.name}); write one with stltool check --certificate"

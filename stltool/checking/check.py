@@ -202,6 +202,7 @@ class _Sweeps:
             smallest = min(smallest, least_positive(weights))
         row_defect, start_defect = model_defects(model)
         missing = h * (row_defect + weight_defect) + start_defect
+        missing = missing / (1 - missing) if missing < 1 else Fraction(1)  # what exceeds 1 compounds
         underflow = can_underflow((2 if mixed else 1) * h + 1, smallest)
         lower, upper = enclose(value, roundings(h, self._row_length(), mixed), missing, underflow)
         return min(max(value, 0.0), 1.0), lower, upper

@@ -45,8 +45,8 @@ from stltool.product import Product
 MOST_RUNS = 10_000
 _ROUNDING = 1e-12  # a set that lacks less than this share of what it should cover, covers it
 
-_Trail: TypeAlias = "tuple[_Trail | None, int, int, float]"
-"""A run backwards: what came before, choice (−1 at the start), position in its layer, and the step's probability."""
+_Trail: TypeAlias = "tuple[_Trail | None, int, int, float, float]"
+"""A run backwards: what came before, choice (−1 at the start), position in its layer, probability and its log."""
 
 
 @dataclass(frozen=True)
@@ -170,10 +170,10 @@ def _by_probability(unfolding: Unfolding, best: list[Floats], limit: int) -> Ite
     """Runs by falling probability; `limit` is the most that will be asked for (and one more, to see an end)."""
     model, automaton = unfolding.product.model, unfolding.product.automaton
 
-    def moves(t: int, i: int) -> list[tuple[float, int, int, float]]:
-        """(loss, choice, position in layer t + 1, probability) of node i's edges that lead on, the best one first."""
+    def moves(t: int, i: int) -> list[tuple[float, int, int, float, float]]:
+        """(loss, choice, position in layer t + 1, probability, its log) of node i's edges that lead on, best first."""
         if t < 0:  # before the first state, which is drawn by no choice
-            factor = unfolding.start
+            factor, logs = unfolding.start, np.log(unfolding.start)
             choice, child = np.full(len(factor), -1), np.arange(len(factor))
         elif automaton.verdicts(t)[unfolding.layers[t][i] % automaton.n_states] != UNDECIDED:
             return []
@@ -181,11 +181,13 @@ def _by_probability(unfolding: Unfolding, best: list[Floats], limit: int) -> Ite
             edges = unfolding.edges(t, np.array([i]))
             factor = edges.weight * model.probability[edges.entry]
             choice, child = edges.choice, edges.child
-        gain = np.log(factor) + best[t + 1][child]
+            logs = np.log(edges.weight) + np.log(model.probability[edges.entry])
+        gain = logs + best[t + 1][child]
         order = [k for k in np.argsort(-gain, kind="stable").tolist() if gain[k] > -np.inf]
-        return [(float(gain[order[0]] - gain[k]), int(choice[k]), int(child[k]), float(factor[k])) for k in order]
+        told = list(zip(choice.tolist(), child.tolist(), factor.tolist(), logs.tolist(), strict=True))
+        return [(float(gain[order[0]] - gain[k]), *told[k]) for k in order]
 
-    known: dict[tuple[int, int], list[tuple[float, int, int, float]]] = {}
+    known: dict[tuple[int, int], list[tuple[float, int, int, float, float]]] = {}
     tie = itertools.count()
     heap: list[tuple[float, int, _Trail | None, int, int]] = [(0.0, next(tie), None, -1, 0)]
     left = limit + 1
@@ -197,11 +199,11 @@ def _by_probability(unfolding: Unfolding, best: list[Floats], limit: int) -> Ite
             options = known[t, i]
             if not options:
                 break
-            for extra, choice, child, factor in options[1:]:
-                heapq.heappush(heap, (loss + extra, next(tie), (trail, choice, child, factor), t + 1, child))
-            _, choice, i, factor = options[0]
+            for extra, choice, child, factor, log in options[1:]:
+                heapq.heappush(heap, (loss + extra, next(tie), (trail, choice, child, factor, log), t + 1, child))
+            _, choice, i, factor, log = options[0]
             t += 1
-            trail = (trail, choice, i, factor)
+            trail = (trail, choice, i, factor, log)
         if trail is not None:
             yield trail
         left -= 1
@@ -213,9 +215,9 @@ def _told(unfolding: Unfolding, trail: _Trail | None, others: list[Floats], sati
     model, automaton = unfolding.product.model, unfolding.product.automaton
     steps = []
     while trail is not None:
-        trail, choice, i, factor = trail
-        steps.append((choice, i, factor))
-    choices, positions, factors = zip(*reversed(steps), strict=True)
+        trail, *step = trail
+        steps.append(step)
+    choices, positions, factors, logs = zip(*reversed(steps), strict=True)
     nodes = [int(unfolding.layers[t][i]) for t, i in enumerate(positions)]
     return LikelyRun(
         states=tuple(node // automaton.n_states for node in nodes),
@@ -223,6 +225,6 @@ def _told(unfolding: Unfolding, trail: _Trail | None, others: list[Floats], sati
         memory=tuple(automaton.describe(node % automaton.n_states) for node in nodes),
         satisfied=satisfied,
         probability=math.prod(factors),
-        log_probability=math.fsum(map(math.log, factors)),
+        log_probability=math.fsum(logs),
         certain=next(t for t, i in enumerate(positions) if others[t][i] == -np.inf),
     )

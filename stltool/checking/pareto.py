@@ -25,7 +25,7 @@ from stltool.checking.weighted import Criteria, Figure, best, probability
 from stltool.errors import SettingsError
 from stltool.product import JointProduct
 
-_SAME = 1e-12  # probabilities that differ by less are one
+_SAME = 1e-12  # probabilities that differ by less of themselves are one
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,11 @@ class Front:
         if not 0 <= second <= 1:
             raise SettingsError(f"P({self.joint.names[1]}) >= {second}: a probability lies between 0 and 1")
         points = [corner.point for corner in self.corners]
-        if second > points[-1][1]:
+        if second > self.corners[-1].probabilities[1].upper:
             return None
         bounds = [(Fraction(u) - Fraction(w2) * Fraction(second)) / Fraction(w1) for w1, w2, u in self.lines if w1 > 0]
         above = round_up(min(*bounds, Fraction(1))) if bounds else 1.0
+        second = min(second, points[-1][1])
         if second <= points[0][1]:
             return points[0][0], above
         (a1, a2), (b1, b2) = next((a, b) for a, b in itertools.pairwise(points) if a[1] <= second <= b[1])
@@ -144,12 +145,12 @@ def _above(c: Corner, a: Corner) -> float:
 
 def _hidden(a: Corner, b: Corner) -> float:
     """How far at most the front is above the segment from a to b: where the lines of its ends meet."""
-    if max(abs(p - q) for p, q in zip(a.point, b.point, strict=True)) < _SAME:
-        return 0.0
+    if all(abs(p - q) <= _SAME * max(p, q) for p, q in zip(a.point, b.point, strict=True)):
+        return max(_above(a, a), _above(b, b))
     (w1, w2), (u1, u2), (v1, v2) = _normal(a, b), a.weights, b.weights
     det = u1 * v2 - u2 * v1
-    if abs(det) < _SAME:
-        return 0.0
+    if abs(det) < _SAME:  # lines of one direction
+        return max(_above(a, a), _above(b, b))
     meets = ((w1 * v2 - w2 * v1) * a.bound + (u1 * w2 - u2 * w1) * b.bound) / det
     return meets - w1 * a.probabilities[0].lower - w2 * a.probabilities[1].lower
 
@@ -159,9 +160,9 @@ def _undominated(corners: list[Corner]) -> tuple[Corner, ...]:
     kept: list[Corner] = []
     for corner in sorted(corners, key=lambda c: (-c.point[0], -c.point[1])):
         # earlier ones are better for the first task, so this one must be better for the second
-        if kept and corner.point[1] <= kept[-1].point[1] + _SAME:
+        if kept and corner.point[1] <= kept[-1].point[1] * (1 + _SAME):
             continue
-        while kept and kept[-1].point[0] <= corner.point[0] + _SAME:
+        while kept and kept[-1].point[0] <= corner.point[0] * (1 + _SAME):
             kept.pop()
         kept.append(corner)
     return tuple(kept)

@@ -43,6 +43,7 @@ from stltool.sizes import require_time
 Side: TypeAlias = Literal["both", "lower", "upper"]
 
 RUNS, MOST_RUNS = 10_000, 10_000_000
+_SHARPEST = Fraction(1, 10**9)  # half-width; more runs than anyone has time for
 _RATE = 1e7  # runs a second at the very best, each decided after few steps
 _GRID = 64  # outcomes looked at at a time when runs are planned
 
@@ -79,7 +80,7 @@ class Estimate:
             "lower": f"is at least {lower:f}",
             "upper": f"is at most {upper:f}",
         }
-        return f"with confidence {100 * self.confidence:g} % the probability {found[self.side]}"
+        return f"with confidence {100 * self.confidence:.12g} % the probability {found[self.side]}"
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ class SequentialTest:
             f"{self.alpha:g}",
             "undecided": f"is not decided after {self.runs} runs; nothing is claimed",
         }
-        return f"P >= {self.at_least:g} {ends[self.verdict]}"
+        return f"P >= {self.at_least!r} {ends[self.verdict]}"
 
 
 # ------------------------------------------------------------------------------------------------ runs of a policy
@@ -288,8 +289,8 @@ def clopper_pearson(satisfied: int, runs: int, confidence: float = 0.99, side: S
 def okamoto_runs(epsilon: float, confidence: float = 0.99, side: Side = "both") -> int:
     """⌈ln(1/tail) / 2ε²⌉ with tail δ/2, or δ for one side: Okamoto's (Chernoff's, Hoeffding's) number of runs."""
     _require_confidence(confidence, side)
-    if not 0 < _number(epsilon, "epsilon") < Fraction(1, 2):
-        raise SettingsError(f"epsilon is {epsilon}; a half-width lies between 0 and 0.5, exclusive, such as 0.01")
+    if not _SHARPEST <= _number(epsilon, "epsilon") < Fraction(1, 2):
+        raise SettingsError(f"epsilon is {epsilon}; a half-width lies between 1e-9 and 0.5, such as 0.01")
     return math.ceil(-math.log(_tail(confidence, side)) / (2 * float(epsilon) ** 2))
 
 

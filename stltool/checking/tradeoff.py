@@ -111,6 +111,9 @@ def tradeoff(
             f"a policy over {joint.shape[0]} model states × {joint.shape[1]} joint automaton states",
             "use keep_policy=False, or shorten the windows",
         )
+    both = sorted(set(joint.names) & set(budget))
+    if both:
+        raise SettingsError(f"{both[0]} names a task and a cost; rename the task")
     asked = _Asked(criteria, at_least, budget)
     highest = asked.require_possible(progress)
     lp = programme(criteria, most_variables)
@@ -241,8 +244,8 @@ class _Asked:
         """The constraint as the user would write it."""
         k = i - len(self.criteria.joint.tasks)
         if k < 0:
-            return f"{self.named(i)} >= {self.at_least[self.criteria.joint.names[i]]:g}"
-        return f"{self.named(i)} <= {self.budget[self.criteria.costs[k]]:g}"
+            return f"{self.named(i)} >= {self.at_least[self.criteria.joint.names[i]]!r}"
+        return f"{self.named(i)} <= {self.budget[self.criteria.costs[k]]!r}"
 
     def possible(self, i: int, upper: Fraction, whose: str) -> str:
         """What a criterion can be at best, told so that it differs from the bound that it misses."""

@@ -41,6 +41,7 @@ Choices: TypeAlias = list[NDArray[np.int16]]
 Weights: TypeAlias = list[Floats]
 """(S, n_t, C) for each step t < h: the probability of each choice."""
 
+_LARGEST_COST = 1e100  # over the horizon
 _RATE = 5e8  # multiply-adds a second, roughly, on one core
 
 
@@ -67,7 +68,9 @@ class Criteria:
     def __post_init__(self) -> None:
         self.joint.model.require_points()
         for name in self.costs:
-            cost_values(self.joint.model, name)
+            most = float(cost_values(self.joint.model, name).max())
+            if most * self.joint.horizon > _LARGEST_COST:
+                raise SettingsError(f"cost {name} is up to {most:g} a step; scale the signal to numbers below 1e9")
         S, horizon = self.joint.model.n_states, self.joint.horizon
         widest = max(len(layer.states) for layer in self.joint.automaton.layers)
         require_memory(

@@ -41,13 +41,9 @@ def certify(
     from stltool.reporting.page import bound_texts
     from stltool.reporting.terminal import error, print_facts, progress_bar
 
+    if policy is not None and task is None:
+        raise SettingsError("--policy: a policy is read for a task; give TASK too")
     try:
-        if task is not None:
-            loaded = stl.load_task(task, read_params(param), name)
-            product = bind(loaded, task_model(loaded, model), encoding)
-            require_certificate_of(file, product, stl.load_policy(policy, product) if policy is not None else None)
-        elif policy is not None:
-            raise SettingsError("--policy: a policy is read for a task; give TASK too")
         with progress_bar("checking layers", quiet=as_json) as bar:
             proved = recheck(str(file), bar)
     except NotACertificate as refusal:
@@ -57,6 +53,10 @@ def certify(
         raise typer.Exit(1) from None
     except FileNotFoundError:
         raise CertificateError(f"{file}: there is no such certificate") from None
+    if task is not None:
+        loaded = stl.load_task(task, read_params(param), name)
+        product = bind(loaded, task_model(loaded, model), encoding)
+        require_certificate_of(file, product, stl.load_policy(policy, product) if policy is not None else None)
     if as_json:
         print(json.dumps(proved | {"proved": True, "compared_with": str(task) if task is not None else None}))
         return
@@ -65,9 +65,11 @@ def certify(
     print_facts({
         "proved": f"{lower} <= P <= {upper}",
         "P": question.get(proved["claim"], f"of the policy listed ({proved['policy']})"),
-        "task": f"{proved['task']} := {proved['formula']}",
+        "task": f"{proved['task']} := {proved['formula']}{'' if task else ' (so the file says: not proved)'}",
+        "encoding": proved["encoding"],
         "checked": f"{proved['pairs']} pairs of state and memory in {proved['layers']} layers, whole numbers only",
         "rows": "sum to 1 exactly" if proved["defect"] == "0" else f"sum to 1 up to {proved['defect']}, allowed for",
-        "compared": f"with {task}: the same task, model and automaton" if task is not None else
+        "compared": f"with {task}: the same task, model and automaton{' and policy' if policy else ''}"
+        if task is not None else
         "with nothing: the model and automaton are the file's own; give TASK to compare them with yours",
     })  # fmt: skip

@@ -52,9 +52,10 @@ def check(
 ) -> None:
     """The exact probability that the task holds: of the best policy, or of a given one."""
     import stltool as stl
-    from stltool.files import require_folder, require_replaceable
+    from stltool.checking.certificate import require_certificate_file
     from stltool.policy import require_policy_file
     from stltool.reporting import check_data
+    from stltool.reporting.page import bound_texts
     from stltool.reporting.terminal import fraction_text, print_checks, print_facts, progress_bar
 
     bounds: list[tuple[str, str, Fraction]] = [
@@ -64,15 +65,16 @@ def check(
     ]
     if save_policy is not None:
         require_policy_file(save_policy)
+        if policy is not None and policy.resolve() == save_policy.resolve():
+            raise SettingsError(f"--save-policy {save_policy} would replace the policy that is checked; name another")
     if certificate is not None:
-        require_replaceable(certificate)
-        require_folder(certificate.resolve().parent)
+        require_certificate_file(certificate)
     product = make_product(task, model, param, name, encoding, as_json, learning=False)
     uncertain = product.model.intervals is not None
     product, judge = judge_by(product, nature)
     robust = uncertain and nature != "nominal"
     if robust and (exact or certificate is not None):
-        raise SettingsError("--exact and --certificate need one probability each; add --nature nominal")
+        raise SettingsError("--exact and --certificate need probabilities that are no intervals; add --nature nominal")
     fraction = {"exact": True} if exact else {}
     chosen = stl.load_policy(policy, product) if policy is not None else None
     keep = save_policy is not None or (certificate is not None and chosen is None)
@@ -84,7 +86,7 @@ def check(
         optimum.policy.save(save_policy)
     if certificate is not None:
         with progress_bar("writing the certificate", quiet=as_json) as bar:
-            stl.write_certificate(result, certificate, progress=bar)
+            proved = stl.write_certificate(result, certificate, progress=bar)
     data = check_data(result, optimum)
     if uncertain:
         data["nature"] = nature or "against"
@@ -108,6 +110,9 @@ def check(
         remedy = "; add --exact" if robust else ""  # which has no exact arithmetic
         print_facts({claim: _VERDICTS[holds].removesuffix(remedy) for claim, holds in verdicts})
         if certificate is not None:
-            print_facts({"certificate": certificate})
+            lower, upper = bound_texts(*proved)
+            print_facts({"certificate": f"{certificate} proves {lower} <= P <= {upper}"})
+        if save_policy is not None:
+            print_facts({"policy": save_policy})
     if verdicts and not data["holds"]:
         raise typer.Exit(1)

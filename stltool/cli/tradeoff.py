@@ -64,7 +64,7 @@ def tradeoff(
                 "value": f"{figure.value:.12g}",
                 "lower_bound": f"{figure.lower:.12g}",
                 "upper_bound": f"{figure.upper:.12g}",
-                "asked": f"{sign} {bounds[name]:g}" if name in bounds else "maximum" if name == maximize else "",
+                "asked": f"{sign} {bounds[name]!r}" if name in bounds else "maximum" if name == maximize else "",
                 "multiplier": f"{result.multipliers[name]:.6g}" if name in bounds else "",
             }
             for shown, (figure, name, sign, bounds) in figures.items()

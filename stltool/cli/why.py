@@ -50,6 +50,7 @@ def why(
         with progress_bar("checking", quiet=as_json) as bar:
             result = stl.check(product, maximize=not minimize, progress=bar)
     followed = given if given is not None else result.policy
+    assert followed is not None  # checks keep it
     with progress_bar("finding runs", quiet=as_json) as bar:
         likely = stl.likely_runs(
             product, followed, satisfied=satisfying, count=count, mass=mass, most=most, progress=bar
@@ -61,7 +62,7 @@ def why(
     data = {
         **product_data(product),
         "question": result.question,
-        "policy": likely.policy.kind,
+        "policy": followed.kind,
         "probability": result.probability,
         "lower": result.lower,
         "upper": result.upper,
@@ -74,7 +75,7 @@ def why(
         return
     print_facts({
         "task": f"{product.task_name} := {product.formula}",
-        "policy": f"{policy or result.question + ' of all'} ({likely.policy.kind})",
+        "policy": f"{policy or result.question + ' of all'} ({followed.kind})",
         "P": f"{result.probability:.15g}",
     })  # fmt: skip
     print_likely(data, count)

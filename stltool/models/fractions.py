@@ -8,7 +8,9 @@ row lacks or exceeds is the model's *defect*.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from fractions import Fraction
@@ -18,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Integers: TypeAlias = NDArray[Any]
-"""int64 where every number is below 2^62, else Python integers in an object array."""
+"""int64 where numbers and their denominator are below 2^62, else Python integers in an object array."""
 
 _SMALL = 2**62
 _LONGEST_NUMBER, _LARGEST_EXPONENT = 70, 60
@@ -50,6 +52,8 @@ class Fractions:
 
 def parse_fraction(value: object) -> Fraction:
     """A number, a decimal or a fraction as text, exactly. Raises ValueError for anything else, or too long a one."""
+    if isinstance(value, Fraction):
+        return value
     text = str(value)
     if isinstance(value, bool) or len(text) > _LONGEST_NUMBER or "_" in text:
         raise ValueError(text)
@@ -65,13 +69,20 @@ def over_one(values: Iterable[Fraction]) -> tuple[Integers, int]:
     """Fractions as integers over their least common denominator."""
     known = list(values)
     denominator = math.lcm(*{value.denominator for value in known})
-    return integers([value.numerator * (denominator // value.denominator) for value in known]), denominator
+    found = [value.numerator * (denominator // value.denominator) for value in known]
+    whole = denominator < _SMALL and all(abs(number) < _SMALL for number in found)  # so that rows can be summed
+    return np.array(found, dtype=np.int64 if whole else object), denominator
 
 
-def integers(values: Sequence[int]) -> Integers:
-    """int64 where all fit, else Python integers."""
-    small = all(abs(value) < _SMALL for value in values)
-    return np.array(values, dtype=np.int64 if small else object)
+@contextmanager
+def long_numbers() -> Iterator[None]:
+    """Let integers of any length be written, which Python limits to some thousand digits."""
+    longest = sys.get_int_max_str_digits()
+    sys.set_int_max_str_digits(0)
+    try:
+        yield
+    finally:
+        sys.set_int_max_str_digits(longest)
 
 
 def of_doubles(values: NDArray[np.float64], row_start: NDArray[np.int64]) -> tuple[Integers, int]:

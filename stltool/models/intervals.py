@@ -23,6 +23,7 @@ from stltool.errors import ModelError
 
 Floats: TypeAlias = NDArray[np.float64]
 
+_UNITS = 10**15
 _TOLERANCE = 1e-9  # by how much ends read as doubles may miss Σ lower ≤ 1 ≤ Σ upper
 
 
@@ -37,14 +38,17 @@ class Intervals:
     upper: Floats
 
     def nominal(self, row_start: NDArray[np.int64]) -> Floats:
-        """The nominal distribution of every row (n_transitions,); entries that must be 0 are 0."""
+        """The nominal distribution of every row (n_transitions,); entries that must be 0 are 0.
+
+        In decimals of 15 digits, rows summing to 1 exactly as such: the nominal model has exact answers too.
+        """
         width = self.upper - self.lower
         total = np.add.reduceat(width, row_start[:-1])
         missing = 1 - np.add.reduceat(self.lower, row_start[:-1])
         with np.errstate(invalid="ignore"):  # ends that are no numbers are refused by their model, by name
             share = np.clip(np.divide(missing, total, out=np.zeros_like(total), where=total > 0), 0, 1)
-        inside: Floats = self.lower + np.repeat(share, np.diff(row_start)) * width
-        return inside
+        inside = self.lower + np.repeat(share, np.diff(row_start)) * width
+        return _in_decimals(np.nan_to_num(inside), np.nan_to_num(self.upper - inside), row_start)
 
     def validate(
         self, row_start: NDArray[np.int64], nominal: Floats, at: Callable[[int], str], to: Callable[[int], str]
@@ -85,3 +89,14 @@ class Intervals:
                 f"{at(choice_of(k))}: the probability {nominal[k]:.12g} to state {to(k)} is outside "
                 f"[{self.lower[k]:.12g}, {self.upper[k]:.12g}]; make a model's probabilities with Intervals.nominal"
             )
+
+
+def _in_decimals(values: Floats, room: Floats, row_start: NDArray[np.int64]) -> Floats:
+    """Rounded down to 15 digits; what rows then lack of 1 goes to the entry with the most room above it."""
+    units = np.floor(values * _UNITS + 1e-3).astype(np.int64)  # what is whole but for its rounding stays
+    length = np.diff(row_start)
+    first = np.flatnonzero(room == np.repeat(np.maximum.reduceat(room, row_start[:-1]), length))
+    first = first[np.searchsorted(first, row_start[:-1])]
+    units[first] += _UNITS - np.add.reduceat(units, row_start[:-1])
+    decimals: Floats = units / _UNITS
+    return decimals

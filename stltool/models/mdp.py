@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stltool.errors import ModelError, SettingsError, near_misses
-from stltool.models.fractions import Fractions, of_doubles, over_one, parse_fraction
+from stltool.models.fractions import Fractions, Integers, of_doubles, over_one, parse_fraction
 from stltool.models.intervals import Intervals
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ class MDP:
             )
 
     def nominal(self) -> MDP:
-        """The ordinary model with the nominal probabilities, given as doubles; without intervals the model itself.
+        """The ordinary model with the nominal probabilities; without intervals the model itself.
 
         States, choices and actions stay as they are; entries whose probability must be 0 are left out.
         """
@@ -253,11 +253,9 @@ class MDP:
         start, exact_start = _initial(initial, n_states, state_names)
         fractions = None
         if intervals is None and (exact_start is not None or any(m.dtype == object for m in given)):
-            source = np.repeat(np.arange(n_states * n_actions)[available] // n_actions, np.diff(row_start))
-            entries = zip(np.repeat(action, np.diff(row_start)), source, rows.indices, rows.data, strict=True)
-            exact = [given[a][s, n] if given[a].dtype == object else Fraction(repr(float(p))) for a, s, n, p in entries]
+            state = np.arange(n_states * n_actions)[available] // n_actions
             begin = over_one(exact_start) if exact_start is not None else of_doubles(start, np.array([0, n_states]))
-            fractions = Fractions(*over_one(exact), *begin)
+            fractions = Fractions(*_exact_entries(rows, state, action, given), *begin)
         return cls(
             choice_start=np.concatenate([[0], np.cumsum(per_state)]).astype(np.int64),
             choice_action=action,
@@ -276,6 +274,23 @@ class MDP:
 
 
 # ------------------------------------------------------------------------------------------- checks on the way in
+
+
+def _exact_entries(
+    rows: csr_array, state: NDArray[np.int64], action: NDArray[np.int32], given: list[Any]
+) -> tuple[Integers, int]:
+    """The rows' entries as integers over one denominator: as given in fractions, or what the doubles mean."""
+    as_fractions = np.array([m.dtype == object for m in given])[action]
+    length = np.diff(rows.indptr)
+    exact = np.empty(rows.nnz, dtype=object)
+    if not as_fractions.all():
+        doubles = rows[~as_fractions]
+        numerator, denominator = of_doubles(doubles.data, doubles.indptr)
+        exact[~np.repeat(as_fractions, length)] = [Fraction(int(n), denominator) for n in numerator]
+    entries = np.flatnonzero(np.repeat(as_fractions, length))
+    s, a = np.repeat(state, length)[entries], np.repeat(action, length)[entries]
+    exact[entries] = [given[i][j, k] for i, j, k in zip(a, s, rows.indices[entries], strict=True)]
+    return over_one(exact.tolist())
 
 
 def _given(matrices: ArrayLike | Iterable[Any], what: str) -> list[Any]:
@@ -327,8 +342,9 @@ def _aligned(lower: csr_array, upper: csr_array) -> Floats:
 
 
 def _matrices(matrices: ArrayLike | Iterable[Any], what: str) -> Iterable[Any]:
-    if isinstance(matrices, np.ndarray) and matrices.ndim != 3:
-        raise ModelError(f"{what} have shape {matrices.shape}; an array (A, S, S) is needed")
+    shape = getattr(matrices, "shape", None)  # scipy's matrices too
+    if shape is not None and len(shape) != 3:
+        raise ModelError(f"{what} have shape {shape}; an array (A, S, S), or a list of matrices, is needed")
     try:
         return list(matrices)  # type: ignore[arg-type]
     except TypeError:
@@ -369,7 +385,10 @@ def _floats(values: ArrayLike, what: str) -> Floats:
 
 
 def _booleans(values: ArrayLike, name: str) -> NDArray[np.bool_]:
-    array = np.asarray(values)
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        raise ModelError(f"label {name} is no list of one value a state") from None
     if array.dtype.kind not in "biuf" or not np.isin(array, (0, 1)).all():
         raise ModelError(f"label {name} has values other than true and false; make it a signal and compare it")
     return array.astype(np.bool_)

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from stltool.models.fractions import long_numbers
 from stltool.reporting.page import bound_texts, probability_text
 from stltool.reporting.runs import trace_text, verdict_text
 
@@ -156,7 +157,8 @@ def _print_columns(rows: list[tuple[str, ...]]) -> None:
 
 def fraction_text(value: Fraction) -> str:
     """A fraction whole, or what it is like where it is too long to read."""
-    text = str(value)
+    with long_numbers():
+        text = str(value)
     return text if len(text) <= _LONGEST_FRACTION else f"a fraction of {len(text)} digits; --json prints it"
 
 

@@ -149,6 +149,29 @@ def test_names_of_states_are_true_of_the_run(text):
     assert claims > 20 or "->" in text or "&" in text
 
 
+def test_names_of_plain_windows_are_true_of_the_run():
+    """F and G of one predicate say whether it has occurred, or failed; conjuncts are told apart."""
+    automaton = stl.compile_automaton(stl.parse("F[0,6] a & F[0,6] b & G[0,7] c"))
+    rng = np.random.default_rng(0)
+    names = set()
+    for _ in range(60):
+        q, seen = automaton.initial, []
+        for t in range(6):
+            likely = [i for i, row in enumerate(automaton.valuations.tolist()) if row[2] or rng.random() < 0.05]
+            i = int(rng.choice(likely))
+            seen.append(dict(zip(map(str, automaton.atoms), automaton.valuations[i].tolist(), strict=True)))
+            q = automaton.delta[automaton.letter_of[i], q]
+            if automaton.verdicts(t)[q] != UNDECIDED:
+                break
+            for name in automaton.describe(q).split("; "):
+                names.add(name)
+                subject = name.split()[0]
+                occurred = any(step[subject] for step in seen)
+                expected = f"{subject} {'seen' if occurred else 'not seen yet'}" if subject != "c" else "c so far"
+                assert name == expected
+    assert names == {"a seen", "a not seen yet", "b seen", "b not seen yet", "c so far"}
+
+
 def test_verdicts_in_words():
     automaton = stl.compile_automaton(stl.parse("G[0,4] F[0,3] a"))
     texts = {verdict_text(automaton, q) for q in range(automaton.n_states)}

@@ -443,8 +443,8 @@ def test_what_constraints_make_impossible_together(shift):
     most = stl.tradeoff(shift, "patrolling", at_least={"charging": charge}).probability
     beginning, _, figure = str(caught.value).rpartition(" ")
     assert beginning == (
-        f"P(charging) >= {charge:g} and P(patrolling) >= {patrol:g} cannot be met together: "
-        f"with P(charging) >= {charge:g}, P(patrolling) is at most"
+        f"P(charging) >= {charge!r} and P(patrolling) >= {patrol!r} cannot be met together: "
+        f"with P(charging) >= {charge!r}, P(patrolling) is at most"
     )
     assert float(figure) == pytest.approx(most, abs=1e-6)
     with pytest.raises(InfeasibleError, match=r"with P\(patrolling\) >= 0.3, E\[A\] is at least [0-9.]+$"):

@@ -76,12 +76,15 @@ def test_the_nominal_model_takes_one_share_of_every_width():
     assert forced.nominal().n_transitions == 4  # what must be 0 is left out
 
 
-def test_the_nominal_model_is_given_in_doubles(floor5):
+def test_the_nominal_model_is_given_in_decimals(floor5):
     """Whatever fractions stood beside the ends: they are not the nominal ones."""
     ends = Intervals(np.maximum(floor5.probability - 0.1, 0), np.minimum(floor5.probability + 0.2, 1))
     model = replace(floor5, intervals=ends, probability=ends.nominal(floor5.row_start), _digest=[])
     assert floor5.fractions is not None
-    assert model.nominal().fractions is None
+    nominal = model.nominal()
+    assert nominal.fractions is None
+    assert not any(nominal.exact().defects(nominal.row_start))
+    assert 10**15 % nominal.exact().denominator == 0
 
 
 def test_the_digest_covers_the_ends():

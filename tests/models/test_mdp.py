@@ -48,7 +48,7 @@ def test_models_of_the_strategy_are_distributions(model):
         ({"transitions": [STAY, [[np.nan, 0.9], [0.8, 0.2]]]}, "state 0, action 1: nan to state 0 is no probability"),
         ({"transitions": [[[1, 0], [0, 0]]]}, "state 1 has no action; give it one that stays"),
         ({"transitions": [STAY, np.eye(3)]}, r"transitions of action 1 have shape \(3, 3\), not \(2, 2\)"),
-        ({"transitions": STAY}, r"shape \(2, 2\); an array \(A, S, S\) is needed"),
+        ({"transitions": STAY}, r"shape \(2, 2\); an array \(A, S, S\), or a list of matrices, is needed"),
         ({"transitions": 3}, "must be an array"),
         ({"transitions": []}, "no action"),
         ({"transitions": [[["a", 0], [0, 1]]]}, "transitions of action 0 are not numbers"),

@@ -12,6 +12,7 @@ state 0.
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterator
 from fractions import Fraction
@@ -29,7 +30,7 @@ from stltool.models.mdp import MDP
 from stltool.sizes import require_memory
 
 _BYTES_A_LINE = 400  # of Python objects while a file is read
-_LABEL = re.compile(r'(\d+)="([^"]*)"')
+_LABEL = re.compile(r'(\d{1,9})="([^"]*)"', re.ASCII)
 
 
 def load_explicit(path: str | Path) -> MDP:
@@ -42,12 +43,12 @@ def load_explicit(path: str | Path) -> MDP:
     target: list[int] = []
     shares: list[_Ends] = []
     for s in range(n_states):
-        taken: dict[str, int] = {}
+        taken: set[str] = set()
         for number, (action, row) in sorted(rows.get(s, {}).items()):
             name = action or str(number)
-            taken[name] = taken.get(name, 0) + 1
-            if taken[name] > 1:  # PRISM lets one action offer several choices; here each has its own name
-                name = f"{name}#{taken[name]}"
+            if name in taken:  # PRISM lets one action offer several choices; here each has its own name
+                name = next(new for i in itertools.count(2) if (new := f"{name}#{i}") not in taken)
+            taken.add(name)
             choice_action.append(action_names.setdefault(name, len(action_names)))
             for successor in sorted(row):
                 target.append(successor)
@@ -95,7 +96,7 @@ def _transitions(path: Path) -> tuple[int, _Rows, bool]:
     lines = _lines(path, "transition file")
     number, header = next(lines, (1, ""))
     try:
-        counts = [int(word) for word in header.split()]
+        counts = [_whole(word) for word in header.split()]
         if len(counts) not in (2, 3) or min(counts) < 0:
             raise ValueError
     except ValueError:
@@ -115,7 +116,7 @@ def _transitions(path: Path) -> tuple[int, _Rows, bool]:
         if chain:
             words.insert(1, "0")
         try:
-            s, choice, successor = (int(word) for word in words[:3])
+            s, choice, successor = (_whole(word) for word in words[:3])
             text = words[3]
             if len(words) > (4 if chain else 5):
                 raise ValueError
@@ -148,6 +149,13 @@ def _transitions(path: Path) -> tuple[int, _Rows, bool]:
     return n_states, rows, any(text.startswith("[") for text in known)
 
 
+def _whole(word: str) -> int:
+    """A number of digits alone. Raises ValueError for anything else that int would take."""
+    if re.fullmatch(r"\s*\d{1,18}\s*", word, re.ASCII) is None:
+        raise ValueError(word)
+    return int(word)
+
+
 def _parse_ends(text: str) -> _Ends:
     """A probability, or [lower,upper]. Raises ValueError for anything else."""
     if text.startswith("[") and text.endswith("]"):
@@ -174,12 +182,14 @@ def _labels(path: Path, n_states: int) -> dict[str, NDArray[np.bool_]]:
     if not names or _LABEL.sub("", header).strip():
         _fail(path, number, header, 'write 0="init" 1="deadlock" 2="done" …')
     labels = {name: np.zeros(n_states, dtype=np.bool_) for name in names.values()}
-    if len(labels) < len(names):
-        _fail(path, number, header, "two labels have one name")
+    if len(labels) < len(_LABEL.findall(header)):
+        _fail(path, number, header, "two labels have one name, or one number")
+    if "init" not in labels:
+        _fail(path, number, header, 'mark the state that runs start in: 0="init", and a line "state: 0"')
     for number, line in lines:
         state, colon, numbers = line.partition(":")
         try:
-            s, which = int(state), [int(word) for word in numbers.split()]
+            s, which = _whole(state), [_whole(word) for word in numbers.split()]
             if not colon or not 0 <= s < n_states or any(i not in names for i in which):
                 raise ValueError
         except ValueError:
@@ -225,12 +235,14 @@ def _variables(path: Path, n_states: int) -> tuple[list[str] | None, dict[str, N
         state, _, tuple_text = line.partition(":")
         words = [word.strip() for word in tuple_text.strip("() ").split(",")]
         try:
-            s = int(state)
-            column = [float({"true": 1, "false": 0}.get(word, word)) for word in words]
+            s = _whole(state)
+            column = [float({"true": 1, "false": 0}.get(word, word)) for word in words if "_" not in word]
             if not 0 <= s < n_states or len(column) != len(variables) or not np.isfinite(column).all():
                 raise ValueError
         except ValueError:
             _fail(path, number, line, f'write "state:({",".join(variables)})" with numbers, true or false')
+        if names[s]:
+            _fail(path, number, line, f"state {s} stands twice")
         names[s] = ", ".join(f"{name}={word}" for name, word in zip(variables, words, strict=True))
         values[:, s] = column
     missing = np.flatnonzero(np.isnan(values[0]))
