@@ -193,9 +193,9 @@ class Policy:
 def require_policy_file(path: str | Path) -> None:
     """An error, before the work, where a policy could not be saved after it."""
     path = Path(path)
+    require_replaceable(path)
     if path.suffix.lower() != ".npz":  # so that no other file is lost
         raise PolicyError(f"{path}: a policy is saved as .npz; name it so")
-    require_replaceable(path)
     require_folder(path.parent)
 
 

@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
+from importlib import metadata
+from typing import Annotated
+
 import typer
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"stltool {metadata.version('stltool')}")
+        raise typer.Exit
+
 
 app = typer.Typer(
     help="Signal temporal logic tasks on Markov decision processes, learned and verified exactly.",
@@ -11,3 +21,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version and exit.", callback=_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Signal temporal logic tasks on Markov decision processes, learned and verified exactly."""

@@ -15,6 +15,7 @@ import stltool as stl
 from stltool import recheck
 from stltool.checking import require_certificate_of
 from stltool.errors import CertificateError, FileError, SettingsError, SizeError
+from stltool.reporting import check_data
 from tests import oracles
 from tests.conftest import ROOT
 
@@ -177,6 +178,14 @@ def test_a_lie_as_small_as_can_be(tmp_path):
         (lambda parts: parts[3]["choice"].__setitem__(0, 9), "no such choice"),
         (lambda parts: parts[3]["choice"].__setitem__(0, [2, -1, *[0] * 7]), "no such choice"),
         (lambda parts: parts[4]["at"].__setitem__(1, parts[4]["at"][0]), "listed twice"),
+        (lambda parts: parts[4]["upper"].__setitem__(1, "9"), "a bound is no number"),
+        (lambda parts: parts[0].__setitem__("horizon", -8), "is no number of steps"),
+        (lambda parts: parts[0].__setitem__("horizon", True), "is no number of steps"),
+        (lambda parts: parts[0].__setitem__("task", "x\nproved"), "not printable"),
+        (lambda parts: parts[2]["verdicts"].reverse(), "do not ascend from 0"),
+        (lambda parts: parts[-1].__setitem__("claim", "minimum"), "no lower and upper bound"),
+        (lambda parts: parts[-1].__setitem__("upper", "1e9"), "'1e9' is no fraction"),
+        (lambda parts: parts[-1].__setitem__("upper", 1), "1 is no fraction"),
     ],
 )  # fmt: skip
 def test_what_is_no_model_or_automaton_is_refused(tmp_path, patrolling, change, says):
@@ -236,6 +245,34 @@ def test_other_files_are_no_certificates(tmp_path, content):
     (tmp_path / "c").write_bytes(content)
     with pytest.raises(recheck.Refused, match="not a certificate|seal is missing|the file is empty"):
         stl.certify(str(tmp_path / "c"))
+
+
+def test_a_key_stands_once(tmp_path, patrolling):
+    path = tmp_path / "c.jsonl"
+    stl.write_certificate(stl.check(patrolling), path)
+    text = path.read_text().replace('"claim":', '"claim":"minimum","claim":', 1)
+    path.write_text(text)
+    with pytest.raises(recheck.Refused, match="one key twice"):
+        stl.certify(str(path))
+
+
+def test_numbers_of_any_length(tmp_path):
+    """Beyond the 4300 digits that Python writes by itself."""
+    rows = [[["0.99999999999999", "0.00000000000001"], ["0", "1"]]]
+    model = stl.MDP.from_arrays(rows, {"x": [0, 1]})
+    product = stl.build_product(model, stl.parse("F[0,320] x > 0"))
+    result = stl.check(product, exact=True)
+    assert result.fraction == 1 - Fraction(99999999999999, 10**14) ** 320
+    assert len(check_data(result)["exact"]) > 8600
+    lower, upper = stl.write_certificate(result, tmp_path / "c.jsonl")
+    assert lower == upper == result.fraction
+    assert recheck.certify(str(tmp_path / "c.jsonl"))["pairs"] > 0
+
+
+def test_a_certificate_replaces_no_other_file(tmp_path, patrolling):
+    for name in ("task.stl", "p.npz", "c.json", "c.gz"):
+        with pytest.raises(SettingsError, match=r"is written as .jsonl, or packed as .jsonl.gz"):
+            stl.write_certificate(stl.check(patrolling), tmp_path / name)
 
 
 def test_rows_with_a_defect_are_certified_around_it(tmp_path):

@@ -128,6 +128,42 @@ def test_an_exact_answer_needs_exact_rows():
         stl.check(stl.build_product(start, stl.parse("F[0,3] x > 1")), exact=True)
 
 
+def test_weights_that_exceed_one_compound():
+    """Weights may sum to 1 + 1e-9; over 20000 steps that is not h times the excess but its power."""
+    model = stl.MDP.from_arrays([[["0.9999999999", "0.0000000001"], ["0", "1"]]] * 2, {"x": [0, 1]})
+    product = stl.build_product(model, stl.parse("G[0,20000] x < 1"))
+    weights = np.full((*product.shape, 2), 0.5 + 4.5e-10)
+    policy = stl.Policy(product, weights)
+    enclosed, exact = (stl.check(product, policy, exact=exact) for exact in (False, True))
+    assert enclosed.lower <= exact.fraction <= enclosed.upper
+
+
+def test_wide_denominators_do_not_wrap():
+    """Rows over 2^63 and more: their sums need Python's integers."""
+    rows = [
+        ["0.4000000000000000001", "0.3000000000000000001", "0.2999999999999999998"],
+        ["0", "1", "0"],
+        ["0", "0", "1"],
+    ]
+    texts = stl.MDP.from_arrays([rows], {"x": [0, 1, 2]})
+    assert not any(texts.exact().defects(texts.row_start))
+    product = stl.build_product(texts, stl.parse("F[0,3] x == 1"))
+    assert stl.check(product, exact=True).fraction == oracles.layered_value(product)
+    for seed in range(20):
+        model = stl.MDP.from_arrays(np.random.default_rng(seed).dirichlet(np.ones(10), (1, 10)), {"x": np.arange(10)})
+        result = stl.check(stl.build_product(model, stl.parse("F[0,3] x == 1")))
+        assert result.upper - result.lower < 1e-12
+
+
+def test_doubles_mean_the_same_beside_fractions():
+    rows = [[0.1 + 0.2, 0.7], [0, 1]]  # sum to 1 as binary numbers, not as decimals
+    alone = stl.MDP.from_arrays([rows], {"x": [0, 1]})
+    beside = stl.MDP.from_arrays([rows, [["1/3", "2/3"], ["1", "0"]]], {"x": [0, 1]}, ["1/2", "1/2"])
+    for model in (alone, beside):
+        assert not any(model.exact().defects(model.row_start))
+    assert oracles.choices(alone, 0)[0] == oracles.choices(beside, 0)[0]
+
+
 def test_what_would_not_fit_is_refused_first(floor5):
     product = stl.build_product(floor5, stl.parse("G[0,900] F[0,50] A"))
     with pytest.raises(SizeError, match=r"exact arithmetic on .* over 950 steps would take"):

@@ -329,3 +329,14 @@ def test_progress_counts_steps_then_runs(patrolling):
     steps = [call for call in calls if call[1] == patrolling.horizon]
     assert steps == [(t + 1, 8) for t in range(len(steps))]
     assert calls[len(steps) :] == [(n + 1, 10_000) for n in range(len(calls) - len(steps))]
+
+
+def test_a_weight_and_a_probability_whose_product_underflows():
+    p = 1e-200
+    model = stl.MDP.from_arrays([[[1 - p, p], [0, 1]], [[1, 0], [0, 1]]], {}, labels={"b": [0, 1]})
+    product = stl.build_product(model, stl.parse("F[0,1] b"))
+    weights = np.zeros((1, *product.shape, 2))
+    weights[..., 0], weights[..., 1] = 1e-200, 1
+    (run,) = stl.likely_runs(product, stl.Policy(product, weights), satisfied=True).runs
+    assert run.log_probability == pytest.approx(2 * np.log(1e-200))
+    assert run.probability == 0

@@ -547,3 +547,9 @@ def test_settings_of_a_sequential_test_are_checked(options, message):
 def test_more_satisfied_than_runs_cannot_be():
     with pytest.raises(SettingsError, match="5 of 4 runs satisfied: that cannot be"):
         clopper_pearson(5, 4)
+
+
+@pytest.mark.parametrize("epsilon", [1e-10, 1e-155, 1e-200])
+def test_no_one_has_so_many_runs(epsilon):
+    with pytest.raises(SettingsError, match="a half-width lies between 1e-9 and 0.5"):
+        runs_needed(epsilon)

@@ -1,5 +1,6 @@
 """Trade-offs against the points of all deterministic history-dependent policies, and their mixtures, in fractions."""
 
+import dataclasses
 import itertools
 import json
 import re
@@ -554,3 +555,34 @@ def test_cost_scales_do_not_matter(floor5):
         results.append((result.probability, result.multipliers["watt"] * scale))
     assert results[1] == pytest.approx(results[0], abs=1e-6)
     assert results[2] == pytest.approx(results[0], abs=1e-6)
+
+
+def test_the_edge_of_the_front_can_be_reached():
+    """A bound at the corner itself is not out of reach, though the corner's figure is rounded."""
+    x, y = Fraction(3, 7), Fraction(1, 7)
+    rows = np.array([[[1 - x, x, 0], [1 - y, 0, y], [0, 0, 1]]], dtype=object)
+    model = stl.MDP.from_arrays(rows, {}, labels={"a": [0, 0, 1]})
+    front = stl.pareto(stl.build_joint_product(model, {"T": stl.parse("true"), "A": stl.parse("F[0,2] a")}))
+    achieved, bound = front.at_least(float(Fraction(3, 49)))
+    assert achieved == pytest.approx(1)
+    assert bound >= 1 - 1e-12
+
+
+def test_rare_tasks_have_fronts_too():
+    p = 9e-13
+    first, second = ([[0, p, 0, 1 - p], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]] for _ in range(2))
+    second[0] = [0, 0, p, 1 - p]
+    model = stl.MDP.from_arrays([first, second], {}, labels={"a": [0, 1, 0, 0], "b": [0, 0, 1, 0]})
+    joint = stl.build_joint_product(model, {"A": stl.parse("F[0,1] a"), "B": stl.parse("F[0,1] b")})
+    front = stl.pareto(joint)
+    assert [corner.point for corner in front.corners] == [(p, 0), (0, p)]
+    assert front.at_least(p / 2)[0] == pytest.approx(p / 2)
+
+
+def test_costs_that_overflow_and_names_that_clash(floor5):
+    model = dataclasses.replace(floor5, signals={**floor5.signals, "g": np.full(18, 1e308)}, _digest=[], _exact=[])
+    joint = stl.build_joint_product(model, {"one": stl.parse("F[0,3] A"), "A": stl.parse("F[0,3] B")})
+    with pytest.raises(SettingsError, match="cost g is up to 1e.308 a step; scale the signal"):
+        stl.tradeoff(joint, "one", budget={"g": 1e308})
+    with pytest.raises(SettingsError, match="A names a task and a cost; rename the task"):
+        stl.tradeoff(joint, "one", at_least={"A": 0.0}, budget={"A": 1.0})

@@ -50,6 +50,8 @@ def test_chains_and_repeated_actions(tmp_path):
     assert (chain.n_choices, chain.action_names, int(chain.initial.argmax())) == (2, ("0",), 1)
     twice = stl.load_model(write(tmp_path, tra="1 2 2\n0 0 0 1 go\n0 1 0 1 go\n", lab=None, sta=None))
     assert twice.action_names == ("go", "go#2")
+    tra = "1 3 3\n0 0 0 1 a#2\n0 1 0 1 a\n0 2 0 1 a\n"
+    assert stl.load_model(write(tmp_path, tra=tra, lab=None, sta=None)).action_names == ("a#2", "a", "a#3")
 
 
 def test_choices_are_numbered_as_in_the_file(tmp_path):
@@ -90,6 +92,13 @@ def test_rounded_decimals_load_with_a_defect(tmp_path):
         ({"tra": "1 1 1\n0 0 0 1/2\n", "lab": None, "sta": None}, "m.tra: state 0, action 0: .* sum to 0.5, not 1"),
         ({"lab": "init: 0\n"}, r'm.lab, line 1: .*write 0="init" 1="deadlock"'),
         ({"lab": '0="init" 1="init"\n'}, "line 1: .*two labels have one name"),
+        ({"lab": '0="init" 1="A" 1="B"\n'}, "line 1: .*two labels have one name, or one number"),
+        ({"lab": '0="done"\n'}, 'line 1: .*mark the state that runs start in: 0="init"'),
+        ({"lab": '0="init"\n0: 0\n1_0: 0\n'}, "line 3: .*write"),
+        ({"tra": "1 1 1\n0 0 +0 1\n"}, "line 2: .*write"),
+        ({"tra": "1 1 1\n0 0 \u0660 1\n"}, "line 2: .*write"),
+        ({"sta": "(x)\n0:(1_0)\n"}, "m.sta, line 2: .*write"),
+        ({"sta": "(x)\n0:(1)\n0:(2)\n"}, "m.sta, line 3: .*state 0 stands twice"),
         ({"lab": '0="init"\n0: 1\n'}, r'line 2: .*write "state: number number …", states 0 … 2'),
         ({"lab": '0="init"\n0: 0\n1: 0\n'}, 'm.lab: "init" marks 2 states; mark the one that runs start in'),
         ({"lab": '0="init" 1="x"\n0: 0\n'}, "m.lab: the label x is a variable of the .sta file too; rename it"),
