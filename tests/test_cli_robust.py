@@ -112,6 +112,20 @@ def test_exact_arithmetic_and_certificates_need_one_probability_each(stltool, tm
     assert (code, "exact P  " in out) == (0, True)
 
 
+def test_the_nominal_model_on_the_ordinary_road(stltool, tmp_path):  # noqa: F811
+    """Learned on the nominal probabilities, judged against nature; nothing takes them unasked."""
+    policy = tmp_path / "p.npz"
+    code, _, err = stltool("learn", UNCERTAIN, *SMALL, "--out", policy, "--episodes", "5")
+    assert (code, "--nominal" in err) == (2, True)
+    assert stltool("learn", UNCERTAIN, *SMALL, "--out", policy, "--episodes", "5", "--nominal")[0] == 0
+    code, out, _ = stltool("check", UNCERTAIN, *SMALL, "--policy", policy)
+    assert (code, "the policy, nature against" in out) == (0, True)
+    for command in ("why", "estimate"):
+        assert stltool(command, UNCERTAIN, *SMALL, "--nominal")[0] == 0
+    code, _, err = stltool("why", FACTORY / "patrolling.stl", "--nominal")
+    assert (code, "the model's probabilities are no intervals" in err) == (2, True)
+
+
 def test_a_bound_inside_the_enclosure_has_no_exact_way_out(stltool, product):  # noqa: F811
     value = stl.robust_check(product).probability
     code, out, _ = stltool("check", UNCERTAIN, *SMALL, "--at-least", repr(value))

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Params, PolicyFile, Seed, TaskFile, TaskName
+from stltool.cli.options import AsJson, Encoding, Model, Nominal, Params, PolicyFile, Seed, TaskFile, TaskName
 from stltool.cli.steps import make_product, read_probability
 from stltool.errors import SettingsError
 
@@ -44,6 +44,7 @@ def estimate(
     ] = None,
     no_exact: Annotated[bool, typer.Option("--no-exact", help="leave the exact check of --policy out")] = False,
     seed: Seed = 0,
+    nominal: Nominal = False,
     model: Model = None,
     param: Params = None,
     name: TaskName = None,
@@ -72,7 +73,7 @@ def estimate(
         planned_runs(**fixed)
     else:
         hypotheses(bound, **sequential)
-    product = make_product(task, model, param, name, encoding, as_json, learning=False, rollouts=True)
+    product = make_product(task, model, param, name, encoding, as_json, learning=False, rollouts=True, nominal=nominal)
     chosen = stl.load_policy(policy, product) if policy is not None else None
     truth = None
     if not no_exact:

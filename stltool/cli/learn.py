@@ -16,6 +16,7 @@ from stltool.cli.options import (
     Faithful,
     Method,
     Model,
+    Nominal,
     Params,
     Seed,
     Set,
@@ -34,6 +35,7 @@ def learn(
     episodes: Episodes = 1000,
     seed: Seed = 0,
     setting: Set = None,
+    nominal: Nominal = False,
     model: Model = None,
     param: Params = None,
     name: TaskName = None,
@@ -47,7 +49,7 @@ def learn(
     from stltool.reporting.terminal import print_facts, progress_bar
 
     require_policy_file(out)
-    product = make_product(task, model, param, name, encoding, as_json)
+    product = make_product(task, model, param, name, encoding, as_json, nominal=nominal)
     with progress_bar(f"learning ({method})", quiet=as_json) as bar:
         training = stl.learn(
             product, method, faithful=faithful, episodes=episodes, seed=seed, progress=bar, **read_settings(setting)

@@ -9,6 +9,9 @@ import typer
 
 TaskFile = Annotated[Path, typer.Argument(help="task file (.stl)", show_default=False)]
 Model = Annotated[Path | None, typer.Option("--model", help="model file; default: the task file's model line")]
+Nominal = Annotated[
+    bool, typer.Option("--nominal", help="where probabilities are intervals: take the nominal ones inside them")
+]
 PolicyFile = Annotated[
     Path | None, typer.Option("--policy", help="policy file (.npz) or Q-table (.csv); default: the best of all")
 ]

@@ -18,6 +18,7 @@ from stltool.cli.options import (
     Faithful,
     Method,
     Model,
+    Nominal,
     Params,
     Seed,
     Set,
@@ -30,6 +31,7 @@ from stltool.cli.steps import make_product, read_settings, training_text
 @app.command()
 def run(
     task: TaskFile,
+    nominal: Nominal = False,
     model: Model = None,
     param: Params = None,
     name: TaskName = None,
@@ -48,7 +50,7 @@ def run(
     from stltool.reporting import report_data, write_report
     from stltool.reporting.terminal import print_checks, print_facts, progress_bar
 
-    product = make_product(task, model, param, name, encoding, as_json)
+    product = make_product(task, model, param, name, encoding, as_json, nominal=nominal)
     folder = out if out is not None else Path("out") / product.task_name
     require_folder(folder)
     with progress_bar("checking the optimum", quiet=as_json) as bar:

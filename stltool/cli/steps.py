@@ -40,13 +40,17 @@ def make_product(
     quiet: bool,
     learning: bool = True,
     rollouts: bool = False,
+    nominal: bool = False,
 ) -> Product:
     import stltool as stl
     from stltool import kernels
     from stltool.reporting.terminal import kernels_ready
 
     loaded = stl.load_task(task, read_params(param), name)
-    product = bind(loaded, task_model(loaded, model), encoding)
+    world = task_model(loaded, model)
+    if nominal and world.intervals is None:
+        raise SettingsError("--nominal: the model's probabilities are no intervals; leave --nominal out")
+    product = bind(loaded, world.nominal() if nominal else world, encoding)
     with kernels_ready(quiet):
         kernels.warm_up(learning, rollouts, product.model.intervals is not None)
     return product

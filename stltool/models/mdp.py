@@ -120,8 +120,8 @@ class MDP:
         """SettingsError where the probabilities are intervals: for everything that would need one distribution."""
         if self.intervals is not None:
             raise SettingsError(
-                "the model's probabilities are intervals; use stl.robust_check (stltool check --nature), "
-                "or the ordinary model inside them, model.nominal() (stltool check --nature nominal)"
+                "the model's probabilities are intervals; use stl.robust_check (stltool check), or the ordinary model "
+                "inside them, model.nominal() (--nominal; stltool check --nature nominal)"
             )
 
     def nominal(self) -> MDP:
