@@ -127,6 +127,21 @@ def test_the_version(stltool):
     assert stltool("--version")[1].startswith("stltool 0.")
 
 
+def test_fractions_of_any_length(stltool, tmp_path):
+    """Beyond the 4300 digits that Python writes and reads by itself."""
+    (tmp_path / "m.tra").write_text("2 2 3\n0 0 0 0.99999999999999\n0 0 1 0.00000000000001\n1 0 1 1\n")
+    (tmp_path / "m.lab").write_text('0="init" 1="done"\n0: 0\n1: 1\n')
+    (tmp_path / "t.stl").write_text('model "m.tra"\nsoon := F[0,320] done\n')
+    files = [tmp_path / "t.stl", tmp_path / "c.jsonl", tmp_path / "p.npz"]
+    code, out, _ = stltool("check", files[0], "--exact", "--certificate", files[1], "--save-policy", files[2])
+    assert (code, "exact P  a fraction of 89" in out) == (0, True)
+    code, out, _ = stltool("certify", files[1], files[0])
+    assert (code, "3.1999999999948960E-12 <= P <= 3.1999999999948961E-12" in out) == (0, True)
+    assert len(json.loads(stltool("check", files[0], "--exact", "--json")[1])["exact"]) > 8600
+    stltool("check", files[0], "--exact", "--policy", files[2], "--certificate", files[1])
+    assert stltool("certify", files[1], files[0], "--policy", files[2])[0] == 0
+
+
 def test_certificates_of_given_policies(stltool, tmp_path):
     saved, file = tmp_path / "p.npz", tmp_path / "c.jsonl"
     stltool("check", PATROLLING, *SMALL, "--save-policy", saved)

@@ -29,13 +29,13 @@ from stltool.checking.backward import Progress
 from stltool.checking.check import CheckResult
 from stltool.checking.rational import follower, weights
 from stltool.checking.reach import first_steps, policy_layers
-from stltool.errors import CertificateError, SettingsError
+from stltool.errors import CertificateError, FileError, SettingsError
 from stltool.files import atomic_file, require_folder, require_replaceable
 from stltool.models import MDP
 from stltool.models.fractions import Integers, long_numbers
 from stltool.policy import Policy
 from stltool.product import Product
-from stltool.recheck import FORMAT, lines
+from stltool.recheck import DAMAGE, FORMAT, Refused, lines
 from stltool.sizes import require_memory
 
 _PARTS = ("model", "automaton")
@@ -83,15 +83,21 @@ def write_certificate(
 
 
 def require_certificate_file(path: str | Path) -> Path:
-    """The path where a certificate may be written; SettingsError for other endings, so that no other file is lost."""
+    """The path where a certificate may be written; FileError where that would lose a file that is none."""
     path = Path(path)
-    if not path.name.lower().endswith((".jsonl", ".jsonl.gz")):
-        raise SettingsError(f"{path}: a certificate is written as .jsonl, or packed as .jsonl.gz; name it so")
     require_replaceable(path)
     require_folder(path.resolve().parent)
+    if path.exists() and path.stat().st_size > 0:
+        try:
+            known = next(lines(str(path)), {}).get("format") == FORMAT
+        except (Refused, *DAMAGE):
+            known = False
+        if not known:
+            raise FileError(f"{path}: holds something else than a certificate, which would be lost; name another file")
     return path
 
 
+@long_numbers()
 def require_certificate_of(path: str | Path, product: Product, policy: Policy | None = None) -> None:
     """CertificateError, with what differs, unless a certificate speaks of this product's task, model and automaton.
 

@@ -36,6 +36,7 @@ def certify(
     """
     import stltool as stl
     from stltool.checking import require_certificate_of
+    from stltool.models.fractions import long_numbers
     from stltool.recheck import NotACertificate, Refused
     from stltool.recheck import certify as recheck
     from stltool.reporting.page import bound_texts
@@ -60,7 +61,8 @@ def certify(
     if as_json:
         print(json.dumps(proved | {"proved": True, "compared_with": str(task) if task is not None else None}))
         return
-    lower, upper = bound_texts(*(Fraction(proved[key]) for key in ("lower", "upper")))
+    with long_numbers():
+        lower, upper = bound_texts(*(Fraction(proved[key]) for key in ("lower", "upper")))
     question = {"maximum": "the maximum of all policies", "minimum": "the minimum of all policies"}
     print_facts({
         "proved": f"{lower} <= P <= {upper}",

@@ -270,9 +270,19 @@ def test_numbers_of_any_length(tmp_path):
 
 
 def test_a_certificate_replaces_no_other_file(tmp_path, patrolling):
-    for name in ("task.stl", "p.npz", "c.json", "c.gz"):
-        with pytest.raises(SettingsError, match=r"is written as .jsonl, or packed as .jsonl.gz"):
-            stl.write_certificate(stl.check(patrolling), tmp_path / name)
+    result = stl.check(patrolling)
+    result.policy.save(tmp_path / "p.npz")
+    (tmp_path / "task.stl").write_text("a := F[0,3] A\n")
+    (tmp_path / "r.json").write_text('{"format": "stltool-report-1"}\n')
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    for path in before:
+        with pytest.raises(FileError, match="holds something else than a certificate, which would be lost"):
+            stl.write_certificate(result, path)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+    for name in ("c", "c.json", "c.jsonl.gz"):  # any name; an old certificate makes way for a new one
+        for _ in range(2):
+            stl.write_certificate(result, tmp_path / name)
+            stl.certify(str(tmp_path / name))
 
 
 def test_rows_with_a_defect_are_certified_around_it(tmp_path):
