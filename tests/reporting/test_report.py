@@ -142,6 +142,17 @@ def test_probabilities_near_one_are_told_apart():
     assert [probability_text(p) for p in (0.0, 0.5, 0.9999930210946937, 1.0)] == ["0", "0.5", "1 − 6.98e-06", "1"]
 
 
+def test_the_headline_says_whose_probability_and_how_sure(patrolling, tmp_path):
+    best = stl.check(patrolling)
+    run = stl.learn(patrolling, "cfer", episodes=5, seed=0)
+    mine = stl.check(patrolling, run.policy)
+    for training, words in ((run, "under the learned policy"), (None, "under the given policy")):
+        stl.report([best, mine], training, tmp_path / "r.html")
+        page = (tmp_path / "r.html").read_text(encoding="utf-8")
+        assert words in page
+        assert " ≤ P ≤ ".join(bound_texts(mine.lower, mine.upper)) in page
+
+
 def test_a_fraction_is_shown_whole(patrolling, tmp_path):
     stl.report([stl.check(patrolling, exact=True)], None, tmp_path / "r.html")
     assert "73794757279959/100000000000000" in (tmp_path / "r.html").read_text(encoding="utf-8")
