@@ -25,6 +25,8 @@ from fractions import Fraction
 from typing import Any, NoReturn
 
 FORMAT = "stltool-certificate-1"
+HEADER = ("format", "claim", "task", "formula", "encoding", "horizon", "model", "policy")
+FRACTION = re.compile(r"-?[0-9]+(/[0-9]+)?")
 DAMAGE = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, EOFError, MemoryError,
           zlib.error, gzip.BadGzipFile)  # fmt: skip
 
@@ -67,11 +69,13 @@ def lines(path: str) -> Iterator[dict[str, Any]]:
     with gzip.open(path, "rb") if packed else open(path, "rb") as file:
         for line in file:
             require(seal is None, "there is text after the seal")
-            item = json.loads(line, parse_float=_not_whole, parse_constant=_not_whole, object_pairs_hook=_once)
+            item = json.loads(line.decode(), parse_float=_not_whole, parse_constant=_not_whole, object_pairs_hook=_once)
             seal = item.get("sha256")
             if seal is None:
                 digest.update(line)
                 yield item
+            else:
+                require(len(item) == 1, "the seal says more than its digest")
     require(seal is not None, "the file is cut off: its seal is missing")
     require(seal == digest.hexdigest(), "the seal does not fit: the file was changed after it was written")
 
@@ -85,11 +89,19 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return dict(pairs)
 
 
+def _whole(lists: list[Any]) -> bool:
+    """Whether lists, of lists, hold whole numbers alone."""
+    return all(type(item) is int or (type(item) is list and _whole(item)) for item in lists)
+
+
 def _certify(items: Iterator[dict[str, Any]], progress: Callable[[int, int], None]) -> dict[str, Any]:
     header = next(items, {})
     if header.get("format") != FORMAT:
         raise NotACertificate(f"not a certificate ({FORMAT})")
     model, automaton = next(items, {}), next(items, {})
+    told = {key: header[key] for key in HEADER}
+    require(set(header) == set(told), "the header has other keys than those of the format")
+    require(_whole([*model.values(), *automaton.values()]), "the model or the automaton holds more than whole numbers")
     claim, horizon, D, Q = header["claim"], header["horizon"], model["denominator"], automaton["memory"]
     letter, delta, start = automaton["letter"], automaton["delta"], automaton["start"]
     verdict_rows, starts = dict(automaton["verdicts"]), [t for t, _ in automaton["verdicts"]]
@@ -100,8 +112,8 @@ def _certify(items: Iterator[dict[str, Any]], progress: Callable[[int, int], Non
 
     choices = [[choice(row) for row in options] for options in model["choices"]]
     entries = [entry for options in choices for successors, _ in options for entry in successors]
-    told = [*(header[key] for key in ("task", "formula", "encoding", "model")), header["policy"] or ""]
-    require(all(isinstance(text, str) and text.isprintable() for text in told), "the header's texts are not printable")
+    texts = [told[key] for key in ("task", "formula", "encoding", "model", "policy") if told[key] is not None]
+    require(all(isinstance(text, str) and text.isprintable() for text in texts), "the header's texts are not printable")
     require(type(horizon) is int and horizon >= 0, f"the horizon {horizon!r} is no number of steps")
     require(claim in ("maximum", "minimum", "policy"), f"unknown claim {claim!r}")
     require(D > 0 and all(n >= 0 and 0 <= s < len(choices) for s, n in entries), "a transition is no probability")
@@ -130,13 +142,16 @@ def _certify(items: Iterator[dict[str, Any]], progress: Callable[[int, int], Non
     while t > 0:
         layer = next(items, {})
         require(layer.get("t") == t - 1 and layer["one"] > 0, f"layer {t - 1} is missing")
+        require(
+            _whole([layer[key] for key in ("one", "at", "lower", "upper", "choice")]),
+            f"layer {t - 1}: no whole numbers",
+        )
         now, unit = verdicts(t - 1), layer["one"]
         found: dict[int, tuple[int, int]] = {}
         for at, low, high, listed in zip(layer["at"], layer["lower"], layer["upper"], layer["choice"], strict=True):
             (s, q), where = divmod(at, Q), f"step {t - 1}, state {at // Q}, memory {at % Q}"
             options = choices[s]
             weights = listed if isinstance(listed, list) else [int(c == listed) for c in range(len(options))]
-            require(isinstance(low, int) and isinstance(high, int), f"{where}: a bound is no number")
             require(at >= 0 and now[q] < 0 and at not in found, f"{where}: decided, or listed twice")
             require(len(weights) == len(options) and min(weights) >= 0 < sum(weights), f"{where}: no such choice")
             # what a row lacks may go where it is worth most, what it exceeds be taken there
@@ -162,11 +177,11 @@ def _certify(items: Iterator[dict[str, Any]], progress: Callable[[int, int], Non
               "upper": Fraction(high + max(0, lack) * one, one * total)}  # fmt: skip
     require({*claimed} == {*proved}, "the conclusion is no lower and upper bound")
     for key, bound in claimed.items():
-        require(isinstance(bound, str) and bool(re.fullmatch(r"-?\d+(/\d+)?", bound)), f"{bound!r} is no fraction")
+        require(isinstance(bound, str) and bool(FRACTION.fullmatch(bound)), f"{bound!r} is no fraction")
         proves = proved[key] >= Fraction(bound) if key == "lower" else proved[key] <= Fraction(bound)
         require(proves, f"the claimed {key} bound is not what is proved")
     defect = max(Fraction(abs(lack), total), *(Fraction(abs(n), D) for options in choices for _, n in options))
-    return header | claimed | {"layers": horizon, "pairs": pairs, "defect": str(defect)}
+    return told | claimed | {"layers": horizon, "pairs": pairs, "defect": str(defect)}
 
 
 if __name__ == "__main__":

@@ -107,7 +107,9 @@ def test_exact_arithmetic_and_certificates_need_one_probability_each(stltool, tm
         assert "need probabilities that are no intervals; add --nature nominal" in err
     assert not path.exists()
     assert stltool("check", UNCERTAIN, *SMALL, "--nature", "nominal", "--certificate", path)[0] == 0
-    assert stltool("certify", path, UNCERTAIN, *SMALL)[0] == 0
+    code, out, _ = stltool("certify", path, UNCERTAIN, *SMALL)
+    assert (code, "at its nominal probabilities: nothing is said of its intervals" in out) == (0, True)
+    assert json.loads(stltool("certify", path, UNCERTAIN, *SMALL, "--json")[1])["nominal"] is True
     code, out, _ = stltool("check", UNCERTAIN, *SMALL, "--nature", "nominal", "--exact")
     assert (code, "exact P  " in out) == (0, True)
 

@@ -58,6 +58,8 @@ def certify(
         loaded = stl.load_task(task, read_params(param), name)
         product = bind(loaded, task_model(loaded, model), encoding)
         require_certificate_of(file, product, stl.load_policy(policy, product) if policy is not None else None)
+        nominal = product.model.intervals is not None
+        proved |= {"task": product.task_name, "encoding": product.automaton.encoding, "nominal": nominal}
     if as_json:
         print(json.dumps(proved | {"proved": True, "compared_with": str(task) if task is not None else None}))
         return
@@ -71,7 +73,12 @@ def certify(
         "encoding": proved["encoding"],
         "checked": f"{proved['pairs']} pairs of state and memory in {proved['layers']} layers, whole numbers only",
         "rows": "sum to 1 exactly" if proved["defect"] == "0" else f"sum to 1 up to {proved['defect']}, allowed for",
-        "compared": f"with {task}: the same task, model and automaton{' and policy' if policy else ''}"
-        if task is not None else
-        "with nothing: the model and automaton are the file's own; give TASK to compare them with yours",
+        "compared": _compared(task, policy, bool(proved.get("nominal"))),
     })  # fmt: skip
+
+
+def _compared(task: Path | None, policy: Path | None, nominal: bool) -> str:
+    if task is None:
+        return "with nothing: the model and automaton are the file's own; give TASK to compare them with yours"
+    same = f"with {task}: the same task, model and automaton{' and policy' if policy else ''}"
+    return same + (" at its nominal probabilities: nothing is said of its intervals" if nominal else "")
