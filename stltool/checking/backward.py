@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from stltool.automata import FALSE, TRUE
 from stltool.checking.fixed import FixedPoint
+from stltool.policy import Policy
 from stltool.product import Product
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -70,6 +71,22 @@ def induct(
     start = np.flatnonzero(product.model.initial)
     entries: Values = values[start, entry[start]]
     return entries
+
+
+def sweep_of(
+    sweeper: Sweeper, policy: Policy | None, maximize: bool, tables: NDArray[np.int16]
+) -> Callable[[int, Values, Values], None]:
+    """What `induct` does a step: a policy's value; or the optimum, whose choices go to `tables` (h or 1, S, Q)."""
+
+    def sweep(t: int, W: Values, out: Values) -> None:
+        if policy is None:
+            sweeper.optimum(W, maximize, out, tables[t % len(tables)])
+        elif policy.deterministic:
+            sweeper.policy(W, policy.at(t), out)
+        else:
+            sweeper.mixture(W, policy.at(t), out)
+
+    return sweep
 
 
 def _decide(product: Product, t: int, values: Values, one: float) -> None:

@@ -23,6 +23,7 @@ from stltool.models import MDP
 _U = Fraction(1, 2**53)
 _EXACT_SUMS = 1_000_000  # transitions
 _UNDERFLOW = Fraction(1, 2**1073)
+_ANYTHING = Fraction(2**1100)  # more than any double
 
 
 def roundings(sweeps: int, row_length: int, choices_mixed: int = 0) -> int:
@@ -41,12 +42,25 @@ def defect(rows: Iterable[Iterable[float]]) -> Fraction:
 
 def model_defects(model: MDP) -> tuple[Fraction, Fraction]:
     """The largest defect of a row, and of the initial distribution; an upper bound where exact sums would take long."""
-    if model.fractions is not None or model.n_transitions <= _EXACT_SUMS:
+    if sums_exactly(model):
         return model.exact().defects(model.row_start)
     lengths = np.diff(model.row_start)
     sums = np.add.reduceat(model.probability, model.row_start[:-1])
     rounding = _U * int(lengths.max()) * 2  # of summing, in any order, terms whose sum is below 2
     return Fraction(float(np.abs(sums - 1).max())) + rounding, defect([model.initial.tolist()])
+
+
+def compounded(amount: Fraction, growth: Fraction) -> Fraction:
+    """Errors of `amount` in all, where the sums that carry them on exceed 1 by `growth` in all.
+
+    Π(1 + g_i) ≤ e^g ≤ 1/(1 − g); where g reaches 1, nothing is known of the value.
+    """
+    return amount / (1 - growth) if growth < 1 else _ANYTHING
+
+
+def sums_exactly(model: MDP) -> bool:
+    """Whether the model's rows are known as fractions, or few enough to be read so in no time."""
+    return model.fractions is not None or model.n_transitions <= _EXACT_SUMS
 
 
 def can_underflow(steps: int, smallest: float) -> bool:

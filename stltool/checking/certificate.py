@@ -32,14 +32,13 @@ from stltool.checking.reach import first_steps, policy_layers
 from stltool.errors import CertificateError, FileError, SettingsError
 from stltool.files import atomic_file, require_folder, require_replaceable
 from stltool.models import MDP
-from stltool.models.fractions import Integers, long_numbers
+from stltool.models.fractions import LARGEST_SUM, Integers, long_numbers
 from stltool.policy import Policy
 from stltool.product import Product
 from stltool.recheck import DAMAGE, FORMAT, Refused, lines
 from stltool.sizes import require_memory
 
 _PARTS = ("model", "automaton")
-_LARGEST = 2**62  # what D units may come to in int64
 _FINE, _FINEST = 2**48, 2**60  # units in 1: enough for int64, and for Python's integers where int64 has fewer
 
 
@@ -190,8 +189,8 @@ def _layers(
     exact = model.exact()
     D = exact.denominator
     numerator: Integers = exact.numerator
-    one = 1 if not rounded else _LARGEST // D if _LARGEST // D >= _FINE else _FINEST
-    if not rounded or one * D > _LARGEST or not policy.deterministic:
+    one = 1 if not rounded else LARGEST_SUM // D if LARGEST_SUM // D >= _FINE else _FINEST
+    if not rounded or one * D > LARGEST_SUM or not policy.deterministic:
         numerator = numerator.astype(object)
     lack = D - np.add.reduceat(numerator, model.row_start[:-1])[:, None]
     reached = _support(product, policy if claim == "policy" else None)

@@ -15,8 +15,17 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.checking.backward import Backend, Floats, Progress, Values, induct, sweeper
-from stltool.checking.bounds import can_underflow, defect, enclose, model_defects, round_down, round_up, roundings
+from stltool.checking.backward import Backend, Floats, Progress, Values, induct, sweep_of, sweeper
+from stltool.checking.bounds import (
+    can_underflow,
+    compounded,
+    defect,
+    enclose,
+    model_defects,
+    round_down,
+    round_up,
+    roundings,
+)
 from stltool.checking.fixed import FixedPoint, fixed_point
 from stltool.checking.rational import exact_probability, require_exact
 from stltool.checking.reach import policy_layers
@@ -88,42 +97,28 @@ def check(
     answer is asked of rows that do not sum to 1; SizeError before allocating what would not fit.
     """
     start = time.perf_counter()
-    _require_known("backend", backend, ("numba", "numpy"))
-    _require_known("arithmetic", arithmetic, ("auto", "double", "fixed"))
-    require_time(
-        product.horizon * product.model.n_transitions * product.automaton.n_states,
-        _RATE,
-        f"sweeping {product.n_states} product states over {product.horizon} steps",
-        "shorten the windows",
-    )
+    require_known("backend", backend, ("numba", "numpy"))
+    require_known("arithmetic", arithmetic, ("auto", "double", "fixed"))
     if exact:
         require_exact(product.model)
     question: Literal["maximum", "minimum", "policy"]
-    if policy is not None:
-        question, keep_policy = "policy", False
-        product_of_both, rebased = policy.on(product)
-        inside = f"checking {product_of_both.n_states} product states"
-    else:
-        question = "maximum" if maximize else "minimum"
-        product_of_both, rebased = product, None
-        inside = f"checking {product.n_states} product states over {product.horizon} steps"
-    inside += ", the policy's table included" if keep_policy else ""
-    remedy = "use keep_policy=False, or shorten the windows" if keep_policy else "shorten the windows"
-    require_memory(product_of_both.check_bytes(keep_policy), inside, remedy, memory_limit)
-    tables = np.zeros((product.horizon, *product.shape), dtype=np.int16) if keep_policy else None
-    sweeps = _Sweeps(product_of_both, rebased, maximize, tables, backend, progress)
+    question = "policy" if policy is not None else "maximum" if maximize else "minimum"
+    kept = policy is None and keep_policy
+    judge, rebased = policy.on(product) if policy is not None else (product, None)
+    require_sweeps(judge, kept, _RATE, memory_limit)
+    tables = np.zeros((product.horizon if kept else 1, *product.shape), dtype=np.int16)
+    sweeps = _Sweeps(judge, rebased, maximize, tables, backend, progress)
     used: Literal["double", "fixed", "rational"]
     fraction = None
     if exact:
         if rebased is not None:
             sweeps.enclosed("double")  # finds where the policy says nothing
-        fraction = exact_probability(
-            product_of_both, rebased, maximize, tables, memory_limit=memory_limit, progress=progress
-        )
+        choices = tables if kept else None
+        fraction = exact_probability(judge, rebased, maximize, choices, memory_limit=memory_limit, progress=progress)
         value, lower, upper, used = float(fraction), round_down(fraction), round_up(fraction), "rational"
     else:
         value, lower, upper, used = sweeps.enclosed(arithmetic)
-    if tables is not None:
+    if kept:
         policy = Policy(product, tables)
     seconds = time.perf_counter() - start
     return CheckResult(
@@ -131,7 +126,20 @@ def check(
     )
 
 
-def _require_known(what: str, given: str, known: tuple[str, ...]) -> None:
+def require_sweeps(product: Product, keep_policy: bool, rate: float, memory_limit: int | None) -> None:
+    """SizeError where sweeps at `rate` multiply-adds a second would not end, or what they hold would not fit."""
+    states = f"{product.n_states} product states over {product.horizon} steps"
+    nonzeros = product.model.n_transitions * product.automaton.n_states
+    require_time(product.horizon * nonzeros, rate, f"sweeping {states}", "shorten the windows")
+    require_memory(
+        product.check_bytes(keep_policy),
+        f"checking {states}" + (", the policy's table included" if keep_policy else ""),
+        "use keep_policy=False, or shorten the windows" if keep_policy else "shorten the windows",
+        memory_limit,
+    )
+
+
+def require_known(what: str, given: str, known: tuple[str, ...]) -> None:
     if given not in known:
         raise SettingsError(f"there is no {what} {given!r}; choose {', '.join(known)}")
 
@@ -143,7 +151,7 @@ class _Sweeps:
     product: Product
     policy: Policy | None
     maximize: bool
-    tables: NDArray[np.int16] | None
+    tables: NDArray[np.int16]
     backend: Backend
     progress: Progress | None
 
@@ -172,23 +180,11 @@ class _Sweeps:
         return int(np.diff(self.product.model.row_start).max())
 
     def _entry_values(self, scale: FixedPoint | None) -> Values:
-        policy, tables = self.policy, self.tables
         swept = sweeper(self.product, self.backend, scale)
-        unused = np.zeros(self.product.shape, dtype=np.int16) if tables is None and policy is None else None
-
-        def sweep(t: int, W: Values, out: Values) -> None:
-            if policy is None:
-                table = tables[t] if tables is not None else unused
-                assert table is not None
-                swept.optimum(W, self.maximize, out, table)
-            elif policy.deterministic:
-                swept.policy(W, policy.at(t), out)
-            else:
-                swept.mixture(W, policy.at(t), out)
-
+        sweep = sweep_of(swept, self.policy, self.maximize, self.tables)
         entry = induct(self.product, swept, sweep, self.progress)
-        if policy is not None and (np.isnan(entry) | (entry < 0)).any():
-            raise undefined(self.product, policy)
+        if self.policy is not None and (np.isnan(entry) | (entry < 0)).any():
+            raise undefined(self.product, self.policy)
         return entry
 
     def _in_doubles(self) -> tuple[float, float, float]:
@@ -202,7 +198,7 @@ class _Sweeps:
             smallest = min(smallest, least_positive(weights))
         row_defect, start_defect = model_defects(model)
         missing = h * (row_defect + weight_defect) + start_defect
-        missing = missing / (1 - missing) if missing < 1 else Fraction(1)  # what exceeds 1 compounds
+        missing = compounded(missing, missing)
         underflow = can_underflow((2 if mixed else 1) * h + 1, smallest)
         lower, upper = enclose(value, roundings(h, self._row_length(), mixed), missing, underflow)
         return min(max(value, 0.0), 1.0), lower, upper

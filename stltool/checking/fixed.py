@@ -16,10 +16,10 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.checking.bounds import round_down, round_up
+from stltool.checking.bounds import round_down, round_up, sums_exactly
 from stltool.models import MDP
+from stltool.models.fractions import LARGEST_SUM
 
-_LARGEST_SUM = 2**62
 _LARGEST_DENOMINATOR = 2**31
 
 
@@ -48,11 +48,13 @@ class FixedPoint:
 
 def fixed_point(model: MDP) -> FixedPoint | None:
     """The fixed point of a model, or None where its probabilities do not share a small denominator."""
+    if not sums_exactly(model):
+        return None
     exact = model.exact()
     if exact.denominator >= _LARGEST_DENOMINATOR or any(exact.defects(model.row_start)):
         return None
     one, exact_sweeps = 1, 0
-    while exact.denominator > 1 and one * exact.denominator**2 <= _LARGEST_SUM:
+    while exact.denominator > 1 and one * exact.denominator**2 <= LARGEST_SUM:
         one, exact_sweeps = one * exact.denominator, exact_sweeps + 1
-    one *= _LARGEST_SUM // (one * exact.denominator)
+    one *= LARGEST_SUM // (one * exact.denominator)
     return FixedPoint(exact.numerator.astype(np.int64), exact.denominator, one, exact_sweeps)

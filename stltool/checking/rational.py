@@ -23,13 +23,12 @@ from stltool.checking.backward import Progress, over_ranges
 from stltool.checking.reach import first_steps
 from stltool.errors import ModelError
 from stltool.models import MDP
-from stltool.models.fractions import Integers, over_one
+from stltool.models.fractions import LARGEST_SUM, Integers, over_one
 from stltool.policy import Policy
 from stltool.product import Product
 from stltool.sizes import require_memory, require_time
 
 _KERNEL_BELOW = 2**40
-_SUM_BITS = 62
 _KERNEL_RATE, _PYTHON_RATE = 5e8, 1e7  # digits' and Python integers' multiply-adds a second, roughly
 
 
@@ -84,7 +83,7 @@ def _in_digits(
     model, automaton, h = product.model, product.automaton, product.horizon
     exact = model.exact()
     D = exact.denominator
-    bits = _SUM_BITS - D.bit_length()
+    bits = LARGEST_SUM.bit_length() - 1 - D.bit_length()
     most = int(h * math.log2(D) / bits) + 2
     _require(product, 16 * most * product.n_states, most / 2, _KERNEL_RATE, memory_limit)
     first = first_steps(product)

@@ -39,14 +39,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.checking.backward import Backend, Floats, NumbaSweeper, NumpySweeper, Progress, Sweeper, Values, induct
-from stltool.checking.bounds import defect, enclose
-from stltool.checking.check import CheckResult, undefined
+from stltool.checking.backward import Backend, Floats, NumbaSweeper, NumpySweeper, Progress, Sweeper, induct, sweep_of
+from stltool.checking.bounds import compounded, defect, enclose
+from stltool.checking.check import CheckResult, require_known, require_sweeps, undefined
 from stltool.errors import SettingsError
 from stltool.models import Intervals
 from stltool.policy import Policy
 from stltool.product import Product
-from stltool.sizes import require_memory, require_time
 
 Nature = Literal["against", "with"]
 
@@ -85,41 +84,19 @@ def robust_check(
         )
     if nature not in ("against", "with"):
         raise SettingsError(f"nature is {nature!r}; choose against or with")
-    if backend not in ("numba", "numpy"):
-        raise SettingsError(f"there is no backend {backend!r}; choose numba or numpy")
+    require_known("backend", backend, ("numba", "numpy"))
     longest = int(np.diff(product.model.row_start).max())
     if longest > _LONGEST_ROW:
         raise SettingsError(f"a row has {longest} entries; robust checks take up to {_LONGEST_ROW}")
     judge, rebased = policy.on(product) if policy is not None else (product, None)
     kept = policy is None and keep_policy
-    require_time(
-        product.horizon * product.model.n_transitions * judge.automaton.n_states,
-        _RATE,
-        f"sweeping {judge.n_states} product states over {product.horizon} steps",
-        "shorten the windows",
-    )
-    require_memory(
-        judge.check_bytes(kept),
-        f"checking {judge.n_states} product states over {product.horizon} steps"
-        + (", the policy's table included" if kept else ""),
-        "use keep_policy=False, or shorten the windows" if kept else "shorten the windows",
-        memory_limit,
-    )
+    require_sweeps(judge, kept, _RATE, memory_limit)
     minimal = maximize == (nature == "against")
     swept = robust_sweeper(judge, intervals, minimal, backend)
     question: Literal["maximum", "minimum", "policy"]
     question = "policy" if rebased is not None else "maximum" if maximize else "minimum"
     tables = np.zeros((product.horizon if kept else 1, *product.shape), dtype=np.int16)
-
-    def sweep(t: int, W: Values, out: Values) -> None:
-        if rebased is None:
-            swept.optimum(W, maximize, out, tables[t if kept else 0])
-        elif rebased.deterministic:
-            swept.policy(W, rebased.at(t), out)
-        else:
-            swept.mixture(W, rebased.at(t), out)
-
-    entry = induct(judge, swept, sweep, progress)
+    entry = induct(judge, swept, sweep_of(swept, rebased, maximize, tables), progress)
     if rebased is not None and np.isnan(entry).any():
         raise undefined(judge, rebased)
     value = math.fsum(product.model.initial[np.flatnonzero(product.model.initial)] * entry)
@@ -130,7 +107,7 @@ def robust_check(
     initial_defect = defect([product.model.initial])
     a_sweep = (8 * longest + 2 * mixed) * _U + 2 * _defect(product) + 2 * weight_defect
     growth = product.horizon * weight_defect + initial_defect  # what defects of weights make of earlier errors
-    slack = (product.horizon * a_sweep + initial_defect) / (1 - growth) if growth < 1 else Fraction(1)
+    slack = compounded(product.horizon * a_sweep + initial_defect, growth)
     lower, upper = enclose(value, 3, slack, underflow=False)  # the initial sum's; a first sweep's slack is larger
     if kept:
         policy = Policy(product, tables)

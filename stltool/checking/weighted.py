@@ -28,7 +28,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.checking.backward import Floats, Progress
-from stltool.checking.bounds import around, can_underflow, defect, model_defects, round_down, round_up, roundings
+from stltool.checking.bounds import (
+    around,
+    can_underflow,
+    compounded,
+    defect,
+    model_defects,
+    round_down,
+    round_up,
+    roundings,
+)
 from stltool.checking.check import least_positive
 from stltool.errors import NameLookupError, SettingsError, near_misses
 from stltool.models import MDP
@@ -215,7 +224,7 @@ def _figure(
         most += Fraction(w) * h * Fraction(float(saved.max(initial=0.0)))
     row_defect, start_defect = criteria.defects
     missing = h * (row_defect + weight_defect) + start_defect
-    missing = most * missing / (1 - missing)  # rows that exceed 1 compound
+    missing = most * compounded(missing, missing)
     factors = (2 if choices_mixed else 1) * h + 3
     underflow = can_underflow(factors, min(least, least_positive(model.probability, model.initial, weights, savings)))
     lower, upper = around(value, n_roundings, missing, underflow)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import metadata
 from typing import Annotated
 
 import typer
@@ -10,6 +9,8 @@ import typer
 
 def _version(asked: bool) -> None:
     if asked:
+        from importlib import metadata
+
         print(f"stltool {metadata.version('stltool')}")
         raise typer.Exit
 

@@ -11,13 +11,13 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Params, TaskName
-from stltool.cli.steps import bind, read_params, task_model
+from stltool.cli.steps import load_product
 from stltool.errors import CertificateError, SettingsError
 
 
 @app.command()
 def certify(
-    file: Annotated[Path, typer.Argument(help="certificate (.jsonl or .jsonl.gz)", show_default=False)],
+    file: Annotated[Path, typer.Argument(help="certificate that check --certificate wrote", show_default=False)],
     task: Annotated[
         Path | None, typer.Argument(help="task file (.stl) that the certificate must be of", show_default=False)
     ] = None,
@@ -55,8 +55,7 @@ def certify(
     except FileNotFoundError:
         raise CertificateError(f"{file}: there is no such certificate") from None
     if task is not None:
-        loaded = stl.load_task(task, read_params(param), name)
-        product = bind(loaded, task_model(loaded, model), encoding)
+        product = load_product(task, model, param, name, encoding)
         require_certificate_of(file, product, stl.load_policy(policy, product) if policy is not None else None)
         nominal = product.model.intervals is not None
         proved |= {"task": product.task_name, "encoding": product.automaton.encoding, "nominal": nominal}

@@ -38,7 +38,7 @@ def check(
     ] = None,
     certificate: Annotated[
         Path | None,
-        typer.Option("--certificate", metavar="FILE", help="write what proves the bounds (.jsonl, or .jsonl.gz)"),
+        typer.Option("--certificate", metavar="FILE", help="write what proves bounds; packed where it ends in .gz"),
     ] = None,
     nature: Annotated[
         str | None,

@@ -42,18 +42,26 @@ def make_product(
     rollouts: bool = False,
     nominal: bool = False,
 ) -> Product:
-    import stltool as stl
+    """The product of a task file and its model, with the kernels loaded that the command needs."""
     from stltool import kernels
     from stltool.reporting.terminal import kernels_ready
+
+    product = load_product(task, model, param, name, encoding, nominal)
+    with kernels_ready(quiet):
+        kernels.warm_up(learning, rollouts, product.model.intervals is not None)
+    return product
+
+
+def load_product(
+    task: Path, model: Path | None, param: list[str] | None, name: str | None, encoding: str, nominal: bool = False
+) -> Product:
+    import stltool as stl
 
     loaded = stl.load_task(task, read_params(param), name)
     world = task_model(loaded, model)
     if nominal and world.intervals is None:
         raise SettingsError("--nominal: the model's probabilities are no intervals; leave --nominal out")
-    product = bind(loaded, world.nominal() if nominal else world, encoding)
-    with kernels_ready(quiet):
-        kernels.warm_up(learning, rollouts, product.model.intervals is not None)
-    return product
+    return bind(loaded, world.nominal() if nominal else world, encoding)
 
 
 def make_joint_product(

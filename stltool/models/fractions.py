@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 Integers: TypeAlias = NDArray[Any]
 """int64 where numbers and their denominator are below 2^62, else Python integers in an object array."""
 
-_SMALL = 2**62
+LARGEST_SUM = 2**62  # what sums in int64 may come to
 _LONGEST_NUMBER, _LARGEST_EXPONENT = 70, 60
 
 
@@ -70,7 +70,7 @@ def over_one(values: Iterable[Fraction]) -> tuple[Integers, int]:
     known = list(values)
     denominator = math.lcm(*{value.denominator for value in known})
     found = [value.numerator * (denominator // value.denominator) for value in known]
-    whole = denominator < _SMALL and all(abs(number) < _SMALL for number in found)  # so that rows can be summed
+    whole = all(abs(number) < LARGEST_SUM for number in (denominator, *found))  # so that rows can be summed
     return np.array(found, dtype=np.int64 if whole else object), denominator
 
 

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
+from stltool.checking import bounds
 from stltool.checking.fixed import fixed_point
 from stltool.checking.rational import exact_probability
 from stltool.checking.reach import first_steps
@@ -153,6 +154,18 @@ def test_wide_denominators_do_not_wrap():
         model = stl.MDP.from_arrays(np.random.default_rng(seed).dirichlet(np.ones(10), (1, 10)), {"x": np.arange(10)})
         result = stl.check(stl.build_product(model, stl.parse("F[0,3] x == 1")))
         assert result.upper - result.lower < 1e-12
+
+
+def test_large_models_in_doubles_are_not_read_as_fractions(monkeypatch):
+    """Reading millions of doubles exactly would take longer than the check; the a-priori bound needs none of it."""
+    model = stl.MDP.from_arrays([[[0.5, 0.5], [0, 1]]], {"x": [0, 1]})
+    product = stl.build_product(model, stl.parse("F[0,50] x > 0"))
+    assert stl.check(product).arithmetic == "fixed"
+    monkeypatch.setattr(bounds, "_EXACT_SUMS", 2)
+    monkeypatch.setattr(stl.MDP, "exact", None)
+    result = stl.check(product)
+    assert result.arithmetic == "double"
+    assert result.lower <= 1 - 2.0**-50 <= result.upper
 
 
 def test_doubles_mean_the_same_beside_fractions():
