@@ -1,21 +1,20 @@
 """What a learner is handed: something that only resets and steps.
 
-The simulator's model and random numbers live in closures; nothing that it is made of can be reached from it, so a
-learner cannot look at the probabilities it is to learn.
+A learner never looks at the probabilities it is to learn. Where the environment simulates a model, `tables` lets whole
+episodes run compiled (kernels/episode.py); they are the same to the bit as episodes stepped one by one, which a test
+holds, so nothing is learned from the tables that `reset` and `step` would not have told.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.models.mdp import MDP
-
-_BLOCK = 4096  # random numbers drawn at a time
 
 
 class Resettable(Protocol):
@@ -25,12 +24,29 @@ class Resettable(Protocol):
     def step(self, action: int, /) -> int: ...
 
 
+class Tables(NamedTuple):
+    """A model ready to be sampled by inversion: the MDP's arrays, `sums` as by `cumulated`, `first` summed up."""
+
+    choice_start: NDArray[np.int64]
+    row_start: NDArray[np.int64]
+    target: NDArray[np.int32]
+    sums: NDArray[np.float64]
+    first: NDArray[np.float64]
+
+
 @dataclass(frozen=True, slots=True)
 class Environment:
-    """`reset()` → first state; `step(i)` → next state after the i-th available action of the current one."""
+    """`reset()` → first state; `step(i)` → next state after the i-th available action of the current one.
+
+    generator  where all its random numbers come from, and all that it keeps between two episodes; None where that is
+               not so, and a run cannot be resumed
+    tables     the model that it simulates, one number of `generator` for a reset and one for a step; None: a black box
+    """
 
     reset: Callable[[], int]
     step: Callable[[int], int]
+    generator: np.random.Generator | None = None
+    tables: Tables | None = None
 
 
 def cumulated(model: MDP) -> NDArray[np.float64]:
@@ -51,21 +67,14 @@ def cumulated(model: MDP) -> NDArray[np.float64]:
 def simulator(model: MDP, rng: np.random.Generator) -> Environment:
     """Sample the model's transitions with the given generator."""
     model.require_points()
-    sums = cumulated(model)
-    first = np.cumsum(model.initial)
-    choice_start, row_start = model.choice_start.tolist(), model.row_start.tolist()
-    target = model.target
+    tables = Tables(model.choice_start, model.row_start, model.target, cumulated(model), np.cumsum(model.initial))
+    choice_start, row_start, target = model.choice_start.tolist(), model.row_start.tolist(), model.target
+    sums, first = tables.sums, tables.first
     state = -1
-    numbers: list[float] = []
-
-    def uniform() -> float:
-        if not numbers:
-            numbers.extend(rng.random(_BLOCK).tolist())
-        return numbers.pop()
 
     def reset() -> int:
         nonlocal state
-        state = min(int(first.searchsorted(uniform() * first[-1], side="right")), len(first) - 1)
+        state = min(int(first.searchsorted(rng.random() * first[-1], side="right")), len(first) - 1)
         return state
 
     def step(action: int) -> int:
@@ -75,8 +84,8 @@ def simulator(model: MDP, rng: np.random.Generator) -> Environment:
             raise IndexError(f"state {state} has no available action number {action}")
         lo, hi = row_start[choice], row_start[choice + 1]
         row = sums[lo:hi]
-        index = int(row.searchsorted(uniform() * row[-1], side="right"))
+        index = int(row.searchsorted(rng.random() * row[-1], side="right"))
         state = int(target[lo + min(index, hi - lo - 1)])
         return state
 
-    return Environment(reset, step)
+    return Environment(reset, step, rng, tables)
