@@ -21,7 +21,7 @@ import numpy as np
 import stltool as stl
 from stltool import kernels
 from stltool.checking import estimate_from
-from stltool.kernels.learning import clocked_transition
+from stltool.kernels.learning import clocked_transitions
 from stltool.learning import Settings
 from stltool.learning.problem import Problem
 from stltool.learning.tables import ClockedTable
@@ -54,29 +54,29 @@ def check_ratio(product: stl.Product) -> str:
 
 def update_ratio(product: stl.Product) -> str:
     problem, rng = Problem.of(product), np.random.default_rng(0)
-    live_of = product.automaton.live()
-    transitions = []
-    for _ in range(200):
-        s = int(rng.integers(problem.n_states))
-        a = int(rng.integers(problem.n_choices[s]))
-        transitions.append((s, a, int(rng.integers(problem.n_states))))
+    s, a, s2 = (
+        rng.integers(problem.n_states, size=(2, 2000))[0],
+        rng.integers(9, size=2000),
+        rng.integers(72, size=2000),
+    )
+    rows = np.stack([s, a, s2], axis=1).astype(np.int32)
     tables = [ClockedTable(problem, Settings(), count_every_entry=False) for _ in range(2)]
 
-    def run(table: ClockedTable, kernel: Callable[..., None], some: list[tuple[int, int, int]]) -> None:
-        for s, a, s2 in some:
-            after = product.automaton.delta[problem.letter[s2]]
-            memory = table._memory[problem.letter[s]]
-            kernel(table.Q, table.V, table.live, memory, after, s, a, s2, int(problem.n_choices[s]), 0.1)
+    def run(table: ClockedTable, kernel: Callable[..., None], some: np.ndarray) -> None:
+        kernel(
+            table.Q, table.V, np.full_like(table.visits, 10), problem.letter, table.entries, table._successor,
+            problem.n_choices, 0.1, some,
+        )  # fmt: skip
 
-    def updates(some: list[tuple[int, int, int]]) -> int:
-        return sum(int(live_of[:, tables[0]._memory[problem.letter[s]]].sum()) for s, _, _ in some)
+    def updates(some: np.ndarray) -> int:
+        return int(table_entries[problem.letter[some[:, 0]]].sum())
 
-    few = transitions[:3]
-    run(tables[0], clocked_transition, few)
-    run(tables[1], clocked_transition.py_func, few)
+    table_entries, few = tables[0].entries, rows[:20]
+    run(tables[0], clocked_transitions, few)
+    run(tables[1], clocked_transitions.py_func, few)
     assert np.array_equal(tables[0].Q, tables[1].Q)
-    fast = updates(transitions) / best_of(7, lambda: run(tables[0], clocked_transition, transitions))
-    slow = updates(few) / best_of(3, lambda: run(tables[1], clocked_transition.py_func, few))
+    fast = updates(rows) / best_of(7, lambda: run(tables[0], clocked_transitions, rows))
+    slow = updates(few) / best_of(3, lambda: run(tables[1], clocked_transitions.py_func, few))
     return f"| Q updates a second ({fast:.3g}) | the same loop in plain Python ({slow:.3g}) | {fast / slow:.0f} × |"
 
 

@@ -140,7 +140,7 @@ def read_settings(pairs: list[str] | None) -> dict[str, Any]:
     settings: dict[str, Any] = {}
     for pair in pairs or []:
         key, text = read_pair(pair, "--set replays=50")
-        if key in ("episodes", "seed", "method", "faithful", "product", "progress"):
+        if key in ("episodes", "seed", "method", "faithful", "product", "progress", "checkpoint", "resume"):
             raise SettingsError(f"--set {key}: there is an option or argument of its own for it; see --help")
         for kind in (int, float, str):
             try:
@@ -159,7 +159,7 @@ def read_pair(text: str, example: str) -> tuple[str, str]:
 
 
 def training_text(training: Training) -> str:
-    episodes, steps = training.settings.episodes, training.environment_steps
+    episodes, steps = training.episodes, training.environment_steps
     method = training.method + (" as published" if training.faithful else "")
     return f"{method}, {episodes} episodes, {steps} environment steps, {training.seconds:.1f} s"
 

@@ -1,74 +1,195 @@
-"""Q-learning's inner loops. S model states, N automaton states, C choices, h steps.
+"""Q-learning's inner loops. S model states, N automaton states, C choices, E entries (pairs (t, q) still open).
 
-surrogate   Q (S, N, C):     Q[s,q,a] += α (r(q') + γ max Q[s',q',·] − Q[s,q,a])                 paper, eq. 5
-clocked     Q (S, C, h, N), V (S, h+1, N):  Q_t[s,a,q] += α (V_{t+1}[s',q'] − Q_t[s,a,q]),  V = max over a
+surrogate   Q (S, N, C):   Q[s,q,a] += α (r(q') + γ max Q[s',q',·] − Q[s,q,a])                  paper, eq. 5
+clocked     Q (S, C, E), V (S, E+2):   Q[s,a,e] += α (V[s', succ(e)] − Q[s,a,e]),   V = max over a that were tried
+
+`env`, `table` and `replay` are the named tuples of kernels/tuples.py.
 """
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from stltool.kernels.tuples import Replay, Surrogate, Tables
+
 F64: TypeAlias = NDArray[np.float64]
 I32: TypeAlias = NDArray[np.int32]
 I64: TypeAlias = NDArray[np.int64]
-B1: TypeAlias = NDArray[np.bool_]
 
 
 @njit(cache=True)
-def surrogate_updates(Q: F64, reward: F64, tuples: I32, drawn: I64, alpha: float, gamma: float) -> None:
-    """One update per drawn row (s, q, a, s', q') of `tuples`, in order."""
-    for i in drawn:
-        s, q, a, s2, q2 = tuples[i, 0], tuples[i, 1], tuples[i, 2], tuples[i, 3], tuples[i, 4]
-        best = Q[s2, q2, 0]
-        for b in range(1, Q.shape[2]):
-            best = max(best, Q[s2, q2, b])
-        Q[s, q, a] += alpha * (reward[q2] + gamma * best - Q[s, q, a])
+def inversion(sums: F64, lo: int, hi: int, x: float) -> int:
+    """The first entry of sums[lo:hi] that exceeds x; the last one where none does."""
+    hi -= 1
+    while lo < hi:
+        middle = (lo + hi) // 2
+        if x < sums[middle]:
+            hi = middle
+        else:
+            lo = middle + 1
+    return lo
+
+
+@njit(cache=True)
+def greedy(values: F64, n: int, chance: float) -> int:
+    """The best of the first n, ties broken by `chance` in [0, 1)."""
+    best, ties = values[0], 1
+    for i in range(1, n):
+        if values[i] > best:
+            best, ties = values[i], 1
+        elif values[i] == best:
+            ties += 1
+    wanted = int(chance * ties)
+    for i in range(n):
+        if values[i] == best:
+            if wanted == 0:
+                return i
+            wanted -= 1
+    return 0
+
+
+# ----------------------------------------------------------------------------------------------- as published
+
+
+@njit(cache=True)
+def surrogate_update(table: Any, s: int, q: int, a: int, s2: int, q2: int) -> None:
+    best = table.Q[s2, q2, 0]
+    for b in range(1, table.Q.shape[2]):
+        best = max(best, table.Q[s2, q2, b])
+    table.Q[s, q, a] += table.alpha * (table.reward[q2] + table.gamma * best - table.Q[s, q, a])
+
+
+@njit(cache=True)
+def remember(rows: I32, weight: F64, place: I64, s: int, q: int, a: int, s2: int, q2: int, w: float) -> None:
+    """Into the memory, the oldest row leaves; place = (next, size)."""
+    i = place[0]
+    rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3], rows[i, 4] = s, q, a, s2, q2
+    weight[i] = w
+    place[0] = (i + 1) % len(rows)
+    place[1] = min(place[1] + 1, len(rows))
+
+
+@njit(cache=True)
+def replay_batch(table: Any, replay: Any, u: F64) -> None:
+    """One update for each number of u: the first `n_facts` draw from the facts, the rest from the memory."""
+    sums = np.empty(0)
+    if replay.weighted:
+        sums = np.cumsum(replay.weight[: replay.place[1]])
+    for j in range(len(u)):
+        if j < replay.n_facts:
+            row = replay.facts[int(u[j] * replay.facts_place[1])]
+        elif replay.weighted:
+            row = replay.rows[inversion(sums, 0, len(sums), u[j] * sums[-1])]
+        else:
+            row = replay.rows[int(u[j] * replay.place[1])]
+        surrogate_update(table, row[0], row[1], row[2], row[3], row[4])
+
+
+@njit(cache=True)
+def surrogate_observe(
+    table: Any, replay: Any, draws: F64, letter: int, t: int, s: int, q: int, a: int, s2: int, q2: int
+) -> None:
+    """What a published method does with one transition; `letter` is that of s', draws (n, batch) of the episode."""
+    if replay.online:
+        surrogate_update(table, s, q, a, s2, q2)
+    if replay.period == 0:
+        return
+    if replay.n_facts > 0:
+        remember(replay.facts, replay.facts_weight, replay.facts_place, s, q, a, s2, q2, 1.0)
+    if len(replay.imagined) == 0:
+        remember(replay.rows, replay.weight, replay.place, s, q, a, s2, q2, 1.0)
+    for i in range(len(replay.imagined)):
+        w = replay.closeness[q, i] if replay.weighted else 1.0
+        remember(replay.rows, replay.weight, replay.place, s, replay.imagined[i], a, s2, replay.after[letter, i], w)
+    if t % replay.period == 0:
+        replay_batch(table, replay, draws[t // replay.period])
+
+
+@njit(cache=True)
+def surrogate_episode(
+    env: Any, letter: I32, delta: I32, initial: int, table: Any, replay: Any,
+    moves: F64, explore: F64, epsilon: float, draws: F64, states: I32, actions: I32,
+) -> None:  # fmt: skip
+    """A whole episode of len(actions) steps; states (n+1,) and actions (n,) are filled. s₀ is not read."""
+    s = inversion(env.first, 0, len(env.first), moves[0] * env.first[-1])
+    states[0], q = s, initial
+    for t in range(len(actions)):
+        n = env.choice_start[s + 1] - env.choice_start[s]
+        if explore[t, 0] < epsilon:
+            a = int(explore[t, 1] * n)
+        else:
+            a = greedy(table.Q[s, q], n, explore[t, 1])
+        c = env.choice_start[s] + a
+        lo, hi = env.row_start[c], env.row_start[c + 1]
+        s2 = env.target[inversion(env.sums, lo, hi, moves[t + 1] * env.sums[hi - 1])]
+        q2 = delta[letter[s2], q]
+        surrogate_observe(table, replay, draws, letter[s2], t, s, q, a, s2, q2)
+        states[t + 1], actions[t] = s2, a
+        s, q = s2, q2
+
+
+# ------------------------------------------------------------------------------------------------- corrected
 
 
 @njit(cache=True)
 def clocked_update(
-    Q: F64, V: F64, n: I32, live: B1, t: int, s: int, q: int, a: int, s2: int, q2: int, n_choices: int, least: float
+    Q: F64, V: F64, visits: I32, s: int, a: int, e: int, n_choices: int, value: float, least: float
 ) -> None:
-    """The factual update: one (t, q) from one real transition, α = max(least, 1/n)."""
-    if not live[t, q]:
-        return
-    n[s, a, t, q] += 1
-    alpha = max(least, 1.0 / n[s, a, t, q])
-    Q[s, a, t, q] += alpha * (V[s2, t + 1, q2] - Q[s, a, t, q])
-    best = Q[s, 0, t, q]
+    """The factual update of one entry, α = max(least, 1/n)."""
+    visits[s, a, e] += 1
+    Q[s, a, e] += max(least, 1.0 / visits[s, a, e]) * (value - Q[s, a, e])
+    best = Q[s, 0, e]
     for b in range(1, n_choices):
-        best = max(best, Q[s, b, t, q])
-    V[s, t, q] = best
+        best = max(best, Q[s, b, e])
+    V[s, e] = best
 
 
 @njit(cache=True)
-def clocked_transition(
-    Q: F64, V: F64, live: B1, memory: I32, after: I32, s: int, a: int, s2: int, n_choices: int, alpha: float
+def clocked_transitions(
+    Q: F64, V: F64, visits: I32, letter: I32, entries: I64, successor: I32, n_choices: I64, least: float, rows: I32
 ) -> None:
-    """Every (t, q) that one real transition (s, a, s') speaks for.
+    """Every open (t, q) that real transitions rows (n, 3) of (s, a, s') speak for, one after another.
 
-    `memory`: the automaton states that can be current in s; `after[q]`: the state after reading s'.
+    entries (n_letters,): how many a state has, the last step's first; successor (n_letters, n_letters, E).
     """
-    for t in range(live.shape[0] - 1, -1, -1):
-        for q in memory:
-            if live[t, q]:
-                Q[s, a, t, q] += alpha * (V[s2, t + 1, after[q]] - Q[s, a, t, q])
-        for q in memory:
-            if live[t, q]:
-                best = Q[s, 0, t, q]
-                for b in range(1, n_choices):
-                    best = max(best, Q[s, b, t, q])
-                V[s, t, q] = best
+    for i in range(len(rows)):
+        s, a, s2 = rows[i, 0], rows[i, 1], rows[i, 2]
+        alpha = max(least, 1.0 / visits[s, a])
+        after = successor[letter[s], letter[s2]]
+        mine, values, ahead = Q[s, a], V[s], V[s2]
+        for e in range(entries[letter[s]]):  # later steps come first: values of the same state are those just updated
+            old = mine[e]
+            new = old + alpha * (ahead[after[e]] - old)
+            mine[e] = new
+            if new >= values[e]:
+                values[e] = new
+            elif old == values[e]:
+                best = Q[s, 0, e]
+                for b in range(1, n_choices[s]):
+                    best = max(best, Q[s, b, e])
+                values[e] = best
 
 
 def warm_up() -> None:
-    """Compile or load every kernel here, on a model of one state and one step."""
-    tuples, first = np.zeros((1, 5), dtype=np.int32), np.zeros(1, dtype=np.int64)
-    surrogate_updates(np.zeros((1, 1, 1)), np.zeros(1), tuples, first, 0.1, 0.9)
-    Q, V, live = np.zeros((1, 1, 1, 1)), np.zeros((1, 2, 1)), np.ones((1, 1), dtype=np.bool_)
-    clocked_update(Q, V, np.zeros((1, 1, 1, 1), dtype=np.int32), live, 0, 0, 0, 0, 0, 0, 1, 0.1)
-    clocked_transition(Q, V, live, tuples[0, :1].copy(), tuples[0, :1].copy(), 0, 0, 0, 1, 0.1)
+    """Compile or load every kernel here that runs over and over, on a model of one state and one step."""
+    start, index = np.array([0, 1], dtype=np.int64), np.zeros(1, dtype=np.int32)
+    for array in (start, index):  # a model's arrays are read-only
+        array.setflags(write=False)
+    env = Tables(start, start, index, np.ones(1), np.ones(1))
+    rows, place, one = np.zeros((1, 5), dtype=np.int32), np.zeros(2, dtype=np.int64), np.ones(1)
+    whole = np.zeros((1, 1), dtype=np.int32)
+    replay = Replay(True, 1, rows, one, place, whole[0], whole, True, np.ones((1, 1)), 1, rows, one, place)
+    table = Surrogate(np.zeros((1, 1, 1)), one, 0.1, 0.9)
+    draws, states = np.zeros((1, 1)), np.zeros(2, dtype=np.int32)
+    letter, actions, moves = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int32), np.zeros(2)
+    surrogate_episode(
+        env, letter, whole, 0, table, replay, moves, np.zeros((1, 2)), 0.5, draws, states, actions
+    )  # fmt: skip
+    Q, V, visits = np.zeros((1, 1, 1)), np.zeros((1, 3)), np.ones((1, 1, 1), dtype=np.int32)
+    clocked_update(Q, V, visits, 0, 0, 0, 1, 0.0, 0.1)
+    n, rows = np.ones(1, dtype=np.int64), np.zeros((1, 3), dtype=np.int32)
+    clocked_transitions(Q, V, visits[0], letter, n, visits, n, 0.1, rows)

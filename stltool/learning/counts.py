@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -53,7 +55,7 @@ class Counts:
         self._settle()
         return {"codes": self._codes, "seen": self._seen}
 
-    def restore(self, arrays: dict[str, NDArray[np.int64]]) -> None:
+    def restore(self, arrays: Mapping[str, NDArray[np.int64]]) -> None:
         """Take what `arrays` gave."""
         self._codes, self._seen = arrays["codes"], arrays["seen"]
         self._waiting, self._n_waiting = [], 0

@@ -7,46 +7,36 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.learning.learner import Learner
 from stltool.learning.problem import Problem
+from stltool.learning.published import Published
 from stltool.learning.settings import Settings
-from stltool.learning.tables import ClockedTable, SurrogateTable
-
-_FIRST = np.zeros(1, dtype=np.int64)
+from stltool.learning.tables import ClockedTable
 
 
-class FaithfulNaive:
-    """As published: Q(s, q, a) on the surrogate reward."""
+class FaithfulNaive(Published):
+    """As published: Q(s, q, a) on the surrogate reward, no memory."""
 
-    def __init__(self, problem: Problem, settings: Settings, outer: str, rng: np.random.Generator) -> None:
-        self.table = SurrogateTable(problem, settings, outer)
-
-    def row(self, t: int, s: int, q: int) -> NDArray[np.float64]:
-        return self.table.row(t, s, q)
-
-    def observe(self, t: int, s: int, q: int, a: int, s2: int, q2: int) -> None:
-        self.table.update(np.array([[s, q, a, s2, q2]], dtype=np.int32), _FIRST)
-
-    def end_episode(self) -> None:
-        pass
-
-    def policy_table(self) -> NDArray[Any]:
-        return self.table.policy_table()
+    replays = False
 
 
-class Naive:
+class Naive(Learner):
     """Corrected: Q_t(s, q, a) on the exact objective, the visited entry only."""
 
     def __init__(self, problem: Problem, settings: Settings, rng: np.random.Generator) -> None:
         self.table = ClockedTable(problem, settings, count_every_entry=True)
+        self._n_choices = problem.n_choices
 
-    def row(self, t: int, s: int, q: int) -> NDArray[np.float64]:
-        return self.table.row(t, s, q)
+    def act(self, t: int, s: int, q: int, u: float, chance: float) -> int:
+        if u < self.epsilon:
+            return int(chance * self._n_choices[s])
+        return self.table.best(t, s, q, chance)
 
     def observe(self, t: int, s: int, q: int, a: int, s2: int, q2: int) -> None:
         self.table.update(t, s, q, a, s2, q2)
 
-    def end_episode(self) -> None:
-        pass
-
     def policy_table(self) -> NDArray[Any]:
         return self.table.policy_table()
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        return self.table.arrays()

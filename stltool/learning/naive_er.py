@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from stltool.learning.naive import FaithfulNaive, Naive
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.learning.naive import Naive
 from stltool.learning.problem import Problem
+from stltool.learning.published import Published
 from stltool.learning.replay import ReplayMemory
 from stltool.learning.settings import Settings
 
 
-class FaithfulNaiveER(FaithfulNaive):
+class FaithfulNaiveER(Published):
     """As published: no online update; at steps 0, period, … of the episode draw `batch` with replacement."""
 
-    def __init__(self, problem: Problem, settings: Settings, outer: str, rng: np.random.Generator) -> None:
-        super().__init__(problem, settings, outer, rng)
-        self._memory = ReplayMemory(settings.memory, width=5)
-        self._settings, self._rng = settings, rng
-
-    def observe(self, t: int, s: int, q: int, a: int, s2: int, q2: int) -> None:
-        self._memory.add(np.array([[s, q, a, s2, q2]], dtype=np.int32))
-        self.replay(t)
-
-    def replay(self, t: int) -> None:
-        if t % self._settings.period == 0:
-            self.table.update(self._memory.rows, self._memory.draw(self._settings.batch, self._rng))
+    online = False
 
 
 class NaiveER(Naive):
@@ -40,3 +33,6 @@ class NaiveER(Naive):
         if t % self._settings.period == 0:
             for row in self._memory.rows[self._memory.draw(self._settings.batch, self._rng)]:
                 self.table.update(*row.tolist())
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        return {**super().arrays(), **self._memory.arrays()}

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata import TRUE
+from stltool.automata import FALSE, TRUE, UNDECIDED, TaskAutomaton
+from stltool.kernels.tuples import Surrogate
 from stltool.learning.problem import Problem
 from stltool.learning.settings import Settings
 from stltool.sizes import require_memory
@@ -30,18 +31,7 @@ class SurrogateTable:
         chi = (automaton.verdict_rows[-1] == TRUE).astype(np.float64)
         offset = 0.5 if settings.scale == "published" else 0.9
         self.reward = 2 * chi - 1 if outer == "F" else chi - offset
-        self._settings = settings
-
-    def row(self, t: int, s: int, q: int) -> NDArray[np.float64]:
-        """The values of the choices in (s, q)."""
-        values: NDArray[np.float64] = self.Q[s, q]
-        return values
-
-    def update(self, tuples: NDArray[np.int32], drawn: NDArray[np.int64]) -> None:
-        """One update for each drawn row (s, q, a, s', q') of `tuples`."""
-        from stltool.kernels import learning
-
-        learning.surrogate_updates(self.Q, self.reward, tuples, drawn, self._settings.alpha, self._settings.gamma)
+        self.kernel = Surrogate(self.Q, self.reward, float(settings.alpha), float(settings.gamma))
 
     def policy_table(self) -> NDArray[Any]:
         """The greedy policy, uniform over ties: (S, Q, C) weights."""
@@ -53,54 +43,104 @@ class SurrogateTable:
 class ClockedTable:
     """Q_t(s, q, a) on the exact objective: γ = 1, value 1 or 0 where the verdict falls, learned backwards in t.
 
-    V starts at 0 where undecided; step sizes are max(least_step, 1/n).
+    Kept for *entries* only: the pairs (t, q) in which a run that has just read the state's letter can be with nothing
+    decided, later steps first. Q (S, C, E) and V (S, E+2): the last two are 0 and 1, the values of verdicts. Values
+    start at 0; step sizes are max(least_step, 1/n).
+
+    visits  (S, C, E) or, where a transition updates all entries, (S, C): how often each was updated by real steps
     """
 
     def __init__(self, problem: Problem, settings: Settings, count_every_entry: bool) -> None:
-        automaton = problem.automaton
-        h, n = automaton.horizon, automaton.n_states
-        shape = (problem.n_states, problem.most_choices, h, n)
+        automaton, n_letters = problem.automaton, problem.automaton.n_letters
+        self._problem, self._least = problem, float(settings.least_step)
+        open_ = _open_pairs(automaton)
+        self.entries = np.array([len(q) for _, q in open_], dtype=np.int64)
+        E = int(self.entries.max())
+        shape = (problem.n_states, problem.most_choices, E)
         _require_table(shape)
-        self.Q = np.zeros(shape)
-        self.V = np.zeros((problem.n_states, h + 1, n))
-        for t in range(h + 1):
-            self.V[:, t, automaton.verdicts(t) == TRUE] = 1.0
-        self.live = automaton.live()
+        require_memory(
+            4 * (n_letters * n_letters * E + n_letters * automaton.horizon * automaton.n_states),
+            f"the successors of {E} entries under {n_letters} letters",
+            "shorten the windows",
+        )
+        self.Q, self.V = np.zeros(shape), np.zeros((problem.n_states, E + 2))
+        self.V[:, -1] = 1.0
         self.visits = np.zeros(shape if count_every_entry else shape[:2], dtype=np.int32)
-        current = self.live.any(axis=0)
-        self._memory = [np.intersect1d(row, np.flatnonzero(current)).astype(np.int32) for row in automaton.delta]
-        self._problem = problem
-        self._least = settings.least_step
+        self._pairs = open_
+        self._index = np.full((n_letters, automaton.horizon, automaton.n_states), -1, dtype=np.int32)
+        for letter, (t, q) in enumerate(open_):
+            self._index[letter, t, q] = np.arange(len(t))
+        self._successor = np.zeros((n_letters, n_letters, E), dtype=np.int32)
+        for letter, (t, q) in enumerate(open_):
+            for after in range(n_letters):
+                self._successor[letter, after, : len(t)] = self._entries_at(after, t + 1, automaton.delta[after, q])
 
-    def row(self, t: int, s: int, q: int) -> NDArray[np.float64]:
-        """The values of the choices in (t, s, q)."""
-        values: NDArray[np.float64] = self.Q[s, : self._problem.n_choices[s], t, q]
-        return values
+    def _entries_at(self, letter: int, t: NDArray[Any], q: NDArray[Any]) -> NDArray[np.int32]:
+        """Where V has the value of (t, q) in a state of that letter."""
+        automaton, E = self._problem.automaton, self.Q.shape[2]
+        verdict = np.array([automaton.verdicts(step) for step in range(automaton.horizon + 1)])[t, q]
+        known = self._index[letter, np.minimum(t, automaton.horizon - 1), q]
+        return np.where(verdict == TRUE, E + 1, np.where(verdict == FALSE, E, known)).astype(np.int32)
+
+    def best(self, t: int, s: int, q: int, chance: float) -> int:
+        """The best choice in (t, s, q), ties broken by `chance` in [0, 1)."""
+        values = self.Q[s, : self._problem.n_choices[s], self._index[self._problem.letter[s], t, q]]
+        ties = np.flatnonzero(values == values.max())
+        return int(ties[int(chance * len(ties))])
 
     def update(self, t: int, s: int, q: int, a: int, s2: int, q2: int) -> None:
         """The factual update of one entry."""
         from stltool.kernels import learning
 
-        n_choices = int(self._problem.n_choices[s])
-        learning.clocked_update(self.Q, self.V, self.visits, self.live, t, s, q, a, s2, q2, n_choices, self._least)
+        letter = self._problem.letter
+        entry = int(self._index[letter[s], t, q])
+        value = float(self.V[s2, self._successor[letter[s], letter[s2], entry]])
+        learning.clocked_update(
+            self.Q, self.V, self.visits, s, a, entry, int(self._problem.n_choices[s]), value, self._least
+        )
 
-    def update_all(self, s: int, a: int, s2: int) -> None:
-        """Every (t, q) that a real transition speaks for."""
+    def update_all(self, rows: NDArray[np.int32]) -> None:
+        """Every entry that real transitions rows (n, 3) of (s, a, s') speak for, in their order."""
         from stltool.kernels import learning
 
-        problem = self._problem
-        learning.clocked_transition(
-            self.Q, self.V, self.live, self._memory[problem.letter[s]],
-            problem.automaton.delta[problem.letter[s2]], s, a, s2, int(problem.n_choices[s]),
-            max(self._least, 1.0 / max(1, self.visits[s, a])),
+        learning.clocked_transitions(
+            self.Q, self.V, self.visits, self._problem.letter, self.entries, self._successor, self._problem.n_choices,
+            self._least, np.ascontiguousarray(rows),
         )  # fmt: skip
 
     def policy_table(self) -> NDArray[Any]:
-        """The greedy policy, the first of ties: (h, S, Q) choices."""
-        table = np.empty((self.Q.shape[2], self.Q.shape[0], self.Q.shape[3]), dtype=np.int16)
-        for s, n_choices in enumerate(self._problem.n_choices):
-            table[:, s] = self.Q[s, :n_choices].argmax(axis=0)
+        """The greedy policy over tried choices, the first of ties: (h, S, Q) choices."""
+        problem, automaton = self._problem, self._problem.automaton
+        table = np.zeros((automaton.horizon, problem.n_states, automaton.n_states), dtype=np.int16)
+        tried = self.visits > 0 if self.visits.ndim == 3 else (self.visits > 0)[:, :, None]
+        for s, letter in enumerate(problem.letter):
+            t, q = self._pairs[letter]
+            values = np.where(tried[s], self.Q[s], -1.0)[: problem.n_choices[s], : len(t)]
+            table[t, s, q] = values.argmax(axis=0)
         return table
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything that learning changes."""
+        return {"Q": self.Q, "V": self.V, "visits": self.visits}
+
+
+def _open_pairs(automaton: TaskAutomaton) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """For each letter the pairs (t, q), later steps first: q after reading it at step t, nothing decided so far."""
+    pairs: list[list[tuple[int, NDArray[np.int64]]]] = [[] for _ in range(automaton.n_letters)]
+    before = np.array([automaton.initial])
+    for t in range(automaton.horizon):
+        undecided = automaton.verdicts(t) == UNDECIDED
+        reached = [np.unique(row[before]) for row in automaton.delta]
+        for letter, q in enumerate(reached):
+            pairs[letter].append((t, q[undecided[q]]))
+        before = np.unique(np.concatenate([q[undecided[q]] for q in reached]))
+    return [
+        (
+            np.concatenate([np.full(len(q), t) for t, q in reversed(steps)]),
+            np.concatenate([q for _, q in reversed(steps)]).astype(np.int64),
+        )
+        for steps in pairs
+    ]
 
 
 def _require_table(shape: tuple[int, ...]) -> None:

@@ -1,82 +1,131 @@
-"""The one training loop: episodes of exploration, the learner's updates, exact evaluation at intervals."""
+"""The one training loop: episodes, the learner's updates, evaluation of its policy at intervals.
+
+Between two episodes everything that a run is made of is in `Progress`, the learner's and the counts' arrays, and two
+generators: what a checkpoint holds. Evaluations never follow exploring traces: they judge the policy table.
+"""
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.automata import UNDECIDED
+from stltool.errors import ModelError
+from stltool.learning.counts import Counts
+from stltool.learning.learner import Learner, Path
 from stltool.learning.problem import Problem
 from stltool.learning.schedule import epsilon
 from stltool.learning.settings import Settings
 from stltool.models.environment import Environment
 
 
-class Learner(Protocol):
-    """What a method is: values to act on, and what it does with a transition and with an episode's end."""
-
-    def row(self, t: int, s: int, q: int) -> NDArray[np.float64]: ...
-    def observe(self, t: int, s: int, q: int, a: int, s2: int, q2: int) -> None: ...
-    def end_episode(self) -> None: ...
-    def policy_table(self) -> NDArray[Any]: ...
-
-
 @dataclass(frozen=True)
 class Point:
-    """One evaluation: after so many episodes and environment steps, the greedy policy's exact probability."""
+    """One evaluation: after so many episodes and environment steps, the policy's exact probability.
+
+    None where the model is not known.
+    """
 
     episode: int
     steps: int
-    probability: float
+    probability: float | None
 
 
-def train(
-    problem: Problem,
-    environment: Environment,
-    learner: Learner,
-    settings: Settings,
-    rng: np.random.Generator,
-    *,
-    episode_length: int,
-    read_first_state: bool,
-    evaluate: Callable[[NDArray[Any]], float],
-    progress: Callable[[int, int, float], None] | None = None,
-) -> list[Point]:
-    """Run `settings.episodes` episodes of `episode_length` steps; the history of exact evaluations.
+@dataclass
+class Progress:
+    """How far a run is."""
 
-    The learner never sees more than the states that `environment` reports. `evaluate` judges a policy table.
+    episode: int = 0
+    steps: int = 0
+    history: list[Point] = field(default_factory=list)
+    finished: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Trainer:
+    """A run of episodes of at most `episode_length` steps.
+
+    to_the_end   as published: s₀ is not read, and episodes go on after the verdict; else they end with it
+    evaluate     the exact probability of a policy table; None where it cannot be known
+    enough       whether that probability ends the run
+    The learner never sees more than the states that `environment` reports.
     """
-    automaton, letter = problem.automaton, problem.letter
-    delta, n_choices = automaton.delta, problem.n_choices
-    history = []
-    for episode in range(settings.episodes):
-        explore = epsilon(settings, episode)
-        random = rng.random((episode_length, 2)).tolist()
-        s = environment.reset()
-        q = int(delta[letter[s], automaton.initial]) if read_first_state else automaton.initial
-        for t in range(episode_length):
-            if random[t][0] < explore:
-                a = int(random[t][1] * n_choices[s])
-            else:
-                a = _best(learner.row(t, s, q), random[t][1])
-            s2 = environment.step(a)
-            q2 = int(delta[letter[s2], q])
+
+    problem: Problem
+    environment: Environment
+    learner: Learner
+    settings: Settings
+    rng: np.random.Generator
+    counts: Counts
+    episode_length: int
+    to_the_end: bool
+    evaluate: Callable[[NDArray[Any]], float | None]
+    enough: Callable[[float], bool]
+
+    def run(
+        self,
+        progress: Progress,
+        *,
+        shown: Callable[[int, int, int, float | None], None] | None = None,
+        between: Callable[[Progress], None] | None = None,
+    ) -> None:
+        """Go on to `settings.episodes`. shown(episode, episodes, steps, probability) and between(progress) are called
+        after every episode."""
+        settings, choice_start = self.settings, np.cumsum(self.problem.n_choices) - self.problem.n_choices
+        while progress.episode < settings.episodes and not progress.finished:
+            path = self._episode(progress.episode)
+            self.learner.end_episode(path)
+            self.counts.add(choice_start[path.states[:-1]] + path.actions, path.states[1:].astype(np.int64))
+            progress.episode += 1
+            progress.steps += len(path.actions)
+            if progress.episode % settings.evaluate_every == 0 or progress.episode == settings.episodes:
+                value = self.evaluate(self.learner.policy_table())
+                progress.history.append(Point(progress.episode, progress.steps, value))
+                progress.finished = value is not None and self.enough(value)
+            if shown is not None:
+                value = progress.history[-1].probability if progress.history else None
+                shown(progress.episode, settings.episodes, progress.steps, value)
+            if between is not None:
+                between(progress)
+
+    def _episode(self, number: int) -> Path:
+        explore = self.rng.random((self.episode_length, 2))
+        self.learner.begin_episode(epsilon(self.settings, number), self.episode_length)
+        if self.learner.compiled and self.environment.tables is not None:
+            return self.learner.play(self.environment, explore)
+        return self._step_by_step(explore)
+
+    def _step_by_step(self, explore: NDArray[np.float64]) -> Path:
+        automaton, letter, learner = self.problem.automaton, self.problem.letter, self.learner
+        s = self._state(self.environment.reset(), "reset()")
+        q = automaton.initial if self.to_the_end else int(automaton.delta[letter[s], automaton.initial])
+        states, actions = [s], []
+        for t, (u, chance) in enumerate(explore.tolist()):
+            if not self.to_the_end and automaton.verdicts(t)[q] != UNDECIDED:
+                break
+            a = learner.act(t, s, q, u, chance)
+            s2 = self._state(self.environment.step(a), f"step({a}) in state {s}")
+            q2 = int(automaton.delta[letter[s2], q])
             learner.observe(t, s, q, a, s2, q2)
+            states.append(s2)
+            actions.append(a)
             s, q = s2, q2
-        learner.end_episode()
-        done = episode + 1
-        if done % settings.evaluate_every == 0 or done == settings.episodes:
-            value = evaluate(learner.policy_table())
-            history.append(Point(done, done * episode_length, value))
-        if progress is not None:
-            progress(done, settings.episodes, history[-1].probability if history else 0.0)
-    return history
+        return Path(np.array(states, dtype=np.int32), np.array(actions, dtype=np.int32))
 
-
-def _best(values: NDArray[np.float64], chance: float) -> int:
-    """The best choice, ties broken by `chance` in [0, 1)."""
-    ties = np.flatnonzero(values == values.max())
-    return int(ties[int(chance * len(ties))])
+    def _state(self, answer: object, call: str) -> int:
+        n = self.problem.n_states
+        try:
+            s = operator.index(answer)  # type: ignore[arg-type]  # what is no whole number is refused here
+        except TypeError:
+            s = -1
+        if not 0 <= s < n:
+            raise ModelError(
+                f"the environment's {call} returned {answer!r}, which is no state of the model; "
+                f"return a state's index, 0 … {n - 1}"
+            )
+        return s

@@ -1,7 +1,7 @@
 """What a learner is handed: something that only resets and steps.
 
 A learner never looks at the probabilities it is to learn. Where the environment simulates a model, `tables` lets whole
-episodes run compiled (kernels/episode.py); they are the same to the bit as episodes stepped one by one, which a test
+episodes run compiled (kernels/learning.py); they are the same to the bit as episodes stepped one by one, which a test
 holds, so nothing is learned from the tables that `reset` and `step` would not have told.
 """
 
@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.kernels.tuples import Tables
 from stltool.models.mdp import MDP
 
 
@@ -22,16 +23,6 @@ class Resettable(Protocol):
 
     def reset(self) -> int: ...
     def step(self, action: int, /) -> int: ...
-
-
-class Tables(NamedTuple):
-    """A model ready to be sampled by inversion: the MDP's arrays, `sums` as by `cumulated`, `first` summed up."""
-
-    choice_start: NDArray[np.int64]
-    row_start: NDArray[np.int64]
-    target: NDArray[np.int32]
-    sums: NDArray[np.float64]
-    first: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

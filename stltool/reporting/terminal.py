@@ -17,7 +17,7 @@ from stltool.reporting.runs import trace_text, verdict_text
 
 _LONGEST_FRACTION = 400
 Advance = Callable[..., None]
-"""Called with (done, total) or (done, total, exact probability so far)."""
+"""Called with (done, total), or while learning (episode, episodes, environment steps, exact probability or None)."""
 
 
 @contextmanager
@@ -32,24 +32,25 @@ def progress_bar(title: str, quiet: bool = False) -> Iterator[Advance | None]:
         with Progress(*columns, console=console, transient=True) as progress:
             bar = progress.add_task(title, total=None, note="")
 
-            def advance(done: int, total: int, probability: float | None = None) -> None:
-                progress.update(bar, completed=done, total=total, note=_note(probability))
+            def advance(done: int, total: int, steps: int = 0, probability: float | None = None) -> None:
+                progress.update(bar, completed=done, total=total, note=_note(steps, probability))
 
             yield advance
     else:
         shown = 0
 
-        def log(done: int, total: int, probability: float | None = None) -> None:
+        def log(done: int, total: int, steps: int = 0, probability: float | None = None) -> None:
             nonlocal shown
             if total >= 100 and done * 10 // total > shown:
                 shown = done * 10 // total
-                console.print(f"{title}: {done} of {total}  {_note(probability)}", highlight=False)
+                console.print(f"{title}: {done} of {total}  {_note(steps, probability)}", highlight=False)
 
         yield log
 
 
-def _note(probability: float | None) -> str:
-    return "" if probability is None else f"exact P {probability_text(probability)}"
+def _note(steps: int, probability: float | None) -> str:
+    told = [f"{steps} steps"] if steps else []
+    return ", ".join(told + ([] if probability is None else [f"exact P {probability_text(probability)}"]))
 
 
 @contextmanager

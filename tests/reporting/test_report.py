@@ -37,7 +37,7 @@ def test_a_report_is_one_self_contained_page_and_its_data(results, tmp_path):
     for text in (html.escape(str(checks[0].product.formula)), "stltool run task.stl", "seed 1", "task := …"):
         assert text in page
     assert len(data["training"]["history"]) == 3
-    assert data["training"]["environment_steps"] == 60 * 8
+    assert data["training"]["environment_steps"] == run.environment_steps
 
 
 def test_the_page_is_made_from_the_data_alone(results, tmp_path):

@@ -1,0 +1,52 @@
+"""What kernels take as one argument: named tuples of arrays and numbers."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Tables(NamedTuple):
+    """A model ready to be sampled by inversion: the MDP's arrays, `sums` within rows, `first` the initial states'."""
+
+    choice_start: NDArray[np.int64]
+    row_start: NDArray[np.int64]
+    target: NDArray[np.int32]
+    sums: NDArray[np.float64]
+    first: NDArray[np.float64]
+
+
+class Surrogate(NamedTuple):
+    """Q (S, N, C) on the surrogate reward (N,), with its learning rate and discount."""
+
+    Q: NDArray[np.float64]
+    reward: NDArray[np.float64]
+    alpha: float
+    gamma: float
+
+
+class Replay(NamedTuple):
+    """A published method's memory. Rows are (s, q, a, s', q'); places are (next row, rows held).
+
+    online     whether each step updates at once
+    period     0: no replay; else every period-th step of the episode draws a batch
+    imagined   (k,) the flag vectors that counterfactual tuples start from; none: the factual tuple is kept
+    after      (n_letters, k) where they lead;  closeness (N, k) exp(−‖f̃ − f‖₁), the weight of a tuple (`weighted`)
+    n_facts    how many of a batch are drawn from `facts`, a memory of factual tuples beside the other
+    """
+
+    online: bool
+    period: int
+    rows: NDArray[np.int32]
+    weight: NDArray[np.float64]
+    place: NDArray[np.int64]
+    imagined: NDArray[np.int32]
+    after: NDArray[np.int32]
+    weighted: bool
+    closeness: NDArray[np.float64]
+    n_facts: int
+    facts: NDArray[np.int32]
+    facts_weight: NDArray[np.float64]
+    facts_place: NDArray[np.int64]
