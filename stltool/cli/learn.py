@@ -40,21 +40,36 @@ def learn(
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
+    checkpoint: Annotated[
+        Path | None, typer.Option("--checkpoint", help="a file that holds the run, to resume")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="go on from the checkpoint, where there is one")] = False,
+    checkpoint_every: Annotated[float, typer.Option("--checkpoint-every", help="seconds between checkpoints")] = 30.0,
+    history: Annotated[Path | None, typer.Option("--history", help="learning curve to write (.csv)")] = None,
+    tensorboard: Annotated[Path | None, typer.Option("--tensorboard", help="folder for TensorBoard events")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Learn a policy without knowing the probabilities, and save it."""
     import stltool as stl
+    from stltool.learning.logbook import require_tensorboard, write_history, write_tensorboard
     from stltool.policy import require_policy_file
     from stltool.reporting import training_data
     from stltool.reporting.terminal import print_facts, progress_bar
 
     require_policy_file(out)
+    if tensorboard is not None:
+        require_tensorboard()
     product = make_product(task, model, param, name, encoding, as_json, nominal=nominal)
     with progress_bar(f"learning ({method})", quiet=as_json) as bar:
         training = stl.learn(
-            product, method, faithful=faithful, episodes=episodes, seed=seed, progress=bar, **read_settings(setting)
-        )
+            product, method, faithful=faithful, episodes=episodes, seed=seed, progress=bar,
+            checkpoint=checkpoint, resume=resume, checkpoint_every=checkpoint_every, **read_settings(setting),
+        )  # fmt: skip
     training.policy.save(out)
+    if history is not None:
+        write_history(training.history, history)
+    if tensorboard is not None:
+        write_tensorboard(training.history, tensorboard)
     if as_json:
         print(json.dumps({"task": product.task_name, "formula": str(product.formula), **training_data(training)}))
         return

@@ -21,7 +21,7 @@ Params = Annotated[
 TaskName = Annotated[str | None, typer.Option("--task", help="the definition to use; default: the last one")]
 Encoding = Annotated[str, typer.Option("--encoding", help="exact, paper (the paper's flags) or history (the τ-MDP)")]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON object instead of a table")]
-Method = Annotated[str, typer.Option("--method", "-m", help="naive, naive-er or cfer")]
+Method = Annotated[str, typer.Option("--method", "-m", help="cfer, model-based, naive or naive-er; cfper as published")]
 Faithful = Annotated[bool, typer.Option("--faithful", help="the method as published, its slips included")]
 Episodes = Annotated[int, typer.Option("--episodes", "-e", help="training episodes")]
 Seed = Annotated[int, typer.Option("--seed", "-s", help="seed of every random choice")]

@@ -4,8 +4,9 @@ One real transition (s, a, s') is evidence for every automaton state q at once, 
 published, each such tuple enters the memory; corrected, the memory holds real transitions only, and one of them
 updates every open (t, q) it speaks for in one vector operation, the episode backwards.
 
-Corrected, exploring is count-based: with chance ε the choice tried least in this state, untried ones first. The greedy
-policy, which is judged, takes tried choices only.
+Corrected, exploring is count-based: with chance ε the choice tried least in this state; and when the task is violated
+already, up to the horizon. The policy that is judged weighs values with n / (n + κ), n visits of the choice: what was
+seen once is not preferred to what has proved itself.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.learning.learner import Learner, Path
+from stltool.learning.learner import Learner, Path, rarest
 from stltool.learning.problem import Problem
 from stltool.learning.published import Published
 from stltool.learning.replay import ReplayMemory
@@ -32,6 +33,8 @@ class FaithfulCfer(Published):
 class Cfer(Learner):
     """Corrected: exact objective, every open (t, q) from each real transition, replay of real transitions."""
 
+    explores_on = True
+
     def __init__(self, problem: Problem, settings: Settings, rng: np.random.Generator) -> None:
         self.table = ClockedTable(problem, settings, count_every_entry=False)
         self._memory = ReplayMemory(settings.memory, width=3)
@@ -39,9 +42,7 @@ class Cfer(Learner):
 
     def act(self, t: int, s: int, q: int, u: float, chance: float) -> int:
         if u < self.epsilon:
-            tried = self.table.visits[s, : self._problem.n_choices[s]]
-            rarest = np.flatnonzero(tried == tried.min())
-            return int(rarest[int(chance * len(rarest))])
+            return rarest(self.table.visits[s, : self._problem.n_choices[s]], chance)
         return self.table.best(t, s, q, chance)
 
     def end_episode(self, path: Path) -> None:

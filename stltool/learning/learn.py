@@ -55,7 +55,7 @@ Shown = Callable[[int, int, int, float | None], None]
 class Training:
     """A finished run: the policy at the end, the exact learning curve that led there, the transitions it saw.
 
-    stopped_early  whether `stop_gap` ended it before its episodes were over
+    stopped_early  whether `stop_gap` or `most_steps` ended it before its episodes were over
     seconds        wall time, of a resumed run since it was resumed
     """
 
@@ -151,6 +151,8 @@ def _checked(method: str, faithful: bool, seed: int, product: Product, settings:
     if chosen.factual_share is not None and not (faithful and method in ("cfer", "cfper")):
         raise SettingsError("factual_share balances the tuples of faithful cfer and cfper; leave it out here")
     length = product.horizon + 2 if faithful else product.horizon
+    if chosen.most_steps is not None and chosen.most_steps < length:
+        raise SettingsError(f"most_steps is {chosen.most_steps}, and one episode takes {length}; allow at least one")
     require_time(
         chosen.episodes * (length + chosen.replays + chosen.batch * length / chosen.period),
         _RATE,
@@ -213,8 +215,7 @@ def _checkpoints(
 
     def save(now: Progress) -> None:
         nonlocal last
-        ended = now.finished or now.episode == episodes
-        if ended or time.monotonic() - last >= every:
+        if trainer.ends(now) or time.monotonic() - last >= every:
             save_checkpoint(path, what, now, trainer.learner, trainer.counts, generators)
             last = time.monotonic()
 

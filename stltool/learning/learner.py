@@ -33,6 +33,8 @@ class Learner(ABC):
 
     compiled = False  # whether `play` runs whole episodes in simulated models
 
+    explores_on = False  # whether, when the task is violated, it explores to the horizon (u < 0), or begins anew
+
     def begin_episode(self, epsilon: float, length: int) -> None:
         """A new episode of at most `length` steps, with this chance of a random action."""
         self.epsilon = epsilon
@@ -63,3 +65,9 @@ class Learner(ABC):
         """Take back what `arrays` gave."""
         for name, array in self.arrays().items():
             array[...] = arrays[name]
+
+
+def rarest(visits: NDArray[Any], chance: float) -> int:
+    """The choice taken least, ties broken by `chance` in [0, 1): count-based exploring."""
+    least = np.flatnonzero(visits == visits.min())
+    return int(least[int(chance * len(least))])

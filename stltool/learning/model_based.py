@@ -3,7 +3,8 @@
 Acting (R-max, Brafman and Tennenholtz 2002): a choice taken fewer than `known_after` times leads to a paradise that
 satisfies the task; others follow their counted frequencies. Paradise is worth a hair less than 1, the later the less:
 what is known to satisfy comes first, and exploring is not put off. The plan is made anew whenever a choice becomes
-known, and at every episode's beginning; it never acts at random.
+known, and at every episode's beginning. When the task is violated already, the rest of the episode takes what was tried
+least.
 
 The policy that is judged trusts counts with caution: of n(s,a) visits, successor s' has the share n(s,a,s') / (n + κ),
 and the rest fails. So a choice seen once is not preferred to one that has proved itself many times.
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from stltool.automata import FALSE, TRUE
 from stltool.learning.counts import Counts
-from stltool.learning.learner import Learner
+from stltool.learning.learner import Learner, rarest
 from stltool.learning.problem import Problem
 from stltool.learning.settings import Settings
 from stltool.sizes import require_memory
@@ -29,6 +30,8 @@ _HAIR = 1e-6  # what paradise lacks of 1: far above rounding, far below what is 
 
 class ModelBased(Learner):
     """Acts on an optimistic plan, is judged by a cautious one; see the module's text."""
+
+    explores_on = True
 
     def __init__(self, problem: Problem, settings: Settings, rng: np.random.Generator) -> None:
         automaton, S = problem.automaton, problem.n_states
@@ -48,6 +51,9 @@ class ModelBased(Learner):
         self._replan(0)
 
     def act(self, t: int, s: int, q: int, u: float, chance: float) -> int:
+        if u < 0:
+            first, after = self._choice_start[s], self._choice_start[s + 1]
+            return rarest(self._visits[first:after], chance)
         return int(self._plan[t, s, q])
 
     def observe(self, t: int, s: int, q: int, a: int, s2: int, q2: int) -> None:

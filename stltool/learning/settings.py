@@ -18,6 +18,7 @@ class Settings:
 
     episodes        training episodes
     evaluate_every  episodes between two exact evaluations of the greedy policy
+    most_steps      end before an episode that could take more environment steps than this in all
     stop_gap        end as soon as an evaluation is within this of the exact optimum (a known model only)
     decay           n_d of the exploration schedule ε = end + (start − end)·exp(−episode / n_d)
     epsilon_start, epsilon_end  its ends
@@ -26,7 +27,7 @@ class Settings:
     replays         cfer: real transitions replayed after each episode
     least_step      smallest learning rate of corrected cfer and naive methods, α = max(least_step, 1/n)
     known_after     model-based: visits after which a choice is planned with as counted, not as paradise
-    caution         model-based: κ of the judged policy's shares n(s,a,s') / (n + κ)
+    caution         corrected methods: κ of the judged policy's trust n / (n + κ) in a choice seen n times
     alpha, gamma, scale  faithful methods only: learning rate, discount, and the reward's offset under an outer G,
                     χ − 0.5 ("published", what the authors ran) or χ − 0.9 ("paper", what they print)
     factual_share   faithful cfer and cfper: share of each batch drawn from factual tuples alone, which a memory of
@@ -35,6 +36,7 @@ class Settings:
 
     episodes: int = 1000
     evaluate_every: int = 20
+    most_steps: int | None = None
     stop_gap: float | None = None
     decay: float = 400.0
     epsilon_start: float = 0.99
@@ -68,6 +70,8 @@ class Settings:
         self._require("decay", _real(self.decay) and self.decay > 0, "positive")
         for name in ("epsilon_start", "epsilon_end", "gamma"):
             self._require(name, _real(getattr(self, name)) and 0 <= getattr(self, name) <= 1, "between 0 and 1")
+        steps = self.most_steps
+        self._require("most_steps", steps is None or (_whole(steps) and steps >= 1), "a whole number from 1")
         for name in ("stop_gap", "factual_share"):
             value = getattr(self, name)
             self._require(name, value is None or (_real(value) and 0 <= value <= 1), "between 0 and 1")
@@ -81,7 +85,7 @@ class Settings:
             raise SettingsError(f"{name} is {getattr(self, name)!r}; it must be {what}")
 
 
-_OWN: dict[str, dict[str, Any]] = {"cfer": {"decay": 50.0, "memory": 100_000}}
+_OWN: dict[str, dict[str, Any]] = {"cfer": {"decay": 50.0, "memory": 100_000, "replays": 600}}
 
 
 def _whole(value: object) -> bool:

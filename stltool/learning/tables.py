@@ -53,6 +53,7 @@ class ClockedTable:
     def __init__(self, problem: Problem, settings: Settings, count_every_entry: bool) -> None:
         automaton, n_letters = problem.automaton, problem.automaton.n_letters
         self._problem, self._least = problem, float(settings.least_step)
+        self._caution = float(settings.caution)
         open_ = _open_pairs(automaton)
         self.entries = np.array([len(q) for _, q in open_], dtype=np.int64)
         E = int(self.entries.max())
@@ -112,10 +113,11 @@ class ClockedTable:
         """The greedy policy over tried choices, the first of ties: (h, S, Q) choices."""
         problem, automaton = self._problem, self._problem.automaton
         table = np.zeros((automaton.horizon, problem.n_states, automaton.n_states), dtype=np.int16)
-        tried = self.visits > 0 if self.visits.ndim == 3 else (self.visits > 0)[:, :, None]
+        visits = self.visits if self.visits.ndim == 3 else self.visits[:, :, None]
+        trust = visits / (visits + self._caution)
         for s, letter in enumerate(problem.letter):
             t, q = self._pairs[letter]
-            values = np.where(tried[s], self.Q[s], -1.0)[: problem.n_choices[s], : len(t)]
+            values = np.where(visits[s] > 0, trust[s] * self.Q[s], -1.0)[: problem.n_choices[s], : len(t)]
             table[t, s, q] = values.argmax(axis=0)
         return table
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata import UNDECIDED
+from stltool.automata import FALSE, TRUE
 from stltool.errors import ModelError
 from stltool.learning.counts import Counts
 from stltool.learning.learner import Learner, Path
@@ -50,7 +50,8 @@ class Progress:
 class Trainer:
     """A run of episodes of at most `episode_length` steps.
 
-    to_the_end   as published: s₀ is not read, and episodes go on after the verdict; else they end with it
+    to_the_end   as published: s₀ is not read, and episodes go on after the verdict. Else they end when the task is
+                 satisfied; when it is violated, they end, or explore to the horizon (`Learner.explores_on`)
     evaluate     the exact probability of a policy table; None where it cannot be known
     enough       whether that probability ends the run
     The learner never sees more than the states that `environment` reports.
@@ -77,21 +78,31 @@ class Trainer:
         """Go on to `settings.episodes`. shown(episode, episodes, steps, probability) and between(progress) are called
         after every episode."""
         settings, choice_start = self.settings, np.cumsum(self.problem.n_choices) - self.problem.n_choices
-        while progress.episode < settings.episodes and not progress.finished:
+        while not self.ends(progress):
             path = self._episode(progress.episode)
             self.learner.end_episode(path)
             self.counts.add(choice_start[path.states[:-1]] + path.actions, path.states[1:].astype(np.int64))
             progress.episode += 1
             progress.steps += len(path.actions)
-            if progress.episode % settings.evaluate_every == 0 or progress.episode == settings.episodes:
+            progress.finished = self._over(progress)
+            if progress.episode % settings.evaluate_every == 0 or self.ends(progress):
                 value = self.evaluate(self.learner.policy_table())
                 progress.history.append(Point(progress.episode, progress.steps, value))
-                progress.finished = value is not None and self.enough(value)
+                progress.finished |= value is not None and self.enough(value)
             if shown is not None:
                 value = progress.history[-1].probability if progress.history else None
                 shown(progress.episode, settings.episodes, progress.steps, value)
             if between is not None:
                 between(progress)
+
+    def ends(self, progress: Progress) -> bool:
+        """Whether that was the last episode."""
+        return progress.finished or progress.episode >= self.settings.episodes
+
+    def _over(self, progress: Progress) -> bool:
+        """Whether another episode could take more steps than there may be."""
+        most = self.settings.most_steps
+        return most is not None and progress.steps + self.episode_length > most
 
     def _episode(self, number: int) -> Path:
         explore = self.rng.random((self.episode_length, 2))
@@ -104,10 +115,15 @@ class Trainer:
         automaton, letter, learner = self.problem.automaton, self.problem.letter, self.learner
         s = self._state(self.environment.reset(), "reset()")
         q = automaton.initial if self.to_the_end else int(automaton.delta[letter[s], automaton.initial])
-        states, actions = [s], []
+        states, actions, failed = [s], [], False
         for t, (u, chance) in enumerate(explore.tolist()):
-            if not self.to_the_end and automaton.verdicts(t)[q] != UNDECIDED:
-                break
+            if not self.to_the_end and not failed:
+                verdict = automaton.verdicts(t)[q]
+                failed = verdict == FALSE
+                if verdict == TRUE or (failed and not learner.explores_on):
+                    break
+            if failed:
+                u = -1.0
             a = learner.act(t, s, q, u, chance)
             s2 = self._state(self.environment.step(a), f"step({a}) in state {s}")
             q2 = int(automaton.delta[letter[s2], q])
