@@ -44,6 +44,7 @@ if TYPE_CHECKING:
         Run,
         Sensitivity,
         SequentialTest,
+        SurrogateResult,
         Tradeoff,
         check,
         estimate,
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
         sample_run,
         sensitivity,
         sprt,
+        surrogate_optimum,
         tradeoff,
         write_certificate,
     )
@@ -80,6 +82,7 @@ _HOME = {
     "Task": "logic.task", "TaskAutomaton": "automata", "Training": "learning", "build_product": "product",
     "certify": "recheck", "write_certificate": "checking",
     "likely_runs": "checking", "LikelyRuns": "checking", "sensitivity": "checking", "Sensitivity": "checking",
+    "surrogate_optimum": "checking", "SurrogateResult": "checking",
     "Estimate": "checking", "SequentialTest": "checking", "estimate": "checking", "sprt": "checking",
     "check": "checking", "check_fragment": "logic.fragment", "compile_automaton": "automata",
     "horizon": "logic.formula", "learn": "learning", "load_model": "models", "load_policy": "policy",
@@ -93,7 +96,7 @@ __all__ = [  # noqa: RUF022 - in reading order
     "load_task", "parse_task", "Task", "compile_automaton", "TaskAutomaton", "load_model", "MDP",
     "build_product", "Product", "Policy", "load_policy", "check", "CheckResult", "robust_check", "sample_run", "Run",
     "estimate", "Estimate", "sprt", "SequentialTest", "write_certificate", "certify",
-    "likely_runs", "LikelyRuns", "sensitivity", "Sensitivity",
+    "likely_runs", "LikelyRuns", "sensitivity", "Sensitivity", "surrogate_optimum", "SurrogateResult",
     "build_joint_product", "JointProduct", "tradeoff", "Tradeoff", "pareto", "Front",
     "learn", "Training", "Settings", "report", "StlToolError",
 ]  # fmt: skip
