@@ -6,11 +6,11 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.checking.surrogate import _discounted
+from stltool.checking.surrogate import _discounted, _extreme
 from stltool.errors import FragmentError, SettingsError, SizeError
 from stltool.learning import Settings
 from stltool.learning.problem import Problem
@@ -116,6 +116,32 @@ def test_stopping_early_never_drops_an_optimal_choice(product, gamma, tolerance)
                 assert not left[0, c, q]
 
 
+def test_a_late_reward_is_not_dropped_when_iteration_stops_before_it_is_seen():
+    """Early: A with 0.001 a step, ten steps long. Late: nothing for 14 steps, then A with 0.002 a step for ever.
+
+    A chain that leads to A keeps the iteration going until the early way has gathered more than one sweep's span.
+    """
+    m, small = 12, 1e-3
+    early, late, chain = range(1, m), range(m, m + 14), range(m + 14, m + 22)
+    rich, A, out, n = m + 22, m + 23, m + 24, m + 25
+    go = np.zeros((2, n, n))
+    go[0, 0, early[0]] = go[1, 0, late[0]] = 1
+    for s in early:
+        go[:, s, A], go[:, s, s + 1 if s + 1 in early else out] = small, 1 - small
+    for s in late:
+        go[:, s, s + 1 if s + 1 in late else rich] = 1
+    for s in chain:
+        go[:, s, s + 1 if s + 1 in chain else A] = 1
+    go[:, rich, A], go[:, rich, rich] = 2 * small, 1 - 2 * small
+    go[:, A, out] = go[:, out, out] = 1
+    model = stl.MDP.from_arrays(go, {"x": np.arange(n)}, labels={"A": np.arange(n) == A})
+    product = stl.build_product(model, stl.parse("F[0,2) F[0,1) A"), encoding="paper")
+    coarse, _, sweeps = _discounted(product, 0.99, 0.6, None)
+    fine, _, _ = _discounted(product, 0.99, 1e-9, None)
+    assert sweeps < 14
+    assert (fine[0, :2, 0].tolist(), coarse[0, :2, 0].tolist()) == ([False, True], [True, True])
+
+
 @given(flagged(max_states=2, longest=1))
 @settings(max_examples=30)
 def test_the_optimum_is_that_of_all_stationary_policies(product):
@@ -197,6 +223,16 @@ def test_the_range_is_that_of_all_policies_of_the_choices_left(seed, text):
     assert result.gap == result.optimum.probability - result.at_random.probability
 
 
+@given(st.integers(0, 2**32 - 1), st.sampled_from([*TASKS, "G[0,3) (F[0,3) A & F[0,4) B)", "F[0,3) F[0,4) (A & !B)"]))
+@settings(max_examples=40)
+def test_where_every_choice_is_left_the_range_is_that_of_all_policies(seed, text):
+    product = random_product(seed, text)
+    left = np.ones((1, product.model.n_choices, product.automaton.n_states), dtype=np.bool_)
+    for maximize in (False, True):
+        found = stl.check(product, _extreme(product, left, maximize))
+        assert found.probability == pytest.approx(stl.check(product, maximize=maximize).probability, abs=1e-12)
+
+
 def shown(fragment, trace, length):
     """χ after every step, from what each window that ends there has seen."""
     held = []
@@ -210,6 +246,8 @@ def shown(fragment, trace, length):
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(TASKS))
+@example(2, TASKS[-2])  # windows that count from the shortest one on would tell other policies here
+@example(15, TASKS[-1])
 @settings(max_examples=60)
 def test_episodes_maximise_the_number_of_starts_where_the_inner_formula_holds(seed, text):
     """Whole histories in Fractions: first the number of starts, then P, judged by the formula itself."""
