@@ -38,10 +38,15 @@ _Truth: TypeAlias = NDArray[np.bool_]
 _LONGEST_NAME = 4  # letters shown of a history
 
 
+def history_length(phi: Formula) -> int:
+    """How many of the last steps the encoding remembers: τ where φ is in the paper's fragment."""
+    _, _, inner = _outer(phi)
+    return horizon(inner) + 1
+
+
 def history_states(phi: Formula, n_letters: int) -> int | float:
     """How many histories the encoding has, before anything is built; inf beyond what a double holds."""
-    _, _, inner = _outer(phi)
-    longest = horizon(inner) + 1
+    longest = history_length(phi)
     if n_letters == 1:
         return longest + 1
     if longest * math.log2(n_letters) > 1000:

@@ -1,0 +1,52 @@
+"""`stltool surrogate`: what the paper's surrogate objective would lead to, learned perfectly."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any
+
+import typer
+
+from stltool.cli.app import app
+from stltool.cli.options import AsJson, Model, Nominal, Params, TaskFile, TaskName
+from stltool.cli.steps import make_product
+
+
+@app.command()
+def surrogate(
+    task: TaskFile,
+    gamma: Annotated[float, typer.Option("--gamma", help="discount of the published runs; the paper prints 0.9999")] = (
+        0.999
+    ),
+    nominal: Nominal = False,
+    model: Model = None,
+    param: Params = None,
+    name: TaskName = None,
+    as_json: AsJson = False,
+) -> None:
+    """What the paper's surrogate reward is worth for the task: P of its optimal policies beside the best P of all."""
+    import stltool as stl
+    from stltool.checking.surrogate import READINGS
+    from stltool.reporting import product_data, surrogate_data
+    from stltool.reporting.story import gap_text, reading_text
+    from stltool.reporting.terminal import print_facts, print_table, progress_bar
+
+    product = make_product(task, model, param, name, "exact", as_json, learning=False, nominal=nominal)
+    with progress_bar("solving the surrogate", quiet=as_json) as bar:
+        results = [stl.surrogate_optimum(product, reading, gamma=gamma, progress=bar) for reading in READINGS]
+    data: dict[str, Any] = {**product_data(product), "surrogates": [surrogate_data(result) for result in results]}
+    if as_json:
+        print(json.dumps(data))
+        return
+    print_facts({"task": f"{product.task_name} := {product.formula}", "P*": f"{results[0].optimum.probability:.15g}"})
+    print_table([
+        {
+            "surrogate": reading_text(reading),
+            "P, ties at random": f"{reading['at_random']:.15g}",
+            "gap": gap_text(reading, "at_random"),
+            "least P": f"{reading['least']:.15g}",
+            "greatest P": f"{reading['greatest']:.15g}",
+            "status": reading["status"],
+        }
+        for reading in data["surrogates"]
+    ])  # fmt: skip
