@@ -59,7 +59,7 @@ if TYPE_CHECKING:
         write_certificate,
     )
     from stltool.errors import StlToolError
-    from stltool.learning import Settings, Training, learn
+    from stltool.learning import Guarantee, Settings, Training, guarantee, learn
     from stltool.logic.formula import Formula, horizon
     from stltool.logic.fragment import Fragment, check_fragment
     from stltool.logic.parser import load_task, parse, parse_task
@@ -85,6 +85,7 @@ _HOME = {
     "surrogate_optimum": "checking", "SurrogateResult": "checking",
     "Estimate": "checking", "SequentialTest": "checking", "estimate": "checking", "sprt": "checking",
     "check": "checking", "check_fragment": "logic.fragment", "compile_automaton": "automata",
+    "Guarantee": "learning", "guarantee": "learning",
     "horizon": "logic.formula", "learn": "learning", "load_model": "models", "load_policy": "policy",
     "load_task": "logic.parser", "parse": "logic.parser", "parse_task": "logic.parser", "report": "reporting",
     "robust_check": "checking", "robustness": "logic.semantics", "sample_run": "checking",
@@ -98,7 +99,7 @@ __all__ = [  # noqa: RUF022 - in reading order
     "estimate", "Estimate", "sprt", "SequentialTest", "write_certificate", "certify",
     "likely_runs", "LikelyRuns", "sensitivity", "Sensitivity", "surrogate_optimum", "SurrogateResult",
     "build_joint_product", "JointProduct", "tradeoff", "Tradeoff", "pareto", "Front",
-    "learn", "Training", "Settings", "report", "StlToolError",
+    "learn", "Training", "Settings", "guarantee", "Guarantee", "report", "StlToolError",
 ]  # fmt: skip
 
 

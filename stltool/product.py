@@ -157,6 +157,16 @@ def joined(task: Product, memory: Product | JointProduct) -> tuple[Product, NDAr
     return Product(task.model, automaton, letter.astype(np.int32).ravel(), task.task_name), m
 
 
+def with_outcome(product: Product, model: MDP, verdict: int) -> Product:
+    """`product` over `model`: its states and one more, the last, that decides the task as `verdict` when entered.
+
+    A model that knows only part of what may happen sends the rest there: FALSE where the rest is feared, TRUE where it
+    is hoped for. The automaton gets one more letter and one more state, the last ones (`TaskAutomaton.with_outcome`).
+    """
+    letter = np.append(product.letter, np.int32(product.automaton.n_letters))
+    return Product(model, product.automaton.with_outcome(verdict), letter, product.task_name)
+
+
 def build_product(
     model: MDP,
     task: Formula | Task,

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,6 +107,20 @@ class TaskAutomaton:
             live[t] &= self.verdicts(t) == UNDECIDED
             reached = self.delta[:, live[t]]
         return live
+
+    def with_outcome(self, verdict: int) -> TaskAutomaton:
+        """One more letter, the last: it ends every run, in one more state, the last, with `verdict` from step 0 on."""
+        delta = np.full((self.n_letters + 1, self.n_states + 1), self.n_states, dtype=np.int32)
+        delta[:-1, :-1] = self.delta
+        decided = np.full((len(self.verdict_rows), 1), verdict, dtype=np.int8)
+        return replace(
+            self,
+            delta=delta,
+            verdict_rows=np.concatenate([self.verdict_rows, decided], axis=1),
+            state_names=(*self.state_names, "the outcome"),
+            registers=np.empty((0, 0), dtype=np.int32),
+            register_names=(),
+        )
 
     def describe(self, q: int) -> str:
         """What state q remembers, in the formula's terms."""

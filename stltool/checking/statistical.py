@@ -73,11 +73,11 @@ class Estimate:
     @property
     def statement(self) -> str:
         """What was found, in words; bounds are rounded outwards."""
-        lower = Context(prec=6, rounding=ROUND_FLOOR).create_decimal_from_float(self.lower)
+        lower = floor_text(self.lower)
         upper = Context(prec=6, rounding=ROUND_CEILING).create_decimal_from_float(self.upper)
         found = {
-            "both": f"lies in [{lower:f}, {upper:f}]",
-            "lower": f"is at least {lower:f}",
+            "both": f"lies in [{lower}, {upper:f}]",
+            "lower": f"is at least {lower}",
             "upper": f"is at most {upper:f}",
         }
         return f"with confidence {100 * self.confidence:.12g} % the probability {found[self.side]}"
@@ -117,6 +117,11 @@ class SequentialTest:
             "undecided": f"is not decided after {self.runs} runs; nothing is claimed",
         }
         return f"P >= {self.at_least!r} {ends[self.verdict]}"
+
+
+def floor_text(bound: float) -> str:
+    """A lower bound in six digits, rounded down."""
+    return f"{Context(prec=6, rounding=ROUND_FLOOR).create_decimal_from_float(bound):f}"
 
 
 # ------------------------------------------------------------------------------------------------ runs of a policy
@@ -288,7 +293,7 @@ def clopper_pearson(satisfied: int, runs: int, confidence: float = 0.99, side: S
 
 def okamoto_runs(epsilon: float, confidence: float = 0.99, side: Side = "both") -> int:
     """⌈ln(1/tail) / 2ε²⌉ with tail δ/2, or δ for one side: Okamoto's (Chernoff's, Hoeffding's) number of runs."""
-    _require_confidence(confidence, side)
+    require_confidence(confidence, side)
     if not _SHARPEST <= _number(epsilon, "epsilon") < Fraction(1, 2):
         raise SettingsError(f"epsilon is {epsilon}; a half-width lies between 1e-9 and 0.5, such as 0.01")
     return math.ceil(-math.log(_tail(confidence, side)) / (2 * float(epsilon) ** 2))
@@ -339,7 +344,7 @@ def planned_runs(
     runs: int | None = None, epsilon: float | None = None, confidence: float = 0.99, side: Side = "both"
 ) -> int:
     """How many runs `estimate` makes with these settings; SettingsError or SizeError where they make no sense."""
-    _require_confidence(confidence, side)
+    require_confidence(confidence, side)
     if runs is not None and epsilon is not None:
         raise SettingsError("runs and epsilon are given; epsilon says how many runs it takes, so give one of the two")
     if epsilon is not None:
@@ -382,7 +387,8 @@ def _number(value: float, name: str) -> Fraction:
         raise SettingsError(f"{name} is {value!r}; a number is needed") from None
 
 
-def _require_confidence(confidence: float, side: str) -> None:
+def require_confidence(confidence: float, side: str = "lower") -> None:
+    """SettingsError unless 0 < confidence < 1 and there is such a side."""
     if not 0 < _number(confidence, "confidence") < 1:
         raise SettingsError(f"confidence is {confidence}; it lies between 0 and 1, exclusive, such as 0.99")
     if side not in get_args(Side):
