@@ -25,7 +25,7 @@ from stltool.cli.options import (
     TaskFile,
     TaskName,
 )
-from stltool.cli.steps import make_product, read_settings, training_text
+from stltool.cli.steps import guarantees_of, make_product, read_settings, training_text
 
 
 @app.command()
@@ -41,16 +41,24 @@ def run(
     episodes: Episodes = 1000,
     seed: Seed = 0,
     setting: Set = None,
+    confidence: Annotated[float, typer.Option("--confidence", help="of the guarantees from data")] = 0.99,
+    rollouts: Annotated[
+        int, typer.Option("--rollouts", help="fresh runs that the learned policy is judged by; 0: none")
+    ] = 10_000,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="folder for the results; default: out/NAME")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Learn a policy, check it exactly, write the report: the main job."""
     import stltool as stl
+    from stltool.checking.statistical import planned_runs
     from stltool.files import read_text, require_folder
-    from stltool.reporting import report_data, write_report
-    from stltool.reporting.terminal import print_checks, print_facts, progress_bar
+    from stltool.reporting import guarantee_rows, report_data, write_report
+    from stltool.reporting.terminal import print_checks, print_facts, print_table, progress_bar
 
-    product = make_product(task, model, param, name, encoding, as_json, nominal=nominal)
+    planned_runs(rollouts or None, confidence=confidence, side="lower")
+    product = make_product(
+        task, model, param, name, encoding, as_json, rollouts=rollouts > 0, nominal=nominal, guarantees=True
+    )
     folder = out if out is not None else Path("out") / product.task_name
     require_folder(folder)
     with progress_bar("checking the optimum", quiet=as_json) as bar:
@@ -60,8 +68,11 @@ def run(
             product, method, faithful=faithful, episodes=episodes, seed=seed, progress=bar, **read_settings(setting)
         )
     mine = stl.check(product, training.policy)
+    guarantees = guarantees_of(product, training, confidence, rollouts, as_json)
     command = "stltool " + shlex.join(sys.argv[1:])
-    data = report_data([best, mine], training, source=read_text(task, "task file"), command=command, seed=seed)
+    data = report_data(
+        [best, mine], training, source=read_text(task, "task file"), command=command, seed=seed, guarantees=guarantees
+    )
     training.policy.save(folder / "policy.npz")
     write_report(data, folder / "report.html")
     if as_json:
@@ -73,4 +84,5 @@ def run(
         "learned": training_text(training),
     })  # fmt: skip
     print_checks(data["checks"])
+    print_table(guarantee_rows(data["guarantees"], data["checks"]))
     print_facts({"report": folder / "report.html", "data": folder / "report.json", "policy": folder / "policy.npz"})

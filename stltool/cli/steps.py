@@ -41,6 +41,7 @@ def make_product(
     learning: bool = True,
     rollouts: bool = False,
     nominal: bool = False,
+    guarantees: bool = False,
 ) -> Product:
     """The product of a task file and its model, with the kernels loaded that the command needs."""
     from stltool import kernels
@@ -48,7 +49,7 @@ def make_product(
 
     product = load_product(task, model, param, name, encoding, nominal)
     with kernels_ready(quiet):
-        kernels.warm_up(learning, rollouts, product.model.intervals is not None)
+        kernels.warm_up(learning, rollouts, guarantees or product.model.intervals is not None)
     return product
 
 
@@ -162,6 +163,34 @@ def training_text(training: Training) -> str:
     episodes, steps = training.episodes, training.environment_steps
     method = training.method + (" as published" if training.faithful else "")
     return f"{method}, {episodes} episodes, {steps} environment steps, {training.seconds:.1f} s"
+
+
+def guarantees_of(
+    product: Product, training: Training, confidence: float, rollouts: int, quiet: bool
+) -> list[dict[str, Any]]:
+    """Lower bounds for a learned policy, as data: from the transitions it was learned from, and from fresh runs."""
+    import numpy as np
+
+    import stltool as stl
+    from stltool.reporting import guarantee_data
+    from stltool.reporting.terminal import progress_bar
+
+    found = []
+    for support in ("unknown", "known"):
+        with progress_bar("guarantee from the learning data", quiet=quiet) as bar:
+            bound = stl.guarantee(
+                product, training.policy, training.counts, confidence=confidence, support=support, progress=bar
+            )
+        found.append(guarantee_data(bound))
+    if rollouts:
+        # the learner's random numbers are of children 0 and 1 of the seed, these of another
+        seed = int(np.random.SeedSequence(training.seed, spawn_key=(2,)).generate_state(1)[0])
+        with progress_bar("fresh runs", quiet=quiet) as bar:
+            runs = stl.estimate(
+                product, training.policy, runs=rollouts, confidence=confidence, side="lower", seed=seed, progress=bar
+            )
+        found.append(guarantee_data(runs, seed))
+    return found
 
 
 def read_probability(text: str, option: str) -> Fraction:

@@ -19,8 +19,9 @@ distribution is one that nature may take, so on the event
     P(policy) ≥ min over nature of P(policy, nature) = `lower`      for every policy at once.
 
 Hence the policy may be chosen from the same data: the event does not speak of it. Of all policies the one that is best
-here (`policy=None`) has the greatest bound, with the same confidence. The initial distribution is the model's: it is a
-part of what is asked. Its transition probabilities are never read; with the support known, its graph is.
+here (`policy=None`) has the greatest bound, with the same confidence. Where runs start is a part of what is asked: the
+model's initial distribution, or `start`. Its transition probabilities are never read; with the support known, its
+graph is.
 
 Sources: Iyengar (2005) and Nilim and El Ghaoui (2005) for the robust value; Strehl and Littman, "An analysis of
 model-based interval estimation for Markov decision processes" (2008), for learning with such intervals.
@@ -42,7 +43,7 @@ from stltool.checking import robust_check
 from stltool.checking.backward import Progress
 from stltool.checking.statistical import floor_text, require_confidence
 from stltool.errors import SettingsError
-from stltool.learning.confidence import Whole, entry_interval, unseen_mass
+from stltool.learning.confidence import Floats, Whole, entry_interval, unseen_mass
 from stltool.learning.counts import Counts
 from stltool.models import MDP, Intervals
 from stltool.policy import Policy
@@ -93,6 +94,7 @@ def guarantee(
     *,
     confidence: float = 0.99,
     support: Support = "unknown",
+    start: int | None = None,
     memory_limit: int | None = None,
     progress: Progress | None = None,
 ) -> Guarantee:
@@ -103,12 +105,13 @@ def guarantee(
                 `policy` from them. What must not be is that some that were seen are left out because of what they show.
     confidence  of the method: over many sets of data at least such a share of bounds hold
     support     "known" takes the model's graph as true: which successors each choice may have
+    start       the state where every run starts, for a model that does not say it (a black box)
 
     Raises SettingsError for settings out of range, counts of another model's size, or counts that the known graph
     excludes; PolicyError when the policy belongs to another task or model, or says nothing about a state it may reach;
     SizeError before allocating what would not fit.
     """
-    start = time.perf_counter()
+    began = time.perf_counter()
     require_confidence(confidence)
     if support not in get_args(Support):
         raise SettingsError(f"support is {support!r}; choose unknown or known")
@@ -118,9 +121,10 @@ def guarantee(
             f"the counts are of {counts.n_choices} choices and {counts.n_states} states, the model has "
             f"{model.n_choices} and {model.n_states}; give the counts of a learner of this model"
         )
+    initial = _initial(model, start)
     judge, rebased = policy.on(product) if policy is not None else (product, None)
     visits = counts.visits
-    extended = with_outcome(judge, _of_intervals(model, counts, visits, confidence, support), FALSE)
+    extended = with_outcome(judge, _of_intervals(model, initial, counts, visits, confidence, support), FALSE)
     result = robust_check(
         extended,
         _extended(rebased, extended, memory_limit) if rebased is not None else None,
@@ -139,14 +143,31 @@ def guarantee(
         choices=model.n_choices,
         never_tried=int((visits == 0).sum()),
         policy=policy,
-        seconds=time.perf_counter() - start,
+        seconds=time.perf_counter() - began,
     )
 
 
 # ------------------------------------------------------------------------------------------------- the interval model
 
 
-def _of_intervals(model: MDP, counts: Counts, visits: Whole, confidence: float, support: Support) -> MDP:
+def _initial(model: MDP, start: int | None) -> Floats:
+    """The initial distribution (n_states,)."""
+    if start is None:
+        if not model.initial.any():
+            raise SettingsError(
+                f"{model.name} does not say where runs start, so nothing is guaranteed; give start=, the state where "
+                "every run starts"
+            )
+        return model.initial
+    if not isinstance(start, int | np.integer) or not 0 <= start < model.n_states:
+        raise SettingsError(f"start is {start!r}; a state's index is needed, 0 … {model.n_states - 1}")
+    point: Floats = (np.arange(model.n_states) == start).astype(np.float64)
+    return point
+
+
+def _of_intervals(
+    model: MDP, initial: Floats, counts: Counts, visits: Whole, confidence: float, support: Support
+) -> MDP:
     """The model's states and choices with intervals from the counts, and one more state for what was never seen."""
     S, M = model.n_states, model.n_choices
     alpha = 1 - Fraction(str(confidence))
@@ -179,7 +200,7 @@ def _of_intervals(model: MDP, counts: Counts, visits: Whole, confidence: float, 
         row_start=row_start,
         target=np.concatenate([codes % S, np.full(len(lost) + 1, S)])[order].astype(np.int32),
         probability=ends.nominal(row_start),
-        initial=np.append(model.initial, 0.0),
+        initial=np.append(initial, 0.0),
         signals={},
         labels={},
         action_names=model.action_names,

@@ -1,13 +1,14 @@
 """Results → JSON, HTML, terminal. The HTML page is made from the JSON alone, so it can be made again."""
 
 from stltool.reporting.data import check_data, estimate_data, product_data, report_data, training_data
+from stltool.reporting.guarantees import guarantee_data, guarantee_rows
 from stltool.reporting.page import load_report, render, report, write_report
 from stltool.reporting.runs import likely_data, sensitivity_data
 from stltool.reporting.story import encoding_data, encoding_rows, surrogate_data, surrogate_rows
 from stltool.reporting.tradeoffs import front_data, tradeoff_data, write_front_picture
 
 __all__ = [
-    "check_data", "encoding_data", "encoding_rows", "estimate_data", "front_data", "likely_data", "load_report",
-    "product_data", "render", "report", "report_data", "sensitivity_data", "surrogate_data", "surrogate_rows",
-    "tradeoff_data", "training_data", "write_front_picture", "write_report",
+    "check_data", "encoding_data", "encoding_rows", "estimate_data", "front_data", "guarantee_data", "guarantee_rows",
+    "likely_data", "load_report", "product_data", "render", "report", "report_data", "sensitivity_data",
+    "surrogate_data", "surrogate_rows", "tradeoff_data", "training_data", "write_front_picture", "write_report",
 ]  # fmt: skip

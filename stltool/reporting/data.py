@@ -18,12 +18,13 @@ from stltool.automata.compile import all_valuations, atoms_of
 from stltool.automata.history import history_states
 from stltool.checking import CheckResult, Estimate, Run, SequentialTest, likely_runs, sample_run, sensitivity
 from stltool.errors import FragmentError, SettingsError
-from stltool.learning import Training
+from stltool.learning import Guarantee, Training
 from stltool.logic.formula import Comparison, Formula, Label, boolean_value, walk
 from stltool.logic.fragment import check_fragment
 from stltool.models.fractions import long_numbers
 from stltool.policy import Policy
 from stltool.product import Product
+from stltool.reporting.guarantees import guarantee_data
 from stltool.reporting.runs import likely_data, sensitivity_data
 
 FORMAT = "stltool-report-1"
@@ -193,10 +194,12 @@ def report_data(
     command: str | None = None,
     seed: int = 0,
     estimates: Sequence[Estimate] = (),
+    guarantees: Sequence[Guarantee | Estimate | dict[str, Any]] = (),
 ) -> dict[str, Any]:
     """Everything a report shows. `source` is the task file's text, `command` what repeats the run.
 
-    `estimates` of the policy shown (the given one, else the optimal one) stand beside its exact probability.
+    `estimates` of the policy shown (the given one, else the optimal one) stand beside its exact probability, and so do
+    `guarantees` for it from data: as found, or as `guarantee_data` tells them.
     """
     if not results:
         raise SettingsError("a report needs at least one check result")
@@ -219,6 +222,7 @@ def report_data(
         "command": command,
         "checks": [check_data(result, optima.get(result.nature)) for result in results],
         "estimates": [{**dataclasses.asdict(estimate), "statement": estimate.statement} for estimate in estimates],
+        "guarantees": [found if isinstance(found, dict) else guarantee_data(found) for found in guarantees],
         "training": training_data(training) if training is not None else None,
         "run": _run_data(product, policy, seed) if policy is not None and points else None,
         "why": _why_data(product, policy) if policy is not None and points else None,

@@ -16,6 +16,7 @@ from stltool.errors import FileError
 from stltool.files import read_text, write_atomically
 from stltool.learning import Training
 from stltool.reporting.data import FORMAT, report_data
+from stltool.reporting.guarantees import guarantee_rows
 from stltool.reporting.runs import trace_text, verdict_text
 
 
@@ -60,9 +61,11 @@ def render(data: dict[str, Any]) -> str:
     environment.globals.update(trace_text=trace_text, verdict_text=verdict_text)
     why = data.get("why")  # reports of earlier versions have none
     likely = why["runs"] if why else []
+    found = data.get("guarantees")  # nor these
     return environment.get_template("report.html").render(
         data=data,
         why=why,
+        guarantees=guarantee_rows(found, data["checks"]) if found else [],
         curve=figures.learning_curve(data) if data["training"] else None,
         floor=figures.floor_map(data) if data["floor"] else None,
         likely_floor=figures.floor_map(data, likely[0]["state_indices"]) if data["floor"] and likely else None,

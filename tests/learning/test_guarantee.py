@@ -1,5 +1,6 @@
 """`guarantee` against its spelled-out twin, on data gathered adaptively, and against what it must never read."""
 
+import copy
 import itertools
 import math
 from dataclasses import replace
@@ -372,6 +373,32 @@ def test_transitions_that_the_graph_excludes_are_told(patrolling):
     with pytest.raises(SettingsError, match=rf"{'state'} .*: it was seen to lead to state .* graph excludes"):
         stl.guarantee(patrolling, None, counts, support="known")
     assert stl.guarantee(patrolling, None, counts).lower == 0
+
+
+def test_a_black_box_needs_no_rows_but_a_start(patrolling):
+    """Of a model without rows and without a start, only states and choices are read."""
+    model = patrolling.model
+    hollow = copy.copy(model)
+    for name, value in {
+        "row_start": np.zeros_like(model.row_start), "target": model.target[:0], "probability": model.probability[:0],
+        "initial": np.zeros(model.n_states), "fractions": None, "_digest": [], "_exact": [],
+    }.items():  # fmt: skip
+        object.__setattr__(hollow, name, value)  # as black boxes are; an MDP with probabilities refuses it
+    product = stl.Product(hollow, patrolling.automaton, patrolling.letter)
+    counts = explored(patrolling, np.random.default_rng(0), 3000)
+    first = int(np.flatnonzero(model.initial)[0])
+    table = stl.check(patrolling).policy.table
+    for chosen in (table, None):
+        here = stl.guarantee(product, stl.Policy(product, table) if chosen is not None else None, counts, start=first)
+        there = stl.guarantee(patrolling, stl.Policy(patrolling, table) if chosen is not None else None, counts)
+        assert here.lower == there.lower > 0.001
+    with pytest.raises(SettingsError, match="does not say where runs start"):
+        stl.guarantee(product, None, counts)
+    with pytest.raises(SettingsError, match="the model does not say where this leads; use support='unknown'"):
+        stl.guarantee(product, None, counts, start=first, support="known")
+    for wrong in (-1, model.n_states, 0.5, "A"):
+        with pytest.raises(SettingsError, match="start is"):
+            stl.guarantee(product, None, counts, start=wrong)
 
 
 # ------------------------------------------------------------------------------------------------ with_outcome

@@ -1,0 +1,59 @@
+"""Guarantees from data as plain data, and as the rows that terminal and report show beside the exact value."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from stltool.checking import Estimate
+from stltool.checking.statistical import floor_text
+from stltool.errors import SettingsError
+from stltool.learning import Guarantee
+
+
+def guarantee_data(found: Guarantee | Estimate, seed: int | None = None) -> dict[str, Any]:
+    """One guarantee, flat; `seed` is that of the runs of an Estimate."""
+    if isinstance(found, Guarantee):
+        details: dict[str, Any] = {
+            "source": "learning data",
+            "support": found.support,
+            "transitions": found.transitions,
+            "choices": found.choices,
+            "never_tried": found.never_tried,
+            "assumes": found.assumes,
+        }
+    elif found.side == "upper":
+        raise SettingsError('an estimate of side "upper" guarantees nothing; make it with side="lower"')
+    else:
+        details = {
+            "source": "fresh runs",
+            "runs": found.runs,
+            "satisfied": found.satisfied,
+            "seed": seed,
+            "assumes": "runs are independent of each other and of the learning",
+        }
+    bound = {"lower": found.lower, "confidence": found.confidence, "seconds": found.seconds}
+    return {**details, **bound, "statement": found.statement}
+
+
+def guarantee_rows(guarantees: Sequence[dict[str, Any]], checks: Sequence[dict[str, Any]] = ()) -> list[dict[str, Any]]:
+    """What is shown of `guarantee_data`; the exact check of the policy, where `checks` have one, comes first."""
+    rows = [
+        {
+            "guaranteed_by": "exact check",
+            "P_at_least": floor_text(check["lower"]),
+            "confidence": "certain",
+            "assumes": "the model, its probabilities included",
+        }
+        for check in checks
+        if check["question"] == "policy"
+    ][:1]
+    for data in guarantees:
+        samples = f"{data['transitions']} transitions" if "transitions" in data else f"{data['runs']} runs"
+        rows.append({
+            "guaranteed_by": f"{data['source']}, {samples}",
+            "P_at_least": floor_text(data["lower"]),
+            "confidence": f"{100 * data['confidence']:.12g} %",
+            "assumes": data["assumes"],
+        })  # fmt: skip
+    return rows

@@ -1,0 +1,110 @@
+"""`stltool run` tells what is guaranteed from data beside the exact value; reports show it."""
+
+import html
+import json
+import re
+import sys
+
+import pytest
+
+import stltool as stl
+from stltool import cli
+from stltool.errors import SettingsError
+from stltool.learning.counts import Counts
+from stltool.reporting import guarantee_data, guarantee_rows, load_report, render, report_data
+from tests.conftest import FACTORY
+
+TASK = str(FACTORY / "patrolling.stl")
+SMALL = ("-p", "T=3", "-p", "tau=3", "-e", "150")
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, tmp_path):
+    """`stltool run` of a small task in this process: (exit code, stdout, stderr)."""
+
+    def command(*args):
+        monkeypatch.setattr(sys, "argv", ["stltool", "run", TASK, *SMALL, "-o", str(tmp_path / "out"), *args])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        output = capsys.readouterr()
+        assert "Traceback" not in output.err
+        return ended.value.code or 0, output.out, output.err
+
+    return command
+
+
+def test_run_prints_guarantees_beside_the_exact_value(run, tmp_path):
+    out = tmp_path / "out"
+    code, text, _ = run("--rollouts", "500", "--confidence", "0.9")
+    assert code == 0
+    data = load_report(out / "report.json")
+    unknown, known, runs = data["guarantees"]
+    exact = data["checks"][1]
+    assert (unknown["support"], known["support"], runs["runs"]) == ("unknown", "known", 500)
+    assert unknown["transitions"] == known["transitions"] == data["training"]["environment_steps"]
+    assert 0 <= unknown["lower"] <= known["lower"] <= exact["upper"]
+    assert {row["confidence"] for row in data["guarantees"]} == {0.9}
+    page = html.unescape((out / "report.html").read_text(encoding="utf-8"))
+    assert "<h2>Guarantees</h2>" in page
+    for row in guarantee_rows(data["guarantees"], data["checks"]):
+        assert re.search(r"\s{2,}".join(map(re.escape, row.values())), text)
+        assert f'<td class="number">{row["P_at_least"]}</td><td class="number">{row["confidence"]}</td>' in page
+    assert [row["confidence"] for row in guarantee_rows(data["guarantees"], data["checks"])] == ["certain"] + [
+        "90 %"
+    ] * 3
+
+
+def test_the_bounds_are_those_of_the_functions(run):
+    """The runs are of a seed of their own, which the JSON names, and the same again."""
+    found = json.loads(run("--seed", "4", "--rollouts", "300", "--json")[1])["guarantees"]
+    assert found[2]["seed"] not in (0, 4)
+    product = stl.build_product(stl.load_model(FACTORY / "floor-5x5.toml"),
+                                stl.load_task(TASK, params={"T": 3, "tau": 3}))  # fmt: skip
+    training = stl.learn(product, "cfer", episodes=150, seed=4)
+    runs = stl.estimate(product, training.policy, runs=300, side="lower", seed=found[2]["seed"])
+    assert (runs.lower, runs.satisfied) == (found[2]["lower"], found[2]["satisfied"])
+    for row, support in zip(found, ("unknown", "known"), strict=False):
+        bound = stl.guarantee(product, training.policy, training.counts, support=support)
+        assert (bound.lower, bound.statement) == (row["lower"], row["statement"])
+
+
+def test_without_rollouts_the_data_alone_tells(run):
+    code, text, _ = run("--rollouts", "0", "--json")
+    assert code == 0
+    assert [row["source"] for row in json.loads(text)["guarantees"]] == ["learning data"] * 2
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "says"),
+    [
+        ("--confidence", "1", "confidence is 1.0"),
+        ("--confidence", "-0.5", "confidence is -0.5"),
+        ("--rollouts", "-3", "runs is -3"),
+    ],
+)
+def test_bad_options_are_told_before_the_work(run, tmp_path, option, value, says):
+    code, out, err = run(option, value)
+    assert (code, out) == (2, "")
+    assert says in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_reports_take_guarantees_as_found_and_do_without(patrolling):
+    best = stl.check(patrolling)
+    mine = stl.check(patrolling, best.policy)
+    runs = stl.estimate(patrolling, best.policy, runs=100, side="lower")
+    counts = Counts(patrolling.model.n_choices, patrolling.model.n_states)
+    nothing = stl.guarantee(patrolling, best.policy, counts)
+    data = report_data([best, mine], guarantees=[nothing, guarantee_data(runs, 0)])
+    assert [row["lower"] for row in data["guarantees"]] == [0.0, runs.lower]
+    rows = guarantee_rows(data["guarantees"], data["checks"])
+    assert [row["guaranteed_by"] for row in rows] == ["exact check", "learning data, 0 transitions",
+                                                      "fresh runs, 100 runs"]  # fmt: skip
+    assert float(rows[0]["P_at_least"]) <= best.lower < float(rows[0]["P_at_least"]) + 1e-5
+    assert "<h2>Guarantees</h2>" in render(data)
+    assert "<h2>Guarantees</h2>" not in render(report_data([best]))
+    del data["guarantees"]  # as earlier versions wrote it
+    assert "<h2>Guarantees</h2>" not in render(data)
+    with pytest.raises(SettingsError, match='side "upper" guarantees nothing'):
+        report_data([best], guarantees=[stl.estimate(patrolling, best.policy, runs=100, side="upper")])
+    assert guarantee_rows([]) == []
