@@ -59,7 +59,17 @@ if TYPE_CHECKING:
         write_certificate,
     )
     from stltool.errors import StlToolError
-    from stltool.learning import Guarantee, Settings, Training, guarantee, learn
+    from stltool.learning import (
+        Guarantee,
+        Settings,
+        Sweep,
+        SweepResult,
+        Training,
+        guarantee,
+        learn,
+        load_sweep,
+        run_sweep,
+    )
     from stltool.logic.formula import Formula, horizon
     from stltool.logic.fragment import Fragment, check_fragment
     from stltool.logic.parser import load_task, parse, parse_task
@@ -90,6 +100,7 @@ _HOME = {
     "load_task": "logic.parser", "parse": "logic.parser", "parse_task": "logic.parser", "report": "reporting",
     "robust_check": "checking", "robustness": "logic.semantics", "sample_run": "checking",
     "satisfies": "logic.semantics",
+    "Sweep": "learning", "SweepResult": "learning", "load_sweep": "learning", "run_sweep": "learning",
 }  # fmt: skip
 
 __all__ = [  # noqa: RUF022 - in reading order
@@ -99,7 +110,8 @@ __all__ = [  # noqa: RUF022 - in reading order
     "estimate", "Estimate", "sprt", "SequentialTest", "write_certificate", "certify",
     "likely_runs", "LikelyRuns", "sensitivity", "Sensitivity", "surrogate_optimum", "SurrogateResult",
     "build_joint_product", "JointProduct", "tradeoff", "Tradeoff", "pareto", "Front",
-    "learn", "Training", "Settings", "guarantee", "Guarantee", "report", "StlToolError",
+    "learn", "Training", "Settings", "guarantee", "Guarantee", "load_sweep", "run_sweep", "Sweep", "SweepResult",
+    "report", "StlToolError",
 ]  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""The pictures: learning curve, floor map, Pareto front; SVG text, or PNG. The only module that imports matplotlib."""
+"""The pictures: learning curves, floor map, Pareto front; SVG text, or PNG. The only module that imports matplotlib."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _LABEL_COLOURS = ("#9ecae1", "#fdae6b", "#a1d99b", "#bcbddc", "#fa9fb5", "#fee391", "#c7e9c0", "#d9d9d9")
+_METHOD_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito's
 _INK, _BLOCKED, _RUN, _CURVE = "#222222", "#4a4a4a", "#b2182b", "#2166ac"
 
 
@@ -73,11 +74,46 @@ def pareto_front(data: dict[str, Any], kind: str) -> str | bytes:
     axes.set(xlabel=f"P({first})", ylabel=f"P({second})", xlim=(0, 1.03), ylim=(0, 1.03), aspect="equal")
     axes.grid(alpha=0.25)
     axes.legend(loc="lower left", frameon=False)
-    if kind == "svg":
-        return _svg(figure, "front")
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
-    return buffer.getvalue()
+    return _svg(figure, "front") if kind == "svg" else _png(figure)
+
+
+def learning_curves(data: dict[str, Any], kind: str) -> str | bytes:
+    """A sweep's exact learning curves, a panel a scenario: median and quartiles over the seeds, the optimum dashed.
+
+    `kind` is svg or png.
+    """
+    from stltool.reporting.sweeps import panel_title
+
+    scenarios, columns = data["scenarios"], min(data["columns"], len(data["scenarios"]))
+    rows = -(-len(scenarios) // columns)
+    figure = Figure(figsize=(max(4.2, 3.2 * columns), 2.3 * rows + 0.6), layout="constrained")
+    panels = figure.subplots(rows, columns, sharey=True, squeeze=False).ravel()
+    style = {method["id"]: i for i, method in enumerate(data["methods"])}
+    for panel, scenario in zip(panels, scenarios, strict=False):
+        for result in data["results"]:
+            if result["scenario"] != scenario["id"]:
+                continue
+            curve, i = result["curve"], style[result["method"]]
+            colour = _METHOD_COLOURS[i % len(_METHOD_COLOURS)]
+            panel.fill_between(curve["steps"], curve["q1"], curve["q3"], color=colour, alpha=0.18, linewidth=0)
+            line = ("-", "--", "-.", ":")[i // len(_METHOD_COLOURS) % 4]
+            panel.plot(curve["steps"], curve["median"], color=colour, linewidth=1.5, linestyle=line,
+                       label=result["method"])  # fmt: skip
+        panel.axhline(scenario["optimum"], color=_INK, linestyle="--", linewidth=0.9, label="optimum")
+        panel.set(ylim=(-0.03, 1.03))
+        panel.set_title(panel_title(scenario), fontsize=8)
+        panel.tick_params(labelsize=7)
+        panel.ticklabel_format(axis="x", style="sci", scilimits=(0, 3), useMathText=True)
+        panel.xaxis.get_offset_text().set_fontsize(7)
+        panel.grid(alpha=0.25)
+    for panel in panels[len(scenarios) :]:
+        panel.set_axis_off()
+    shown = {text: line for panel in panels for line, text in zip(*panel.get_legend_handles_labels(), strict=True)}
+    names = [*style, "optimum"]
+    figure.legend([shown[name] for name in names], names, loc="outside upper center", ncols=len(names), frameon=False)
+    figure.supxlabel("environment steps", fontsize=9)
+    figure.supylabel("P(task), exact", fontsize=9)
+    return _svg(figure, "sweep") if kind == "svg" else _png(figure)
 
 
 def _cells(axes: Axes, states: Any, floor: dict[str, Any], colour: str) -> None:
@@ -100,6 +136,12 @@ def _path(axes: Axes, states: list[int], floor: dict[str, Any], scale: float) ->
     axes.scatter(xs, ys, s=150 * scale**2, color="white", edgecolors=_RUN, linewidths=0.8, zorder=3)
     for step, (px, py) in enumerate(points):
         axes.text(px, py, str(step), ha="center", va="center", fontsize=8.5 * scale, color=_RUN, zorder=4)
+
+
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
+    return buffer.getvalue()
 
 
 def _svg(figure: Figure, salt: str) -> str:

@@ -52,11 +52,7 @@ def render(data: dict[str, Any]) -> str:
     """The HTML page, pictures included; nothing is loaded from elsewhere."""
     from stltool.reporting import figures
 
-    loader = jinja2.PackageLoader("stltool.reporting", "templates")
-    environment = jinja2.Environment(
-        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["probability"] = probability_text
+    environment = _templates()
     environment.globals["bound_texts"] = bound_texts
     environment.globals.update(trace_text=trace_text, verdict_text=verdict_text)
     why = data.get("why")  # reports of earlier versions have none
@@ -70,6 +66,25 @@ def render(data: dict[str, Any]) -> str:
         floor=figures.floor_map(data) if data["floor"] else None,
         likely_floor=figures.floor_map(data, likely[0]["state_indices"]) if data["floor"] and likely else None,
     )
+
+
+def render_sweep(data: dict[str, Any]) -> str:
+    """The HTML page of a sweep (`sweep_data`), pictures included; nothing is loaded from elsewhere."""
+    from stltool.reporting import figures, sweeps
+
+    environment = _templates()
+    environment.globals.update(failure_text=sweeps.failure_text, panel_title=sweeps.panel_title)
+    curves = figures.learning_curves(data, "svg") if data["results"] else None
+    return environment.get_template("sweep.html").render(data=data, rows=sweeps.result_rows(data), curves=curves)
+
+
+def _templates() -> jinja2.Environment:
+    loader = jinja2.PackageLoader("stltool.reporting", "templates")
+    environment = jinja2.Environment(
+        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["probability"] = probability_text
+    return environment
 
 
 def bound_texts(lower: float | Fraction, upper: float | Fraction) -> tuple[str, str]:

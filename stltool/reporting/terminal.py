@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from fractions import Fraction
 from typing import Any
 
@@ -11,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from stltool.learning.sweep import SweepProgress
 from stltool.models.fractions import long_numbers
 from stltool.reporting.page import bound_texts, probability_text
 from stltool.reporting.runs import trace_text, verdict_text
@@ -44,6 +47,37 @@ def progress_bar(title: str, quiet: bool = False) -> Iterator[Advance | None]:
             if total >= 100 and done * 10 // total > shown:
                 shown = done * 10 // total
                 console.print(f"{title}: {done} of {total}  {_note(steps, probability)}", highlight=False)
+
+        yield log
+
+
+@contextmanager
+def sweep_bar(quiet: bool = False) -> Iterator[Callable[[SweepProgress], None] | None]:
+    """Runs done, environment steps a second and time left; in a log a line at every tenth of the runs."""
+    console = Console(stderr=True, highlight=False)
+    start = time.perf_counter()
+
+    def told(state: SweepProgress) -> str:
+        passed = time.perf_counter() - start
+        left = timedelta(seconds=round(passed * (1 - state.share) / state.share)) if state.share else "?"
+        return f"{state.done} of {state.total} runs, {state.steps / passed:.3g} steps/s, about {left} left"
+
+    if quiet:
+        yield None
+    elif console.is_terminal:
+        columns = (TextColumn("sweep"), BarColumn(), TextColumn("{task.fields[note]}"))
+        with Progress(*columns, console=console, transient=True) as progress:
+            bar = progress.add_task("sweep", total=1.0, note="starting")
+
+            def advance(state: SweepProgress) -> None:
+                progress.update(bar, completed=state.share, note=told(state))
+
+            yield advance
+    else:
+
+        def log(state: SweepProgress) -> None:
+            if state.done * 10 // state.total > (state.done - 1) * 10 // state.total:
+                console.print(f"sweep: {told(state)}")
 
         yield log
 

@@ -1,0 +1,137 @@
+"""`stltool sweep`: scenarios × methods × seeds, as a table and as learning curves."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from stltool.cli.app import app
+from stltool.cli.options import AsJson
+from stltool.errors import SettingsError
+
+
+@app.command()
+def sweep(
+    file: Annotated[Path, typer.Argument(help="sweep file (.toml)", show_default=False)],
+    only: Annotated[str | None, typer.Option("--only", metavar="ID,ID", help="run these scenarios alone")] = None,
+    method: Annotated[
+        str | None, typer.Option("--method", "-m", metavar="ID,ID", help="run these methods alone")
+    ] = None,
+    seeds: Annotated[
+        str | None,
+        typer.Option("--seeds", metavar="N|N,N", help="how many seeds (0 …), or which, instead of the file's"),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option("--workers", "-w", help="processes; default: the machine's cores")
+    ] = None,
+    cluster: Annotated[
+        str | None, typer.Option("--cluster", metavar="ADDRESS", help="a dask scheduler whose workers do the runs")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="folder for the results; default: out/NAME")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="list what would be run, and about how long")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run every scenario with every method and seed, in parallel; what is finished is kept, and not run again.
+
+    Exit code 0: all runs are finished. 2: some failed, or bad input. 130: interrupted; the same command goes on.
+    """
+    import stltool as stl
+    from stltool.learning.sweep import finished_runs
+    from stltool.reporting import sweep_data, write_sweep
+    from stltool.reporting.sweeps import failure_text, failures_data, result_rows
+    from stltool.reporting.terminal import error, print_facts, print_table, sweep_bar
+
+    if workers is not None and cluster is not None:
+        raise SettingsError("--workers and --cluster: a cluster has the workers it has; give one of the two")
+    whole = stl.load_sweep(file)
+    part = whole.select(_ids(only, "--only"), _ids(method, "--method"), _seeds(seeds))
+    folder = out if out is not None else Path("out") / whole.name
+    if dry_run:
+        _dry_run(part, folder, workers, as_json)
+        return
+    try:
+        with sweep_bar(quiet=as_json) as bar:
+            result = stl.run_sweep(part, folder, workers=workers, cluster=cluster, progress=bar)
+    except KeyboardInterrupt:
+        kept = len(finished_runs(part, folder).runs)
+        error(f"interrupted; {kept} of {len(part.runs())} runs are finished and kept: the same command goes on there")
+        raise typer.Exit(130) from None
+    # the report is of all that the folder has of the sweep, whatever part of it was asked for now
+    shown = whole.select(seeds=sorted({*whole.seeds, *part.seeds}))
+    known = finished_runs(shown, folder)
+    command = "stltool " + shlex.join(sys.argv[1:])
+    data = sweep_data(stl.SweepResult(shown, known.runs, result.failures, result.skipped), command)
+    paths = write_sweep(data, folder) if known.runs else []
+    if as_json:
+        print(json.dumps(data))
+    else:
+        print_table(result_rows(data))
+        if paths:
+            typer.echo()
+        print_facts({
+            "runs": f"{len(result.runs)} finished, {result.skipped} of them before; {len(result.failures)} failed",
+            **({"report": paths[0], "data": ", ".join(path.name for path in paths[1:])} if paths else {}),
+        })  # fmt: skip
+    for failure in failures_data(result.failures):
+        error(failure_text(failure))
+    if result.failures:
+        raise typer.Exit(2)
+
+
+def _dry_run(part: Any, folder: Path, workers: int | None, as_json: bool) -> None:
+    """What is finished, what would be run, and about how long that takes."""
+    import os
+
+    from stltool.learning.sweep import estimated_seconds, finished_runs
+    from stltool.reporting.terminal import kernels_ready, print_facts, print_table
+
+    known = finished_runs(part, folder)
+    done = {(run.scenario, run.method, run.seed) for run in known.runs}
+    with kernels_ready(as_json):
+        seconds = estimated_seconds(part, folder)
+    rows: dict[tuple[str, str], list[int]] = {}
+    for run in part.runs():
+        if (run.scenario, run.method, run.seed) not in done:
+            rows.setdefault((run.scenario, run.method), []).append(run.seed)
+    used = workers if workers is not None else os.cpu_count() or 1
+    work = sum(seconds.get(key, 0.0) * len(seeds) for key, seeds in rows.items())
+    if as_json:
+        runs = [
+            {"scenario": scenario, "method": method, "seeds": seeds, "seconds_each": seconds.get((scenario, method))}
+            for (scenario, method), seeds in rows.items()
+        ]
+        print(json.dumps({"finished": len(done), "runs": runs, "workers": used, "seconds": work / used}))
+        return
+    print_table([
+        {"scenario": scenario, "method": method, "seeds": ", ".join(map(str, seeds)),
+         "about, each": f"{seconds.get((scenario, method), 0.0):.2f} s"}
+        for (scenario, method), seeds in rows.items()
+    ])  # fmt: skip
+    print_facts({
+        "to run": f"{sum(map(len, rows.values()))} runs in {folder}, {len(done)} are finished",
+        "time": f"about {work / used:.1f} s with {used} worker{'s'[: used > 1]}",
+    })  # fmt: skip
+
+
+def _ids(text: str | None, option: str) -> list[str] | None:
+    if text is None:
+        return None
+    ids = [one.strip() for one in text.split(",")]
+    if not all(ids):
+        raise SettingsError(f"{option} {text}: write names with commas between, such as {option} P1,P2")
+    return ids
+
+
+def _seeds(text: str | None) -> int | list[int] | None:
+    """3: how many; 3,5 or 3, alone with its comma: which."""
+    if text is None:
+        return None
+    try:
+        return [int(one) for one in text.rstrip(",").split(",")] if "," in text else int(text)
+    except ValueError:
+        raise SettingsError(f"--seeds {text}: write how many, such as 3, or which, such as 0,4,7") from None

@@ -1,0 +1,371 @@
+"""Sweeps: every scenario with every method and every seed, the same bits however they are run.
+
+A run is a pure function of its content: formula, model, method, settings, seed. A digest of these, the stored format
+and the version of stltool is its *key*. A finished run is one file, `runs/<scenario>/<method>/seed-<n>.json`, written
+whole or not at all, with its key; one with another key counts as not done. So a sweep that was killed anywhere goes on
+where it stopped, and ends in the same bytes as one that was not; wall times stand in files of their own.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import json
+import os
+import time
+import traceback
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stltool.errors import FileError, SettingsError, StlToolError, near_misses
+from stltool.files import require_folder, write_atomically
+from stltool.learning.learn import learn
+from stltool.learning.pool import require_main_process, spread
+from stltool.learning.settings import Settings
+from stltool.logic.formula import horizon
+from stltool.logic.parser import parse
+from stltool.logic.task import Task
+from stltool.models import MDP
+from stltool.product import Product, build_product
+
+FORMAT = "stltool-run-1"
+_PROBE = 10  # episodes that an estimate of time is made from
+
+
+@dataclass(frozen=True)
+class Method:
+    """A learner with settings of its own; `id` names it in tables and folders."""
+
+    id: str
+    name: str
+    faithful: bool
+    settings: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A task on a model, with settings; `published` are figures by method id, to be shown beside the sweep's."""
+
+    id: str
+    task: Task
+    model: MDP
+    settings: Mapping[str, Any]
+    published: Mapping[str, float]
+
+    @functools.cached_property
+    def product(self) -> Product:
+        return build_product(self.model, self.task)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One training run, all that a worker needs. Settings: the sweep's, then the scenario's, then the method's."""
+
+    scenario: str
+    method: str
+    seed: int
+    formula: str
+    model: MDP
+    learner: str
+    faithful: bool
+    settings: Mapping[str, Any]
+    version: str
+
+    @property
+    def name(self) -> str:
+        return f"{self.scenario} {self.method} seed {self.seed}"
+
+    @functools.cached_property
+    def key(self) -> str:
+        """A SHA-256 over what the result depends on. Raises SettingsError where a setting is out of range."""
+        settings = dataclasses.asdict(Settings(**self.settings))
+        content = [FORMAT, self.version, self.formula, self.model.digest(), self.learner, self.faithful, settings]
+        return hashlib.sha256(json.dumps([*content, self.seed], sort_keys=True).encode()).hexdigest()
+
+    @property
+    def work(self) -> float:
+        """What the run costs beside others, very roughly: its steps and the updates of a faithful method."""
+        settings = Settings(**self.settings)
+        steps = settings.episodes * (horizon(parse(self.formula)) + 2)
+        return steps * (1 + settings.batch / settings.period)
+
+
+@dataclass(frozen=True, eq=False)
+class RunResult:
+    """A finished run: its exact learning curve, a digest of the final policy's table, and its wall time."""
+
+    scenario: str
+    method: str
+    seed: int
+    episode: list[int]
+    steps: list[int]
+    probability: list[float]
+    policy: str
+    seconds: float
+
+
+class Failure(NamedTuple):
+    """A run that ended without a result, and why."""
+
+    scenario: str
+    method: str
+    seed: int
+    message: str
+
+
+class SweepProgress(NamedTuple):
+    """Runs done and to do in this call, environment steps so far, and the rough share of the work that is done."""
+
+    done: int
+    total: int
+    steps: int
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """Scenarios × methods × seeds; `columns` panels stand in a row of the figure."""
+
+    name: str
+    scenarios: tuple[Scenario, ...]
+    methods: tuple[Method, ...]
+    seeds: tuple[int, ...]
+    settings: Mapping[str, Any]
+    columns: int
+
+    def select(
+        self,
+        scenarios: Sequence[str] | None = None,
+        methods: Sequence[str] | None = None,
+        seeds: int | Sequence[int] | None = None,
+    ) -> Sweep:
+        """A part of the sweep, in its order; `seeds` as in the file: a number, or which, also such as it has not."""
+        return dataclasses.replace(
+            self,
+            scenarios=_chosen(self.scenarios, scenarios, "scenario"),
+            methods=_chosen(self.methods, methods, "method"),
+            seeds=self.seeds if seeds is None else read_seeds(seeds),
+        )
+
+    def runs(self) -> list[Run]:
+        """The cross product, scenario by scenario."""
+        version = metadata.version("stltool")
+        return [
+            Run(
+                scenario.id, method.id, seed, str(scenario.task.formula), scenario.model, method.name, method.faithful,
+                {**self.settings, **scenario.settings, **method.settings}, version,
+            )
+            for scenario in self.scenarios for method in self.methods for seed in self.seeds
+        ]  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class SweepResult:
+    """What is finished of a sweep, in its order, and what failed; `skipped` runs were finished before."""
+
+    sweep: Sweep
+    runs: list[RunResult]
+    failures: list[Failure]
+    skipped: int
+
+
+def run_sweep(
+    sweep: Sweep,
+    folder: str | Path,
+    *,
+    workers: int | None = None,
+    cluster: str | None = None,
+    progress: Callable[[SweepProgress], None] | None = None,
+) -> SweepResult:
+    """Do the runs that `folder` does not have yet, and return them all.
+
+    workers    processes (default: the machine's cores); 1 runs everything in this one
+    cluster    the address of a dask scheduler whose workers do the runs instead; results come back here
+    progress   called when a run is done
+
+    Raises SettingsError where workers or cluster cannot be had, FileError where another sweep uses the folder. What
+    fails within a run is among the result's failures, and the others go on. Interrupted, it loses the runs under way.
+    """
+    workers = (os.cpu_count() or 1) if workers is None else workers
+    if workers < 1:
+        raise SettingsError(f"workers is {workers}; it must be a whole number from 1")
+    require_main_process()
+    folder = Path(folder)
+    require_folder(folder)
+    with _locked(folder):
+        finished, waiting, failures = _plan(sweep, folder)
+        skipped, steps, done = len(finished), 0, 0
+        if waiting and cluster is None:
+            from stltool.kernels import warm_up
+
+            warm_up()  # compiled once, here, not by each worker
+        whole, worked = sum(run.work for run in waiting), 0.0
+        with closing(spread(_execute, waiting, workers, cluster)) as outcomes:
+            for run, outcome in outcomes:
+                done, worked = done + 1, worked + run.work
+                if isinstance(outcome, RunResult):
+                    _store(folder, run, outcome)
+                    finished[run.name] = outcome
+                    steps += outcome.steps[-1]
+                else:
+                    failures.append(Failure(run.scenario, run.method, run.seed, outcome))
+                if progress is not None:
+                    progress(SweepProgress(done, len(waiting), steps, worked / whole))
+    order = {run.name: i for i, run in enumerate(sweep.runs())}
+    failures.sort(key=lambda failure: order[f"{failure.scenario} {failure.method} seed {failure.seed}"])
+    return SweepResult(sweep, [finished[name] for name in order if name in finished], failures, skipped)
+
+
+def finished_runs(sweep: Sweep, folder: str | Path) -> SweepResult:
+    """What `folder` has of the sweep; nothing is run."""
+    finished, _, failures = _plan(sweep, Path(folder))
+    return SweepResult(sweep, list(finished.values()), failures, len(finished))
+
+
+def estimated_seconds(sweep: Sweep, folder: str | Path) -> dict[tuple[str, str], float]:
+    """Seconds that one seed of each scenario and method still to be run takes, from a few episodes of it."""
+    from stltool.kernels import warm_up
+
+    warm_up()
+    _, waiting, _ = _plan(sweep, Path(folder))
+    seconds = {}
+    for run in {(run.scenario, run.method): run for run in waiting}.values():
+        settings = Settings(**run.settings)
+        rare, often = (
+            _seconds(dataclasses.replace(run, settings={**run.settings, "episodes": _PROBE, "evaluate_every": every}))
+            for every in (_PROBE, 1)
+        )
+        evaluation = max(0.0, often - rare) / (_PROBE - 1)
+        episode = max(0.0, rare - evaluation) / _PROBE
+        evaluations = -(-settings.episodes // settings.evaluate_every)
+        seconds[run.scenario, run.method] = settings.episodes * episode + evaluations * evaluation
+    return seconds
+
+
+def _seconds(run: Run) -> float:
+    outcome = _execute(run)
+    return outcome.seconds if isinstance(outcome, RunResult) else 0.0
+
+
+def read_seeds(given: Any) -> tuple[int, ...]:
+    """Seeds as a number of them (3: 0, 1, 2) or as a list of different whole numbers from 0."""
+    seeds = list(range(given)) if type(given) is int else given
+    whole = isinstance(seeds, list | tuple) and all(type(seed) is int and seed >= 0 for seed in seeds)
+    if not whole or not seeds or len(set(seeds)) < len(seeds):
+        raise SettingsError(f"seeds is {given!r}; write how many, or a list of different whole numbers from 0")
+    return tuple(seeds)
+
+
+# ------------------------------------------------------------------------------------------------------ the runs
+
+
+def _execute(run: Run) -> RunResult | str:
+    """In a worker: the result, or why there is none."""
+    try:
+        here = metadata.version("stltool")
+        if here != run.version:
+            return f"the worker has stltool {here}, and the sweep is of {run.version}; install the same on both"
+        _warm_up_once()
+        start = time.perf_counter()
+        product = build_product(run.model, parse(run.formula))
+        training = learn(product, run.learner, faithful=run.faithful, seed=run.seed, **run.settings)
+    except StlToolError as error:
+        return str(error)
+    except Exception:  # our own fault: told whole, and the other runs go on
+        return f"a fault of stltool, please report it:\n{traceback.format_exc()}"
+    table = training.policy.table
+    sha = hashlib.sha256(f"{table.dtype.str}{table.shape}".encode() + np.ascontiguousarray(table).tobytes())
+    return RunResult(
+        run.scenario, run.method, run.seed,
+        [point.episode for point in training.history],
+        [point.steps for point in training.history],
+        [point.probability for point in training.history],
+        sha.hexdigest(),
+        time.perf_counter() - start,
+    )  # fmt: skip
+
+
+@functools.cache
+def _warm_up_once() -> None:
+    from stltool.kernels import warm_up
+
+    warm_up()
+
+
+# ------------------------------------------------------------------------------------------------------ the store
+
+
+def _place(folder: Path, run: Run) -> tuple[Path, Path]:
+    """The files of a run: its result, and its wall time."""
+    where = folder / "runs" / run.scenario / run.method
+    return where / f"seed-{run.seed}.json", where / f"seed-{run.seed}.time.json"
+
+
+def _store(folder: Path, run: Run, result: RunResult) -> None:
+    place, clock = _place(folder, run)
+    write_atomically(clock, json.dumps({"key": run.key, "seconds": result.seconds}) + "\n")
+    content = {"format": FORMAT, "key": run.key, **dataclasses.asdict(result)}
+    del content["seconds"]
+    write_atomically(place, json.dumps(content, indent=1) + "\n")  # last: where it stands the run is finished
+
+
+def _plan(sweep: Sweep, folder: Path) -> tuple[dict[str, RunResult], list[Run], list[Failure]]:
+    """What is finished, what is to be run, the longest first, and what cannot be."""
+    finished, waiting, failures = {}, [], []
+    for run in sweep.runs():
+        try:
+            found = _stored(folder, run)
+        except SettingsError as error:
+            failures.append(Failure(run.scenario, run.method, run.seed, str(error)))
+            continue
+        if found is not None:
+            finished[run.name] = found
+        else:
+            waiting.append(run)
+    waiting.sort(key=lambda run: -run.work)
+    return finished, waiting, failures
+
+
+def _stored(folder: Path, run: Run) -> RunResult | None:
+    """The finished run, None where there is none or one of another key."""
+    place, clock = _place(folder, run)
+    key = run.key
+    try:
+        content, timed = (json.loads(path.read_text(encoding="utf-8")) for path in (place, clock))
+        if content.pop("key") != key or timed["key"] != key:
+            return None
+        del content["format"]
+        return RunResult(**content, seconds=float(timed["seconds"]))
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return None  # not there, or no file of ours: run again
+
+
+def _locked(folder: Path) -> Any:
+    """The folder's lock, which ends with the process that holds it."""
+    from filelock import FileLock, Timeout
+
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder / "sweep.lock")
+    try:
+        return lock.acquire(timeout=0)
+    except Timeout:
+        raise FileError(
+            f"{folder}: another sweep is running there; wait for its end, or name another folder (--out)"
+        ) from None
+
+
+def _chosen(known: Iterable[Any], ids: Sequence[str] | None, kind: str) -> tuple[Any, ...]:
+    known = tuple(known)
+    if ids is None:
+        return known
+    for wanted in ids:
+        if wanted not in [one.id for one in known]:
+            raise SettingsError(f"the sweep has no {kind} {wanted!r}; {near_misses(wanted, [one.id for one in known])}")
+    return tuple(one for one in known if one.id in ids)

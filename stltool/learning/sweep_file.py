@@ -1,0 +1,171 @@
+"""A sweep's file (TOML) → Sweep, read strictly: a key that nobody knows is an error.
+
+[sweep]
+name = "small"                   results go to out/small
+seeds = 10                       how many (0 … 9), or a list
+settings = { alpha = 0.01 }      for all runs; fields of stl.Settings
+columns = 4                      panels in a row of the figure
+
+[[method]]
+name = "cfer"                    a method of stl.learn
+id = "cfer"                      its name here; default: the method's
+faithful = true
+settings = {}                    over the scenario's, which are over the sweep's
+
+[[scenario]]
+id = "P1"
+task = "patrolling.stl"          relative to this file
+model = "floor-5x5.toml"         default: the task file's model line
+definition = "patrolling"        default: the task file's last one
+params = { T = 10, tau = 10 }
+settings = { episodes = 4000 }
+published = { cfer = 0.826 }     figures to be shown beside, by method id
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+import tomllib
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+from stltool.errors import SettingsError, StlToolError, near_misses
+from stltool.files import read_text
+from stltool.learning.learn import METHODS
+from stltool.learning.settings import Settings
+from stltool.learning.sweep import Method, Scenario, Sweep, read_seeds
+from stltool.logic.parser import load_task
+from stltool.models import MDP, load_model
+
+_SETTINGS = tuple(field.name for field in dataclasses.fields(Settings))
+_SWEEP = ("name", "seeds", "settings", "columns")
+_METHOD = ("id", "name", "faithful", "settings")
+_SCENARIO = ("id", "task", "model", "definition", "params", "settings", "published")
+_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")  # names of folders, everywhere
+_MISSING = object()
+
+
+def load_sweep(path: str | Path) -> Sweep:
+    """Read a sweep's file, its tasks and models. Raises a StlToolError that names file, place and key."""
+    path = Path(path)
+    try:
+        table = tomllib.loads(read_text(path, "sweep file"))
+    except (ValueError, RecursionError) as error:
+        raise SettingsError(f"{path}: not valid TOML: {error}") from None
+    try:
+        return _sweep(table, path)
+    except StlToolError as error:
+        text = str(error)
+        raise (error if text.startswith(f"{path}: ") else type(error)(f"{path}: {text}")) from None
+
+
+def _sweep(table: dict[str, Any], path: Path) -> Sweep:
+    _known(table, ("sweep", "method", "scenario"), "the file")
+    head = _take(table, "sweep", dict, "the file")
+    where = "[sweep]"
+    _known(head, _SWEEP, where)
+    name = _id(_take(head, "name", str, where, path.stem), f"{where} name")
+    try:
+        seeds = read_seeds(_take(head, "seeds", (int, list), where, 10))
+    except SettingsError as error:
+        raise SettingsError(f"{where}: {error}") from None
+    methods = [_method(entry, f"[[method]] {i}") for i, entry in enumerate(_entries(table, "method"), start=1)]
+    _different([method.id for method in methods], "method", 'give each an id = "…" of its own')
+    models: dict[Path, MDP] = {}
+    ids = [method.id for method in methods]
+    scenarios = [_scenario(entry, i, path, ids, models) for i, entry in enumerate(_entries(table, "scenario"), start=1)]
+    _different([scenario.id for scenario in scenarios], "scenario", "rename one")
+    columns = _take(head, "columns", int, where, min(4, math.ceil(math.sqrt(len(scenarios)))))
+    if columns < 1:
+        raise SettingsError(f"{where}: columns is {columns}; it must be a whole number from 1")
+    settings = _settings(head, where)
+    return Sweep(name, tuple(scenarios), tuple(methods), seeds, settings, columns)
+
+
+def _method(entry: dict[str, Any], where: str) -> Method:
+    _known(entry, _METHOD, where)
+    name = _take(entry, "name", str, where)
+    if name not in METHODS:
+        raise SettingsError(f"{where}: there is no method {name!r}; {near_misses(name, METHODS)}")
+    given = _id(_take(entry, "id", str, where, name), f"{where} id")
+    return Method(given, name, _take(entry, "faithful", bool, where, False), _settings(entry, where))
+
+
+def _scenario(
+    entry: dict[str, Any], number: int, path: Path, methods: Collection[str], models: dict[Path, MDP]
+) -> Scenario:
+    where = f"[[scenario]] {number}"
+    own_id = _id(_take(entry, "id", str, where), f"{where} id")
+    where = f"scenario {own_id}"
+    _known(entry, _SCENARIO, where)
+    params = _take(entry, "params", dict, where, {})
+    published = _take(entry, "published", dict, where, {})
+    _known(published, methods, f"{where}, published")
+    for method in published:
+        _take(published, method, (int, float), f"{where}, published")
+    task_file = path.parent / _take(entry, "task", str, where)
+    try:
+        task = load_task(task_file, params, _take(entry, "definition", str, where, None))
+        model_file = path.parent / entry["model"] if _take(entry, "model", str, where, None) else task.model
+        if model_file is None:
+            raise SettingsError('neither the scenario nor its task file names a model; add model = "floor.toml"')
+        if model_file not in models:
+            models[model_file] = load_model(model_file)
+    except StlToolError as error:
+        raise type(error)(f"{where}: {error}") from None
+    return Scenario(own_id, task, models[model_file], _settings(entry, where), published)
+
+
+def _settings(entry: dict[str, Any], where: str) -> dict[str, Any]:
+    """Their names are checked here, their values where a run is planned."""
+    settings: dict[str, Any] = _take(entry, "settings", dict, where, {})
+    _known(settings, _SETTINGS, f"{where}, settings")
+    for key in settings:
+        _take(settings, key, (int, float, str, bool), f"{where}, settings")
+    return settings
+
+
+def _entries(table: dict[str, Any], key: str) -> list[dict[str, Any]]:
+    entries: list[dict[str, Any]] = _take(table, key, list, "the file")
+    if not entries or not all(isinstance(entry, dict) for entry in entries):
+        raise SettingsError(f"{key} is {entries!r}; write one or more tables [[{key}]]")
+    return entries
+
+
+def _take(table: dict[str, Any], key: str, kind: type | tuple[type, ...], where: str, default: Any = _MISSING) -> Any:
+    """The value of a key, of that type; true and false are no numbers."""
+    value = table.get(key, default)
+    if value is _MISSING:
+        raise SettingsError(f"{where} has no {key}; add it")
+    kinds = kind if isinstance(kind, tuple) else (kind,)
+    if key in table and (type(value) not in kinds):
+        shown = " or ".join(_KINDS[one] for one in kinds)
+        raise SettingsError(f"{where}: {key} is {value!r}; it must be {shown}")
+    return value
+
+
+_KINDS = {str: "text in quotes", int: "a whole number", float: "a number", bool: "true or false", list: "a list",
+          dict: "a table"}  # fmt: skip
+
+
+def _known(table: dict[str, Any], keys: Collection[str], where: str) -> None:
+    for key in table:
+        if key not in keys:
+            raise SettingsError(f"{where}: unknown key {key}; {near_misses(key, keys)}")
+
+
+def _id(text: str, where: str) -> str:
+    if not _ID.fullmatch(text):
+        raise SettingsError(f"{where} is {text!r}; it names a folder: letters, digits and . _ + - after the first")
+    return text
+
+
+def _different(ids: list[str], kind: str, remedy: str) -> None:
+    seen: set[str] = set()
+    for one in ids:
+        if one.lower() in seen:  # on some machines Seed and seed are one folder
+            raise SettingsError(f"two {kind}s are called {one} (large and small letters apart); {remedy}")
+        seen.add(one.lower())

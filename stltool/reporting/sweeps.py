@@ -1,0 +1,191 @@
+"""Sweeps as plain data, and as a page, a table, curves and a picture."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stltool.checking import check
+from stltool.files import write_atomically
+from stltool.learning.sweep import Failure, Method, RunResult, Scenario, SweepResult
+from stltool.reporting.curves import quartile_curves, write_csv
+
+FORMAT = "stltool-sweep-1"
+_NEAR = 0.99  # of the optimum: where a method is said to have learned the task
+
+
+def sweep_data(
+    result: SweepResult, command: str | None = None, sections: Sequence[dict[str, Any]] = ()
+) -> dict[str, Any]:
+    """Everything that a sweep's report shows; scenarios and methods without a finished run are left out.
+
+    `sections` stand below the table: {"title": …, "text": …, "rows": [{column: value}], "figure": SVG or None} each.
+    """
+    sweep = result.sweep
+    found: dict[tuple[str, str], list[RunResult]] = {}
+    for run in result.runs:
+        found.setdefault((run.scenario, run.method), []).append(run)
+    scenarios = [scenario for scenario in sweep.scenarios if any(key[0] == scenario.id for key in found)]
+    methods = [method for method in sweep.methods if any(key[1] == method.id for key in found)]
+    described = [_scenario_data(scenario) for scenario in scenarios]
+    return {
+        "format": FORMAT,
+        "version": metadata.version("stltool"),
+        "name": sweep.name,
+        "command": command,
+        "columns": sweep.columns,
+        "settings": dict(sweep.settings),
+        "methods": [_method_data(method) for method in methods],
+        "scenarios": described,
+        "results": [
+            _result_data(scenario, method, found[scenario.id, method.id], shown["optimum"])
+            for scenario, shown in zip(scenarios, described, strict=True)
+            for method in methods
+            if (scenario.id, method.id) in found
+        ],
+        "runs": {"finished": len(result.runs), "failed": len(result.failures), "all": len(sweep.runs())},
+        "failures": failures_data(result.failures),
+        "sections": [{"text": "", "rows": [], "figure": None, **section} for section in sections],
+    }
+
+
+def _method_data(method: Method) -> dict[str, Any]:
+    return {"id": method.id, "name": method.name, "faithful": method.faithful, "settings": dict(method.settings)}
+
+
+def _scenario_data(scenario: Scenario) -> dict[str, Any]:
+    product = scenario.product
+    best = check(product, keep_policy=False)
+    return {
+        "id": scenario.id,
+        "task": product.task_name,
+        "formula": str(product.formula),
+        "model": scenario.model.name,
+        "model_digest": scenario.model.digest(),
+        "params": {name: str(value) for name, value in scenario.task.params.items()},
+        "horizon": product.horizon,
+        "states": product.shape[0],
+        "automaton_states": product.shape[1],
+        "settings": dict(scenario.settings),
+        "optimum": best.probability,
+        "optimum_lower": best.lower,
+        "optimum_upper": best.upper,
+    }
+
+
+def _result_data(scenario: Scenario, method: Method, runs: list[RunResult], optimum: float) -> dict[str, Any]:
+    """One scenario with one method, over its seeds."""
+    final = np.array([run.probability[-1] for run in runs])
+    q1, median, q3 = np.quantile(final, [0.25, 0.5, 0.75]).tolist()
+    curve = quartile_curves([(run.steps, run.probability) for run in runs])
+    near = (steps for steps, value in zip(curve["steps"], curve["median"], strict=True) if value >= _NEAR * optimum)
+    return {
+        "scenario": scenario.id,
+        "method": method.id,
+        "seeds": [run.seed for run in runs],
+        "median": median,
+        "q1": q1,
+        "q3": q3,
+        "least": float(final.min()),
+        "greatest": float(final.max()),
+        "published": scenario.published.get(method.id),
+        "optimum": optimum,
+        "environment_steps": int(np.median([run.steps[-1] for run in runs])),
+        "near_optimum_at": next(near, None),
+        "seconds": float(np.median([run.seconds for run in runs])),
+        "curve": curve,
+        "runs": [
+            {"seed": run.seed, "episode": run.episode, "steps": run.steps, "probability": run.probability}
+            for run in runs
+        ],
+    }
+
+
+def failures_data(failures: Sequence[Failure]) -> list[dict[str, Any]]:
+    """Failed runs, those of one scenario, method and reason together."""
+    grouped: dict[tuple[str, str, str], list[int]] = {}
+    for failure in failures:
+        grouped.setdefault((failure.scenario, failure.method, failure.message), []).append(failure.seed)
+    return [
+        {"scenario": scenario, "method": method, "seeds": seeds, "message": message}
+        for (scenario, method, message), seeds in grouped.items()
+    ]
+
+
+def failure_text(failure: dict[str, Any]) -> str:
+    """P1 cfer, seeds 0, 1: why."""
+    seeds = ", ".join(map(str, failure["seeds"]))
+    many = "s" if len(failure["seeds"]) > 1 else ""
+    return f"{failure['scenario']} {failure['method']}, seed{many} {seeds}: {failure['message']}"
+
+
+def result_rows(data: dict[str, Any]) -> list[dict[str, str]]:
+    """The table, a row a scenario and method, as text."""
+    some_published = any(result["published"] is not None for result in data["results"])
+    rows = []
+    for result in data["results"]:
+        published = {"published": _figure(result["published"])} if some_published else {}
+        rows.append({
+            "scenario": result["scenario"],
+            "method": result["method"],
+            "seeds": str(len(result["seeds"])),
+            "P median": _figure(result["median"]),
+            "[q1, q3]": f"[{_figure(result['q1'])}, {_figure(result['q3'])}]",
+            "least": _figure(result["least"]),
+            **published,
+            "P*": _figure(result["optimum"]),
+            f"{_NEAR:g} P* at": "–" if result["near_optimum_at"] is None else str(result["near_optimum_at"]),
+            "steps": str(result["environment_steps"]),
+            "time": f"{result['seconds']:.2f} s",
+        })  # fmt: skip
+    return rows
+
+
+def _figure(value: float | None) -> str:
+    """Four decimals; below 1 never 1."""
+    if value is None:
+        return ""
+    return f"{min(value, 0.9999) if value < 1 else value:.4f}"
+
+
+def panel_title(scenario: dict[str, Any]) -> str:
+    """P1: patrolling, floor-5x5, T = 10, tau = 10."""
+    params = (f"{name} = {value}" for name, value in scenario["params"].items())
+    return f"{scenario['id']}: " + ", ".join([scenario["task"], scenario["model"], *params])
+
+
+def write_sweep(data: dict[str, Any], folder: str | Path) -> list[Path]:
+    """report.html, report.json, table.csv, curves.csv, figure.svg and figure.png; their paths.
+
+    Each is written whole or not at all; the page and the pictures are made before any is.
+    """
+    from stltool.reporting.figures import learning_curves
+    from stltool.reporting.page import render_sweep
+
+    folder = Path(folder)
+    svg, png = learning_curves(data, "svg"), learning_curves(data, "png")
+    page = render_sweep(data)
+    paths = [folder / f"{name}" for name in ("report.html", "report.json", "table.csv", "curves.csv", "figure.svg",
+                                             "figure.png")]  # fmt: skip
+    write_atomically(paths[1], json.dumps(data, indent=1) + "\n")
+    write_atomically(paths[0], page)
+    columns = ("scenario", "method", "median", "q1", "q3", "least", "greatest", "published", "optimum",
+               "environment_steps", "near_optimum_at", "seconds")  # fmt: skip
+    write_csv(paths[2], (*columns, "seeds"), (
+        [*(result[column] for column in columns), len(result["seeds"])] for result in data["results"]
+    ))  # fmt: skip
+    points = (
+        (result["scenario"], result["method"], run["seed"], *point)
+        for result in data["results"]
+        for run in result["runs"]
+        for point in zip(run["episode"], run["steps"], run["probability"], strict=True)
+    )
+    write_csv(paths[3], ("scenario", "method", "seed", "episode", "steps", "probability"), points)
+    write_atomically(paths[4], svg)
+    write_atomically(paths[5], png)
+    return paths
