@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import signal
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TypeVar
@@ -54,10 +55,11 @@ def _distributed(
     try:
         for future in as_completed(list(waiting), loop=client.loop):
             item = waiting.pop(future)
-            error = future.exception()
-            if error is None:
+            if future.status == "finished":
                 yield item, future.result()
-            elif isinstance(error, KilledWorker):
+            elif future.status != "error":
+                raise SettingsError("the connection to the dask scheduler was lost; the same command goes on from here")
+            elif isinstance(error := future.exception(), KilledWorker):
                 yield item, "its worker process died again and again; is there too little memory for so many workers?"
             else:
                 yield item, f"the worker could not run it: {type(error).__name__}: {error}"
@@ -68,13 +70,17 @@ def _distributed(
 @contextmanager
 def _client(workers: int, cluster: str | None) -> Iterator[Client]:
     try:
-        from distributed import Client, LocalCluster
+        from distributed import Client, LocalCluster, WorkerPlugin
+        from distributed.comm.addressing import get_address_host_port
     except ImportError:
         raise SettingsError(
             "more than one worker, or a cluster, needs dask.distributed; pip install 'stltool[sweep]', or take 1 worker"
         ) from None
     if cluster is not None:
+        for handler in logging.getLogger("distributed").handlers:  # what matters is told by our errors
+            handler.setLevel(logging.CRITICAL)
         try:
+            get_address_host_port(cluster)
             client = Client(cluster, timeout=_PATIENCE, set_as_default=False)
         except (OSError, ValueError) as error:
             raise SettingsError(
@@ -93,5 +99,13 @@ def _client(workers: int, cluster: str | None) -> Iterator[Client]:
         )
     except RuntimeError as error:
         raise SettingsError(f"the worker processes did not start ({error}); {_GUARD}, or take 1 worker") from None
+
+    class Deaf(WorkerPlugin):
+        """A Ctrl-C at the terminal reaches all processes; this one ends the workers."""
+
+        def setup(self, worker: object) -> None:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+
     with local, Client(local, set_as_default=False) as client:
+        client.register_plugin(Deaf())
         yield client

@@ -27,7 +27,7 @@ from stltool.product import Product
 from stltool.reporting.guarantees import guarantee_data
 from stltool.reporting.runs import likely_data, sensitivity_data
 
-FORMAT = "stltool-report-1"
+FORMAT, SWEEP_FORMAT = "stltool-report-1", "stltool-sweep-1"
 _LIKELY, _SENSITIVE = 5, 5  # runs and states that a report shows
 _MOST_EDGES = 1e7  # of the unfolded product, at most: some seconds; beyond, `stltool why` may still be asked
 

@@ -15,7 +15,7 @@ from stltool.checking import CheckResult
 from stltool.errors import FileError
 from stltool.files import read_text, write_atomically
 from stltool.learning import Training
-from stltool.reporting.data import FORMAT, report_data
+from stltool.reporting.data import FORMAT, SWEEP_FORMAT, report_data
 from stltool.reporting.guarantees import guarantee_rows
 from stltool.reporting.runs import trace_text, verdict_text
 
@@ -40,11 +40,13 @@ def load_report(path: str | Path) -> dict[str, Any]:
     text = read_text(path, "report")
     try:
         data = json.loads(text)
-        if data["format"] != FORMAT:
+        if data["format"] not in (FORMAT, SWEEP_FORMAT):
             raise KeyError
         render(data)  # whatever is missing or of another type shows here
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError, jinja2.TemplateError):
-        raise FileError(f"{path}: not a report's JSON ({FORMAT}); write one with stltool run") from None
+        raise FileError(
+            f"{path}: not a report's JSON ({FORMAT}, {SWEEP_FORMAT}); write one with stltool run or sweep"
+        ) from None
     return dict(data)
 
 
@@ -52,6 +54,8 @@ def render(data: dict[str, Any]) -> str:
     """The HTML page, pictures included; nothing is loaded from elsewhere."""
     from stltool.reporting import figures
 
+    if data["format"] == SWEEP_FORMAT:
+        return render_sweep(data)
     environment = _templates()
     environment.globals["bound_texts"] = bound_texts
     environment.globals.update(trace_text=trace_text, verdict_text=verdict_text)

@@ -14,8 +14,8 @@ from stltool.checking import check
 from stltool.files import write_atomically
 from stltool.learning.sweep import Failure, Method, RunResult, Scenario, SweepResult
 from stltool.reporting.curves import quartile_curves, write_csv
+from stltool.reporting.data import SWEEP_FORMAT
 
-FORMAT = "stltool-sweep-1"
 _NEAR = 0.99  # of the optimum: where a method is said to have learned the task
 
 
@@ -34,7 +34,7 @@ def sweep_data(
     methods = [method for method in sweep.methods if any(key[1] == method.id for key in found)]
     described = [_scenario_data(scenario) for scenario in scenarios]
     return {
-        "format": FORMAT,
+        "format": SWEEP_FORMAT,
         "version": metadata.version("stltool"),
         "name": sweep.name,
         "command": command,
@@ -165,11 +165,11 @@ def write_sweep(data: dict[str, Any], folder: str | Path) -> list[Path]:
     Each is written whole or not at all; the page and the pictures are made before any is.
     """
     from stltool.reporting.figures import learning_curves
-    from stltool.reporting.page import render_sweep
+    from stltool.reporting.page import render
 
     folder = Path(folder)
     svg, png = learning_curves(data, "svg"), learning_curves(data, "png")
-    page = render_sweep(data)
+    page = render(data)
     paths = [folder / f"{name}" for name in ("report.html", "report.json", "table.csv", "curves.csv", "figure.svg",
                                              "figure.png")]  # fmt: skip
     write_atomically(paths[1], json.dumps(data, indent=1) + "\n")
