@@ -20,7 +20,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -85,14 +85,14 @@ class Run:
     @functools.cached_property
     def key(self) -> str:
         """A SHA-256 over what the result depends on. Raises SettingsError where a setting is out of range."""
-        settings = dataclasses.asdict(Settings(**self.settings))
+        settings = dataclasses.asdict(Settings.of(self.learner, self.faithful, **self.settings))
         content = [FORMAT, self.version, self.formula, self.model.digest(), self.learner, self.faithful, settings]
         return hashlib.sha256(json.dumps([*content, self.seed], sort_keys=True).encode()).hexdigest()
 
     @property
     def work(self) -> float:
         """What the run costs beside others, very roughly: its steps and the updates of a faithful method."""
-        settings = Settings(**self.settings)
+        settings = Settings.of(self.learner, self.faithful, **self.settings)
         steps = settings.episodes * (horizon(parse(self.formula)) + 2)
         return steps * (1 + settings.batch / settings.period)
 
@@ -237,7 +237,7 @@ def estimated_seconds(sweep: Sweep, folder: str | Path) -> dict[tuple[str, str],
     _, waiting, _ = _plan(sweep, Path(folder))
     seconds = {}
     for run in {(run.scenario, run.method): run for run in waiting}.values():
-        settings = Settings(**run.settings)
+        settings = Settings.of(run.learner, run.faithful, **run.settings)
         rare, often = (
             _seconds(dataclasses.replace(run, settings={**run.settings, "episodes": _PROBE, "evaluate_every": every}))
             for every in (_PROBE, 1)
@@ -286,7 +286,7 @@ def _execute(run: Run) -> RunResult | str:
         run.scenario, run.method, run.seed,
         [point.episode for point in training.history],
         [point.steps for point in training.history],
-        [point.probability for point in training.history],
+        [cast(float, point.probability) for point in training.history],  # the model is known
         sha.hexdigest(),
         time.perf_counter() - start,
     )  # fmt: skip
