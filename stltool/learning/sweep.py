@@ -230,7 +230,10 @@ def finished_runs(sweep: Sweep, folder: str | Path) -> SweepResult:
 
 
 def estimated_seconds(sweep: Sweep, folder: str | Path) -> dict[tuple[str, str], float]:
-    """Seconds that one seed of each scenario and method still to be run takes, from a few episodes of it."""
+    """Seconds that one seed of each scenario and method still to be run takes, roughly, from a few episodes of it.
+
+    Three short runs tell what a start, an episode and an evaluation take.
+    """
     from stltool.kernels import warm_up
 
     warm_up()
@@ -238,20 +241,20 @@ def estimated_seconds(sweep: Sweep, folder: str | Path) -> dict[tuple[str, str],
     seconds = {}
     for run in {(run.scenario, run.method): run for run in waiting}.values():
         settings = Settings.of(run.learner, run.faithful, **run.settings)
-        rare, often = (
-            _seconds(dataclasses.replace(run, settings={**run.settings, "episodes": _PROBE, "evaluate_every": every}))
-            for every in (_PROBE, 1)
-        )
-        evaluation = max(0.0, often - rare) / (_PROBE - 1)
-        episode = max(0.0, rare - evaluation) / _PROBE
+        few = _seconds(run, _PROBE, _PROBE)
+        evaluation = max(0.0, _seconds(run, _PROBE, 1) - few) / (_PROBE - 1)
+        episode = max(0.0, _seconds(run, 10 * _PROBE, 10 * _PROBE) - few) / (9 * _PROBE)
+        start = max(0.0, few - evaluation - _PROBE * episode)
         evaluations = -(-settings.episodes // settings.evaluate_every)
-        seconds[run.scenario, run.method] = settings.episodes * episode + evaluations * evaluation
+        seconds[run.scenario, run.method] = start + settings.episodes * episode + evaluations * evaluation
     return seconds
 
 
-def _seconds(run: Run) -> float:
-    outcome = _execute(run)
-    return outcome.seconds if isinstance(outcome, RunResult) else 0.0
+def _seconds(run: Run, episodes: int, evaluate_every: int) -> float:
+    """Wall time of the run with other settings, the better of two; 0 where it fails."""
+    short = {**run.settings, "episodes": episodes, "evaluate_every": evaluate_every}
+    outcomes = [_execute(dataclasses.replace(run, settings=short)) for _ in range(2)]
+    return min(outcome.seconds if isinstance(outcome, RunResult) else 0.0 for outcome in outcomes)
 
 
 def read_seeds(given: Any) -> tuple[int, ...]:

@@ -33,11 +33,13 @@ def write_csv(path: str | Path, heading: Sequence[str], rows: Iterable[Sequence[
 def quartile_curves(curves: Sequence[tuple[Sequence[int], Sequence[float]]]) -> dict[str, list[float]]:
     """Curves (steps, probabilities), one a seed, as steps, q1, median and q3 over the seeds.
 
-    A seed that stopped early keeps the probability of the policy that it stopped with.
+    From where every seed has been evaluated, at each seed's evaluations: a seed's probability is its latest, and one
+    that stopped early keeps that of the policy that it stopped with.
     """
     steps = np.unique(np.concatenate([np.asarray(at) for at, _ in curves]))
+    steps = steps[steps >= max(at[0] for at, _ in curves)]
     values = np.array([
-        np.asarray(probability)[np.maximum(np.searchsorted(at, steps, side="right") - 1, 0)]
+        np.asarray(probability)[np.searchsorted(at, steps, side="right") - 1]
         for at, probability in curves
     ])  # fmt: skip
     q1, median, q3 = np.quantile(values, [0.25, 0.5, 0.75], axis=0)

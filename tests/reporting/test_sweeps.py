@@ -1,0 +1,195 @@
+"""Sweeps' tables and curves, against slow and obvious twins."""
+
+import csv
+import json
+from fractions import Fraction
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import stltool as stl
+from stltool.errors import FileError
+from stltool.learning.sweep import Failure, RunResult
+from stltool.reporting import load_report, render, sweep_data, write_history, write_sweep
+from stltool.reporting.curves import quartile_curves
+from stltool.reporting.sweeps import failure_text, result_rows
+from tests.conftest import FACTORY
+
+SWEEP = f"""
+[sweep]
+name = "made-up"
+seeds = 3
+settings = {{ episodes = 10 }}
+columns = 3
+[[method]]
+name = "naive"
+[[method]]
+name = "cfer"
+faithful = true
+settings = {{ batch = 8 }}
+[[scenario]]
+id = "R"
+task = "{FACTORY}/reaching.stl"
+params = {{ T = 2, tau = 3 }}
+published = {{ cfer = 0.25 }}
+[[scenario]]
+id = "C"
+task = "{FACTORY}/charging.stl"
+[[scenario]]
+id = "unfinished"
+task = "{FACTORY}/charging.stl"
+"""
+
+
+@pytest.fixture
+def sweep(tmp_path):
+    path = tmp_path / "made-up.toml"
+    path.write_text(SWEEP)
+    return stl.load_sweep(path)
+
+
+def run(scenario, method, seed, probability, seconds=1.0):
+    steps = [10 * (i + 1) for i in range(len(probability))]
+    return RunResult(scenario, method, seed, [s // 5 for s in steps], steps, probability, "0" * 64, seconds)
+
+
+@pytest.fixture
+def result(sweep):
+    optimum = stl.check(sweep.scenarios[0].product).probability
+    runs = [
+        run("R", "naive", 0, [0.0, 0.0, 0.0], 3.0),
+        run("R", "naive", 1, [0.0, 0.1, 0.2], 1.0),
+        run("R", "naive", 2, [0.5, 0.3, 0.1], 2.0),
+        run("R", "cfer", 0, [0.0, 0.99 * optimum, optimum]),
+        run("R", "cfer", 2, [0.0, optimum]),  # stopped early
+        run("C", "cfer", 1, [0.25, 0.125]),
+    ]
+    failures = [Failure("C", "naive", seed, "no good") for seed in (0, 2)] + [Failure("C", "naive", 1, "<worse>")]
+    return stl.SweepResult(sweep, runs, failures, 0)
+
+
+def quantile(values, share):
+    """Between the two nearest of the sorted values, in fractions."""
+    values = sorted(map(Fraction, values))
+    place = Fraction(share) * (len(values) - 1)
+    low = int(place)
+    high = min(low + 1, len(values) - 1)
+    return values[low] + (place - low) * (values[high] - values[low])
+
+
+PROBABILITIES = st.lists(st.floats(0, 1), min_size=1, max_size=6)
+
+
+@given(st.lists(st.tuples(PROBABILITIES, st.integers(1, 3)), min_size=1, max_size=5))
+def test_quartiles_are_of_what_each_seed_had_at_that_step(drawn):
+    curves = [([every * (i + 1) for i in range(len(values))], values) for values, every in drawn]
+    found = quartile_curves(curves)
+    first = max(at[0] for at, _ in curves)
+    assert found["steps"] == sorted({step for at, _ in curves for step in at if step >= first})
+    for i, step in enumerate(found["steps"]):
+        values = []
+        for at, probability in curves:
+            values.append([p for s, p in zip(at, probability, strict=True) if s <= step][-1])
+        for name, share in (("q1", "1/4"), ("median", "1/2"), ("q3", "3/4")):
+            assert found[name][i] == pytest.approx(float(quantile(values, share)), abs=1e-15)
+
+
+def test_the_table_tells_what_was_found(result):
+    data = sweep_data(result, command="stltool sweep made-up.toml")
+    assert [s["id"] for s in data["scenarios"]] == ["R", "C"]  # what has no run is not shown
+    optimum = data["scenarios"][0]["optimum"]
+    assert optimum == stl.check(result.sweep.scenarios[0].product).probability
+    assert 0.1 < optimum < 1
+    naive, cfer, charging = data["results"]
+    assert (naive["scenario"], naive["method"], naive["seeds"], naive["published"]) == ("R", "naive", [0, 1, 2], None)
+    assert (naive["median"], naive["q1"], naive["q3"]) == pytest.approx((0.1, 0.05, 0.15))
+    assert (naive["least"], naive["greatest"], naive["near_optimum_at"]) == (0, 0.2, None)
+    assert (naive["environment_steps"], naive["seconds"]) == (30, 2)
+    assert (cfer["seeds"], cfer["published"], cfer["near_optimum_at"]) == ([0, 2], 0.25, 20)
+    assert cfer["median"] == pytest.approx(optimum)
+    assert charging["near_optimum_at"] is None
+    assert data["runs"] == {"finished": 6, "failed": 3, "all": 18}
+    rows = result_rows(data)
+    assert rows[0]["P median"] == "0.1000"
+    assert rows[0]["[q1, q3]"] == "[0.0500, 0.1500]"
+    assert [row["published"] for row in rows] == ["", "0.2500", ""]
+    assert [row["0.99 P* at"] for row in rows] == ["–", "20", "–"]
+    assert rows[2]["P*"] == "0.9999"  # below 1, never 1
+    assert all("published" not in row for row in result_rows({**data, "results": [naive]}))
+    assert [failure_text(failure) for failure in data["failures"]] == [
+        "C naive, seeds 0, 2: no good", "C naive, seed 1: <worse>"
+    ]  # fmt: skip
+
+
+def test_the_page_has_it_all_and_is_made_again_from_its_json(result, tmp_path):
+    sections = [
+        {"title": "Encodings", "text": "Sizes & such.", "rows": [{"scenario": "R", "flags": "6"}]},
+        {"title": "A picture", "figure": "<svg id='mine'></svg>"},
+    ]
+    data = sweep_data(result, command="stltool sweep <made-up>.toml", sections=sections)
+    paths = write_sweep(data, tmp_path / "out")
+    assert [path.name for path in paths] == [
+        "report.html", "report.json", "table.csv", "curves.csv", "figure.svg", "figure.png"
+    ]  # fmt: skip
+    page = paths[0].read_text(encoding="utf-8")
+    for text in (
+        "<h1>made-up</h1>", "6 of 18 runs finished, 3 failed", "C naive, seed 1: &lt;worse&gt;", "<h2>Encodings</h2>",
+        "Sizes &amp; such.", '<td class="number">6</td>', "<svg id='mine'></svg>", "stltool sweep &lt;made-up&gt;.toml",
+        "R: reaching, floor-5x5, T = 2, tau = 3", "<th>0.99 P* at</th>", "cfer, as published, batch = 8",
+    ):  # fmt: skip
+        assert text in page, text
+    assert load_report(paths[1]) == json.loads(json.dumps(data))
+    assert render(load_report(paths[1])) == page
+    (tmp_path / "half.json").write_text(json.dumps({**data, "scenarios": None}))
+    with pytest.raises(FileError, match="not a report's JSON"):
+        load_report(tmp_path / "half.json")
+
+
+def test_a_sweep_without_any_result_has_a_page_too(sweep):
+    page = render(sweep_data(stl.SweepResult(sweep, [], [Failure("R", "naive", 0, "no good")], 0)))
+    assert "0 of 18 runs finished, 1 failed" in page
+    assert "<svg" not in page
+
+
+def test_tables_and_curves_as_csv(result, tmp_path):
+    data = sweep_data(result)
+    write_sweep(data, tmp_path)
+    with open(tmp_path / "table.csv", newline="") as file:
+        table = list(csv.DictReader(file))
+    assert [(row["scenario"], row["method"], row["seeds"]) for row in table] == [
+        ("R", "naive", "3"), ("R", "cfer", "2"), ("C", "cfer", "1")
+    ]  # fmt: skip
+    assert float(table[1]["optimum"]) == data["scenarios"][0]["optimum"]
+    assert (table[0]["published"], table[1]["published"]) == ("", "0.25")
+    with open(tmp_path / "curves.csv", newline="") as file:
+        curves = list(csv.DictReader(file))
+    wanted = [
+        (r.scenario, r.method, str(r.seed), str(e), str(s), repr(p))
+        for r in result.runs for e, s, p in zip(r.episode, r.steps, r.probability, strict=True)
+    ]  # fmt: skip
+    assert [tuple(row.values()) for row in curves] == wanted
+
+
+def test_the_figure_has_a_panel_a_scenario(result, tmp_path):
+    for folder in ("first", "again"):
+        write_sweep(sweep_data(result), tmp_path / folder)
+    svg = (tmp_path / "first" / "figure.svg").read_text()
+    assert svg == (tmp_path / "again" / "figure.svg").read_text()
+    assert svg.startswith("<svg")
+    for text in ("R: reaching", "C: charging", "naive", "cfer", "optimum", "environment steps"):
+        assert text in svg
+    assert "unfinished" not in svg
+    assert (tmp_path / "first" / "figure.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_history_as_csv_reads_back(patrolling, tmp_path):
+    training = stl.learn(patrolling, "cfer", episodes=7, evaluate_every=3, seed=1)
+    write_history(training, tmp_path / "history.csv")
+    text = (tmp_path / "history.csv").read_text()
+    assert text.startswith("episode,steps,probability\n3,12,")
+    rows = [line.split(",") for line in text.splitlines()[1:]]
+    assert [(int(e), int(s), float(p)) for e, s, p in rows] == [
+        (p.episode, p.steps, p.probability) for p in training.history
+    ]
+    assert len(rows) == 3
