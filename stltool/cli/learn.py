@@ -51,9 +51,9 @@ def learn(
 ) -> None:
     """Learn a policy without knowing the probabilities, and save it."""
     import stltool as stl
-    from stltool.learning.logbook import require_tensorboard, write_history, write_tensorboard
     from stltool.policy import require_policy_file
-    from stltool.reporting import training_data
+    from stltool.reporting import training_data, write_history
+    from stltool.reporting.tensorboard import require_tensorboard, write_tensorboard
     from stltool.reporting.terminal import print_facts, progress_bar
 
     require_policy_file(out)
@@ -67,9 +67,9 @@ def learn(
         )  # fmt: skip
     training.policy.save(out)
     if history is not None:
-        write_history(training.history, history)
+        write_history(training, history)
     if tensorboard is not None:
-        write_tensorboard(training.history, tensorboard)
+        write_tensorboard(training, tensorboard)
     if as_json:
         print(json.dumps({"task": product.task_name, "formula": str(product.formula), **training_data(training)}))
         return

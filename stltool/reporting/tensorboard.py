@@ -1,29 +1,11 @@
-"""What a run leaves for other tools: its learning curve as CSV, and as TensorBoard events."""
+"""Learning curves as TensorBoard events."""
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Sequence
 from pathlib import Path
 
 from stltool.errors import FileError, SettingsError
-from stltool.files import write_atomically
-from stltool.learning.trainer import Point
-
-
-def history_csv(history: Sequence[Point]) -> str:
-    """Columns episode, steps, probability (empty where the model is not known); every digit counts."""
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["episode", "steps", "probability"])
-    rows.writerows([p.episode, p.steps, "" if p.probability is None else repr(p.probability)] for p in history)
-    return text.getvalue()
-
-
-def write_history(history: Sequence[Point], path: str | Path) -> None:
-    """The learning curve as a CSV file, the old one or the new one."""
-    write_atomically(path, history_csv(history))
+from stltool.learning import Training
 
 
 def require_tensorboard() -> None:
@@ -36,7 +18,7 @@ def require_tensorboard() -> None:
         ) from None
 
 
-def write_tensorboard(history: Sequence[Point], folder: str | Path) -> None:
+def write_tensorboard(training: Training, folder: str | Path) -> None:
     """The learning curve as TensorBoard scalars over environment steps, a new event file in `folder`."""
     require_tensorboard()
     from tensorboard.compat.proto.event_pb2 import Event
@@ -45,7 +27,7 @@ def write_tensorboard(history: Sequence[Point], folder: str | Path) -> None:
 
     try:
         writer = EventFileWriter(str(folder))
-        for point in history:
+        for point in training.history:
             values = {"episode": float(point.episode), "exact_probability": point.probability}
             for tag, value in values.items():
                 if value is not None:
