@@ -121,7 +121,7 @@ class Failure(NamedTuple):
 
 
 class SweepProgress(NamedTuple):
-    """Runs done and to do in this call, environment steps so far, and the rough share of the work that is done."""
+    """Runs done and to do in this call, environment steps so far, and about which share of the time is over."""
 
     done: int
     total: int
@@ -206,10 +206,11 @@ def run_sweep(
             from stltool.kernels import warm_up
 
             warm_up()  # compiled once, here, not by each worker
-        whole, worked = sum(run.work for run in waiting), 0.0
+        pace = _Pace(waiting)
         with closing(spread(_execute, waiting, workers, cluster)) as outcomes:
             for run, outcome in outcomes:
-                done, worked = done + 1, worked + run.work
+                done += 1
+                pace.passed(run, outcome.seconds if isinstance(outcome, RunResult) else 0.0)
                 if isinstance(outcome, RunResult):
                     _store(folder, run, outcome)
                     finished[run.name] = outcome
@@ -217,7 +218,7 @@ def run_sweep(
                 else:
                     failures.append(Failure(run.scenario, run.method, run.seed, outcome))
                 if progress is not None:
-                    progress(SweepProgress(done, len(waiting), steps, worked / whole))
+                    progress(SweepProgress(done, len(waiting), steps, pace.share))
     order = {run.name: i for i, run in enumerate(sweep.runs())}
     failures.sort(key=lambda failure: order[f"{failure.scenario} {failure.method} seed {failure.seed}"])
     return SweepResult(sweep, [finished[name] for name in order if name in finished], failures, skipped)
@@ -267,6 +268,33 @@ def read_seeds(given: Any) -> tuple[int, ...]:
 
 
 # ------------------------------------------------------------------------------------------------------ the runs
+
+
+class _Pace:
+    """Which share of the time is over: a run takes what its scenario and method took so far, or what `work` says."""
+
+    def __init__(self, waiting: Sequence[Run]) -> None:
+        self._left: dict[tuple[str, str], int] = {}
+        self._seen: dict[tuple[str, str], list[float]] = {}
+        self._work = {(run.scenario, run.method): run.work for run in waiting}
+        for run in waiting:
+            group = run.scenario, run.method
+            self._left[group] = self._left.get(group, 0) + 1
+
+    def passed(self, run: Run, seconds: float) -> None:
+        group = run.scenario, run.method
+        self._left[group] -= 1
+        self._seen.setdefault(group, []).append(seconds)
+
+    @property
+    def share(self) -> float:
+        spent = sum(sum(seconds) for seconds in self._seen.values())
+        worked = sum(self._work[group] * len(seconds) for group, seconds in self._seen.items())
+        left = 0.0
+        for group, count in self._left.items():
+            seen = self._seen.get(group)
+            left += count * (sum(seen) / len(seen) if seen else self._work[group] * spent / worked)
+        return spent / (spent + left) if spent else 0.0
 
 
 def _execute(run: Run) -> RunResult | str:
@@ -320,7 +348,9 @@ def _store(folder: Path, run: Run, result: RunResult) -> None:
 
 
 def _plan(sweep: Sweep, folder: Path) -> tuple[dict[str, RunResult], list[Run], list[Failure]]:
-    """What is finished, what is to be run, the longest first, and what cannot be."""
+    """What is finished, what is to be run, and what cannot be. Seed by seed, the longest first, each seed in its turn:
+    there is something of everything soon, and no long run is left for the end.
+    """
     finished, waiting, failures = {}, [], []
     for run in sweep.runs():
         try:
@@ -332,7 +362,8 @@ def _plan(sweep: Sweep, folder: Path) -> tuple[dict[str, RunResult], list[Run], 
             finished[run.name] = found
         else:
             waiting.append(run)
-    waiting.sort(key=lambda run: -run.work)
+    turn = {seed: i for i, seed in enumerate(sweep.seeds)}
+    waiting.sort(key=lambda run: (turn[run.seed], -run.work))
     return finished, waiting, failures
 
 

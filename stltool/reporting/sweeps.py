@@ -137,6 +137,7 @@ def result_rows(data: dict[str, Any]) -> list[dict[str, str]]:
             "P median": _figure(result["median"]),
             "[q1, q3]": f"[{_figure(result['q1'])}, {_figure(result['q3'])}]",
             "least": _figure(result["least"]),
+            "greatest": _figure(result["greatest"]),
             **published,
             "P*": _figure(result["optimum"]),
             f"{_NEAR:g} P* at": "–" if result["near_optimum_at"] is None else str(result["near_optimum_at"]),

@@ -1,6 +1,7 @@
 """Sweeps: what is read, what is run, what is kept."""
 
 import dataclasses
+import itertools
 import json
 
 import pytest
@@ -62,6 +63,10 @@ def test_a_sweep_is_the_product_of_what_its_file_lists(write):
         (s, m, n) for s in "RC" for m in ("naive", "replay") for n in (0, 1)
     ]
     by_name = {run.name: run for run in runs}
+    text = TINY.replace("episodes = 12", "batch = 9, memory = 7").replace("evaluate_every = 5", "memory = 6, batch = 5")
+    over = {run.name: run.settings for run in stl.load_sweep(write(text)).runs()}
+    assert over["C replay seed 0"] == {"episodes": 10, "memory": 7, "batch": 8}
+    assert over["C naive seed 0"] == {"episodes": 10, "memory": 7, "batch": 9}
     assert by_name["C replay seed 1"].settings == {"episodes": 12, "evaluate_every": 5, "batch": 8}
     assert (by_name["R naive seed 0"].faithful, by_name["R replay seed 0"].faithful) == (True, False)
     assert by_name["R naive seed 0"].formula == "F[0,3] F[0,2] A"
@@ -101,6 +106,7 @@ def test_runs_are_kept_with_what_learning_gives(write, tmp_path):
     assert (len(result.runs), result.failures, result.skipped) == (8, [], 0)
     assert [state.done for state in seen] == list(range(1, 9))
     assert seen[-1].share == pytest.approx(1)
+    assert all(0 < a.share < b.share for a, b in itertools.pairwise(seen))
     assert seen[-1].steps == sum(run.steps[-1] for run in result.runs)
     for run in result.runs:
         scenario = next(s for s in sweep.scenarios if s.id == run.scenario)
@@ -124,6 +130,15 @@ def test_only_what_is_missing_or_changed_is_run_again(write, tmp_path):
     again = stl.run_sweep(sweep, out, workers=1, progress=pytest.fail)
     assert [dataclasses.asdict(run) for run in again.runs] == [dataclasses.asdict(run) for run in first.runs]
     assert again.skipped == 8
+
+    # killed between the two files of a run that replaces one with another key: the times are new, the result is old
+    changed = stl.load_sweep(write(**{"episodes = 12": "episodes = 11"}))
+    stl.run_sweep(changed, out, workers=1)
+    for name in whole:
+        (out / name).write_bytes(whole[name])
+    assert stl.run_sweep(changed, out, workers=1).skipped == 4
+    assert stl.run_sweep(sweep, out, workers=1).skipped == 4
+    assert files(out) == whole
 
     spoilt = ["runs/R/naive/seed-0.json", "runs/R/naive/seed-1.time.json", "runs/C/naive/seed-0.json"]
     (out / spoilt[0]).write_bytes(whole[spoilt[0]][:50])

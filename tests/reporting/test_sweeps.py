@@ -25,6 +25,7 @@ columns = 3
 [[method]]
 name = "naive"
 [[method]]
+id = "cf"
 name = "cfer"
 faithful = true
 settings = {{ batch = 8 }}
@@ -32,7 +33,7 @@ settings = {{ batch = 8 }}
 id = "R"
 task = "{FACTORY}/reaching.stl"
 params = {{ T = 2, tau = 3 }}
-published = {{ cfer = 0.25 }}
+published = {{ cf = 0.25 }}
 [[scenario]]
 id = "C"
 task = "{FACTORY}/charging.stl"
@@ -61,9 +62,9 @@ def result(sweep):
         run("R", "naive", 0, [0.0, 0.0, 0.0], 3.0),
         run("R", "naive", 1, [0.0, 0.1, 0.2], 1.0),
         run("R", "naive", 2, [0.5, 0.3, 0.1], 2.0),
-        run("R", "cfer", 0, [0.0, 0.99 * optimum, optimum]),
-        run("R", "cfer", 2, [0.0, optimum]),  # stopped early
-        run("C", "cfer", 1, [0.25, 0.125]),
+        run("R", "cf", 0, [0.0, 0.99 * optimum, optimum]),
+        run("R", "cf", 2, [0.0, optimum]),  # stopped early
+        run("C", "cf", 1, [0.25, 0.125]),
     ]
     failures = [Failure("C", "naive", seed, "no good") for seed in (0, 2)] + [Failure("C", "naive", 1, "<worse>")]
     return stl.SweepResult(sweep, runs, failures, 0)
@@ -113,6 +114,7 @@ def test_the_table_tells_what_was_found(result):
     rows = result_rows(data)
     assert rows[0]["P median"] == "0.1000"
     assert rows[0]["[q1, q3]"] == "[0.0500, 0.1500]"
+    assert (rows[0]["least"], rows[0]["greatest"]) == ("0.0000", "0.2000")
     assert [row["published"] for row in rows] == ["", "0.2500", ""]
     assert [row["0.99 P* at"] for row in rows] == ["–", "20", "–"]
     assert rows[2]["P*"] == "0.9999"  # below 1, never 1
@@ -136,7 +138,7 @@ def test_the_page_has_it_all_and_is_made_again_from_its_json(result, tmp_path):
     for text in (
         "<h1>made-up</h1>", "6 of 18 runs finished, 3 failed", "C naive, seed 1: &lt;worse&gt;", "<h2>Encodings</h2>",
         "Sizes &amp; such.", '<td class="number">6</td>', "<svg id='mine'></svg>", "stltool sweep &lt;made-up&gt;.toml",
-        "R: reaching, floor-5x5, T = 2, tau = 3", "<th>0.99 P* at</th>", "cfer, as published, batch = 8",
+        "R: reaching, floor-5x5, T = 2, tau = 3", "<th>0.99 P* at</th>", "<th>cf</th><td>cfer, as published, batch = 8",
     ):  # fmt: skip
         assert text in page, text
     assert load_report(paths[1]) == json.loads(json.dumps(data))
@@ -158,7 +160,7 @@ def test_tables_and_curves_as_csv(result, tmp_path):
     with open(tmp_path / "table.csv", newline="") as file:
         table = list(csv.DictReader(file))
     assert [(row["scenario"], row["method"], row["seeds"]) for row in table] == [
-        ("R", "naive", "3"), ("R", "cfer", "2"), ("C", "cfer", "1")
+        ("R", "naive", "3"), ("R", "cf", "2"), ("C", "cf", "1")
     ]  # fmt: skip
     assert float(table[1]["optimum"]) == data["scenarios"][0]["optimum"]
     assert (table[0]["published"], table[1]["published"]) == ("", "0.25")
@@ -177,7 +179,7 @@ def test_the_figure_has_a_panel_a_scenario(result, tmp_path):
     svg = (tmp_path / "first" / "figure.svg").read_text()
     assert svg == (tmp_path / "again" / "figure.svg").read_text()
     assert svg.startswith("<svg")
-    for text in ("R: reaching", "C: charging", "naive", "cfer", "optimum", "environment steps"):
+    for text in ("R: reaching", "C: charging", "naive", ">cf<", "optimum", "environment steps"):
         assert text in svg
     assert "unfinished" not in svg
     assert (tmp_path / "first" / "figure.png").read_bytes().startswith(b"\x89PNG")
