@@ -71,6 +71,9 @@ def sweep(
         print(json.dumps(data))
     else:
         print_table(result_rows(data))
+        for section in data["sections"]:
+            typer.echo(f"\n{section['title']}: {section['text']}")
+            print_table(section["rows"])
         if paths:
             typer.echo()
         print_facts({

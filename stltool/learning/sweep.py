@@ -131,7 +131,11 @@ class SweepProgress(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """Scenarios × methods × seeds; `columns` panels stand in a row of the figure."""
+    """Scenarios × methods × seeds.
+
+    columns  panels in a row of the figure
+    story    whether the report shows the surrogate's gap and the encodings' sizes, too (reporting/story.py)
+    """
 
     name: str
     scenarios: tuple[Scenario, ...]
@@ -139,6 +143,7 @@ class Sweep:
     seeds: tuple[int, ...]
     settings: Mapping[str, Any]
     columns: int
+    story: bool
 
     def select(
         self,

@@ -5,6 +5,7 @@ name = "small"                   results go to out/small
 seeds = 10                       how many (0 … 9), or a list
 settings = { alpha = 0.01 }      for all runs; fields of stl.Settings
 columns = 4                      panels in a row of the figure
+story = false                    show the surrogate's gap and the encodings' sizes, too
 
 [[method]]
 name = "cfer"                    a method of stl.learn
@@ -41,7 +42,7 @@ from stltool.logic.parser import load_task
 from stltool.models import MDP, load_model
 
 _SETTINGS = tuple(field.name for field in dataclasses.fields(Settings))
-_SWEEP = ("name", "seeds", "settings", "columns")
+_SWEEP = ("name", "seeds", "settings", "columns", "story")
 _METHOD = ("id", "name", "faithful", "settings")
 _SCENARIO = ("id", "task", "model", "definition", "params", "settings", "published")
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")  # names of folders, everywhere
@@ -82,7 +83,9 @@ def _sweep(table: dict[str, Any], path: Path) -> Sweep:
     if columns < 1:
         raise SettingsError(f"{where}: columns is {columns}; it must be a whole number from 1")
     settings = _settings(head, where)
-    return Sweep(name, tuple(scenarios), tuple(methods), seeds, settings, columns)
+    return Sweep(
+        name, tuple(scenarios), tuple(methods), seeds, settings, columns, _take(head, "story", bool, where, False)
+    )
 
 
 def _method(entry: dict[str, Any], where: str) -> Method:

@@ -6,6 +6,7 @@ from stltool.reporting.guarantees import guarantee_data, guarantee_rows
 from stltool.reporting.page import load_report, render, report, write_report
 from stltool.reporting.runs import likely_data, sensitivity_data
 from stltool.reporting.story import encoding_data, encoding_rows, surrogate_data, surrogate_rows
+from stltool.reporting.sweeps import sweep_data, write_sweep
 from stltool.reporting.tradeoffs import front_data, tradeoff_data, write_front_picture
 
 __all__ = [

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from stltool.automata.history import history_length, history_states
-from stltool.checking import SurrogateResult, check
-from stltool.errors import SizeError
+from stltool.checking import SurrogateResult, check, surrogate_optimum
+from stltool.errors import FragmentError, SizeError
+from stltool.logic.fragment import check_fragment
 from stltool.models import MDP
 from stltool.policy import with_flags
 from stltool.product import Product, build_product
@@ -137,6 +138,40 @@ def surrogate_rows(scenarios: Mapping[str, Sequence[Mapping[str, Any]]]) -> list
 def reading_text(reading: Mapping[str, Any]) -> str:
     """A reading's name, with its discount."""
     return str(reading["reading"]) + (f" γ = {reading['gamma']:g}" if reading["gamma"] is not None else "")
+
+
+def story_sections(products: Sequence[tuple[str, Product]]) -> list[dict[str, Any]]:
+    """Both tables as sections of a sweep's page, for those tasks, by their scenario's name, that have flags."""
+    inside = [(name, product) for name, product in products if _has_flags(product)]
+    if not inside:
+        return []
+    gaps = {
+        name: [surrogate_data(surrogate_optimum(product, reading)) for reading in ("discounted", "episode")]
+        for name, product in inside
+    }
+    sizes = {name: encoding_data(product) for name, product in inside}
+    return [
+        {
+            "title": "The surrogate's gap",
+            "text": "P* less the exact P of policies that are optimal for the paper's surrogate reward: of ties broken "
+            "at random, and of the worst of them.",
+            "rows": surrogate_rows(gaps),
+        },
+        {
+            "title": "Flags against histories",
+            "text": "Sequences of τ states, all and those that can happen; product states with histories of letters, "
+            "flags and the exact automaton; the sizes of a Q-table on each.",
+            "rows": encoding_rows(sizes),
+        },
+    ]
+
+
+def _has_flags(product: Product) -> bool:
+    try:
+        check_fragment(product.formula)
+    except FragmentError:
+        return False
+    return product.model.intervals is None
 
 
 def gap_text(reading: Mapping[str, Any], which: str) -> str:

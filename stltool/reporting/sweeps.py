@@ -15,6 +15,7 @@ from stltool.files import write_atomically
 from stltool.learning.sweep import Failure, Method, RunResult, Scenario, SweepResult
 from stltool.reporting.curves import quartile_curves, write_csv
 from stltool.reporting.data import SWEEP_FORMAT
+from stltool.reporting.story import story_sections
 
 _NEAR = 0.99  # of the optimum: where a method is said to have learned the task
 
@@ -24,7 +25,8 @@ def sweep_data(
 ) -> dict[str, Any]:
     """Everything that a sweep's report shows; scenarios and methods without a finished run are left out.
 
-    `sections` stand below the table: {"title": …, "text": …, "rows": [{column: value}], "figure": SVG or None} each.
+    `sections` stand below the table: {"title": …, "text": …, "rows": [{column: value}], "figure": SVG or None} each;
+    before them those of reporting/story.py, where the sweep asks for its story.
     """
     sweep = result.sweep
     found: dict[tuple[str, str], list[RunResult]] = {}
@@ -32,6 +34,8 @@ def sweep_data(
         found.setdefault((run.scenario, run.method), []).append(run)
     scenarios = [scenario for scenario in sweep.scenarios if any(key[0] == scenario.id for key in found)]
     methods = [method for method in sweep.methods if any(key[1] == method.id for key in found)]
+    if sweep.story:
+        sections = [*story_sections([(scenario.id, scenario.product) for scenario in scenarios]), *sections]
     described = [_scenario_data(scenario) for scenario in scenarios]
     return {
         "format": SWEEP_FORMAT,

@@ -80,6 +80,7 @@ def test_the_papers_table_has_all_that_the_paper_has():
     assert [m.id for m in sweep.methods] == ["naive", "naive-er", "cfer", "cfper"]
     assert all(m.faithful for m in sweep.methods)
     assert (len(sweep.runs()), sweep.columns, text.count("published =")) == (480, 4, 5)
+    assert sweep.story
     settings = {s.id: stl.Settings(**sweep.settings | s.settings) for s in sweep.scenarios}
     table = {name: (s.decay, s.memory, s.period, s.batch, s.episodes) for name, s in settings.items()}
     small, long, large = (400, 1000, 4, 64, 4000), (400, 1000, 4, 64, 10000), (1000, 10000, 4, 256, 10000)
@@ -272,6 +273,7 @@ def test_what_is_finished_and_how_long_the_rest_takes(write, tmp_path):
         ("seeds = 2", "seeds = [1, 1]", SettingsError, "[sweep]: seeds is [1, 1]"),
         ("seeds = 2", "seeds = true", SettingsError, "[sweep]: seeds is True; it must be a whole number or a list"),
         ("seeds = 2", "seed = 2", SettingsError, "[sweep]: unknown key seed; did you mean seeds?"),
+        ("seeds = 2", "story = 1", SettingsError, "[sweep]: story is 1; it must be true or false"),
         ("seeds = 2", "columns = 0", SettingsError, "columns is 0"),
         ("seeds = 2", 'name = "../x"', SettingsError, "[sweep] name is '../x'; it names a folder"),
         ("[sweep]", "[swept]", SettingsError, "the file: unknown key swept; did you mean sweep?"),

@@ -148,6 +148,25 @@ def test_the_page_has_it_all_and_is_made_again_from_its_json(result, tmp_path):
         load_report(tmp_path / "half.json")
 
 
+def test_the_story_is_told_where_it_is_asked_for(result, tmp_path):
+    assert sweep_data(result)["sections"] == []
+    (tmp_path / "until.stl").write_text(f'model "{FACTORY}/floor-5x5.toml"\nphi := A U[0,3] B\n')  # has no flags
+    path = tmp_path / "story.toml"
+    path.write_text(SWEEP.replace("columns = 3", "story = true").replace(f"{FACTORY}/charging.stl", "until.stl", 1))
+    sweep = stl.load_sweep(path)
+    mine = [{"title": "mine"}]
+    data = sweep_data(stl.SweepResult(sweep, result.runs, [], 0), sections=mine)
+    gap, sizes, own = data["sections"]
+    assert (gap["title"], sizes["title"], own["title"]) == ("The surrogate's gap", "Flags against histories", "mine")
+    assert [row["scenario"] for row in gap["rows"]] == [row["scenario"] for row in sizes["rows"]] == ["R"]
+    assert sizes["rows"][0]["|Σ|^τ"] == str(18**3)
+    assert sizes["rows"][0]["× flags"] == str(18 * 4)
+    page = render(data)
+    assert f'<td class="number">{18**3}</td>' in page
+    until = stl.SweepResult(sweep, result.runs[-1:], [], 0)
+    assert sweep_data(until)["sections"] == []
+
+
 def test_a_sweep_without_any_result_has_a_page_too(sweep):
     page = render(sweep_data(stl.SweepResult(sweep, [], [Failure("R", "naive", 0, "no good")], 0)))
     assert "0 of 18 runs finished, 1 failed" in page
@@ -189,7 +208,7 @@ def test_a_history_as_csv_reads_back(patrolling, tmp_path):
     training = stl.learn(patrolling, "cfer", episodes=7, evaluate_every=3, seed=1)
     write_history(training, tmp_path / "history.csv")
     text = (tmp_path / "history.csv").read_text()
-    assert text.startswith("episode,steps,probability\n3,12,")
+    assert text.startswith("episode,steps,probability\n3,")
     rows = [line.split(",") for line in text.splitlines()[1:]]
     assert [(int(e), int(s), float(p)) for e, s, p in rows] == [
         (p.episode, p.steps, p.probability) for p in training.history
