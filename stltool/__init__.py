@@ -18,7 +18,7 @@ One straight way through the house, and the map in reading order:
 
     logic/        text → Formula: grammar, parser, printer, semantics (the oracle), the paper's fragment
     automata/     Formula → TaskAutomaton: what must be remembered to judge a run
-    models/       a file or arrays → MDP; MDP → something that only resets and steps
+    models/       a file, arrays or a Gymnasium environment → MDP; MDP → something that only resets and steps
     product.py    MDP × TaskAutomaton, never built as a matrix
     policy.py     a table over (t?, s, q), saved and loaded without pickle
     checking/     the exact probability of the best policy, or of a given one, with bounds; estimates from runs
@@ -75,7 +75,7 @@ if TYPE_CHECKING:
     from stltool.logic.parser import load_task, parse, parse_task
     from stltool.logic.semantics import robustness, satisfies
     from stltool.logic.task import Task
-    from stltool.models import MDP, load_model
+    from stltool.models import MDP, from_gymnasium, load_model, to_gymnasium
     from stltool.policy import Policy, load_policy
     from stltool.product import JointProduct, Product, build_joint_product, build_product
     from stltool.recheck import certify
@@ -98,6 +98,7 @@ _HOME = {
     "Guarantee": "learning", "guarantee": "learning",
     "horizon": "logic.formula", "learn": "learning", "load_model": "models", "load_policy": "policy",
     "load_task": "logic.parser", "parse": "logic.parser", "parse_task": "logic.parser", "report": "reporting",
+    "from_gymnasium": "models", "to_gymnasium": "models",
     "robust_check": "checking", "robustness": "logic.semantics", "sample_run": "checking",
     "satisfies": "logic.semantics",
     "Sweep": "learning", "SweepResult": "learning", "load_sweep": "learning", "run_sweep": "learning",
@@ -106,6 +107,7 @@ _HOME = {
 __all__ = [  # noqa: RUF022 - in reading order
     "parse", "Formula", "horizon", "satisfies", "robustness", "check_fragment", "Fragment",
     "load_task", "parse_task", "Task", "compile_automaton", "TaskAutomaton", "load_model", "MDP",
+    "from_gymnasium", "to_gymnasium",
     "build_product", "Product", "Policy", "load_policy", "check", "CheckResult", "robust_check", "sample_run", "Run",
     "estimate", "Estimate", "sprt", "SequentialTest", "write_certificate", "certify",
     "likely_runs", "LikelyRuns", "sensitivity", "Sensitivity", "surrogate_optimum", "SurrogateResult",

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 import stltool as stl
+from stltool.errors import SettingsError
 from tests.conftest import ROOT
 
 TASKS = sorted((ROOT / "examples").rglob("*.stl"))
@@ -21,8 +22,12 @@ def test_there_are_examples():
 def test_every_example_task_can_be_checked(path):
     task = stl.load_task(path)
     product = stl.build_product(stl.load_model(task.model), task)
+    if product.model.blackbox is not None:
+        with pytest.raises(SettingsError, match="is a black box; use stl.learn and stl.estimate"):
+            stl.check(product)
+        return
     best = stl.check(product) if product.model.intervals is None else stl.robust_check(product)
-    assert 0.9 < best.probability <= best.upper <= 1
+    assert (0.69 if path.parent.name == "frozenlake" else 0.9) < best.probability <= best.upper <= 1
 
 
 def test_the_tour_of_the_package_runs():

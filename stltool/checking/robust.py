@@ -79,6 +79,7 @@ def robust_check(
     start = time.perf_counter()
     intervals = product.model.intervals
     if intervals is None:
+        product.model.require_points()
         raise SettingsError(
             "the model has no intervals; use stl.check, or give them with MDP.from_intervals or success = [lo, hi]"
         )

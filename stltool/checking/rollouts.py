@@ -12,7 +12,6 @@ scaled. With 53 random bits a step, a run's distribution is off by less than 10â
 from __future__ import annotations
 
 import itertools
-import operator
 import os
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -23,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata import TRUE, UNDECIDED
-from stltool.errors import ModelError
-from stltool.models.environment import Resettable, cumulated
+from stltool.models.environment import Resettable, cumulated, require_state, simulator
 from stltool.policy import Policy, silence
 from stltool.product import Product
 
@@ -32,6 +30,7 @@ Verdicts: TypeAlias = NDArray[np.bool_]
 Draw: TypeAlias = Callable[[NDArray[np.int32]], NDArray[np.float64]]
 """Uniform numbers in [0, 1) for the runs with these numbers."""
 
+_FRESH = 0x65737431  # a child of the seed that no learner and no block of runs counts up to
 BLOCK = 1 << 14  # runs in lock step: their arrays fit a processor's second-level cache
 
 
@@ -39,7 +38,9 @@ class Rollouts:
     """Iterate over the verdicts (n,) bool of `runs` runs of a policy, a batch at a time.
 
     `environment` takes the place of the model: its `reset()` and `step(i)` return the index of a state as the model
-    counts them, and the model's probabilities are not read. `steps` counts the steps taken by the batches that came.
+    counts them, and the model's probabilities are not read. A model that is a black box has its own; its runs are
+    fresh: they share no random number with a training of the same seed. `steps` counts the steps taken by the batches
+    that came.
     Raises PolicyError, naming the state, where the policy says nothing; ModelError, where the environment returns
     something that is no state.
     """
@@ -47,7 +48,8 @@ class Rollouts:
     def __init__(
         self, product: Product, policy: Policy, runs: int, seed: int, environment: Resettable | None = None
     ) -> None:
-        if environment is None:
+        self._own = environment is None and product.model.blackbox is not None
+        if environment is None and not self._own:
             product.model.require_points()
         self.product, self.policy = policy.on(product)
         self.runs = runs
@@ -57,7 +59,11 @@ class Rollouts:
 
     def __iter__(self) -> Iterator[Verdicts]:
         self.steps = 0
-        found = self._simulated() if self._environment is None else self._observed(self._environment)
+        environment = self._environment
+        if self._own:
+            rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_FRESH,)))
+            environment = simulator(self.product.model, rng, self.product.horizon)
+        found = self._simulated() if environment is None else self._observed(environment)
         for verdicts, steps in found:
             self.steps += steps
             yield verdicts
@@ -88,27 +94,16 @@ class Rollouts:
         automaton = product.automaton
         rng = np.random.default_rng(self._seed)
         for _ in range(self.runs):
-            t, s = 0, self._state(environment.reset(), "reset()")
+            t, s = 0, require_state(product.model, environment.reset(), "reset()")
             q = product.enter(s, automaton.initial)
             while automaton.verdicts(t)[q] == UNDECIDED:
                 i = _choice(product, policy, s, q, t, rng)
-                s = self._state(environment.step(i), f"step({i}) in state {product.model.state_name(s)}")
+                s = require_state(
+                    product.model, environment.step(i), f"step({i}) in state {product.model.state_name(s)}"
+                )
                 q = product.enter(s, q)
                 t += 1
             yield np.array([automaton.verdicts(t)[q] == TRUE]), t
-
-    def _state(self, answer: object, call: str) -> int:
-        model = self.product.model
-        try:
-            s = operator.index(answer)  # type: ignore[arg-type]  # what is no whole number is refused here
-        except TypeError:
-            s = -1
-        if not 0 <= s < model.n_states:
-            raise ModelError(
-                f"the environment's {call} returned {answer!r}, which is no state of {model.name}; "
-                f"return a state's index, 0 â€¦ {model.n_states - 1}"
-            )
-        return s
 
 
 def _choice(product: Product, policy: Policy, s: int, q: int, t: int, rng: np.random.Generator) -> int:

@@ -1,4 +1,4 @@
-"""Runs of a policy on the model: what a report shows, step by step."""
+"""Runs of a policy: what a report shows, step by step."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stltool.automata import TRUE, UNDECIDED
+from stltool.models.environment import simulator
 from stltool.policy import Policy, silence
 from stltool.product import Product
 
@@ -26,11 +27,11 @@ class Run:
 
 
 def sample_run(product: Product, policy: Policy, rng: np.random.Generator) -> Run:
-    """Follow `policy` from a random first state until the task is decided."""
-    product.model.require_points()
+    """Follow `policy` from a random first state until the task is decided, in the model or its black box."""
     product, policy = policy.on(product)
     model, automaton = product.model, product.automaton
-    s = int(rng.choice(model.n_states, p=model.initial / model.initial.sum()))
+    environment = simulator(model, rng, product.horizon)
+    s = environment.reset()
     q = product.enter(s, automaton.initial)
     states, actions, memory = [s], [], [automaton.describe(q)]
     t = 0
@@ -39,12 +40,10 @@ def sample_run(product: Product, policy: Policy, rng: np.random.Generator) -> Ru
         if policy.deterministic and table < 0:
             raise silence(product, s, q, t)
         i = int(table) if policy.deterministic else int(rng.choice(len(table), p=table / table.sum()))
-        c = model.choice_start[s] + i
-        row = slice(model.row_start[c], model.row_start[c + 1])
-        s = int(rng.choice(model.target[row], p=model.probability[row] / model.probability[row].sum()))
+        actions.append(model.action_names[model.choice_action[model.choice_start[s] + i]])
+        s = environment.step(i)
         q = product.enter(s, q)
         t += 1
         states.append(s)
-        actions.append(model.action_names[model.choice_action[c]])
         memory.append(automaton.describe(q))
     return Run(tuple(states), tuple(actions), tuple(memory), bool(automaton.verdicts(t)[q] == TRUE))

@@ -74,6 +74,13 @@ def estimate(
     else:
         hypotheses(bound, **sequential)
     product = make_product(task, model, param, name, encoding, as_json, learning=False, rollouts=True, nominal=nominal)
+    if product.model.blackbox is not None:
+        if policy is None:
+            raise SettingsError(
+                f"{product.model.name} is a black box, whose best policy nobody knows; give --policy FILE "
+                "(stltool learn makes one)"
+            )
+        no_exact = True
     chosen = stl.load_policy(policy, product) if policy is not None else None
     truth = None
     if not no_exact:

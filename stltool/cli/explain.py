@@ -72,6 +72,8 @@ def explain(
         for key, value in facts.items()
         if not isinstance(value, dict) and "digest" not in key
     }
+    if shown.get("transitions", 0) is None:
+        shown["transitions"] = "unknown: the model is a black box"
     for key in ("flag states", "history states"):
         if key in shown:
             size = shown[key]

@@ -73,8 +73,10 @@ def learn(
     if as_json:
         print(json.dumps({"task": product.task_name, "formula": str(product.formula), **training_data(training)}))
         return
+    exact = training.history[-1].probability
+    unknown = "unknown: the model is a black box; stltool estimate --policy bounds it"
     print_facts({
         "learned": training_text(training),
-        "exact P": f"{training.history[-1].probability:.12g}",
+        "exact P": f"{exact:.12g}" if exact is not None else unknown,
         "policy": out,
     })  # fmt: skip

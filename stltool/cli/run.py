@@ -26,6 +26,7 @@ from stltool.cli.options import (
     TaskName,
 )
 from stltool.cli.steps import guarantees_of, make_product, read_settings, training_text
+from stltool.errors import SettingsError
 
 
 @app.command()
@@ -48,7 +49,10 @@ def run(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="folder for the results; default: out/NAME")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Learn a policy, check it exactly, write the report: the main job."""
+    """Learn a policy, check it exactly, write the report: the main job.
+
+    A black box cannot be checked: there the policy's P is bounded from fresh runs.
+    """
     import stltool as stl
     from stltool.checking.statistical import planned_runs
     from stltool.files import read_text, require_folder
@@ -61,18 +65,25 @@ def run(
     )
     folder = out if out is not None else Path("out") / product.task_name
     require_folder(folder)
-    with progress_bar("checking the optimum", quiet=as_json) as bar:
-        best = stl.check(product, progress=bar)
+    known = product.model.blackbox is None
+    if not known and not rollouts:
+        raise SettingsError("--rollouts 0: a black box's policy is judged by fresh runs alone; ask for some")
+    checks = []
+    if known:
+        with progress_bar("checking the optimum", quiet=as_json) as bar:
+            checks.append(stl.check(product, progress=bar))
     with progress_bar(f"learning ({method})", quiet=as_json) as bar:
         training = stl.learn(
             product, method, faithful=faithful, episodes=episodes, seed=seed, progress=bar, **read_settings(setting)
         )
-    mine = stl.check(product, training.policy)
+    if known:
+        checks.append(stl.check(product, training.policy))
     guarantees = guarantees_of(product, training, confidence, rollouts, as_json)
     command = "stltool " + shlex.join(sys.argv[1:])
     data = report_data(
-        [best, mine], training, source=read_text(task, "task file"), command=command, seed=seed, guarantees=guarantees
-    )
+        checks, training, source=read_text(task, "task file"), command=command, seed=seed, guarantees=guarantees,
+        product=product,
+    )  # fmt: skip
     training.policy.save(folder / "policy.npz")
     write_report(data, folder / "report.html")
     if as_json:
@@ -83,6 +94,7 @@ def run(
         "product": f"{product.shape[0]} model states × {product.shape[1]} automaton states, horizon {product.horizon}",
         "learned": training_text(training),
     })  # fmt: skip
-    print_checks(data["checks"])
+    if known:
+        print_checks(data["checks"])
     print_table(guarantee_rows(data["guarantees"], data["checks"]))
     print_facts({"report": folder / "report.html", "data": folder / "report.json", "policy": folder / "policy.npz"})

@@ -168,7 +168,10 @@ def training_text(training: Training) -> str:
 def guarantees_of(
     product: Product, training: Training, confidence: float, rollouts: int, quiet: bool
 ) -> list[dict[str, Any]]:
-    """Lower bounds for a learned policy, as data: from the transitions it was learned from, and from fresh runs."""
+    """Lower bounds for a learned policy, as data: from the transitions it was learned from, and from fresh runs.
+
+    Of a black box from fresh runs alone: it does not say where runs start.
+    """
     import numpy as np
 
     import stltool as stl
@@ -176,7 +179,7 @@ def guarantees_of(
     from stltool.reporting.terminal import progress_bar
 
     found = []
-    for support in ("unknown", "known"):
+    for support in ("unknown", "known") if product.model.blackbox is None else ():
         with progress_bar("guarantee from the learning data", quiet=quiet) as bar:
             bound = stl.guarantee(
                 product, training.policy, training.counts, confidence=confidence, support=support, progress=bar

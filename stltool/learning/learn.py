@@ -115,11 +115,12 @@ def learn(
         learner = _FAITHFUL[method](problem, chosen, check_fragment(product.formula).outer, for_learner)
     else:
         learner = _CORRECTED[method](problem, chosen, for_learner)
-    world = _environment(product, environment, for_environment)
+    length = product.horizon + 2 if faithful else product.horizon
+    world = _environment(product, environment, for_environment, length)
     counts = Counts(product.model.n_choices, product.model.n_states)
     trainer = Trainer(
         problem, world, learner, chosen, for_learner, counts,
-        episode_length=product.horizon + 2 if faithful else product.horizon,
+        episode_length=length,
         to_the_end=faithful,
         **_judge(home, product, chosen),
     )  # fmt: skip
@@ -162,15 +163,15 @@ def _checked(method: str, faithful: bool, seed: int, product: Product, settings:
     return chosen
 
 
-def _environment(product: Product, given: Resettable | None, rng: np.random.Generator) -> Environment:
+def _environment(product: Product, given: Resettable | None, rng: np.random.Generator, length: int) -> Environment:
     if given is None:
-        return simulator(product.model, rng)
+        return simulator(product.model, rng, length)
     return given if isinstance(given, Environment) else Environment(given.reset, given.step)
 
 
 def _judge(home: Product, product: Product, settings: Settings) -> dict[str, Any]:
     """`evaluate` and `enough`: exact where the model is known."""
-    if product.model.n_transitions == 0:  # a black box
+    if product.model.blackbox is not None:
         if settings.stop_gap is not None:
             raise SettingsError("stop_gap needs the exact optimum, and the model is a black box; set episodes instead")
         return {"evaluate": lambda table: None, "enough": lambda value: False}

@@ -1,7 +1,8 @@
 """Where the world comes from: a model file or arrays → MDP; an MDP → something that only resets and steps."""
 
+from stltool.models.gymnasium import from_gymnasium, to_gymnasium
 from stltool.models.intervals import Intervals
 from stltool.models.load import load_model
 from stltool.models.mdp import MDP, GridLayout
 
-__all__ = ["MDP", "GridLayout", "Intervals", "load_model"]
+__all__ = ["MDP", "GridLayout", "Intervals", "from_gymnasium", "load_model", "to_gymnasium"]

@@ -7,6 +7,7 @@ holds, so nothing is learned from the tables that `reset` and `step` would not h
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -14,6 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.errors import ModelError
 from stltool.kernels.tuples import Tables
 from stltool.models.mdp import MDP
 
@@ -55,28 +57,69 @@ def cumulated(model: MDP) -> NDArray[np.float64]:
     return sums
 
 
-def simulator(model: MDP, rng: np.random.Generator) -> Environment:
-    """Sample the model's transitions with the given generator."""
+def simulator(model: MDP, rng: np.random.Generator, steps: int | None = None) -> Environment:
+    """Sample the model's transitions with the given generator; a black box's own environment, guarded.
+
+    steps   that an episode will have: an environment whose episodes are known to be shorter is refused at once
+    """
+    return sampler(model, steps)(rng)
+
+
+def sampler(model: MDP, steps: int | None = None) -> Callable[[np.random.Generator], Environment]:
+    """What makes simulators of one model from generators; they share its tables."""
+    blackbox = model.blackbox
+    if blackbox is not None:
+        return lambda rng: _guarded(model, blackbox(rng, steps))
     model.require_points()
     tables = Tables(model.choice_start, model.row_start, model.target, cumulated(model), np.cumsum(model.initial))
     choice_start, row_start, target = model.choice_start.tolist(), model.row_start.tolist(), model.target
     sums, first = tables.sums, tables.first
-    state = -1
+
+    def simulate(rng: np.random.Generator) -> Environment:
+        state = -1
+
+        def reset() -> int:
+            nonlocal state
+            state = min(int(first.searchsorted(rng.random() * first[-1], side="right")), len(first) - 1)
+            return state
+
+        def step(action: int) -> int:
+            nonlocal state
+            choice = choice_start[state] + action
+            if not choice_start[state] <= choice < choice_start[state + 1]:
+                raise IndexError(f"state {state} has no available action number {action}")
+            lo, hi = row_start[choice], row_start[choice + 1]
+            row = sums[lo:hi]
+            index = int(row.searchsorted(rng.random() * row[-1], side="right"))
+            state = int(target[lo + min(index, hi - lo - 1)])
+            return state
+
+        return Environment(reset, step, rng, tables)
+
+    return simulate
+
+
+def _guarded(model: MDP, environment: Resettable) -> Environment:
+    """A black box whose answers are states of the model; it is stepped, whatever tables it may have."""
 
     def reset() -> int:
-        nonlocal state
-        state = min(int(first.searchsorted(rng.random() * first[-1], side="right")), len(first) - 1)
-        return state
+        return require_state(model, environment.reset(), "reset()")
 
     def step(action: int) -> int:
-        nonlocal state
-        choice = choice_start[state] + action
-        if not choice_start[state] <= choice < choice_start[state + 1]:
-            raise IndexError(f"state {state} has no available action number {action}")
-        lo, hi = row_start[choice], row_start[choice + 1]
-        row = sums[lo:hi]
-        index = int(row.searchsorted(rng.random() * row[-1], side="right"))
-        state = int(target[lo + min(index, hi - lo - 1)])
-        return state
+        return require_state(model, environment.step(action), f"step({action})")
 
-    return Environment(reset, step, rng, tables)
+    return Environment(reset, step, getattr(environment, "generator", None))
+
+
+def require_state(model: MDP, answer: object, call: str) -> int:
+    """What an environment returned, as a state's index; ModelError where it is none."""
+    try:
+        s = operator.index(answer)  # type: ignore[arg-type]  # what is no whole number is refused here
+    except TypeError:
+        s = -1
+    if not 0 <= s < model.n_states:
+        raise ModelError(
+            f"the environment's {call} returned {answer!r}, which is no state of {model.name}; "
+            f"return a state's index, 0 … {model.n_states - 1}"
+        )
+    return s

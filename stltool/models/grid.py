@@ -20,18 +20,14 @@ Numbers are decimals or fractions in quotes, and mean exactly that: rows are sum
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
-from decimal import Decimal
 from fractions import Fraction
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.errors import ModelError, near_misses
-from stltool.files import read_text
 from stltool.models.fractions import Fractions, parse_fraction
 from stltool.models.intervals import Intervals
 from stltool.models.mdp import MDP, GridLayout
@@ -54,19 +50,6 @@ MOVES = {
     "cross": ("stay", "N", "S", "W", "E"),
 }
 _KEYS = ("kind", "map", "cell", "moves", "success", "slip", "start", "name")
-
-
-def load_grid(path: str | Path) -> MDP:
-    """Read a grid world's TOML file."""
-    path = Path(path)
-    try:
-        table = tomllib.loads(read_text(path, "model file"), parse_float=Decimal)
-    except (ValueError, RecursionError) as error:
-        raise ModelError(f"{path}: not valid TOML: {error}") from None
-    try:
-        return grid_from_table(table, default_name=path.stem)
-    except ModelError as error:
-        raise ModelError(f"{path}: {error}") from None
 
 
 def grid_from_table(table: Mapping[str, Any], default_name: str = "grid") -> MDP:

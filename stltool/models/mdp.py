@@ -9,7 +9,7 @@ Transitions are CSR rows, one row a *choice* (a state with one of its available 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -23,6 +23,8 @@ from stltool.models.intervals import Intervals
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
+
+    from stltool.models.environment import Resettable
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -44,7 +46,7 @@ class GridLayout:
 
 @dataclass(frozen=True, eq=False)
 class MDP:
-    """See the module's text; build one with `MDP.from_arrays`, `MDP.from_intervals` or `load_model`.
+    """See the module's text; build one with `MDP.from_arrays`, `from_intervals`, `black_box` or `load_model`.
 
     initial       (n_states,) probabilities of the first state
     signals       name → (n_states,) reals
@@ -53,6 +55,9 @@ class MDP:
                   decimals; `exact()` has it for every model
     intervals     where the probabilities are known up to intervals: their ends; `probability` is then
                   `intervals.nominal(row_start)`, and only `robust_check` answers for the model
+    blackbox      where the probabilities are unknown: what makes the environment that stands for them, from a generator
+                  and the steps of an episode (None: not known). There are then no rows: `row_start` and `initial` are
+                  zero, `target` and `probability` empty; `learn`, `estimate` and `sprt` answer for the model
     Raises ModelError, naming state and action, when a row is no distribution, a state has no action, a value is not
     finite, or a shape does not fit.
     """
@@ -71,6 +76,7 @@ class MDP:
     name: str = "model"
     fractions: Fractions | None = None
     intervals: Intervals | None = None
+    blackbox: Callable[[np.random.Generator, int | None], Resettable] | None = None
     _digest: list[str] = field(default_factory=list, repr=False)
     _exact: list[Fractions] = field(default_factory=list, repr=False)
 
@@ -117,7 +123,12 @@ class MDP:
         return csr_array((self.probability, self.target, self.row_start), shape=(self.n_choices, self.n_states))
 
     def require_points(self) -> None:
-        """SettingsError where the probabilities are intervals: for everything that would need one distribution."""
+        """SettingsError where the probabilities are intervals or unknown: for all that needs one distribution."""
+        if self.blackbox is not None:
+            raise SettingsError(
+                f"the probabilities of {self.name} are unknown: it is a black box; use stl.learn and stl.estimate "
+                "(stltool learn, stltool estimate), or give a model with probabilities"
+            )
         if self.intervals is not None:
             raise SettingsError(
                 "the model's probabilities are intervals; use stl.robust_check (stltool check), or the ordinary model "
@@ -218,6 +229,59 @@ class MDP:
         rows = _by_state(_given(upper, "upper ends"))
         ends = Intervals(_aligned(_by_state(_given(lower, "lower ends")), rows), rows.data.astype(np.float64))
         return cls._of_rows(rows, [], ends, signals, initial, labels, action_names, state_names, name)
+
+    @classmethod
+    def black_box(
+        cls,
+        n_states: int,
+        actions: int | Sequence[str],
+        environment: Callable[[np.random.Generator], Resettable],
+        *,
+        signals: Mapping[str, ArrayLike] | None = None,
+        labels: Mapping[str, ArrayLike] | None = None,
+        available: ArrayLike | None = None,
+        state_names: Sequence[str] | None = None,
+        name: str = "black box",
+    ) -> MDP:
+        """An MDP whose probabilities nobody knows, behind a simulator of your own.
+
+        actions       their number, or their names;  available  (S, A) Booleans: which a state has (default: all)
+        environment   called with a numpy Generator; returns an object whose `reset()` and `step(i)` (the i-th available
+                      action of the current state) return the index of a state. Where all that it keeps between two
+                      episodes is that generator, return `stltool.models.environment.Environment(reset, step,
+                      generator)`, and runs can be resumed.
+        signals, labels, state_names   as in `from_arrays`
+
+        `learn`, `estimate`, `sprt` and `sample_run` answer for it; what needs probabilities raises SettingsError.
+        """
+        if isinstance(n_states, bool) or not isinstance(n_states, int | np.integer) or n_states < 1:
+            raise ModelError(f"n_states is {n_states!r}; a whole number from 1 is needed")
+        if isinstance(actions, int | np.integer):
+            actions = [str(a) for a in range(actions)]
+        names = tuple(str(a) for a in actions)
+        if not names:
+            raise ModelError("the model has no action; give their number or their names")
+        if not callable(environment):
+            raise ModelError(f"environment is {environment!r}; give a function of a generator that returns one")
+        shape = (int(n_states), len(names))
+        has = np.ones(shape, dtype=np.bool_) if available is None else _booleans(available, "available")
+        if has.shape != shape:
+            raise ModelError(f"available has shape {has.shape}, not {shape} (states, actions)")
+        choice_start = np.concatenate([[0], np.cumsum(has.sum(axis=1))]).astype(np.int64)
+        return cls(
+            choice_start=choice_start,
+            choice_action=np.nonzero(has)[1].astype(np.int32),
+            row_start=np.zeros(choice_start[-1] + 1, dtype=np.int64),
+            target=np.empty(0, dtype=np.int32),
+            probability=np.empty(0),
+            initial=np.zeros(shape[0]),
+            signals={key: _floats(values, f"signal {key}") for key, values in (signals or {}).items()},
+            labels={key: _booleans(values, key) for key, values in (labels or {}).items()},
+            action_names=names,
+            state_names=tuple(str(s) for s in state_names) if state_names is not None else None,
+            name=name,
+            blackbox=lambda rng, _: environment(rng),
+        )
 
     @classmethod
     def _of_rows(
@@ -436,13 +500,17 @@ def _validate(m: MDP) -> None:
     both = sorted(set(m.signals) & set(m.labels))
     if both:
         raise ModelError(f"{both[0]} names a signal and a label; rename one of them")
-    _validate_distribution(m.initial, m.n_states)
+    if m.blackbox is None:
+        _validate_distribution(m.initial, m.n_states)
     without = np.flatnonzero(np.diff(m.choice_start) == 0)
     if without.size:
         raise ModelError(
             f"state {m.state_name(without[0])} has no action; give it one that stays (probability 1 to itself)"
         )
-    _validate_rows(m)
+    if m.blackbox is None:
+        _validate_rows(m)
+    elif len(m.row_start) != m.n_choices + 1 or m.row_start.any() or m.n_transitions or m.initial.any():
+        raise ModelError("a black box has no rows and no initial distribution; make one with MDP.black_box")
 
 
 def _validate_distribution(initial: Floats, n_states: int) -> None:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from fractions import Fraction
 from importlib import metadata
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,7 @@ def product_data(product: Product) -> dict[str, Any]:
         "automaton_digest": automaton.digest(),
         "states": model.n_states,
         "actions": list(model.action_names),
-        "transitions": model.n_transitions,
+        "transitions": model.n_transitions if model.blackbox is None else None,  # unknown
         "automaton_states": automaton.n_states,
         "letters": automaton.n_letters,
         "product_states": product.n_states,
@@ -195,24 +195,31 @@ def report_data(
     seed: int = 0,
     estimates: Sequence[Estimate] = (),
     guarantees: Sequence[Guarantee | Estimate | dict[str, Any]] = (),
+    product: Product | None = None,
 ) -> dict[str, Any]:
     """Everything a report shows. `source` is the task file's text, `command` what repeats the run.
 
     `estimates` of the policy shown (the given one, else the optimal one) stand beside its exact probability, and so do
-    `guarantees` for it from data: as found, or as `guarantee_data` tells them.
+    `guarantees` for it from data: as found, or as `guarantee_data` tells them. A black box has no results: its report
+    opens with the first of `guarantees`, of the policy of `training`, on `product` (default: the policy's own).
     """
-    if not results:
-        raise SettingsError("a report needs at least one check result")
-    product = results[0].product
-    for result in results[1:]:
+    if results:
+        shown = next((r for r in results if r.question == "policy"), results[0])
+        policy, home = shown.policy, results[0].product
+    elif training is not None and guarantees:
+        policy, home = training.policy, cast(Product, training.policy.home)  # learners know no joint products
+    else:
+        raise SettingsError(
+            "a report needs at least one check result, or of a black box a training and a guarantee for its policy"
+        )
+    product = product if product is not None else home
+    for result in results:
         if (result.product.model.digest(), result.product.automaton.digest()) != (
             product.model.digest(),
             product.automaton.digest(),
         ):
             raise SettingsError("the results of one report belong to one model and one task; write one report for each")
     optima = {r.nature: r for r in reversed(results) if r.question != "policy"}
-    shown = next((r for r in results if r.question == "policy"), results[0])
-    policy = shown.policy
     points = product.model.intervals is None  # else there is no one distribution to sample from
     return {
         "format": FORMAT,
@@ -225,7 +232,7 @@ def report_data(
         "guarantees": [found if isinstance(found, dict) else guarantee_data(found) for found in guarantees],
         "training": training_data(training) if training is not None else None,
         "run": _run_data(product, policy, seed) if policy is not None and points else None,
-        "why": _why_data(product, policy) if policy is not None and points else None,
+        "why": _why_data(product, policy) if policy is not None and points and results else None,
         "floor": _floor_data(product),
     }
 

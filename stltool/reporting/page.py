@@ -21,7 +21,10 @@ from stltool.reporting.runs import trace_text, verdict_text
 
 
 def report(results: Sequence[CheckResult], training: Training | None, path: str | Path, **details: Any) -> None:
-    """Write `path` (.html) and the JSON beside it; `details` as in `report_data` (source, command, seed, estimates)."""
+    """Write `path` (.html) and the JSON beside it; `details` as in `report_data` (source, command, seed, estimates).
+
+    A black box has no results: `stl.report([], training, path, guarantees=[found])`.
+    """
     write_report(report_data(results, training, **details), path)
 
 
@@ -66,7 +69,7 @@ def render(data: dict[str, Any]) -> str:
         data=data,
         why=why,
         guarantees=guarantee_rows(found, data["checks"]) if found else [],
-        curve=figures.learning_curve(data) if data["training"] else None,
+        curve=figures.learning_curve(data) if data["training"] and data["checks"] else None,
         floor=figures.floor_map(data) if data["floor"] else None,
         likely_floor=figures.floor_map(data, likely[0]["state_indices"]) if data["floor"] and likely else None,
     )

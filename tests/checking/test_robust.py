@@ -463,6 +463,7 @@ def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
         lambda: stl.pareto(joint),
         lambda: stl.tradeoff(joint, "one"),
         lambda: stl.surrogate_optimum(product),
+        lambda: stl.to_gymnasium(product.model),
     ):
         with pytest.raises(SettingsError, match=r"are intervals; use stl.robust_check .* model.nominal\(\)"):
             ask()
@@ -472,7 +473,7 @@ def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
 def test_every_public_function_on_products_knows_of_intervals():
     """A function that is new here must answer for intervals or refuse them, with a line in the test above."""
     refusing = {"check", "learn", "sample_run", "likely_runs", "sensitivity", "estimate", "sprt", "pareto", "tradeoff",
-                "surrogate_optimum"}  # fmt: skip
+                "surrogate_optimum", "to_gymnasium"}  # fmt: skip
     fit = {"robust_check", "build_product", "build_joint_product"}
     found = {name: getattr(stl, name) for name in stl.__all__ if inspect.isfunction(getattr(stl, name))}
     models = {"product", "model", "joint"}

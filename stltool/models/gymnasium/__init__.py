@@ -1,0 +1,135 @@
+"""Gymnasium environments with discrete observations and actions → MDP, and an MDP → Gymnasium environment.
+
+    stl.from_gymnasium(gymnasium.make("FrozenLake-v1"), labels={"goal": {15}})
+
+Toy-text environments list their transitions, P[s][a] = [(probability, next state, reward, terminated), …]: they become
+exact MDPs. All others become black boxes (`MDP.black_box`): the adapter below resets and steps them.
+
+After `terminated` a run stays in its last state, in the table (an absorbing row) and in a black box alike, so that
+windows which reach past the end read that state. An observation that comes both before an end and at it (a hand of
+Blackjack, stuck with) is no state of an MDP: `ends="apart"` makes two of each, S + s being s after the end.
+
+An episode is seeded by one number of the run's generator, env.reset(seed=…): that generator is all that is kept between
+two episodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.errors import ModelError, SettingsError
+from stltool.models.environment import Environment
+from stltool.models.gymnasium.episodes import Episodes, Shared
+from stltool.models.gymnasium.spaces import (
+    LabelGiven,
+    Observations,
+    SignalGiven,
+    actions_of,
+    env_name,
+    observation_text,
+)
+from stltool.models.gymnasium.table import read_table, without_table
+from stltool.models.mdp import MDP
+from stltool.sizes import require_memory
+
+if TYPE_CHECKING:
+    from stltool.models.gymnasium.env import MDPEnv
+
+
+def require_gymnasium() -> Any:
+    """The gymnasium package; SettingsError, saying how to install it, where it is missing."""
+    try:
+        import gymnasium
+    except ImportError:
+        raise SettingsError(
+            "Gymnasium environments need the gymnasium package; pip install 'stltool[gymnasium]'"
+        ) from None
+    return gymnasium
+
+
+def from_gymnasium(
+    env: Any,
+    labels: Mapping[str, LabelGiven] | None = None,
+    signals: Mapping[str, SignalGiven] | None = None,
+    *,
+    table: bool | Literal["auto"] = "auto",
+    ends: Literal["merged", "apart"] = "merged",
+    name: str | None = None,
+    action_names: Sequence[str] | None = None,
+) -> MDP:
+    """The MDP of a Gymnasium environment, S its observations, A its actions, in the order of its spaces.
+
+    labels     name → function of an observation, returning a Boolean; or the observations where it holds; or S Booleans
+    signals    name → function of an observation, returning a real; or S reals
+    table      "auto": the exact MDP where the environment lists its transitions, else a black box; True: the exact MDP
+               or an error; False: a black box, the table is not read
+    ends       "merged": runs end in states where none goes on, else a ModelError; "apart": 2·S states, S + s for runs
+               that have ended at observation s
+    action_names   A names (default: the numbers of the actions)
+
+    An observation is a whole number for `Discrete` (from its `start`), a tuple of all components in their order for
+    `Tuple` and `MultiDiscrete`. A black box shares `env`: one run at a time. Raises ModelError, naming the space or the
+    row, where environment, labels or signals do not fit, or where `table=True` and there is none.
+    """
+    require_gymnasium()
+    if table not in (True, False, "auto"):
+        raise SettingsError(f'table is {table!r}; choose "auto", True or False')
+    if ends not in ("merged", "apart"):
+        raise SettingsError(f"ends is {ends!r}; choose merged or apart")
+    title = env_name(env)
+    observations = Observations.of(env)
+    first_action, n_actions = actions_of(env, title)
+    apart = ends == "apart"
+    size = observations.n_states * (2 if apart else 1)
+    columns = len(labels or {}) + len(signals or {})
+    require_memory(
+        size * (120 + 8 * columns + 12 * n_actions), f"{title} with {size} observations", "make its spaces smaller"
+    )
+    if action_names is None:
+        action_names = [str(first_action + a) for a in range(n_actions)]
+    names = [observation_text(observations.observation(s)) for s in range(observations.n_states)]
+    described: dict[str, Any] = {
+        "labels": {key: _twice(observations.label(key, given), apart) for key, given in (labels or {}).items()},
+        "signals": {key: _twice(observations.signal(key, given), apart) for key, given in (signals or {}).items()},
+        "state_names": [*names, *(f"{text} ended" for text in names)] if apart else names,
+        "name": name if name is not None else title,
+    }
+    if len(action_names) != n_actions:
+        raise ModelError(f"{title}: {len(action_names)} action names for {n_actions} actions")
+    missing = "" if table is False else without_table(env, title, observations, first_action, n_actions)
+    if table is True and missing:
+        raise ModelError(f"{missing}; use table=False: learn and estimate need no table")
+    if table is not False and not missing:
+        matrices, initial = read_table(env, title, observations.n_states, n_actions, apart)
+        return MDP.from_arrays(matrices, initial=initial, action_names=action_names, **described)
+    shared = Shared(env, title, observations, first_action, apart)
+
+    def episodes(rng: np.random.Generator, steps: int | None) -> Environment:
+        adapter = Episodes(shared, rng, steps)
+        return Environment(adapter.reset, adapter.step, rng)
+
+    model = MDP.black_box(size, list(action_names), lambda rng: episodes(rng, None), **described)
+    return replace(model, blackbox=episodes)
+
+
+def _twice(column: NDArray[Any], apart: bool) -> NDArray[Any]:
+    return np.tile(column, 2) if apart else column
+
+
+def to_gymnasium(model: MDP, unavailable: Literal["error", "stay"] = "error") -> MDPEnv:
+    """The model as a `gymnasium.Env`: observations Discrete(S), actions Discrete(A), by the model's own numbers.
+
+    Seeded by `reset(seed=…)`. Rewards are 0 and episodes do not end by themselves: wrap it for that, for instance in
+    `gymnasium.wrappers.TimeLimit`. Where a state has not every action, `info["action_mask"]` (A,) says which it has;
+    another one is a ModelError, or with `unavailable="stay"` leaves the state as it is, which is a move that the model
+    does not have. A black box's environment works too; a model with intervals raises SettingsError.
+    """
+    require_gymnasium()
+    from stltool.models.gymnasium.env import MDPEnv
+
+    return MDPEnv(model, unavailable)

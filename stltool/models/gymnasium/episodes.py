@@ -1,0 +1,124 @@
+"""A Gymnasium environment as a black box: what resets and steps over states' numbers, and says what went wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from stltool.errors import ModelError
+from stltool.models.gymnasium.spaces import Observations
+
+_SEEDS = 2**31  # what every environment takes as a seed
+
+
+@dataclass(eq=False)
+class Shared:
+    """An environment and what all runs of it share.
+
+    running    whose episode it is in
+    before, at_end   states that runs went on from, and ended in; disjoint unless ends are kept apart
+    """
+
+    env: Any
+    title: str
+    observations: Observations
+    first_action: int
+    apart: bool
+    running: Episodes | None = None
+    before: set[int] = field(default_factory=set)
+    at_end: set[int] = field(default_factory=set)
+
+
+class Episodes:
+    """Episodes of an environment as runs of states: `reset()` and `step(i)` return a state's index.
+
+    `steps` is how long episodes will be, where known: an environment known to end them before is refused.
+    """
+
+    def __init__(self, shared: Shared, rng: np.random.Generator, steps: int | None) -> None:
+        self._shared, self._rng, self._steps = shared, rng, steps
+        self._env, self._title = shared.env, shared.title
+        self._state, self._t = -1, 0
+        self._terminated = self._truncated = False
+        longest = getattr(getattr(shared.env, "spec", None), "max_episode_steps", None)
+        if steps is not None and longest is not None and longest < steps:
+            raise self._too_short(longest)
+
+    def reset(self) -> int:
+        answer = self._call("reset(seed=…)", self._env.reset, seed=int(self._rng.integers(_SEEDS)))
+        if not (isinstance(answer, tuple) and len(answer) == 2):
+            raise self._old_api("reset(seed=…)", answer, "(observation, info)")
+        self._shared.running = self
+        self._t, self._terminated, self._truncated = 0, False, False
+        self._state = self._read(answer[0], "reset(seed=…)")
+        self._note(self._state, self._shared.before, self._shared.at_end)
+        return self._state
+
+    def step(self, action: int) -> int:
+        if self._shared.running is not self:
+            raise ModelError(
+                f"{self._title}: another run has reset this environment in the middle of an episode; runs that go on "
+                "at the same time need an environment each: call from_gymnasium for each"
+            )
+        if self._terminated:
+            return self._state
+        if self._truncated:
+            raise self._too_short(self._t)
+        self._t += 1
+        call = f"step({self._shared.first_action + action})"
+        answer = self._call(call, self._env.step, self._shared.first_action + action)
+        if not (isinstance(answer, tuple) and len(answer) == 5):
+            raise self._old_api(call, answer, "(observation, reward, terminated, truncated, info)")
+        self._state = self._read(answer[0], call)
+        self._terminated, self._truncated = bool(answer[2]), bool(answer[3])
+        if self._terminated and self._shared.apart:
+            self._state += self._shared.observations.n_states
+        elif self._terminated:
+            self._note(self._state, self._shared.at_end, self._shared.before)
+        else:
+            self._note(self._state, self._shared.before, self._shared.at_end)
+        return self._state
+
+    def _call(self, call: str, method: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+        try:
+            return method(*arguments, **named)
+        except Exception as error:  # whatever goes wrong in there is the environment's
+            what = f"{type(error).__name__} at step {self._t}: {error}"
+            raise ModelError(f"{self._title}: {call} raised {what}") from error
+
+    def _read(self, observation: object, call: str) -> int:
+        s = self._shared.observations.index(observation)
+        if s < 0:
+            raise ModelError(
+                f"{self._title}: {call} returned the observation {observation!r} at step {self._t}, which is not in "
+                f"its space {self._shared.observations.space}; mend the environment or its observation_space"
+            )
+        return s
+
+    def _note(self, s: int, one: set[int], other: set[int]) -> None:
+        """A state as one from which runs go on, or in which they end; never both, or no MDP is learned."""
+        if s in other:
+            observation = self._shared.observations.observation(s)
+            raise ModelError(
+                f"{self._title}: the observation {observation} came both at the end of an episode and before one, so "
+                "observations are no states of an MDP; use ends='apart' (in a model file: ends = \"apart\")"
+            )
+        one.add(s)
+
+    def _old_api(self, call: str, answer: object, needed: str) -> ModelError:
+        shown = f"{len(answer)} values" if isinstance(answer, tuple) else f"{type(answer).__name__} {answer!r}"
+        return ModelError(
+            f"{self._title}: {call} returned {shown}, not {needed}; it follows the older gym API, "
+            "so bring it to gymnasium's"
+        )
+
+    def _too_short(self, length: int) -> ModelError:
+        needed, option = ("more", "…") if self._steps is None else (str(self._steps), str(self._steps))
+        return ModelError(
+            f"{self._title}: its episodes are cut off (truncated) after {length} steps, and the task looks at "
+            f"{needed}; make it with gymnasium.make(…, max_episode_steps={option}), in a model file under [options], "
+            "or shorten the task's windows"
+        )

@@ -1,0 +1,134 @@
+"""The transition table of a toy-text environment, env.unwrapped.P[s][a] = [(probability, next state, reward,
+terminated), …] → matrices.
+
+A state that runs enter with `terminated` is absorbing: there they end, and stay. Probabilities are kept as given.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import operator
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.errors import ModelError
+from stltool.models.gymnasium.spaces import Observations
+
+_Outcome: TypeAlias = tuple[float, int, bool]
+
+_RESETS = 100  # that must agree before a first state counts as the only one
+# wrappers that leave observations, actions and dynamics as they are; a table has no time limit
+_HARMLESS = {"TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "RecordEpisodeStatistics", "HumanRendering"}
+
+
+def without_table(env: Any, title: str, observations: Observations, first_action: int, n_actions: int) -> str:
+    """Why the environment's transitions are not listed; "" where they are."""
+    wrapper = env
+    while wrapper is not env.unwrapped:
+        kind = type(wrapper)
+        reward_only = any(base.__name__ == "RewardWrapper" for base in kind.__mro__)
+        if not reward_only and not (kind.__module__.startswith("gymnasium.") and kind.__name__ in _HARMLESS):
+            return f"{title}: the wrapper {kind.__name__} may change what its transition table says"
+        wrapper = wrapper.env
+    P = getattr(env.unwrapped, "P", None)
+    none = (
+        f"{title} has no transition table, env.unwrapped.P[s][a] = [(probability, next state, reward, terminated), …]"
+    )
+    if not observations.plain or observations.starts != (0,) or first_action != 0:
+        return none + " over states and actions numbered from 0"
+    try:
+        if len(P) == observations.n_states and all(len(P[s]) == n_actions for s in range(len(P))):  # type: ignore[arg-type,index]
+            return "" if isinstance(P[0][0], list | tuple) else none  # type: ignore[index]
+    except (TypeError, LookupError):
+        pass
+    return none
+
+
+def read_table(
+    env: Any, title: str, n_states: int, n_actions: int, apart: bool
+) -> tuple[list[Any], NDArray[np.float64]]:
+    """A matrix per action, and the distribution of the first state; with `apart` over 2·S states, S + s ended in s."""
+    from scipy.sparse import coo_array
+
+    P = env.unwrapped.P
+    rows: list[list[list[_Outcome]]] = [[[] for _ in range(n_actions)] for _ in range(n_states)]
+    for s in range(n_states):
+        for a in range(n_actions):
+            outcomes = [_outcome(outcome, title, s, a, n_states) for outcome in P[s][a]]
+            total = math.fsum(p for p, _, _ in outcomes)
+            if abs(total - 1) > 1e-9:
+                raise ModelError(
+                    f"{title}: the probabilities of P[{s}][{a}] sum to {total:.12g}, not 1; mend the table, or use "
+                    "table=False"
+                )
+            rows[s][a] = [outcome for outcome in outcomes if outcome[0] > 0]
+    initial = _initial(env, title, n_states)
+    if apart:
+        ends, ended, size = set(range(n_states, 2 * n_states)), n_states, 2 * n_states
+        initial = np.concatenate([initial, np.zeros(n_states)])
+    else:
+        ends, ended, size = _ends(rows, np.flatnonzero(initial).tolist(), title), 0, n_states
+    matrices = []
+    for a in range(n_actions):
+        entries = [
+            (s, s2 + (ended if terminated else 0), p)
+            for s in range(n_states) if s not in ends for p, s2, terminated in rows[s][a]
+        ]  # fmt: skip
+        entries += [(s, s, 1.0) for s in ends]
+        source, target, share = zip(*entries, strict=True)
+        matrices.append(coo_array((share, (source, target)), shape=(size, size)).tocsr())  # adds duplicates
+    return matrices, initial
+
+
+def _outcome(outcome: Any, title: str, s: int, a: int, n_states: int) -> _Outcome:
+    try:
+        p, s2, _, terminated = outcome
+        p, s2 = float(p), operator.index(s2)
+        if not (0 <= p <= 1 + 1e-9 and 0 <= s2 < n_states and isinstance(terminated, bool | np.bool_)):
+            raise ValueError
+    except (TypeError, ValueError):
+        raise ModelError(
+            f"{title}: P[{s}][{a}] holds {outcome!r}, which is no (probability, next state 0 … {n_states - 1}, reward, "
+            "terminated); mend the table, or use table=False"
+        ) from None
+    return p, s2, bool(terminated)
+
+
+def _initial(env: Any, title: str, n_states: int) -> NDArray[np.float64]:
+    given = getattr(env.unwrapped, "initial_state_distrib", None)
+    if given is not None:
+        return np.array(given, dtype=np.float64)
+    first = {operator.index(env.reset(seed=seed)[0]) for seed in range(_RESETS)}
+    if len(first) > 1:
+        raise ModelError(
+            f"{title} has a transition table and starts in several states, but no initial_state_distrib (S,); "
+            "add that, or use table=False"
+        )
+    point = np.zeros(n_states)
+    point[first.pop()] = 1.0
+    return point
+
+
+def _ends(rows: list[list[list[_Outcome]]], first: list[int], title: str) -> set[int]:
+    """The states in which runs end, where they stay. ModelError where a run can be in one both before and at its end:
+    no MDP over these states does that."""
+    going_on, todo = set(first), list(first)
+    while todo:
+        for _, s2, terminated in itertools.chain.from_iterable(rows[todo.pop()]):
+            if not terminated and s2 not in going_on:
+                going_on.add(s2)
+                todo.append(s2)
+    ends = set()
+    for s, outcomes in enumerate(map(itertools.chain.from_iterable, rows)):
+        entered = {s2 for _, s2, terminated in outcomes if terminated}
+        both = entered & going_on
+        if both and s in going_on:
+            raise ModelError(
+                f"{title}: state {min(both)} is reached both with terminated=True and before the end, so the table is "
+                "no MDP over these states; use ends='apart'"
+            )
+        ends |= entered
+    return ends - going_on  # into the latter only states lead that no run reaches

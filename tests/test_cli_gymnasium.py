@@ -1,0 +1,168 @@
+"""Gymnasium environments on the command line, and their model files."""
+
+import json
+import re
+
+import pytest
+
+import stltool as stl
+from stltool.errors import ModelError
+from stltool.reporting import load_report, render
+from tests.conftest import ROOT
+from tests.test_cli import stltool  # noqa: F401 - a fixture
+
+LAKE = ROOT / "examples" / "frozenlake"
+KNOWN, UNKNOWN = LAKE / "crossing.stl", LAKE / "crossing-blackbox.stl"
+
+
+def test_a_black_box_is_run_and_bounded(stltool, tmp_path):  # noqa: F811
+    arguments = [UNKNOWN, "--episodes", 400, "--runs", 300, "--seed", 4, "--out", tmp_path]
+    code, out, _ = stltool("run", *arguments)
+    assert code == 0
+    bound = float(re.search(r"guarantee +with confidence 99 % the probability is at least (\S+)", out)[1])
+    assert "maximum of all" not in out
+    data = load_report(tmp_path / "report.json")
+    estimate = data["estimates"][0]
+    assert (data["checks"], data["why"], data["transitions"], estimate["side"]) == ([], None, None, "lower")
+    assert bound <= estimate["lower"] < estimate["probability"] == estimate["satisfied"] / 300
+    assert {point["probability"] for point in data["training"]["history"]} == {None}
+    assert len(data["run"]["steps"]) > 1
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for text in (
+        "The model is a black box",
+        "P ≥ 0.",
+        "with confidence 99 %",
+        "From 300 fresh runs",
+        "transitions unknown",
+    ):
+        assert text in page
+    assert "Exact probabilities" not in page
+    assert "exact probability" not in page
+    assert page == render(data)
+    table = stl.build_product(stl.load_model(LAKE / "lake.toml"), stl.load_task(KNOWN))
+    unknown = stl.build_product(stl.load_model(LAKE / "lake-blackbox.toml"), stl.load_task(UNKNOWN))
+    policy = stl.load_policy(tmp_path / "policy.npz", unknown)
+    assert stl.check(table, stl.Policy(table, policy.table)).probability >= bound
+    code, out, err = stltool("run", *arguments, "--json")
+    again = json.loads(out)
+    assert (code, err, again["estimates"][0]["satisfied"]) == (0, "", estimate["satisfied"])
+
+
+def test_the_table_is_run_and_checked(stltool, tmp_path):  # noqa: F811
+    code, out, _ = stltool("run", KNOWN, "-p", "T=30", "--episodes", 200, "--out", tmp_path)
+    assert code == 0
+    assert "maximum of all" in out
+    assert "guarantee" not in out
+    code, _, err = stltool("run", KNOWN, "--runs", 10, "--out", tmp_path)
+    assert (code, "--runs bounds P of a black box" in err) == (2, True)
+    assert stltool("run", UNKNOWN, "--runs", 0, "--out", tmp_path)[0] == 2
+
+
+def test_the_other_commands_on_a_black_box(stltool, tmp_path):  # noqa: F811
+    policy = tmp_path / "p.npz"
+    code, out, _ = stltool("learn", UNKNOWN, "--episodes", 100, "--out", policy)
+    assert (code, "exact P  unknown: the model is a black box" in out) == (0, True)
+    data = json.loads(stltool("learn", UNKNOWN, "--episodes", 20, "--out", tmp_path / "q.npz", "--json")[1])
+    assert data["history"][-1]["probability"] is None
+    code, out, _ = stltool("estimate", UNKNOWN, "--policy", policy, "--runs", 50)
+    assert (code, "exact P" in out, "the probability lies in" in out) == (0, False, True)
+    assert stltool("estimate", UNKNOWN, "--policy", policy, "--at-least", "0.99")[0] == 1
+    code, out, _ = stltool("explain", UNKNOWN)
+    assert (code, "transitions       unknown: the model is a black box" in out) == (0, True)
+    assert json.loads(stltool("explain", UNKNOWN, "--json")[1])["transitions"] is None
+    for arguments in (["check"], ["check", "--policy", policy], ["why", "--policy", policy]):
+        code, out, err = stltool(arguments[0], UNKNOWN, *arguments[1:])
+        assert (code, out) == (2, "")
+        assert "error: the probabilities of lake-blackbox are unknown: it is a black box" in err
+    code, _, err = stltool("estimate", UNKNOWN)
+    assert (code, "give --policy FILE" in err) == (2, True)
+    code, _, err = stltool("check", KNOWN, "--policy", policy)
+    assert (code, "is for the model lake-blackbox" in err) == (2, True)
+    code, _, err = stltool("learn", UNKNOWN, "-p", "T=200", "--out", policy)
+    assert (code, "after 100 steps, and the task looks at 200" in err) == (2, True)
+
+
+# ------------------------------------------------------------------------------------------------------ model files
+
+
+def model_of(tmp_path, text):
+    file = tmp_path / "lake.toml"
+    file.write_text(text, encoding="utf-8")
+    return stl.load_model(file)
+
+
+def test_what_a_file_can_say(tmp_path):
+    model = model_of(
+        tmp_path,
+        """
+        id = "Blackjack-v1"
+        kind = 'gymnasium'
+        ends = "apart"
+        name = "cards"
+        actions = ["stick", "hit"]
+        options = { natural = true, sab = false }
+        labels.twenty = [[20, 1, 0], [20, 1, 1]]
+        coordinates = { total = 32, dealer = 11, ace = 2 }
+        """,
+    )
+    assert (model.n_states, model.name, model.action_names) == (1408, "cards", ("stick", "hit"))
+    assert model.state_name(20 * 22 + 3) == "(20,1,1)"
+    assert model.labels["twenty"].nonzero()[0].tolist() == [442, 443, 704 + 442, 704 + 443]
+    assert [model.signals[name][20 * 22 + 3] for name in ("total", "dealer", "ace")] == [20, 1, 1]
+
+
+def test_the_lake_of_the_examples():
+    known, unknown = (stl.load_model(LAKE / name) for name in ("lake.toml", "lake-blackbox.toml"))
+    assert (known.blackbox, known.n_transitions, known.action_names) == (None, 148, ("left", "down", "right", "up"))
+    assert unknown.blackbox is not None
+    for model in (known, unknown):
+        assert [int(model.signals[axis][6]) for axis in ("row", "column")] == [1, 2]
+        assert model.labels["hole"].nonzero()[0].tolist() == [5, 7, 11, 12]
+
+
+START = 'kind = "gymnasium"\nid = "FrozenLake-v1"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('kind = "gym"', r'lake.toml, line 1: kind is .gym.; write kind = "grid" or kind = "gymnasium"'),
+        ('x = 1\nkind = ["grid"]', "lake.toml, line 2: kind is"),
+        ("map = 'S'", r"lake.toml: kind is None; write kind ="),
+        ('kind = "gymnasium"', "lake.toml: id is None; write the name of an environment"),
+        ('kind = "gymnasium"\nid = 3', "lake.toml, line 2: id is 3"),
+        ('kind = "gymnasium"\nid = "FrozenLak-v1"', "line 2: id is 'FrozenLak-v1': .*did you mean FrozenLake-v1"),
+        ('kind = "gymnasium"\nid = "FrozenLake-v7"', "line 2: id is 'FrozenLake-v7': .*; did you mean"),
+        ('kind = "gymnasium"\nid = "os:FrozenLake-v1"', "line 2: id is .*: a file cannot have a module imported"),
+        ('kind = "gymnasium"\nid = ""', "line 2: id is ''"),
+        ('kind = "gymnasium"\nid = "CartPole-v1"', "lake.toml: CartPole-v1: its observations are Box"),
+        (START + "labls = {}", "line 3: unknown key labls; did you mean labels"),
+        (START + "table = 1", 'line 3: table is 1; write true, false or "auto"'),
+        (START + 'ends = "both"', 'line 3: ends is .both.; write "merged" or "apart"'),
+        (START + "actions = [1]", "line 3: actions is .1.; write a list of names"),
+        (START + 'actions = ["go"]', "lake.toml: FrozenLake-v1: 1 action names for 4 actions"),
+        (START + "labels = 5", "line 3: labels is 5; write it as a table"),
+        (START + "[labels]\ngoal = 15", "line 4: label goal is 15; give a function"),
+        (START + "[labels]\n# far\ngoal = [16]", "line 5: label goal: 16 is no observation of FrozenLake-v1"),
+        (START + '[labels]\n"goal" = [1, 1]', "line 4: label goal lists 1 twice"),
+        (START + "[signals]\nx = [1, 2]", r"line 4: signal x has shape \(2,\); one number for each of 16"),
+        (START + "[signals]\nx = 'row'", "line 4: signal x does not hold numbers"),
+        (START + "[coordinates]\nrow = 4\ncolumn = 5", "line 3: the coordinates have 4 × 5 values, .* has 16 states"),
+        (START + "[coordinates]\nrow = 'x'", "line 4: coordinate row is 'x'; write how many"),
+        (START + "[coordinates]\nx = 16\n[signals]\nx = [1]", "line 6: signal x is a coordinate too"),
+        (START + "[options]\nslippery = true", "line 3: FrozenLake-v1 cannot be made with the options slippery = True"),
+        (START + "[options]\nday = 2020-01-01", "line 4: option day is .*; write a number, a text"),
+        (START + "[labels]\nx = [1]\n[signals]\nx = [0]", "line 6: signal x has shape"),
+        (START + "a = ", "lake.toml: not valid TOML"),
+        ('kind = "gymnasium"\nid = "Blackjack-v1"\n[coordinates]\ntotal = 704', "line 3: .* has 32 × 11 × 2"),
+        ('kind = "gymnasium"\nid = "Blackjack-v1"\ntable = true', "lake.toml: Blackjack-v1 has no transition table"),
+    ],
+)  # fmt: skip
+def test_files_that_say_something_else(tmp_path, text, says):
+    with pytest.raises(ModelError, match=says):
+        model_of(tmp_path, text)
+
+
+def test_grids_keep_their_lines_too(tmp_path):
+    with pytest.raises(ModelError, match="lake.toml: unknown key mapp; did you mean map"):
+        model_of(tmp_path, 'kind = "grid"\nmapp = "S"')
