@@ -23,7 +23,7 @@ One straight way through the house, and the map in reading order:
     policy.py     a table over (t?, s, q), saved and loaded without pickle
     checking/     the exact probability of the best policy, or of a given one, with bounds; estimates from runs
     recheck.py    certificates of those bounds re-checked; imports nothing of stltool
-    learning/     policies from experience alone
+    learning/     policies from experience alone, and what their data guarantee
     reporting/    results → JSON, HTML, terminal
     cli/          the same from the command line
     kernels/      numba loops; testing/  Hypothesis strategies for users' own tests
