@@ -4,8 +4,8 @@ One real transition (s, a, s') is evidence for every automaton state q at once, 
 published, each such tuple enters the memory; corrected, the memory holds real transitions only, and one of them
 updates every open (t, q) it speaks for in one vector operation, the episode backwards.
 
-Corrected, exploring is count-based: with chance ε the choice tried least in this state; and when the task is violated
-already, up to the horizon. The policy that is judged weighs values with n / (n + κ), n visits of the choice: what was
+Corrected, exploring is count-based: what was never tried in this state comes first; then, with chance ε and when the
+task is violated already, what was tried least. The policy that is judged weighs values with n / (n + κ), n visits of the choice: what was
 seen once is not preferred to what has proved itself.
 """
 
@@ -41,8 +41,9 @@ class Cfer(Learner):
         self._problem, self._settings, self._rng = problem, settings, rng
 
     def act(self, t: int, s: int, q: int, u: float, chance: float) -> int:
-        if u < self.epsilon:
-            return rarest(self.table.visits[s, : self._problem.n_choices[s]], chance)
+        visits = self.table.visits[s, : self._problem.n_choices[s]]
+        if u < self.epsilon or visits.min() == 0:
+            return rarest(visits, chance)
         return self.table.best(t, s, q, chance)
 
     def end_episode(self, path: Path) -> None:
