@@ -5,8 +5,8 @@ published, each such tuple enters the memory; corrected, the memory holds real t
 updates every open (t, q) it speaks for in one vector operation, the episode backwards.
 
 Corrected, exploring is count-based: what was never tried in this state comes first; then, with chance ε and when the
-task is violated already, what was tried least. The policy that is judged weighs values with n / (n + κ), n visits of the choice: what was
-seen once is not preferred to what has proved itself.
+task is violated already, what was tried least. The policy that is judged weighs values with n / (n + κ), n visits of
+the choice: what was seen once is not preferred to what has proved itself.
 """
 
 from __future__ import annotations
