@@ -16,28 +16,23 @@ KNOWN, UNKNOWN = LAKE / "crossing.stl", LAKE / "crossing-blackbox.stl"
 
 
 def test_a_black_box_is_run_and_bounded(stltool, tmp_path):  # noqa: F811
-    arguments = [UNKNOWN, "--episodes", 400, "--runs", 300, "--seed", 4, "--out", tmp_path]
+    arguments = [UNKNOWN, "--episodes", 400, "--rollouts", 300, "--seed", 5, "--out", tmp_path]
     code, out, _ = stltool("run", *arguments)
     assert code == 0
-    bound = float(re.search(r"guarantee +with confidence 99 % the probability is at least (\S+)", out)[1])
+    bound = float(re.search(r"\nfresh runs, 300 runs +(\S+) +99 %", out)[1])
     assert "maximum of all" not in out
+    assert "learning data" not in out
     data = load_report(tmp_path / "report.json")
-    estimate = data["estimates"][0]
-    assert (data["checks"], data["why"], data["transitions"], estimate["side"]) == ([], None, None, "lower")
-    assert bound <= estimate["lower"] < estimate["probability"] == estimate["satisfied"] / 300
+    (found,) = data["guarantees"]
+    assert (data["checks"], data["why"], data["transitions"], found["source"]) == ([], None, None, "fresh runs")
+    assert 0.2 < bound <= found["lower"] < found["satisfied"] / 300
     assert {point["probability"] for point in data["training"]["history"]} == {None}
     assert len(data["run"]["steps"]) > 1
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    for text in (
-        "The model is a black box",
-        "P ≥ 0.",
-        "with confidence 99 %",
-        "From 300 fresh runs",
-        "transitions unknown",
-    ):
+    for text in ("The model is a black box", f"P ≥ {bound}", "with confidence 99 %", "transitions unknown"):
         assert text in page
-    assert "Exact probabilities" not in page
-    assert "exact probability" not in page
+    for text in ("Exact probabilities", "exact probability", "known from the model"):
+        assert text not in page
     assert page == render(data)
     table = stl.build_product(stl.load_model(LAKE / "lake.toml"), stl.load_task(KNOWN))
     unknown = stl.build_product(stl.load_model(LAKE / "lake-blackbox.toml"), stl.load_task(UNKNOWN))
@@ -45,17 +40,16 @@ def test_a_black_box_is_run_and_bounded(stltool, tmp_path):  # noqa: F811
     assert stl.check(table, stl.Policy(table, policy.table)).probability >= bound
     code, out, err = stltool("run", *arguments, "--json")
     again = json.loads(out)
-    assert (code, err, again["estimates"][0]["satisfied"]) == (0, "", estimate["satisfied"])
+    assert (code, err, again["guarantees"][0]["satisfied"]) == (0, "", found["satisfied"])
 
 
 def test_the_table_is_run_and_checked(stltool, tmp_path):  # noqa: F811
     code, out, _ = stltool("run", KNOWN, "-p", "T=30", "--episodes", 200, "--out", tmp_path)
     assert code == 0
     assert "maximum of all" in out
-    assert "guarantee" not in out
-    code, _, err = stltool("run", KNOWN, "--runs", 10, "--out", tmp_path)
-    assert (code, "--runs bounds P of a black box" in err) == (2, True)
-    assert stltool("run", UNKNOWN, "--runs", 0, "--out", tmp_path)[0] == 2
+    assert "exact check" in out
+    code, _, err = stltool("run", UNKNOWN, "--rollouts", 0, "--out", tmp_path)
+    assert (code, "a black box's policy is judged by fresh runs alone" in err) == (2, True)
 
 
 def test_the_other_commands_on_a_black_box(stltool, tmp_path):  # noqa: F811

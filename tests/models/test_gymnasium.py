@@ -594,7 +594,7 @@ def test_a_model_is_an_environment(floor5):
 
 
 def test_estimates_on_a_models_environment_contain_the_exact_probability(floor5):
-    product = stl.build_product(floor5, stl.parse("F[0,9] G[0,2] A"))
+    product = stl.build_product(floor5, stl.parse("G[0,4] (F[0,4] A & F[0,4] B)"))
     policy = stl.learn(product, episodes=60, seed=0).policy
     exact = stl.check(product, policy).probability
     assert 0.05 < exact < 0.99
