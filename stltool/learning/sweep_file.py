@@ -117,6 +117,7 @@ def _scenario(
             raise SettingsError('neither the scenario nor its task file names a model; add model = "floor.toml"')
         if model_file not in models:
             models[model_file] = load_model(model_file)
+            models[model_file].require_points()  # curves are exact
     except StlToolError as error:
         raise type(error)(f"{where}: {error}") from None
     return Scenario(own_id, task, models[model_file], _settings(entry, where), published)
