@@ -400,6 +400,14 @@ def test_spaces_too_large_to_list_are_refused():
     [
         ([(0, 0.0, False, {})], r"step\(1\) returned 4 values, not .* older gym API"),
         ([7], r"step\(1\) returned int 7, not .observation, reward, terminated, truncated, info."),
+        (
+            [(1, 0.0, np.array([True, False]), False, {})],
+            r"step\(1\) returned terminated = array.* Booleans are needed",
+        ),
+        (
+            [(1, 0.0, False, "no", {})],
+            r"step\(1\) returned terminated = False and truncated = 'no' at step 1; Booleans",
+        ),
         ([step_of(1), RuntimeError("motor lost")], r"step\(1\) raised RuntimeError at step 2: motor lost"),
     ],
 )

@@ -73,6 +73,11 @@ class Episodes:
         if not (isinstance(answer, tuple) and len(answer) == 5):
             raise self._old_api(call, answer, "(observation, reward, terminated, truncated, info)")
         self._state = self._read(answer[0], call)
+        if not all(isinstance(flag, bool | np.bool_) for flag in answer[2:4]):
+            raise ModelError(
+                f"{self._title}: {call} returned terminated = {answer[2]!r} and truncated = {answer[3]!r} at step "
+                f"{self._t}; Booleans are needed"
+            )
         self._terminated, self._truncated = bool(answer[2]), bool(answer[3])
         if self._terminated and self._shared.apart:
             self._state += self._shared.observations.n_states

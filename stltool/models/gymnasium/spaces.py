@@ -50,7 +50,7 @@ class Observations:
     @property
     def plain(self) -> bool:
         """Whether an observation is one number."""
-        return type(self.space).__name__ == "Discrete"
+        return hasattr(self.space, "n")
 
     @property
     def n_states(self) -> int:
