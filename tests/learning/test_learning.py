@@ -190,9 +190,11 @@ def test_transitions_update_every_pair_they_speak_for(product, seed):
     policy = table.policy_table()
     for one, t, q in pairs:
         for state in np.flatnonzero(letter == one):
-            tried = np.flatnonzero(table.visits[state])
+            visits = table.visits[state]
+            tried = np.flatnonzero(visits)
             if len(tried):
-                assert policy[t, state, q] == tried[Q[t, state, q, tried].argmax()]
+                trusted = visits[tried] / (visits[tried] + settings.caution) * Q[t, state, q, tried]
+                assert trusted[tried == policy[t, state, q]] >= trusted.max() - 1e-12
 
 
 def test_plans_are_the_checkers(p1):
