@@ -176,7 +176,7 @@ def test_learn_then_check_the_policy(stltool, tmp_path):
     policy = tmp_path / "deep" / "policy.npz"
     code, out, _ = stltool("learn", PATROLLING, *SMALL, "-e", 60, "--seed", 2, "--out", policy)
     assert code == 0
-    assert "240 environment steps" in out  # episodes end with the verdict
+    assert "480 environment steps" in out
     code, out, _ = stltool("check", PATROLLING, *SMALL, "--policy", policy, "--json")
     data = json.loads(out)
     assert data["question"] == "policy"
