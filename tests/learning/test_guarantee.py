@@ -1,6 +1,5 @@
 """`guarantee` against its spelled-out twin, on data gathered adaptively, and against what it must never read."""
 
-import copy
 import itertools
 import math
 from dataclasses import replace
@@ -379,13 +378,11 @@ def test_transitions_that_the_graph_excludes_are_told(patrolling):
 def test_a_black_box_needs_no_rows_but_a_start(patrolling):
     """Of a model without rows and without a start, only states and choices are read."""
     model = patrolling.model
-    hollow = copy.copy(model)
-    for name, value in {
-        "row_start": np.zeros_like(model.row_start), "target": model.target[:0], "probability": model.probability[:0],
-        "initial": np.zeros(model.n_states), "fractions": None, "_digest": [], "_exact": [],
-    }.items():  # fmt: skip
-        object.__setattr__(hollow, name, value)  # as black boxes are; an MDP with probabilities refuses it
-    product = stl.Product(hollow, patrolling.automaton, patrolling.letter)
+    box = stl.MDP.black_box(
+        model.n_states, model.action_names, lambda rng: simulator(model, rng), signals=model.signals,
+        labels=model.labels,
+    )  # fmt: skip
+    product = stl.build_product(box, patrolling.formula)
     counts = explored(patrolling, np.random.default_rng(0), 3000)
     first = int(np.flatnonzero(model.initial)[0])
     table = stl.check(patrolling).policy.table
