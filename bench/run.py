@@ -9,6 +9,7 @@ from importlib import metadata
 from pathlib import Path
 
 import automata
+import goals
 import rigour
 import spine
 
@@ -22,6 +23,10 @@ lines = [
     "## Checking and learning",
     "",
     *spine.table(),
+    "",
+    "## Environment steps to a good policy, ten seeds",
+    "",
+    *goals.table(),
     "",
     "## Enclosures and exact fractions",
     "",
