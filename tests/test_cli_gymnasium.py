@@ -3,12 +3,15 @@
 import json
 import re
 
+import gymnasium
 import pytest
+from gymnasium import spaces
 
 import stltool as stl
 from stltool.errors import ModelError
 from stltool.reporting import load_report, render
 from tests.conftest import ROOT
+from tests.models.gymnasium_envs import Scripted
 from tests.test_cli import stltool  # noqa: F401 - a fixture
 
 LAKE = ROOT / "examples" / "frozenlake"
@@ -103,6 +106,17 @@ def test_what_a_file_can_say(tmp_path):
     assert model.state_name(20 * 22 + 3) == "(20,1,1)"
     assert model.labels["twenty"].nonzero()[0].tolist() == [442, 443, 704 + 442, 704 + 443]
     assert [model.signals[name][20 * 22 + 3] for name in ("total", "dealer", "ace")] == [20, 1, 1]
+
+
+def test_components_that_do_not_count_from_zero(tmp_path, monkeypatch):
+    monkeypatch.setattr(gymnasium.envs.registration, "registry", dict(gymnasium.registry))
+    pair = spaces.Tuple([spaces.Discrete(2, start=5), spaces.Discrete(2)])
+    gymnasium.register("Pair-v0", entry_point=lambda: Scripted(((5, 0), {}), (), pair))
+    text = 'kind = "gymnasium"\nid = "Pair-v0"\n[labels]\nthere = [[6, 0]]\n[coordinates]\na = 2\nb = 2'
+    model = model_of(tmp_path, text)
+    assert model.signals["a"].tolist() == [5, 5, 6, 6]
+    assert model.signals["b"].tolist() == [0, 1, 0, 1]
+    assert model.labels["there"].tolist() == [False, False, True, False]
 
 
 def test_the_lake_of_the_examples():

@@ -99,7 +99,6 @@ def check(
     start = time.perf_counter()
     require_known("backend", backend, ("numba", "numpy"))
     require_known("arithmetic", arithmetic, ("auto", "double", "fixed"))
-    product.model.require_points()
     if exact:
         require_exact(product.model)
     question: Literal["maximum", "minimum", "policy"]

@@ -137,6 +137,7 @@ def test_states_that_no_run_reaches_may_be_entered_both_ways():
             [(0.5, 0, 0, False)],
             r"the probabilities of P\[0\]\[0\] sum to 0.5, not 1; mend the table, or use table=False",
         ),
+        ([(0.5, 0, 0, False), (0.500001, 1, 0, False)], r"the probabilities of P\[0\]\[0\] sum to 1.000001"),
         ([(1.0 + 1e-6, 0, 0, False)], "is no .probability, next state 0 … 1"),
         ([(math.nan, 0, 0, False)], "holds .nan, 0, 0, False., which is no"),
         ([(-0.5, 0, 0, False), (1.5, 0, 0, False)], "holds .-0.5"),
@@ -422,6 +423,21 @@ def test_steps_that_fail(answers, says):
             ask()
     with pytest.raises(ModelError, match="Scripted: step"):
         stl.learn(product, episodes=3)
+
+
+def test_whatever_has_spaces_resets_and_steps_will_do():
+    class Bare:
+        observation_space, action_space = spaces.Discrete(2), spaces.Discrete(2)
+
+        def reset(self, seed):
+            return 0, {}
+
+        def step(self, action):
+            return action, 0.0, False, False, {}
+
+    for table in ("auto", False):
+        product = stl.build_product(stl.from_gymnasium(Bare(), {"one": {1}}, table=table), stl.parse("F[0,1] one"))
+        assert stl.estimate(product, stl.learn(product, episodes=20).policy, runs=5).satisfied == 5
 
 
 def test_resets_that_fail():

@@ -101,7 +101,7 @@ def from_gymnasium(
     }
     if len(action_names) != n_actions:
         raise ModelError(f"{title}: {len(action_names)} action names for {n_actions} actions")
-    missing = "" if table is False else without_table(env, title, observations, first_action, n_actions)
+    missing = without_table(env, title, observations, first_action, n_actions)
     if table is True and missing:
         raise ModelError(f"{missing}; use table=False: learn and estimate need no table")
     if table is not False and not missing:

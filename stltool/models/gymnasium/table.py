@@ -26,14 +26,14 @@ _HARMLESS = {"TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "RecordEpisodeS
 
 def without_table(env: Any, title: str, observations: Observations, first_action: int, n_actions: int) -> str:
     """Why the environment's transitions are not listed; "" where they are."""
-    wrapper = env
-    while wrapper is not env.unwrapped:
+    wrapper, inner = env, getattr(env, "unwrapped", env)
+    while wrapper is not inner:
         kind = type(wrapper)
         reward_only = any(base.__name__ == "RewardWrapper" for base in kind.__mro__)
         if not reward_only and not (kind.__module__.startswith("gymnasium.") and kind.__name__ in _HARMLESS):
             return f"{title}: the wrapper {kind.__name__} may change what its transition table says"
         wrapper = wrapper.env
-    P = getattr(env.unwrapped, "P", None)
+    P = getattr(inner, "P", None)
     none = (
         f"{title} has no transition table, env.unwrapped.P[s][a] = [(probability, next state, reward, terminated), …]"
     )
