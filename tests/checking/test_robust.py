@@ -470,11 +470,19 @@ def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_guarantee_from_data_reads_no_probability(floor5):
+    product = stl.build_product(blurred(floor5), stl.parse("F[0,3] A"))
+    nominal = stl.build_product(blurred(floor5).nominal(), stl.parse("F[0,3] A"))
+    counts = stl.learn(nominal, episodes=300, seed=0).counts
+    bounds = [stl.guarantee(judge, None, counts).lower for judge in (product, nominal)]
+    assert bounds[0] == bounds[1] > 0
+
+
 def test_every_public_function_on_products_knows_of_intervals():
     """A function that is new here must answer for intervals or refuse them, with a line in the test above."""
     refusing = {"check", "learn", "sample_run", "likely_runs", "sensitivity", "estimate", "sprt", "pareto", "tradeoff",
                 "surrogate_optimum", "to_gymnasium"}  # fmt: skip
-    fit = {"robust_check", "build_product", "build_joint_product"}
+    fit = {"robust_check", "build_product", "build_joint_product", "guarantee"}
     found = {name: getattr(stl, name) for name in stl.__all__ if inspect.isfunction(getattr(stl, name))}
     models = {"product", "model", "joint"}
     asks = {name for name, ask in found.items() if models & set(inspect.signature(ask).parameters)}
