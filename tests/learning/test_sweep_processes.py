@@ -64,6 +64,7 @@ def running(*command, cwd=ROOT):
     process = subprocess.Popen(
         [sys.executable, *map(str, command)],
         cwd=cwd, start_new_session=True, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background jobs ignore it
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
     try:
