@@ -91,16 +91,15 @@ class Rollouts:
 
     def _observed(self, environment: Resettable) -> Iterator[tuple[Verdicts, int]]:
         product, policy = self.product, self.policy
-        automaton = product.automaton
+        automaton, model = product.automaton, product.model
         rng = np.random.default_rng(self._seed)
         for _ in range(self.runs):
-            t, s = 0, require_state(product.model, environment.reset(), "reset()")
+            t, s = 0, require_state(environment.reset(), "reset()", model.n_states, model.name)
             q = product.enter(s, automaton.initial)
             while automaton.verdicts(t)[q] == UNDECIDED:
                 i = _choice(product, policy, s, q, t, rng)
-                s = require_state(
-                    product.model, environment.step(i), f"step({i}) in state {product.model.state_name(s)}"
-                )
+                call = f"step({i}) in state {model.state_name(s)}"
+                s = require_state(environment.step(i), call, model.n_states, model.name)
                 q = product.enter(s, q)
                 t += 1
             yield np.array([automaton.verdicts(t)[q] == TRUE]), t

@@ -64,13 +64,13 @@ def surrogate_update(table: Any, s: int, q: int, a: int, s2: int, q2: int) -> No
 
 
 @njit(cache=True)
-def remember(rows: I32, weight: F64, place: I64, s: int, q: int, a: int, s2: int, q2: int, w: float) -> None:
-    """Into the memory, the oldest row leaves; place = (next, size)."""
-    i = place[0]
+def remember(rows: I32, place: I64, s: int, q: int, a: int, s2: int, q2: int) -> int:
+    """Into the memory, the oldest row leaves; place = (next, size). Which row it became."""
+    i = int(place[0])
     rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3], rows[i, 4] = s, q, a, s2, q2
-    weight[i] = w
     place[0] = (i + 1) % len(rows)
     place[1] = min(place[1] + 1, len(rows))
+    return i
 
 
 @njit(cache=True)
@@ -99,12 +99,12 @@ def surrogate_observe(
     if replay.period == 0:
         return
     if replay.n_facts > 0:
-        remember(replay.facts, replay.facts_weight, replay.facts_place, s, q, a, s2, q2, 1.0)
+        remember(replay.facts, replay.facts_place, s, q, a, s2, q2)
     if len(replay.imagined) == 0:
-        remember(replay.rows, replay.weight, replay.place, s, q, a, s2, q2, 1.0)
+        remember(replay.rows, replay.place, s, q, a, s2, q2)
     for i in range(len(replay.imagined)):
-        w = replay.closeness[q, i] if replay.weighted else 1.0
-        remember(replay.rows, replay.weight, replay.place, s, replay.imagined[i], a, s2, replay.after[letter, i], w)
+        row = remember(replay.rows, replay.place, s, replay.imagined[i], a, s2, replay.after[letter, i])
+        replay.weight[row] = replay.closeness[q, i] if replay.weighted else 1.0
     if t % replay.period == 0:
         replay_batch(table, replay, draws[t // replay.period])
 
@@ -182,7 +182,7 @@ def warm_up() -> None:
     env = Tables(start, start, index, np.ones(1), np.ones(1))
     rows, place, one = np.zeros((1, 5), dtype=np.int32), np.zeros(2, dtype=np.int64), np.ones(1)
     whole = np.zeros((1, 1), dtype=np.int32)
-    replay = Replay(True, 1, rows, one, place, whole[0], whole, True, np.ones((1, 1)), 1, rows, one, place)
+    replay = Replay(True, 1, rows, one, place, whole[0], whole, True, np.ones((1, 1)), 1, rows, place)
     table = Surrogate(np.zeros((1, 1, 1)), one, 0.1, 0.9)
     draws, states = np.zeros((1, 1)), np.zeros(2, dtype=np.int32)
     letter, actions, moves = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int32), np.zeros(2)

@@ -48,5 +48,4 @@ class Replay(NamedTuple):
     closeness: NDArray[np.float64]
     n_facts: int
     facts: NDArray[np.int32]
-    facts_weight: NDArray[np.float64]
     facts_place: NDArray[np.int64]

@@ -115,7 +115,7 @@ def learn(
         learner = _FAITHFUL[method](problem, chosen, check_fragment(product.formula).outer, for_learner)
     else:
         learner = _CORRECTED[method](problem, chosen, for_learner)
-    length = product.horizon + 2 if faithful else product.horizon
+    length = _episode_length(product, faithful)
     world = _environment(product, environment, for_environment, length)
     counts = Counts(product.model.n_choices, product.model.n_states)
     trainer = Trainer(
@@ -151,7 +151,7 @@ def _checked(method: str, faithful: bool, seed: int, product: Product, settings:
     chosen = Settings.of(method, faithful, **settings)
     if chosen.factual_share is not None and not (faithful and method in ("cfer", "cfper")):
         raise SettingsError("factual_share balances the tuples of faithful cfer and cfper; leave it out here")
-    length = product.horizon + 2 if faithful else product.horizon
+    length = _episode_length(product, faithful)
     if chosen.most_steps is not None and chosen.most_steps < length:
         raise SettingsError(f"most_steps is {chosen.most_steps}, and one episode takes {length}; allow at least one")
     require_time(
@@ -161,6 +161,11 @@ def _checked(method: str, faithful: bool, seed: int, product: Product, settings:
         "shorten the windows or take fewer episodes",
     )
     return chosen
+
+
+def _episode_length(product: Product, faithful: bool) -> int:
+    """Transitions at most: as published T + τ, two more than the horizon."""
+    return product.horizon + 2 if faithful else product.horizon
 
 
 def _environment(product: Product, given: Resettable | None, rng: np.random.Generator, length: int) -> Environment:

@@ -62,7 +62,6 @@ class Published(Learner):
             closeness=self._closeness(imagined) if self.weighted else np.empty((0, 0)),
             n_facts=n_facts,
             facts=np.zeros((kept, 5), dtype=np.int32),
-            facts_weight=np.zeros(kept),
             facts_place=np.zeros(2, dtype=np.int64),
         )
 
@@ -99,8 +98,8 @@ class Published(Learner):
         path = Path(np.empty(n + 1, dtype=np.int32), np.empty(n, dtype=np.int32))
         learning.surrogate_episode(
             environment.tables, self._problem.letter, automaton.delta, automaton.initial, self.table.kernel,
-            self.replay,
-            environment.generator.random(n + 1), explore, self.epsilon, self._draws, path.states, path.actions,
+            self.replay, environment.generator.random(n + 1), explore, self.epsilon, self._draws, path.states,
+            path.actions,
         )  # fmt: skip
         return path
 
@@ -111,5 +110,5 @@ class Published(Learner):
         replay = self.replay
         return {
             "Q": self.table.Q, "rows": replay.rows, "weight": replay.weight, "place": replay.place,
-            "facts": replay.facts, "facts_weight": replay.facts_weight, "facts_place": replay.facts_place,
+            "facts": replay.facts, "facts_place": replay.facts_place,
         }  # fmt: skip

@@ -6,7 +6,6 @@ generators: what a checkpoint holds. Evaluations never follow exploring traces: 
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata import FALSE, TRUE
-from stltool.errors import ModelError
 from stltool.learning.counts import Counts
 from stltool.learning.learner import Learner, Path
 from stltool.learning.problem import Problem
 from stltool.learning.schedule import epsilon
 from stltool.learning.settings import Settings
-from stltool.models.environment import Environment
+from stltool.models.environment import Environment, require_state
 
 
 @dataclass(frozen=True)
@@ -134,14 +132,4 @@ class Trainer:
         return Path(np.array(states, dtype=np.int32), np.array(actions, dtype=np.int32))
 
     def _state(self, answer: object, call: str) -> int:
-        n = self.problem.n_states
-        try:
-            s = operator.index(answer)  # type: ignore[arg-type]  # what is no whole number is refused here
-        except TypeError:
-            s = -1
-        if not 0 <= s < n:
-            raise ModelError(
-                f"the environment's {call} returned {answer!r}, which is no state of the model; "
-                f"return a state's index, 0 … {n - 1}"
-            )
-        return s
+        return require_state(answer, call, self.problem.n_states, "the model")

@@ -103,23 +103,23 @@ def _guarded(model: MDP, environment: Resettable) -> Environment:
     """A black box whose answers are states of the model; it is stepped, whatever tables it may have."""
 
     def reset() -> int:
-        return require_state(model, environment.reset(), "reset()")
+        return require_state(environment.reset(), "reset()", model.n_states, model.name)
 
     def step(action: int) -> int:
-        return require_state(model, environment.step(action), f"step({action})")
+        return require_state(environment.step(action), f"step({action})", model.n_states, model.name)
 
     return Environment(reset, step, getattr(environment, "generator", None))
 
 
-def require_state(model: MDP, answer: object, call: str) -> int:
+def require_state(answer: object, call: str, n_states: int, name: str) -> int:
     """What an environment returned, as a state's index; ModelError where it is none."""
     try:
         s = operator.index(answer)  # type: ignore[arg-type]  # what is no whole number is refused here
     except TypeError:
         s = -1
-    if not 0 <= s < model.n_states:
+    if not 0 <= s < n_states:
         raise ModelError(
-            f"the environment's {call} returned {answer!r}, which is no state of {model.name}; "
-            f"return a state's index, 0 … {model.n_states - 1}"
+            f"the environment's {call} returned {answer!r}, which is no state of {name}; "
+            f"return a state's index, 0 … {n_states - 1}"
         )
     return s

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.checking import bounds
 from stltool.checking.bounds import can_underflow, enclose, roundings
+from stltool.checking.check import _distinct_mixtures
 
 
 @given(
@@ -71,3 +72,22 @@ def test_defects_of_large_models_are_bounded_from_above(weights, excess):
         estimated = bounds.model_defects(model)[0]
     exact = abs(sum(map(Fraction, row.tolist())) - 1)
     assert exact <= estimated <= exact + Fraction(1, 10**14)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(1, 5))
+def test_distinct_mixtures_are_all_of_them(seed, n, choices):
+    """Against a set of tuples: a mixture left out would leave its defect out of the bound."""
+    table = np.random.default_rng(seed).integers(0, 3, size=(n, 2, choices)) / 3
+    found = list(map(tuple, _distinct_mixtures(table).tolist()))
+    assert len(found) == len(set(found))
+    assert set(found) == {tuple(sorted(row)) for row in table.reshape(-1, choices).tolist()}
+
+
+def test_mixtures_that_share_a_number_are_told_apart():
+    """Bits moved by 1025 and −3 against the factors 3 and 1025 of the number: another row, the same number."""
+    one = np.array([0.25, 0.75])
+    other = (one.view(np.int64) + np.array([1025, -3])).view(np.float64)
+    assert (one != other).all()
+    factors = 2 * np.arange(1, 3, dtype=np.uint64) ** 9 + 1
+    assert one.view(np.uint64) @ factors == other.view(np.uint64) @ factors
+    assert len(_distinct_mixtures(np.array([[one, other]]))) == 2
