@@ -16,7 +16,7 @@ from stltool.automata import Encoding, JointAutomaton, TaskAutomaton, compile_au
 from stltool.automata.compile import MOST_STATES, atoms_of
 from stltool.automata.reach import reachable
 from stltool.errors import NameLookupError, SettingsError, near_misses
-from stltool.logic.formula import Formula, label_names, require_formula, variables
+from stltool.logic.formula import Formula, label_names, require_bounded, variables
 from stltool.logic.predicates import truth
 from stltool.logic.source import Span
 from stltool.logic.task import Task
@@ -182,7 +182,7 @@ def build_product(
     SizeError before allocating what would not fit.
     """
     formula, name = (task.formula, task.name) if isinstance(task, Task) else (task, "formula")
-    require_formula(formula)
+    require_bounded(formula)
     _require_names(label_names(formula), model.labels, model.signals, "label", "compare it with a number")
     _require_names(variables(formula), model.signals, model.labels, "signal", "use it without comparing")
     if isinstance(task, Task):

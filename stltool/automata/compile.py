@@ -16,7 +16,7 @@ from stltool.automata.history import history_automaton
 from stltool.automata.residuals import Residuals
 from stltool.automata.windows import window_automaton
 from stltool.errors import FragmentError, InexactEncodingWarning, SettingsError, SizeError
-from stltool.logic.formula import Formula, atoms, boolean_value, require_formula
+from stltool.logic.formula import Formula, atoms, boolean_value, require_bounded
 from stltool.logic.fragment import Fragment, check_fragment
 
 Encoding = Literal["exact", "paper", "history"]
@@ -28,7 +28,7 @@ _MOST_ATOMS = 14  # all valuations of so many predicates are still a table
 
 def atoms_of(phi: Formula, encoding: Encoding = "exact") -> tuple[Formula, ...]:
     """The Boolean formulas whose truth an encoding's automaton of φ reads, left to right."""
-    require_formula(phi)
+    require_bounded(phi)
     if encoding not in ENCODINGS:
         raise SettingsError(f"there is no encoding {encoding!r}; choose one of {', '.join(ENCODINGS)}")
     if encoding == "paper":

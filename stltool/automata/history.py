@@ -88,7 +88,7 @@ def history_automaton(
     final = np.where(holds, TRUE, FALSE)
     at = {0: undecided}
     at[interval.a + depth - 1] = running.astype(np.int8)
-    at[interval.b + depth - 1] = final.astype(np.int8)
+    at[interval.last + depth - 1] = final.astype(np.int8)
     return TaskAutomaton(
         formula=phi,
         encoding="history",
@@ -144,13 +144,13 @@ class _Histories:
             case Iff(left, right):
                 return ~(self.truth(left, k) ^ self.truth(right, k))
             case Eventually(interval, arg):
-                return _any(self.truth(arg, k + u) for u in range(interval.a, interval.b + 1))
+                return _any(self.truth(arg, k + u) for u in range(interval.a, interval.last + 1))
             case Always(interval, arg):
-                return ~_any(~self.truth(arg, k + u) for u in range(interval.a, interval.b + 1))
+                return ~_any(~self.truth(arg, k + u) for u in range(interval.a, interval.last + 1))
             case Until(interval, left, right):
                 result = np.zeros(self._n, dtype=np.bool_)
                 so_far = np.ones(self._n, dtype=np.bool_)
-                for u in range(interval.b + 1):
+                for u in range(interval.last + 1):
                     if u >= interval.a:
                         result |= so_far & self.truth(right, k + u)
                     so_far &= self.truth(left, k + u)

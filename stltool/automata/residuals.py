@@ -76,13 +76,13 @@ class Residuals:
                 return self.disj([self.conj(same), self.conj(other)])
             case Eventually(interval, arg):
                 make = self.always if negated else self.eventually
-                return make(interval.a, interval.b, self.residual(arg, negated))
+                return make(interval.a, interval.last, self.residual(arg, negated))
             case Always(interval, arg):
                 make = self.eventually if negated else self.always
-                return make(interval.a, interval.b, self.residual(arg, negated))
+                return make(interval.a, interval.last, self.residual(arg, negated))
             case Until(interval, left, right):
                 join = self.release if negated else self.until
-                return join(interval.a, interval.b, self.residual(left, negated), self.residual(right, negated))
+                return join(interval.a, interval.last, self.residual(left, negated), self.residual(right, negated))
             case Constant() | Label() | Comparison():
                 raise AssertionError("a formula without temporal operators is an atom")
             case _:

@@ -1,7 +1,7 @@
 """The abstract syntax: frozen nodes, the closed unions `Formula` and `Term`.
 
     φ ::= true | false | label | term ⋈ term | ¬φ | φ ∧ … ∧ φ | φ ∨ … ∨ φ | φ → φ | φ ↔ φ
-        | F[a,b] φ | G[a,b] φ | φ U[a,b] φ                                   (0 ≤ a ≤ b whole steps)
+        | F[a,b] φ | G[a,b] φ | φ U[a,b] φ                                   (0 ≤ a ≤ b whole steps, or no b)
 
 Intervals are closed in whole steps, whatever the text said. Functions over formulas are one `match` that ends in
 `assert_never`, so the type checker finds a forgotten case. A node remembers where it was read (`span`), which takes
@@ -89,20 +89,27 @@ Term: TypeAlias = Number | Variable | Negate | Arithmetic | Call
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """The whole steps a, a+1, …, b."""
+    """The whole steps a, a+1, …, b; without b, to the end of the trace, which monitors can judge and nothing else."""
 
     a: int
-    b: int
+    b: int | None
 
     def __post_init__(self) -> None:
-        if not 0 <= self.a <= self.b:
-            raise StlSyntaxError(f"the interval [{self.a},{self.b}] holds no step; write 0 <= a <= b")
+        if self.a < 0 or (self.b is not None and self.a > self.b):
+            raise StlSyntaxError(f"the interval {self} holds no step; write 0 <= a <= b")
+
+    @property
+    def last(self) -> int:
+        """b; StlSyntaxError where there is none. Whoever asks `horizon` first gets the message with its place."""
+        if self.b is None:
+            raise StlSyntaxError(f"the interval {self} has no end; write one, such as [{self.a},{self.a + 10}]")
+        return self.b
 
     def __len__(self) -> int:
-        return self.b - self.a + 1
+        return self.last - self.a + 1
 
     def __str__(self) -> str:
-        return f"[{self.a},{self.b}]"
+        return f"[{self.a},inf)" if self.b is None else f"[{self.a},{self.b}]"
 
 
 class _Printed:
@@ -217,6 +224,12 @@ def require_formula(phi: object) -> None:
         raise StlSyntaxError(f"{phi!r} is not a formula; {hint}")
 
 
+def require_bounded(phi: object) -> None:
+    """StlSyntaxError unless it is a formula whose every interval has an end: whatever judges runs needs a horizon."""
+    require_formula(phi)
+    horizon(phi)  # type: ignore[arg-type]  # a formula, as just checked
+
+
 def children(phi: Formula) -> tuple[Formula, ...]:
     """The operands, left to right."""
     match phi:
@@ -269,14 +282,29 @@ def walk(phi: Formula) -> Iterator[Formula]:
 def horizon(phi: Formula) -> int:
     """The number of steps after the evaluation step that can matter (semantics.md §1).
 
-    A trace that decides φ at step 0 has `horizon(φ) + 1` samples.
+    A trace that decides φ at step 0 has `horizon(φ) + 1` samples. Raises StlSyntaxError where an operator's interval
+    has no end.
     """
     below = max((horizon(child) for child in children(phi)), default=0)
     match phi:
         case Eventually(interval, _) | Always(interval, _) | Until(interval, _, _):
+            if interval.b is None:
+                message = (
+                    f"{_OPERATOR_WORDS[type(phi)]} has no interval with an end, so no horizon: write one, such as "
+                    f"[{interval.a},{interval.a + 10}]; only monitors judge it, with end cut or hold"
+                )
+                raise StlSyntaxError(phi.span.show(message) if phi.span is not None else message)
             return interval.b + below
         case _:
             return below
+
+
+_OPERATOR_WORDS: dict[type, str] = {Eventually: "eventually", Always: "always", Until: "until"}
+
+
+def is_bounded(phi: Formula) -> bool:
+    """Whether every interval has an end, so that the formula has a horizon."""
+    return all(node.interval.b is not None for node in walk(phi) if isinstance(node, Eventually | Always | Until))
 
 
 def is_temporal(phi: Formula) -> bool:

@@ -24,7 +24,7 @@ from stltool.logic.formula import (
     boolean_value,
     children,
     is_temporal,
-    require_formula,
+    require_bounded,
     temporal_depth,
     with_children,
 )
@@ -67,7 +67,7 @@ class Fragment:
 
 def check_fragment(phi: Formula) -> Fragment:
     """Decompose φ along the paper's fragment; FragmentError names what does not fit."""
-    require_formula(phi)
+    require_bounded(phi)
     negated = False
     root = phi
     while isinstance(root, Not) and isinstance(root.arg, Not | Eventually | Always):

@@ -191,7 +191,7 @@ def _margin(phi: Formula, signal: Mapping[str, NDArray[np.float64]], t: int) -> 
 
 
 def _window(interval: Interval, t: int) -> range:
-    return range(t + interval.a, t + interval.b + 1)
+    return range(t + interval.a, t + interval.last + 1)
 
 
 def _comparison_margin(op: Comparator, left: Real, right: Real) -> Real:

@@ -90,6 +90,16 @@ def test_horizon_counts_steps_after_now():
     assert stl.horizon(stl.parse("x > 0")) == 0
 
 
+def test_an_interval_without_an_end_has_no_horizon():
+    open_ended = Always(Interval(2, None), A)
+    assert str(open_ended) == "G[2,inf) a"
+    for question in (stl.horizon, stl.compile_automaton, stl.check_fragment):
+        with pytest.raises(StlSyntaxError, match="always has no interval with an end"):
+            question(Or((B, open_ended)))
+    with pytest.raises(StlSyntaxError, match="write one, such as"):
+        len(open_ended.interval)
+
+
 @given(formulas())
 def test_horizon_is_bounded_by_its_operands(phi):
     assert all(horizon(node) <= horizon(phi) for node in walk(phi))
