@@ -14,10 +14,10 @@ from stltool.errors import StlToolError
 # each registers its command, in the order that --help shows
 # isort: off
 from stltool.cli import run, check, why, surrogate, tradeoff, pareto, certify, estimate, learn, sweep
-from stltool.cli import explain, export, report
+from stltool.cli import explain, fmt, export, report
 
 __all__ = [
-    "app", "certify", "check", "estimate", "explain", "export", "learn", "main", "pareto", "report", "run",
+    "app", "certify", "check", "estimate", "explain", "export", "fmt", "learn", "main", "pareto", "report", "run",
     "surrogate", "sweep", "tradeoff", "why",
 ]  # fmt: skip
 

@@ -53,7 +53,7 @@ from stltool.logic.quantities import (
     number,
 )
 from stltool.logic.source import Source, Span
-from stltool.logic.syntax import Branch, Fault, Token
+from stltool.logic.syntax import Branch, Fault, Token, bare, branches
 
 FORMULAS = get_args(Formula)
 MOST_NODES = 50_000
@@ -118,7 +118,7 @@ class Builder:
                 self.faults.append(Fault(tree.meta.start_pos, str(self.too_deep())))
             except _PassedOver:
                 pass
-            lines = _branches(tree) if tree.data == "params" else [tree] if tree.data == "definition" else []
+            lines = branches(tree) if tree.data == "params" else [tree] if tree.data == "definition" else []
             self.faulty.update(str(line.children[0]) for line in lines)
 
     def statement(self, tree: Branch) -> None:
@@ -130,7 +130,7 @@ class Builder:
                 if not self.model:
                     self.fail(tree, 'the model line names no file; write model "floor.toml"')
             case "params":
-                for part in _branches(tree):
+                for part in branches(tree):
                     self.param(part)
             case "signals":
                 for token in cast(list[Token], tree.children):
@@ -158,14 +158,14 @@ class Builder:
     def step_line(self, tree: Branch) -> None:
         if self.step is not None:
             self.fail(tree, "a second step line; a task file has one")
-        value = self.constant(_branches(tree)[0])
+        value = self.constant(branches(tree)[0])
         if not isinstance(value, Duration) or value.seconds <= 0:
             self.fail(tree, "the step is a positive time with its unit; write step = 0.1s")
         self.step = value
 
     def definition(self, tree: Branch) -> None:
         token, body = cast(tuple[Token, Branch], tuple(tree.children))
-        body = _branches(body)[0]
+        body = branches(body)[0]
         node = self.term(body) if self.is_term(body) else self.formula(body)
         self.claim(token, "definition")
         self.definitions[str(token)] = node
@@ -194,16 +194,15 @@ class Builder:
     def whole_formula(self, tree: Branch) -> Formula:
         """The formula of a text that holds nothing else."""
         try:
-            return self.formula(_branches(tree)[0])
+            return self.formula(branches(tree)[0])
         except RecursionError:
             raise self.too_deep() from None
 
     def formula(self, tree: Branch) -> Formula:
+        tree = bare(tree)
         span = self.span(tree)
-        parts = _branches(tree)
+        parts = branches(tree)
         match tree.data:
-            case "parentheses":
-                return self.formula(parts[0])
             case "true" | "false":
                 return Constant(tree.data == "true", span=span)
             case "name":
@@ -262,7 +261,7 @@ class Builder:
     def unchained(self, tree: Branch) -> str:
         """`2 < x < 4` → `x > 2 & x < 4`."""
         mirror = {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
-        terms = [self.term(part) for part in _branches(tree)[::2]]
+        terms = [self.term(part) for part in branches(tree)[::2]]
         ops = [self.comparator(cast(Token, part)) for part in tree.children[1::2]]
         pairs = []
         for left, op, right in zip(terms, ops, terms[1:], strict=False):
@@ -275,7 +274,7 @@ class Builder:
 
     def interval(self, operator: Branch) -> Interval:
         """The interval of a temporal operator, in closed whole steps."""
-        tree = next((part for part in _branches(operator) if part.data == "interval"), None)
+        tree = next((part for part in branches(operator) if part.data == "interval"), None)
         word = str(operator.data)
         if tree is None:
             return self.endless(self.operator_span(operator), word, 0)
@@ -329,8 +328,7 @@ class Builder:
     # ------------------------------------------------------------------------------------------ numbers
 
     def is_term(self, tree: Branch) -> bool:
-        if tree.data == "parentheses":
-            return self.is_term(_branches(tree)[0])
+        tree = bare(tree)
         if tree.data == "name":
             name = str(tree.children[0])
             known = self.definitions.get(name)
@@ -340,11 +338,10 @@ class Builder:
         return tree.data in ("number", "time", "binary", "negate", "call", "sample")
 
     def term(self, tree: Branch) -> Term:
+        tree = bare(tree)
         span = self.span(tree)
         parts = tree.children
         match tree.data:
-            case "parentheses":
-                return self.term(_branches(tree)[0])
             case "number":
                 return Number(self.literal_float(cast(Token, parts[0])), span=span)
             case "name":
@@ -352,12 +349,12 @@ class Builder:
             case "sample":
                 return self.sample(tree)
             case "negate":
-                return Negate(self.term(_branches(tree)[0]), span=span)
+                return Negate(self.term(branches(tree)[0]), span=span)
             case "binary":
                 left, op, right = cast(tuple[Branch, Token, Branch], tuple(parts))
                 return Arithmetic(cast(ArithmeticOperator, str(op)), self.term(left), self.term(right), span=span)
             case "call":
-                args = tuple(self.term(part) for part in _branches(tree)[1:])
+                args = tuple(self.term(part) for part in branches(tree)[1:])
                 return self.wrapped(tree, lambda: Call(cast(FunctionName, str(parts[0])), args, span=span))
             case "time":
                 self.fail(tree, "a time where a plain number must stand; only intervals and params hold times")
@@ -422,10 +419,9 @@ class Builder:
 
     def constant(self, tree: Branch) -> Quantity:
         """The exact value of an expression over numbers, times and params."""
-        parts = _branches(tree)
+        tree = bare(tree)
+        parts = branches(tree)
         match tree.data:
-            case "parentheses":
-                return self.constant(parts[0])
             case "number":
                 return self.literal(tree, str(parts[0]))
             case "time":
@@ -457,7 +453,7 @@ class Builder:
         return value
 
     def constant_call(self, tree: Branch) -> Quantity:
-        function, *args = _branches(tree)
+        function, *args = branches(tree)
         values = [self.constant(arg) for arg in args]
         self.wrapped(tree, lambda: Call(cast(FunctionName, str(function)), (Number(0.0),) * len(values)))
         name = str(function)
@@ -515,7 +511,7 @@ class Builder:
 
     def operator_span(self, tree: Branch) -> Span:
         """Where the operator itself stands: its word is no part of the tree."""
-        parts = _branches(tree)
+        parts = branches(tree)
         start = parts[0].meta.end_pos if tree.data == "until" else tree.meta.start_pos
         text = self.source.text[start : parts[-1].meta.start_pos]
         found = re.search(r"\w+|[^\s\w([]+|\[\]", text)
@@ -545,10 +541,6 @@ class Builder:
             f"{self.source.name}: operators are nested too deeply, over {DEEPEST} levels; simplify the formula, or "
             "write a & b & c in one level"
         )
-
-
-def _branches(tree: Branch) -> list[Branch]:
-    return cast(list[Branch], tree.children)
 
 
 def _operands(node: Formula | Term) -> tuple[Formula | Term, ...]:

@@ -115,6 +115,18 @@ class Document:
     faults: tuple[Fault, ...]
 
 
+def branches(tree: Branch) -> list[Branch]:
+    """A tree's children, where they are trees."""
+    return cast(list[Branch], tree.children)
+
+
+def bare(tree: Branch) -> Branch:
+    """A tree without the parentheses around it."""
+    while tree.data == "parentheses":
+        tree = branches(tree)[0]
+    return tree
+
+
 @cache
 def _lark() -> Lark:
     # the basic lexer: a word means the same wherever it stands
@@ -205,7 +217,7 @@ def _foreign(source: Source, place: int) -> str:
     elif character == "=":
         message = f"'=' cannot stand here; {_EQUAL_HINT}"
     elif character == '"':
-        message = 'a file name in quotes stands on a model line only, and ends on it: model "floor.toml"'
+        message = 'a file name ends with a quote, on the line it begins on: model "floor.toml"'
     elif character == "%":
         message = "'%' has no meaning here; comments begin with # or //"
     else:
@@ -320,14 +332,16 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
     for near in (before, token):
         if near is not None and near.type == "NAME" and (other := _elsewhere(near)) is not None:
             return other
-    if last == "NAME" and kind == "LPAR":
-        return f"{before} is not a function (abs, min, max, sqrt are); put an operator before '('"
-    if kind == "NAME" and i + 1 < len(tokens) and tokens[i + 1].type == "EQUAL":
-        return f"write {token} := … to define it, or param {token} = … for a number"
     if i == 1 and last == "NAME":
         close = difflib.get_close_matches(str(before), list(_LINE_WORDS.values()), n=1, cutoff=0.7)
         if close:
             return f"did you mean {close[0]}?"
+    if kind == "STRING":
+        return 'a file name in quotes stands on a model line only: model "floor.toml"'
+    if last == "NAME" and kind == "LPAR":
+        return f"{before} is not a function (abs, min, max, sqrt are); put an operator before '('"
+    if kind == "NAME" and i + 1 < len(tokens) and tokens[i + 1].type == "EQUAL":
+        return f"write {token} := … to define it, or param {token} = … for a number"
     if kind in ("NAME", "NUMBER", "TIME") and last in ("NAME", "NUMBER", "TIME", "RPAR", "RSQB"):
         return f"expected an operator between {str(before)!r} and {str(token)!r}"
     if kind in ("_EVENTUALLY", "_ALWAYS", "_NOT") and "_AND" in accepted:
