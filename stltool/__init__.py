@@ -70,8 +70,10 @@ if TYPE_CHECKING:
         load_sweep,
         run_sweep,
     )
+    from stltool.logic.format import format_task
     from stltool.logic.formula import Formula, horizon
     from stltool.logic.fragment import Fragment, check_fragment
+    from stltool.logic.lint import ambiguities
     from stltool.logic.parser import load_task, parse, parse_task
     from stltool.logic.semantics import robustness, satisfies
     from stltool.logic.task import Task
@@ -79,7 +81,7 @@ if TYPE_CHECKING:
     from stltool.policy import Policy, load_policy
     from stltool.product import JointProduct, Product, build_joint_product, build_product
     from stltool.recheck import certify
-    from stltool.reporting import report
+    from stltool.reporting import explain, report
 
 __version__ = "0.1.0"
 
@@ -99,6 +101,7 @@ _HOME = {
     "horizon": "logic.formula", "learn": "learning", "load_model": "models", "load_policy": "policy",
     "load_task": "logic.parser", "parse": "logic.parser", "parse_task": "logic.parser", "report": "reporting",
     "from_gymnasium": "models", "to_gymnasium": "models",
+    "ambiguities": "logic.lint", "explain": "reporting", "format_task": "logic.format",
     "robust_check": "checking", "robustness": "logic.semantics", "sample_run": "checking",
     "satisfies": "logic.semantics",
     "Sweep": "learning", "SweepResult": "learning", "load_sweep": "learning", "run_sweep": "learning",
@@ -106,14 +109,14 @@ _HOME = {
 
 __all__ = [  # noqa: RUF022 - in reading order
     "parse", "Formula", "horizon", "satisfies", "robustness", "check_fragment", "Fragment",
-    "load_task", "parse_task", "Task", "compile_automaton", "TaskAutomaton", "load_model", "MDP",
-    "from_gymnasium", "to_gymnasium",
+    "load_task", "parse_task", "Task", "format_task", "ambiguities", "compile_automaton", "TaskAutomaton",
+    "load_model", "MDP", "from_gymnasium", "to_gymnasium",
     "build_product", "Product", "Policy", "load_policy", "check", "CheckResult", "robust_check", "sample_run", "Run",
     "estimate", "Estimate", "sprt", "SequentialTest", "write_certificate", "certify",
     "likely_runs", "LikelyRuns", "sensitivity", "Sensitivity", "surrogate_optimum", "SurrogateResult",
     "build_joint_product", "JointProduct", "tradeoff", "Tradeoff", "pareto", "Front",
     "learn", "Training", "Settings", "guarantee", "Guarantee", "load_sweep", "run_sweep", "Sweep", "SweepResult",
-    "report", "StlToolError",
+    "report", "explain", "StlToolError",
 ]  # fmt: skip
 
 

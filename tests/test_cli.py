@@ -239,11 +239,33 @@ def test_explain(stltool, tmp_path):
     assert data["fragment"] == {
         "outer": "G[0,10)", "parts": ["F[0,10) A", "F[0,10) x < 0.4 & y > 0.6"], "equal_windows": True,
     }  # fmt: skip
+    assert (data["ambiguities"], data["tree"]["operator"], data["tree"]["line"]) == ([], "G[0,9]", 6)
     path = tmp_path / "deep.stl"
     path.write_text("deep := G[0,5] F[0,3] G[0,2] a\n")
     code, out, _ = stltool("explain", path)
     assert code == 0
     assert "depth 3" in out
+    assert "G[0,5]  horizon 10\n└── F[0,3]  horizon 5\n    └── G[0,2]  horizon 2\n        └── a\n" in out
+
+
+def test_explain_tells_what_may_be_misread_and_what_has_no_horizon(stltool, tmp_path):
+    path = tmp_path / "task.stl"
+    path.write_text("step = 0.5s\nr := G[0,2s] a & b or always c\n")
+    code, out, _ = stltool("explain", path)
+    assert code == 0
+    assert "none: an interval has no end; only monitors judge this" in out
+    assert "└── G[0,inf)\n    └── c\n" in out
+    assert "warning: " in out
+    assert "here it means ((G[0,2s] a) & b) | (G c)" in out
+    data = json.loads(stltool("explain", path, "--json")[1])
+    assert (data["horizon"], data["step"], len(data["ambiguities"])) == (None, "0.5s", 1)
+    assert [node["horizon"] for node in data["tree"]["operands"]] == [4, None]
+
+
+def test_a_large_tree_is_cut():
+    tree = stl.explain(stl.parse_task("r := " + " & ".join(f"a{i}" for i in range(2000)) + " | b"))["tree"]
+    assert len(tree["operands"][0]["operands"]) < 600
+    assert tree["operands"][0]["operands"][-1]["operator"] == "…"
 
 
 def test_export_draws_the_automaton(stltool, tmp_path):

@@ -30,6 +30,13 @@ def test_every_example_task_can_be_checked(path):
     assert (0.69 if path.parent.name == "frozenlake" else 0.9) < best.probability <= best.upper <= 1
 
 
+@pytest.mark.parametrize("path", TASKS, ids=lambda path: path.stem)
+def test_every_example_task_is_in_canonical_layout(path):
+    text = path.read_text(encoding="utf-8")
+    assert stl.format_task(text) == text
+    assert stl.ambiguities(stl.load_task(path).document) == []
+
+
 def test_the_tour_of_the_package_runs():
     results = doctest.testmod(stl)
     assert results.attempted >= 8

@@ -131,6 +131,23 @@ def print_table(rows: list[dict[str, Any]]) -> None:
         _print_columns([heading, *(tuple(str(value) for value in row.values()) for row in rows)])
 
 
+def print_tree(data: dict[str, Any]) -> None:
+    """A formula's operators, nested, each with its horizon (a line each; lines are never cut)."""
+    from rich.tree import Tree
+
+    def label(node: dict[str, Any]) -> Text:
+        reach = f"  horizon {node['horizon']}" if node["horizon"] and node["operands"] else ""
+        return Text.assemble(node["operator"], (reach, "dim"))
+
+    def grow(node: dict[str, Any], tree: Tree) -> None:
+        for operand in node["operands"]:
+            grow(operand, tree.add(label(operand)))
+
+    root = Tree(label(data))
+    grow(data, root)
+    Console(soft_wrap=True, highlight=False).print(root)
+
+
 def print_likely(data: dict[str, Any], count: int) -> None:
     """The most probable runs of a verdict, three lines a run, the first `count` of them."""
     verdict, found = "satisfied" if data["satisfied"] else "violated", data["runs"]
