@@ -53,7 +53,7 @@ from stltool.logic.quantities import (
     number,
 )
 from stltool.logic.source import Source, Span
-from stltool.logic.syntax import Branch, Fault, Token, bare, branches
+from stltool.logic.syntax import WORDS, Branch, Fault, Token, bare, branches
 
 FORMULAS = get_args(Formula)
 MOST_NODES = 50_000
@@ -248,8 +248,18 @@ class Builder:
             self.fail(tree, f"{name} is a param, a number, not a truth value; compare something with it")
         if name in self.signals:
             self.fail(tree, f"{name} is a signal, a number, not a truth value; compare it, as in {name} > 0")
+        self.refuse_word(tree, name)
         self.names_used.setdefault(name, span)
         return Label(name, span=span)
+
+    def refuse_word(self, tree: Branch, name: str) -> None:
+        """`True` is no label: a word of the language in capitals is a slip."""
+        if name.lower() in WORDS:
+            self.fail(
+                tree, f"words are in small letters: write {name.lower()} (a signal called {name} must be renamed)"
+            )
+        if name.lower() in ("inf", "infinity", "nan"):
+            self.fail(tree, f"{name} is no number that a signal could be compared with; leave the comparison out")
 
     def pass_over(self, name: str) -> None:
         if name in self.faulty and name not in self.params:
@@ -396,6 +406,7 @@ class Builder:
 
     def variable(self, tree: Branch, name: str) -> Variable:
         span = self.span(tree)
+        self.refuse_word(tree, name)
         self.names_used.setdefault(name, span)
         if name not in self.signals:
             self.undeclared.setdefault(name, span)

@@ -6,9 +6,11 @@ None of these is an error: the grammar gives every text one meaning. The advice 
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import cast
 
 from stltool.errors import near_misses
 from stltool.logic.format import flat_text
@@ -35,6 +37,7 @@ def ambiguities(document: Document) -> list[Advice]:
     found = [advice for tree in document.trees for advice in _of_statement(document, tree)]
     found += _divisions(document)
     found += _undeclared(document)
+    found += _misspelled(document)
     return sorted(found, key=lambda advice: advice.span.start)
 
 
@@ -110,8 +113,25 @@ def _undeclared(document: Document) -> Iterator[Advice]:
         for token in _signal_names(tree):
             if str(token) not in known:
                 known.add(str(token))
-                place = Span(document.source, token.start_pos or 0, token.end_pos or 0)
+                place = Span(document.source, _start(token), _start(token) + len(token))
                 yield Advice(place, f"{token} is on no signal line; {near_misses(str(token), declared)}")
+
+
+def _misspelled(document: Document) -> Iterator[Advice]:
+    """Bare names that nearly are definitions or params of the file, and so are read as labels instead."""
+    known = {str(tree.children[0]) for tree in document.trees if tree.data == "definition"}
+    known |= {str(p.children[0]) for tree in document.trees if tree.data == "params" for p in branches(tree)}
+    names = [cast(Token, part.children[0]) for tree in document.trees for part in tree.find_data("name")]
+    first = {str(token): token for token in sorted(names, key=_start, reverse=True)}
+    for name in first.keys() - known:
+        close = difflib.get_close_matches(name, known, n=1, cutoff=0.85)
+        if close and re.sub(r"\d", "", name) != re.sub(r"\d", "", close[0]):  # gear1 beside gear2 is no slip
+            place = Span(document.source, _start(first[name]), _start(first[name]) + len(name))
+            yield Advice(place, f"{name} is read as a signal or label of that name; did you mean {close[0]}?")
+
+
+def _start(token: Token) -> int:
+    return token.start_pos or 0
 
 
 def _signal_names(tree: Branch) -> Iterator[Token]:

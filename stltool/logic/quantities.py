@@ -39,14 +39,16 @@ Quantity: TypeAlias = Fraction | Duration
 
 def decimal_text(value: Fraction) -> str:
     """The decimal that a fraction is, or the fraction."""
-    rest = value.denominator
+    rest, places = value.denominator, 0
     for factor in (2, 5):
+        count = 0
         while rest % factor == 0:
-            rest //= factor
-    if rest != 1:
+            rest, count = rest // factor, count + 1
+        places = max(places, count)
+    if rest != 1 or places == 0:
         return str(value)
-    text = format(Decimal(value.numerator) / Decimal(value.denominator), "f")
-    return text.rstrip("0").rstrip(".") if "." in text else text
+    digits = str(int(abs(value) * 10**places)).zfill(places + 1)
+    return f"{'-' if value < 0 else ''}{digits[:-places]}.{digits[-places:]}"
 
 
 def number(text: str) -> Fraction | None:

@@ -30,7 +30,8 @@ LONGEST_TEXT = 2_000_000  # characters; a task file is a page, and a trace given
 _MOST_FAULTS = 20
 _EQUAL_HINT = "write == to compare, := to define"
 _TEMPORAL = ("_EVENTUALLY", "_ALWAYS", "_UNTIL")
-_TEMPORAL_WORDS = ("always", "globally", "alw", "eventually", "finally", "ev", "until")
+_TEMPORAL_WORDS = ("always", "globally", "eventually", "finally", "until")
+WORDS = (*_TEMPORAL_WORDS, "true", "false", "and", "or", "not", "xor", "implies", "iff")
 _LINE_WORDS = {"_MODEL": "model", "_PARAM": "param", "_SIGNAL": "signal", "_STEP": "step"}
 
 # Operators of other tools that have no place here, and what to write.
@@ -338,6 +339,9 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
             return f"did you mean {close[0]}?"
     if kind == "STRING":
         return 'a file name in quotes stands on a model line only: model "floor.toml"'
+    for near in (before, token):
+        if near is not None and near.type == "NAME" and str(near).lower() in WORDS:
+            return f"words are in small letters: write {str(near).lower()}"
     if last == "NAME" and kind == "LPAR":
         return f"{before} is not a function (abs, min, max, sqrt are); put an operator before '('"
     if kind == "NAME" and i + 1 < len(tokens) and tokens[i + 1].type == "EQUAL":

@@ -71,6 +71,13 @@ def test_signals_on_no_signal_line_are_told_where_there_are_such_lines():
     assert found(text.replace("signal speed, gear\n", "").replace(" & F[0,9) gears == 2", ""), "task") == []
 
 
+def test_a_name_that_nearly_is_a_definition_is_told():
+    text = "param T = 3\npatrolling := A\ngear2 := B\nr := patroling & gear1 & F[0,T] patroling"
+    (advice,) = found(text, "task")
+    assert advice.message == "patroling is read as a signal or label of that name; did you mean patrolling?"
+    assert (advice.span.line, advice.span.column) == (4, 6)
+
+
 def test_a_long_reading_is_cut():
     (advice,) = found(" & ".join(f"label_{i}" for i in range(100)) + " | z")
     assert len(advice.message) < 500
