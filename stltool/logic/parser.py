@@ -30,13 +30,20 @@ def parse(
     `unbounded` allows temporal operators without an interval, or with inf as upper bound, which only monitors can judge
     (at the end of a trace). Raises StlSyntaxError with line, column and a caret.
     """
-    source = Source(name, text)
-    document = read(source, "formula")
+    return formula_task(text, params, name, step, unbounded).formula
+
+
+def formula_task(
+    text: str,
+    params: Mapping[str, ParamValue] | None = None,
+    name: str = "formula",
+    step: str | Duration | None = None,
+    unbounded: bool = False,
+) -> Task:
+    """The formula that `text` spells as a task of that name, which remembers its text; arguments as for `parse`."""
+    document = read(Source(name, text), "formula")
     refuse(document.faults)
-    builder = Builder(source, _exact(params), step=_step(step), unbounded=unbounded)
-    formula = builder.whole_formula(document.trees[0])
-    builder.require_shallow(formula)
-    return formula
+    return _build_formula(document, _step(step), unbounded, _exact(params))
 
 
 def parse_task(
@@ -66,6 +73,21 @@ def load_task(
     path = Path(path)
     text = read_text(path, "task file", LONGEST_TEXT)
     return parse_task(text, params, task, name=str(path), path=path, unbounded=unbounded)
+
+
+def _build_formula(
+    document: Document,
+    step: Duration | None,
+    unbounded: bool,
+    params: Mapping[str, Quantity],
+    more: Mapping[str, ParamValue] | None = None,
+) -> Task:
+    values = {**params, **_exact(more)}
+    builder = Builder(document.source, values, step=step, unbounded=unbounded)
+    formula = builder.whole_formula(document.trees[0])
+    builder.require_shallow(formula)
+    rebuild = partial(_build_formula, document, step, unbounded, values)
+    return Task(document.source.name, formula, params=values, step=step, document=document, rebuild=rebuild)
 
 
 def _build(
