@@ -10,6 +10,7 @@ from pathlib import Path
 
 import automata
 import goals
+import parsing
 import rigour
 import spine
 
@@ -31,6 +32,10 @@ lines = [
     "## Enclosures and exact fractions",
     "",
     *rigour.table(),
+    "",
+    "## Reading formulas",
+    "",
+    *parsing.table(),
     "",
     "## Automata: states by encoding, seconds to compile the exact one",
     "",

@@ -1,5 +1,6 @@
 """What users of other tools write: Breach's files, times with units, several faults at once, params changed late."""
 
+import sys
 from fractions import Fraction
 
 import pytest
@@ -309,3 +310,27 @@ def test_a_breach_file_that_reads_other_steps_is_refused_construct_by_construct(
     assert len(told) == 13
     assert sum("as a signal of its own" in line for line in told) == 7
     assert sum("is not a whole number of steps; write" in line for line in told) == 6
+
+
+def calls(run):
+    """How many Python functions are called: work that no clock measures."""
+    count = 0
+
+    def count_one(frame, event, arg):
+        nonlocal count
+        count += event == "call"
+
+    sys.setprofile(count_one)
+    try:
+        run()
+    finally:
+        sys.setprofile(None)
+    return count
+
+
+@pytest.mark.parametrize("piece", ["(always[0,3] (x > 1)) and ", "b or not c and ", "(x - 1) / 2 > 3 -> d) and ("])
+def test_reading_takes_work_in_proportion_to_the_text(piece):
+    texts = ["(" * ("and (" in piece) + piece * n + "a" + ")" * ("and (" in piece) for n in (100, 200, 400)]
+    stl.parse(texts[0])
+    first, second, third = (calls(lambda text=text: stl.parse(text)) for text in texts)
+    assert (third - second) / (second - first) == pytest.approx(2, rel=0.02)
