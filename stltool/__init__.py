@@ -17,6 +17,7 @@
 One straight way through the house, and the map in reading order:
 
     logic/        text → Formula: grammar, parser, printer, semantics (the oracle), the paper's fragment
+    traces.py     a trace file → the signals that a formula is judged on
     automata/     Formula → TaskAutomaton: what must be remembered to judge a run
     models/       a file, arrays or a Gymnasium environment → MDP; MDP → something that only resets and steps
     product.py    MDP × TaskAutomaton, never built as a matrix
@@ -80,6 +81,7 @@ if TYPE_CHECKING:
     from stltool.product import JointProduct, Product, build_joint_product, build_product
     from stltool.recheck import certify
     from stltool.reporting import report
+    from stltool.traces import load_trace
 
 __version__ = "0.1.0"
 
@@ -97,7 +99,8 @@ _HOME = {
     "check": "checking", "check_fragment": "logic.fragment", "compile_automaton": "automata",
     "Guarantee": "learning", "guarantee": "learning",
     "horizon": "logic.formula", "learn": "learning", "load_model": "models", "load_policy": "policy",
-    "load_task": "logic.parser", "parse": "logic.parser", "parse_task": "logic.parser", "report": "reporting",
+    "load_task": "logic.parser", "load_trace": "traces", "parse": "logic.parser", "parse_task": "logic.parser",
+    "report": "reporting",
     "from_gymnasium": "models", "to_gymnasium": "models",
     "robust_check": "checking", "robustness": "logic.semantics", "sample_run": "checking",
     "satisfies": "logic.semantics",
@@ -106,7 +109,7 @@ _HOME = {
 
 __all__ = [  # noqa: RUF022 - in reading order
     "parse", "Formula", "horizon", "satisfies", "robustness", "check_fragment", "Fragment",
-    "load_task", "parse_task", "Task", "compile_automaton", "TaskAutomaton", "load_model", "MDP",
+    "load_task", "parse_task", "Task", "load_trace", "compile_automaton", "TaskAutomaton", "load_model", "MDP",
     "from_gymnasium", "to_gymnasium",
     "build_product", "Product", "Policy", "load_policy", "check", "CheckResult", "robust_check", "sample_run", "Run",
     "estimate", "Estimate", "sprt", "SequentialTest", "write_certificate", "certify",
