@@ -104,7 +104,7 @@ def _read_csv(path: Path, names: list[str] | None) -> Signals:
 
 def _csv_table(path: Path) -> _Table:
     with _opened(path) as file:
-        line = file.readline(_LONGEST_LINE)
+        line = file.readline(_LONGEST_LINE).removeprefix("\ufeff")
         if "\0" in line:
             raise FileError(f"{path}: not a CSV file: it holds binary data (a zero byte in line 1)")
         bad = next((ord(c) & 0xFF for c in line if "\udc80" <= c <= "\udcff"), None)
@@ -178,7 +178,7 @@ def _read_fast(table: _Table, wanted: Sequence[str]) -> Signals | None:
     try:
         cells = np.loadtxt(
             table.path, dtype=_cell_types(table, wanted), delimiter=table.separator, skiprows=1, comments=None,
-            encoding="utf-8-sig", ndmin=1,
+            encoding="utf-8", ndmin=1,
         )  # fmt: skip
     except ValueError:
         return None
@@ -241,7 +241,7 @@ def _rows(path: Path, file: IO[str], separator: str, before: int) -> Iterator[tu
 
 def _opened(path: Path) -> IO[str]:
     """The text; what is not UTF-8 is kept as lone surrogates, which harm nobody in a column that nobody asks for."""
-    return path.open(encoding="utf-8-sig", errors="surrogateescape", newline="")
+    return path.open(encoding="utf-8", errors="surrogateescape", newline="")
 
 
 def _number(text: str) -> float | None:
