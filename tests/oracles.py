@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import math
 from fractions import Fraction
 
 import numpy as np
 
 import stltool as stl
+from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Not, Or, Until, walk
 
 
 def trace_of(model: stl.MDP, states) -> dict:
@@ -235,3 +237,58 @@ def best_mixture(points, floor: Fraction) -> Fraction | None:
                 part = (floor - v) / (y - v)
                 values.append(part * x + (1 - part) * u)
     return max(values, default=None)
+
+
+def judged_to_the_end(phi, trace: dict, end: str, t: int) -> tuple[bool, float]:
+    """Truth and robustness at step t of a trace whose windows are cut at its end, or whose last sample is held."""
+    n = len(next(iter(trace.values())))
+    if end == "hold":
+        trace = {name: np.append(values, [values[-1]] * (sum(_ends(phi, n)) + n)) for name, values in trace.items()}
+    stop = n if end == "cut" else len(next(iter(trace.values())))
+
+    def both(some_or_all, values):
+        true, best = (any, max) if some_or_all == "some" else (all, min)
+        values = list(values)
+        neutral = -math.inf if some_or_all == "some" else math.inf
+        return true(v for v, _ in values), best((m for _, m in values), default=neutral)
+
+    def window(interval, t):
+        last = t + interval.a + n if interval.b is None else t + interval.b
+        return range(t + interval.a, min(last, stop - 1) + 1)
+
+    def until(phi, t):
+        witnesses = ([value(phi.right, u)] + [value(phi.left, v) for v in range(t, u)] for u in window(phi.interval, t))
+        return both("some", (both("all", witness) for witness in witnesses))
+
+    def negated(pair):
+        return not pair[0], -pair[1]
+
+    def value(phi, t):
+        match phi:
+            case Not(arg):
+                return negated(value(arg, t))
+            case And(args):
+                return both("all", (value(arg, t) for arg in args))
+            case Or(args):
+                return both("some", (value(arg, t) for arg in args))
+            case Implies(left, right):
+                return both("some", [negated(value(left, t)), value(right, t)])
+            case Iff(left, right):
+                return both("all", [value(Implies(left, right), t), value(Implies(right, left), t)])
+            case Eventually(interval, arg):
+                return both("some", (value(arg, u) for u in window(interval, t)))
+            case Always(interval, arg):
+                return both("all", (value(arg, u) for u in window(interval, t)))
+            case Until():
+                return until(phi, t)
+            case _:
+                sample = {name: values[t : t + 1] for name, values in trace.items()}
+                return stl.satisfies(phi, sample), stl.robustness(phi, sample)
+
+    return value(phi, t)
+
+
+def _ends(phi, n: int) -> list[int]:
+    """The ends of all intervals; one without an end goes on for n steps."""
+    found = [node.interval for node in walk(phi) if isinstance(node, Eventually | Always | Until)]
+    return [interval.a + n if interval.b is None else interval.b for interval in found]

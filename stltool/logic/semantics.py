@@ -165,7 +165,8 @@ def _margin(phi: Formula, signal: Mapping[str, NDArray[np.float64]], t: int) -> 
         case Label(name):
             return math.inf if signal[name][t] else -math.inf
         case Comparison(op, left, right):
-            return float(_comparison_margin(op, _value(left, signal, t), _value(right, signal, t)))
+            margin = _comparison_margin(op, _value(left, signal, t), _value(right, signal, t))
+            return _as_double(phi, margin)
         case Not(arg):
             return -_margin(arg, signal, t)
         case And(args):
@@ -209,6 +210,14 @@ def _comparison_margin(op: Comparator, left: Real, right: Real) -> Real:
             return max(difference, -difference)
         case _:
             assert_never(op)
+
+
+def _as_double(phi: Comparison, margin: Real) -> float:
+    try:
+        return float(margin)
+    except OverflowError:
+        message = "the margin is beyond what a double holds; scale the signals, or ask for truth alone"
+        raise TraceError(phi.span.show(message) if phi.span else f"{phi}: {message}") from None
 
 
 def exact(value: float) -> Real:

@@ -1,0 +1,252 @@
+"""Comparisons over arrays, decided as the slow semantics decides them, which computes in fractions of decimals.
+
+Terms are computed in doubles, each value v̂ with a bound E on its distance from the value that the semantics has (first
+order terms as in Higham, Accuracy and Stability of Numerical Algorithms, §3.3; u = 2⁻⁵³ the unit roundoff):
+
+    number, signal   E = 4u|v̂|                  a double is at most u|v̂| from the decimal it prints as
+    a + b, a − b     E = Ea + Eb + 4u|v̂|
+    a · b            E = |a|Eb + |b|Ea + Ea·Eb + 4u|v̂|
+    a / b            E = (Ea + |v̂|Eb) / (|b| − Eb) + 4u|v̂|            where |b| > Eb
+    sqrt a           E = Ea / v̂ + 4u|v̂|                               where a > Ea
+    a ^ c            E = |c| max((|a| ± Ea)^(c−1)) Ea + 32u|v̂|         c a constant, away from the border at 0
+    min, max, abs, − E = max of the operands'
+
+and ∞ elsewhere. A sample whose margin |left − right| exceeds twice the bound is decided: the semantics rounds in places
+itself (after a root), by no more than these bounds. The others, few where data are not made of borders, are judged one
+by one by the semantics, each combination of values once. Comparisons without arithmetic are exact in doubles, which
+order as the decimals they print as.
+
+A margin is within 2E + 4u|margin| of the semantics'; where a sample was judged one by one it is the semantics' own. So
+its sign is right: > 0 implies true, < 0 implies false.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any, TypeAlias, assert_never
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.errors import TraceError
+from stltool.logic.formula import (
+    Arithmetic,
+    Call,
+    Comparator,
+    Comparison,
+    Negate,
+    Number,
+    Term,
+    Variable,
+    variables,
+)
+from stltool.logic.semantics import robustness, satisfies
+from stltool.logic.source import Span
+
+Floats: TypeAlias = NDArray[np.float64]
+Values: TypeAlias = Floats | np.float64
+Bounded: TypeAlias = tuple[Values, Values]  # values and their bounds
+
+_COMPARE: dict[Comparator, np.ufunc] = {
+    "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "==": np.equal, "!=": np.not_equal,
+}  # fmt: skip
+_REMEMBERED = 1 << 16  # samples judged one by one that are kept
+_U = 2.0**-53
+_TINY = 1e-322  # covers what underflow loses
+_WIDER = 1.25  # covers the rounding of the bounds themselves
+_LARGEST_EXPONENT = 1000.0
+
+
+class Predicate:
+    """One comparison, ready to judge arrays."""
+
+    __slots__ = ("_settled", "names", "node", "plain")
+
+    def __init__(self, node: Comparison) -> None:
+        self.node = node
+        self.names: dict[str, Span | None] = variables(node)
+        self.plain = _is_plain(node.left) and _is_plain(node.right)
+        self._settled = lru_cache(maxsize=_REMEMBERED)(self._settle)
+
+    def judge(
+        self, columns: Mapping[str, Floats], truth: NDArray[np.bool_] | None, margin: Floats | None
+    ) -> NDArray[np.bool_] | None:
+        """Write truth and signed margin of every sample into the arrays given, of the columns' shape.
+
+        Returns where a term has no value, None for nowhere: truth is then false, the margin NaN. A margin beyond the
+        doubles is NaN, or infinite in a comparison without arithmetic. To be called under `np.errstate(all="ignore")`.
+        """
+        if not self.names:
+            return self._constant(truth, margin)
+        if not self.plain:
+            return self._compute(columns, truth, margin)
+        left, right = _plain_value(self.node.left, columns), _plain_value(self.node.right, columns)
+        if truth is not None:
+            _COMPARE[self.node.op](left, right, out=truth)
+        if margin is not None:
+            _signed(self.node.op, left, right, margin)
+        return None
+
+    def _constant(self, truth: NDArray[np.bool_] | None, margin: Floats | None) -> NDArray[np.bool_] | None:
+        true, distance = self._settled()
+        given = truth if truth is not None else margin
+        assert given is not None
+        if truth is not None:
+            truth[...] = bool(true)
+        if margin is not None:
+            margin[...] = distance
+        return np.ones(given.shape, dtype=np.bool_) if true is None else None
+
+    def _compute(
+        self, columns: Mapping[str, Floats], truth: NDArray[np.bool_] | None, margin: Floats | None
+    ) -> NDArray[np.bool_] | None:
+        (left, left_error), (right, right_error) = (_bounded(t, columns) for t in (self.node.left, self.node.right))
+        shape = columns[next(iter(self.names))].shape
+        difference = np.broadcast_to(left - right, shape)
+        distance = np.abs(difference)
+        unsure = ~(distance > 2 * _WIDER * (left_error + right_error) + 4 * _U * distance + _TINY)
+        if truth is not None:
+            _COMPARE[self.node.op](left, right, out=truth)
+        if margin is not None:
+            _signed(self.node.op, left, right, margin)
+        where = np.nonzero(unsure)
+        if not len(where[0]):
+            return None
+        samples = zip(*(columns[name][where].tolist() for name in self.names), strict=True)
+        judged = [self._settled(*sample) for sample in samples]
+        true = np.array([t is True for t, _ in judged])
+        if truth is not None:
+            truth[where] = true
+        if margin is not None:
+            margin[where] = [m for _, m in judged]
+        undefined = np.array([t is None for t, _ in judged])
+        if not undefined.any():
+            return None
+        unsure[where] = undefined
+        return unsure
+
+    def _settle(self, *sample: float) -> tuple[bool | None, float]:
+        """Truth and margin of one sample by the slow semantics; None and NaN where there is none."""
+        signal = {name: [value] for name, value in zip(self.names, sample, strict=True)}
+        try:
+            true = satisfies(self.node, signal)
+        except TraceError:
+            return None, np.nan
+        try:
+            return true, robustness(self.node, signal) + 0.0
+        except TraceError:
+            return true, np.nan
+
+
+def _signed(op: Comparator, left: Values, right: Values, out: Floats) -> None:
+    """The margin of the comparison."""
+    match op:
+        case ">" | ">=":
+            _subtract(left, right, out)
+        case "<" | "<=":
+            _subtract(right, left, out)
+        case "==" | "!=":
+            _subtract(left, right, out)
+            np.abs(out, out=out)
+            if op == "==":
+                np.subtract(0.0, out, out=out)
+        case _:
+            assert_never(op)
+
+
+def _subtract(a: Values, b: Values, out: Floats) -> None:
+    """a − b, but 0.0 for −0.0, so that extrema do not depend on the order of their operands."""
+    if np.ndim(a) == 0:
+        np.subtract(a + 0.0, b, out=out)
+    elif np.ndim(b) == 0:
+        np.subtract(a, b if b != 0 else -0.0, out=out)
+    else:
+        np.subtract(a, b, out=out)
+        np.add(out, 0.0, out=out)
+
+
+def _is_plain(term: Term) -> bool:
+    """A signal or a number, with no arithmetic to round."""
+    return isinstance(term, Variable | Number) or (isinstance(term, Negate) and _is_plain(term.arg))
+
+
+def _plain_value(term: Term, columns: Mapping[str, Floats]) -> Values:
+    if isinstance(term, Variable):
+        return columns[term.name]
+    if isinstance(term, Negate):
+        return np.negative(_plain_value(term.arg, columns))
+    assert isinstance(term, Number)
+    return np.float64(term.value)
+
+
+def _bounded(term: Term, columns: Mapping[str, Floats]) -> Bounded:
+    match term:
+        case Number(number):
+            return _rounded(np.float64(number))
+        case Variable(name):
+            return _rounded(columns[name])
+        case Negate(arg):
+            value, error = _bounded(arg, columns)
+            return np.negative(value), error
+        case Arithmetic(op, left, right):
+            (a, ea), (b, eb) = _bounded(left, columns), _bounded(right, columns)
+            match op:
+                case "+":
+                    return _rounded(np.add(a, b), ea + eb)
+                case "-":
+                    return _rounded(np.subtract(a, b), ea + eb)
+                case "*":
+                    return _rounded(np.multiply(a, b), np.abs(a) * eb + np.abs(b) * ea + ea * eb)
+                case "/":
+                    value, room = np.divide(a, b), np.abs(b) - eb
+                    return _rounded(value, np.where(room > 0, _WIDER * (ea + np.abs(value) * eb) / room, np.inf))
+                case "^":
+                    return _power(a, ea, right)
+                case _:
+                    assert_never(op)
+        case Call(function, args):
+            operands = [_bounded(arg, columns) for arg in args]
+            value, error = operands[0]
+            match function:
+                case "abs":
+                    return np.abs(value), error
+                case "sqrt":
+                    root = np.sqrt(value)
+                    return _rounded(root, np.where(value > error, _WIDER * error / root, np.inf))
+                case "min" | "max":
+                    extremum = np.minimum if function == "min" else np.maximum
+                    for other, its in operands[1:]:
+                        value, error = extremum(value, other), np.maximum(error, its)
+                    return value, error
+                case _:
+                    assert_never(function)
+        case _:
+            assert_never(term)
+
+
+def _rounded(value: Any, error: Any = 0.0, units: float = 4.0) -> Bounded:
+    return value, error + units * _U * np.abs(value) + _TINY
+
+
+def _power(a: Values, ea: Values, exponent: Term) -> Bounded:
+    c = _constant_value(exponent)
+    if c is None:
+        return np.zeros_like(a), np.full_like(a, np.inf)
+    value = np.power(a, c)
+    high, low = np.abs(a) + ea, np.abs(a) - ea
+    if c.is_integer() and 0 <= c <= _LARGEST_EXPONENT:
+        slope = c * np.power(high, max(c - 1.0, 0.0))
+    else:
+        away = low > 0 if c.is_integer() else a > ea
+        slope = np.where(away, abs(c) * np.maximum(np.power(high, c - 1.0), np.power(low, c - 1.0)), np.inf)
+    return _rounded(value, _WIDER * slope * ea, units=32.0)
+
+
+def _constant_value(term: Term) -> float | None:
+    if isinstance(term, Number):
+        return float(term.value)
+    if isinstance(term, Negate):
+        inner = _constant_value(term.arg)
+        return None if inner is None else -inner
+    return None
