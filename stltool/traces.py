@@ -39,13 +39,13 @@ _REMEDY = "give a shorter part of the trace, or name fewer signals"
 
 
 def load_trace(path: str | Path, names: Iterable[str] | None = None) -> Signals:
-    """The signals of a trace file: name → float64 or bool array, (n_steps,), or of an .npz also (n_traces, n_steps).
+    """The signals of a trace file: name → array (n_steps,) of numbers or Booleans; of an .npz also (n_traces, n_steps).
 
-    The ending says what it is: `.csv` or `.tsv` (a line of names, then a row a step; cells are numbers, or true and
-    false), `.npz` (an array a signal) or `.parquet` (a column a signal; needs pyarrow). With `names` only those signals
-    are read, and what else the file holds need not be numbers. Raises FileError where the file is not what its ending
-    says, TraceError with the place where its content is no trace, NameLookupError where a name is missing, SizeError
-    before memory is taken that there is not.
+    The ending says what it is: `.csv` or `.tsv` (a line of names, then a row a step; cells are numbers, which become
+    doubles, or true and false), `.npz` (an array a signal) or `.parquet` (a column a signal; needs pyarrow). With
+    `names` only those signals are read, and what else the file holds need not be numbers. Raises FileError where the
+    file is not what its ending says, TraceError with the place where its content is no trace, NameLookupError where a
+    name is missing, SizeError before memory is taken that there is not.
     """
     path = Path(path)
     reader = _READERS.get(path.suffix.lower())
@@ -304,10 +304,9 @@ def _read_npz(path: Path, names: list[str] | None) -> Signals:
                     f"{where}: its shape is {shapes[name]}, that of {wanted[0]} is {shapes[wanted[0]]}; "
                     "a trace's signals have one shape"
                 )
-            copied = 0 if dtype in (np.bool_, np.float64) else 8
-            taken += math.prod(shapes[name]) * (dtype.itemsize + copied)
+            taken += math.prod(shapes[name]) * dtype.itemsize
         require_memory(taken, f"{path}", _REMEDY)
-        return {name: _usable(file[name]) for name in wanted}
+        return {name: file[name] for name in wanted}
 
 
 def _npy_header(path: Path, archive: zipfile.ZipFile, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
@@ -354,12 +353,8 @@ def _arrow_column(path: Path, name: str, column: Any, pa: Any) -> NDArray[Any]:
         raise TraceError(f"{path}, row {row + 1}, column {name}: no value; every step needs one")
     if pa.types.is_decimal(column.type):
         column = column.cast(pa.float64())
-    return _usable(column.to_numpy())
-
-
-def _usable(values: NDArray[Any]) -> NDArray[Any]:
-    """Booleans as they are, numbers as doubles."""
-    return values if values.dtype.kind == "b" else values.astype(np.float64, copy=False)
+    values: NDArray[Any] = column.to_numpy()
+    return values
 
 
 _READERS: dict[str, Callable[[Path, list[str] | None], Signals]] = {

@@ -218,14 +218,12 @@ def npz(path, **arrays):
 
 def test_npz_single_traces_and_batches(tmp_path):
     single = npz(tmp_path / "t.npz", x=np.arange(3), door=np.array([True, False, True]), y=np.float32([0.5, 1, 2]))
-    signals = stl.load_trace(single)
-    assert plain(signals) == {
-        "x": ("f", ["0.0", "1.0", "2.0"]), "door": ("b", ["True", "False", "True"]), "y": ("f", ["0.5", "1.0", "2.0"])
+    assert plain(stl.load_trace(single)) == {
+        "x": ("i", ["0", "1", "2"]), "door": ("b", ["True", "False", "True"]), "y": ("f", ["0.5", "1.0", "2.0"])
     }  # fmt: skip
-    assert {values.dtype.str[1:] for values in signals.values()} == {"f8", "b1"}
     np.savez_compressed(tmp_path / "b.NPZ", x=np.asfortranarray(np.ones((2, 3), ">f8")), when=np.array(["a"]))
     batch = stl.load_trace(tmp_path / "b.NPZ.npz", ["x"])
-    assert (batch["x"].shape, batch["x"].dtype) == ((2, 3), np.float64)
+    assert plain(batch) == {"x": ("f", ["[1.0, 1.0, 1.0]"] * 2)}
 
 
 @pytest.mark.parametrize(
@@ -278,7 +276,7 @@ def test_parquet(tmp_path):
     decimals = [Decimal("0.25"), Decimal(3)]
     path = parquet(tmp_path / "t.parquet", x=[1, 2], door=[True, False], d=decimals, when=["a", None], **dotted)
     assert plain(stl.load_trace(path, ["door", "x", "a.b", "d"])) == {
-        "door": ("b", ["True", "False"]), "x": ("f", ["1.0", "2.0"]), "a.b": ("f", ["0.5", "1.0"]),
+        "door": ("b", ["True", "False"]), "x": ("i", ["1", "2"]), "a.b": ("f", ["0.5", "1.0"]),
         "d": ("f", ["0.25", "3.0"]),
     }  # fmt: skip
     with pytest.raises(TraceError, match="column when: it holds string; numbers or Booleans are needed"):
@@ -340,7 +338,7 @@ def test_what_would_not_fit_is_refused_before_it_is_read(tmp_path, write, monkey
     stl.load_trace(csv_file, ["x", "y"])
     stl.load_trace(npz_file)
     assert asked[0] == pytest.approx(10_001 * (8 + 8 + 4) * 2.5, rel=1e-3)
-    assert asked[1:] == [8000 + 10_000 + 1000]
+    assert asked[1:] == [8000 + 2000 + 1000]
 
 
 def test_so_it_is_of_parquet(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -63,6 +64,34 @@ def load_product(
     if nominal and world.intervals is None:
         raise SettingsError("--nominal: the model's probabilities are no intervals; leave --nominal out")
     return bind(loaded, world.nominal() if nominal else world, encoding)
+
+
+def load_task_or_formula(text: str, params: list[str] | None, name: str | None) -> Task:
+    """A task file where there is one of that name or the name ends in .stl, else the formula that `text` spells."""
+    import stltool as stl
+    from stltool.errors import FileError, StlSyntaxError, near_misses
+
+    path, values = Path(text), read_params(params)
+    try:
+        is_file = path.is_file()
+    except OSError:  # too long for a name: a formula
+        is_file = False
+    if is_file or text.endswith(".stl"):
+        siblings = [] if is_file else [other.name for other in path.parent.glob("*.stl")]
+        if siblings and not path.exists():
+            raise FileError(f"{text}: there is no such task file; {near_misses(path.name, siblings)}")
+        return stl.load_task(path, values, name)
+    if name is not None:
+        raise SettingsError(f"--task {name}: a formula has no definitions to choose from; leave --task out")
+    for param in values:
+        if not re.search(rf"\b{re.escape(param)}\b", text):
+            raise SettingsError(f"-p {param}={values[param]}: the formula does not mention {param}; leave it out")
+    try:
+        return stl.Task("formula", stl.parse(text, values))
+    except StlSyntaxError as fault:
+        if re.fullmatch(r"[\w.~:/\\-]+", text):  # it looks like a path
+            raise StlSyntaxError(f"{fault}\n(read as a formula: there is no file {text})") from None
+        raise
 
 
 def make_joint_product(
