@@ -22,8 +22,10 @@ its sign is right: > 0 implies true, < 0 implies false.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
+from math import isfinite
+from operator import itemgetter
 from typing import Any, TypeAlias, assert_never
 
 import numpy as np
@@ -41,7 +43,7 @@ from stltool.logic.formula import (
     Variable,
     variables,
 )
-from stltool.logic.semantics import robustness, satisfies
+from stltool.logic.semantics import COMPARE, robustness, satisfies
 from stltool.logic.source import Span
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -91,6 +93,38 @@ class Predicate:
         if wide:
             np.copyto(margin, np.nan, where=np.isinf(margin))
         return None, wide
+
+    def at_one_sample(self) -> Callable[[Mapping[str, float]], tuple[float, bool]]:
+        """A function from one sample, name → value, to the margin and truth that `judge` finds for it.
+
+        It raises TraceError where there is none.
+        """
+        node = self.node
+        if not self.plain:
+            return self._at_one_sample
+        left, right, compare = _getter(node.left), _getter(node.right), COMPARE[node.op]
+        if node.op in ("<", "<="):
+            less, more = left, right
+        else:
+            less, more = right, left
+        fold = {"==": lambda d: 0.0 - abs(d), "!=": abs}.get(node.op, lambda d: d + 0.0)
+
+        def judge(sample: Mapping[str, float]) -> tuple[float, bool]:
+            margin = fold(more(sample) - less(sample))
+            if not isfinite(margin):
+                margin = robustness(node, {name: [value] for name, value in sample.items()})  # raises
+            return margin, compare(left(sample), right(sample))
+
+        return judge
+
+    def _at_one_sample(self, sample: Mapping[str, float]) -> tuple[float, bool]:
+        columns = {name: np.array([[sample[name]]]) for name in self.names}
+        truth, margin = np.empty((1, 1), dtype=np.bool_), np.empty((1, 1))
+        with np.errstate(all="ignore"):
+            self.judge(columns, truth, margin, False)
+        if np.isnan(margin[0, 0]):
+            robustness(self.node, {name: [value] for name, value in sample.items()})  # raises
+        return float(margin[0, 0]), bool(truth[0, 0])
 
     def _constant(
         self, truth: NDArray[np.bool_] | None, margin: Floats | None
@@ -181,6 +215,18 @@ def _plain_value(term: Term, columns: Mapping[str, Floats]) -> Values:
         return np.negative(_plain_value(term.arg, columns))
     assert isinstance(term, Number)
     return np.float64(term.value)
+
+
+def _getter(term: Term) -> Callable[[Mapping[str, float]], float]:
+    """A plain term's value at one sample."""
+    if isinstance(term, Variable):
+        return itemgetter(term.name)
+    if isinstance(term, Negate):
+        inner = _getter(term.arg)
+        return lambda sample: -inner(sample)
+    assert isinstance(term, Number)
+    number = term.value
+    return lambda sample: number
 
 
 def _bounded(term: Term, columns: Mapping[str, Floats]) -> Bounded:

@@ -85,6 +85,15 @@ def monitor(
     require_option("semantics", semantics, get_args(Semantics))
     formula, traces = prepare(phi, signals, end)
     truth, margins = semantics != "robustness", semantics != "boolean"
+    outs = judge(formula, traces, end, truth, margins)
+    outs = outs if traces.batch else [out[0] for out in outs]
+    return MonitorResult(
+        formula, end, traces.n_steps, traces.program.horizon, outs[0] if truth else None, outs[-1] if margins else None
+    )
+
+
+def judge(formula: Formula, traces: Traces, end: End, truth: bool, margins: bool) -> list[NDArray[Any]]:
+    """Verdicts, then margins, (n_traces, n_decided) each, of what is asked."""
     decided = decided_steps(traces, end)
     outs: list[NDArray[Any]] = [np.empty((traces.n_traces, decided), np.bool_)] * truth
     outs += [np.empty((traces.n_traces, decided))] * margins
@@ -94,10 +103,7 @@ def monitor(
             if machine.gaps:
                 refuse_unknown(found, formula, traces, rows.start, first, end)
             out[rows, first : first + found.shape[1]] = found > 0 if found.dtype == np.int8 else found
-    outs = outs if traces.batch else [out[0] for out in outs]
-    return MonitorResult(
-        formula, end, traces.n_steps, traces.program.horizon, outs[0] if truth else None, outs[-1] if margins else None
-    )
+    return outs
 
 
 def prepare(phi: Formula | Task, signals: Mapping[str, ArrayLike], end: End) -> tuple[Formula, Traces]:
