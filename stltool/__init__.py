@@ -74,6 +74,7 @@ if TYPE_CHECKING:
     from stltool.logic.formula import Formula, horizon
     from stltool.logic.fragment import Fragment, check_fragment
     from stltool.logic.monitor import MonitorResult, monitor
+    from stltool.logic.online import Decision, OnlineMonitor
     from stltool.logic.parser import load_task, parse, parse_task
     from stltool.logic.semantics import robustness, satisfies
     from stltool.logic.task import Task
@@ -105,12 +106,15 @@ _HOME = {
     "from_gymnasium": "models", "to_gymnasium": "models",
     "robust_check": "checking", "robustness": "logic.semantics", "sample_run": "checking",
     "satisfies": "logic.semantics", "monitor": "logic.monitor", "MonitorResult": "logic.monitor",
+    "Decision": "logic.online", "OnlineMonitor": "logic.online",
     "Sweep": "learning", "SweepResult": "learning", "load_sweep": "learning", "run_sweep": "learning",
 }  # fmt: skip
 
 __all__ = [  # noqa: RUF022 - in reading order
     "parse", "Formula", "horizon", "satisfies", "robustness", "monitor", "MonitorResult",
-    "load_trace", "check_fragment", "Fragment",
+    "OnlineMonitor", "Decision",
+    "check_fragment", "Fragment",
+    "load_trace",
     "load_task", "parse_task", "Task", "compile_automaton", "TaskAutomaton", "load_model", "MDP",
     "from_gymnasium", "to_gymnasium",
     "build_product", "Product", "Policy", "load_policy", "check", "CheckResult", "robust_check", "sample_run", "Run",

@@ -155,7 +155,7 @@ def _is_plain(table: _Table, wanted: Sequence[str]) -> bool:
         if zero >= 0:
             raise FileError(f"{table.path}: not a CSV file: it holds binary data (a zero byte at offset {zero})")
         sample = data[:_SAMPLE]
-        rows = len(data) * (sample.count(b"\n") or sample.count(b"\r") or 1) / len(sample)
+        rows = len(data) * (sample.count(b"\n") or sample.count(b"\r")) / len(sample)
         width = np.dtype(_cell_types(table, wanted)).itemsize
         require_memory(rows * width * _COPIES, f"{table.path}, some {rows:.3g} rows,", _REMEDY)
         start = table.body + 3 * data[:3].startswith(b"\xef\xbb\xbf")

@@ -37,12 +37,16 @@ BlockEnd = Literal["open", "cut", "hold"]
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """`columns` maps names to arrays (rows, steps), float64 for variables, Booleans for labels."""
+    """`columns` maps names to arrays (rows, steps): finite float64 for variables, Booleans for labels.
+
+    `wide` says that some variable may be so large that a difference of two is beyond the doubles.
+    """
 
     columns: Mapping[str, Array]
     rows: int
     steps: int
     end: BlockEnd = "open"
+    wide: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +59,13 @@ class Algebra:
     greatest: Any
 
 
+def _negative(x: Array, out: Array) -> None:
+    np.subtract(0.0, x, out=out)  # 0 for 0, never −0.0: extrema shall not depend on the order of their operands
+
+
 BOOLEANS = Algebra(np.bool_, np.logical_not, False, True)
 KLEENE = Algebra(np.int8, np.negative, -1, 1)
-MARGINS = Algebra(np.float64, lambda x, out: np.subtract(0.0, x, out=out), -np.inf, np.inf)  # never −0.0
+MARGINS = Algebra(np.float64, _negative, -np.inf, np.inf)
 
 
 class _Unknown(Exception):
@@ -65,64 +73,69 @@ class _Unknown(Exception):
 
 
 class Machine:
-    """Runs one program over blocks, in truth, in margins or both. `gaps`: some predicate had no value so far."""
+    """Runs one program over blocks, in truth, in margins or both. `gaps`: a predicate had no value, or no margin."""
 
     def __init__(self, program: Program, truth: bool = True, margins: bool = True) -> None:
         self.program = program
         self.gaps = False
+        self._kleene = False
         self._asked = (truth, margins)
         self._pools: dict[type, _Pool] = {}
 
     def run(self, block: Block) -> list[Array]:
         """Truth, then margins, of what was asked: arrays (rows, decided steps), valid until the next run.
 
-        Truth is of Booleans, or of −1, 0, 1 where `gaps` has become true.
+        Truth is of Booleans, or of −1, 0, 1 from the first gap on; a margin that does not exist is NaN.
         """
         truth, margins = self._asked
         with np.errstate(all="ignore"):
-            if truth and not self.gaps:
+            if truth and not self._kleene:
                 try:
                     return self._run(block, BOOLEANS, MARGINS if margins else None)
                 except _Unknown:
-                    self.gaps = True
+                    self._kleene = True
             return self._run(block, KLEENE if truth else None, MARGINS if margins else None)
 
     def _run(self, block: Block, truth: Algebra | None, margins: Algebra | None) -> list[Array]:
         tapes = [_Tape(self, block, algebra) if algebra else None for algebra in (truth, margins)]
+        asked = [tape for tape in tapes if tape]
         for number, instruction in enumerate(self.program.instructions):
             if instruction.op == "atom":
                 self._load(instruction, number, block, *tapes)
-            for tape in tapes:
-                if tape is not None:
-                    tape.step(number, instruction)
-        return [tape.result() for tape in tapes if tape]
+            for tape in asked:
+                tape.step(number, instruction)
+        return [tape.result() for tape in asked]
 
     def _load(self, now: Instruction, number: int, block: Block, truth: _Tape | None, margins: _Tape | None) -> None:
-        tapes = [(tape, tape.fresh(number)) for tape in (truth, margins) if tape is not None]
+        views = [(tape.algebra, tape.fresh(number)) for tape in (truth, margins) if tape is not None]
         match now.atom:
             case Constant(value):
-                for tape, view in tapes:
-                    view[...] = tape.algebra.greatest if value else tape.algebra.least
+                for algebra, view in views:
+                    view[...] = algebra.greatest if value else algebra.least
             case Label(name):
-                for tape, view in tapes:
-                    view[...] = np.where(block.columns[name], tape.algebra.greatest, tape.algebra.least)
+                for algebra, view in views:
+                    view[...] = np.where(block.columns[name], algebra.greatest, algebra.least)
             case Predicate() as predicate:
-                distance = tapes[-1][1] if margins is not None else None
-                if truth is None:
-                    undefined = predicate.judge(block.columns, None, distance)
-                elif truth.algebra is BOOLEANS:
-                    undefined = predicate.judge(block.columns, tapes[0][1], distance)
-                    if undefined is not None:
-                        raise _Unknown
-                else:
-                    booleans = np.empty((block.rows, block.steps), dtype=np.bool_)
-                    undefined = predicate.judge(block.columns, booleans, distance)
-                    tapes[0][1][...] = np.where(booleans, 1, -1)
-                    if undefined is not None:
-                        tapes[0][1][undefined] = 0
-                self.gaps |= undefined is not None
+                self._judge(predicate, block, views[0] if truth else None, views[-1][1] if margins else None)
             case None:
                 raise ValueError("an atom instruction without its atom")
+
+    def _judge(
+        self, predicate: Predicate, block: Block, truth: tuple[Algebra, Array] | None, margins: Array | None
+    ) -> None:
+        booleans = None
+        if truth is not None:
+            booleans = truth[1] if truth[0] is BOOLEANS else np.empty(truth[1].shape, dtype=np.bool_)
+        unknown, far = predicate.judge(block.columns, booleans, margins, block.wide)
+        self.gaps |= far or unknown is not None
+        if truth is None or booleans is None:
+            return
+        if truth[0] is KLEENE:
+            truth[1][...] = np.where(booleans, 1, -1)
+            if unknown is not None:
+                truth[1][unknown] = 0
+        elif unknown is not None:
+            raise _Unknown
 
     def pool(self, dtype: type, size: int) -> _Pool:
         pool = self._pools.get(dtype)
@@ -144,79 +157,85 @@ class _Pool:
         return self.free.pop() if self.free else np.zeros(self.size, dtype=self.dtype)
 
 
+_Operand: TypeAlias = tuple[Array, bool]  # a value's buffer, and whether it ends here: then it may be written over
+
+
 class _Tape:
     """The values of a program's instructions over one block, in one algebra; a value's buffer is free after its end."""
 
     def __init__(self, machine: Machine, block: Block, algebra: Algebra) -> None:
-        self.algebra, self.block = algebra, block
-        bounds = [i.b if i.b is not None else block.steps for i in machine.program.instructions]
-        self.stride = block.steps + (0 if block.end == "open" else min(max(bounds), block.steps))
+        self.algebra, self.block, self.instructions = algebra, block, machine.program.instructions
+        reach = 0
+        if block.end != "open":
+            reach = min(block.steps, max(block.steps if i.b is None else i.b for i in self.instructions))
+        self.stride = block.steps + reach
         self.length = block.rows * self.stride
         self.pool = machine.pool(algebra.dtype, self.length)
-        self.program = machine.program
         self.values: dict[int, Array] = {}
 
     def fresh(self, number: int) -> Array:
-        """A new value's samples, (rows, steps), to be written."""
+        """The samples (rows, steps) of a new value, to be written."""
         self.values[number] = buffer = self.pool.take()
         return self._rows(buffer)[:, : self.block.steps]
 
     def result(self) -> Array:
-        last = len(self.program.instructions) - 1
-        buffer = self.values.pop(last)
+        buffer = self.values.pop(len(self.instructions) - 1)
         self.pool.free.append(buffer)
         steps = self.block.steps
         if self.block.end == "open":
-            steps -= self.program.instructions[last].horizon or 0
+            steps -= self.instructions[-1].horizon or 0
         return self._rows(buffer)[:, :steps]
 
     def _rows(self, buffer: Array) -> Array:
         return buffer[: self.length].reshape(self.block.rows, self.stride)
 
-    def _valid(self, number: int) -> int:
-        """How many leading places of a value have one."""
-        return self.length - (self.program.instructions[number].horizon or 0 if self.block.end == "open" else 0)
-
     def step(self, number: int, now: Instruction) -> None:
-        if now.op != "atom":
-            self.values[number] = self._operator(now)
+        """Compute the value of an operator, and free what ends."""
+        if now.op == "atom":
+            return
+        same = len(now.args) == 2 and now.args[0] == now.args[1]
+        operands = [(self.values[arg], arg in now.ends and not same) for arg in now.args]
+        count = self.length
+        if self.block.end == "open":
+            count -= max(self.instructions[arg].horizon or 0 for arg in now.args)
+        self.values[number] = self._operator(now, operands, count)
         for ended in now.ends:
-            self.pool.free.append(self.values.pop(ended))
+            buffer = self.values.pop(ended)
+            if same:
+                self.pool.free.append(buffer)
 
-    def _operator(self, now: Instruction) -> Array:
-        valid = min(self._valid(arg) for arg in now.args)
-        operands = [self.values[arg] for arg in now.args]
+    def _operator(self, now: Instruction, operands: list[_Operand], count: int) -> Array:
+        """The operator's value; its operands have `count` places. Operands that end are written over, or freed."""
         match now.op:
             case "not":
-                out = self.pool.take()
-                self.algebra.negate(operands[0][:valid], out=out[:valid])
+                out = self._out(operands)
+                self.algebra.negate(operands[0][0][:count], out=out[:count])
                 return out
             case "and" | "or":
-                out = self.pool.take()
-                _FOLD[now.op](operands[0][:valid], operands[1][:valid], out=out[:valid])
+                out = self._out(operands)
+                _FOLD[now.op](operands[0][0][:count], operands[1][0][:count], out=out[:count])
                 return out
             case "iff":
-                return self._iff(operands[0][:valid], operands[1][:valid])
+                return self._iff(operands, count)
             case "eventually" | "always":
-                fold = _FOLD[now.op]
-                neutral = self.algebra.least if fold is np.maximum else self.algebra.greatest
-                self._fill(operands[0], neutral)
+                eventually = now.op == "eventually"
+                self._fill(operands[0][0], self.algebra.least if eventually else self.algebra.greatest)
                 a, b = self._bounds(now)
-                return self._window(fold, operands[0], valid, a, b - a + 1)
+                return self._window(_FOLD[now.op], operands[0], count, a, b - a + 1)
             case "until":
-                self._fill(operands[0], self.algebra.greatest)
-                self._fill(operands[1], self.algebra.least)
-                return self._until(operands[0], operands[1], valid, *self._bounds(now))
+                self._fill(operands[0][0], self.algebra.greatest)
+                self._fill(operands[1][0], self.algebra.least)
+                return self._until(operands, count, *self._bounds(now))
             case "atom":
-                raise ValueError("atoms are loaded")
+                raise ValueError("an atom has no operands")
             case _:
                 assert_never(now.op)
 
     def _bounds(self, now: Instruction) -> tuple[int, int]:
+        n = self.block.steps
         if self.block.end == "open":
             assert now.b is not None
             return now.a, now.b
-        n = self.block.steps
         return min(now.a, n), n if now.b is None else min(now.b, n)
 
     def _fill(self, buffer: Array, neutral: Any) -> None:
@@ -225,49 +244,62 @@ class _Tape:
             rows = self._rows(buffer)
             rows[:, n:] = neutral if self.block.end == "cut" else rows[:, n - 1 : n]
 
-    def _iff(self, left: Array, right: Array) -> Array:
-        outs = self.pool.take(), self.pool.take()
-        one, other = (out[: len(left)] for out in outs)
-        self.algebra.negate(left, out=one)
-        np.maximum(one, right, out=one)
-        self.algebra.negate(right, out=other)
-        np.maximum(left, other, out=other)
-        np.minimum(one, other, out=one)
-        self.pool.free.append(outs[1])
-        return outs[0]
+    def _out(self, operands: list[_Operand]) -> Array:
+        """A buffer for the result: that of an operand that ends, place by place; the others that end are freed."""
+        ending = [buffer for buffer, ends in operands if ends]
+        self.pool.free += ending[1:]
+        return ending[0] if ending else self.pool.take()
 
-    def _window(self, fold: np.ufunc, source: Array, valid: int, a: int, width: int) -> Array:
-        """out[i] = fold of source[i+a … i+a+width−1]; `source` is left as it is."""
-        out, spare = self.pool.take(), self.pool.take()
-        count = valid - a
-        np.copyto(out[:count], source[a:valid])
-        span = 1
+    def _iff(self, operands: list[_Operand], count: int) -> Array:
+        left, right = (buffer[:count] for buffer, _ in operands)
+        one, other = self.pool.take(), self.pool.take()
+        self.algebra.negate(left, out=one[:count])
+        np.maximum(one[:count], right, out=one[:count])
+        self.algebra.negate(right, out=other[:count])
+        np.maximum(left, other[:count], out=other[:count])
+        np.minimum(one[:count], other[:count], out=one[:count])
+        self.pool.free += [other, *(buffer for buffer, ends in operands if ends)]
+        return one
+
+    def _window(self, fold: np.ufunc, operand: _Operand, count: int, a: int, width: int) -> Array:
+        """out[i] = fold of source[i+a … i+a+width−1]."""
+        (source, ends), span = operand, 1
+        count -= a
+        if width == 1:
+            out = self.pool.take()
+            np.copyto(out[:count], source[a : a + count])
+            self.pool.free += [source] * ends
+            return out
+        spare: list[Array] = []
         while span < width:
             step = min(span, width - span)
             count -= step
-            fold(out[:count], out[step : step + count], out=spare[:count])
-            out, spare, span = spare, out, span + step
-        self.pool.free.append(spare)
-        return out
+            out = spare.pop() if spare else self.pool.take()
+            fold(source[a : a + count], source[a + step : a + step + count], out=out[:count])
+            if span > 1 or ends:
+                spare.append(source)
+            source, a, span = out, 0, span + step
+        self.pool.free += spare
+        return source
 
-    def _until(self, left: Array, right: Array, valid: int, a: int, b: int) -> Array:
-        width, count, span = b - a + 1, valid - a, 1
-        A, B, spare, moved = (self.pool.take() for _ in range(4))
-        np.copyto(A[:count], left[a:valid])
-        np.copyto(B[:count], right[a:valid])
+    def _until(self, operands: list[_Operand], count: int, a: int, b: int) -> Array:
+        (left, left_ends), (right, right_ends) = operands
+        before = self._window(np.minimum, (left, False), count, 0, a) if a > 0 else None
+        count, span, width = count - a, 1, b - a + 1
+        A, B, spare, next_B = (self.pool.take() for _ in range(4))
+        np.copyto(A[:count], left[a : a + count])
+        np.copyto(B[:count], right[a : a + count])
         while span < width:
             step = min(span, width - span)
             count -= step
             np.minimum(A[:count], B[step : step + count], out=spare[:count])
-            np.maximum(B[:count], spare[:count], out=moved[:count])
-            B, moved = moved, B
+            np.maximum(B[:count], spare[:count], out=next_B[:count])
             np.minimum(A[:count], A[step : step + count], out=spare[:count])
-            A, spare, span = spare, A, span + step
-        self.pool.free += [A, spare, moved]
-        if a > 0:
-            before = self._window(np.minimum, left, valid, 0, a)
+            A, spare, B, next_B, span = spare, A, next_B, B, span + step
+        if before is not None:
             np.minimum(before[:count], B[:count], out=B[:count])
             self.pool.free.append(before)
+        self.pool.free += [A, spare, next_B, *[left] * left_ends, *[right] * right_ends]
         return B
 
 

@@ -22,8 +22,10 @@ its sign is right: > 0 implies true, < 0 implies false.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
+from math import isfinite
+from operator import itemgetter
 from typing import Any, TypeAlias, assert_never
 
 import numpy as np
@@ -41,7 +43,7 @@ from stltool.logic.formula import (
     Variable,
     variables,
 )
-from stltool.logic.semantics import robustness, satisfies
+from stltool.logic.semantics import COMPARE, robustness, satisfies
 from stltool.logic.source import Span
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -70,12 +72,13 @@ class Predicate:
         self._settled = lru_cache(maxsize=_REMEMBERED)(self._settle)
 
     def judge(
-        self, columns: Mapping[str, Floats], truth: NDArray[np.bool_] | None, margin: Floats | None
-    ) -> NDArray[np.bool_] | None:
+        self, columns: Mapping[str, Floats], truth: NDArray[np.bool_] | None, margin: Floats | None, wide: bool
+    ) -> tuple[NDArray[np.bool_] | None, bool]:
         """Write truth and signed margin of every sample into the arrays given, of the columns' shape.
 
-        Returns where a term has no value, None for nowhere: truth is then false, the margin NaN. A margin beyond the
-        doubles is NaN, or infinite in a comparison without arithmetic. To be called under `np.errstate(all="ignore")`.
+        Returns where a term has no value, None for nowhere: truth is then false, the margin NaN; and whether some
+        margin is NaN because it is beyond the doubles, which without arithmetic can only be where `wide` says so. To be
+        called under `np.errstate(all="ignore")`.
         """
         if not self.names:
             return self._constant(truth, margin)
@@ -84,47 +87,81 @@ class Predicate:
         left, right = _plain_value(self.node.left, columns), _plain_value(self.node.right, columns)
         if truth is not None:
             _COMPARE[self.node.op](left, right, out=truth)
-        if margin is not None:
-            _signed(self.node.op, left, right, margin)
-        return None
+        if margin is None:
+            return None, False
+        _signed(self.node.op, left, right, margin)
+        if wide:
+            np.copyto(margin, np.nan, where=np.isinf(margin))
+        return None, wide
 
-    def _constant(self, truth: NDArray[np.bool_] | None, margin: Floats | None) -> NDArray[np.bool_] | None:
+    def at_one_sample(self) -> Callable[[Mapping[str, float]], tuple[float, bool]]:
+        """A function from one sample, name → value, to the margin and truth that `judge` finds for it.
+
+        It raises TraceError where there is none.
+        """
+        node = self.node
+        if not self.plain:
+            return self._at_one_sample
+        left, right, compare = _getter(node.left), _getter(node.right), COMPARE[node.op]
+        if node.op in ("<", "<="):
+            less, more = left, right
+        else:
+            less, more = right, left
+        fold = {"==": lambda d: 0.0 - abs(d), "!=": abs}.get(node.op, lambda d: d + 0.0)
+
+        def judge(sample: Mapping[str, float]) -> tuple[float, bool]:
+            margin = fold(more(sample) - less(sample))
+            if not isfinite(margin):
+                margin = robustness(node, {name: [value] for name, value in sample.items()})  # raises
+            return margin, compare(left(sample), right(sample))
+
+        return judge
+
+    def _at_one_sample(self, sample: Mapping[str, float]) -> tuple[float, bool]:
+        columns = {name: np.array([[sample[name]]]) for name in self.names}
+        truth, margin = np.empty((1, 1), dtype=np.bool_), np.empty((1, 1))
+        with np.errstate(all="ignore"):
+            self.judge(columns, truth, margin, False)
+        if np.isnan(margin[0, 0]):
+            robustness(self.node, {name: [value] for name, value in sample.items()})  # raises
+        return float(margin[0, 0]), bool(truth[0, 0])
+
+    def _constant(
+        self, truth: NDArray[np.bool_] | None, margin: Floats | None
+    ) -> tuple[NDArray[np.bool_] | None, bool]:
         true, distance = self._settled()
-        given = truth if truth is not None else margin
-        assert given is not None
         if truth is not None:
             truth[...] = bool(true)
         if margin is not None:
             margin[...] = distance
-        return np.ones(given.shape, dtype=np.bool_) if true is None else None
+        shape = next(out.shape for out in (truth, margin) if out is not None)
+        return np.ones(shape, dtype=np.bool_) if true is None else None, bool(np.isnan(distance))
 
     def _compute(
         self, columns: Mapping[str, Floats], truth: NDArray[np.bool_] | None, margin: Floats | None
-    ) -> NDArray[np.bool_] | None:
+    ) -> tuple[NDArray[np.bool_] | None, bool]:
         (left, left_error), (right, right_error) = (_bounded(t, columns) for t in (self.node.left, self.node.right))
-        shape = columns[next(iter(self.names))].shape
-        difference = np.broadcast_to(left - right, shape)
-        distance = np.abs(difference)
+        distance = np.abs(left - right)
         unsure = ~(distance > 2 * _WIDER * (left_error + right_error) + 4 * _U * distance + _TINY)
         if truth is not None:
             _COMPARE[self.node.op](left, right, out=truth)
         if margin is not None:
             _signed(self.node.op, left, right, margin)
-        where = np.nonzero(unsure)
+        where = np.nonzero(np.broadcast_to(unsure, columns[next(iter(self.names))].shape))
         if not len(where[0]):
-            return None
+            return None, False
         samples = zip(*(columns[name][where].tolist() for name in self.names), strict=True)
         judged = [self._settled(*sample) for sample in samples]
-        true = np.array([t is True for t, _ in judged])
         if truth is not None:
-            truth[where] = true
+            truth[where] = [true is True for true, _ in judged]
         if margin is not None:
-            margin[where] = [m for _, m in judged]
-        undefined = np.array([t is None for t, _ in judged])
-        if not undefined.any():
-            return None
-        unsure[where] = undefined
-        return unsure
+            margin[where] = [distance for _, distance in judged]
+        undefined = [true is None for true, _ in judged]
+        if not any(undefined):
+            return None, any(np.isnan(distance) for _, distance in judged)
+        unknown = np.zeros(columns[next(iter(self.names))].shape, dtype=np.bool_)
+        unknown[where] = undefined
+        return unknown, True
 
     def _settle(self, *sample: float) -> tuple[bool | None, float]:
         """Truth and margin of one sample by the slow semantics; None and NaN where there is none."""
@@ -178,6 +215,18 @@ def _plain_value(term: Term, columns: Mapping[str, Floats]) -> Values:
         return np.negative(_plain_value(term.arg, columns))
     assert isinstance(term, Number)
     return np.float64(term.value)
+
+
+def _getter(term: Term) -> Callable[[Mapping[str, float]], float]:
+    """A plain term's value at one sample."""
+    if isinstance(term, Variable):
+        return itemgetter(term.name)
+    if isinstance(term, Negate):
+        inner = _getter(term.arg)
+        return lambda sample: -inner(sample)
+    assert isinstance(term, Number)
+    number = term.value
+    return lambda sample: number
 
 
 def _bounded(term: Term, columns: Mapping[str, Floats]) -> Bounded:
