@@ -166,9 +166,9 @@ def _is_plain(table: _Table, wanted: Sequence[str]) -> bool:
 
 
 def _cell_types(table: _Table, wanted: Sequence[str]) -> list[tuple[str, str]]:
-    """What the fast reader makes of each column; of what nobody asked for it keeps a character."""
+    """What the fast reader makes of each column; of what nobody asked for it keeps a byte."""
     return [
-        (f"{i}", "U1" if name not in wanted else f"S{_LABEL_WIDTH}" if name in table.labels else "f8")
+        (f"{i}", "S1" if name not in wanted else f"S{_LABEL_WIDTH}" if name in table.labels else "f8")
         for i, name in enumerate(table.header)
     ]
 

@@ -257,6 +257,10 @@ def test_what_takes_long_is_told(stltool, log, monkeypatch):
     monkeypatch.setattr(np, "loadtxt", wait)
     assert f"reading {log} …" in stltool("monitor", "x > 0", log)[2]
     assert stltool("monitor", "x > 0", log, "--json")[2] == ""
+    monkeypatch.setenv("FORCE_COLOR", "1")  # a terminal, where somebody watches
+    _, out, err = stltool("monitor", "x > 0", log)
+    assert "reading" in err
+    assert "reading" not in out
 
 
 def test_help_has_an_example(stltool):
