@@ -32,7 +32,7 @@ from stltool.logic.formula import (
 from stltool.logic.monitor import MonitorResult, monitor
 from stltool.logic.task import Task
 from stltool.reporting.figures import picture
-from stltool.reporting.monitoring import robustness_text, true_ranges
+from stltool.reporting.monitoring import both, robustness_text, true_ranges
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,9 +81,7 @@ def monitor_figure(
     at: int | None = None,
 ) -> Figure:
     """One trace (of a batch: `trace`) as a matplotlib figure; step `at` or the first violation is marked."""
-    verdicts, robustness = result.verdicts, result.robustness
-    assert verdicts is not None
-    assert robustness is not None  # `monitor` was asked for both
+    verdicts, robustness = both(result)
     if trace is not None:
         verdicts, robustness = verdicts[trace], robustness[trace]
         signals = {name: values[trace] for name, values in signals.items()}

@@ -26,17 +26,15 @@ def monitor_data(result: MonitorResult, task: Task, trace: str | Path, at: int |
     Of a batch, `verdicts` and `robustness` are lists of lists, the other figures are over all of its traces, and `each`
     has them trace by trace. Raises SettingsError where `at` is no judged step.
     """
-    assert result.verdicts is not None
-    assert result.robustness is not None  # `monitor` was asked for both
-    judged = result.verdicts.shape[-1]
+    whole = both(result)
+    judged = whole[0].shape[-1]
     if at is not None and not 0 <= at < judged:
         longer = "" if result.end != "error" else "; --end cut or hold judges every step of the trace"
         raise SettingsError(f"--at {at}: steps 0 … {judged - 1} of these {result.n_steps} samples are judged{longer}")
     start, stop = (0, judged) if at is None else (at, at + 1)
-    verdicts = np.atleast_2d(result.verdicts)[:, start:stop]
-    robustness = np.atleast_2d(result.robustness)[:, start:stop]
+    verdicts, robustness = (np.atleast_2d(values)[:, start:stop] for values in whole)
     each = [_figures(*rows, start) for rows in zip(verdicts, robustness, strict=True)]
-    batch = result.verdicts.ndim == 2
+    batch = whole[0].ndim == 2
     return {
         "task": task.name if task.path is not None else None,
         "formula": str(task.formula),
@@ -52,6 +50,13 @@ def monitor_data(result: MonitorResult, task: Task, trace: str | Path, at: int |
         "robustness": [_jsonable(row) for row in robustness] if batch else _jsonable(robustness[0]),
         **({"each": each} if batch else {}),
     }
+
+
+def both(result: MonitorResult) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Verdicts and robustness; SettingsError where only one of them was asked for."""
+    if result.verdicts is None or result.robustness is None:
+        raise SettingsError('verdicts and robustness are both shown; monitor with semantics="both"')
+    return result.verdicts, result.robustness
 
 
 def _figures(verdicts: NDArray[np.bool_], robustness: NDArray[np.float64], start: int) -> dict[str, Any]:

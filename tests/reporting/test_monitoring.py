@@ -86,6 +86,15 @@ def test_a_batch_is_its_traces(rows, at):
             shown_trace(batch, wrong)
 
 
+@pytest.mark.parametrize("semantics", ["boolean", "robustness"])
+def test_both_semantics_are_shown(semantics):
+    _, signals, task = judged("x > 0", x=[1])
+    result = stl.monitor(task, signals, semantics=semantics)
+    for show in (lambda: monitor_data(result, task, ""), lambda: monitor_figure(result, signals, task)):
+        with pytest.raises(SettingsError, match='monitor with semantics="both"'):
+            show()
+
+
 def test_a_formula_without_horizon():
     signals = {"x": np.array([1.0, -1.0, 2.0])}
     phi = Always(Interval(0, None), stl.parse("x > 0"))
