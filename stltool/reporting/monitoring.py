@@ -199,8 +199,8 @@ def shown_trace(data: dict[str, Any], asked: int | None) -> int | None:
 
 
 def robustness_text(value: float | str) -> str:
-    """Robustness as people read it, never rounded to the other side of 0."""
-    return f"{float(value):.6g}"
+    """Robustness as people read it; 0 has no sign."""
+    return f"{float(value) + 0.0:.6g}"
 
 
 def _verdict(holds: bool) -> str:

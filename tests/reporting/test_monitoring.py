@@ -122,6 +122,11 @@ def test_rows_of_the_tables():
         "task": "x > 0", "trace": "t.csv, 17 samples", "horizon": "0", "judged": "17 steps, 0 … 16", "step 0": "holds",
         "violated": "at 9 of 17 steps, first at step 1", "robustness": "-3 at step 2, the least",
     }  # fmt: skip
+    data = monitor_data(judged("!(x > 0) | A", x=[0, 1, 2, 0], A=[False, True, False, False])[0], task, "t.csv")
+    assert [line.split()[2] for line in step_lines(data, None)][1:] == ["0", "inf", "-2", "0"]
+    data = monitor_data(judged("A", A=[True, False, False])[0], task, "t.csv")
+    assert range_rows(data)[0] == [{"violated": "steps 1 … 2", "steps": 2, "least_robustness": "-inf", "at_step": 1}]
+    data = monitor_data(result, task, "t.csv")
     batch = monitor_data(judged("x > 0", x=[[1.0, -1]] * 3 + [[2.0, 2]] * 19)[0], task, "t.npz")
     rows, more = trace_rows(batch)
     assert (len(rows), more) == (20, 2)
