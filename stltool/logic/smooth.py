@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import assert_never
+from typing import TypeAlias, assert_never
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,7 +41,8 @@ from stltool.logic.program import Atom, Instruction
 from stltool.logic.task import Task
 from stltool.logic.traces import End
 
-Floats = NDArray[np.float64]
+Floats: TypeAlias = NDArray[np.float64]
+Bound: TypeAlias = Floats | np.float64
 
 _BLOCK = 1 << 14
 _ROUNDING = 64 * 2.0**-53
@@ -92,25 +93,28 @@ def smooth_robustness(
 
 @dataclass(frozen=True, slots=True)
 class _Soft:
-    """Values (rows, steps), with O, log N, U, log M of the module's text, (steps,) each.
+    """Values (rows, steps), with O, log N, U, log M of the module's text: (steps,) each, or numbers for all steps.
 
     `size` (rows, 1) is at least every finite |v|, `error` (rows, 1) at least what rounding has moved a value.
     """
 
     values: Floats
-    over: Floats
-    log_n: Floats
-    under: Floats
-    log_m: Floats
+    over: Bound
+    log_n: Bound
+    under: Bound
+    log_m: Bound
     size: Floats
     error: Floats
 
     def __getitem__(self, steps: slice) -> _Soft:
-        bounds = (self.over[steps], self.log_n[steps], self.under[steps], self.log_m[steps])
-        return _Soft(self.values[:, steps], *bounds, self.size, self.error)
+        over, log_n, under, log_m = (
+            bound[steps] if isinstance(bound, np.ndarray) else bound
+            for bound in (self.over, self.log_n, self.under, self.log_m)
+        )
+        return _Soft(self.values[:, steps], over, log_n, under, log_m, self.size, self.error)
 
     def __len__(self) -> int:
-        return len(self.over)
+        return int(self.values.shape[1])
 
     def __neg__(self) -> _Soft:
         return _Soft(-self.values, self.under, self.log_m, self.over, self.log_n, self.size, self.error)
@@ -208,12 +212,12 @@ class _Machine:
             case _:
                 assert_never(atom)
         finite = np.where(np.isfinite(values), np.abs(values), 0.0)
-        zeros = np.zeros(n)
+        zeros = np.zeros(n) if self.block.end == "cut" else np.float64(0.0)  # whole windows are alike
         return _Soft(values, zeros, zeros, zeros, zeros, np.max(finite, axis=1, keepdims=True), error)
 
-    def closed(self, bound: Floats, log_count: Floats) -> Floats:
+    def closed(self, bound: Bound, log_count: Bound) -> Bound:
         """`bound` + log(count)/β, rounded up; an empty count is one of no error."""
-        closed: Floats = (bound + np.maximum(log_count, 0.0) / self.beta) * _WIDER
+        closed: Bound = (bound + np.maximum(log_count, 0.0) / self.beta) * _WIDER
         return closed
 
     def smax(self, x: _Soft, y: _Soft) -> _Soft:
@@ -221,9 +225,9 @@ class _Machine:
         return _Soft(
             _soft_maximum(x.values, y.values, self.beta),
             np.maximum(x.over, y.over),
-            _soft_maximum(x.log_n, y.log_n, 1.0),
+            np.logaddexp(x.log_n, y.log_n),
             np.maximum(self.closed(x.under, x.log_m), self.closed(y.under, y.log_m)),
-            np.zeros_like(x.log_m),
+            np.zeros_like(x.log_m)[()],  # a number for a number
             size,
             np.maximum(x.error, y.error) + _ROUNDING * size,
         )
