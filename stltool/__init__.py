@@ -77,6 +77,7 @@ if TYPE_CHECKING:
     from stltool.logic.online import Decision, OnlineMonitor
     from stltool.logic.parser import load_task, parse, parse_task
     from stltool.logic.semantics import robustness, satisfies
+    from stltool.logic.smooth import SmoothRobustness, smooth_robustness
     from stltool.logic.task import Task
     from stltool.models import MDP, from_gymnasium, load_model, to_gymnasium
     from stltool.policy import Policy, load_policy
@@ -107,12 +108,13 @@ _HOME = {
     "robust_check": "checking", "robustness": "logic.semantics", "sample_run": "checking",
     "satisfies": "logic.semantics", "monitor": "logic.monitor", "MonitorResult": "logic.monitor",
     "Decision": "logic.online", "OnlineMonitor": "logic.online",
+    "SmoothRobustness": "logic.smooth", "smooth_robustness": "logic.smooth",
     "Sweep": "learning", "SweepResult": "learning", "load_sweep": "learning", "run_sweep": "learning",
 }  # fmt: skip
 
 __all__ = [  # noqa: RUF022 - in reading order
     "parse", "Formula", "horizon", "satisfies", "robustness", "monitor", "MonitorResult",
-    "OnlineMonitor", "Decision",
+    "OnlineMonitor", "Decision", "smooth_robustness", "SmoothRobustness",
     "check_fragment", "Fragment",
     "load_trace",
     "load_task", "parse_task", "Task", "compile_automaton", "TaskAutomaton", "load_model", "MDP",

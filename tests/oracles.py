@@ -9,7 +9,8 @@ from fractions import Fraction
 import numpy as np
 
 import stltool as stl
-from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Not, Or, Until, walk
+from stltool.errors import TraceError
+from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Not, Or, Until
 
 
 def trace_of(model: stl.MDP, states) -> dict:
@@ -239,56 +240,60 @@ def best_mixture(points, floor: Fraction) -> Fraction | None:
     return max(values, default=None)
 
 
-def judged_to_the_end(phi, trace: dict, end: str, t: int) -> tuple[bool, float]:
-    """Truth and robustness at step t of a trace whose windows are cut at its end, or whose last sample is held."""
-    n = len(next(iter(trace.values())))
-    if end == "hold":
-        trace = {name: np.append(values, [values[-1]] * (sum(_ends(phi, n)) + n)) for name, values in trace.items()}
-    stop = n if end == "cut" else len(next(iter(trace.values())))
+def extremum(phi, atom, n: int, end: str, t: int) -> float:
+    """A formula over a lattice of numbers at step t of n: `atom` gives the value of a predicate at a step.
 
-    def both(some_or_all, values):
-        true, best = (any, max) if some_or_all == "some" else (all, min)
-        values = list(values)
-        neutral = -math.inf if some_or_all == "some" else math.inf
-        return true(v for v, _ in values), best((m for _, m in values), default=neutral)
-
-    def window(interval, t):
-        last = t + interval.a + n if interval.b is None else t + interval.b
-        return range(t + interval.a, min(last, stop - 1) + 1)
-
-    def until(phi, t):
-        witnesses = ([value(phi.right, u)] + [value(phi.left, v) for v in range(t, u)] for u in window(phi.interval, t))
-        return both("some", (both("all", witness) for witness in witnesses))
-
-    def negated(pair):
-        return not pair[0], -pair[1]
+    With end "cut" windows hold the steps before n, with "hold" those after n - 1 look like it.
+    """
 
     def value(phi, t):
         match phi:
             case Not(arg):
-                return negated(value(arg, t))
+                return -value(arg, t)
             case And(args):
-                return both("all", (value(arg, t) for arg in args))
+                return min(value(arg, t) for arg in args)
             case Or(args):
-                return both("some", (value(arg, t) for arg in args))
+                return max(value(arg, t) for arg in args)
             case Implies(left, right):
-                return both("some", [negated(value(left, t)), value(right, t)])
+                return max(-value(left, t), value(right, t))
             case Iff(left, right):
-                return both("all", [value(Implies(left, right), t), value(Implies(right, left), t)])
+                return min(max(-value(left, t), value(right, t)), max(-value(right, t), value(left, t)))
             case Eventually(interval, arg):
-                return both("some", (value(arg, u) for u in window(interval, t)))
+                return max((value(arg, u) for u in window(interval, t)), default=-math.inf)
             case Always(interval, arg):
-                return both("all", (value(arg, u) for u in window(interval, t)))
-            case Until():
-                return until(phi, t)
+                return min((value(arg, u) for u in window(interval, t)), default=math.inf)
+            case Until(interval, left, right):
+                witnesses = ([value(right, u)] + [value(left, v) for v in range(t, u)] for u in window(interval, t))
+                return max(map(min, witnesses), default=-math.inf)
             case _:
-                sample = {name: values[t : t + 1] for name, values in trace.items()}
-                return stl.satisfies(phi, sample), stl.robustness(phi, sample)
+                return atom(phi, min(t, n - 1))
+
+    def window(interval, t):
+        last = interval.b if interval.b is not None else interval.a + n
+        return range(t + interval.a, min(t + last, n - 1 if end == "cut" else t + last) + 1)
 
     return value(phi, t)
 
 
-def _ends(phi, n: int) -> list[int]:
-    """The ends of all intervals; one without an end goes on for n steps."""
-    found = [node.interval for node in walk(phi) if isinstance(node, Eventually | Always | Until)]
-    return [interval.a + n if interval.b is None else interval.b for interval in found]
+def judged_to_the_end(phi, trace: dict, end: str, t: int) -> tuple[bool | None, float | None]:
+    """Truth and robustness at step t of a trace whose windows are cut at its end, or whose last sample is held.
+
+    Truth is None where it hangs on what has no value, robustness where it meets such a value.
+    """
+
+    def truth(psi, t):
+        try:
+            return 1 if stl.satisfies(psi, sample(t)) else -1
+        except TraceError:
+            return 0
+
+    def sample(t):
+        return {name: values[t : t + 1] for name, values in trace.items()}
+
+    n = len(next(iter(trace.values())))
+    holds = extremum(phi, truth, n, end, t)
+    try:
+        margin = extremum(phi, lambda psi, t: stl.robustness(psi, sample(t)), n, end, t)
+    except TraceError:
+        margin = None
+    return None if holds == 0 else holds > 0, margin

@@ -140,14 +140,13 @@ class Predicate:
     def _compute(
         self, columns: Mapping[str, Floats], truth: NDArray[np.bool_] | None, margin: Floats | None
     ) -> tuple[NDArray[np.bool_] | None, bool]:
-        (left, left_error), (right, right_error) = (_bounded(t, columns) for t in (self.node.left, self.node.right))
-        distance = np.abs(left - right)
-        unsure = ~(distance > 2 * _WIDER * (left_error + right_error) + 4 * _U * distance + _TINY)
+        left, right, error = self._sides(columns)
         if truth is not None:
             _COMPARE[self.node.op](left, right, out=truth)
         if margin is not None:
             _signed(self.node.op, left, right, margin)
-        where = np.nonzero(np.broadcast_to(unsure, columns[next(iter(self.names))].shape))
+        shape = columns[next(iter(self.names))].shape
+        where = np.nonzero(np.broadcast_to(~(np.abs(left - right) > error), shape))
         if not len(where[0]):
             return None, False
         samples = zip(*(columns[name][where].tolist() for name in self.names), strict=True)
@@ -159,9 +158,19 @@ class Predicate:
         undefined = [true is None for true, _ in judged]
         if not any(undefined):
             return None, any(np.isnan(distance) for _, distance in judged)
-        unknown = np.zeros(columns[next(iter(self.names))].shape, dtype=np.bool_)
+        unknown = np.zeros(shape, dtype=np.bool_)
         unknown[where] = undefined
         return unknown, True
+
+    def error(self, columns: Mapping[str, Floats]) -> Values:
+        """A bound on what separates the margins that `judge` finds from the semantics', for every sample."""
+        error = self._sides(columns)[2] if self.names else np.float64(0.0)
+        return np.where(np.isfinite(error), error, 0.0)  # where there is no bound, samples are judged one by one
+
+    def _sides(self, columns: Mapping[str, Floats]) -> tuple[Values, Values, Values]:
+        """Left and right values, and the bound on the error of their difference."""
+        (left, ea), (right, eb) = _bounded(self.node.left, columns), _bounded(self.node.right, columns)
+        return left, right, 2 * _WIDER * (ea + eb) + 4 * _U * np.abs(left - right) + _TINY
 
     def _settle(self, *sample: float) -> tuple[bool | None, float]:
         """Truth and margin of one sample by the slow semantics; None and NaN where there is none."""
