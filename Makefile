@@ -46,5 +46,5 @@ clean:
 .venv/installed-dev: pyproject.toml .venv/python
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[peers]' \
-		|| echo "Storm cannot be installed here: the tests that compare with it are skipped"
+		|| echo "Storm, RTAMT or SENTIL cannot be installed here: the tests that compare with them are skipped"
 	touch $@

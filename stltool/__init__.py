@@ -17,6 +17,7 @@
 One straight way through the house, and the map in reading order:
 
     logic/        text → Formula: grammar, parser, printer, semantics (the oracle), the paper's fragment
+    traces.py     a trace file → the signals that a formula is judged on
     automata/     Formula → TaskAutomaton: what must be remembered to judge a run
     models/       a file, arrays or a Gymnasium environment → MDP; MDP → something that only resets and steps
     product.py    MDP × TaskAutomaton, never built as a matrix
@@ -74,14 +75,18 @@ if TYPE_CHECKING:
     from stltool.logic.formula import Formula, horizon
     from stltool.logic.fragment import Fragment, check_fragment
     from stltool.logic.lint import ambiguities
+    from stltool.logic.monitor import MonitorResult, monitor
+    from stltool.logic.online import Decision, OnlineMonitor
     from stltool.logic.parser import load_task, parse, parse_task
     from stltool.logic.semantics import robustness, satisfies
+    from stltool.logic.smooth import SmoothRobustness, smooth_robustness
     from stltool.logic.task import Task
     from stltool.models import MDP, from_gymnasium, load_model, to_gymnasium
     from stltool.policy import Policy, load_policy
     from stltool.product import JointProduct, Product, build_joint_product, build_product
     from stltool.recheck import certify
     from stltool.reporting import explain, report
+    from stltool.traces import load_trace
 
 __version__ = "0.1.0"
 
@@ -99,18 +104,22 @@ _HOME = {
     "check": "checking", "check_fragment": "logic.fragment", "compile_automaton": "automata",
     "Guarantee": "learning", "guarantee": "learning",
     "horizon": "logic.formula", "learn": "learning", "load_model": "models", "load_policy": "policy",
-    "load_task": "logic.parser", "parse": "logic.parser", "parse_task": "logic.parser", "report": "reporting",
+    "load_task": "logic.parser", "load_trace": "traces", "parse": "logic.parser", "parse_task": "logic.parser",
+    "report": "reporting",
     "from_gymnasium": "models", "to_gymnasium": "models",
     "ambiguities": "logic.lint", "explain": "reporting", "format_task": "logic.format",
     "robust_check": "checking", "robustness": "logic.semantics", "sample_run": "checking",
-    "satisfies": "logic.semantics",
+    "satisfies": "logic.semantics", "monitor": "logic.monitor", "MonitorResult": "logic.monitor",
+    "Decision": "logic.online", "OnlineMonitor": "logic.online",
+    "SmoothRobustness": "logic.smooth", "smooth_robustness": "logic.smooth",
     "Sweep": "learning", "SweepResult": "learning", "load_sweep": "learning", "run_sweep": "learning",
 }  # fmt: skip
 
 __all__ = [  # noqa: RUF022 - in reading order
     "parse", "Formula", "horizon", "satisfies", "robustness", "check_fragment", "Fragment",
-    "load_task", "parse_task", "Task", "format_task", "ambiguities", "compile_automaton", "TaskAutomaton",
-    "load_model", "MDP", "from_gymnasium", "to_gymnasium",
+    "load_task", "parse_task", "Task", "format_task", "ambiguities",
+    "load_trace", "monitor", "MonitorResult", "OnlineMonitor", "Decision", "smooth_robustness", "SmoothRobustness",
+    "compile_automaton", "TaskAutomaton", "load_model", "MDP", "from_gymnasium", "to_gymnasium",
     "build_product", "Product", "Policy", "load_policy", "check", "CheckResult", "robust_check", "sample_run", "Run",
     "estimate", "Estimate", "sprt", "SequentialTest", "write_certificate", "certify",
     "likely_runs", "LikelyRuns", "sensitivity", "Sensitivity", "surrogate_optimum", "SurrogateResult",

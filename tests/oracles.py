@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import math
 from fractions import Fraction
 
 import numpy as np
 
 import stltool as stl
+from stltool.errors import TraceError
+from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Not, Or, Until
 
 
 def trace_of(model: stl.MDP, states) -> dict:
@@ -235,3 +238,62 @@ def best_mixture(points, floor: Fraction) -> Fraction | None:
                 part = (floor - v) / (y - v)
                 values.append(part * x + (1 - part) * u)
     return max(values, default=None)
+
+
+def extremum(phi, atom, n: int, end: str, t: int) -> float:
+    """A formula over a lattice of numbers at step t of n: `atom` gives the value of a predicate at a step.
+
+    With end "cut" windows hold the steps before n, with "hold" those after n - 1 look like it.
+    """
+
+    def value(phi, t):
+        match phi:
+            case Not(arg):
+                return -value(arg, t)
+            case And(args):
+                return min(value(arg, t) for arg in args)
+            case Or(args):
+                return max(value(arg, t) for arg in args)
+            case Implies(left, right):
+                return max(-value(left, t), value(right, t))
+            case Iff(left, right):
+                return min(max(-value(left, t), value(right, t)), max(-value(right, t), value(left, t)))
+            case Eventually(interval, arg):
+                return max((value(arg, u) for u in window(interval, t)), default=-math.inf)
+            case Always(interval, arg):
+                return min((value(arg, u) for u in window(interval, t)), default=math.inf)
+            case Until(interval, left, right):
+                witnesses = ([value(right, u)] + [value(left, v) for v in range(t, u)] for u in window(interval, t))
+                return max(map(min, witnesses), default=-math.inf)
+            case _:
+                return atom(phi, min(t, n - 1))
+
+    def window(interval, t):
+        last = interval.b if interval.b is not None else interval.a + n
+        return range(t + interval.a, min(t + last, n - 1 if end == "cut" else t + last) + 1)
+
+    return value(phi, t)
+
+
+def judged_to_the_end(phi, trace: dict, end: str, t: int) -> tuple[bool | None, float | None]:
+    """Truth and robustness at step t of a trace whose windows are cut at its end, or whose last sample is held.
+
+    Truth is None where it hangs on what has no value, robustness where it meets such a value.
+    """
+
+    def truth(psi, t):
+        try:
+            return 1 if stl.satisfies(psi, sample(t)) else -1
+        except TraceError:
+            return 0
+
+    def sample(t):
+        return {name: values[t : t + 1] for name, values in trace.items()}
+
+    n = len(next(iter(trace.values())))
+    holds = extremum(phi, truth, n, end, t)
+    try:
+        margin = extremum(phi, lambda psi, t: stl.robustness(psi, sample(t)), n, end, t)
+    except TraceError:
+        margin = None
+    return None if holds == 0 else holds > 0, margin

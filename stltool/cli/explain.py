@@ -9,17 +9,18 @@ from typing import Any
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Params, TaskFile, TaskName
-from stltool.cli.steps import read_params, task_model, warnings_shown
+from stltool.cli.options import AsJson, Encoding, Model, Params, Step, TaskName, TaskOrFormula
+from stltool.cli.steps import load_task_or_formula, task_model, warnings_shown
 
 
 @app.command()
 def explain(
-    task: TaskFile,
+    task: TaskOrFormula,
     model: Model = None,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
+    step: Step = None,
     as_json: AsJson = False,
 ) -> None:
     """What a task says: its tree and horizons, the paper's fragment, automaton and product sizes.
@@ -29,7 +30,7 @@ def explain(
     import stltool as stl
     from stltool.reporting.terminal import print_facts, print_table, print_tree
 
-    loaded = stl.load_task(task, read_params(param), name, unbounded=True)
+    loaded = load_task_or_formula(task, param, name, step)
     world = task_model(loaded, model) if model is not None or loaded.model is not None else None
     with warnings_shown():
         facts = stl.explain(loaded, world, encoding)  # type: ignore[arg-type]  # checked there, with a message

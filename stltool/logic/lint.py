@@ -139,8 +139,6 @@ def _signal_names(tree: Branch) -> Iterator[Token]:
     stack: list[tuple[Branch, bool]] = [(tree, False)]
     while stack:
         part, number = stack.pop()
-        if part.data == "interval":
-            continue
         if part.data == "sample" or (part.data == "name" and number):
             yield part.children[0]  # type: ignore[misc]  # the name itself
             continue

@@ -164,8 +164,8 @@ def _margin(phi: Formula, signal: Mapping[str, NDArray[np.float64]], t: int) -> 
             return math.inf if value else -math.inf
         case Label(name):
             return math.inf if signal[name][t] else -math.inf
-        case Comparison(op, left, right):
-            return float(_comparison_margin(op, _value(left, signal, t), _value(right, signal, t)))
+        case Comparison(_, left, right):
+            return _as_double(phi, _value(left, signal, t), _value(right, signal, t))
         case Not(arg):
             return -_margin(arg, signal, t)
         case And(args):
@@ -211,6 +211,14 @@ def _comparison_margin(op: Comparator, left: Real, right: Real) -> Real:
             assert_never(op)
 
 
+def _as_double(phi: Comparison, left: Real, right: Real) -> float:
+    try:
+        return float(_comparison_margin(phi.op, left, right))
+    except OverflowError:
+        message = "the margin is beyond what a double holds; scale the signals, or ask for truth alone"
+        raise TraceError(phi.span.show(message) if phi.span else f"{phi}: {message}") from None
+
+
 def exact(value: float) -> Real:
     """The decimal that a double prints as, as a fraction; infinities as they are."""
     return Fraction(repr(float(value))) if math.isfinite(value) else float(value)
@@ -243,7 +251,14 @@ def _apply(term: Term, function: Callable[..., Real], *values: Real) -> Real:
     except (ZeroDivisionError, ValueError, OverflowError):
         value = math.nan
     if isinstance(value, complex) or (isinstance(value, float) and math.isnan(value)):
-        shown = ", ".join(f"{float(v):g}" for v in values)
+        shown = ", ".join(map(_shown, values))
         message = f"this has no value for the operands {shown}; guard it or change the predicate"
         raise TraceError(term.span.show(message) if term.span else f"{type(term).__name__}: {message}")
     return value
+
+
+def _shown(value: Real) -> str:
+    try:
+        return f"{float(value):g}"
+    except OverflowError:
+        return "a number beyond 1e308" if value > 0 else "a number beyond -1e308"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,6 +20,7 @@ from stltool.reporting.page import bound_texts, probability_text
 from stltool.reporting.runs import trace_text, verdict_text
 
 _LONGEST_FRACTION = 400
+_PATIENCE = 2.0  # seconds without a word
 Advance = Callable[..., None]
 """Called with (done, total), or while learning (episode, episodes, environment steps, exact probability or None)."""
 
@@ -100,6 +102,25 @@ def kernels_ready(quiet: bool = False) -> Iterator[None]:
     else:
         console.print(message)
         yield
+
+
+@contextmanager
+def working(title: str, quiet: bool = False) -> Iterator[None]:
+    """Tell on stderr what goes on: while it does, or in a log, where nobody watches, once it takes long."""
+    console = Console(stderr=True, soft_wrap=True, highlight=False)
+    if quiet:
+        yield
+    elif console.is_terminal:
+        with console.status(title):
+            yield
+    else:
+        late = threading.Timer(_PATIENCE, console.print, [f"{title} …"])
+        late.daemon = True
+        late.start()
+        try:
+            yield
+        finally:
+            late.cancel()
 
 
 def print_checks(checks: list[dict[str, Any]]) -> None:

@@ -134,6 +134,9 @@ def test_old_line_ends_marks_and_blank_files():
 
 
 def test_numbers_intervals_and_names_are_as_they_were_written():
+    plain = "r := x + y * 2 - z / 3 > -x * (y - 1) - (z - 2) & (x / y) / z > x / (y / z)\n"
+    assert format_task(plain) == plain.replace("(x / y) / z", "x / y / z")
+    assert str(stl.parse_task(plain)) + "\n" == format_task(plain)
     text = "param T = 3., u = .5e3\nr := F[0,T) a & (G(1,u / 2] (x > 1e-10 & y^(2^3) != -z - (2 - 1))) & (A xor B)\n"
     assert format_task(text) == text.replace("F[0,T) a", "(F[0,T) a)")
 

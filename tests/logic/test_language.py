@@ -77,6 +77,7 @@ def test_times_are_whole_multiples_of_the_step():
         ("r := pow(x, 2) > 1", "write a^b"),
         ("r := alwayss[0,3] A", "alwayss is not an operator that takes an interval; did you mean always?"),
         ("r := foo[0,3] A", "F, G, U and their words are"),
+        ("r := foo[min(1, 2),3] A", "foo is not an operator that takes an interval"),
         ("r := True", "words are in small letters: write true"),
         ("r := A AND B", "words are in small letters: write and"),
         ("r := NOT A", "words are in small letters: write not"),

@@ -1,0 +1,185 @@
+"""Truth and robustness at every step of whole batches of traces: what `satisfies` and `robustness` say, fast.
+
+A step t is decided by the samples t … t + horizon(φ). With n steps:
+
+    end "error"   the n − horizon(φ) decided steps
+    end "cut"     all n steps; windows are cut at the end of the trace, an empty one is the neutral element (F false,
+                  G true, U without witness)
+    end "hold"    all n steps; the last sample is held
+
+Formulas look ahead only: the steps before n − horizon(φ) are the same for all three, and the others depend on the last
+horizon(φ) samples alone. So both parts are judged on their own (blocks.py), in blocks that fit the cache.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, NoReturn, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stltool.errors import SettingsError, TraceError
+from stltool.logic import semantics as oracle
+from stltool.logic.blocks import Machine
+from stltool.logic.formula import Always, Eventually, Formula, Until, children, horizon, is_temporal
+from stltool.logic.program import compile_formula
+from stltool.logic.task import Task
+from stltool.logic.traces import End, Traces, read_traces
+
+Semantics = Literal["both", "boolean", "robustness"]
+
+_MARGINS = 1 << 14  # samples a block: the buffers of a few values stay in the second cache
+_TRUTH = 1 << 16
+
+
+@dataclass(frozen=True, eq=False)
+class MonitorResult:
+    """Truth and robustness at the decided steps.
+
+    verdicts     Booleans (n_decided,) for one trace, (n_traces, n_decided) for a batch; None if not asked
+    robustness   float64 of the same shape; None if not asked
+    horizon      steps after a step that can matter; None for a formula with an interval without end
+    n_steps      samples of each trace
+    """
+
+    formula: Formula
+    end: End
+    n_steps: int
+    horizon: int | None
+    verdicts: NDArray[np.bool_] | None
+    robustness: NDArray[np.float64] | None
+
+    @property
+    def first_violation(self) -> int | NDArray[np.int64] | None:
+        """The first step with verdict false: None for none; of a batch an array (n_traces,), with -1 for none.
+
+        SettingsError where verdicts were not asked.
+        """
+        if self.verdicts is None:
+            raise SettingsError('there are no verdicts; monitor with semantics="both" or "boolean"')
+        violated = ~self.verdicts
+        if violated.ndim == 1:
+            return int(violated.argmax()) if violated.any() else None
+        first = np.full(len(violated), -1)
+        rows = violated.any(axis=1)
+        first[rows] = violated[rows].argmax(axis=1)
+        return first
+
+
+def monitor(
+    phi: Formula | Task, signals: Mapping[str, ArrayLike], end: End = "error", semantics: Semantics = "both"
+) -> MonitorResult:
+    """Truth and robustness of φ at every decided step of one trace or of a batch.
+
+    `signals` maps every name of φ to an array (n_steps,) or (n_traces, n_steps), all of one shape: reals for variables,
+    Booleans (or 0 / 1) for labels. What is decided at the end: see the module's text. Verdicts are those of
+    `satisfies`, exactly; robustness is in doubles, within a few units in the last place of the numbers compared, and
+    its sign is right: > 0 implies true, < 0 implies false.
+
+    Raises TraceError where traces are too short, unequal, not numbers, not finite, or give a predicate no value (naming
+    trace and step; in verdicts alone, only where one hangs on it), NameLookupError where a name is missing,
+    StlSyntaxError where an interval has no end and `end` is "error".
+    """
+    require_option("semantics", semantics, get_args(Semantics))
+    formula, traces = prepare(phi, signals, end)
+    truth, margins = semantics != "robustness", semantics != "boolean"
+    outs = judge(formula, traces, end, truth, margins)
+    outs = outs if traces.batch else [out[0] for out in outs]
+    return MonitorResult(
+        formula, end, traces.n_steps, traces.program.horizon, outs[0] if truth else None, outs[-1] if margins else None
+    )
+
+
+def judge(formula: Formula, traces: Traces, end: End, truth: bool, margins: bool) -> list[NDArray[Any]]:
+    """Verdicts, then margins, (n_traces, n_decided) each, of what is asked."""
+    decided = decided_steps(traces, end)
+    outs: list[NDArray[Any]] = [np.empty((traces.n_traces, decided), np.bool_)] * truth
+    outs += [np.empty((traces.n_traces, decided))] * margins
+    machine = Machine(traces.program, truth, margins)
+    for block, rows, first in traces.blocks(end, _MARGINS if margins else _TRUTH):
+        for out, found in zip(outs, machine.run(block), strict=True):
+            if machine.gaps:
+                refuse_unknown(found, formula, traces, rows.start, first, end)
+            out[rows, first : first + found.shape[1]] = found > 0 if found.dtype == np.int8 else found
+    return outs
+
+
+def prepare(phi: Formula | Task, signals: Mapping[str, ArrayLike], end: End) -> tuple[Formula, Traces]:
+    """The formula and the traces it reads. Raises what `monitor` says, but for what samples are."""
+    formula = phi.formula if isinstance(phi, Task) else phi
+    program = compile_formula(formula)
+    require_option("end", end, get_args(End))
+    if end == "error":
+        horizon(formula)  # refuses an interval without end, with its place
+    return formula, read_traces(program, signals)
+
+
+def require_option(what: str, given: str, known: tuple[str, ...]) -> None:
+    if given not in known:
+        raise SettingsError(f"there is no {what} {given!r}; choose {', '.join(known)}")
+
+
+def decided_steps(traces: Traces, end: End) -> int:
+    """How many steps are decided; TraceError for none because the traces are too short."""
+    if end != "error":
+        return traces.n_steps
+    h = traces.program.horizon
+    assert h is not None
+    if traces.n_steps <= h:
+        raise TraceError(
+            f"the traces have {traces.n_steps} samples; this formula needs {h + 1} (its horizon is {h}): give longer "
+            'ones, or end="cut" to cut windows at the end of the trace, or end="hold" to hold the last sample'
+        )
+    return traces.n_steps - h
+
+
+# ------------------------------------------------------------------------------------------- predicates without a value
+
+
+def refuse_unknown(
+    found: NDArray[Any], phi: Formula, traces: Traces, first_row: int, first_step: int, end: End
+) -> None:
+    """TraceError where the truth or margin that a block found at some step does not exist."""
+    for row, step in np.argwhere(_unknown(found))[:1].tolist():
+        _blame(phi, traces, first_row + row, first_step + step, end, margins=found.dtype == np.float64)
+
+
+def _unknown(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Where there is no margin, or no truth among −1, 0, 1."""
+    if values.dtype == np.bool_:
+        return np.zeros_like(values)
+    unknown: NDArray[np.bool_] = np.isnan(values) if values.dtype == np.float64 else values == 0
+    return unknown
+
+
+def _blame(phi: Formula, traces: Traces, row: int, step: int, end: End, margins: bool) -> NoReturn:
+    """Raise the error of a predicate that leaves φ without truth (or margin) at this step."""
+    if not is_temporal(phi):
+        sample = {name: [float(array[row, step])] for name, array in traces.arrays.items()}
+        try:
+            (oracle.robustness if margins else oracle.satisfies)(phi, sample)
+        except TraceError as error:
+            raise TraceError(f"{traces.place(row, step)}: {error}") from None
+    rest = traces.row(row, step)
+    for child, (a, b) in zip(children(phi), _looks(phi, rest.n_steps), strict=True):
+        block = rest.block(slice(0, 1), slice(0, rest.n_steps), "hold" if end == "hold" else "cut")
+        unknown = _unknown(Machine(compile_formula(child), not margins, margins).run(block)[0])[0]
+        if end == "hold":
+            a, b = (min(bound, rest.n_steps - 1) for bound in (a, b))
+        for later in np.flatnonzero(unknown[a : b + 1])[:1].tolist():
+            _blame(child, traces, row, step + a + later, end, margins)
+    raise AssertionError(f"{phi} has a value at {traces.place(row, step)}")
+
+
+def _looks(phi: Formula, n: int) -> list[tuple[int, int]]:
+    """For every operand the first and the last step after the present one that it is looked at, of n."""
+    match phi:
+        case Eventually(interval, _) | Always(interval, _):
+            return [(interval.a, n if interval.b is None else interval.b)]
+        case Until(interval, _, _):
+            b = n if interval.b is None else interval.b
+            return [(0, b - 1), (interval.a, b)]
+        case _:
+            return [(0, 0)] * len(children(phi))

@@ -1,0 +1,277 @@
+"""Robustness with soft extrema, and how far it can be from the exact one.
+
+The paper's eq. 8 with smoothness β:
+
+    smax(x₁ … x_n) = 1/β log Σ exp(βx_i)           max ≤ smax ≤ max + log(n)/β
+    smin(x₁ … x_n) = −1/β log Σ exp(−βx_i)         min − log(n)/β ≤ smin ≤ min
+
+in the place of every max and min of the robustness: F, or: smax; G, and: smin. smax is associative, so windows are put
+together of disjoint windows of 2^k steps, in O(log w) passes (disjoint, as it counts twice what overlaps). Until is put
+together in the same way, of the pairs of blocks.py:
+
+    (A₁,B₁) ∘ (A₂,B₂) = (smin(A₁,A₂), smax(B₁, smin(A₁,B₂)))
+
+which is no soft extremum over all witnesses: smin does not distribute over smax, and that one costs n·w.
+
+Bounds. Each value v of a formula at a step comes with O, N, U, M such that the exact robustness r obeys
+
+    v − O − log(N)/β ≤ r ≤ v + U + log(M)/β
+
+smax of such values: O = max O_i, N = Σ N_i, since nested smax are one flat smax; U = max(U_i + log(M_i)/β), M = 1. smin
+is its mirror. The four depend on the step (windows may be cut at the end), not on the trace. Rounding: a soft extremum
+of two doubles is off by less than 64u(|v| + log(2)/β), u = 2⁻⁵³, and extrema are 1-Lipschitz, so these add up along the
+deepest path; the margins' own errors (comparisons.py) come on top, for every trace its largest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeAlias, assert_never
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stltool.errors import SettingsError
+from stltool.logic.blocks import Block
+from stltool.logic.comparisons import Predicate
+from stltool.logic.formula import Constant, Formula, Label
+from stltool.logic.monitor import decided_steps, prepare, refuse_unknown
+from stltool.logic.program import Atom, Instruction
+from stltool.logic.task import Task
+from stltool.logic.traces import End
+
+Floats: TypeAlias = NDArray[np.float64]
+Bound: TypeAlias = Floats | np.float64
+
+_BLOCK = 1 << 14
+_ROUNDING = 64 * 2.0**-53
+_WIDER = 1 + 2.0**-20  # covers the rounding of the bounds themselves
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothRobustness:
+    """Soft robustness at the decided steps, and an enclosure of the exact one: lower ≤ robustness ≤ upper.
+
+    Each array is (n_decided,) for one trace, (n_traces, n_decided) for a batch.
+    """
+
+    values: Floats
+    lower: Floats
+    upper: Floats
+    beta: float
+
+
+def smooth_robustness(
+    phi: Formula | Task, signals: Mapping[str, ArrayLike], beta: float, end: End = "error"
+) -> SmoothRobustness:
+    """Robustness with log-sum-exp in the place of max and min (paper, eq. 8), β from 1e-100 to 1e100.
+
+    Signals and ends as for `monitor`, whose errors it raises too; SettingsError for another β. Under "hold" a held
+    sample counts once for every step of a window, so an interval without end is refused there.
+    """
+    if not 1e-100 <= beta <= 1e100:
+        raise SettingsError(f"beta is {beta!r}; it must be a number from 1e-100 to 1e100")
+    formula, traces = prepare(phi, signals, end)
+    h = traces.program.horizon
+    if h is None and end == "hold":
+        raise SettingsError(
+            'with end="hold", a soft maximum over an interval without end has no value: the held sample would count '
+            'without end; write an end, or use end="cut"'
+        )
+    decided = decided_steps(traces, end)
+    outs = [np.empty((traces.n_traces, decided)) for _ in range(3)]
+    with np.errstate(all="ignore"):
+        for block, rows, first in traces.blocks(end, _BLOCK):
+            found = _run(traces.program.instructions, block, float(beta), h)
+            refuse_unknown(found[0], formula, traces, rows.start, first, end)
+            for out, array in zip(outs, found, strict=True):
+                out[rows, first : first + array.shape[1]] = array
+    values, lower, upper = outs if traces.batch else [out[0] for out in outs]
+    return SmoothRobustness(values, lower, upper, float(beta))
+
+
+@dataclass(frozen=True, slots=True)
+class _Soft:
+    """Values (rows, steps), with O, log N, U, log M of the module's text: (steps,) each, or numbers for all steps.
+
+    `size` (rows, 1) is at least every finite |v|, `error` (rows, 1) at least what rounding has moved a value.
+    """
+
+    values: Floats
+    over: Bound
+    log_n: Bound
+    under: Bound
+    log_m: Bound
+    size: Floats
+    error: Floats
+
+    def __getitem__(self, steps: slice) -> _Soft:
+        over, log_n, under, log_m = (
+            bound[steps] if isinstance(bound, np.ndarray) else bound
+            for bound in (self.over, self.log_n, self.under, self.log_m)
+        )
+        return _Soft(self.values[:, steps], over, log_n, under, log_m, self.size, self.error)
+
+    def __len__(self) -> int:
+        return int(self.values.shape[1])
+
+    def __neg__(self) -> _Soft:
+        return _Soft(-self.values, self.under, self.log_m, self.over, self.log_n, self.size, self.error)
+
+    def padded(self, steps: int, value: float) -> _Soft:
+        """With so many steps of a neutral element behind: it counts nothing."""
+        values = np.hstack([self.values, np.full((len(self.values), steps), value)])
+        over, under = (np.append(bound, np.zeros(steps)) for bound in (self.over, self.under))
+        log_n, log_m = (np.append(count, np.full(steps, -np.inf)) for count in (self.log_n, self.log_m))
+        return _Soft(values, over, log_n, under, log_m, self.size, self.error)
+
+
+def _run(
+    instructions: tuple[Instruction, ...], block: Block, beta: float, h: int | None
+) -> tuple[Floats, Floats, Floats]:
+    """Soft robustness at the block's decided steps, and the exact one's lower and upper bounds."""
+    columns, steps = block.columns, block.steps
+    if block.end == "hold":  # as if the trace went on
+        assert h is not None
+        columns = {name: np.pad(column, ((0, 0), (0, h)), mode="edge") for name, column in columns.items()}
+        steps += h
+    soft = _Machine(Block(columns, block.rows, steps, "cut" if block.end == "cut" else "open", block.wide), beta)
+    values: dict[int, _Soft] = {}
+    for number, now in enumerate(instructions):
+        values[number] = soft.operator(now, [values[arg] for arg in now.args])
+        for ended in now.ends:
+            del values[ended]
+    result = values[len(instructions) - 1]
+    error = result.error + _ROUNDING * result.size
+    lower = result.values - (soft.closed(result.over, result.log_n) + error)
+    upper = result.values + (soft.closed(result.under, result.log_m) + error)
+    return result.values, lower, upper
+
+
+@dataclass(frozen=True, slots=True)
+class _Machine:
+    block: Block
+    beta: float
+
+    def operator(self, now: Instruction, operands: list[_Soft]) -> _Soft:
+        if len(operands) == 2:
+            n = min(map(len, operands))
+            operands = [operand[:n] for operand in operands]
+        match now.op:
+            case "atom":
+                assert now.atom is not None
+                return self.atom(now.atom)
+            case "not":
+                return -operands[0]
+            case "or":
+                return self.smax(*operands)
+            case "and":
+                return self.smin(*operands)
+            case "iff":
+                left, right = operands
+                return self.smin(self.smax(-left, right), self.smax(left, -right))
+            case "eventually":
+                a, b = self.bounds(now)
+                return self.window(self.ended(operands[0], b, -np.inf)[a:], b - a + 1)
+            case "always":
+                a, b = self.bounds(now)
+                return -self.window(self.ended(-operands[0], b, -np.inf)[a:], b - a + 1)
+            case "until":
+                a, b = self.bounds(now)
+                left, right = self.ended(operands[0], b, np.inf), self.ended(operands[1], b, -np.inf)
+                result = self.until(left[a:], right[a:], b - a + 1)
+                if a > 0:
+                    before = -self.window(-left, a)
+                    result = self.smin(before[: len(result)], result)
+                return result
+            case _:
+                assert_never(now.op)
+
+    def bounds(self, now: Instruction) -> tuple[int, int]:
+        n = self.block.steps
+        if self.block.end == "open":
+            assert now.b is not None
+            return now.a, now.b
+        return min(now.a, n), n if now.b is None else min(now.b, n)
+
+    def ended(self, operand: _Soft, b: int, neutral: float) -> _Soft:
+        return operand if self.block.end == "open" else operand.padded(b, neutral)
+
+    def atom(self, atom: Atom) -> _Soft:
+        rows, n = self.block.rows, self.block.steps
+        values, error = np.empty((rows, n)), np.zeros((rows, 1))
+        match atom:
+            case Constant(value):
+                values[...] = np.inf if value else -np.inf
+            case Label(name):
+                values[...] = np.where(self.block.columns[name], np.inf, -np.inf)
+            case Predicate():
+                atom.judge(self.block.columns, None, values, self.block.wide)
+                error = np.broadcast_to(atom.error(self.block.columns), values.shape).max(axis=1, keepdims=True)
+            case _:
+                assert_never(atom)
+        finite = np.where(np.isfinite(values), np.abs(values), 0.0)
+        zeros = np.zeros(n) if self.block.end == "cut" else np.float64(0.0)  # whole windows are alike
+        return _Soft(values, zeros, zeros, zeros, zeros, np.max(finite, axis=1, keepdims=True), error)
+
+    def closed(self, bound: Bound, log_count: Bound) -> Bound:
+        """`bound` + log(count)/β, rounded up; an empty count is one of no error."""
+        closed: Bound = (bound + np.maximum(log_count, 0.0) / self.beta) * _WIDER
+        return closed
+
+    def smax(self, x: _Soft, y: _Soft) -> _Soft:
+        size = np.maximum(x.size, y.size) + np.log(2) / self.beta
+        return _Soft(
+            _soft_maximum(x.values, y.values, self.beta),
+            np.maximum(x.over, y.over),
+            np.logaddexp(x.log_n, y.log_n),
+            np.maximum(self.closed(x.under, x.log_m), self.closed(y.under, y.log_m)),
+            np.zeros_like(x.log_m)[()],  # a number for a number
+            size,
+            np.maximum(x.error, y.error) + _ROUNDING * size,
+        )
+
+    def smin(self, x: _Soft, y: _Soft) -> _Soft:
+        return -self.smax(-x, -y)
+
+    def window(self, x: _Soft, width: int) -> _Soft:
+        """smax over t … t+width−1, put together of disjoint windows of 2^k steps, the shortest first."""
+        result, covered, span = x, 0, 1
+        while True:
+            if width & span:
+                n = len(x) - covered
+                result = self.smax(result[:n], x[covered:]) if covered else x
+                covered += span
+            if covered == width:
+                return result
+            x = self.smax(x[: len(x) - span], x[span:])
+            span *= 2
+
+    def until(self, A: _Soft, B: _Soft, width: int) -> _Soft:
+        """left U[0,width−1] right, of disjoint pairs in the same way."""
+        firsts, result, covered, span = A, B, 0, 1
+        while True:
+            if width & span:
+                n = len(B) - covered
+                result = self.smax(result[:n], self.smin(firsts[:n], B[covered:])) if covered else B
+                firsts = self.smin(firsts[:n], A[covered:]) if covered else A
+                covered += span
+            if covered == width:
+                return result
+            n = len(B) - span
+            A, B = self.smin(A[:n], A[span:]), self.smax(B[:n], self.smin(A[:n], B[span:]))
+            span *= 2
+
+
+def _soft_maximum(x: Floats, y: Floats, beta: float) -> Floats:
+    """1/β log(exp(βx) + exp(βy)); infinities are what max makes of them, NaN spreads."""
+    high = np.maximum(x, y)
+    apart = high - np.minimum(x, y)
+    np.fmax(apart, 0.0, out=apart)  # equal infinities
+    apart *= -beta
+    np.exp(apart, out=apart)
+    np.log1p(apart, out=apart)
+    apart /= beta
+    apart += high
+    return apart

@@ -1,0 +1,150 @@
+"""What users hand to a monitor, read and checked: arrays of one shape, samples that are finite numbers or truth values.
+
+Samples are checked block by block, while they are in the cache for judging anyway.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stltool.errors import NameLookupError, TraceError, near_misses
+from stltool.logic.blocks import Block, BlockEnd
+from stltool.logic.program import Program
+
+End = Literal["error", "cut", "hold"]
+
+WHOLE = 2**53  # whole numbers up to here are doubles
+_WIDE = 2.0**969  # a difference of two samples below, or of one and any double, does not overflow
+
+
+@dataclass(frozen=True, slots=True)
+class Traces:
+    """The arrays of the names that a formula reads, (n_traces, n_steps) each, of the types they were given in."""
+
+    arrays: Mapping[str, NDArray[Any]]
+    program: Program
+    n_traces: int
+    n_steps: int
+    batch: bool
+    first_step: int = 0  # what to call the first sample in messages
+
+    def place(self, row: int, step: int) -> str:
+        """`trace 3, step 17`, or without the trace where there is but one."""
+        step += self.first_step
+        return f"trace {row}, step {step}" if self.batch else f"step {step}"
+
+    def row(self, row: int, first: int) -> Traces:
+        """One trace from a step on."""
+        arrays = {name: array[row : row + 1, first:] for name, array in self.arrays.items()}
+        return replace(self, arrays=arrays, n_traces=1, n_steps=self.n_steps - first)
+
+    def blocks(self, end: End, samples: int) -> Iterator[tuple[Block, slice, int]]:
+        """Blocks of about so many samples that decide every step once: each with its rows and its first decided step.
+
+        Steps with the horizon before them in "open" blocks; if `end` is not "error", the others from the last
+        horizon(φ) samples, cut or held.
+        """
+        n, rows, h = self.n_steps, self.n_traces, self.program.horizon
+        if h is not None and n > h:
+            width = max(samples, 4 * h)
+            if n <= width + h:
+                for some in _groups(rows, max(1, width // n)):
+                    yield self.block(some, slice(0, n), "open"), some, 0
+            else:
+                for row, first in itertools.product(range(rows), range(0, n - h, width)):
+                    some = slice(row, row + 1)
+                    yield self.block(some, slice(first, min(first + width + h, n)), "open"), some, first
+        tail = n if h is None else min(h, n)
+        if end != "error" and tail > 0:
+            for some in _groups(rows, max(1, samples // (2 * tail))):
+                yield self.block(some, slice(n - tail, n), end), some, n - tail
+
+    def block(self, rows: slice, steps: slice, end: BlockEnd) -> Block:
+        """A part of the traces, its samples checked: TraceError names signal, trace, step and value."""
+        columns, wide = {}, False
+        for name, array in self.arrays.items():
+            given = array[rows, steps]
+            if name in self.program.labels:
+                columns[name] = self._label(name, given, rows, steps)
+            if name in self.program.variables:  # of a name that is both, the reals serve
+                columns[name] = column = self._variable(name, given, rows, steps)
+                if not -_WIDE < column.min() <= column.max() < _WIDE:
+                    self._refuse(name, ~np.isfinite(column), rows, steps, "monitors judge finite samples")
+                    wide = True
+        return Block(columns, rows.stop - rows.start, steps.stop - steps.start, end, wide)
+
+    def _label(self, name: str, given: NDArray[Any], rows: slice, steps: slice) -> NDArray[Any]:
+        if given.dtype.kind == "b":
+            return given
+        why = f"it is used as a label, which is 0 or 1; compare it, as in {name} > 0"
+        self._refuse(name, (given != 0) & (given != 1), rows, steps, why)
+        truth: NDArray[np.bool_] = given != 0
+        return truth
+
+    def _variable(self, name: str, given: NDArray[Any], rows: slice, steps: slice) -> NDArray[np.float64]:
+        if given.dtype.kind in "iu" and given.dtype.itemsize == 8:
+            why = "whole numbers beyond 2^53 may have no double; give floats"
+            self._refuse(name, (given > WHOLE) | (given < -WHOLE), rows, steps, why)
+        return np.ascontiguousarray(given, dtype=np.float64)
+
+    def _refuse(self, name: str, bad: NDArray[np.bool_], rows: slice, steps: slice, why: str) -> None:
+        for row, step in np.argwhere(bad)[:1].tolist():
+            value = self.arrays[name][rows.start + row, steps.start + step]
+            raise TraceError(f"signal {name} is {value} at {self.place(rows.start + row, steps.start + step)}: {why}")
+
+
+def _groups(rows: int, size: int) -> Iterator[slice]:
+    for first in range(0, rows, size):
+        yield slice(first, min(first + size, rows))
+
+
+def read_traces(program: Program, signals: Mapping[str, ArrayLike]) -> Traces:
+    """The arrays of a program's names, (n_steps,) or (n_traces, n_steps); their samples are checked in `blocks`.
+
+    Raises NameLookupError where a name is missing, TraceError where an array is not of numbers, or shapes differ.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    for name, span in {**program.variables, **program.labels}.items():
+        if name not in signals:
+            message = f"the traces have no signal {name}; {near_misses(name, signals)}"
+            raise NameLookupError(span.show(message) if span else message)
+        arrays[name] = _as_array(name, signals[name])
+    # a formula without names still has steps: those of whatever traces there are
+    shaped = arrays or {name: _as_array(name, values) for name, values in signals.items()}
+    if not shaped:
+        raise TraceError("there is no signal to take the number of steps from; give one")
+    first, shape = next((name, array.shape) for name, array in shaped.items())
+    for name, array in shaped.items():
+        if array.shape != shape:
+            raise TraceError(
+                f"signal {first} has shape {shape}, signal {name} {array.shape}; give all signals one shape, "
+                "(n_steps,) or (n_traces, n_steps)"
+            )
+    batch = len(shape) == 2
+    n_traces, n_steps = shape if batch else (1, *shape)
+    rows = {name: array.reshape(n_traces, n_steps) for name, array in arrays.items()}
+    return Traces(rows, program, n_traces, n_steps, batch)
+
+
+def _as_array(name: str, values: ArrayLike) -> NDArray[Any]:
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        raise TraceError(f"the traces of signal {name} have unequal lengths; monitor each on its own") from None
+    if array.dtype.kind not in "biuf" or array.dtype.itemsize > 8:
+        raise TraceError(f"signal {name} holds {array.dtype}, not numbers that fit a double; give floats or Booleans")
+    if array.ndim not in (1, 2):
+        raise TraceError(f"signal {name} has shape {array.shape}; give (n_steps,) or (n_traces, n_steps)")
+    if np.ma.is_masked(values):
+        raise TraceError(f"signal {name} has masked samples; fill them, or leave these traces out")
+    if not isinstance(values, np.ndarray) and array.dtype.kind == "f" and (np.abs(array) >= WHOLE).any():
+        for value in np.asarray(values, dtype=object).flat:  # among floats, numpy rounds whole numbers silently
+            if isinstance(value, int) and abs(value) > WHOLE:
+                raise TraceError(f"signal {name} holds {value}: whole numbers beyond 2^53 may have no double")
+    return array

@@ -1,0 +1,156 @@
+"""Soft robustness against sums of exponentials written out, and its enclosure against the exact one."""
+
+import functools
+import math
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import stltool as stl
+from stltool.errors import SettingsError, TraceError
+from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Interval, Not, Or, Until, is_bounded
+from stltool.testing import formulas, traces
+from tests.logic.test_monitor import batches, perhaps_endless
+
+BETAS = st.sampled_from([0.01, 1.0, 7.5, 50.0, 1e6])
+
+
+@given(phi=formulas(), beta=BETAS, data=st.data())
+def test_the_exact_robustness_is_enclosed(phi, beta, data):
+    n = stl.horizon(phi) + data.draw(st.integers(1, 3))
+    trace = data.draw(traces(n))
+    soft = stl.smooth_robustness(phi, trace, beta)
+    for t in range(n - stl.horizon(phi)):
+        assert soft.lower[t] <= stl.robustness(phi, trace, t) <= soft.upper[t]
+        assert soft.lower[t] <= soft.values[t] <= soft.upper[t]
+
+
+@given(phi=perhaps_endless(), beta=BETAS, end=st.sampled_from(["cut", "hold"]), data=st.data())
+def test_and_at_the_end_of_the_trace(phi, beta, end, data):
+    batch = data.draw(batches(data.draw(st.integers(1, 5))))
+    if end == "hold" and not is_bounded(phi):
+        with pytest.raises(SettingsError, match="no value"):
+            stl.smooth_robustness(phi, batch, beta, end)
+        return
+    soft, exact = stl.smooth_robustness(phi, batch, beta, end), stl.monitor(phi, batch, end).robustness
+    assert (soft.lower <= exact).all()
+    assert (exact <= soft.upper).all()
+
+
+def smax(values, beta):
+    high = max(values)
+    if math.isinf(high):
+        return high
+    return high + math.log(math.fsum(math.exp(beta * (v - high)) for v in values)) / beta
+
+
+def smin(values, beta):
+    return -smax([-v for v in values], beta)
+
+
+def soft(phi, trace, t, beta):
+    """The definitions, step by step."""
+
+    def value(psi, u=t):
+        return soft(psi, trace, u, beta)
+
+    def pair(u, width):
+        if width == 1:
+            return value(phi.left, u), value(phi.right, u)
+        return joined(pair(u, width // 2), pair(u + width // 2, width // 2))
+
+    def joined(x, y):
+        return smin([x[0], y[0]], beta), smax([x[1], smin([x[0], y[1]], beta)], beta)
+
+    match phi:
+        case Not(arg):
+            return -value(arg)
+        case And(args):
+            return smin([value(arg) for arg in args], beta)
+        case Or(args):
+            return smax([value(arg) for arg in args], beta)
+        case Implies(left, right):
+            return smax([-value(left), value(right)], beta)
+        case Iff(left, right):
+            return smin([value(Implies(left, right)), value(Implies(right, left))], beta)
+        case Eventually(interval, arg):
+            return smax([value(arg, u) for u in range(t + interval.a, t + interval.b + 1)], beta)
+        case Always(interval, arg):
+            return smin([value(arg, u) for u in range(t + interval.a, t + interval.b + 1)], beta)
+        case Until(interval, left, _):
+            parts, u = [], t + interval.a
+            for k in range(len(interval).bit_length()):
+                if len(interval) >> k & 1:
+                    parts.append(pair(u, 1 << k))
+                    u += 1 << k
+            witness = functools.reduce(joined, parts)[1]
+            before = [smin([value(left, v) for v in range(t, t + interval.a)], beta)] if interval.a else []
+            return smin([*before, witness], beta)
+        case _:
+            return stl.robustness(phi, trace, t)
+
+
+@given(phi=formulas(longest=6, max_leaves=5), beta=BETAS, data=st.data())
+def test_values_are_the_definitions(phi, beta, data):
+    n = data.draw(st.integers(1, 3))
+    trace = data.draw(traces(n + stl.horizon(phi)))
+    values = stl.smooth_robustness(phi, trace, beta).values
+    assert values == pytest.approx([soft(phi, trace, t, beta) for t in range(n)], rel=1e-9, abs=1e-9)
+    short = {name: samples[:n] for name, samples in trace.items()}
+    held = {name: np.append(samples, [samples[-1]] * stl.horizon(phi)) for name, samples in short.items()}
+    values = stl.smooth_robustness(phi, short, beta, "hold").values
+    assert values == pytest.approx([soft(phi, held, t, beta) for t in range(n)], rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "over", "under"),
+    [
+        ("F[0,6] (x > 0)", 7, 1),
+        ("G[2,6] (x > 0)", 1, 5),
+        ("F[0,2] F[1,4] (x > 0)", 12, 1),
+        ("G[0,4] (F[0,6] (x > 0) & F[0,2] (x > 1))", 7, 10),
+        ("!(x > 0 & x > 1 & x > 2 & x > 3)", 4, 1),
+        ("(x > 0) U[2,2] (x > 1)", 1, 3),
+    ],
+)
+def test_how_wide_enclosures_are(text, over, under):
+    """log(n)/beta for every extremum, n its operands; nested ones of a kind are one."""
+    x = np.linspace(-1, 1, 40)
+    soft = stl.smooth_robustness(stl.parse(text), {"x": x}, beta=10.0)
+    assert soft.values - soft.lower == pytest.approx(np.log(over) / 10, rel=1e-5, abs=1e-12)
+    assert soft.upper - soft.values == pytest.approx(np.log(under) / 10, rel=1e-5, abs=1e-12)
+
+
+def test_cut_windows_are_less_wide():
+    soft = stl.smooth_robustness(stl.parse("F[0,3] (x > 0)"), {"x": np.zeros(6)}, 10.0, "cut")
+    assert soft.values == pytest.approx(np.log([4, 4, 4, 3, 2, 1]) / 10)
+    assert soft.values - soft.lower == pytest.approx(np.log([4, 4, 4, 3, 2, 1]) / 10, rel=1e-5, abs=1e-12)
+    empty = stl.smooth_robustness(Eventually(Interval(3, None), stl.parse("x > 0")), {"x": [1.0, 2.0]}, 10.0, "cut")
+    assert [empty.values.tolist(), empty.lower.tolist(), empty.upper.tolist()] == [[-np.inf, -np.inf]] * 3
+
+
+def test_rounding_is_covered():
+    """Where soft and exact extrema agree but for rounding."""
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=300) * 10.0 ** rng.integers(-9, 9, size=300)
+    for text in ("F[0,9] (x + x / 3 > 1e8)", "G[0,9] F[0,2] (x * x - x < 0.1)", "(x < 3) U[1,9] (0.1 * x > 1e-3)"):
+        phi = stl.parse(text)
+        soft = stl.smooth_robustness(phi, {"x": x}, beta=1e99)
+        exact = [stl.robustness(phi, {"x": x}, t) for t in range(len(x) - stl.horizon(phi))]
+        assert (soft.lower <= exact).all()
+        assert (exact <= soft.upper).all()
+        assert (soft.upper - soft.lower <= 1e-11 * np.abs(x).max() ** 2).all()
+
+
+def test_what_smooth_robustness_refuses():
+    phi = stl.parse("F[0,1] (1 / x > 0)")
+    for beta in (0, -1.0, math.inf, math.nan, 1e101):
+        with pytest.raises(SettingsError, match=re.escape(f"beta is {beta};")):
+            stl.smooth_robustness(phi, {"x": [1.0, 2.0]}, beta)
+    with pytest.raises(TraceError, match="step 1: .* 1, 0"):
+        stl.smooth_robustness(phi, {"x": [1.0, 0.0]}, 1.0)
+    with pytest.raises(TraceError, match="1 samples; this formula needs 2"):
+        stl.smooth_robustness(phi, {"x": [1.0]}, 1.0)

@@ -1,0 +1,153 @@
+"""Monitors against RTAMT: the expected lists of its own tests, and RTAMT itself where it is installed."""
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import stltool as stl
+from stltool.errors import StlToolError
+from stltool.logic.formula import (
+    Always,
+    And,
+    Arithmetic,
+    Call,
+    Comparison,
+    Eventually,
+    Implies,
+    Interval,
+    Not,
+    Number,
+    Or,
+    Until,
+    Variable,
+)
+from tests.conftest import ROOT
+from tests.logic.test_monitor import close
+
+CASES = ROOT.parent / "shared" / "data" / "stl" / "rtamt_tests_discrete_offline.json"
+POSITIVE_A, POSITIVE_B = stl.parse("a > 0"), stl.parse("b > 0")
+ENDLESS = Interval(0, None)
+
+# RTAMT's formula: ours, a number f standing for f > 0
+SAME = {
+    "abs(a)": "abs(a) > 0", "a + b": "a + b > 0", "a * b": "a * b > 0", "a / b": "a / b > 0", "(a - b)": "a - b > 0",
+    "sqrt(a)": "sqrt(a) > 0", "pow(a, b)": "a ^ b > 0", "5.0": "5 > 0", "not(a)": "!(a > 0)",
+    "a and b": "a > 0 & b > 0", "a or b": "a > 0 | b > 0", "a -> b": "a > 0 -> b > 0",
+    "a > b": "a > b", "a >= b": "a >= b", "a < b": "a < b", "a <= b": "a <= b", "a == b": "a == b", "a !== b": "a != b",
+    "always[0,1](a)": "G[0,1] (a > 0)", "eventually[0,1](a)": "F[0,1] (a > 0)",
+    "a until[0,1] b": "a > 0 U[0,1] (b > 0)",
+    "always(a)": Always(ENDLESS, POSITIVE_A), "eventually(a)": Eventually(ENDLESS, POSITIVE_A),
+    "a until b": Until(ENDLESS, POSITIVE_A, POSITIVE_B),
+}  # fmt: skip
+OUTSIDE = {  # the past, next, and functions that we do not have
+    "historically(a)", "historically[0,1](a)", "historically[1,2](a)", "once(a)", "once[0,1](a)", "once[1,2](a)",
+    "prev(a)", "rise(a)", "fall(a)", "a since b", "a since[0,1] b", "next(a)", "exp(a)",
+}  # fmt: skip
+ANOTHER = {"a iff b": "a > 0 <-> b > 0", "a xor b": "a > 0 xor b > 0"}  # RTAMT has -|a - b| and |a - b|
+
+
+@pytest.mark.skipif(not CASES.exists(), reason=f"{CASES.name} is not beside the project")
+def test_the_expected_lists_of_rtamt():
+    cases = json.loads(CASES.read_text(encoding="utf-8"))["cases"]
+    assert len(cases) == 40
+    assert {case["formula"] for case in cases} == {*SAME, *OUTSIDE, *ANOTHER}
+    for case in cases:
+        text, expected = case["formula"], [float(value) for value in case["expected"]]
+        if text in OUTSIDE:
+            for number in (text, f"{text} > 0"):
+                with pytest.raises(StlToolError):
+                    stl.parse(number)
+        elif text in SAME:
+            ours = SAME[text]
+            found = stl.monitor(stl.parse(ours) if isinstance(ours, str) else ours, case["signals"], end="cut")
+            assert found.robustness == pytest.approx(expected, rel=1e-15), text
+            assert all(v == (m > 0) for v, m in zip(found.verdicts, expected, strict=True) if m != 0), text
+        else:
+            a, b = (np.array(case["signals"][name]) for name in "ab")
+            assert expected == ((-1) ** (text == "a iff b") * np.abs(a - b)).tolist()
+            found = stl.monitor(stl.parse(ANOTHER[text]), case["signals"], end="cut").robustness
+            both = np.minimum(np.maximum(-a, b), np.maximum(a, -b))
+            assert found.tolist() == (both if text == "a iff b" else -both).tolist() != expected
+
+
+def rtamt():
+    """The package; its parser's run time warns when it is imported, or cannot be, depending on the Python."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return pytest.importorskip("rtamt", exc_type=ImportError)
+
+
+def rtamt_text(phi):
+    match phi:
+        case Variable(name):
+            return name
+        case Number(value):
+            return str(value)
+        case Call("abs", (arg,)):
+            return f"abs({rtamt_text(arg)})"
+        case Arithmetic(op, left, right):
+            return f"({rtamt_text(left)} {op} {rtamt_text(right)})"
+        case Comparison(op, left, right):
+            return f"({rtamt_text(left)} {'!==' if op == '!=' else op} {rtamt_text(right)})"
+        case Not(arg):
+            return f"(not {rtamt_text(arg)})"
+        case And(args) | Or(args):
+            return "(" + (" and " if isinstance(phi, And) else " or ").join(map(rtamt_text, args)) + ")"
+        case Implies(left, right):
+            return f"({rtamt_text(left)} -> {rtamt_text(right)})"
+        case Eventually(interval, arg) | Always(interval, arg):
+            word = "eventually" if isinstance(phi, Eventually) else "always"
+            return f"({word}{rtamt_interval(interval)}({rtamt_text(arg)}))"
+        case Until(interval, left, right):
+            return f"({rtamt_text(left)} until{rtamt_interval(interval)} {rtamt_text(right)})"
+        case _:
+            raise ValueError(f"RTAMT means something else by {phi}")
+
+
+def rtamt_interval(interval):
+    return "" if interval.b is None else str(interval)
+
+
+def common_formulas():
+    """What both languages have and mean alike."""
+    terms = st.recursive(
+        st.sampled_from("xy").map(Variable) | st.sampled_from([0.0, 0.5, 2.0]).map(Number),
+        lambda below: (
+            st.builds(Arithmetic, st.sampled_from("+-*"), below, below) | below.map(lambda arg: Call("abs", (arg,)))
+        ),
+        max_leaves=3,
+    )
+    pairs = st.tuples(st.integers(0, 4), st.integers(0, 4)).map(lambda pair: Interval(min(pair), max(pair)))
+    intervals = pairs | st.just(ENDLESS)
+
+    def grow(below):
+        return st.one_of(
+            below.map(Not),
+            st.lists(below, min_size=2, max_size=3).map(tuple).flatmap(lambda a: st.sampled_from([And(a), Or(a)])),
+            st.builds(Implies, below, below),
+            st.builds(Eventually, intervals, below),
+            st.builds(Always, intervals, below),
+            st.builds(Until, intervals, below, below),
+        )
+
+    comparisons = st.builds(Comparison, st.sampled_from(["<", "<=", ">", ">=", "==", "!="]), terms, terms)
+    return st.recursive(comparisons, grow, max_leaves=6)
+
+
+@settings(max_examples=60)
+@given(phi=common_formulas(), n=st.integers(2, 9), data=st.data())
+def test_rtamt_agrees_on_what_both_languages_have(phi, n, data):
+    package = rtamt()
+    values = st.lists(st.sampled_from([-2.0, -0.25, 0.0, 0.5, 1.0, 2.0]) | st.floats(-9, 9), min_size=n, max_size=n)
+    signals = {name: data.draw(values) for name in "xy"}
+    specification = package.StlDiscreteTimeOfflineSpecification()
+    for name in signals:
+        specification.declare_var(name, "float")
+    specification.spec = rtamt_text(phi)
+    specification.parse()
+    expected = [value for _, value in specification.evaluate({"time": list(range(n)), **signals})]
+    assert all(map(close, stl.monitor(phi, signals, end="cut").robustness, expected))
