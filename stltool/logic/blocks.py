@@ -270,16 +270,16 @@ class _Tape:
             np.copyto(out[:count], source[a : a + count])
             self.pool.free += [source] * ends
             return out
-        spare: list[Array] = []
+        spare = None
         while span < width:
             step = min(span, width - span)
             count -= step
-            out = spare.pop() if spare else self.pool.take()
+            out = self.pool.take() if spare is None else spare
             fold(source[a : a + count], source[a + step : a + step + count], out=out[:count])
-            if span > 1 or ends:
-                spare.append(source)
-            source, a, span = out, 0, span + step
-        self.pool.free += spare
+            spare = source if ends else None
+            source, ends, a, span = out, True, 0, span + step
+        if spare is not None:
+            self.pool.free.append(spare)
         return source
 
     def _until(self, operands: list[_Operand], count: int, a: int, b: int) -> Array:

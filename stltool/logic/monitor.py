@@ -31,7 +31,7 @@ from stltool.logic.traces import End, Traces, read_traces
 Semantics = Literal["both", "boolean", "robustness"]
 
 _MARGINS = 1 << 14  # samples a block: the buffers of a few values stay in the second cache
-_TRUTH = 1 << 16
+_TRUTH = 1 << 17
 
 
 @dataclass(frozen=True, eq=False)
