@@ -25,8 +25,8 @@ from stltool.logic import semantics as oracle
 from stltool.logic.blocks import Machine
 from stltool.logic.formula import Always, Eventually, Formula, Until, children, horizon, is_temporal
 from stltool.logic.program import compile_formula
+from stltool.logic.samples import End, Traces, read_traces
 from stltool.logic.task import Task
-from stltool.logic.traces import End, Traces, read_traces
 
 Semantics = Literal["both", "boolean", "robustness"]
 

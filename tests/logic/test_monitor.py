@@ -228,6 +228,18 @@ def test_options_that_do_not_exist():
         stl.monitor("a", {"a": [1]})
 
 
+def test_windows_longer_than_anything():
+    phi = Always(Interval(0, 10**30), Eventually(Interval(10**29, 10**31), stl.parse("x > 0")))
+    for end, verdicts in (("cut", [False, False]), ("hold", [True, True])):
+        assert stl.monitor(phi, {"x": [0, 1]}, end).verdicts.tolist() == verdicts
+    online = stl.OnlineMonitor(phi)
+    assert [online.feed({"x": 0}), online.feed({"x": 1}), [d.verdict for d in online.finish("hold")]] == [
+        [],
+        [],
+        [1, 1],
+    ]
+
+
 def test_no_traces_and_no_steps():
     phi = stl.parse("F[0,1] (x > 0)")
     for end, decided in (("error", 2), ("cut", 3), ("hold", 3)):

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from stltool.errors import NameLookupError, TraceError, near_misses
 from stltool.logic.blocks import Block, BlockEnd
 from stltool.logic.program import Program
+from stltool.sizes import require_memory
 
 End = Literal["error", "cut", "hold"]
 
@@ -43,6 +44,15 @@ class Traces:
         """One trace from a step on."""
         arrays = {name: array[row : row + 1, first:] for name, array in self.arrays.items()}
         return replace(self, arrays=arrays, n_traces=1, n_steps=self.n_steps - first)
+
+    def held(self, steps: int) -> Traces:
+        """With the last sample held for so many steps more."""
+        require_memory(
+            8.0 * len(self.arrays) * self.n_traces * (self.n_steps + steps),
+            f"{self.n_traces} traces held for {steps} steps", "shorten the windows, or cut them",
+        )  # fmt: skip
+        arrays = {name: np.pad(array, ((0, 0), (0, steps)), mode="edge") for name, array in self.arrays.items()}
+        return replace(self, arrays=arrays, n_steps=self.n_steps + steps)
 
     def blocks(self, end: End, samples: int) -> Iterator[tuple[Block, slice, int]]:
         """Blocks of about so many samples that decide every step once: each with its rows and its first decided step.
