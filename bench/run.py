@@ -10,6 +10,7 @@ from pathlib import Path
 
 import automata
 import goals
+import monitors
 import rigour
 import spine
 
@@ -31,6 +32,10 @@ lines = [
     "## Enclosures and exact fractions",
     "",
     *rigour.table(),
+    "",
+    "## Monitors",
+    "",
+    *monitors.table(),
     "",
     "## Automata: states by encoding, seconds to compile the exact one",
     "",
