@@ -10,6 +10,7 @@ from pathlib import Path
 
 import automata
 import goals
+import monitors
 import parsing
 import rigour
 import spine
@@ -36,6 +37,10 @@ lines = [
     "## Reading formulas",
     "",
     *parsing.table(),
+    "",
+    "## Monitors",
+    "",
+    *monitors.table(),
     "",
     "## Automata: states by encoding, seconds to compile the exact one",
     "",

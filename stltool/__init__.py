@@ -16,7 +16,7 @@
 
 One straight way through the house, and the map in reading order:
 
-    logic/        text → Formula: grammar, parser, printer, semantics (the oracle), the paper's fragment
+    logic/        text → Formula: grammar, parser, printer, semantics (the oracle), the paper's fragment; monitors
     traces.py     a trace file → the signals that a formula is judged on
     automata/     Formula → TaskAutomaton: what must be remembered to judge a run
     models/       a file, arrays or a Gymnasium environment → MDP; MDP → something that only resets and steps

@@ -12,7 +12,8 @@ and φ U[0,w−1] ψ = B_w doubles the pair of A_s(t) = min of φ over t … t+s
 Without an end the rows touch (stride = steps): a window that leaves its row spoils only steps that nobody decides. With
 end "cut" or "hold" the rows have padding that each windowed operand fills for its reader: with the neutral element, or
 with the row's last value, which is the operand's value at every later step, since all samples are held there. Bounds
-beyond the row are the row's length n: windows are in the padding from there on.
+beyond the row are the row's length n: windows are in the padding from there on. Windows to the end of the row are one
+pass of suffixes.
 
 Truth runs on Booleans. Where a predicate has no value (1/0), the block runs again on −1, 0, 1 for false, unknown, true:
 the same lattice, so a verdict is unknown only if it hangs on what has no value (Kleene). In margins NaN spreads.
@@ -165,10 +166,9 @@ class _Tape:
 
     def __init__(self, machine: Machine, block: Block, algebra: Algebra) -> None:
         self.algebra, self.block, self.instructions = algebra, block, machine.program.instructions
-        reach = 0
+        self.stride = block.steps
         if block.end != "open":
-            reach = min(block.steps, max(block.steps if i.b is None else i.b for i in self.instructions))
-        self.stride = block.steps + reach
+            self.stride += max(self._looks_past_the_end(now) for now in self.instructions)
         self.length = block.rows * self.stride
         self.pool = machine.pool(algebra.dtype, self.length)
         self.values: dict[int, Array] = {}
@@ -221,6 +221,8 @@ class _Tape:
                 eventually = now.op == "eventually"
                 self._fill(operands[0][0], self.algebra.least if eventually else self.algebra.greatest)
                 a, b = self._bounds(now)
+                if self.block.end != "open" and b == self.block.steps:
+                    return self._suffixes(_FOLD[now.op], operands[0], a)
                 return self._window(_FOLD[now.op], operands[0], count, a, b - a + 1)
             case "until":
                 self._fill(operands[0][0], self.algebra.greatest)
@@ -237,6 +239,11 @@ class _Tape:
             assert now.b is not None
             return now.a, now.b
         return min(now.a, n), n if now.b is None else min(now.b, n)
+
+    def _looks_past_the_end(self, now: Instruction) -> int:
+        """How much padding an operator needs: windows to the end of the row only have to start in it."""
+        a, b = self._bounds(now)
+        return a if b == self.block.steps and now.op in ("eventually", "always") else b
 
     def _fill(self, buffer: Array, neutral: Any) -> None:
         n = self.block.steps
@@ -270,17 +277,26 @@ class _Tape:
             np.copyto(out[:count], source[a : a + count])
             self.pool.free += [source] * ends
             return out
-        spare: list[Array] = []
+        spare = None
         while span < width:
             step = min(span, width - span)
             count -= step
-            out = spare.pop() if spare else self.pool.take()
+            out = self.pool.take() if spare is None else spare
             fold(source[a : a + count], source[a + step : a + step + count], out=out[:count])
-            if span > 1 or ends:
-                spare.append(source)
-            source, a, span = out, 0, span + step
-        self.pool.free += spare
+            spare = source if ends else None
+            source, ends, a, span = out, True, 0, span + step
+        if spare is not None:
+            self.pool.free.append(spare)
         return source
+
+    def _suffixes(self, fold: np.ufunc, operand: _Operand, a: int) -> Array:
+        """out[t] = fold of source[t+a …] to the end of the row, padding included."""
+        source, ends = operand
+        out = self.pool.take()
+        backwards = self._rows(source)[:, a:][:, ::-1]
+        fold.accumulate(backwards, axis=1, out=self._rows(out)[:, : self.stride - a][:, ::-1])
+        self.pool.free += [source] * ends
+        return out
 
     def _until(self, operands: list[_Operand], count: int, a: int, b: int) -> Array:
         (left, left_ends), (right, right_ends) = operands

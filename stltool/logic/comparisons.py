@@ -53,7 +53,7 @@ Bounded: TypeAlias = tuple[Values, Values]  # values and their bounds
 _COMPARE: dict[Comparator, np.ufunc] = {
     "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "==": np.equal, "!=": np.not_equal,
 }  # fmt: skip
-_REMEMBERED = 1 << 16  # samples judged one by one that are kept
+_REMEMBERED = 1 << 14  # samples judged one by one that are kept
 _U = 2.0**-53
 _TINY = 1e-322  # covers what underflow loses
 _WIDER = 1.25  # covers the rounding of the bounds themselves

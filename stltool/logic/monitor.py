@@ -25,13 +25,13 @@ from stltool.logic import semantics as oracle
 from stltool.logic.blocks import Machine
 from stltool.logic.formula import Always, Eventually, Formula, Until, children, horizon, is_temporal
 from stltool.logic.program import compile_formula
+from stltool.logic.samples import End, Traces, read_traces
 from stltool.logic.task import Task
-from stltool.logic.traces import End, Traces, read_traces
 
 Semantics = Literal["both", "boolean", "robustness"]
 
 _MARGINS = 1 << 14  # samples a block: the buffers of a few values stay in the second cache
-_TRUTH = 1 << 16
+_TRUTH = 1 << 17
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +62,9 @@ class MonitorResult:
         violated = ~self.verdicts
         if violated.ndim == 1:
             return int(violated.argmax()) if violated.any() else None
-        first = np.full(len(violated), -1)
-        rows = violated.any(axis=1)
-        first[rows] = violated[rows].argmax(axis=1)
-        return first
+        n = violated.shape[1]
+        first = np.where(violated, np.arange(n), n).min(axis=1, initial=n)
+        return np.where(first < n, first, -1)
 
 
 def monitor(
@@ -111,8 +110,8 @@ def prepare(phi: Formula | Task, signals: Mapping[str, ArrayLike], end: End) -> 
     formula = phi.formula if isinstance(phi, Task) else phi
     program = compile_formula(formula)
     require_option("end", end, get_args(End))
-    if end == "error":
-        horizon(formula)  # refuses an interval without end, with its place
+    if end == "error" and program.horizon is None:
+        horizon(formula)  # raises, with the place of the interval without end
     return formula, read_traces(program, signals)
 
 

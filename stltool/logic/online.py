@@ -16,6 +16,7 @@ the truth of the greatest pair is "some are true": one lattice serves both seman
 from __future__ import annotations
 
 import math
+import sys
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, assert_never
@@ -27,8 +28,8 @@ from stltool.logic.comparisons import Predicate
 from stltool.logic.formula import Constant, Formula, Label, require_bounded
 from stltool.logic.monitor import judge, require_option
 from stltool.logic.program import Atom, Instruction, compile_formula
+from stltool.logic.samples import WHOLE, Traces
 from stltool.logic.task import Task
-from stltool.logic.traces import WHOLE, Traces
 
 Sample: TypeAlias = Mapping[str, float]
 _Value: TypeAlias = tuple[float, bool]
@@ -61,7 +62,7 @@ class OnlineMonitor:
         instructions = self._program.instructions
         self.horizon: int = instructions[-1].horizon or 0
         self.n_steps = 0
-        self._last: deque[Sample] = deque(maxlen=self.horizon)
+        self._last: deque[Sample] = deque(maxlen=min(self.horizon, sys.maxsize))
         self._atoms = [(i, _atom(now.atom)) for i, now in enumerate(instructions) if now.atom is not None]
         self._network = _Network(instructions)
 

@@ -17,7 +17,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias, assert_never
+from functools import lru_cache
+from typing import Literal, NamedTuple, TypeAlias, assert_never
 
 from stltool.logic.comparisons import Predicate
 from stltool.logic.formula import (
@@ -41,8 +42,7 @@ Op = Literal["atom", "not", "and", "or", "iff", "eventually", "always", "until"]
 Atom: TypeAlias = Constant | Label | Predicate
 
 
-@dataclass(frozen=True, slots=True)
-class Instruction:
+class Instruction(NamedTuple):
     """One operator; `args` are numbers of earlier instructions, `horizon` is None from an interval without end on."""
 
     op: Op
@@ -68,10 +68,30 @@ class Program:
 
 
 def compile_formula(phi: Formula) -> Program:
-    """The program of a formula. StlSyntaxError where something else is given."""
+    """The program of a formula; those of the last few formula objects are kept. StlSyntaxError for anything else."""
     require_formula(phi)
+    return _compile(_Same(phi))
+
+
+class _Same:
+    """A key for a formula that compares the object: hashing its nodes would cost more than compiling them."""
+
+    __slots__ = ("phi",)
+
+    def __init__(self, phi: Formula) -> None:
+        self.phi = phi
+
+    def __hash__(self) -> int:
+        return id(self.phi)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self.phi is other.phi
+
+
+@lru_cache(maxsize=8)
+def _compile(key: _Same) -> Program:
     compiler = _Compiler()
-    compiler.visit(phi)
+    compiler.visit(key.phi)
     return compiler.program()
 
 
@@ -147,10 +167,11 @@ class _Compiler:
 
     def program(self) -> Program:
         """The instructions in order, each with the values that end there."""
-        finished, seen = [], {len(self.instructions) - 1}
+        seen = {len(self.instructions) - 1}
         for i in reversed(range(len(self.instructions))):
             now = self.instructions[i]
             ends = tuple(arg for arg in dict.fromkeys(now.args) if arg not in seen)
-            seen.update(ends)
-            finished.append(Instruction(now.op, now.args, now.horizon, now.a, now.b, now.atom, ends))
-        return Program(tuple(reversed(finished)), self.variables, self.labels)
+            if ends:
+                seen.update(ends)
+                self.instructions[i] = now._replace(ends=ends)
+        return Program(tuple(self.instructions), self.variables, self.labels)

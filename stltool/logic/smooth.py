@@ -38,8 +38,8 @@ from stltool.logic.comparisons import Predicate
 from stltool.logic.formula import Constant, Formula, Label
 from stltool.logic.monitor import decided_steps, prepare, refuse_unknown
 from stltool.logic.program import Atom, Instruction
+from stltool.logic.samples import End
 from stltool.logic.task import Task
-from stltool.logic.traces import End
 
 Floats: TypeAlias = NDArray[np.float64]
 Bound: TypeAlias = Floats | np.float64
@@ -79,11 +79,13 @@ def smooth_robustness(
             'with end="hold", a soft maximum over an interval without end has no value: the held sample would count '
             'without end; write an end, or use end="cut"'
         )
-    decided = decided_steps(traces, end)
-    outs = [np.empty((traces.n_traces, decided)) for _ in range(3)]
+    outs = [np.empty((traces.n_traces, decided_steps(traces, end))) for _ in range(3)]
+    longer, block_end = traces, end
+    if end == "hold" and h is not None and traces.n_steps > 0:
+        longer, block_end = traces.held(h), "error"
     with np.errstate(all="ignore"):
-        for block, rows, first in traces.blocks(end, _BLOCK):
-            found = _run(traces.program.instructions, block, float(beta), h)
+        for block, rows, first in longer.blocks(block_end, _BLOCK):
+            found = _run(traces.program.instructions, block, float(beta))
             refuse_unknown(found[0], formula, traces, rows.start, first, end)
             for out, array in zip(outs, found, strict=True):
                 out[rows, first : first + array.shape[1]] = array
@@ -127,16 +129,9 @@ class _Soft:
         return _Soft(values, over, log_n, under, log_m, self.size, self.error)
 
 
-def _run(
-    instructions: tuple[Instruction, ...], block: Block, beta: float, h: int | None
-) -> tuple[Floats, Floats, Floats]:
+def _run(instructions: tuple[Instruction, ...], block: Block, beta: float) -> tuple[Floats, Floats, Floats]:
     """Soft robustness at the block's decided steps, and the exact one's lower and upper bounds."""
-    columns, steps = block.columns, block.steps
-    if block.end == "hold":  # as if the trace went on
-        assert h is not None
-        columns = {name: np.pad(column, ((0, 0), (0, h)), mode="edge") for name, column in columns.items()}
-        steps += h
-    soft = _Machine(Block(columns, block.rows, steps, "cut" if block.end == "cut" else "open", block.wide), beta)
+    soft = _Machine(block, beta)
     values: dict[int, _Soft] = {}
     for number, now in enumerate(instructions):
         values[number] = soft.operator(now, [values[arg] for arg in now.args])

@@ -1,15 +1,38 @@
 """Monitors against the slow semantics, step by step."""
 
+from unittest import mock
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.lib.stride_tricks import sliding_window_view
 
 import stltool as stl
 from stltool.errors import NameLookupError, SettingsError, StlSyntaxError, TraceError
-from stltool.logic.formula import Always, Eventually, Interval, Until, children, with_children
+from stltool.logic import monitor as monitor_module
+from stltool.logic.formula import (
+    Always,
+    And,
+    Comparison,
+    Eventually,
+    Iff,
+    Implies,
+    Interval,
+    Label,
+    Not,
+    Number,
+    Or,
+    Until,
+    Variable,
+    children,
+    with_children,
+)
+from stltool.logic.program import compile_formula
 from stltool.testing import formulas, traces
 from tests.oracles import judged_to_the_end
+
+ENDS = st.sampled_from(["cut", "hold"])
 
 
 @st.composite
@@ -19,24 +42,8 @@ def batches(draw, n_steps):
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
-def close(value, wanted):
-    return value == wanted or abs(value - wanted) <= 1e-12 * max(1.0, abs(wanted))
-
-
-@given(phi=formulas(), data=st.data())
-def test_every_decided_step_is_judged_as_the_slow_semantics_does(phi, data):
-    n = stl.horizon(phi) + data.draw(st.integers(1, 4))
-    batch = data.draw(batches(n))
-    result = stl.monitor(phi, batch)
-    for row, (verdicts, margins) in enumerate(zip(result.verdicts, result.robustness, strict=True)):
-        trace = {name: values[row] for name, values in batch.items()}
-        steps = range(n - stl.horizon(phi))
-        assert verdicts.tolist() == [stl.satisfies(phi, trace, t) for t in steps]
-        assert all(close(m, stl.robustness(phi, trace, t)) for t, m in zip(steps, margins, strict=True))
-
-
 @st.composite
-def perhaps_endless(draw):
+def perhaps_endless(draw, **options):
     """A formula, some of whose intervals have no end."""
 
     def change(phi):
@@ -45,13 +52,40 @@ def perhaps_endless(draw):
             return type(phi)(Interval(phi.interval.a, None), *children(phi))
         return phi
 
-    return change(draw(formulas(max_leaves=5)))
+    return change(draw(formulas(**options)))
 
 
-@given(phi=perhaps_endless(), end=st.sampled_from(["cut", "hold"]), n=st.integers(1, 5), data=st.data())
-def test_windows_cut_or_held_at_the_end(phi, end, n, data):
+def close(value, wanted):
+    """Equal but for the rounding of margins."""
+    return value == wanted or abs(value - wanted) <= 1e-12 * max(1.0, abs(wanted))
+
+
+def in_blocks(samples):
+    """As if the cache held so few samples."""
+    return mock.patch.multiple(monitor_module, _MARGINS=samples, _TRUTH=samples)
+
+
+SIZES = st.sampled_from([1, 3, 8, 1000])
+
+
+@given(phi=formulas(), data=st.data(), size=SIZES)
+def test_every_decided_step_is_judged_as_the_slow_semantics_does(phi, data, size):
+    n = stl.horizon(phi) + data.draw(st.integers(1, 4))
     batch = data.draw(batches(n))
-    result = stl.monitor(phi, batch, end)
+    with in_blocks(size):
+        result = stl.monitor(phi, batch)
+    for row, (verdicts, margins) in enumerate(zip(result.verdicts, result.robustness, strict=True)):
+        trace = {name: values[row] for name, values in batch.items()}
+        steps = range(n - stl.horizon(phi))
+        assert verdicts.tolist() == [stl.satisfies(phi, trace, t) for t in steps]
+        assert all(close(m, stl.robustness(phi, trace, t)) for t, m in zip(steps, margins, strict=True))
+
+
+@given(phi=perhaps_endless(max_leaves=5), end=ENDS, n=st.integers(1, 6), data=st.data(), size=SIZES)
+def test_windows_cut_or_held_at_the_end(phi, end, n, data, size):
+    batch = data.draw(batches(n))
+    with in_blocks(size):
+        result = stl.monitor(phi, batch, end)
     for row, (verdicts, margins) in enumerate(zip(result.verdicts, result.robustness, strict=True)):
         trace = {name: values[row] for name, values in batch.items()}
         wanted = [judged_to_the_end(phi, trace, end, t) for t in range(n)]
@@ -59,14 +93,96 @@ def test_windows_cut_or_held_at_the_end(phi, end, n, data):
         assert all(close(m, w) for m, (_, w) in zip(margins, wanted, strict=True))
 
 
+@given(phi=formulas(), end=st.sampled_from(["error", "cut", "hold"]), data=st.data())
+def test_semantics_and_shapes(phi, end, data):
+    """One semantics alone, a trace alone and arrays of any layout say what a batch with both says; signs agree."""
+    n = stl.horizon(phi) + data.draw(st.integers(1, 3))
+    batch = data.draw(batches(n))
+    both = stl.monitor(phi, batch, end)
+    truth, margins = stl.monitor(phi, batch, end, "boolean"), stl.monitor(phi, batch, end, "robustness")
+    assert (truth.robustness, margins.verdicts) == (None, None)
+    assert np.array_equal(truth.verdicts, both.verdicts)
+    assert np.array_equal(margins.robustness, both.robustness)
+    assert (both.verdicts[both.robustness > 0]).all()
+    assert not both.verdicts[both.robustness < 0].any()
+    assert (both.end, both.n_steps, both.horizon) == (end, n, stl.horizon(phi))
+    alone = stl.monitor(phi, {name: values[-1] for name, values in batch.items()}, end)
+    other = stl.monitor(phi, {name: np.repeat(values, 2, axis=1).T[::2].T for name, values in batch.items()}, end)
+    for array in ("verdicts", "robustness"):
+        assert np.array_equal(getattr(alone, array), getattr(both, array)[-1])
+        assert np.array_equal(getattr(other, array), getattr(both, array))
+
+
+def guarded_formulas():
+    """Formulas over predicates that have no value everywhere."""
+    texts = ["1 / x > 0.6", "sqrt(y) <= 1", "x > 0", "y >= 0", "1 / (x - y) != 1"]
+    atoms = st.sampled_from([stl.parse(text) for text in texts])
+    window = st.sampled_from([Interval(0, 1), Interval(1, 2), Interval(2, 2), Interval(0, 0)])
+    return st.recursive(
+        atoms,
+        lambda below: st.one_of(
+            below.map(Not),
+            st.tuples(below, below).map(And),
+            st.tuples(below, below).map(Or),
+            st.builds(Implies, below, below),
+            st.builds(Iff, below, below),
+            st.builds(Eventually, window, below),
+            st.builds(Always, window, below),
+            st.builds(Until, window, below, below),
+        ),
+        max_leaves=6,
+    )
+
+
+@given(phi=guarded_formulas(), end=st.sampled_from(["error", "cut", "hold"]), data=st.data(), size=SIZES)
+def test_terms_without_value(phi, end, data, size):
+    """A verdict is refused only where it hangs on such a term, robustness wherever it meets one."""
+    n = stl.horizon(phi) + data.draw(st.integers(1, 3))
+    trace = data.draw(traces(n))
+    steps = range(n - stl.horizon(phi)) if end == "error" else range(n)
+    wanted = [judged_to_the_end(phi, trace, "hold" if end == "hold" else "cut", t) for t in steps]
+    for semantics, values in zip(("boolean", "robustness"), zip(*wanted, strict=True), strict=True):
+        with in_blocks(size):
+            if None in values:
+                with pytest.raises(TraceError, match=r"^step \d+: formula, line 1, column 1: this has no value"):
+                    stl.monitor(phi, trace, end, semantics)
+            else:
+                result = stl.monitor(phi, trace, end, semantics)
+                found = result.verdicts if semantics == "boolean" else result.robustness
+                assert all(map(close, found, values))
+
+
 def test_a_term_without_value_names_trace_step_place_and_operands():
     phi = stl.parse("G[0,1] (x > 0 -> 1 / x > 0.1)")
     batch = {"x": [[1.0, 2.0, 3.0], [1.0, 0.0, 3.0]]}
-    with pytest.raises(TraceError, match=r"trace 1, step 1: .*line 1, column 18: this has no value .* 1, 0"):
+    with pytest.raises(TraceError, match=r"^trace 1, step 1: formula, line 1, column 18: this has no value .* 1, 0"):
         stl.monitor(phi, batch)
     assert stl.monitor(phi, batch, semantics="boolean").verdicts.all()  # guarded
-    with pytest.raises(TraceError, match="step 1: .* 1, 0"):
-        stl.monitor(stl.parse("F[0,1] (1 / x > 0.9)"), {"x": [0.5, 0.0, 3.0]}, semantics="boolean")
+    text = "(y > 0 | 1 / x > 0) & (F[1,3] G[0,1] (y < 9 & 1 / y > 0) | 1 / x > 0)"
+    x, y, ones = [0.0, 1, 1, 1, 1, 1, 1], np.array([1.0, 2, 9, 2, 0, 2, 2]), [1.0] * 7
+    for signals, semantics, step, column in (
+        ({"x": x, "y": y}, "boolean", 4, text.index("1 / y")),  # 1 / x is guarded by y > 0 at step 0
+        ({"x": ones, "y": y}, "robustness", 4, text.index("1 / y")),
+        ({"x": x, "y": y + 9}, "boolean", 0, text.rindex("1 / x")),
+        ({"x": x, "y": y}, "robustness", 0, text.index("1 / x")),
+    ):
+        with pytest.raises(TraceError, match=rf"^step {step}: formula, line 1, column {column + 1}: .* 1, 0"):
+            stl.monitor(stl.parse(text), signals, semantics=semantics)
+    until = stl.parse("(1 / x > 0) U[2,5] (1 / y > 0)")
+    with pytest.raises(TraceError, match=r"^step 3: formula, line 1, column 21: "):
+        stl.monitor(until, {"x": ones[:4], "y": [0.0, 0, 1, 0]}, "hold")
+    with pytest.raises(TraceError, match=r"^step 1: formula, line 1, column 2: "):
+        stl.monitor(until, {"x": [1.0, 0, 1, 1], "y": ones[:4]}, "cut")
+
+
+def test_margins_beyond_the_doubles():
+    trace = {"x": [1e308, 1.0], "y": [-1e308, 1.0]}
+    assert stl.monitor(stl.parse("x > y"), trace, semantics="boolean").verdicts.tolist() == [True, False]
+    for text in ("x > y", "x - y > 1", "x != y"):
+        with pytest.raises(TraceError, match="^step 0: formula, line 1, column 1: the margin is beyond"):
+            stl.monitor(stl.parse(text), trace)
+    assert stl.monitor(stl.parse("F[1,1] (x >= y)"), trace).robustness.tolist() == [0.0]  # not looked at
+    assert stl.monitor(stl.parse("x > 1"), {"x": [1.7e308]}).robustness.tolist() == [1.7e308]
 
 
 def test_the_first_violation():
@@ -74,6 +190,8 @@ def test_the_first_violation():
     assert stl.monitor(phi, {"a": [1, 0, 0, 1]}).first_violation == 1
     assert stl.monitor(phi, {"a": [1, 0, 1]}).first_violation is None
     assert stl.monitor(phi, {"a": [[1, 0, 0, 1], [1, 0, 1, 0]]}).first_violation.tolist() == [1, -1]
+    assert stl.monitor(phi, {"a": np.zeros((0, 3))}).first_violation.tolist() == []
+    assert stl.monitor(phi, {"a": np.zeros((2, 0))}, "cut").first_violation.tolist() == [-1, -1]
     with pytest.raises(SettingsError, match="there are no verdicts"):
         _ = stl.monitor(phi, {"a": [1, 0]}, semantics="robustness").first_violation
 
@@ -108,3 +226,105 @@ def test_options_that_do_not_exist():
         stl.monitor(Eventually(Interval(0, None), stl.parse("a")), {"a": [1]})
     with pytest.raises(StlSyntaxError, match=r"call stltool\.parse on the text first"):
         stl.monitor("a", {"a": [1]})
+
+
+def test_windows_longer_than_anything():
+    phi = Always(Interval(0, 10**30), Eventually(Interval(10**29, 10**31), stl.parse("x > 0")))
+    for end, verdicts in (("cut", [False, False]), ("hold", [True, True])):
+        assert stl.monitor(phi, {"x": [0, 1]}, end).verdicts.tolist() == verdicts
+    online = stl.OnlineMonitor(phi)
+    assert [online.feed({"x": 0}), online.feed({"x": 1}), [d.verdict for d in online.finish("hold")]] == [
+        [],
+        [],
+        [1, 1],
+    ]
+
+
+def test_no_traces_and_no_steps():
+    phi = stl.parse("F[0,1] (x > 0)")
+    for end, decided in (("error", 2), ("cut", 3), ("hold", 3)):
+        result = stl.monitor(phi, {"x": np.zeros((0, 3))}, end)
+        assert result.verdicts.shape == result.robustness.shape == (0, decided)
+    for end in ("cut", "hold"):
+        assert stl.monitor(phi, {"x": []}, end).verdicts.shape == (0,)
+        assert stl.monitor(phi, {"x": [[], []]}, end).robustness.shape == (2, 0)
+    for nothing in ([], [[]], np.zeros((0, 1))):
+        with pytest.raises(TraceError, match=r"[01] samples; this formula needs 2"):
+            stl.monitor(phi, {"x": nothing})
+
+
+def test_only_the_names_of_the_formula_are_looked_at():
+    signals = {"x": [1.0, 2.0], "y": [np.nan], "z": "anything", "w": [[1, 2], [3]]}
+    assert stl.monitor(stl.parse("x > 1"), signals).verdicts.tolist() == [False, True]
+    assert stl.monitor(stl.parse("F[0,1] true"), {"x": [[1, 2, 3]] * 2}).verdicts.shape == (2, 2)
+    with pytest.raises(TraceError, match="signal z holds"):  # a formula without names takes its steps from all
+        stl.monitor(stl.parse("true"), signals)
+
+
+@pytest.mark.parametrize("kind", [float, np.float32, np.float16, np.int8, np.uint64, np.int64, bool, list])
+def test_numbers_of_any_kind(kind):
+    given = [0, 1, 1] if kind is list else np.array([0, 1, 1], dtype=kind)
+    phi = And((Label("a"), Comparison(">", Variable("a"), Number(0.5))))  # a label and a signal at once
+    result = stl.monitor(phi, {"a": given})
+    assert result.verdicts.tolist() == [False, True, True]
+    assert result.robustness.tolist() == [-np.inf, 0.5, 0.5]
+    assert stl.monitor(Label("a"), {"a": given}).robustness.tolist() == [-np.inf, np.inf, np.inf]
+
+
+def test_the_arrays_given_are_left_alone():
+    signals = {"x": np.array([[0.0, -0.0, 2.0, 0.5]]), "a": np.array([[True, False, True, True]])}
+    before = {name: values.copy() for name, values in signals.items()}
+    for values in signals.values():
+        values.setflags(write=False)
+    for text in ("a", "x > 0", "a & x > 0", "!(F[0,1] (x > 0) <-> a)", "(x >= 0) U[1,2] a"):
+        for end in ("error", "cut", "hold"):
+            result = stl.monitor(stl.parse(text), signals, end)
+            for name, values in signals.items():
+                assert np.array_equal(values, before[name])
+                assert not np.shares_memory(values, result.verdicts)
+                assert not np.shares_memory(values, result.robustness)
+            assert result.verdicts.flags.writeable
+            assert result.robustness.flags.writeable
+            assert not np.signbit(result.robustness[result.robustness == 0]).any()
+
+
+def test_a_task():
+    task = stl.parse_task("param T = 2\nlow := F[0,T) (x < 1)")
+    result = stl.monitor(task, {"x": [0, 2, 2]})
+    assert (result.formula, result.verdicts.tolist()) == (task.formula, [True, False])
+
+
+def test_formulas_as_large_as_the_language_allows():
+    rng = np.random.default_rng(0)
+    x = rng.random(60)
+    wide = And(tuple(Eventually(Interval(i % 7, i % 13 + 7), stl.parse(f"x > 0.{i:04}")) for i in range(10_000)))
+    result = stl.monitor(wide, {"x": x})
+    some = [stl.monitor(arg, {"x": x}).robustness[: len(result.robustness)] for arg in wide.args]
+    assert np.array_equal(result.robustness, np.min(some, axis=0))
+    deep = stl.parse("x > 0.5")
+    for i in range(191):
+        deep = Not(Eventually(Interval(0, 0), deep)) if i % 2 else Or((deep, Not(deep)))
+    assert stl.monitor(deep, {"x": x}).verdicts.all()
+    assert len(compile_formula(deep).instructions) == 383  # a tree of more than 2^95 nodes
+
+
+def test_equal_parts_are_computed_once():
+    program = compile_formula(stl.parse("(F[0,2] (x > 1)) & (F[0,2] (x > 1) | !(x > 1)) & F[0,3] (x > 1)"))
+    assert [now.op for now in program.instructions].count("eventually") == 2
+    assert sum(now.op == "atom" for now in program.instructions) == 1
+    assert program.horizon == 3
+    ends = [ended for now in program.instructions for ended in now.ends]
+    assert sorted(ends) == list(range(len(program.instructions) - 1))  # everything ends once, but for the result
+
+
+@pytest.mark.parametrize("n_traces", [0, 1, 7])
+def test_long_traces(n_traces):
+    """Many blocks in time, against windows written down."""
+    rng = np.random.default_rng(1)
+    shape = (40_000,) if n_traces == 0 else (n_traces, 40_000)
+    x, y = rng.random((2, *shape))
+    result = stl.monitor(stl.parse("G[3,50] (F[0,20] (x > 0.5) | y < 0.9)"), {"x": x, "y": y})
+    margin = np.maximum(sliding_window_view(x - 0.5, 21, axis=-1).max(axis=-1), 0.9 - y[..., :-20])
+    wanted = sliding_window_view(margin[..., 3:], 48, axis=-1).min(axis=-1)
+    assert np.array_equal(result.robustness, wanted)
+    assert np.array_equal(result.verdicts, wanted > 0)

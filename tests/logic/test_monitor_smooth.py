@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.errors import SettingsError, TraceError
+from stltool.errors import SettingsError, SizeError, TraceError
 from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Interval, Not, Or, Until, is_bounded
 from stltool.testing import formulas, traces
 from tests.logic.test_monitor import batches, perhaps_endless
@@ -145,6 +145,11 @@ def test_rounding_is_covered():
         assert (soft.upper - soft.lower <= 1e-11 * np.abs(x).max() ** 2).all()
 
 
+def test_no_steps():
+    for end in ("cut", "hold"):
+        assert stl.smooth_robustness(stl.parse("F[0,1] (x > 0)"), {"x": [[], []]}, 1.0, end).upper.shape == (2, 0)
+
+
 def test_what_smooth_robustness_refuses():
     phi = stl.parse("F[0,1] (1 / x > 0)")
     for beta in (0, -1.0, math.inf, math.nan, 1e101):
@@ -154,3 +159,7 @@ def test_what_smooth_robustness_refuses():
         stl.smooth_robustness(phi, {"x": [1.0, 0.0]}, 1.0)
     with pytest.raises(TraceError, match="1 samples; this formula needs 2"):
         stl.smooth_robustness(phi, {"x": [1.0]}, 1.0)
+    with pytest.raises(TraceError, match="^step 1: "):
+        stl.smooth_robustness(phi, {"x": [1.0, 0.0]}, 1.0, "hold")
+    with pytest.raises(SizeError, match=f"1 traces held for {10**12} steps"):
+        stl.smooth_robustness(Eventually(Interval(0, 10**12), phi.arg), {"x": [1.0]}, 1.0, "hold")

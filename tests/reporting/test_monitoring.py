@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from matplotlib.colors import to_hex
 
@@ -59,6 +59,7 @@ def test_the_data_is_what_the_oracle_says_step_by_step(phi, data):
 
 @given(st.lists(st.lists(st.sampled_from([-2.0, -1.0, 0.0, 1.0]), min_size=4, max_size=4), min_size=1, max_size=4),
        st.none() | st.integers(0, 2))  # fmt: skip
+@example([[1.0] * 4] * 2, None)
 def test_a_batch_is_its_traces(rows, at):
     result, _, task = judged("F[0,1] (x > 0 & y)", x=rows, y=np.ones((len(rows), 4), bool))
     batch = monitor_data(result, task, "t.npz", at)
@@ -138,6 +139,12 @@ def test_rows_of_the_tables():
     assert asked == ([{"trace": 0, "step 1": "violated", "robustness": "-1"}], 0)
     assert list(step_lines(batch, 0)) == ["step  verdict   robustness", "0     holds     1", "1     violated  -1"]
     assert list(step_lines(data, None))[-1] == "16    holds     0.5"
+    for at, width in ((9_999, 4), (10_000, 5)):
+        data = monitor_data(judged("x > 0", x=np.ones(at + 1))[0], task, "t.csv")
+        assert list(step_lines(data, None))[:2] == [
+            f"{'step':{width}}  verdict   robustness",
+            f"{0:<{width}}  holds     1",
+        ]
 
 
 # ---------------------------------------------------------------------------------------------------------- envelopes

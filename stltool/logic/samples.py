@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from stltool.errors import NameLookupError, TraceError, near_misses
 from stltool.logic.blocks import Block, BlockEnd
 from stltool.logic.program import Program
+from stltool.sizes import require_memory
 
 End = Literal["error", "cut", "hold"]
 
@@ -44,6 +45,15 @@ class Traces:
         arrays = {name: array[row : row + 1, first:] for name, array in self.arrays.items()}
         return replace(self, arrays=arrays, n_traces=1, n_steps=self.n_steps - first)
 
+    def held(self, steps: int) -> Traces:
+        """With the last sample held for so many steps more."""
+        require_memory(
+            8.0 * len(self.arrays) * self.n_traces * (self.n_steps + steps),
+            f"{self.n_traces} traces held for {steps} steps", "shorten the windows, or cut them",
+        )  # fmt: skip
+        arrays = {name: np.pad(array, ((0, 0), (0, steps)), mode="edge") for name, array in self.arrays.items()}
+        return replace(self, arrays=arrays, n_steps=self.n_steps + steps)
+
     def blocks(self, end: End, samples: int) -> Iterator[tuple[Block, slice, int]]:
         """Blocks of about so many samples that decide every step once: each with its rows and its first decided step.
 
@@ -51,7 +61,8 @@ class Traces:
         horizon(φ) samples, cut or held.
         """
         n, rows, h = self.n_steps, self.n_traces, self.program.horizon
-        if h is not None and n > h:
+        tail = n if h is None or n <= samples else min(h, n)  # short traces are judged in one go
+        if h is not None and n > h and (end == "error" or tail < n):
             width = max(samples, 4 * h)
             if n <= width + h:
                 for some in _groups(rows, max(1, width // n)):
@@ -60,7 +71,6 @@ class Traces:
                 for row, first in itertools.product(range(rows), range(0, n - h, width)):
                     some = slice(row, row + 1)
                     yield self.block(some, slice(first, min(first + width + h, n)), "open"), some, first
-        tail = n if h is None else min(h, n)
         if end != "error" and tail > 0:
             for some in _groups(rows, max(1, samples // (2 * tail))):
                 yield self.block(some, slice(n - tail, n), end), some, n - tail
@@ -74,7 +84,7 @@ class Traces:
                 columns[name] = self._label(name, given, rows, steps)
             if name in self.program.variables:  # of a name that is both, the reals serve
                 columns[name] = column = self._variable(name, given, rows, steps)
-                if not -_WIDE < column.min() <= column.max() < _WIDE:
+                if not -_WIDE < np.minimum.reduce(column, axis=None) <= np.maximum.reduce(column, axis=None) < _WIDE:
                     self._refuse(name, ~np.isfinite(column), rows, steps, "monitors judge finite samples")
                     wide = True
         return Block(columns, rows.stop - rows.start, steps.stop - steps.start, end, wide)
@@ -141,7 +151,7 @@ def _as_array(name: str, values: ArrayLike) -> NDArray[Any]:
         raise TraceError(f"signal {name} holds {array.dtype}, not numbers that fit a double; give floats or Booleans")
     if array.ndim not in (1, 2):
         raise TraceError(f"signal {name} has shape {array.shape}; give (n_steps,) or (n_traces, n_steps)")
-    if np.ma.is_masked(values):
+    if isinstance(values, np.ndarray) and type(values) is not np.ndarray and np.ma.is_masked(values):
         raise TraceError(f"signal {name} has masked samples; fill them, or leave these traces out")
     if not isinstance(values, np.ndarray) and array.dtype.kind == "f" and (np.abs(array) >= WHOLE).any():
         for value in np.asarray(values, dtype=object).flat:  # among floats, numpy rounds whole numbers silently

@@ -1,0 +1,157 @@
+"""Monitors against RTAMT and SENTIL, against the plain-numpy way, and truth alone against copying its input.
+
+One formula, float64, on one trace of 1e5 samples and on 1000 traces of 100. Windows are cut at the end, as both peers
+do it: all steps are decided, and the results compared at every one. Times are the shortest of some runs taken in turn.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+import stltool as stl
+
+TEXT = "always[0,50](eventually[0,20](x > 0.5) and eventually[0,20](y > 0.5))"
+PHI = stl.parse(TEXT)
+SHAPES = ((1, 100_000), (1000, 100))
+
+
+def shortest(n: int, *actions: Callable[[], Any]) -> list[float]:
+    """Seconds of each action, the shortest of n runs, taken in turn."""
+    times = [[] for _ in actions]
+    for _ in range(n):
+        for action, taken in zip(actions, times, strict=True):
+            start = time.perf_counter()
+            action()
+            taken.append(time.perf_counter() - start)
+    return [min(taken) for taken in times]
+
+
+def numpy_robustness(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Doubled windows of the decided steps in plain numpy, time along the first axis."""
+
+    def window(values: np.ndarray, width: int, fold: np.ufunc) -> np.ndarray:
+        span = 1
+        while span < width:
+            step = min(span, width - span)
+            values = fold(values[:-step], values[step:])
+            span += step
+        return values
+
+    return window(np.minimum(window(x - 0.5, 21, np.maximum), window(y - 0.5, 21, np.maximum)), 51, np.minimum)
+
+
+def rtamt_specification(kind: str) -> Any | None:
+    """RTAMT's monitor of the formula; None where the package is not installed."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            import rtamt
+        except ImportError:
+            return None
+        specification = getattr(rtamt, f"StlDiscreteTime{kind}Specification")()
+    for name in "xy":
+        specification.declare_var(name, "float")
+    specification.spec = TEXT
+    specification.parse()
+    return specification
+
+
+def sentil_formula() -> Any | None:
+    try:
+        import sentil
+    except ImportError:
+        return None
+    return sentil.parse(TEXT)
+
+
+def offline_rows(n_traces: int, n_steps: int) -> list[str]:
+    x, y = np.random.default_rng(0).random((2, n_traces, n_steps))
+    signals = {"x": x, "y": y}
+    what = f"{n_traces} × {n_steps:.3g} samples"
+
+    def ours(end: str = "cut", semantics: str = "robustness") -> stl.MonitorResult:
+        return stl.monitor(PHI, signals, end, semantics)
+
+    expected = ours().robustness
+    rows = []
+
+    def row(figure: str, against: str, runs: int, mine: Callable[[], Any], other: Callable[[], Any]) -> None:
+        mine_s, other_s = shortest(runs, mine, other)
+        ratio = f"{other_s / mine_s:.3g} ×"
+        rows.append(f"| {figure}, {what} ({mine_s * 1e3:.3g} ms) | {against} ({other_s * 1e3:.4g} ms) | {ratio} |")
+
+    specification = rtamt_specification("Offline")
+    if specification is None:
+        rows.append(f"| robustness, {what} | RTAMT | not measured: it is not installed |")
+    else:
+        lists = [{"time": list(range(n_steps)), "x": a.tolist(), "y": b.tolist()} for a, b in zip(x, y, strict=True)]
+
+        def rtamt() -> list[Any]:
+            return [specification.evaluate(trace) for trace in lists]
+
+        assert np.array_equal(np.array(rtamt())[:, :, 1], expected)
+        row("robustness", "RTAMT", 3, ours, rtamt)
+
+    formula = sentil_formula()
+    if formula is None:
+        rows.append(f"| robustness, {what} | SENTIL | not measured: it is not installed |")
+    else:
+        import sentil
+
+        traces = [sentil.Trace.indexed(n_steps) for _ in range(n_traces)]
+        for trace, a, b in zip(traces, x, y, strict=True):
+            trace.add_signal("x", a)
+            trace.add_signal("y", b)
+
+        def by_sentil() -> list[Any]:
+            return [formula.robustness_signal(trace) for trace in traces]
+
+        assert np.array_equal(np.array(by_sentil()), expected)
+        row("robustness", "SENTIL, traces loaded", 9, ours, by_sentil)
+
+    first = np.ascontiguousarray(x.T), np.ascontiguousarray(y.T)
+    assert np.array_equal(numpy_robustness(*first).T, ours("error").robustness)
+    row("robustness of decided steps", "plain numpy, unchecked, time-major", 50, lambda: ours("error"),
+        lambda: numpy_robustness(*first))  # fmt: skip
+    assert np.array_equal(ours("error", "boolean").verdicts, ours("error").robustness > 0)
+    row("truth of decided steps", "copying the input", 50, lambda: ours("error", "boolean"),
+        lambda: (x.copy(), y.copy()))  # fmt: skip
+    return rows
+
+
+def online_row(n_steps: int = 20_000) -> str:
+    samples = np.random.default_rng(0).random((n_steps, 2)).tolist()
+    mine, decided = [{"x": x, "y": y} for x, y in samples], []
+
+    def ours() -> None:
+        monitor = stl.OnlineMonitor(PHI)
+        decided[:] = [decision.robustness for sample in mine for decision in monitor.feed(sample)]
+
+    if rtamt_specification("Online") is None:
+        (seconds,) = shortest(3, ours)
+        return f"| online, samples a second ({n_steps / seconds:.3g}) | RTAMT | not measured: it is not installed |"
+    theirs, found = [[("x", x), ("y", y)] for x, y in samples], []
+
+    def rtamt() -> None:
+        specification = rtamt_specification("Online")
+        specification.pastify()
+        found[:] = [specification.update(t, sample) for t, sample in enumerate(theirs)]
+
+    seconds = shortest(3, ours, rtamt)
+    assert decided == found[stl.horizon(PHI) :]
+    rates = [n_steps / taken for taken in seconds]
+    return f"| online, samples a second ({rates[0]:.3g}) | RTAMT ({rates[1]:.3g}) | {rates[0] / rates[1]:.3g} × |"
+
+
+def table() -> list[str]:
+    lines = [f"`{TEXT}`", "", "| what | against | figure |", "|---|---|---|"]
+    return [*lines, *(row for shape in SHAPES for row in offline_rows(*shape)), online_row()]
+
+
+if __name__ == "__main__":
+    print("\n".join(table()))
