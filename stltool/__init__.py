@@ -16,7 +16,7 @@
 
 One straight way through the house, and the map in reading order:
 
-    logic/        text → Formula: grammar, parser, printer, semantics (the oracle), the paper's fragment
+    logic/        text → Formula: grammar, parser, printer, rewriting, semantics (the oracle), the paper's fragment
     automata/     Formula → TaskAutomaton: what must be remembered to judge a run
     models/       a file, arrays or a Gymnasium environment → MDP; MDP → something that only resets and steps
     product.py    MDP × TaskAutomaton, never built as a matrix
@@ -73,6 +73,7 @@ if TYPE_CHECKING:
     from stltool.logic.formula import Formula, horizon
     from stltool.logic.fragment import Fragment, check_fragment
     from stltool.logic.parser import load_task, parse, parse_task
+    from stltool.logic.rewrite import negation_normal_form, simplify
     from stltool.logic.semantics import robustness, satisfies
     from stltool.logic.task import Task
     from stltool.models import MDP, from_gymnasium, load_model, to_gymnasium
@@ -100,12 +101,13 @@ _HOME = {
     "load_task": "logic.parser", "parse": "logic.parser", "parse_task": "logic.parser", "report": "reporting",
     "from_gymnasium": "models", "to_gymnasium": "models",
     "robust_check": "checking", "robustness": "logic.semantics", "sample_run": "checking",
-    "satisfies": "logic.semantics",
+    "satisfies": "logic.semantics", "simplify": "logic.rewrite", "negation_normal_form": "logic.rewrite",
     "Sweep": "learning", "SweepResult": "learning", "load_sweep": "learning", "run_sweep": "learning",
 }  # fmt: skip
 
 __all__ = [  # noqa: RUF022 - in reading order
     "parse", "Formula", "horizon", "satisfies", "robustness", "check_fragment", "Fragment",
+    "simplify", "negation_normal_form",
     "load_task", "parse_task", "Task", "compile_automaton", "TaskAutomaton", "load_model", "MDP",
     "from_gymnasium", "to_gymnasium",
     "build_product", "Product", "Policy", "load_policy", "check", "CheckResult", "robust_check", "sample_run", "Run",
