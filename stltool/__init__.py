@@ -17,7 +17,7 @@
 One straight way through the house, and the map in reading order:
 
     logic/        text → Formula: grammar, parser, printer, rewriting, semantics (the oracle), the paper's fragment
-    automata/     Formula → TaskAutomaton: what must be remembered to judge a run
+    automata/     Formula → TaskAutomaton: what must be remembered to judge a run; what a formula means at all
     models/       a file, arrays or a Gymnasium environment → MDP; MDP → something that only resets and steps
     product.py    MDP × TaskAutomaton, never built as a matrix
     policy.py     a table over (t?, s, q), saved and loaded without pickle
@@ -36,6 +36,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from stltool.automata import TaskAutomaton, compile_automaton
+    from stltool.automata.vacuity import Meaning, meaning
     from stltool.checking import (
         CheckResult,
         Estimate,
@@ -102,12 +103,13 @@ _HOME = {
     "from_gymnasium": "models", "to_gymnasium": "models",
     "robust_check": "checking", "robustness": "logic.semantics", "sample_run": "checking",
     "satisfies": "logic.semantics", "simplify": "logic.rewrite", "negation_normal_form": "logic.rewrite",
+    "meaning": "automata.vacuity", "Meaning": "automata.vacuity",
     "Sweep": "learning", "SweepResult": "learning", "load_sweep": "learning", "run_sweep": "learning",
 }  # fmt: skip
 
 __all__ = [  # noqa: RUF022 - in reading order
     "parse", "Formula", "horizon", "satisfies", "robustness", "check_fragment", "Fragment",
-    "simplify", "negation_normal_form",
+    "simplify", "negation_normal_form", "meaning", "Meaning",
     "load_task", "parse_task", "Task", "compile_automaton", "TaskAutomaton", "load_model", "MDP",
     "from_gymnasium", "to_gymnasium",
     "build_product", "Product", "Policy", "load_policy", "check", "CheckResult", "robust_check", "sample_run", "Run",

@@ -114,6 +114,7 @@ def test_of_too_many_some_are_drawn():
     for i in range(12):  # what holds alone, and what alone does not
         assert any(row[i] and sum(row[:12]) == 1 for row in found)
         assert any(not row[i] and sum(row[:12]) == 11 for row in found)
+    assert len(feasible_valuations([Label(f"l{i}") for i in range(300)], 100)[0]) == 100
     assert len(feasible_valuations(read, 3 * 2**12)[0]) == 3 * 2**12
     assert not feasible_valuations(read, 3 * 2**12 - 1)[1]
 

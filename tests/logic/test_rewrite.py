@@ -104,6 +104,11 @@ def is_nnf(phi):
     )
 
 
+def test_operators_are_counted_as_written():
+    counts = {"a": 0, "x > 1": 0, "!a": 1, "a | b | c": 2, "a & b": 1, "a -> b": 1, "F[0,1] a": 1, "a U[0,1] !b": 2}
+    assert {text: operator_count(stl.parse(text)) for text in counts} == counts
+
+
 REWRITINGS = (negation_normal_form, simplify)
 
 
@@ -291,12 +296,16 @@ def test_large_formulas_take_no_time_squared():
 def test_what_doubles_too_often_is_refused():
     with pytest.raises(SizeError, match=r"has 572 operators, over 500: equivalences or negated "):
         negation_normal_form(nested(lambda phi, i: Iff(Label(f"l{i}"), phi), 7), most_operators=500)
-    assert operator_count(negation_normal_form(nested(lambda phi, i: Iff(Label(f"l{i}"), phi), 7))) == 572
+    assert operator_count(negation_normal_form(nested(lambda phi, i: Iff(Label(f"l{i}"), phi), 7), 572)) == 572
     with pytest.raises(SizeError, match="over 200000"):
         negation_normal_form(nested(lambda phi, i: Iff(Label(f"l{i}"), phi), 150))
     left = nested(lambda phi, i: Not(Until(Interval(0, 2), Not(phi), Label("b"))), 80)
     with pytest.raises(SizeError, match=r"nests operators 241 deep, over 200"):
         negation_normal_form(left)
+    deepest = Eventually(Interval(0, 1), nested(lambda phi, i: Not(Until(Interval(0, 2), Not(phi), Label("b"))), 66))
+    negation_normal_form(deepest)  # exactly 200 deep
+    with pytest.raises(SizeError, match=r"nests operators 201 deep"):
+        negation_normal_form(Eventually(Interval(0, 1), deepest))
     with pytest.raises(StlSyntaxError, match="call stltool.parse"):
         negation_normal_form("a")
     with pytest.raises(StlSyntaxError, match="call stltool.parse"):
