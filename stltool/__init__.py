@@ -16,9 +16,10 @@
 
 One straight way through the house, and the map in reading order:
 
-    logic/        text → Formula: grammar, parser, printer, semantics (the oracle), the paper's fragment; monitors
+    logic/        text → Formula: grammar, parser, printer, rewriting, semantics (the oracle), the paper's fragment;
+                  monitors, which judge recorded traces
     traces.py     a trace file → the signals that a formula is judged on
-    automata/     Formula → TaskAutomaton: what must be remembered to judge a run
+    automata/     Formula → TaskAutomaton: what must be remembered to judge a run; what a formula means at all
     models/       a file, arrays or a Gymnasium environment → MDP; MDP → something that only resets and steps
     product.py    MDP × TaskAutomaton, never built as a matrix
     policy.py     a table over (t?, s, q), saved and loaded without pickle
@@ -37,6 +38,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from stltool.automata import TaskAutomaton, compile_automaton
+    from stltool.automata.vacuity import Meaning, meaning
     from stltool.checking import (
         CheckResult,
         Estimate,
@@ -78,6 +80,7 @@ if TYPE_CHECKING:
     from stltool.logic.monitor import MonitorResult, monitor
     from stltool.logic.online import Decision, OnlineMonitor
     from stltool.logic.parser import load_task, parse, parse_task
+    from stltool.logic.rewrite import negation_normal_form, simplify
     from stltool.logic.semantics import robustness, satisfies
     from stltool.logic.smooth import SmoothRobustness, smooth_robustness
     from stltool.logic.task import Task
@@ -112,14 +115,16 @@ _HOME = {
     "satisfies": "logic.semantics", "monitor": "logic.monitor", "MonitorResult": "logic.monitor",
     "Decision": "logic.online", "OnlineMonitor": "logic.online",
     "SmoothRobustness": "logic.smooth", "smooth_robustness": "logic.smooth",
+    "simplify": "logic.rewrite", "negation_normal_form": "logic.rewrite",
+    "meaning": "automata.vacuity", "Meaning": "automata.vacuity",
     "Sweep": "learning", "SweepResult": "learning", "load_sweep": "learning", "run_sweep": "learning",
 }  # fmt: skip
 
 __all__ = [  # noqa: RUF022 - in reading order
     "parse", "Formula", "horizon", "satisfies", "robustness", "check_fragment", "Fragment",
-    "load_task", "parse_task", "Task", "format_task", "ambiguities",
+    "simplify", "negation_normal_form", "load_task", "parse_task", "Task", "format_task", "ambiguities",
     "load_trace", "monitor", "MonitorResult", "OnlineMonitor", "Decision", "smooth_robustness", "SmoothRobustness",
-    "compile_automaton", "TaskAutomaton", "load_model", "MDP", "from_gymnasium", "to_gymnasium",
+    "meaning", "Meaning", "compile_automaton", "TaskAutomaton", "load_model", "MDP", "from_gymnasium", "to_gymnasium",
     "build_product", "Product", "Policy", "load_policy", "check", "CheckResult", "robust_check", "sample_run", "Run",
     "estimate", "Estimate", "sprt", "SequentialTest", "write_certificate", "certify",
     "likely_runs", "LikelyRuns", "sensitivity", "Sensitivity", "surrogate_optimum", "SurrogateResult",
