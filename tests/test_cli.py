@@ -3,6 +3,7 @@
 import gzip
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -260,6 +261,38 @@ def test_explain_tells_what_may_be_misread_and_what_has_no_horizon(stltool, tmp_
     data = json.loads(stltool("explain", path, "--json")[1])
     assert (data["horizon"], data["step"], len(data["ambiguities"])) == (None, "0.5s", 1)
     assert [node["horizon"] for node in data["tree"]["operands"]] == [4, None]
+
+
+def test_explain_warns_of_tasks_that_say_nothing_and_of_idle_parts(stltool):
+    for text, warning in (
+        ("G[0,5] (x > 5 & x < 3)", "this task can never hold: x > 5 & x < 3 never holds\n    G[0,5] (x > 5 & x < 3)\n"),
+        ("(F[0,3] a) | (G[0,3] !a)", "this task holds on every trace"),
+        ("(G[0,9] a) & (G[0,5] a)", "G[0,5] a does not matter: with true in its place the task means the same, G[0,9]"),
+    ):
+        code, out, _ = stltool("explain", text)
+        assert (code, f": {warning}" in out) == (0, True)
+        assert out.count("warning: ") == 1
+    data = json.loads(stltool("explain", "(G[0,T] a) & (G[0,5] a)", "-p", "T=9", "--json")[1])
+    assert data["meaning"]["idle"][0]["means"] == "G[0,9] a"
+    assert (data["meaning"]["can_hold"], data["meaning"]["can_fail"], len(data["warnings"])) == (True, True, 1)
+    _, out, _ = stltool("explain", PATROLLING)
+    assert "warning" not in out
+    assert re.search(r"^holds for example on +A, x < 0.4, y > 0.6 for 10 steps$", out, flags=re.MULTILINE)
+
+
+def test_a_formula_may_have_times(stltool, tmp_path):
+    assert json.loads(stltool("explain", "F[0,2s] a", "--step", "500ms", "--json")[1])["formula"] == "F[0,4] a"
+    assert "no step is declared above" in stltool("explain", "F[0,2s] a")[2]
+    assert "no positive time with a unit" in stltool("explain", "F[0,2s] a", "--step", "3")[2]
+    code, _, err = stltool("explain", PATROLLING, "--step", "1s")
+    assert (code, "a task file says so itself, on a line step = 1s" in err) == (2, True)
+    trace = tmp_path / "trace.csv"
+    trace.write_text("a\n0\n0\n0\n0\n1\n")
+    assert stltool("monitor", "F[0,2s] a", trace, "--step", "0.5s")[0] == 0
+    assert stltool("monitor", "F[0,2s] a", trace, "--step", "1s")[0] == 1
+    assert stltool("monitor", "eventually a", trace, "--end", "cut")[0] == 0
+    code, _, err = stltool("monitor", "eventually a", trace)
+    assert (code, "only monitors judge it, with end cut or hold" in err) == (2, True)
 
 
 def test_a_large_tree_is_cut():

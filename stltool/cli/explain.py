@@ -25,7 +25,8 @@ def explain(
 ) -> None:
     """What a task says: its tree and horizons, the paper's fragment, automaton and product sizes.
 
-    Warns where other tools would read the text differently.
+    Warns where the task can never hold or always holds, where a part of it does not matter, and where other tools would
+    read the text differently.
     """
     import stltool as stl
     from stltool.reporting.terminal import print_facts, print_table, print_tree
@@ -51,7 +52,7 @@ def explain(
         typer.echo("taken as independent of each other):")
         print_table(trace["steps"])
         typer.echo(f"the encoding says {trace['encoding_says']}, the formula is {trace['formula_is']}")
-    for advice in facts["ambiguities"]:
+    for advice in facts.get("warnings", []) + facts["ambiguities"]:
         typer.echo(f"\nwarning: {advice}")
 
 

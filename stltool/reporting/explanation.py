@@ -6,6 +6,7 @@ from typing import Any
 
 from stltool.automata import TaskAutomaton, compile_automaton
 from stltool.automata.compile import Encoding
+from stltool.automata.vacuity import meaning
 from stltool.errors import FragmentError, SizeError
 from stltool.logic.formula import (
     Always,
@@ -41,13 +42,20 @@ def explain(task: Task, model: MDP | None = None, encoding: Encoding = "exact") 
     """What a task says, as JSON-able data; with a model also the sizes of the automaton and the product on it.
 
     `tree` nests the operators: each has its `operator`, `horizon`, place (`line`, `column`) and `operands`.
-    `ambiguities` are texts that other tools would read differently. `fragment` is the decomposition along the paper's
-    fragment, or its refusal, which names the smallest sub-formula at fault; `automaton` is there where no automaton
-    could be built.
+    `ambiguities` are texts that other tools would read differently; `meaning` says whether the task can hold and fail
+    at all and which of its parts do not matter, before any model, and `warnings` the same in words. `fragment` is the
+    decomposition along the paper's fragment, or its refusal, which names the smallest sub-formula at fault; `automaton`
+    is there where no automaton could be built.
     """
     facts = _text_data(task)
     if not is_bounded(task.formula):
         return facts
+    told = meaning(task.formula)
+    facts |= {"meaning": told.data(), "warnings": told.warnings()}
+    if told.holds is not None:
+        facts["holds_for_example_on"] = str(told.holds)
+    if told.fails is not None:
+        facts["fails_for_example_on"] = str(told.fails)
     try:
         facts["fragment"] = _fragment_data(task.formula)
     except FragmentError as refusal:
