@@ -17,6 +17,7 @@ from typing import TypeAlias, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.automata.fates import Effort
 from stltool.logic.formula import (
     Always,
     And,
@@ -75,10 +76,11 @@ class Samples:
         verdicts: NDArray[np.bool_] = self._truth[0][0]
         return verdicts
 
-    def notice(self, place: int, constant: bool) -> bool:
-        """Whether some trace is judged otherwise with a constant in this place."""
+    def notice(self, place: int, constant: bool, effort: Effort) -> bool:
+        """Whether some trace is judged otherwise with a constant in this place. SizeError beyond `effort`."""
         changed = np.full_like(self._truth[place], constant)
         while not np.array_equal(changed, self._truth[place]):
+            effort.spend_cells(changed.size // 4)
             if place == 0:
                 return not np.array_equal(changed[0], self._truth[0][0])
             parent = self.places[place].parent

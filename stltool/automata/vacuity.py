@@ -38,16 +38,18 @@ from stltool.logic.formula import (
     children,
     horizon,
     require_bounded,
+    temporal_depth,
     walk,
     with_children,
 )
 from stltool.logic.occurrences import occurrences, with_replaced
 from stltool.logic.rewrite import OPPOSITE, simplify
 
-MOST_EFFORT = 80_000  # states times letters explored: about a second
+MOST_EFFORT = 60_000  # states times letters explored: about a second
 _MOST_PLACES = 2000  # occurrences
 _MOST_VALUATIONS = 1024
 _MOST_STATES = 5000
+_DEEPEST = 8  # temporal operators in each other; what deeper ones leave is too long to be written down
 _LONGEST_TEXT = 300
 
 _Read: TypeAlias = tuple[Fates, NDArray[np.int32]]
@@ -70,6 +72,8 @@ class Example:
 
     def __str__(self) -> str:
         """`a, x <= 5 for 3 steps; !a, x > 5 for 1 step`."""
+        if not self.runs:
+            return "any trace"
         return "; ".join(
             ", ".join(str(leaf if holds else simplify(Not(leaf))) for leaf, holds in zip(self.leaves, row, strict=True))
             + f" for {count} step{'' if count == 1 else 's'}"
@@ -79,7 +83,7 @@ class Example:
     def data(self) -> list[dict[str, Any]]:
         """One entry a run, for JSON."""
         return [
-            {"steps": count, **{str(leaf): holds for leaf, holds in zip(self.leaves, row, strict=True)}}
+            {"steps": count, "truth": {str(leaf): holds for leaf, holds in zip(self.leaves, row, strict=True)}}
             for row, count in self.runs
         ]
 
@@ -298,6 +302,8 @@ class _Question:
     def _compiled(self, phi: Formula) -> _Read:
         if not self.complete:
             raise SizeError(f"its labels and comparisons have over {_MOST_VALUATIONS} truth assignments")
+        if temporal_depth(phi) > _DEEPEST:
+            raise SizeError(f"it nests temporal operators {temporal_depth(phi)} deep, over {_DEEPEST}")
         truth = np.stack([self._truth(psi) for psi in atoms_of(phi)], axis=1)
         occurring = np.unique(truth, axis=0)
         most = min(_MOST_STATES, self.effort.left // (2 * len(occurring)))  # half is left for what comes after
@@ -402,9 +408,9 @@ class _Question:
         """How an occurrence does not matter; None if it does, the refusal if that is not decided."""
         place, refused = self.places[i], None
         for constant in (True, False):
-            if self.samples.notice(i, constant):
-                continue
             try:
+                if self.samples.notice(i, constant, self.effort):
+                    continue
                 changed = self._changed(0, place.path, constant)
                 try:
                     same = not self._differ(self.simple, changed)

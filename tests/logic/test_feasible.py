@@ -80,6 +80,10 @@ def test_nothing_is_superfluous_where_one_variable_is_compared(data):
         ("sqrt(x) + 1 > 3 & sqrt(x) < 1", "00 01 10 11"),  # rounded: not related
         ("3 > 2 & 1 == 2 & 0 - 1 < abs(0 - 2)", "101"),
         ("1 / x > 2 & x > 0 & x / 0 > 1", "000 001 010 011 100 101 110 111"),
+        ("sqrt(x) > y & sqrt(x) - y > 0 & b < sqrt(x) & b - sqrt(x) < 0", "0000 0001 0010 0011 0100 0101 0110 0111 "
+         "1000 1001 1010 1011 1100 1101 1110 1111"),
+        ("min(x, y) > 2 & x > 2", "00 01 10 11"),
+        ("x > 2 + 0 & x < 1 - 0", "00 01 10"),
         ("1 / 0 > 1", "0 1"),
         ("2^2 > 5", "0 1"),
     ],
@@ -87,6 +91,16 @@ def test_nothing_is_superfluous_where_one_variable_is_compared(data):
 def test_what_can_occur(text, expected):
     phi = stl.parse(text)
     assert rows(leaves(phi)) == {tuple(c == "1" for c in row) for row in expected.split()}
+
+
+@pytest.mark.parametrize("term", ["x + 7", "x - 7", "7 - x", "x * 40", "x / -40", "-x", "abs(x - 9)", "max(x, -9) + 7"])
+def test_every_level_is_found(term):
+    assert rows(leaves(stl.parse(f"{term} > 3"))) == {(False,), (True,)}
+
+
+def test_a_root_is_rounded_and_so_is_its_difference():
+    trace = {"x": [2.0], "y": [1.4142135623730951]}  # this decimal is less than that double
+    assert stl.satisfies(stl.parse("sqrt(x) > y & !(sqrt(x) - y > 0)"), trace)
 
 
 def test_leaves_are_told_once_and_left_to_right():
