@@ -26,7 +26,7 @@ Runs: TypeAlias = list[tuple[int, int]]
 """A sequence of letters as (letter, how often in a row)."""
 
 _MOST_PAIRS = 20_000_000  # of states, and steps between them
-_LONGEST = 100_000  # steps of a run found one by one
+_LONGEST = 10_000  # steps of a run found one by one; nobody reads more
 _CELLS = 1000  # array cells that cost as much as one state explored under one letter
 
 

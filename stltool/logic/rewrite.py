@@ -160,9 +160,10 @@ _Junction: TypeAlias = type[And] | type[Or]
 def simplify(phi: Formula, cut: bool = False) -> Formula:
     """An equal formula with no more operators, usually fewer; simplifying it again changes nothing.
 
-    Truth and robustness are the same at every step of every trace that is long enough for φ; with `cut`, also of traces
-    that end inside a window, judged on the steps there are (where F[2,3] true may be false). The horizon does not grow.
-    Nodes that survive keep their places. A term without a value (1/0) is no error any more where it is left out.
+    Truth and robustness are the same at every step of every trace that is long enough for φ (a window without an end is
+    taken to hold a step); with `cut`, also of traces that end inside or before a window, judged on the steps there are,
+    where F[2,3] true may be false. The horizon does not grow. Nodes that survive keep their places. A term without a
+    value (1/0) is no error any more where it is left out.
     """
     require_formula(phi)
     return _Simplifier(cut).of(phi).formula

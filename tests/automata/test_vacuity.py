@@ -16,6 +16,7 @@ from stltool.errors import SettingsError, SizeError, StlSyntaxError
 from stltool.logic.feasible import feasible_valuations, leaves
 from stltool.logic.formula import (
     Always,
+    And,
     Comparison,
     Constant,
     Eventually,

@@ -1,5 +1,6 @@
 """Which truth assignments can occur: nothing is missing, and nothing is superfluous where one variable is compared."""
 
+import itertools
 import math
 
 import numpy as np
@@ -10,7 +11,19 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.errors import TraceError
 from stltool.logic.feasible import feasible_valuations, leaves
-from stltool.logic.formula import COMPARATORS, Comparison, Constant, Label, children, walk
+from stltool.logic.formula import (
+    COMPARATORS,
+    Arithmetic,
+    Call,
+    Comparison,
+    Constant,
+    Label,
+    Negate,
+    Number,
+    Variable,
+    children,
+    walk,
+)
 from stltool.logic.occurrences import occurrences, with_replaced
 from stltool.testing import formulas, traces
 from stltool.testing.strategies import terms
@@ -83,6 +96,7 @@ def test_nothing_is_superfluous_where_one_variable_is_compared(data):
         ("sqrt(x) > y & sqrt(x) - y > 0 & b < sqrt(x) & b - sqrt(x) < 0", "0000 0001 0010 0011 0100 0101 0110 0111 "
          "1000 1001 1010 1011 1100 1101 1110 1111"),
         ("min(x, y) > 2 & x > 2", "00 01 10 11"),
+        ("x > 2 + 0 & x < 1 - 0", "00 01 10"),
         ("1 / 0 > 1", "0 1"),
         ("2^2 > 5", "0 1"),
     ],
@@ -95,6 +109,38 @@ def test_what_can_occur(text, expected):
 @pytest.mark.parametrize("term", ["x + 7", "x - 7", "7 - x", "x * 40", "x / -40", "-x", "abs(x - 9)", "max(x, -9) + 7"])
 def test_every_level_is_found(term):
     assert rows(leaves(stl.parse(f"{term} > 3"))) == {(False,), (True,)}
+
+
+ZERO, TWO = Number(0.0), Number(2.0)
+
+
+@pytest.mark.parametrize(
+    ("term", "value"),
+    [
+        (Negate(TWO), -2),
+        (Arithmetic("+", TWO, ZERO), 2),
+        (Arithmetic("-", ZERO, TWO), -2),
+        (Arithmetic("*", TWO, TWO), 4),
+        (Arithmetic("/", ZERO, TWO), 0),
+        (Call("abs", (Negate(TWO),)), 2),
+        (Call("min", (TWO, ZERO)), 0),
+        (Call("max", (ZERO, TWO)), 2),
+        (Arithmetic("/", TWO, ZERO), None),
+        (Arithmetic("^", TWO, TWO), None),
+        (Call("sqrt", (TWO,)), None),
+        (Call("max", (TWO, Variable("y"))), None),
+        (Arithmetic("+", TWO, Variable("y")), None),
+    ],
+)
+def test_constants_that_nobody_folded(term, value):
+    """The parser folds them; formulas can be made without it."""
+    x = Variable("x")
+    read = [Comparison(">", x, term), Comparison(">", term, x), Comparison("==", x, Number(abs(value or 0.0)))]
+    related = rows(read) != {row for row in itertools.product((False, True), repeat=3) if not (row[0] and row[1])}
+    assert related == (value is not None)
+    if value is not None:
+        trace = [{"x": [float(v)]} for v in range(-5, 6)]
+        assert rows(read) == {tuple(stl.satisfies(leaf, case) for leaf in read) for case in trace}
 
 
 def test_a_root_is_rounded_and_so_is_its_difference():
