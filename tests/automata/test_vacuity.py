@@ -132,21 +132,24 @@ def assert_right(phi, letters, found, complete=True):
 LETTERS = [{"a": a, "b": b} for a in (False, True) for b in (False, True)]
 
 
-@pytest.fixture(params=["with evidence", "proof alone"], scope="module")
-def evidence(request):
-    """The second without made-up traces: what matters is proved by automata too."""
+def asked(phi, evidence, **options):
+    """The meaning of φ; without made-up traces, what matters is proved by automata too."""
     with pytest.MonkeyPatch.context() as patch:
-        if request.param == "proof alone":
+        if evidence == "proof alone":
             patch.setattr(Samples, "notice", lambda *_: False)
-        yield
+        return meaning(phi, **options)
 
 
+both_ways = pytest.mark.parametrize("evidence", ["with evidence", "proof alone"])
+
+
+@both_ways
 @given(phi=formulas(labels=("a", "b"), signals=(), longest=2, max_leaves=5))
 @settings(max_examples=120)
 def test_every_answer_over_labels_is_that_of_brute_force(evidence, phi):
     if stl.horizon(phi) > 2:
         return
-    assert_right(phi, LETTERS, meaning(phi))
+    assert_right(phi, LETTERS, asked(phi, evidence))
 
 
 def compared(max_leaves=5):
@@ -168,12 +171,13 @@ def compared(max_leaves=5):
 GRID = [{"x": x, "a": a} for x in (-2, -1, -0.5, 0, 0.25, 0.5, 0.75, 1, 1.5, 2, 3) for a in (False, True)]
 
 
+@both_ways
 @given(phi=compared())
 @settings(max_examples=80)
 def test_every_answer_over_one_variable_is_that_of_brute_force(evidence, phi):
     if stl.horizon(phi) > 1:
         return
-    found = meaning(phi)
+    found = asked(phi, evidence)
     different = dict(zip(truths(phi, GRID), GRID, strict=True))  # one letter a truth assignment: brute force must end
     assert_right(phi, list(different.values()), found)
 
@@ -191,12 +195,13 @@ def test_no_trace_contradicts_a_warning(phi, data):
         assert all(stl.satisfies(idle.formula, trace) == truth for idle in found.idle)
 
 
+@both_ways
 @given(phi=formulas(labels=("a", "b"), signals=(), longest=2, max_leaves=6), effort=st.integers(0, 300))
 @settings(max_examples=100)
 def test_giving_up_is_said_and_never_guessed(evidence, phi, effort):
     if stl.horizon(phi) > 2:
         return
-    found, full = meaning(phi, most_effort=effort), meaning(phi)
+    found, full = asked(phi, evidence, most_effort=effort), asked(phi, evidence)
     assert_right(phi, LETTERS, found, complete=False)
     assert found.can_hold in (None, full.can_hold)
     assert found.can_fail in (None, full.can_fail)
