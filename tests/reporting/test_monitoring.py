@@ -269,6 +269,7 @@ def test_panels_bands_and_verdicts():
     assert [axes.get_ylabel() for axes in figure.axes] == ["x", "y", "labels", "robustness", "verdict"]
     assert all(axes.get_xlim() == (-0.5, 5.5) for axes in figure.axes)
     assert verdict.get_xlabel() == "step"
+    assert 5 < figure.get_size_inches()[1] < 8
     assert figure.get_suptitle() == "violated at 2 of 5 steps; least robustness -1 at step 3\n" + str(task.formula)
     np.testing.assert_array_equal(x.lines[0].get_ydata(), [0, 1, 0, 0, 0, 1])
     top, bottom = x.get_ylim()[1], y.get_ylim()[0]
@@ -335,6 +336,7 @@ def test_what_would_not_be_read_is_counted(monkeypatch):
     assert [axes.get_ylabel() for axes in figure.axes] == [*names[0][:8], "labels", "robustness", "verdict"]
     assert texts(figure.axes[0]) == ["s0 > 0", *(f"s0 < {i}" for i in range(5)), "and 2 more"]
     assert len(figure.axes[8].get_yticks()) == 12
+    assert 15 < figure.get_size_inches()[1] < 20
     assert figure.axes[-1].get_xlabel() == "step; 8 of the 10 signals are shown; 12 of the 14 labels are shown"
     assert len(figure.get_suptitle().splitlines()[1]) == 120
     assert figure.get_suptitle().endswith("…")
