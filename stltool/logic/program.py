@@ -48,8 +48,8 @@ class Instruction(NamedTuple):
     op: Op
     args: tuple[int, ...]
     horizon: int | None
-    a: int = 0
-    b: int | None = 0
+    a: int
+    b: int | None
     atom: Atom | None = None
     ends: tuple[int, ...] = ()
 
@@ -151,7 +151,7 @@ class _Compiler:
     def _atom(self, key: Formula, atom: Atom) -> int:
         if key not in self.numbers:
             self.numbers[key] = len(self.instructions)
-            self.instructions.append(Instruction("atom", (), 0, atom=atom))
+            self.instructions.append(Instruction("atom", (), 0, 0, 0, atom))
         return self.numbers[key]
 
     def _emit(self, op: Op, *args: int, a: int = 0, b: int | None = 0) -> int:
@@ -167,7 +167,7 @@ class _Compiler:
 
     def program(self) -> Program:
         """The instructions in order, each with the values that end there."""
-        seen = {len(self.instructions) - 1}
+        seen: set[int] = set()
         for i in reversed(range(len(self.instructions))):
             now = self.instructions[i]
             ends = tuple(arg for arg in dict.fromkeys(now.args) if arg not in seen)
