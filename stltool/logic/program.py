@@ -157,10 +157,8 @@ class _Compiler:
     def _emit(self, op: Op, *args: int, a: int = 0, b: int | None = 0) -> int:
         key = (op, args, a, b)
         if key not in self.numbers:
-            horizon: int | None = b
-            for arg in args:
-                below = self.instructions[arg].horizon
-                horizon = None if horizon is None or below is None or b is None else max(horizon, b + below)
+            below = [h for h in (self.instructions[arg].horizon for arg in args) if h is not None]
+            horizon = None if b is None or len(below) < len(args) else b + max(below)
             self.numbers[key] = len(self.instructions)
             self.instructions.append(Instruction(op, args, horizon, a, b))
         return self.numbers[key]
