@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from fractions import Fraction
@@ -240,12 +241,13 @@ def best_mixture(points, floor: Fraction) -> Fraction | None:
     return max(values, default=None)
 
 
-def extremum(phi, atom, n: int, end: str, t: int) -> float:
-    """A formula over a lattice of numbers at step t of n: `atom` gives the value of a predicate at a step.
+def extremum(phi, atom, n: int, end: str, steps) -> list[float]:
+    """A formula over a lattice of numbers at some steps of n: `atom` gives the value of a predicate at a step.
 
     With end "cut" windows hold the steps before n, with "hold" those after n - 1 look like it.
     """
 
+    @functools.cache
     def value(phi, t):
         match phi:
             case Not(arg):
@@ -266,20 +268,23 @@ def extremum(phi, atom, n: int, end: str, t: int) -> float:
                 witnesses = ([value(right, u)] + [value(left, v) for v in range(t, u)] for u in window(interval, t))
                 return max(map(min, witnesses), default=-math.inf)
             case _:
-                return atom(phi, min(t, n - 1))
+                return atom(phi, t) if t < n else value(phi, n - 1)
 
     def window(interval, t):
         last = interval.b if interval.b is not None else interval.a + n
         return range(t + interval.a, min(t + last, n - 1 if end == "cut" else t + last) + 1)
 
-    return value(phi, t)
+    return [value(phi, t) for t in steps]
 
 
-def judged_to_the_end(phi, trace: dict, end: str, t: int) -> tuple[bool | None, float | None]:
-    """Truth and robustness at step t of a trace whose windows are cut at its end, or whose last sample is held.
+def judged_to_the_end(phi, trace: dict, end: str, steps) -> list[tuple[bool | None, float | None]]:
+    """Truth and robustness at steps of a trace whose windows are cut at its end, or whose last sample is held.
 
     Truth is None where it hangs on what has no value, robustness where it meets such a value.
     """
+
+    def sample(t):
+        return {name: values[t : t + 1] for name, values in trace.items()}
 
     def truth(psi, t):
         try:
@@ -287,13 +292,15 @@ def judged_to_the_end(phi, trace: dict, end: str, t: int) -> tuple[bool | None, 
         except TraceError:
             return 0
 
-    def sample(t):
-        return {name: values[t : t + 1] for name, values in trace.items()}
+    def margin(psi, t):
+        return stl.robustness(psi, sample(t))
 
     n = len(next(iter(trace.values())))
-    holds = extremum(phi, truth, n, end, t)
-    try:
-        margin = extremum(phi, lambda psi, t: stl.robustness(psi, sample(t)), n, end, t)
-    except TraceError:
-        margin = None
-    return None if holds == 0 else holds > 0, margin
+    margins = []
+    for t in steps:
+        try:
+            margins += extremum(phi, margin, n, end, [t])
+        except TraceError:
+            margins.append(None)
+    truths = [None if v == 0 else v > 0 for v in extremum(phi, truth, n, end, steps)]
+    return list(zip(truths, margins, strict=True))

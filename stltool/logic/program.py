@@ -48,8 +48,8 @@ class Instruction(NamedTuple):
     op: Op
     args: tuple[int, ...]
     horizon: int | None
-    a: int = 0
-    b: int | None = 0
+    a: int
+    b: int | None
     atom: Atom | None = None
     ends: tuple[int, ...] = ()
 
@@ -151,23 +151,21 @@ class _Compiler:
     def _atom(self, key: Formula, atom: Atom) -> int:
         if key not in self.numbers:
             self.numbers[key] = len(self.instructions)
-            self.instructions.append(Instruction("atom", (), 0, atom=atom))
+            self.instructions.append(Instruction("atom", (), 0, 0, 0, atom))
         return self.numbers[key]
 
     def _emit(self, op: Op, *args: int, a: int = 0, b: int | None = 0) -> int:
         key = (op, args, a, b)
         if key not in self.numbers:
-            horizon: int | None = b
-            for arg in args:
-                below = self.instructions[arg].horizon
-                horizon = None if horizon is None or below is None or b is None else max(horizon, b + below)
+            below = [h for h in (self.instructions[arg].horizon for arg in args) if h is not None]
+            horizon = None if b is None or len(below) < len(args) else b + max(below)
             self.numbers[key] = len(self.instructions)
             self.instructions.append(Instruction(op, args, horizon, a, b))
         return self.numbers[key]
 
     def program(self) -> Program:
         """The instructions in order, each with the values that end there."""
-        seen = {len(self.instructions) - 1}
+        seen: set[int] = set()
         for i in reversed(range(len(self.instructions))):
             now = self.instructions[i]
             ends = tuple(arg for arg in dict.fromkeys(now.args) if arg not in seen)

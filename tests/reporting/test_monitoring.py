@@ -244,10 +244,15 @@ def test_a_side_is_where_the_predicate_holds(op, form, flipped, a, b, c):
 # ----------------------------------------------------------------------------------------------------------- pictures
 
 
+def boxes(collection):
+    """(left, right, bottom, top) of each path."""
+    return [tuple(path.get_extents().extents[[0, 2, 1, 3]].tolist()) for path in collection.get_paths()]
+
+
 def bars(axes, label):
-    """The bars of one legend entry: (left, right, bottom, top) each."""
+    """The boxes of one legend entry."""
     [found] = [bars for bars in axes.collections if bars.get_label() == label]
-    return [tuple(path.get_extents().extents[[0, 2, 1, 3]].tolist()) for path in found.get_paths()]
+    return boxes(found)
 
 
 def levels(axes):
@@ -269,8 +274,10 @@ def test_panels_bands_and_verdicts():
     assert [axes.get_ylabel() for axes in figure.axes] == ["x", "y", "labels", "robustness", "verdict"]
     assert all(axes.get_xlim() == (-0.5, 5.5) for axes in figure.axes)
     assert verdict.get_xlabel() == "step"
+    assert 5 < figure.get_size_inches()[1] < 8
     assert figure.get_suptitle() == "violated at 2 of 5 steps; least robustness -1 at step 3\n" + str(task.formula)
     np.testing.assert_array_equal(x.lines[0].get_ydata(), [0, 1, 0, 0, 0, 1])
+    assert x.lines[0].get_marker() == "."
     top, bottom = x.get_ylim()[1], y.get_ylim()[0]
     assert top > 1
     assert bottom < 1
@@ -279,8 +286,17 @@ def test_panels_bands_and_verdicts():
     assert (levels(x), levels(y), levels(robustness)) == ([0.5], [2], [])
     assert (texts(x), texts(y), texts(labels), texts(robustness)) == (["x > 0.5"], ["y < 2"], [], [])
     assert [text.get_text() for text in labels.get_yticklabels()] == ["door"]
-    assert [path.get_extents().x1 for path in labels.collections[0].get_paths()] == [2.5]
+    assert boxes(labels.collections[0]) == [(0.5, 2.5, -0.35, 0.35)]
+    assert labels.get_ylim() == (0.6, -0.6)
+    np.testing.assert_array_equal(robustness.lines[0].get_ydata(), [0, 0])
     np.testing.assert_array_equal(robustness.lines[1].get_ydata(), result.robustness)
+    least, greatest = robustness.get_ylim()
+    assert least < result.robustness.min()
+    assert greatest > result.robustness.max()
+    ranges = ((0, result.robustness.max()), (result.robustness.min(), 0))
+    for area, colour, (low, high) in zip(robustness.collections, (HOLDS, VIOLATED), ranges, strict=True):
+        assert to_hex(area.get_facecolor()[0]) == colour
+        assert {(round(bottom, 9), round(top, 9)) for _, _, bottom, top in boxes(area)} == {(low, high)}
     assert (bars(verdict, "holds"), bars(verdict, "violated"), bars(verdict, "not judged")) == (
         [(-0.5, 1.5, 0.25, 0.75), (3.5, 4.5, 0.25, 0.75)], [(1.5, 3.5, 0, 1)], [(4.5, 5.5, 0.4, 0.6000000000000001)]
     )  # fmt: skip
@@ -299,7 +315,7 @@ def test_an_asked_step_and_a_trace_of_a_batch():
     x, _, verdict = figure.axes
     low, high = x.get_ylim()
     assert bars(x, "abs(x) > 2") == [(0.5, 1.5, low, -2)]
-    assert [tuple(p.get_extents().extents) for p in x.collections[2].get_paths()] == [(0.5, 2, 1.5, high)]
+    assert boxes(x.collections[2]) == [(0.5, 1.5, 2, high)]
     assert bars(x, "x != 9") == [(-0.5, 2.5, low, high)]
     assert levels(x) == [-2, 2, 9]
     assert figure.get_suptitle().startswith("trace 1: step 1 holds, robustness 1\n")
@@ -335,12 +351,46 @@ def test_what_would_not_be_read_is_counted(monkeypatch):
     assert [axes.get_ylabel() for axes in figure.axes] == [*names[0][:8], "labels", "robustness", "verdict"]
     assert texts(figure.axes[0]) == ["s0 > 0", *(f"s0 < {i}" for i in range(5)), "and 2 more"]
     assert len(figure.axes[8].get_yticks()) == 12
+    assert 15 < figure.get_size_inches()[1] < 20
     assert figure.axes[-1].get_xlabel() == "step; 8 of the 10 signals are shown; 12 of the 14 labels are shown"
     assert len(figure.get_suptitle().splitlines()[1]) == 120
     assert figure.get_suptitle().endswith("…")
-    far = monitor_figure(*judged("x < 1000 & x > 1", x=[1, 2, 3])).axes[0]
-    assert far.get_ylim()[1] < 5  # a curve, not a flat line below 1000
-    assert (levels(far), bars(far, "x < 1000")) == ([1], [(-0.5, 2.5, *far.get_ylim())])
+    six = monitor_figure(*judged(" & ".join(f"x < {i}" for i in range(6)), x=[0, 1])).axes[0]
+    assert texts(six) == [f"x < {i}" for i in range(6)]
+
+
+@pytest.mark.parametrize(
+    ("text", "x", "limits", "shown"),
+    [
+        ("x < 1000 & x > 1.5", [1, 2, 3], (0.84, 3.16), [1.5]),  # a curve, not a flat line below 1000
+        ("x > -1000 & x < 8", [1, 2, 3], (0.44, 8.56), [8]),
+        ("x > -4", [1, 2, 3], (-4.56, 3.56), [-4]),
+        ("x > 1e200 & x < 1e9", [5, 5], (5 - 0.08 * (1e9 - 5), 1e9 + 0.08 * (1e9 - 5)), [1e9]),
+        ("x < x + 1", [4, 4], (2, 6), []),
+        ("x < x + 1", [0, 0], (-0.5, 0.5), []),
+        ("abs(x) < 2", [1, 2, 3], (-2.4, 3.4), [-2, 2]),
+    ],
+)
+def test_what_a_panel_shows(text, x, limits, shown):
+    panel = monitor_figure(*judged(text, x=x)).axes[0]
+    assert panel.get_ylim() == pytest.approx(limits)
+    assert levels(panel) == shown
+    if text == "abs(x) < 2":
+        assert bars(panel, text) == [(-0.5, 0.5, -2, 2)]
+    if "1000" in text:
+        low, high = panel.get_ylim()
+        assert bars(panel, next(part for part in text.split(" & ") if "1000" in part)) == [(-0.5, 2.5, low, high)]
+
+
+def test_tints_where_a_column_holds_now_and_then(monkeypatch):
+    monkeypatch.setattr(pictures, "COLUMNS", 3)
+    x, labels, _, _ = monitor_figure(*judged("x > 0 & A", x=[1, 1, 1, -1, -1, -1], A=[0, 1, 0, 0, 1, 1])).axes
+    some, every = x.collections
+    assert [box[:2] for box in boxes(some)] == [(-0.5, 3.5)]
+    assert [box[:2] for box in boxes(every)] == [(-0.5, 1.5)]
+    some, every = labels.collections
+    assert [box[:2] for box in boxes(some)] == [(-0.5, 1.5), (3.5, 5.5)]
+    assert [box[:2] for box in boxes(every)] == [(3.5, 5.5)]
 
 
 def test_a_violation_among_many_samples_is_seen():
@@ -351,6 +401,7 @@ def test_a_violation_among_many_samples_is_seen():
     assert left < 77_777 < right < left + 70
     assert figure.axes[0].lines[0].get_ydata().min() == -5
     assert len(figure.axes[0].lines[0].get_ydata()) == 3000
+    assert figure.axes[0].lines[0].get_marker() == "None"
 
 
 @pytest.mark.parametrize(("ending", "magic"), [("png", b"\x89PNG"), ("svg", b"<svg"), ("PDF", b"%PDF")])
