@@ -16,9 +16,8 @@
 
 One straight way through the house, and the map in reading order:
 
-    logic/        text → Formula: grammar, parser, printer, rewriting, semantics (the oracle), the paper's fragment;
-                  monitors, which judge recorded traces
-    traces.py     a trace file → the signals that a formula is judged on
+    logic/        text → Formula: grammar, parser, printer, rewriting, semantics (the oracle), the paper's fragment
+    monitoring/   recorded traces → truth and robustness at every step
     automata/     Formula → TaskAutomaton: what must be remembered to judge a run; what a formula means at all
     models/       a file, arrays or a Gymnasium environment → MDP; MDP → something that only resets and steps
     product.py    MDP × TaskAutomaton, never built as a matrix
@@ -77,19 +76,24 @@ if TYPE_CHECKING:
     from stltool.logic.formula import Formula, horizon
     from stltool.logic.fragment import Fragment, check_fragment
     from stltool.logic.lint import ambiguities
-    from stltool.logic.monitor import MonitorResult, monitor
-    from stltool.logic.online import Decision, OnlineMonitor
     from stltool.logic.parser import load_task, parse, parse_task
     from stltool.logic.rewrite import negation_normal_form, simplify
     from stltool.logic.semantics import robustness, satisfies
-    from stltool.logic.smooth import SmoothRobustness, smooth_robustness
     from stltool.logic.task import Task
     from stltool.models import MDP, from_gymnasium, load_model, to_gymnasium
+    from stltool.monitoring import (
+        Decision,
+        MonitorResult,
+        OnlineMonitor,
+        SmoothRobustness,
+        load_trace,
+        monitor,
+        smooth_robustness,
+    )
     from stltool.policy import Policy, load_policy
     from stltool.product import JointProduct, Product, build_joint_product, build_product
     from stltool.recheck import certify
     from stltool.reporting import explain, report
-    from stltool.traces import load_trace
 
 __version__ = "0.1.0"
 
@@ -107,14 +111,14 @@ _HOME = {
     "check": "checking", "check_fragment": "logic.fragment", "compile_automaton": "automata",
     "Guarantee": "learning", "guarantee": "learning",
     "horizon": "logic.formula", "learn": "learning", "load_model": "models", "load_policy": "policy",
-    "load_task": "logic.parser", "load_trace": "traces", "parse": "logic.parser", "parse_task": "logic.parser",
+    "load_task": "logic.parser", "load_trace": "monitoring", "parse": "logic.parser", "parse_task": "logic.parser",
     "report": "reporting",
     "from_gymnasium": "models", "to_gymnasium": "models",
     "ambiguities": "logic.lint", "explain": "reporting", "format_task": "logic.format",
     "robust_check": "checking", "robustness": "logic.semantics", "sample_run": "checking",
-    "satisfies": "logic.semantics", "monitor": "logic.monitor", "MonitorResult": "logic.monitor",
-    "Decision": "logic.online", "OnlineMonitor": "logic.online",
-    "SmoothRobustness": "logic.smooth", "smooth_robustness": "logic.smooth",
+    "satisfies": "logic.semantics", "monitor": "monitoring", "MonitorResult": "monitoring",
+    "Decision": "monitoring", "OnlineMonitor": "monitoring",
+    "SmoothRobustness": "monitoring", "smooth_robustness": "monitoring",
     "simplify": "logic.rewrite", "negation_normal_form": "logic.rewrite",
     "meaning": "automata.vacuity", "Meaning": "automata.vacuity",
     "Sweep": "learning", "SweepResult": "learning", "load_sweep": "learning", "run_sweep": "learning",

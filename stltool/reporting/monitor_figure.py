@@ -29,8 +29,8 @@ from stltool.logic.formula import (
     variables,
     walk,
 )
-from stltool.logic.monitor import MonitorResult, monitor
 from stltool.logic.task import Task
+from stltool.monitoring.offline import MonitorResult, monitor
 from stltool.reporting.figures import picture
 from stltool.reporting.monitoring import both, robustness_text, true_ranges
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from stltool.errors import SettingsError
 from stltool.files import write_atomically
-from stltool.logic.monitor import MonitorResult
 from stltool.logic.task import Task
+from stltool.monitoring.offline import MonitorResult
 from stltool.reporting.tradeoffs import require_picture
 
 PICTURES = (".png", ".svg", ".pdf")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.errors import NameLookupError, TraceError
 from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Interval, Label, Not, Or, Until
-from stltool.logic.predicates import truth
+from stltool.monitoring.states import truth
 from stltool.testing import formulas, predicates, traces
 
 A, B = Label("a"), Label("b")

@@ -22,11 +22,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from stltool.errors import SettingsError, TraceError
 from stltool.logic import semantics as oracle
-from stltool.logic.blocks import Machine
 from stltool.logic.formula import Always, Eventually, Formula, Until, children, horizon, is_temporal
-from stltool.logic.program import compile_formula
-from stltool.logic.samples import End, Traces, read_traces
 from stltool.logic.task import Task
+from stltool.monitoring.blocks import Machine
+from stltool.monitoring.program import compile_formula
+from stltool.monitoring.samples import End, Traces, read_traces
 
 Semantics = Literal["both", "boolean", "robustness"]
 

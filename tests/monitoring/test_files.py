@@ -11,8 +11,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool import traces
 from stltool.errors import FileError, NameLookupError, SizeError, StlToolError, TraceError
+from stltool.monitoring import files as traces
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import stltool as stl
 from stltool.errors import SettingsError, SizeError, TraceError
 from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Interval, Not, Or, Until, is_bounded
 from stltool.testing import formulas, traces
-from tests.logic.test_monitor import batches, perhaps_endless
+from tests.monitoring.test_monitor import batches, perhaps_endless
 
 BETAS = st.sampled_from([0.01, 1.0, 7.5, 50.0, 1e6])
 

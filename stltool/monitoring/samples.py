@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stltool.errors import NameLookupError, TraceError, near_misses
-from stltool.logic.blocks import Block, BlockEnd
-from stltool.logic.program import Program
+from stltool.monitoring.blocks import Block, BlockEnd
+from stltool.monitoring.program import Program
 from stltool.sizes import require_memory
 
 End = Literal["error", "cut", "hold"]

@@ -33,13 +33,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stltool.errors import SettingsError
-from stltool.logic.blocks import Block
-from stltool.logic.comparisons import Predicate
 from stltool.logic.formula import Constant, Formula, Label
-from stltool.logic.monitor import decided_steps, prepare, refuse_unknown
-from stltool.logic.program import Atom, Instruction
-from stltool.logic.samples import End
 from stltool.logic.task import Task
+from stltool.monitoring.blocks import Block
+from stltool.monitoring.comparisons import Predicate
+from stltool.monitoring.offline import decided_steps, prepare, refuse_unknown
+from stltool.monitoring.program import Atom, Instruction
+from stltool.monitoring.samples import End
 
 Floats: TypeAlias = NDArray[np.float64]
 Bound: TypeAlias = Floats | np.float64
