@@ -113,8 +113,7 @@ def shortest_run(fates: Fates, verdict: int, effort: Effort) -> Runs | None:
         if sure.size:
             layers.append((t, t, states))
             break
-        settled = bool(layers) and layers[-1][1] >= stretch.first and np.array_equal(layers[-1][2], states)
-        last = stretch.last if settled else t
+        last = stretch.last if layers and np.array_equal(layers[-1][2], states) else t  # so it stays to the end
         layers.append((t, last, states))
         states, t = np.unique(delta[:, states]), last + 1
     runs = _way_back(fates, layers, int(sure[0]))

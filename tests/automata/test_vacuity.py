@@ -329,6 +329,28 @@ def test_long_windows_cost_what_their_states_do():
     assert turns.warnings() == []
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "G[0,30] F[0,20] a & F[10,45] G[0,4] (b & !a)",
+        "F[0,30] (a & F[3,5] (b & F[1,1] !a))",
+        "G[3,40] (a -> F[2,9] b)",
+        "G[0,40] (a -> F[1,1] !a) & F[0,40] (a & b) & G[20,45] (b <-> a)",
+        "(a U[20,40] b) & G[0,15] !b",
+        "F[30,40] G[0,9] (a | b) & F[35,40] !b",
+    ],
+)
+def test_whatever_follows_an_example_its_verdict_stands(text):
+    phi = stl.parse(text)
+    found, rng = meaning(phi), np.random.default_rng(0)
+    assert found.shortest
+    for verdict, example in ((True, found.holds), (False, found.fails)):
+        word = [dict(zip(map(str, example.leaves), row, strict=True)) for row, n in example.runs for _ in range(n)]
+        for rate in (0.0, 0.1, 0.5, 0.9, 1.0):
+            trace = {name: [step[name] for step in word] + (rng.random(100) < rate).tolist() for name in ("a", "b")}
+            assert stl.satisfies(phi, trace) == verdict
+
+
 LARGE = "G[0,100] (a -> G[0,100] b)"
 
 
@@ -498,7 +520,26 @@ def test_two_automata_differ_where_some_trace_tells_them_apart(phi, psi):
     assert [fates[0].can_become(verdict) for verdict in (0, 1)] == [not one.all(), one.any()]
 
 
+def test_verdicts_that_fall_late_are_compared_too():
+    """Neither automaton sees before its horizon that it has only one verdict to give."""
+    letters = np.zeros(2, dtype=np.int32)  # none that matters
+    fates = []
+    for text in ("G[0,2] (a -> F[0,2] a)", "F[0,2] (a & G[0,2] !a)"):
+        automaton = stl.compile_automaton(stl.parse(text))
+        assert (automaton.verdicts(0) == -1).all()
+        fates.append(Fates(automaton, letters, Effort(1000)))
+    assert [[one.can_become(verdict) for verdict in (0, 1)] for one in fates] == [[False, True], [True, False]]
+    assert differ(*fates, letters, letters, Effort(1000))
+
+
 def test_effort_is_counted():
+    effort = Effort(10)
+    effort.spend(6)
+    effort.spend_cells(3999)
+    assert effort.left == 0
+    with pytest.raises(SizeError, match="not within an effort of 10 states"):
+        effort.spend(1)
+    assert effort.left == 0
     automaton = stl.compile_automaton(stl.parse("G[0,50] (F[0,50] a & F[0,50] b)"))
     letters = np.arange(automaton.n_letters, dtype=np.int32)
     with pytest.raises(SizeError, match="not within an effort of 100 states times letters"):
