@@ -323,6 +323,7 @@ def test_an_asked_step_and_a_trace_of_a_batch():
     [mark] = [line for line in x.lines if line.get_linestyle() == ":"]
     assert (mark.get_xdata(), mark.get_color()) == ([1, 1], HOLDS)
     whole = monitor_figure(result, signals, task, trace=0)
+    assert whole.axes[1].get_ylim() == pytest.approx((-0.24, 3.24))  # zero is always seen
     assert whole.get_suptitle().startswith("trace 0: holds at all 3 steps; least robustness 3 at step 0\n")
     assert texts(whole.axes[-1]) == ["holds"]
 
@@ -334,6 +335,7 @@ def test_infinite_robustness_and_predicates_with_gaps():
     assert bars(x, "1 / x > 0 (has gaps)") == []
     assert texts(robustness) == ["infinite at 1\nof 2 steps"]
     assert np.isnan(robustness.lines[1].get_ydata()).tolist() == [True, False]
+    assert len(robustness.get_yticks()) > 1
     result, signals, task = judged("_A", _A=[True, False])
     robustness = monitor_figure(result, signals, task).axes[1]
     assert texts(robustness) == ["infinite at 2\nof 2 steps"]
@@ -384,13 +386,16 @@ def test_what_a_panel_shows(text, x, limits, shown):
 
 def test_tints_where_a_column_holds_now_and_then(monkeypatch):
     monkeypatch.setattr(pictures, "COLUMNS", 3)
-    x, labels, _, _ = monitor_figure(*judged("x > 0 & A", x=[1, 1, 1, -1, -1, -1], A=[0, 1, 0, 0, 1, 1])).axes
+    x, labels, _, verdict = monitor_figure(*judged("x > 0 & A", x=[1, 1, 1, -1, -1, -1], A=[0, 1, 0, 0, 1, 1])).axes
     some, every = x.collections
     assert [box[:2] for box in boxes(some)] == [(-0.5, 3.5)]
     assert [box[:2] for box in boxes(every)] == [(-0.5, 1.5)]
     some, every = labels.collections
     assert [box[:2] for box in boxes(some)] == [(-0.5, 1.5), (3.5, 5.5)]
     assert [box[:2] for box in boxes(every)] == [(3.5, 5.5)]
+    assert texts(verdict) == ["violated", "first violated: step 0"]  # at step 1 it holds, in a column that does not
+    assert bars(verdict, "violated") == [(-0.5, 5.5, 0, 1)]
+    assert verdict.get_ylim() == (0, 1)
 
 
 def test_a_violation_among_many_samples_is_seen():
