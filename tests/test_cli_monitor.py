@@ -199,18 +199,21 @@ def test_bad_input_ends_with_code_2(stltool, log, batch, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "task.stl").write_text("bounded := G[0,9] x > 0\nforever := x > 0\n")
     (tmp_path / "folder.png").mkdir()
+    (tmp_path / "folder.stl").mkdir()
     cases = [
         (["tsak.stl", log], "tsak.stl: there is no such task file; did you mean task.stl?"),
-        ([tmp_path / "none" / "a.stl", log], "a.stl: there is no such task file"),
+        ([tmp_path / "none" / "a.stl", log], "a.stl: there is no such task file\n"),
+        (["folder.stl", log], "folder.stl: this task file cannot be read: Is a directory"),
         (["task", log], f"{log}: there is no column task; known names: door, when, x"),
         (["task.txt", log], "(read as a formula: there is no file task.txt)"),
-        (["G[0,1] x >", log], "formula, line 1, column 11"),
+        (["G[0,1] x >", log], "G[0,1] x >\n              ^\n"),
         (["G[0,1] " * 60 + "x >", log], "formula, line 1"),  # too long for a file's name
         (["task.stl", log, "--task", "bonded"], "no definition bonded; did you mean bounded?"),
         (["task.stl", log, "-p", "T=3"], "no param T to override"),
         (["task.stl", log, "--task", "bounded"], "the traces have 5 samples; this formula needs 10"),
         (["x > 0", log, "--task", "a"], "--task a: a formula has no definitions to choose from; leave --task out"),
         (["x > 0", log, "-p", "T=3"], "-p T=3: the formula does not mention T; leave it out"),
+        (["x > T0", log, "-p", "T=3"], "-p T=3: the formula does not mention T; leave it out"),
         (["x > 0", log, "-p", "T"], "'T' is not NAME=VALUE"),
         (["true", log], "true: this reads no signal and no label, so a trace says nothing about it"),
         (["X > 0", log], "there is no column X; did you mean x?"),
@@ -234,7 +237,7 @@ def test_bad_input_ends_with_code_2(stltool, log, batch, tmp_path, monkeypatch):
         code, out, err = stltool("monitor", *arguments)
         assert (code, out) == (2, ""), arguments
         assert says in err, arguments
-    assert sorted(os.listdir(tmp_path)) == ["batch.npz", "folder.png", "log.csv", "task.stl"]
+    assert sorted(os.listdir(tmp_path)) == ["batch.npz", "folder.png", "folder.stl", "log.csv", "task.stl"]
 
 
 def test_a_file_comes_before_a_formula(stltool, log, tmp_path, monkeypatch):
@@ -261,6 +264,24 @@ def test_what_takes_long_is_told(stltool, log, monkeypatch):
     _, out, err = stltool("monitor", "x > 0", log)
     assert "reading" in err
     assert "reading" not in out
+
+
+def test_what_does_not_take_long_is_not_told(monkeypatch):
+    class Timer:
+        def __init__(self, seconds, _tell, words):
+            told.append((seconds, words))
+
+        def start(self):
+            told.append("start")
+
+        def cancel(self):
+            told.append("cancel")
+
+    told = []
+    monkeypatch.setattr(terminal.threading, "Timer", Timer)
+    with pytest.raises(ZeroDivisionError), terminal.working("counting"):
+        _ = 1 / 0
+    assert told == [(2.0, ["counting …"]), "start", "cancel"]
 
 
 def test_help_has_an_example(stltool):
