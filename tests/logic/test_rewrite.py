@@ -179,6 +179,7 @@ SIMPLER = """
     x > 0 -> a => x > 0 -> a  ;  !(!a <-> b) => a <-> b  ;  !(a <-> x > 0) => a <-> x <= 0
     !a <-> !b => a <-> b  ;  !a <-> b => !a <-> b  ;  !a <-> x > 0 => a <-> x <= 0
     !(a U[0,2] b) => !(a U[0,2] b)  ;  !(a <-> b) => !(a <-> b)
+    G[0,1] a -> !(G[0,1] b) => (G[0,1] a) -> !(G[0,1] b)  ;  !!(G[0,1] a -> !(G[0,1] b)) => !(G[0,1] (a & b))
     # operands that repeat, absorb, contradict
     a & (b & a) & (c & b) => a & b & c  ;  a | (b | c) | b => a | b | c  ;  (a & b) | (b & a) => a & b
     x > 0 & 0 < x => x > 0  ;  (a <-> b) | (b <-> a) => a <-> b  ;  (a -> b) & (b -> a) => (a -> b) & (b -> a)
