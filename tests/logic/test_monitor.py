@@ -11,6 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 import stltool as stl
 from stltool.errors import NameLookupError, SettingsError, StlSyntaxError, TraceError
 from stltool.logic import monitor as monitor_module
+from stltool.logic.blocks import Block, Machine
 from stltool.logic.formula import (
     Always,
     And,
@@ -321,6 +322,27 @@ def test_equal_parts_are_computed_once():
     assert program.horizon == 3
     ends = [ended for now in program.instructions for ended in now.ends]
     assert sorted(ends) == list(range(len(program.instructions) - 1))  # everything ends once, but for the result
+
+
+@given(phi=perhaps_endless(), end=ENDS, data=st.data())
+def test_every_buffer_is_given_back_once(phi, end, data):
+    columns, machine = data.draw(batches(4)), Machine(compile_formula(phi))
+    counts = []
+    for _ in range(2):
+        machine.run(Block(columns, len(columns["x"]), 4, end))
+        free = [machine.pool(kind, 0).free for kind in (np.bool_, np.float64)]
+        assert all(len({id(buffer) for buffer in buffers}) == len(buffers) for buffers in free)
+        counts.append([len(buffers) for buffers in free])
+    assert counts[0] == counts[1]
+
+
+def test_buffers_are_used_again():
+    text = " & ".join(
+        f"F[0,{i % 9}] (x > {i}) | !(x > {i} <-> y > {i}) & ((x < {i}) U[1,2] (y < {i}))" for i in range(50)
+    )
+    machine = Machine(compile_formula(stl.parse(text)), truth=False)
+    machine.run(Block({name: np.zeros((1, 20)) for name in "xy"}, 1, 20, "cut"))
+    assert len(machine.pool(np.float64, 0).free) <= 9
 
 
 @pytest.mark.parametrize("n_traces", [0, 1, 7])
