@@ -27,6 +27,7 @@ from stltool.logic.formula import (
     children,
     with_children,
 )
+from stltool.monitoring.blocks import Block, Machine
 from stltool.monitoring.program import compile_formula
 from stltool.testing import formulas, traces
 from tests.oracles import judged_to_the_end
@@ -320,6 +321,27 @@ def test_equal_parts_are_computed_once():
     assert program.horizon == 3
     ends = [ended for now in program.instructions for ended in now.ends]
     assert sorted(ends) == list(range(len(program.instructions) - 1))  # everything ends once, but for the result
+
+
+@given(phi=perhaps_endless(), end=ENDS, data=st.data())
+def test_every_buffer_is_given_back_once(phi, end, data):
+    columns, machine = data.draw(batches(4)), Machine(compile_formula(phi))
+    counts = []
+    for _ in range(2):
+        machine.run(Block(columns, len(columns["x"]), 4, end))
+        free = [machine.pool(kind, 0).free for kind in (np.bool_, np.float64)]
+        assert all(len({id(buffer) for buffer in buffers}) == len(buffers) for buffers in free)
+        counts.append([len(buffers) for buffers in free])
+    assert counts[0] == counts[1]
+
+
+def test_buffers_are_used_again():
+    text = " & ".join(
+        f"F[0,{i % 9}] (x > {i}) | !(x > {i} <-> y > {i}) & ((x < {i}) U[1,2] (y < {i}))" for i in range(50)
+    )
+    machine = Machine(compile_formula(stl.parse(text)), truth=False)
+    machine.run(Block({name: np.zeros((1, 20)) for name in "xy"}, 1, 20, "cut"))
+    assert len(machine.pool(np.float64, 0).free) <= 9
 
 
 @pytest.mark.parametrize("n_traces", [0, 1, 7])
