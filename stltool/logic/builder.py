@@ -40,7 +40,6 @@ from stltool.logic.formula import (
     Until,
     Variable,
     children,
-    walk,
 )
 from stltool.logic.printer import term_text
 from stltool.logic.quantities import (
@@ -101,8 +100,8 @@ class Builder:
         self.faulty = set(faulty)
         self.given: dict[str, Quantity] = {}  # params as their lines say, overrides apart
         self.names_used: dict[str, Span] = {}  # labels and signals, where first
-        self.undeclared: dict[str, Span] = {}  # signals that are on no signal line
         self.budget = MOST_NODES
+        self.sizes: dict[str, int] = {}  # operators and operands of each definition
 
     # ------------------------------------------------------------------------------------------ statements
 
@@ -148,16 +147,17 @@ class Builder:
         if self.given.get(name) == value:
             return  # Breach's files repeat params; the same value again says nothing new
         self.claim(token, "param")
-        self.given[name] = value
-        self.params[name] = self.overrides.get(name, value)
-        if isinstance(value, Duration) and not isinstance(self.params[name], Duration):
+        taken = self.overrides.get(name, value)
+        if isinstance(value, Duration) and not isinstance(taken, Duration):
             self.fail(tree, f"{name} is a time here; override it with a unit, as in -p {name}={value}")
-        if isinstance(self.params[name], Duration) and not isinstance(value, Duration):
+        if isinstance(taken, Duration) and not isinstance(value, Duration):
             self.fail(tree, f"{name} is a plain number here; override it without a unit, as in -p {name}=20")
+        self.given[name], self.params[name] = value, taken
 
     def step_line(self, tree: Branch) -> None:
         if self.step is not None:
             self.fail(tree, "a second step line; a task file has one")
+        self.faulty.add("step =")  # until it is read: times of the file hang on it
         value = self.constant(branches(tree)[0])
         if not isinstance(value, Duration) or value.seconds <= 0:
             self.fail(tree, "the step is a positive time with its unit; write step = 0.1s")
@@ -166,18 +166,24 @@ class Builder:
     def definition(self, tree: Branch) -> None:
         token, body = cast(tuple[Token, Branch], tuple(tree.children))
         body = branches(body)[0]
+        before = self.budget
         node = self.term(body) if self.is_term(body) else self.formula(body)
+        self.sizes[str(token)] = before - self.budget + sum(1 for _ in body.iter_subtrees())
         self.claim(token, "definition")
         self.definitions[str(token)] = node
 
     def claim(self, token: Token, what: str) -> None:
         name = str(token)
+        if name == "inf":
+            self.fail(token, f"inf is the upper bound of an interval without an end; give this {what} another name")
         if name in self.params or name in self.definitions:
             self.fail(token, f"{name} is defined twice; give this {what} another name")
         if name in self.signals:
             self.fail(token, f"{name} is a signal (line {self.signals[name].line}); give this {what} another name")
         if name in self.names_used:
             place = self.names_used[name]
+            if place.start > (token.start_pos or 0) and place.line == self.span(token).line:
+                self.fail(token, f"{name} would be defined by itself; give this {what} another name")
             self.fail(
                 token,
                 f"{name} is a label or signal on line {place.line} and would be a {what} from here on; "
@@ -229,7 +235,7 @@ class Builder:
                 left, op, right = parts
                 return Comparison(self.comparator(op), self.term(left), self.term(right), span=span)
             case "chained":
-                self.fail(tree, f"comparisons do not chain; write {self.unchained(tree)}")
+                self.fail(tree, f"comparisons do not chain; write ({self.unchained(tree)})")
             case "number" | "binary" | "negate" | "call" | "time" | "sample":
                 self.fail(tree, f"a number where a truth value must stand; compare it, as in {span.text()} > 0")
             case other:
@@ -240,7 +246,7 @@ class Builder:
         if name in self.definitions:
             node = self.definitions[name]
             if isinstance(node, FORMULAS):
-                self.spend(tree, sum(1 for _ in walk(cast(Formula, node))))
+                self.spend(tree, self.sizes[name])
                 return cast(Formula, node)
             self.fail(tree, f"{name} is a number here, not a truth value; compare it, as in {name} > 0")
         self.pass_over(name)
@@ -293,7 +299,7 @@ class Builder:
         if a < 0:
             self.fail(lower, f"the interval starts at step {a}; steps count from 0")
         first = a + (opening == "(")
-        if upper.data == "name" and str(upper.children[0]) == "inf" and "inf" not in self.params:
+        if upper.data == "name" and str(upper.children[0]) == "inf":
             return self.endless(self.span(tree), word, first)
         b = self.whole_steps(upper)
         last = b - (closing == ")")
@@ -314,7 +320,11 @@ class Builder:
 
     def whole_steps(self, tree: Branch) -> int:
         value = self.constant(tree)
+        if abs(value.seconds if isinstance(value, Duration) else value) > _LARGEST_BOUND:
+            self.fail(tree, "this bound is out of range; count in larger steps")
         if isinstance(value, Duration):
+            if self.step is None and "step =" in self.faulty:
+                raise _PassedOver
             if self.step is None:
                 self.fail(tree, "this bound is a time, and no step is declared above; write a line such as step = 0.1s")
             steps = value.seconds / self.step.seconds
@@ -386,6 +396,7 @@ class Builder:
             node = self.definitions[name]
             if isinstance(node, FORMULAS):
                 self.fail(tree, f"{name} is a truth value, not a number; it cannot be compared or computed with")
+            self.spend(tree, self.sizes[name])
             return cast(Term, node)
         return self.variable(tree, name)
 
@@ -408,17 +419,18 @@ class Builder:
         span = self.span(tree)
         self.refuse_word(tree, name)
         self.names_used.setdefault(name, span)
-        if name not in self.signals:
-            self.undeclared.setdefault(name, span)
         return Variable(name, span=span)
 
     def param_value(self, tree: Branch, value: Quantity) -> float:
         if isinstance(value, Duration):
             self.fail(tree, "a time where a plain number must stand; only intervals and params hold times")
         try:
-            return float(value)
+            number = float(value)
         except OverflowError:
             self.fail(tree, "the value of this param is too large to compare with")
+        if number == 0 and value != 0:
+            self.fail(tree, "the value of this param is too small to compare with")
+        return number
 
     def literal_float(self, token: Token) -> float:
         value = float(str(token))
@@ -442,6 +454,8 @@ class Builder:
                 name = str(parts[0])
                 if name not in self.params:
                     self.pass_over(name)
+                    if name in self.definitions:
+                        self.fail(tree, f"{name} is a definition; for a number in bounds write param {name} = …")
                     known = near_misses(name, self.params) if self.params else f"give it a value: param {name} = 10"
                     self.fail(tree, f"{name} is not a param; {known}")
                 return self.params[name]
@@ -488,6 +502,8 @@ class Builder:
         if (op == "*" and all(times)) or (op == "/" and times == (False, True)) or (op == "^" and any(times)):
             self.fail(tree, "this is no time: times add up, and are multiplied and divided by plain numbers")
         result = self.computed(tree, op, a, b)
+        if max(result.numerator.bit_length(), result.denominator.bit_length()) > _LARGEST_BITS:
+            self.fail(tree, "this value is out of range: it has more digits than a param or a bound could use")
         return Duration(result) if (times[0] != times[1] or (op in "+-" and times[0])) else result
 
     def computed(self, tree: Branch, op: str, a: Fraction, b: Fraction) -> Fraction:

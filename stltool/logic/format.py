@@ -57,7 +57,7 @@ def _skeletons(document: Document) -> list[object]:
 
 def _skeleton(item: Branch | Token) -> object:
     if isinstance(item, Token):
-        return "," if item.type in ("COLON", "DOTS") else _COMPARATORS.get(str(item), str(item))
+        return _COMPARATORS.get(str(item), str(item))
     tree = bare(item)
     return (str(tree.data), *(_skeleton(part) for part in tree.children))
 
@@ -79,7 +79,7 @@ def flat_text(tree: Branch) -> str:
         case "not" | "eventually" | "always":
             return _sign(tree) + _operand(parts[-1], prefix=True)
         case "comparison" | "chained":
-            return " ".join(_comparator(part) if isinstance(part, Token) else flat_text(part) for part in tree.children)
+            return " ".join(_comparator(part) if isinstance(part, Token) else _term(part)[0] for part in tree.children)
         case _:
             return _term(tree)[0]
 
@@ -94,7 +94,7 @@ def _sign(tree: Branch) -> str:
 
 def _interval(tree: Branch) -> str:
     opening, lower, upper, closing = cast(tuple[Token, Branch, Branch, Token], tuple(tree.children))
-    return f"{opening}{flat_text(lower)},{flat_text(upper)}{closing}"
+    return f"{opening}{_term(lower)[0]},{_term(upper)[0]}{closing}"
 
 
 def _comparator(token: Token) -> str:
@@ -106,9 +106,12 @@ def _operand(tree: Branch, prefix: bool = False) -> str:
 
 
 def _kind(tree: Branch) -> Kind:
-    match bare(tree).data:
+    inner = tree = bare(tree)
+    while inner.data == "not":
+        inner = bare(branches(inner)[0])
+    match tree.data:
         case "not":
-            return "temporal" if _kind(branches(bare(tree))[0]) == "temporal" else "not"
+            return "temporal" if inner.data in ("eventually", "always") else "not"
         case "eventually" | "always":
             return "temporal"
         case "comparison" | "chained" | "binary" | "negate":
@@ -127,9 +130,9 @@ def _term(tree: Branch) -> tuple[str, int]:
             op = cast(ArithmeticOperator, str(parts[1]))
             return computed(op, _term(parts[0]), _term(parts[2])), STRENGTH[op]
         case "call":
-            return f"{parts[0]}({', '.join(flat_text(part) for part in parts[1:])})", STRENGTH["atom"]
+            return f"{parts[0]}({', '.join(_term(part)[0] for part in parts[1:])})", STRENGTH["atom"]
         case "sample":
-            return f"{parts[0]}[{flat_text(parts[1])}]", STRENGTH["atom"]
+            return f"{parts[0]}[{_term(parts[1])[0]}]", STRENGTH["atom"]
         case "number" | "time" | "name" | "true" | "false":
             return str(parts[0]), STRENGTH["atom"]
         case _:
@@ -148,6 +151,7 @@ class _Layout:
         self.pending = deque(document.comments)
         self.lines: list[str] = []
         self.end = 0  # where in the source the last thing laid out ends
+        self.commented = -1  # the last line with a comment
 
     def text(self) -> str:
         for tree in self.document.trees:
@@ -170,13 +174,15 @@ class _Layout:
         while self.pending and self.pending[0].start < until:
             comment = self.pending.popleft()
             text = _comment_text(comment)
-            behind = self.source[: comment.start].replace("\r", "\n").rpartition("\n")[2].strip()
-            if behind and self.lines and self.lines[-1] and "#" not in self.lines[-1]:
+            line_start = max(self.source.rfind("\n", 0, comment.start), self.source.rfind("\r", 0, comment.start)) + 1
+            behind = self.source[line_start : comment.start].strip()
+            if behind and self.lines and self.lines[-1] and self.commented < len(self.lines):
                 self.lines[-1] += f"  {text}"
             else:
                 if pad == "":
                     self.blank_line(comment.start)
                 self.lines.append(pad + text)
+            self.commented = len(self.lines)
             self.end = max(self.end, comment.end)
 
     def statement(self, tree: Branch) -> None:
@@ -184,7 +190,7 @@ class _Layout:
             case "model":
                 self.lines.append(f"model {tree.children[0]}")
             case "step":
-                self.lines.append(f"step = {flat_text(branches(tree)[0])}")
+                self.lines.append(f"step = {_term(branches(tree)[0])[0]}")
             case "params":
                 self.list("param", [(p.meta.start_pos, f"{p.children[0]} = {_value(p)}") for p in branches(tree)])
             case "signals":
@@ -251,7 +257,7 @@ def _breakable(tree: Branch) -> bool:
 
 
 def _value(param: Branch) -> str:
-    return flat_text(branches(param)[1])
+    return _term(branches(param)[1])[0]
 
 
 def _comment_text(comment: Comment) -> str:

@@ -83,6 +83,10 @@ def _build_formula(
     more: Mapping[str, ParamValue] | None = None,
 ) -> Task:
     values = {**params, **_exact(more)}
+    for param in sorted(values.keys() - document.names):
+        raise StlSyntaxError(
+            f"{document.source.name}: no param {param} in this formula; {near_misses(param, document.names)}"
+        )
     builder = Builder(document.source, values, step=step, unbounded=unbounded)
     formula = builder.whole_formula(document.trees[0])
     builder.require_shallow(formula)
@@ -140,6 +144,6 @@ def _exact(params: Mapping[str, ParamValue] | None) -> dict[str, Quantity]:
 
 def _step(step: str | Duration | None) -> Duration | None:
     value = duration(step) if isinstance(step, str) else step
-    if step is not None and (value is None or value.seconds <= 0):
+    if step is not None and (not isinstance(value, Duration) or value.seconds <= 0):
         raise SettingsError(f"step {step!r} is no positive time with a unit; write for example step='0.1s'")
     return value

@@ -31,7 +31,8 @@ class Duration:
     seconds: Fraction
 
     def __str__(self) -> str:
-        return f"{decimal_text(self.seconds)}s"
+        number, bar, divisor = decimal_text(self.seconds).partition("/")
+        return f"{number}s{bar}{divisor}"
 
 
 Quantity: TypeAlias = Fraction | Duration
@@ -55,7 +56,11 @@ def number(text: str) -> Fraction | None:
     """The exact value of a decimal or a fraction `3/4`; None where it is none, or out of range."""
     try:
         parts = [Decimal(part) for part in text.split("/", 1)]
-        if len(text) > LONGEST_NUMBER or any(abs(part.adjusted()) > LARGEST_EXPONENT for part in parts):
+        if (
+            not text.isascii()
+            or len(text) > LONGEST_NUMBER
+            or any(abs(part.adjusted()) > LARGEST_EXPONENT for part in parts)
+        ):
             return None
         return Fraction(text)
     except (ValueError, InvalidOperation, ZeroDivisionError):

@@ -77,7 +77,7 @@ TERMINAL_WORDS = {
     "RSQB": "']'",
     "COMMA": "','",
     "COLON": "':'",
-    "DOTS": "'..'",
+    "_DOTS": "'..'",
     "ASSIGN": "':='",
     "EQUAL": "'='",
     "SEMICOLON": "';'",
@@ -108,11 +108,12 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A text, read: a tree a statement (or the tree of one formula), its comments, and what is wrong with it."""
+    """A text, read: a tree a statement (or the tree of one formula), comments, names, and what is wrong with it."""
 
     source: Source
     trees: tuple[Branch, ...]
     comments: tuple[Comment, ...]
+    names: frozenset[str]
     faults: tuple[Fault, ...]
 
 
@@ -164,7 +165,8 @@ def read(source: Source, start: str) -> Document:
         else:
             trees.append(result)
     faults.sort(key=lambda fault: fault.start)
-    return Document(source, tuple(trees), tuple(_comments(source, tokens, broken)), tuple(faults))
+    names = frozenset(str(token) for token in tokens if token.type == "NAME")
+    return Document(source, tuple(trees), tuple(_comments(source, tokens, broken)), names, tuple(faults))
 
 
 def refuse(faults: Sequence[Fault]) -> None:
@@ -206,19 +208,32 @@ def _shifted(token: Token, offset: int) -> Token:
 
 def _glued(text: str, place: int) -> str:
     """What stands at a place that no token begins at: a number with letters behind it, or one character."""
-    found = re.compile(r"[\d.]\w*").match(text, place)
+    found = re.compile(r"\.*\w+|\.+").match(text, place)
     return found.group() if found else text[place]
 
 
 def _foreign(source: Source, place: int) -> str:
     character = source.text[place]
     shown = repr(character) if character.isprintable() else f"U+{ord(character):04X}"
-    if character.isdigit() or character == ".":
+    before = source.text[:place].rpartition("\n")[2]
+    if character == '"':
+        message = 'a file name ends with a quote, on the line it begins on: model "floor.toml"'
+    elif character in "²³":
+        message = f"write ^{'2' if character == '²' else '3'} for a power"
+    elif before.split()[:1] == ["model"] or character == "'":
+        message = 'a file name stands in double quotes, on a model line: model "floor.toml"'
+    elif character == "." and re.search(r"[A-Za-z_]\w*$", before):
+        message = "names have no dots; write for example car_speed for car.speed"
+    elif character.isalpha():
+        message = f"{shown} has no place in a name; names have letters a to z, digits and _"
+    elif character == ".":
+        message = "dots stand in numbers such as 0.5 and in intervals such as [0..5]"
+    elif not character.isascii() and character.isnumeric():
+        message = f"{shown} is no digit here; digits are 0 to 9"
+    elif character.isdigit():
         message = "this number is glued to letters; put an operator or a space between"
     elif character == "=":
         message = f"'=' cannot stand here; {_EQUAL_HINT}"
-    elif character == '"':
-        message = 'a file name ends with a quote, on the line it begins on: model "floor.toml"'
     elif character == "%":
         message = "'%' has no meaning here; comments begin with # or //"
     else:
@@ -251,12 +266,15 @@ def _places(pieces: Sequence[list[Token]], length: int) -> Iterator[tuple[list[T
 
 
 def _defines(tokens: Sequence[Token], i: int) -> bool:
-    return tokens[i].type == "NAME" and i + 1 < len(tokens) and tokens[i + 1].type == "ASSIGN"
+    follows = i + 1 < len(tokens) and tokens[i + 1].type == "ASSIGN"
+    return tokens[i].type == "NAME" and follows and (i == 0 or tokens[i - 1].type != "_PARAM")
 
 
 def _defined(tokens: Sequence[Token]) -> tuple[str, ...]:
     """What a statement defines, as far as its tokens tell."""
     marks = ("ASSIGN", "EQUAL")
+    if tokens and tokens[0].type == "_PARAM":
+        return tuple(str(t) for b, t in pairwise(tokens) if t.type == "NAME" and b.type in ("_PARAM", "COMMA"))
     return tuple(str(t) for t, n in pairwise(tokens) if t.type == "NAME" and n.type in marks)
 
 
@@ -281,7 +299,8 @@ def _parse(source: Source, start: str, tokens: list[Token]) -> Branch | Fault:
 
 
 def _empty_interval(before: Token, token: Token) -> bool:
-    return before.type in _TEMPORAL and str(before)[-1].isalpha() and str(token) == "[]" and _touch(before, token)
+    word = str(before).rstrip("_")[-1:].isalpha() or str(before).endswith("_")
+    return before.type in _TEMPORAL and word and str(token) == "[]" and _touch(before, token)
 
 
 def _touch(before: Token, after: Token) -> bool:
@@ -316,19 +335,23 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
     before = tokens[i - 1] if i else None
     last = before.type if before is not None else ""
     opened = _open_bracket(tokens, i)
-    if kind in ("COMMA", "COLON", "DOTS") and opened > 0 and tokens[opened].type == "LSQB":
+    if kind in ("COMMA", "COLON", "_DOTS") and opened > 0 and tokens[opened].type == "LSQB":
         word = tokens[opened - 1]
         if word.type == "NAME":
             close = difflib.get_close_matches(str(word).rstrip("_"), _TEMPORAL_WORDS, n=1, cutoff=0.7)
             known = f"did you mean {close[0]}?" if close else "F, G, U and their words are"
             return _elsewhere(word) or f"{word} is not an operator that takes an interval; {known}"
-    if opened > 0 and tokens[opened - 1].type in _TEMPORAL and "DOTS" in accepted:
+    if opened > 0 and tokens[opened - 1].type in _TEMPORAL and "_DOTS" in accepted:
         return "the interval needs two bounds in whole steps, such as F[0,10]"
+    if kind == "ASSIGN" and tokens[0].type == "_PARAM":
+        return f"a param is given with =: param {before} = 5"
     if kind == "EQUAL":
-        return _EQUAL_HINT
+        return f"write {before} without the second =" if last == "COMPARATOR" else _EQUAL_HINT
+    if kind in ("COMPARATOR", "EQUAL") and str(before) in ("~", "<>"):
+        return "write != for unequal"
     if kind == "_UNTIL" and "_AND" in accepted:
         return "until does not chain; put parentheses around one of them"
-    if kind == "DOTS" or (kind == "TIME" and last == "NAME"):
+    if kind == "_DOTS" or (kind == "TIME" and last == "NAME"):
         return None
     for near in (before, token):
         if near is not None and near.type == "NAME" and (other := _elsewhere(near)) is not None:

@@ -141,6 +141,18 @@ def test_numbers_intervals_and_names_are_as_they_were_written():
     assert format_task(text) == text.replace("F[0,T) a", "(F[0,T) a)")
 
 
+@pytest.mark.parametrize(
+    "body", ["(a > 2) > 3", "(F[0,1] a) > 3", "(a < b) == (c < d)", "F[0,(a < b)] c", "min((a & b), 2) > x[(a & b)]"]
+)
+def test_what_will_be_refused_later_is_laid_out_all_the_same(body):
+    once = format_task(f"r := {body}")
+    assert format_task(once) == once
+
+
+def test_a_comment_behind_a_mark_in_quotes():
+    assert format_task('model "a#b.toml" # where\n# own\n') == 'model "a#b.toml"  # where\n# own\n'
+
+
 def test_what_does_not_parse_is_not_laid_out():
     with pytest.raises(StlSyntaxError, match=r"x\.stl, line 1, column 9: the text ends here"):
         format_task("r := A &", "x.stl")

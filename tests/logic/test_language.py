@@ -93,6 +93,24 @@ def test_times_are_whole_multiples_of_the_step():
         ("r := A &\nq := B", "line 1, column 9: the statement ends here; expected a formula"),
         ('r := A "floor"', "on a model line only"),
         ('model "floor\nr := A', "ends with a quote"),
+        ("r := F[0...50] A", "dots stand in numbers such as 0.5 and in intervals such as [0..5]"),
+        ("r := F[0...5e1] A", "dots stand in numbers"),
+        ("r := x² > 4", "write ^2 for a power"),
+        ("r := F[0,٣] A", "digits are 0 to 9"),
+        ("r := größe > 3", "'ö' has no place in a name"),
+        ("r := car.speed > 3", "names have no dots; write for example car_speed"),
+        ("model floor.toml\nr := A", "in double quotes, on a model line"),
+        ("r := F_[] A", "could be an empty interval"),
+        ("r := A U_[] B", "could be an empty interval"),
+        ("param e = (10^-64)^8\nr := x > e", "too small to compare with"),
+        ("param T = (10^64)^18/7\nr := F[0,T] A", "this bound is out of range"),
+        ("param T := 5\nr := F[0,T] A", "a param is given with =: param T = 5"),
+        ("param T = (10^64)^18\nparam V = T*T*T\nr := F[0,V] x", "this value is out of range"),
+        ("param T = 10^64\nr := F[0,T/7] A", "this bound is out of range"),
+        ("c := 5\nr := F[0,c] A", "c is a definition; for a number in bounds write param c"),
+        ("x := x > 2", "x would be defined by itself"),
+        ("r := x !== 3", "write != without the second ="),
+        ("step = 5\nr := F[0,1s] A", "the step is a positive time"),
         ("r := A % a comment", "comments begin with # or //"),
     ],
 )
@@ -121,9 +139,34 @@ v := near & fine & B > A
     assert str(caught.value).endswith("5 errors")
 
 
+def test_numbers_defined_from_each_other_do_not_explode():
+    text = "t0 := x + x\n" + "".join(f"t{i + 1} := t{i} + t{i}\n" for i in range(40)) + "r := t40 > 2"
+    with pytest.raises(StlSyntaxError, match="larger than 50000 operators"):
+        stl.parse_task(text)
+
+
+def test_values_for_names_that_a_formula_does_not_have_are_refused():
+    with pytest.raises(StlSyntaxError, match="no param G in this formula; known names: x, y"):
+        stl.parse("G[0,5] (x > y)", params={"G": 3})
+    with pytest.raises(StlSyntaxError, match="no param Q"):
+        stl.parse("F[0,5] a", params={"Q": 3})
+    with pytest.raises(SettingsError, match="is no positive time"):
+        stl.parse("a", step=5)
+
+
 def test_what_a_faulty_line_defines_is_missed_nowhere():
     """Only the line itself is at fault: not those that use its names."""
-    for line in ("T = §", "param T = §", "T := §3", "param T = 1/0", "T := 3 +", "param T = 5 5"):
+    for line in (
+        "param T := 5",
+        "param T 5",
+        "param T == 5",
+        "T = §",
+        "param T = §",
+        "T := §3",
+        "param T = 1/0",
+        "T := 3 +",
+        "param T = 5 5",
+    ):
         with pytest.raises(StlSyntaxError) as caught:
             stl.parse_task(f"{line}\nr := F[0,T] (x > T)\nq := r & F[0,2*T] G[0,abs(T)] T")
         assert str(caught.value).count("task, line") == 1, line
@@ -171,7 +214,8 @@ def test_operators_without_an_interval_are_for_monitors():
         assert stl.parse(str(phi), unbounded=True) == phi
         with pytest.raises(StlSyntaxError, match="needs an interval with an end here, such as"):
             stl.parse(text)
-    assert stl.parse("F[0,inf] a", params={"inf": 3}) == stl.parse("F[0,3] a")
+    with pytest.raises(StlSyntaxError, match="inf is the upper bound of an interval without an end"):
+        stl.parse_task("param inf = 3\nr := F[0,inf] a")
 
 
 # ------------------------------------------------------------------------------------------- params, late
@@ -257,7 +301,8 @@ def test_no_durations(text):
 
 @given(st.fractions(min_value=-5, max_value=10**6))
 def test_durations_print_as_what_they_are(seconds):
-    assert Fraction(str(Duration(seconds)).removesuffix("s")) == seconds
+    assert Fraction(str(Duration(seconds)).replace("s", "")) == seconds
+    assert stl.parse_task(f"step = {Duration(abs(seconds) + 1)}\nr := A").step == Duration(abs(seconds) + 1)
 
 
 def test_steps_and_params_from_outside_are_checked():

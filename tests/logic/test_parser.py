@@ -130,7 +130,7 @@ def test_every_terminal_of_the_grammar_has_words():
         ("F[] a", "line 1, column 2", "could be an empty interval"),
         ("F[3] a", "line 1, column 4", "the interval needs two bounds"),
         ("a b", "line 1, column 3", "expected an operator between 'a' and 'b'"),
-        ("2 < x < 4", "line 1, column 1", "write x > 2 & x < 4"),
+        ("2 < x < 4", "line 1, column 1", "write (x > 2 & x < 4)"),
         ("x + 1", "line 1, column 1", "x + 1 > 0"),
         ("sqrt(a & b) > 1", "line 1, column 6", "a truth value where a number must stand"),
         ("F[0,2.5] a", "line 1, column 5", "2.5 is not a whole number of steps; write 2 or 3"),
