@@ -255,6 +255,7 @@ def test_explain_tells_what_may_be_misread_and_what_has_no_horizon(stltool, tmp_
     code, out, _ = stltool("explain", path)
     assert code == 0
     assert "none: an interval has no end; only monitors judge this" in out
+    assert "not looked into: the formula has no horizon" in out
     assert "└── G[0,inf)\n    └── c\n" in out
     assert "warning: " in out
     assert "here it means ((G[0,2s] a) & b) | (G c)" in out
@@ -293,6 +294,11 @@ def test_a_formula_may_have_times(stltool, tmp_path):
     assert stltool("monitor", "eventually a", trace, "--end", "cut")[0] == 0
     code, _, err = stltool("monitor", "eventually a", trace)
     assert (code, "only monitors judge it, with end cut or hold" in err) == (2, True)
+
+
+def test_a_param_is_given_once(stltool):
+    code, _, err = stltool("explain", "F[0,T] a", "-p", "T=3", "-p", "T=4")
+    assert (code, "-p T is given twice, 3 and 4; give it once" in err) == (2, True)
 
 
 def test_a_large_tree_is_cut():

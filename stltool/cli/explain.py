@@ -67,6 +67,7 @@ def _shown(facts: dict[str, Any]) -> dict[str, Any]:
     }
     if shown["horizon"] is None:
         shown["horizon"] = shown["samples needed"] = "none: an interval has no end; only monitors judge this"
+        shown["meaning"] = "not looked into: the formula has no horizon"
     if shown.get("transitions", 0) is None:
         shown["transitions"] = "unknown: the model is a black box"
     for key in ("flag states", "history states"):

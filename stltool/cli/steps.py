@@ -89,9 +89,6 @@ def load_task_or_formula(text: str, params: list[str] | None, name: str | None, 
         return stl.load_task(path, values, name, unbounded=True)
     if name is not None:
         raise SettingsError(f"--task {name}: a formula has no definitions to choose from; leave --task out")
-    for param in values:
-        if not re.search(rf"\b{re.escape(param)}\b", text):
-            raise SettingsError(f"-p {param}={values[param]}: the formula does not mention {param}; leave it out")
     try:
         return formula_task(text, values, step=step, unbounded=True)
     except StlSyntaxError as fault:
@@ -168,7 +165,13 @@ def warnings_shown() -> Iterator[None]:
 
 
 def read_params(pairs: list[str] | None) -> dict[str, str]:
-    return dict(read_pair(pair, "-p T=20") for pair in pairs or [])
+    values: dict[str, str] = {}
+    for pair in pairs or []:
+        name, value = read_pair(pair, "-p T=20")
+        if name in values:
+            raise SettingsError(f"-p {name} is given twice, {values[name]} and {value}; give it once")
+        values[name] = value
+    return values
 
 
 def read_settings(pairs: list[str] | None) -> dict[str, Any]:

@@ -314,7 +314,8 @@ class Builder:
             raise _At(
                 place,
                 f"{word} needs an interval with an end here, such as {_LETTERS[word]}[{first},{first + 10}] "
-                "(only monitors judge it without; a label with an operator's name, F, G or U, must be renamed)",
+                "(only monitors judge it without: stltool monitor, or unbounded=True; a label with an operator's name, "
+                "F, G or U, must be renamed)",
             )
         return Interval(first, None)
 

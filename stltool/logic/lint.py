@@ -19,6 +19,8 @@ from stltool.logic.syntax import Branch, Document, Token, branches
 
 _BINARY = ("iff", "xor", "implies", "or", "and", "until")
 _LONGEST_READING = 300
+_OPERAND = r"[\s(]*[\w.]+[\s)]*"
+_ARITHMETIC = re.compile(rf"//(?=[\s(]*[\d.]){_OPERAND}(?:[-+*/^&|<>=!]+{_OPERAND})*")  # no sentence, but an operand
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +96,7 @@ def _divisions(document: Document) -> Iterator[Advice]:
     """`x > 5 // 2`: what follows // is a comment, which a Python reader may take for a division."""
     for comment in document.comments:
         before = document.source.text[: comment.start].rpartition("\n")[2].rstrip()
-        if comment.text.startswith("//") and re.search(r"[\w)\]]$", before) and re.match(r"//\s*[\d(.]", comment.text):
+        if re.search(r"[\w)\]]$", before) and _ARITHMETIC.fullmatch(comment.text):
             span = Span(document.source, comment.start, comment.start + 2)
             yield Advice(span, "what follows // is a comment; for a division write /, for a comment #")
 
@@ -121,13 +123,20 @@ def _misspelled(document: Document) -> Iterator[Advice]:
     """Bare names that nearly are definitions or params of the file, and so are read as labels instead."""
     known = {str(tree.children[0]) for tree in document.trees if tree.data == "definition"}
     known |= {str(p.children[0]) for tree in document.trees if tree.data == "params" for p in branches(tree)}
+    declared = {str(name) for tree in document.trees if tree.data == "signals" for name in tree.children}
     names = [cast(Token, part.children[0]) for tree in document.trees for part in tree.find_data("name")]
     first = {str(token): token for token in sorted(names, key=_start, reverse=True)}
-    for name in first.keys() - known:
+    for name in first.keys() - known - declared:
         close = difflib.get_close_matches(name, known, n=1, cutoff=0.85)
-        if close and re.sub(r"\d", "", name) != re.sub(r"\d", "", close[0]):  # gear1 beside gear2 is no slip
+        if close and not _siblings(name, close[0]):
             place = Span(document.source, _start(first[name]), _start(first[name]) + len(name))
             yield Advice(place, f"{name} is read as a signal or label of that name; did you mean {close[0]}?")
+
+
+def _siblings(name: str, other: str) -> bool:
+    """Names of one family, which differ in a digit or have parts: gear1 and gear2, visit_a and visits_a."""
+    parts, others = name.split("_"), other.split("_")
+    return re.sub(r"\d", "", name) == re.sub(r"\d", "", other) or (len(parts) == len(others) > 1)
 
 
 def _start(token: Token) -> int:

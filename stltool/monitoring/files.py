@@ -187,6 +187,8 @@ def _read_fast(table: _Table, wanted: Sequence[str]) -> Signals | None:
         column = cells[str(table.header.index(name))]
         if name in table.labels:
             texts, which = np.unique(column, return_inverse=True)
+            if any(len(text) == _LABEL_WIDTH for text in texts.tolist()):
+                return None  # more may have stood there than was kept
             truths = [_TRUTH.get(text.decode("latin-1").strip().lower()) for text in texts.tolist()]
             if None in truths:
                 return None

@@ -129,7 +129,8 @@ def decided_steps(traces: Traces, end: End) -> int:
     if traces.n_steps <= h:
         raise TraceError(
             f"the traces have {traces.n_steps} samples; this formula needs {h + 1} (its horizon is {h}): give longer "
-            'ones, or end="cut" to cut windows at the end of the trace, or end="hold" to hold the last sample'
+            'ones, or end="cut" (--end cut) to cut windows at the end of the trace, or end="hold" (--end hold) to hold '
+            "the last sample"
         )
     return traces.n_steps - h
 

@@ -70,7 +70,7 @@ def smooth_robustness(
     Signals and ends as for `monitor`, whose errors it raises too; SettingsError for another β. Under "hold" a held
     sample counts once for every step of a window, so an interval without end is refused there.
     """
-    if not 1e-100 <= beta <= 1e100:
+    if isinstance(beta, bool) or not isinstance(beta, int | float | np.number) or not 1e-100 <= beta <= 1e100:
         raise SettingsError(f"beta is {beta!r}; it must be a number from 1e-100 to 1e100")
     formula, traces = prepare(phi, signals, end)
     h = traces.program.horizon

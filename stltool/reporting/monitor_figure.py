@@ -224,6 +224,9 @@ def _robustness_panel(axes: Axes, robustness: Reals) -> None:
     xs, ys = envelope(robustness)
     axes.axhline(0.0, color=_INK, linewidth=0.8)
     axes.plot(xs, ys, color=_INK, linewidth=1.1 if len(xs) == len(robustness) else 0.6)
+    drawn = np.isfinite(np.concatenate([[np.nan], ys, [np.nan]]))
+    alone = drawn[1:-1] & ~drawn[:-2] & ~drawn[2:]  # between infinities, where a line has no length
+    axes.plot(xs[alone], ys[alone], linestyle="", marker=".", color=_INK, markersize=5)
     for colour, side in ((HOLDS, ys >= 0), (VIOLATED, ys <= 0)):
         axes.fill_between(xs, ys, 0.0, where=side, color=colour, alpha=0.25, linewidth=0, interpolate=True)
     axes.set_ylim(*_limits(np.append(ys[np.isfinite(ys)], 0.0), ()))

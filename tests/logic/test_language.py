@@ -380,3 +380,8 @@ def test_reading_takes_work_in_proportion_to_the_text(piece):
     stl.parse(texts[0])
     first, second, third = (calls(lambda text=text: stl.parse(text)) for text in texts)
     assert (third - second) / (second - first) == pytest.approx(2, rel=0.02)
+
+
+def test_lines_of_old_macs_are_counted():
+    with pytest.raises(StlSyntaxError, match="line 3, column 8"):
+        stl.parse_task("a := B\r# c\rr := A §\rq := C\r")

@@ -374,3 +374,13 @@ def test_nothing_is_read_then(tmp_path, write, monkeypatch, name):
         SizeError, match=r"of memory; 10 B may be used; give a shorter part of the trace, or name fewer"
     ):
         stl.load_trace(path)
+
+
+@pytest.mark.parametrize("cell", ["true    garbage", "false\t\t\t1", "true     x"])
+def test_nothing_behind_a_label_is_dropped(tmp_path, cell):
+    path = tmp_path / "t.csv"
+    path.write_text(f"A,x\ntrue,1\n{cell},2\n")
+    with pytest.raises(TraceError, match="line 3, column A"):
+        stl.load_trace(path)
+    path.write_text("A,x\ntrue,1\n  true     ,2\n")
+    assert stl.load_trace(path)["A"].tolist() == [True, True]
