@@ -31,7 +31,7 @@ from stltool.logic.formula import (
 )
 from stltool.logic.program import compile_formula
 from stltool.testing import formulas, traces
-from tests.oracles import judged_to_the_end
+from tests.oracles import extremum, judged_to_the_end
 
 ENDS = st.sampled_from(["cut", "hold"])
 
@@ -115,6 +115,21 @@ def test_semantics_and_shapes(phi, end, data):
     for array in ("verdicts", "robustness"):
         assert np.array_equal(getattr(alone, array), getattr(both, array)[-1])
         assert np.array_equal(getattr(other, array), getattr(both, array))
+
+
+@given(a=st.integers(0, 5), width=st.integers(1, 12), extra=st.integers(1, 9), seed=st.integers(0, 99), size=SIZES)
+def test_each_operator_over_any_window(a, width, extra, seed, size):
+    interval, rng = Interval(a, a + width - 1), np.random.default_rng(seed)
+    p, q = stl.parse("x > 0"), stl.parse("y > 0")
+    n = interval.last + extra
+    values = {p: rng.integers(-2, 9, n) + 0.5, q: rng.integers(-9, 2, n) + 0.5}
+    for phi in (Eventually(interval, q), Always(interval, p), Until(interval, p, q), Until(interval, q, p)):
+        for end, steps in (("error", range(extra)), ("cut", range(n)), ("hold", range(n))):
+            with in_blocks(size):
+                result = stl.monitor(phi, {"x": values[p], "y": values[q]}, end)
+            wanted = extremum(phi, lambda psi, t: values[psi][t], n, "hold" if end == "hold" else "cut", steps)
+            assert result.robustness.tolist() == wanted
+            assert np.array_equal(result.verdicts, result.robustness > 0)
 
 
 def guarded_formulas():
