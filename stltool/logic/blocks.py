@@ -225,8 +225,8 @@ class _Tape:
                     return self._suffixes(_FOLD[now.op], operands[0], a)
                 return self._window(_FOLD[now.op], operands[0], count, a, b - a + 1)
             case "until":
-                self._fill(operands[0][0], self.algebra.greatest)
-                self._fill(operands[1][0], self.algebra.least)
+                for buffer, _ in operands:  # beyond the end no witness, whatever the left side is
+                    self._fill(buffer, self.algebra.least)
                 return self._until(operands, count, *self._bounds(now))
             case "atom":
                 raise ValueError("an atom has no operands")

@@ -11,6 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 import stltool as stl
 from stltool.errors import NameLookupError, SettingsError, StlSyntaxError, TraceError
 from stltool.logic import monitor as monitor_module
+from stltool.logic.blocks import Block, Machine
 from stltool.logic.formula import (
     Always,
     And,
@@ -30,7 +31,7 @@ from stltool.logic.formula import (
 )
 from stltool.logic.program import compile_formula
 from stltool.testing import formulas, traces
-from tests.oracles import judged_to_the_end
+from tests.oracles import extremum, judged_to_the_end
 
 ENDS = st.sampled_from(["cut", "hold"])
 
@@ -114,6 +115,21 @@ def test_semantics_and_shapes(phi, end, data):
     for array in ("verdicts", "robustness"):
         assert np.array_equal(getattr(alone, array), getattr(both, array)[-1])
         assert np.array_equal(getattr(other, array), getattr(both, array))
+
+
+@given(a=st.integers(0, 5), width=st.integers(1, 12), extra=st.integers(1, 9), seed=st.integers(0, 99), size=SIZES)
+def test_each_operator_over_any_window(a, width, extra, seed, size):
+    interval, rng = Interval(a, a + width - 1), np.random.default_rng(seed)
+    p, q = stl.parse("x > 0"), stl.parse("y > 0")
+    n = interval.last + extra
+    values = {p: rng.integers(-2, 9, n) + 0.5, q: rng.integers(-9, 2, n) + 0.5}
+    for phi in (Eventually(interval, q), Always(interval, p), Until(interval, p, q), Until(interval, q, p)):
+        for end, steps in (("error", range(extra)), ("cut", range(n)), ("hold", range(n))):
+            with in_blocks(size):
+                result = stl.monitor(phi, {"x": values[p], "y": values[q]}, end)
+            wanted = extremum(phi, lambda psi, t: values[psi][t], n, "hold" if end == "hold" else "cut", steps)
+            assert result.robustness.tolist() == wanted
+            assert np.array_equal(result.verdicts, result.robustness > 0)
 
 
 def guarded_formulas():
@@ -321,6 +337,27 @@ def test_equal_parts_are_computed_once():
     assert program.horizon == 3
     ends = [ended for now in program.instructions for ended in now.ends]
     assert sorted(ends) == list(range(len(program.instructions) - 1))  # everything ends once, but for the result
+
+
+@given(phi=perhaps_endless(), end=ENDS, data=st.data())
+def test_every_buffer_is_given_back_once(phi, end, data):
+    columns, machine = data.draw(batches(4)), Machine(compile_formula(phi))
+    block = Block(columns, len(columns["x"]), 4, end)
+    machine.run(block)
+    for kind in (np.bool_, np.float64):
+        free = machine.pool(kind, 0).free
+        assert len({id(buffer) for buffer in free}) == len(free)
+    with mock.patch("numpy.zeros", side_effect=AssertionError("a second block takes new memory")):
+        machine.run(block)
+
+
+def test_buffers_are_used_again():
+    text = " & ".join(
+        f"F[0,{i % 9}] (x > {i}) | !(x > {i} <-> y > {i}) & ((x < {i}) U[1,2] (y < {i}))" for i in range(50)
+    )
+    machine = Machine(compile_formula(stl.parse(text)), truth=False)
+    machine.run(Block({name: np.zeros((1, 20)) for name in "xy"}, 1, 20, "cut"))
+    assert len(machine.pool(np.float64, 0).free) <= 9
 
 
 @pytest.mark.parametrize("n_traces", [0, 1, 7])
