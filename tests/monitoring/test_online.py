@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.errors import NameLookupError, SettingsError, StlSyntaxError, TraceError
-from stltool.logic.formula import Eventually, Interval
+from stltool.logic.formula import Always, Eventually, Interval, Until
 from stltool.testing import formulas, traces
 
 
@@ -32,6 +32,17 @@ def test_every_prefix_is_judged_as_the_offline_monitor_does(phi, data):
             assert str(so_far) == str(decisions(stl.monitor(phi, prefix)))  # 0.0 and -0.0 are told apart
         for end in ("cut", "hold"):
             assert str(so_far + online.finish(end)) == str(decisions(stl.monitor(phi, prefix, end)))
+
+
+@given(a=st.integers(0, 5), width=st.integers(1, 12), seed=st.integers(0, 99))
+def test_each_operator_over_any_window(a, width, seed):
+    interval, rng = Interval(a, a + width - 1), np.random.default_rng(seed)
+    p, q = stl.parse("x > 0"), stl.parse("F[0,3] (y > 0)")
+    x, y = rng.integers(-2, 9, 40) + 0.5, rng.integers(-9, 2, 40) + 0.5
+    for phi in (Eventually(interval, q), Always(interval, p), Until(interval, p, q), Until(interval, q, p)):
+        online = stl.OnlineMonitor(phi)
+        found = [decision for pair in zip(x, y, strict=True) for decision in online.feed({"x": pair[0], "y": pair[1]})]
+        assert found == decisions(stl.monitor(phi, {"x": x, "y": y}))
 
 
 def test_memory_is_bounded_by_the_horizon():

@@ -105,6 +105,24 @@ def test_values_are_the_definitions(phi, beta, data):
     assert values == pytest.approx([soft(phi, held, t, beta) for t in range(n)], rel=1e-9, abs=1e-9)
 
 
+@given(a=st.integers(0, 5), width=st.integers(1, 12), beta=BETAS, seed=st.integers(0, 99))
+def test_each_operator_over_any_window(a, width, beta, seed):
+    interval, rng = Interval(a, a + width - 1), np.random.default_rng(seed)
+    p, q = stl.parse("x > 0"), stl.parse("y > 0")
+    n = interval.last + 4
+    trace = {"x": rng.integers(-2, 9, n) / 4, "y": rng.integers(-9, 2, n) / 4}
+    for phi in (Eventually(interval, q), Always(interval, p), Until(interval, p, q), Until(interval, q, p)):
+        found = stl.smooth_robustness(phi, trace, beta)
+        assert found.values == pytest.approx([soft(phi, trace, t, beta) for t in range(4)], rel=1e-9, abs=1e-9)
+        exact = stl.monitor(phi, trace).robustness
+        assert (found.lower <= exact).all()
+        assert (exact <= found.upper).all()
+        cut, exact = stl.smooth_robustness(phi, trace, beta, "cut"), stl.monitor(phi, trace, "cut").robustness
+        assert np.array_equal(cut.values[:4], found.values)
+        assert (cut.lower <= exact).all()
+        assert (exact <= cut.upper).all()
+
+
 @pytest.mark.parametrize(
     ("text", "over", "under"),
     [
