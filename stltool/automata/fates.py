@@ -23,7 +23,7 @@ from stltool.errors import SizeError
 
 Letters: TypeAlias = NDArray[np.int32]
 Runs: TypeAlias = list[tuple[int, int]]
-"""A sequence of letters as (letter, how often in a row)."""
+"""A sequence of letters as (letter, how often in a row); a letter may stand in several runs in a row."""
 
 _MOST_PAIRS = 20_000_000  # of states, and steps between them
 _LONGEST = 10_000  # steps of a run found one by one; nobody reads more
@@ -151,12 +151,7 @@ def _way_back(fates: Fates, layers: list[tuple[int, int, NDArray[np.int32]]], st
             if steps > _LONGEST:
                 return None
         step(layers[i - 1][2] if i else np.array([fates.automaton.initial], dtype=np.int32))
-    runs: Runs = []
-    for letter, count in reversed(backwards):
-        if runs and runs[-1][0] == letter:
-            count += runs.pop()[1]
-        runs.append((letter, count))
-    return runs
+    return backwards[::-1]
 
 
 def differ(left: Fates, right: Fates, left_letters: Letters, right_letters: Letters, effort: Effort) -> bool:

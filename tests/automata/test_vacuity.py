@@ -1,5 +1,6 @@
 """What a formula means before any model, against brute force over every trace."""
 
+import dataclasses
 import itertools
 import json
 
@@ -338,6 +339,9 @@ def test_long_windows_cost_what_their_states_do():
         "G[0,40] (a -> F[1,1] !a) & F[0,40] (a & b) & G[20,45] (b <-> a)",
         "(a U[20,40] b) & G[0,15] !b",
         "F[30,40] G[0,9] (a | b) & F[35,40] !b",
+        "(a <-> b) & G[0,3] b & (a U[0,20] !b)",
+        "(G[0,21] b) | F[0,20] !b | a & b",
+        "G[0,60] ((a -> F[1,1] !a) & (!a -> F[1,1] a)) & F[0,3] b",
     ],
 )
 def test_whatever_follows_an_example_its_verdict_stands(text):
@@ -518,6 +522,21 @@ def test_two_automata_differ_where_some_trace_tells_them_apart(phi, psi):
     one, other = every(phi, letters, n_steps), every(psi, letters, n_steps)
     assert differ(*fates, *read, Effort(10**6)) == (one != other).any()
     assert [fates[0].can_become(verdict) for verdict in (0, 1)] == [not one.all(), one.any()]
+
+
+def test_a_way_that_stays_in_a_state_takes_the_letter_that_keeps_it():
+    """State 1 comes from 0 by letter 0 and is kept by letter 1 only; 2 and 4 hold, reached in the last step."""
+    automaton = dataclasses.replace(
+        stl.compile_automaton(A),
+        delta=np.array([[1, 3, 3, 3, 3], [4, 1, 3, 3, 3], [0, 2, 3, 3, 3]], dtype=np.int32),
+        horizon=500,
+        verdict_starts=np.array([0, 500]),
+        verdict_rows=np.array([[-1] * 5, [0, 0, 1, 0, 1]], dtype=np.int8),
+    )
+    fates = Fates(automaton, np.arange(3, dtype=np.int32), Effort(10**5))
+    word = [letter for letter, count in shortest_run(fates, 1, Effort(10**5)) for _ in range(count)]
+    assert (len(word), automaton.judge(word)) == (501, (True, 500))
+    assert shortest_run(fates, 0, Effort(10**5)) == [(1, 1)]
 
 
 def test_verdicts_that_fall_late_are_compared_too():
