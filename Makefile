@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint bench format clean
+.PHONY: demo test lint bench fuzz format clean
 
 demo: .venv/installed
 	$(BIN)/stltool run examples/factory/patrolling.stl --method cfer --episodes 1000 --seed 0 --out out/patrolling
@@ -18,6 +18,13 @@ lint: .venv/installed-dev
 
 bench: .venv/installed-dev
 	$(BIN)/python bench/run.py
+
+# ten minutes; FUZZ=-max_total_time=60 for another time, and libFuzzer's other options
+FUZZ ?= -max_total_time=600
+fuzz: .venv/installed-dev
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[fuzz]'
+	mkdir -p out/fuzz
+	cd out/fuzz && ../../$(BIN)/python ../../bench/fuzz.py -max_len=400 $(FUZZ) .
 
 format: .venv/installed-dev
 	$(BIN)/ruff check --fix .

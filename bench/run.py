@@ -11,6 +11,7 @@ from pathlib import Path
 import automata
 import goals
 import monitors
+import parsing
 import rigour
 import spine
 
@@ -32,6 +33,10 @@ lines = [
     "## Enclosures and exact fractions",
     "",
     *rigour.table(),
+    "",
+    "## Reading formulas",
+    "",
+    *parsing.table(),
     "",
     "## Monitors",
     "",

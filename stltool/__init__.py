@@ -16,8 +16,9 @@
 
 One straight way through the house, and the map in reading order:
 
-    logic/        text → Formula: grammar, parser, printer, semantics (the oracle), the paper's fragment; monitors
-    automata/     Formula → TaskAutomaton: what must be remembered to judge a run
+    logic/        text → Formula: grammar, parser, printer, rewriting, semantics (the oracle), the paper's fragment
+    monitoring/   recorded traces → truth and robustness at every step
+    automata/     Formula → TaskAutomaton: what must be remembered to judge a run; what a formula means at all
     models/       a file, arrays or a Gymnasium environment → MDP; MDP → something that only resets and steps
     product.py    MDP × TaskAutomaton, never built as a matrix
     policy.py     a table over (t?, s, q), saved and loaded without pickle
@@ -36,6 +37,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from stltool.automata import TaskAutomaton, compile_automaton
+    from stltool.automata.vacuity import Meaning, meaning
     from stltool.checking import (
         CheckResult,
         Estimate,
@@ -70,19 +72,28 @@ if TYPE_CHECKING:
         load_sweep,
         run_sweep,
     )
+    from stltool.logic.format import format_task
     from stltool.logic.formula import Formula, horizon
     from stltool.logic.fragment import Fragment, check_fragment
-    from stltool.logic.monitor import MonitorResult, monitor
-    from stltool.logic.online import Decision, OnlineMonitor
+    from stltool.logic.lint import ambiguities
     from stltool.logic.parser import load_task, parse, parse_task
+    from stltool.logic.rewrite import negation_normal_form, simplify
     from stltool.logic.semantics import robustness, satisfies
-    from stltool.logic.smooth import SmoothRobustness, smooth_robustness
     from stltool.logic.task import Task
     from stltool.models import MDP, from_gymnasium, load_model, to_gymnasium
+    from stltool.monitoring import (
+        Decision,
+        MonitorResult,
+        OnlineMonitor,
+        SmoothRobustness,
+        load_trace,
+        monitor,
+        smooth_robustness,
+    )
     from stltool.policy import Policy, load_policy
     from stltool.product import JointProduct, Product, build_joint_product, build_product
     from stltool.recheck import certify
-    from stltool.reporting import report
+    from stltool.reporting import explain, report
 
 __version__ = "0.1.0"
 
@@ -100,27 +111,30 @@ _HOME = {
     "check": "checking", "check_fragment": "logic.fragment", "compile_automaton": "automata",
     "Guarantee": "learning", "guarantee": "learning",
     "horizon": "logic.formula", "learn": "learning", "load_model": "models", "load_policy": "policy",
-    "load_task": "logic.parser", "parse": "logic.parser", "parse_task": "logic.parser", "report": "reporting",
+    "load_task": "logic.parser", "load_trace": "monitoring", "parse": "logic.parser", "parse_task": "logic.parser",
+    "report": "reporting",
     "from_gymnasium": "models", "to_gymnasium": "models",
+    "ambiguities": "logic.lint", "explain": "reporting", "format_task": "logic.format",
     "robust_check": "checking", "robustness": "logic.semantics", "sample_run": "checking",
-    "satisfies": "logic.semantics", "monitor": "logic.monitor", "MonitorResult": "logic.monitor",
-    "Decision": "logic.online", "OnlineMonitor": "logic.online",
-    "SmoothRobustness": "logic.smooth", "smooth_robustness": "logic.smooth",
+    "satisfies": "logic.semantics", "monitor": "monitoring", "MonitorResult": "monitoring",
+    "Decision": "monitoring", "OnlineMonitor": "monitoring",
+    "SmoothRobustness": "monitoring", "smooth_robustness": "monitoring",
+    "simplify": "logic.rewrite", "negation_normal_form": "logic.rewrite",
+    "meaning": "automata.vacuity", "Meaning": "automata.vacuity",
     "Sweep": "learning", "SweepResult": "learning", "load_sweep": "learning", "run_sweep": "learning",
 }  # fmt: skip
 
 __all__ = [  # noqa: RUF022 - in reading order
-    "parse", "Formula", "horizon", "satisfies", "robustness", "monitor", "MonitorResult",
-    "OnlineMonitor", "Decision", "smooth_robustness", "SmoothRobustness",
-    "check_fragment", "Fragment",
-    "load_task", "parse_task", "Task", "compile_automaton", "TaskAutomaton", "load_model", "MDP",
-    "from_gymnasium", "to_gymnasium",
+    "parse", "Formula", "horizon", "satisfies", "robustness", "check_fragment", "Fragment",
+    "simplify", "negation_normal_form", "load_task", "parse_task", "Task", "format_task", "ambiguities",
+    "load_trace", "monitor", "MonitorResult", "OnlineMonitor", "Decision", "smooth_robustness", "SmoothRobustness",
+    "meaning", "Meaning", "compile_automaton", "TaskAutomaton", "load_model", "MDP", "from_gymnasium", "to_gymnasium",
     "build_product", "Product", "Policy", "load_policy", "check", "CheckResult", "robust_check", "sample_run", "Run",
     "estimate", "Estimate", "sprt", "SequentialTest", "write_certificate", "certify",
     "likely_runs", "LikelyRuns", "sensitivity", "Sensitivity", "surrogate_optimum", "SurrogateResult",
     "build_joint_product", "JointProduct", "tradeoff", "Tradeoff", "pareto", "Front",
     "learn", "Training", "Settings", "guarantee", "Guarantee", "load_sweep", "run_sweep", "Sweep", "SweepResult",
-    "report", "StlToolError",
+    "report", "explain", "StlToolError",
 ]  # fmt: skip
 
 

@@ -22,8 +22,13 @@ def read_bytes(path: str | Path, what: str) -> bytes:
         raise FileError(f"{path}: this {what} cannot be read: {error.strerror}") from None
 
 
-def read_text(path: str | Path, what: str) -> str:
-    """The text of a file, or a FileError that says why it has none. `what` names the file's role ("task file")."""
+def read_text(path: str | Path, what: str, most: int | None = None) -> str:
+    """The text of a file, or a FileError that says why it has none. `what` names the file's role ("task file").
+
+    A file of more than `most` bytes is not read at all.
+    """
+    if most is not None and Path(path).is_file() and (size := Path(path).stat().st_size) > most:
+        raise FileError(f"{path}: not a {what}: it has {size} bytes, and a {what} at most {most}")
     data = read_bytes(path, what)
     if b"\0" in data:
         raise FileError(f"{path}: not a {what}: it holds binary data (a zero byte at offset {data.index(0)})")

@@ -17,10 +17,10 @@ from stltool.automata.compile import MOST_STATES, atoms_of
 from stltool.automata.reach import reachable
 from stltool.errors import NameLookupError, SettingsError, near_misses
 from stltool.logic.formula import Formula, label_names, require_bounded, variables
-from stltool.logic.predicates import truth
 from stltool.logic.source import Span
 from stltool.logic.task import Task
 from stltool.models import MDP
+from stltool.monitoring.states import truth
 from stltool.sizes import require_memory
 
 

@@ -265,6 +265,9 @@ def extremum(phi, atom, n: int, end: str, steps) -> list[float]:
             case Always(interval, arg):
                 return min((value(arg, u) for u in window(interval, t)), default=math.inf)
             case Until(interval, left, right):
+                if end == "cut":  # the left operand is met also where no witness is left
+                    for v in range(t, n if interval.b is None else min(t + interval.b, n)):
+                        value(left, v)
                 witnesses = ([value(right, u)] + [value(left, v) for v in range(t, u)] for u in window(interval, t))
                 return max(map(min, witnesses), default=-math.inf)
             case _:

@@ -3,6 +3,7 @@
 import gzip
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -239,11 +240,71 @@ def test_explain(stltool, tmp_path):
     assert data["fragment"] == {
         "outer": "G[0,10)", "parts": ["F[0,10) A", "F[0,10) x < 0.4 & y > 0.6"], "equal_windows": True,
     }  # fmt: skip
+    assert (data["ambiguities"], data["tree"]["operator"], data["tree"]["line"]) == ([], "G[0,9]", 6)
     path = tmp_path / "deep.stl"
     path.write_text("deep := G[0,5] F[0,3] G[0,2] a\n")
     code, out, _ = stltool("explain", path)
     assert code == 0
     assert "depth 3" in out
+    assert "G[0,5]  horizon 10\n└── F[0,3]  horizon 5\n    └── G[0,2]  horizon 2\n        └── a\n" in out
+
+
+def test_explain_tells_what_may_be_misread_and_what_has_no_horizon(stltool, tmp_path):
+    path = tmp_path / "task.stl"
+    path.write_text("step = 0.5s\nr := G[0,2s] a & b or always c\n")
+    code, out, _ = stltool("explain", path)
+    assert code == 0
+    assert "none: an interval has no end; only monitors judge this" in out
+    assert "not looked into: the formula has no horizon" in out
+    assert "└── G[0,inf)\n    └── c\n" in out
+    assert "warning: " in out
+    assert "here it means ((G[0,2s] a) & b) | (G c)" in out
+    data = json.loads(stltool("explain", path, "--json")[1])
+    assert (data["horizon"], data["step"], len(data["ambiguities"])) == (None, "0.5s", 1)
+    assert [node["horizon"] for node in data["tree"]["operands"]] == [4, None]
+
+
+def test_explain_warns_of_tasks_that_say_nothing_and_of_idle_parts(stltool):
+    for text, warning in (
+        ("G[0,5] (x > 5 & x < 3)", "this task can never hold: x > 5 & x < 3 never holds\n    G[0,5] (x > 5 & x < 3)\n"),
+        ("(F[0,3] a) | (G[0,3] !a)", "this task holds on every trace"),
+        ("(G[0,9] a) & (G[0,5] a)", "G[0,5] a does not matter: with true in its place the task means the same, G[0,9]"),
+    ):
+        code, out, _ = stltool("explain", text)
+        assert (code, f": {warning}" in out) == (0, True)
+        assert out.count("warning: ") == 1
+    data = json.loads(stltool("explain", "(G[0,T] a) & (G[0,5] a)", "-p", "T=9", "--json")[1])
+    assert data["meaning"]["idle"][0]["means"] == "G[0,9] a"
+    assert (data["meaning"]["can_hold"], data["meaning"]["can_fail"], len(data["warnings"])) == (True, True, 1)
+    _, out, _ = stltool("explain", PATROLLING)
+    assert "warning" not in out
+    assert re.search(r"^holds for example on +A, x < 0.4, y > 0.6 for 10 steps$", out, flags=re.MULTILINE)
+
+
+def test_a_formula_may_have_times(stltool, tmp_path):
+    assert json.loads(stltool("explain", "F[0,2s] a", "--step", "500ms", "--json")[1])["formula"] == "F[0,4] a"
+    assert "no step is declared above" in stltool("explain", "F[0,2s] a")[2]
+    assert "no positive time with a unit" in stltool("explain", "F[0,2s] a", "--step", "3")[2]
+    code, _, err = stltool("explain", PATROLLING, "--step", "1s")
+    assert (code, "a task file says so itself, on a line step = 1s" in err) == (2, True)
+    trace = tmp_path / "trace.csv"
+    trace.write_text("a\n0\n0\n0\n0\n1\n")
+    assert stltool("monitor", "F[0,2s] a", trace, "--step", "0.5s")[0] == 0
+    assert stltool("monitor", "F[0,2s] a", trace, "--step", "1s")[0] == 1
+    assert stltool("monitor", "eventually a", trace, "--end", "cut")[0] == 0
+    code, _, err = stltool("monitor", "eventually a", trace)
+    assert (code, "only monitors judge it, with end cut or hold" in err) == (2, True)
+
+
+def test_a_param_is_given_once(stltool):
+    code, _, err = stltool("explain", "F[0,T] a", "-p", "T=3", "-p", "T=4")
+    assert (code, "-p T is given twice, 3 and 4; give it once" in err) == (2, True)
+
+
+def test_a_large_tree_is_cut():
+    tree = stl.explain(stl.parse_task("r := " + " & ".join(f"a{i}" for i in range(2000)) + " | b"))["tree"]
+    assert len(tree["operands"][0]["operands"]) < 600
+    assert tree["operands"][0]["operands"][-1]["operator"] == "…"
 
 
 def test_export_draws_the_automaton(stltool, tmp_path):
@@ -280,7 +341,7 @@ BAD_TASKS = {
     "unknown label": ("task := F[0,3] Dock", "the model has no label Dock"),
     "empty interval": ("task := F[3,3) A", "the interval [3,3) is empty"),
     "non-integer bound": ("task := F[0,2.5] A", "2.5 is not a whole number of steps"),
-    "chained comparison": ("task := F[0,2] (0.1 < x < 0.4)", "write x > 0.1 & x < 0.4"),
+    "chained comparison": ("task := F[0,2] (0.1 < x < 0.4)", "write (x > 0.1 & x < 0.4)"),
     "missing model": ('model "none.toml"\ntask := F[0,2] A', "none.toml: there is no such model file"),
     "enormous horizon": ("task := G[0,10^15] F[0,5) A", "would take about"),
     "enormous window": ("task := G[0,5] F[0,10^12) A", "grows over 100000 states"),

@@ -65,7 +65,8 @@ def test_the_other_commands_on_a_black_box(stltool, tmp_path):  # noqa: F811
     assert (code, "exact P" in out, "the probability lies in" in out) == (0, False, True)
     assert stltool("estimate", UNKNOWN, "--policy", policy, "--at-least", "0.99")[0] == 1
     code, out, _ = stltool("explain", UNKNOWN)
-    assert (code, "transitions       unknown: the model is a black box" in out) == (0, True)
+    assert code == 0
+    assert re.search(r"^transitions +unknown: the model is a black box$", out, flags=re.MULTILINE)
     assert json.loads(stltool("explain", UNKNOWN, "--json")[1])["transitions"] is None
     for arguments in (["check"], ["check", "--policy", policy], ["why", "--policy", policy]):
         code, out, err = stltool(arguments[0], UNKNOWN, *arguments[1:])

@@ -11,7 +11,7 @@ import stltool as stl
 from stltool.errors import SettingsError
 from tests.conftest import ROOT
 
-TASKS = sorted((ROOT / "examples").rglob("*.stl"))
+TASKS = sorted(path for path in (ROOT / "examples").rglob("*.stl") if path.parent.name != "monitor")  # which has logs
 
 
 def test_there_are_examples():
@@ -28,6 +28,13 @@ def test_every_example_task_can_be_checked(path):
         return
     best = stl.check(product) if product.model.intervals is None else stl.robust_check(product)
     assert (0.69 if path.parent.name == "frozenlake" else 0.9) < best.probability <= best.upper <= 1
+
+
+@pytest.mark.parametrize("path", TASKS, ids=lambda path: path.stem)
+def test_every_example_task_is_in_canonical_layout(path):
+    text = path.read_text(encoding="utf-8")
+    assert stl.format_task(text) == text
+    assert stl.ambiguities(stl.load_task(path).document) == []
 
 
 def test_the_tour_of_the_package_runs():

@@ -1,5 +1,5 @@
-"""The command line: parse arguments, call the public API, print. Exit codes: 0 done, 1 the asked bound does not hold,
-2 the input is at fault (a message on stderr, no traceback), 3 stltool itself is.
+"""The command line: parse arguments, call the public API, print. Exit codes: 0 done, 1 the asked bound does not hold or
+a monitored step is violated, 2 the input is at fault (a message on stderr, no traceback), 3 stltool itself is.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from stltool.errors import StlToolError
 # each registers its command, in the order that --help shows
 # isort: off
 from stltool.cli import run, check, why, surrogate, tradeoff, pareto, certify, estimate, learn, sweep
-from stltool.cli import explain, export, report
+from stltool.cli import monitor, explain, fmt, export, report
 
 __all__ = [
-    "app", "certify", "check", "estimate", "explain", "export", "learn", "main", "pareto", "report", "run",
-    "surrogate", "sweep", "tradeoff", "why",
+    "app", "certify", "check", "estimate", "explain", "export", "fmt", "learn", "main", "monitor", "pareto", "report",
+    "run", "surrogate", "sweep", "tradeoff", "why",
 ]  # fmt: skip
 
 

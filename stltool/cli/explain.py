@@ -9,69 +9,65 @@ from typing import Any
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Params, TaskFile, TaskName
-from stltool.cli.steps import bind, compile_task, read_params, task_model
-from stltool.errors import FragmentError, SizeError
+from stltool.cli.options import AsJson, Encoding, Model, Params, Step, TaskName, TaskOrFormula
+from stltool.cli.steps import load_task_or_formula, task_model, warnings_shown
 
 
 @app.command()
 def explain(
-    task: TaskFile,
+    task: TaskOrFormula,
     model: Model = None,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
+    step: Step = None,
     as_json: AsJson = False,
 ) -> None:
-    """What a task says: horizon, decomposition along the paper's fragment, automaton and product sizes."""
-    import stltool as stl
-    from stltool.reporting.data import disagreement_data, encoding_sizes, part_data, product_data
-    from stltool.reporting.terminal import print_facts, print_table
-    from stltool.sizes import bytes_text
+    """What a task says: its tree and horizons, the paper's fragment, automaton and product sizes.
 
-    loaded = stl.load_task(task, read_params(param), name)
-    facts: dict[str, Any] = {
-        "task": loaded.name,
-        "formula": str(loaded.formula),
-        "params": {key: str(value) for key, value in loaded.params.items()},
-        "horizon": stl.horizon(loaded.formula),
-        "samples_needed": stl.horizon(loaded.formula) + 1,
-    }
-    try:
-        fragment = stl.check_fragment(loaded.formula)
-        facts["fragment"] = {
-            "outer": f"{fragment.outer}[0,{fragment.T})",
-            "parts": [str(part) for part in fragment.parts],
-            "equal_windows": fragment.uniform,
-        }
-    except FragmentError as refusal:
-        facts["fragment"] = {"refused": str(refusal)}
-    try:
-        if model is not None or loaded.model is not None:
-            product = bind(loaded, task_model(loaded, model), encoding)
-            automaton = product.automaton
-            facts |= product_data(product)
-            facts["check_bytes"] = product.check_bytes()
-        else:
-            automaton = compile_task(loaded, encoding)
-            facts["automaton_states"] = automaton.n_states
-        facts |= encoding_sizes(automaton)
-        facts["parts"] = part_data(automaton)
-        if not automaton.exact:
-            try:
-                facts["disagrees_on"] = disagreement_data(automaton)
-            except SizeError as refusal:
-                facts["disagreement"] = str(refusal)
-    except (FragmentError, SizeError) as refusal:
-        facts["automaton"] = {"refused": str(refusal)}
+    Warns where the task can never hold or always holds, where a part of it does not matter, and where other tools would
+    read the text differently.
+    """
+    import stltool as stl
+    from stltool.reporting.terminal import print_facts, print_table, print_tree
+
+    loaded = load_task_or_formula(task, param, name, step)
+    world = task_model(loaded, model) if model is not None or loaded.model is not None else None
+    with warnings_shown():
+        facts = stl.explain(loaded, world, encoding)  # type: ignore[arg-type]  # checked there, with a message
     if as_json:
         print(json.dumps(facts))
         return
+    print_facts(_shown(facts))
+    print()
+    print_tree(facts["tree"])
+    if "parts" in facts:
+        typer.echo("\nparts of the automaton (a start's truth is known `delay` steps after it):")
+        print_table(facts["parts"])
+    trace = facts.get("disagrees_on")
+    if trace is not None:
+        typer.echo(
+            "\na shortest trace on which the encoding and the formula disagree (without a model, comparisons are"
+        )
+        typer.echo("taken as independent of each other):")
+        print_table(trace["steps"])
+        typer.echo(f"the encoding says {trace['encoding_says']}, the formula is {trace['formula_is']}")
+    for advice in facts.get("warnings", []) + facts["ambiguities"]:
+        typer.echo(f"\nwarning: {advice}")
+
+
+def _shown(facts: dict[str, Any]) -> dict[str, Any]:
+    """The facts of one line each, in words."""
+    from stltool.sizes import bytes_text
+
     shown = {
         key.replace("_", " "): value
         for key, value in facts.items()
-        if not isinstance(value, dict) and "digest" not in key
+        if not isinstance(value, dict | list) and "digest" not in key
     }
+    if shown["horizon"] is None:
+        shown["horizon"] = shown["samples needed"] = "none: an interval has no end; only monitors judge this"
+        shown["meaning"] = "not looked into: the formula has no horizon"
     if shown.get("transitions", 0) is None:
         shown["transitions"] = "unknown: the model is a black box"
     for key in ("flag states", "history states"):
@@ -86,16 +82,4 @@ def explain(
     if "check_bytes" in facts:
         shown["check bytes"] = bytes_text(facts["check_bytes"])
         shown["actions"] = ", ".join(facts["actions"])
-    shown.pop("parts", None)
-    trace = facts.get("disagrees_on")
-    print_facts(shown)
-    if "parts" in facts:
-        typer.echo("\nparts of the automaton (a start's truth is known `delay` steps after it):")
-        print_table(facts["parts"])
-    if trace is not None:
-        typer.echo(
-            "\na shortest trace on which the encoding and the formula disagree (without a model, comparisons are"
-        )
-        typer.echo("taken as independent of each other):")
-        print_table(trace["steps"])
-        typer.echo(f"the encoding says {trace['encoding_says']}, the formula is {trace['formula_is']}")
+    return shown

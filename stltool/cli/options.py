@@ -12,6 +12,12 @@ Model = Annotated[Path | None, typer.Option("--model", help="model file; default
 Nominal = Annotated[
     bool, typer.Option("--nominal", help="where probabilities are intervals: take the nominal ones inside them")
 ]
+TaskOrFormula = Annotated[
+    str, typer.Argument(metavar="TASK|FORMULA", help="task file (.stl), or a formula in quotes", show_default=False)
+]
+Step = Annotated[
+    str | None, typer.Option("--step", metavar="TIME", help="how long a step takes, where a formula's bounds are times")
+]
 PolicyFile = Annotated[
     Path | None, typer.Option("--policy", help="policy file (.npz) or Q-table (.csv); default: the best of all")
 ]

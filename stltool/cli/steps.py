@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -63,6 +64,37 @@ def load_product(
     if nominal and world.intervals is None:
         raise SettingsError("--nominal: the model's probabilities are no intervals; leave --nominal out")
     return bind(loaded, world.nominal() if nominal else world, encoding)
+
+
+def load_task_or_formula(text: str, params: list[str] | None, name: str | None, step: str | None = None) -> Task:
+    """A task file where there is one of that name or the name ends in .stl, else the formula that `text` spells.
+
+    Operators without an interval are allowed: whoever cannot judge them says so.
+    """
+    import stltool as stl
+    from stltool.errors import FileError, StlSyntaxError, near_misses
+    from stltool.logic.parser import formula_task
+
+    path, values = Path(text), read_params(params)
+    try:
+        is_file = path.is_file()
+    except OSError:  # too long for a name: a formula
+        is_file = False
+    if is_file or text.endswith(".stl"):
+        siblings = [] if is_file else [other.name for other in path.parent.glob("*.stl")]
+        if siblings and not path.exists():
+            raise FileError(f"{text}: there is no such task file; {near_misses(path.name, siblings)}")
+        if step is not None:
+            raise SettingsError(f"--step {step}: a task file says so itself, on a line step = {step}; leave --step out")
+        return stl.load_task(path, values, name, unbounded=True)
+    if name is not None:
+        raise SettingsError(f"--task {name}: a formula has no definitions to choose from; leave --task out")
+    try:
+        return formula_task(text, values, step=step, unbounded=True)
+    except StlSyntaxError as fault:
+        if re.fullmatch(r"[\w.~:/\\-]+", text):  # it looks like a path
+            raise StlSyntaxError(f"{fault}\n(read as a formula: there is no file {text})") from None
+        raise
 
 
 def make_joint_product(
@@ -133,7 +165,13 @@ def warnings_shown() -> Iterator[None]:
 
 
 def read_params(pairs: list[str] | None) -> dict[str, str]:
-    return dict(read_pair(pair, "-p T=20") for pair in pairs or [])
+    values: dict[str, str] = {}
+    for pair in pairs or []:
+        name, value = read_pair(pair, "-p T=20")
+        if name in values:
+            raise SettingsError(f"-p {name} is given twice, {values[name]} and {value}; give it once")
+        values[name] = value
+    return values
 
 
 def read_settings(pairs: list[str] | None) -> dict[str, Any]:

@@ -1,13 +1,18 @@
-"""Formula → canonical text: `parse(str(f)) == f`, with the parentheses put in wherever tools read differently."""
+"""Formula → canonical text: `parse(str(f)) == f`, with the parentheses put in wherever tools read differently.
+
+The rules for parentheses and spaces are here alone; the formatter of task files (format.py) lays out texts by the same.
+"""
 
 from __future__ import annotations
 
-from typing import assert_never
+from collections.abc import Iterable
+from typing import Literal, TypeAlias, assert_never
 
 from stltool.logic.formula import (
     Always,
     And,
     Arithmetic,
+    ArithmeticOperator,
     Call,
     Comparison,
     Constant,
@@ -25,8 +30,12 @@ from stltool.logic.formula import (
     Variable,
 )
 
+Kind: TypeAlias = Literal["atom", "not", "temporal", "comparison", "binary"]
+"""How an operand looks from outside: a name or constant, `!…`, `F… …` or `!G… …`, `… < …`, or two operands joined."""
+
 # binding strength of arithmetic, loosest first
-_STRENGTH = {"+": 1, "-": 1, "*": 2, "/": 2, "negate": 3, "^": 4, "atom": 5}
+STRENGTH = {"+": 1, "-": 1, "*": 2, "/": 2, "negate": 3, "^": 4, "atom": 5}
+_TermText: TypeAlias = tuple[str, int]
 
 
 def to_text(phi: Formula) -> str:
@@ -41,67 +50,99 @@ def to_text(phi: Formula) -> str:
         case Not(arg):
             return f"!{_operand(arg, prefix=True)}"
         case And(args):
-            return " & ".join(_operand(arg) for arg in args)
+            return _joined("&", args)
         case Or(args):
-            return " | ".join(_operand(arg) for arg in args)
+            return _joined("|", args)
         case Implies(left, right):
-            return f"{_operand(left)} -> {_operand(right)}"
+            return _joined("->", (left, right))
         case Iff(left, right):
-            return f"{_operand(left)} <-> {_operand(right)}"
+            return _joined("<->", (left, right))
         case Eventually(interval, arg):
             return f"F{interval} {_operand(arg, prefix=True)}"
         case Always(interval, arg):
             return f"G{interval} {_operand(arg, prefix=True)}"
         case Until(interval, left, right):
-            return f"{_operand(left)} U{interval} {_operand(right)}"
+            return _joined(f"U{interval}", (left, right))
         case _:
             assert_never(phi)
 
 
+def _joined(sign: str, args: Iterable[Formula]) -> str:
+    return f" {sign} ".join(_operand(arg) for arg in args)
+
+
 def _operand(phi: Formula, prefix: bool = False) -> str:
-    """An operand, in parentheses unless it binds tighter beyond doubt.
+    text = to_text(phi)
+    return f"({text})" if needs_parentheses(_kind(phi), prefix) else text
+
+
+def needs_parentheses(kind: Kind, prefix: bool) -> bool:
+    """Whether an operand stands in parentheses: unless it binds tighter beyond doubt.
 
     Under a prefix operator a further prefix chain needs none; between binary operators a comparison needs none.
     """
-    text = to_text(phi)
-    match phi:
-        case Constant() | Label() | Not():
-            return text
-        case Eventually() | Always():
-            return text if prefix else f"({text})"
-        case Comparison():
-            return f"({text})" if prefix else text
+    match kind:
+        case "atom" | "not":
+            return False
+        case "temporal":
+            return not prefix
+        case "comparison":
+            return prefix
+        case "binary":
+            return True
         case _:
-            return f"({text})"
+            assert_never(kind)
+
+
+def _kind(phi: Formula) -> Kind:
+    match phi:
+        case Constant() | Label():
+            return "atom"
+        case Not(arg):
+            return "temporal" if _kind(arg) == "temporal" else "not"
+        case Eventually() | Always():
+            return "temporal"
+        case Comparison():
+            return "comparison"
+        case _:
+            return "binary"
 
 
 def term_text(term: Term) -> str:
     """The canonical text of an arithmetic term."""
+    return _term(term)[0]
+
+
+def _term(term: Term) -> _TermText:
     match term:
         case Number(value):
-            return str(int(value)) if value.is_integer() and value < 1e16 else repr(value)
+            return (str(int(value)) if value.is_integer() and value < 1e16 else repr(value)), STRENGTH["atom"]
         case Variable(name):
-            return name
+            return name, STRENGTH["atom"]
         case Negate(arg):
-            return f"-{_tight(arg, _STRENGTH['negate'])}"
-        case Arithmetic("^", left, right):
-            return f"{_tight(left, _STRENGTH['atom'])}^{_tight(right, _STRENGTH['negate'])}"
+            return negated(_term(arg)), STRENGTH["negate"]
         case Arithmetic(op, left, right):
-            strength = _STRENGTH[op]
-            return f"{_tight(left, strength)} {op} {_tight(right, strength + 1)}"
+            return computed(op, _term(left), _term(right)), STRENGTH[op]
         case Call(function, args):
-            return f"{function}({', '.join(term_text(arg) for arg in args)})"
+            return f"{function}({', '.join(term_text(arg) for arg in args)})", STRENGTH["atom"]
         case _:
             assert_never(term)
 
 
-def _tight(term: Term, least: int) -> str:
+def negated(term: _TermText) -> str:
+    """`-term`, given its text and binding strength."""
+    return f"-{_tight(term, STRENGTH['negate'])}"
+
+
+def computed(op: ArithmeticOperator, left: _TermText, right: _TermText) -> str:
+    """`left op right`, given their texts and binding strengths."""
+    if op == "^":
+        exponent = f"({right[0]})" if right[1] == STRENGTH["^"] else _tight(right, STRENGTH["negate"])
+        return f"{_tight(left, STRENGTH['atom'])}^{exponent}"
+    return f"{_tight(left, STRENGTH[op])} {op} {_tight(right, STRENGTH[op] + 1)}"
+
+
+def _tight(term: _TermText, least: int) -> str:
     """The term's text, in parentheses if it binds looser than `least`."""
-    match term:
-        case Negate():
-            own = _STRENGTH["negate"]
-        case Arithmetic(op, _, _):
-            own = _STRENGTH[op]
-        case _:
-            own = _STRENGTH["atom"]
-    return term_text(term) if own >= least else f"({term_text(term)})"
+    text, strength = term
+    return text if strength >= least else f"({text})"

@@ -213,7 +213,10 @@ def _comparison_margin(op: Comparator, left: Real, right: Real) -> Real:
 
 def _as_double(phi: Comparison, left: Real, right: Real) -> float:
     try:
-        return float(_comparison_margin(phi.op, left, right))
+        margin = float(_comparison_margin(phi.op, left, right))
+        if math.isinf(margin) and not math.isinf(left) and not math.isinf(right):
+            raise OverflowError  # of two doubles, after a root
+        return margin
     except OverflowError:
         message = "the margin is beyond what a double holds; scale the signals, or ask for truth alone"
         raise TraceError(phi.span.show(message) if phi.span else f"{phi}: {message}") from None
@@ -250,7 +253,8 @@ def _apply(term: Term, function: Callable[..., Real], *values: Real) -> Real:
         value = function(*values)
     except (ZeroDivisionError, ValueError, OverflowError):
         value = math.nan
-    if isinstance(value, complex) or (isinstance(value, float) and math.isnan(value)):
+    overflown = isinstance(value, float) and math.isinf(value) and not any(map(math.isinf, values))
+    if isinstance(value, complex) or overflown or (isinstance(value, float) and math.isnan(value)):
         shown = ", ".join(map(_shown, values))
         message = f"this has no value for the operands {shown}; guard it or change the predicate"
         raise TraceError(term.span.show(message) if term.span else f"{type(term).__name__}: {message}")

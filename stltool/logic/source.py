@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 
@@ -11,6 +12,11 @@ class Source:
 
     name: str
     text: str
+
+    @property
+    def lines(self) -> str:
+        """The text with every line end, old Macs' too, as a line feed; places stay."""
+        return re.sub(r"\r(?!\n)", "\n", self.text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,12 +30,12 @@ class Span:
     @property
     def line(self) -> int:
         """Line number, from 1."""
-        return self.source.text.count("\n", 0, self.start) + 1
+        return self.source.lines.count("\n", 0, self.start) + 1
 
     @property
     def column(self) -> int:
         """Column number, from 1."""
-        return self.start - (self.source.text.rfind("\n", 0, self.start) + 1) + 1
+        return self.start - (self.source.lines.rfind("\n", 0, self.start) + 1) + 1
 
     def where(self) -> str:
         """`file, line 3, column 7`."""
@@ -41,8 +47,8 @@ class Span:
 
     def show(self, message: str) -> str:
         """The message with its place, the line, and carets under the span."""
-        begin = self.source.text.rfind("\n", 0, self.start) + 1
-        stop = self.source.text.find("\n", begin)
+        begin = self.source.lines.rfind("\n", 0, self.start) + 1
+        stop = self.source.lines.find("\n", begin)
         line = self.source.text[begin:] if stop < 0 else self.source.text[begin:stop]
         line = line.rstrip("\r")
         indent = "".join("\t" if c == "\t" else " " for c in line[: self.start - begin])

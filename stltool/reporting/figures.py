@@ -1,4 +1,6 @@
-"""The pictures: learning curves, floor map, Pareto front; SVG text, or PNG. The only module that imports matplotlib."""
+"""The pictures: learning curves, floor map, Pareto front; SVG text, or PNG. The only module that imports matplotlib,
+with `monitor_figure`.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +76,7 @@ def pareto_front(data: dict[str, Any], kind: str) -> str | bytes:
     axes.set(xlabel=f"P({first})", ylabel=f"P({second})", xlim=(0, 1.03), ylim=(0, 1.03), aspect="equal")
     axes.grid(alpha=0.25)
     axes.legend(loc="lower left", frameon=False)
-    return _svg(figure, "front") if kind == "svg" else _png(figure)
+    return picture(figure, kind, "front")
 
 
 def learning_curves(data: dict[str, Any], kind: str) -> str | bytes:
@@ -113,7 +115,7 @@ def learning_curves(data: dict[str, Any], kind: str) -> str | bytes:
     figure.legend([shown[name] for name in names], names, loc="outside upper center", ncols=len(names), frameon=False)
     figure.supxlabel("environment steps", fontsize=9)
     figure.supylabel("P(task), exact", fontsize=9)
-    return _svg(figure, "sweep") if kind == "svg" else _png(figure)
+    return picture(figure, kind, "sweep")
 
 
 def _cells(axes: Axes, states: Any, floor: dict[str, Any], colour: str) -> None:
@@ -138,9 +140,13 @@ def _path(axes: Axes, states: list[int], floor: dict[str, Any], scale: float) ->
         axes.text(px, py, str(step), ha="center", va="center", fontsize=8.5 * scale, color=_RUN, zorder=4)
 
 
-def _png(figure: Figure) -> bytes:
+def picture(figure: Figure, kind: str, salt: str) -> str | bytes:
+    """A figure as svg, png or pdf, the same bytes every time; `salt` tells its elements from another picture's."""
+    if kind == "svg":
+        return _svg(figure, salt)
+    metadata = {"png": {"Software": None}, "pdf": {"CreationDate": None, "Creator": None, "Producer": None}}
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
+    figure.savefig(buffer, format=kind, dpi=150, metadata=metadata[kind])
     return buffer.getvalue()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,6 +20,7 @@ from stltool.reporting.page import bound_texts, probability_text
 from stltool.reporting.runs import trace_text, verdict_text
 
 _LONGEST_FRACTION = 400
+_PATIENCE = 2.0  # seconds without a word
 Advance = Callable[..., None]
 """Called with (done, total), or while learning (episode, episodes, environment steps, exact probability or None)."""
 
@@ -102,6 +104,25 @@ def kernels_ready(quiet: bool = False) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def working(title: str, quiet: bool = False) -> Iterator[None]:
+    """Tell on stderr what goes on: while it does, or in a log, where nobody watches, once it takes long."""
+    console = Console(stderr=True, soft_wrap=True, highlight=False)
+    if quiet:
+        yield
+    elif console.is_terminal:
+        with console.status(title):
+            yield
+    else:
+        late = threading.Timer(_PATIENCE, console.print, [f"{title} …"])
+        late.daemon = True
+        late.start()
+        try:
+            yield
+        finally:
+            late.cancel()
+
+
 def print_checks(checks: list[dict[str, Any]]) -> None:
     """Probabilities with their bounds, a row a check; lines are never cut."""
     rows: list[tuple[str, ...]] = [("", "P", "lower bound", "upper bound", "gap", "status")]
@@ -129,6 +150,23 @@ def print_table(rows: list[dict[str, Any]]) -> None:
     if rows:
         heading = tuple(key.replace("_", " ") for key in rows[0])
         _print_columns([heading, *(tuple(str(value) for value in row.values()) for row in rows)])
+
+
+def print_tree(data: dict[str, Any]) -> None:
+    """A formula's operators, nested, each with its horizon (a line each; lines are never cut)."""
+    from rich.tree import Tree
+
+    def label(node: dict[str, Any]) -> Text:
+        reach = f"  horizon {node['horizon']}" if node["horizon"] and node["operands"] else ""
+        return Text.assemble(node["operator"], (reach, "dim"))
+
+    def grow(node: dict[str, Any], tree: Tree) -> None:
+        for operand in node["operands"]:
+            grow(operand, tree.add(label(operand)))
+
+    root = Tree(label(data))
+    grow(data, root)
+    Console(soft_wrap=True, highlight=False).print(root)
 
 
 def print_likely(data: dict[str, Any], count: int) -> None:

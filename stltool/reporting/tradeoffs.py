@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -71,11 +72,12 @@ def front_data(front: Front) -> dict[str, Any]:
     }
 
 
-def require_picture(path: str | Path) -> None:
+def require_picture(path: str | Path, endings: Sequence[str] = _PICTURES) -> None:
     """An error, before the work, where a picture could not be written after it."""
     path = Path(path)
-    if path.suffix.lower() not in _PICTURES:
-        raise SettingsError(f"{path}: a picture is written as .svg or .png; name one of them")
+    if path.suffix.lower() not in endings:
+        named = f"{', '.join(endings[:-1])} or {endings[-1]}"
+        raise SettingsError(f"{path}: a picture is written as {named}; name one of them")
     require_replaceable(path)
     require_folder(path.parent)
 

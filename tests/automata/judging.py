@@ -6,7 +6,7 @@ import numpy as np
 
 import stltool as stl
 from stltool.automata import UNDECIDED
-from stltool.logic.predicates import truth
+from stltool.monitoring.states import truth
 
 
 def judge(automaton, trace):

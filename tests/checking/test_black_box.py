@@ -149,7 +149,7 @@ def test_every_public_function_on_products_knows_of_black_boxes():
     """A function that is new here must answer for black boxes or refuse them, with a line in the tests above."""
     refusing = {"check", "robust_check", "likely_runs", "sensitivity", "pareto", "tradeoff", "surrogate_optimum"}
     fit = {"learn", "guarantee", "estimate", "sprt", "sample_run", "build_product", "build_joint_product",
-           "to_gymnasium"}  # fmt: skip
+           "to_gymnasium", "explain"}  # fmt: skip
     found = {name: getattr(stl, name) for name in stl.__all__ if inspect.isfunction(getattr(stl, name))}
     models = {"product", "model", "joint"}
     asks = {name for name, ask in found.items() if models & set(inspect.signature(ask).parameters)}

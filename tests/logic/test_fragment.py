@@ -1,10 +1,12 @@
+import re
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.errors import FragmentError
-from stltool.logic.formula import Always, Eventually, Interval
+from stltool.errors import FragmentError, StlSyntaxError
+from stltool.logic.formula import Always, Eventually, Interval, children, temporal_depth, with_children
 from stltool.testing import flag_formulas, traces
 from tests.conftest import ROOT
 
@@ -70,38 +72,37 @@ def test_a_refusal_names_the_sub_formula_at_fault(text, place, says):
 ARCH_COMP = ROOT.parent / "shared" / "data" / "stl" / "arch_comp_neutral.txt"
 
 
-@pytest.mark.skipif(not ARCH_COMP.exists(), reason=f"outside data absent: {ARCH_COMP.name}")
-def test_arch_comp_requirements_with_whole_steps():
-    """Those whose bounds are whole numbers get the verdict that the list gives (windows from 0)."""
-    judged = 0
+def requirements():
+    """(name, formula with times in seconds, temporal depth, verdict) of every requirement."""
     for line in ARCH_COMP.read_text().splitlines():
-        if line.startswith("#") or not line.strip():
+        if line.strip() and not line.startswith("#"):
+            name, text, depth, verdict = (part.strip() for part in line.split(";", 3))
+            yield name, re.sub(r"\[([\d.]+),([\d.]+)\]", r"[\1s,\2s]", text), int(depth), verdict
+
+
+@pytest.mark.skipif(not ARCH_COMP.exists(), reason=f"outside data absent: {ARCH_COMP.name}")
+def test_arch_comp_requirements_get_the_verdicts_of_the_list():
+    """All 25, with steps of a millisecond; the list does not mind where windows start, so they are shifted to 0."""
+    inside, outside = [], []
+    for name, text, depth, verdict in requirements():
+        if "next" in text:
+            with pytest.raises(StlSyntaxError, match=r"the next step is F\[1,1\] a"):
+                stl.parse(text, step="1ms")
             continue
-        name, text, depth, verdict = (part.strip() for part in line.split(";", 3))
-        try:
-            phi = stl.parse(text)
-        except stl.StlToolError:
-            continue  # real-time bounds, `next`
-        if any(isinstance(n, Eventually | Always) and n.interval.a for n in _nodes(phi)):
-            continue
-        inside = "no (" not in verdict
-        try:
-            stl.check_fragment(phi)
-            assert inside, name
-        except FragmentError:
-            assert not inside, name
-        assert int(depth) == _depth(phi), name
-        judged += 1
-    assert judged >= 10
+        phi = stl.parse(text, step="1ms")
+        assert depth == temporal_depth(phi), name
+        if "no (" in verdict or "no single" in verdict:
+            with pytest.raises(FragmentError, match="depth"):
+                stl.check_fragment(_from_zero(phi))
+            outside.append(name)
+        else:
+            assert stl.check_fragment(_from_zero(phi)).parts, name
+            inside.append(name)
+    assert (len(inside), outside) == (19, ["AT51", "CC4", "CC5", "NN", "NNx"])
 
 
-def _nodes(phi):
-    from stltool.logic.formula import walk
-
-    return walk(phi)
-
-
-def _depth(phi):
-    from stltool.logic.formula import temporal_depth
-
-    return temporal_depth(phi)
+def _from_zero(phi):
+    below = tuple(_from_zero(child) for child in children(phi))
+    if isinstance(phi, Eventually | Always):
+        return type(phi)(Interval(0, len(phi.interval) - 1), *below)
+    return with_children(phi, below)

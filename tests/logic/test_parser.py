@@ -26,7 +26,7 @@ from stltool.logic.formula import (
     walk,
     with_children,
 )
-from stltool.logic.parser import TERMINAL_WORDS, _lark
+from stltool.logic.syntax import TERMINAL_WORDS, _lark
 from stltool.testing import formulas, predicates
 
 A, B, C = Label("a"), Label("b"), Label("c")
@@ -113,7 +113,7 @@ def test_children_rebuild_their_parent(phi):
 
 
 def test_every_terminal_of_the_grammar_has_words():
-    named = {terminal.name for terminal in _lark("task").terminals} | {t.name for t in _lark("formula").terminals}
+    named = {terminal.name for terminal in _lark().terminals}
     ignored = {name for name in named if name.startswith("__IGNORE")}
     assert named - ignored <= set(TERMINAL_WORDS)
     assert set(TERMINAL_WORDS) - named == {"$END"}
@@ -123,10 +123,14 @@ def test_every_terminal_of_the_grammar_has_words():
     ("text", "place", "says"),
     [
         ("G[0,3] (a &\n  & b)", "line 2, column 3", "expected a formula"),
-        ("G a", "line 1, column 3", "such as F[0,10]"),
-        ("F (a & b)", "line 1, column 6", "such as F[0,10]"),
+        ("G a", "line 1, column 1", "such as G[0,10]"),
+        ("F (a & b)", "line 1, column 1", "such as F[0,10]"),
+        ("a & b U c", "line 1, column 7", "until needs an interval with an end here, such as U[0,10]"),
+        ("G[2,inf) a", "line 1, column 2", "such as G[2,12]"),
+        ("F[] a", "line 1, column 2", "could be an empty interval"),
+        ("F[3] a", "line 1, column 4", "the interval needs two bounds"),
         ("a b", "line 1, column 3", "expected an operator between 'a' and 'b'"),
-        ("2 < x < 4", "line 1, column 1", "write x > 2 & x < 4"),
+        ("2 < x < 4", "line 1, column 1", "write (x > 2 & x < 4)"),
         ("x + 1", "line 1, column 1", "x + 1 > 0"),
         ("sqrt(a & b) > 1", "line 1, column 6", "a truth value where a number must stand"),
         ("F[0,2.5] a", "line 1, column 5", "2.5 is not a whole number of steps; write 2 or 3"),

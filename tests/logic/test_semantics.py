@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.errors import NameLookupError, TraceError
 from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Interval, Label, Not, Or, Until
-from stltool.logic.predicates import truth
+from stltool.monitoring.states import truth
 from stltool.testing import formulas, predicates, traces
 
 A, B = Label("a"), Label("b")
@@ -139,3 +139,15 @@ def test_borders_are_decided_as_written():
     assert stl.satisfies(stl.parse("x^0.5 > 1.4 & x^1000 > 2"), {"x": [2.0]})
     with pytest.raises(TraceError, match="no value"):
         stl.satisfies(stl.parse("x^5000 > 2"), {"x": [2.0]})
+
+
+def test_what_overflows_has_no_value():
+    """Only roots leave the exact numbers; beyond the doubles they are no infinities in disguise."""
+    for text, x in (("x^-0.5 / x < 0", 1e-301), ("sqrt(x) * x > 1", 1e300)):
+        with pytest.raises(TraceError, match="this has no value for the operands"):
+            stl.satisfies(stl.parse(text), {"x": [x]})
+    phi = stl.parse("y < -(y + sqrt(x))")
+    assert not stl.satisfies(phi, {"x": [0.0], "y": [1e308]})
+    with pytest.raises(TraceError, match="the margin is beyond what a double holds"):
+        stl.robustness(phi, {"x": [0.0], "y": [1e308]})
+    assert stl.robustness(stl.parse("x > 0"), {"x": [float("inf")]}) == float("inf")

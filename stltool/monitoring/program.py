@@ -20,7 +20,6 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Literal, NamedTuple, TypeAlias, assert_never
 
-from stltool.logic.comparisons import Predicate
 from stltool.logic.formula import (
     Always,
     And,
@@ -37,6 +36,7 @@ from stltool.logic.formula import (
     require_formula,
 )
 from stltool.logic.source import Span
+from stltool.monitoring.comparisons import Predicate
 
 Op = Literal["atom", "not", "and", "or", "iff", "eventually", "always", "until"]
 Atom: TypeAlias = Constant | Label | Predicate

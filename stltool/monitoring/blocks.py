@@ -28,9 +28,9 @@ from typing import Any, Literal, TypeAlias, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.logic.comparisons import Predicate
 from stltool.logic.formula import Constant, Label
-from stltool.logic.program import Instruction, Program
+from stltool.monitoring.comparisons import Predicate
+from stltool.monitoring.program import Instruction, Program
 
 Array: TypeAlias = NDArray[Any]
 BlockEnd = Literal["open", "cut", "hold"]

@@ -10,8 +10,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 import stltool as stl
 from stltool.errors import NameLookupError, SettingsError, StlSyntaxError, TraceError
-from stltool.logic import monitor as monitor_module
-from stltool.logic.blocks import Block, Machine
 from stltool.logic.formula import (
     Always,
     And,
@@ -29,7 +27,8 @@ from stltool.logic.formula import (
     children,
     with_children,
 )
-from stltool.logic.program import compile_formula
+from stltool.monitoring.blocks import Block, Machine
+from stltool.monitoring.program import compile_formula
 from stltool.testing import formulas, traces
 from tests.oracles import extremum, judged_to_the_end
 
@@ -66,7 +65,7 @@ def close(value, wanted):
 
 def in_blocks(samples):
     """As if the cache held so few samples."""
-    return mock.patch.multiple(monitor_module, _MARGINS=samples, _TRUTH=samples)
+    return mock.patch.multiple("stltool.monitoring.offline", _MARGINS=samples, _TRUTH=samples)
 
 
 SIZES = st.sampled_from([1, 3, 8, 1000])

@@ -26,7 +26,7 @@ from stltool.logic.formula import (
     Variable,
 )
 from tests.conftest import ROOT
-from tests.logic.test_monitor import close
+from tests.monitoring.test_monitor import close
 
 CASES = ROOT.parent / "shared" / "data" / "stl" / "rtamt_tests_discrete_offline.json"
 POSITIVE_A, POSITIVE_B = stl.parse("a > 0"), stl.parse("b > 0")

@@ -13,7 +13,7 @@ import stltool as stl
 from stltool.errors import SettingsError, SizeError, TraceError
 from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Interval, Not, Or, Until, is_bounded
 from stltool.testing import formulas, traces
-from tests.logic.test_monitor import batches, perhaps_endless
+from tests.monitoring.test_monitor import batches, perhaps_endless
 
 BETAS = st.sampled_from([0.01, 1.0, 7.5, 50.0, 1e6])
 
@@ -181,3 +181,17 @@ def test_what_smooth_robustness_refuses():
         stl.smooth_robustness(phi, {"x": [1.0, 0.0]}, 1.0, "hold")
     with pytest.raises(SizeError, match=f"1 traces held for {10**12} steps"):
         stl.smooth_robustness(Eventually(Interval(0, 10**12), phi.arg), {"x": [1.0]}, 1.0, "hold")
+
+
+@pytest.mark.parametrize("beta", ["a", None, True, float("nan"), 0, -1.0])
+def test_beta_is_a_positive_number(beta):
+    with pytest.raises(SettingsError, match="beta is"):
+        stl.smooth_robustness(stl.parse("x > 0"), {"x": [1.0]}, beta)
+
+
+@pytest.mark.parametrize("signals", [[1, 2], None, np.zeros(3)])
+def test_signals_are_a_mapping(signals):
+    with pytest.raises(TraceError, match="give a mapping: name → array of samples"):
+        stl.smooth_robustness(stl.parse("x > 0"), signals, 1.0)
+    with pytest.raises(TraceError, match="give a mapping: name → array of samples"):
+        stl.monitor(stl.parse("x > 0"), signals)

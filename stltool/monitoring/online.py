@@ -24,12 +24,12 @@ from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, assert_never
 import numpy as np
 
 from stltool.errors import NameLookupError, TraceError, near_misses
-from stltool.logic.comparisons import Predicate
 from stltool.logic.formula import Constant, Formula, Label, require_bounded
-from stltool.logic.monitor import judge, require_option
-from stltool.logic.program import Atom, Instruction, compile_formula
-from stltool.logic.samples import WHOLE, Traces
 from stltool.logic.task import Task
+from stltool.monitoring.comparisons import Predicate
+from stltool.monitoring.offline import judge, require_option
+from stltool.monitoring.program import Atom, Instruction, compile_formula
+from stltool.monitoring.samples import WHOLE, Traces
 
 Sample: TypeAlias = Mapping[str, float]
 _Value: TypeAlias = tuple[float, bool]

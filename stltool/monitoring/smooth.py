@@ -33,13 +33,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stltool.errors import SettingsError
-from stltool.logic.blocks import Block
-from stltool.logic.comparisons import Predicate
 from stltool.logic.formula import Constant, Formula, Label
-from stltool.logic.monitor import decided_steps, prepare, refuse_unknown
-from stltool.logic.program import Atom, Instruction
-from stltool.logic.samples import End
 from stltool.logic.task import Task
+from stltool.monitoring.blocks import Block
+from stltool.monitoring.comparisons import Predicate
+from stltool.monitoring.offline import decided_steps, prepare, refuse_unknown
+from stltool.monitoring.program import Atom, Instruction
+from stltool.monitoring.samples import End
 
 Floats: TypeAlias = NDArray[np.float64]
 Bound: TypeAlias = Floats | np.float64
@@ -70,7 +70,7 @@ def smooth_robustness(
     Signals and ends as for `monitor`, whose errors it raises too; SettingsError for another β. Under "hold" a held
     sample counts once for every step of a window, so an interval without end is refused there.
     """
-    if not 1e-100 <= beta <= 1e100:
+    if isinstance(beta, bool) or not isinstance(beta, int | float | np.number) or not 1e-100 <= beta <= 1e100:
         raise SettingsError(f"beta is {beta!r}; it must be a number from 1e-100 to 1e100")
     formula, traces = prepare(phi, signals, end)
     h = traces.program.horizon

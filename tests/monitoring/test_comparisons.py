@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.errors import TraceError
-from stltool.logic.comparisons import Predicate
 from stltool.logic.formula import COMPARATORS, Arithmetic, Call, Comparison, Negate, Number, Variable, horizon
 from stltool.logic.semantics import robustness, satisfies
+from stltool.monitoring.comparisons import Predicate
 
 
 def any_terms():

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stltool.errors import NameLookupError, TraceError, near_misses
-from stltool.logic.blocks import Block, BlockEnd
-from stltool.logic.program import Program
+from stltool.monitoring.blocks import Block, BlockEnd
+from stltool.monitoring.program import Program
 from stltool.sizes import require_memory
 
 End = Literal["error", "cut", "hold"]
@@ -119,6 +119,8 @@ def read_traces(program: Program, signals: Mapping[str, ArrayLike]) -> Traces:
 
     Raises NameLookupError where a name is missing, TraceError where an array is not of numbers, or shapes differ.
     """
+    if not hasattr(signals, "keys"):  # a mapping, or a data frame
+        raise TraceError(f"the signals are {type(signals).__name__}; give a mapping: name → array of samples")
     arrays: dict[str, NDArray[Any]] = {}
     for name, span in {**program.variables, **program.labels}.items():
         if name not in signals:

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.errors import TraceError
-from stltool.logic.blocks import Block, Machine
 from stltool.logic.formula import Formula, is_temporal
-from stltool.logic.program import compile_formula
 from stltool.logic.semantics import satisfies
+from stltool.monitoring.blocks import Block, Machine
+from stltool.monitoring.program import compile_formula
 
 Reals: TypeAlias = NDArray[np.float64]
 Booleans: TypeAlias = NDArray[np.bool_]

@@ -22,11 +22,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from stltool.errors import SettingsError, TraceError
 from stltool.logic import semantics as oracle
-from stltool.logic.blocks import Machine
 from stltool.logic.formula import Always, Eventually, Formula, Until, children, horizon, is_temporal
-from stltool.logic.program import compile_formula
-from stltool.logic.samples import End, Traces, read_traces
 from stltool.logic.task import Task
+from stltool.monitoring.blocks import Machine
+from stltool.monitoring.program import compile_formula
+from stltool.monitoring.samples import End, Traces, read_traces
 
 Semantics = Literal["both", "boolean", "robustness"]
 
@@ -129,7 +129,8 @@ def decided_steps(traces: Traces, end: End) -> int:
     if traces.n_steps <= h:
         raise TraceError(
             f"the traces have {traces.n_steps} samples; this formula needs {h + 1} (its horizon is {h}): give longer "
-            'ones, or end="cut" to cut windows at the end of the trace, or end="hold" to hold the last sample'
+            'ones, or end="cut" (--end cut) to cut windows at the end of the trace, or end="hold" (--end hold) to hold '
+            "the last sample"
         )
     return traces.n_steps - h
 

@@ -1,0 +1,107 @@
+"""`stltool monitor`: a recorded trace judged at every step."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stltool.cli.app import app
+from stltool.cli.options import AsJson, Params, Step, TaskName, TaskOrFormula
+from stltool.cli.steps import load_task_or_formula
+from stltool.errors import SettingsError
+
+_ENDS = ("error", "cut", "hold")
+
+
+@app.command()
+def monitor(
+    task: TaskOrFormula,
+    trace: Annotated[
+        Path, typer.Argument(metavar="TRACE", help="trace file: .csv, .tsv, .npz, .parquet", show_default=False)
+    ],
+    end: Annotated[
+        str,
+        typer.Option(
+            "--end", help="where windows pass the end of the trace: error (no verdict), cut, or hold the last sample"
+        ),
+    ] = "error",
+    at: Annotated[
+        int | None, typer.Option("--at", metavar="STEP", help="judge this step only: --at 0 asks the trace as a whole")
+    ] = None,
+    which: Annotated[
+        int | None,
+        typer.Option(
+            "--trace", metavar="N", help="of a batch: the trace for --plot and --steps; default: the first violating"
+        ),
+    ] = None,
+    steps: Annotated[bool, typer.Option("--steps", help="list every judged step")] = False,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="draw the trace with its verdicts (.png, .svg, .pdf)")
+    ] = None,
+    param: Params = None,
+    name: TaskName = None,
+    step: Step = None,
+    as_json: AsJson = False,
+) -> None:
+    """Judge a recorded trace: at which steps the task holds and by how much. Exit code 1 where any is violated.
+
+    stltool monitor "G[0,20] battery > 0.2" log.csv --plot log.png
+
+    TASK is a task file where there is one of that name or the name ends in .stl, else it is read as a formula. Names in
+    it are columns of the trace.
+    """
+    import stltool as stl
+    from stltool.logic.formula import label_names, variables
+    from stltool.reporting import monitor_data, write_monitor_picture
+    from stltool.reporting.monitoring import (
+        monitor_facts,
+        range_rows,
+        require_monitor_picture,
+        shown_trace,
+        step_lines,
+        trace_rows,
+    )
+    from stltool.reporting.terminal import print_facts, print_table, working
+
+    if end not in _ENDS:
+        raise SettingsError(f"--end {end}: choose {', '.join(_ENDS)}")
+    if steps and as_json:
+        raise SettingsError("--steps lists what --json has already; keep one of them")
+    if which is not None and plot is None and not steps:
+        raise SettingsError(f"--trace {which} says which trace --plot or --steps shows; add one of them")
+    if plot is not None:
+        require_monitor_picture(plot)
+    loaded = load_task_or_formula(task, param, name, step)
+    names = {**variables(loaded.formula), **label_names(loaded.formula)}
+    if not names:
+        raise SettingsError(f"{loaded.formula}: this reads no signal and no label, so a trace says nothing about it")
+    with working(f"reading {trace}", quiet=as_json):
+        signals = stl.load_trace(trace, names)
+    with working("judging every step", quiet=as_json):
+        result = stl.monitor(loaded, signals, end=end)  # type: ignore[arg-type]  # checked above
+        data = monitor_data(result, loaded, trace, at)
+    shown = shown_trace(data, which)
+    if plot is not None:
+        with working(f"drawing {plot}", quiet=as_json):
+            write_monitor_picture(result, signals, loaded, plot, shown, at)
+    if as_json:
+        print(json.dumps(data))
+    else:
+        print_facts(monitor_facts(data))
+        rows, more = range_rows(data) if shown is None else trace_rows(data)
+        if rows and (at is None or shown is not None):
+            typer.echo()
+            print_table(rows)
+            if more:
+                typer.echo(f"and {more} more; --json has all")
+        if steps:
+            typer.echo(f"\ntrace {shown}:" if shown is not None else "")
+            typer.echo("\n".join(step_lines(data, shown)))
+        if plot is not None:
+            typer.echo()
+            print_facts({"plot": f"{plot}" + (f", trace {shown}" if shown is not None else "")})
+    if not data["holds"]:
+        raise typer.Exit(1)

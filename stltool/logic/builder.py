@@ -1,0 +1,585 @@
+"""The trees of a text → nodes: params and definitions put in, intervals turned into closed whole steps.
+
+The grammar (grammars/stl.lark) puts truth values and numbers on one ladder of operators; they are told apart here.
+No token is dropped or guessed at: a tree without a case here is an error, and so is a number where a truth value must
+stand. A statement that fails is told with its place, and the next ones are read all the same; what refers to a name
+that it would have defined is passed over, since nothing can be said of it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from decimal import Decimal
+from fractions import Fraction
+from typing import NoReturn, TypeVar, cast, get_args
+
+from stltool.errors import StlSyntaxError, near_misses
+from stltool.logic.formula import (
+    Always,
+    And,
+    Arithmetic,
+    ArithmeticOperator,
+    Call,
+    Comparator,
+    Comparison,
+    Constant,
+    Eventually,
+    Formula,
+    FunctionName,
+    Iff,
+    Implies,
+    Interval,
+    Label,
+    Negate,
+    Not,
+    Number,
+    Or,
+    Term,
+    Until,
+    Variable,
+    children,
+)
+from stltool.logic.printer import term_text
+from stltool.logic.quantities import (
+    LARGEST_EXPONENT,
+    LONGEST_NUMBER,
+    UNITS,
+    Duration,
+    Quantity,
+    decimal_text,
+    number,
+)
+from stltool.logic.source import Source, Span
+from stltool.logic.syntax import WORDS, Branch, Fault, Token, bare, branches
+
+FORMULAS = get_args(Formula)
+MOST_NODES = 50_000
+DEEPEST = 200
+_COMPARATOR_SPELLINGS = {"≤": "<=", "≥": ">=", "≠": "!="}
+_LARGEST_BITS = 4000
+_LARGEST_BOUND = 10**15
+_LETTERS = {"always": "G", "eventually": "F", "until": "U"}
+_T = TypeVar("_T")
+
+
+class _At(StlSyntaxError):
+    """A message with its place in the text."""
+
+    def __init__(self, span: Span, message: str) -> None:
+        super().__init__(span.show(message))
+        self.start = span.start
+
+
+class _PassedOver(Exception):
+    """A statement refers to a name whose own definition is faulty."""
+
+
+class Builder:
+    """Turns trees into nodes, with the params and definitions read so far."""
+
+    def __init__(
+        self,
+        source: Source,
+        params: Mapping[str, Quantity] | None = None,
+        overrides: Mapping[str, Quantity] | None = None,
+        step: Duration | None = None,
+        unbounded: bool = False,
+        faulty: Iterable[str] = (),
+    ) -> None:
+        self.source = source
+        self.params: dict[str, Quantity] = dict(params or {})
+        self.overrides = overrides or {}
+        self.step = step
+        self.unbounded = unbounded
+        self.definitions: dict[str, Formula | Term] = {}
+        self.signals: dict[str, Span] = {}
+        self.model: str | None = None
+        self.faults: list[Fault] = []
+        self.faulty = set(faulty)
+        self.given: dict[str, Quantity] = {}  # params as their lines say, overrides apart
+        self.names_used: dict[str, Span] = {}  # labels and signals, where first
+        self.budget = MOST_NODES
+        self.sizes: dict[str, int] = {}  # operators and operands of each definition
+
+    # ------------------------------------------------------------------------------------------ statements
+
+    def statements(self, trees: Iterable[Branch]) -> None:
+        """Read the statements of a task file; what is wrong with them is in `faults`."""
+        for tree in sorted(trees, key=lambda tree: tree.data != "signals"):  # they hold for the whole file
+            try:
+                self.statement(tree)
+                continue
+            except _At as error:
+                self.faults.append(Fault(error.start, str(error)))
+            except RecursionError:
+                self.faults.append(Fault(tree.meta.start_pos, str(self.too_deep())))
+            except _PassedOver:
+                pass
+            lines = branches(tree) if tree.data == "params" else [tree] if tree.data == "definition" else []
+            self.faulty.update(str(line.children[0]) for line in lines)
+
+    def statement(self, tree: Branch) -> None:
+        match tree.data:
+            case "model":
+                if self.model is not None:
+                    self.fail(tree, "a second model line; a task file has one")
+                self.model = str(tree.children[0])[1:-1]
+                if not self.model:
+                    self.fail(tree, 'the model line names no file; write model "floor.toml"')
+            case "params":
+                for part in branches(tree):
+                    self.param(part)
+            case "signals":
+                for token in cast(list[Token], tree.children):
+                    self.signals.setdefault(str(token), self.span(token))
+            case "step":
+                self.step_line(tree)
+            case "definition":
+                self.definition(tree)
+            case other:
+                raise AssertionError(f"the grammar's rule {other} has no builder")
+
+    def param(self, tree: Branch) -> None:
+        token, expression = cast(tuple[Token, Branch], tuple(tree.children))
+        name, value = str(token), self.constant(expression)  # checked even where it is overridden
+        if self.given.get(name) == value:
+            return  # Breach's files repeat params; the same value again says nothing new
+        self.claim(token, "param")
+        taken = self.overrides.get(name, value)
+        if isinstance(value, Duration) and not isinstance(taken, Duration):
+            self.fail(tree, f"{name} is a time here; override it with a unit, as in -p {name}={value}")
+        if isinstance(taken, Duration) and not isinstance(value, Duration):
+            self.fail(tree, f"{name} is a plain number here; override it without a unit, as in -p {name}=20")
+        self.given[name], self.params[name] = value, taken
+
+    def step_line(self, tree: Branch) -> None:
+        if self.step is not None:
+            self.fail(tree, "a second step line; a task file has one")
+        self.faulty.add("step =")  # until it is read: times of the file hang on it
+        value = self.constant(branches(tree)[0])
+        if not isinstance(value, Duration) or value.seconds <= 0:
+            self.fail(tree, "the step is a positive time with its unit; write step = 0.1s")
+        self.step = value
+
+    def definition(self, tree: Branch) -> None:
+        token, body = cast(tuple[Token, Branch], tuple(tree.children))
+        body = branches(body)[0]
+        before = self.budget
+        node = self.term(body) if self.is_term(body) else self.formula(body)
+        self.sizes[str(token)] = before - self.budget + sum(1 for _ in body.iter_subtrees())
+        self.claim(token, "definition")
+        self.definitions[str(token)] = node
+
+    def claim(self, token: Token, what: str) -> None:
+        name = str(token)
+        if name == "inf":
+            self.fail(token, f"inf is the upper bound of an interval without an end; give this {what} another name")
+        if name in self.params or name in self.definitions:
+            self.fail(token, f"{name} is defined twice; give this {what} another name")
+        if name in self.signals:
+            self.fail(token, f"{name} is a signal (line {self.signals[name].line}); give this {what} another name")
+        if name in self.names_used:
+            place = self.names_used[name]
+            if place.start > (token.start_pos or 0) and place.line == self.span(token).line:
+                self.fail(token, f"{name} would be defined by itself; give this {what} another name")
+            self.fail(
+                token,
+                f"{name} is a label or signal on line {place.line} and would be a {what} from here on; "
+                f"give this {what} another name, or move it up if line {place.line} means it",
+            )
+
+    # ------------------------------------------------------------------------------------------ truth values
+
+    def spend(self, tree: Branch, nodes: int) -> None:
+        self.budget -= nodes
+        if self.budget < 0:
+            self.fail(tree, f"definitions used many times make this formula larger than {MOST_NODES} operators")
+
+    def whole_formula(self, tree: Branch) -> Formula:
+        """The formula of a text that holds nothing else."""
+        try:
+            return self.formula(branches(tree)[0])
+        except RecursionError:
+            raise self.too_deep() from None
+
+    def formula(self, tree: Branch) -> Formula:
+        tree = bare(tree)
+        span = self.span(tree)
+        parts = branches(tree)
+        match tree.data:
+            case "true" | "false":
+                return Constant(tree.data == "true", span=span)
+            case "name":
+                return self.named_formula(tree)
+            case "not":
+                return Not(self.formula(parts[0]), span=span)
+            case "and":
+                return And(tuple(self.formula(part) for part in parts), span=span)
+            case "or":
+                return Or(tuple(self.formula(part) for part in parts), span=span)
+            case "implies":
+                return Implies(self.formula(parts[0]), self.formula(parts[1]), span=span)
+            case "iff":
+                return Iff(self.formula(parts[0]), self.formula(parts[1]), span=span)
+            case "xor":
+                return Not(Iff(self.formula(parts[0]), self.formula(parts[1]), span=span), span=span)
+            case "eventually":
+                return Eventually(self.interval(tree), self.formula(parts[-1]), span=span)
+            case "always":
+                return Always(self.interval(tree), self.formula(parts[-1]), span=span)
+            case "until":
+                return Until(self.interval(tree), self.formula(parts[0]), self.formula(parts[-1]), span=span)
+            case "comparison":
+                left, op, right = parts
+                return Comparison(self.comparator(op), self.term(left), self.term(right), span=span)
+            case "chained":
+                self.fail(tree, f"comparisons do not chain; write ({self.unchained(tree)})")
+            case "number" | "binary" | "negate" | "call" | "time" | "sample":
+                self.fail(tree, f"a number where a truth value must stand; compare it, as in {span.text()} > 0")
+            case other:
+                raise AssertionError(f"the grammar's rule {other} has no builder")
+
+    def named_formula(self, tree: Branch) -> Formula:
+        name, span = str(tree.children[0]), self.span(tree)
+        if name in self.definitions:
+            node = self.definitions[name]
+            if isinstance(node, FORMULAS):
+                self.spend(tree, self.sizes[name])
+                return cast(Formula, node)
+            self.fail(tree, f"{name} is a number here, not a truth value; compare it, as in {name} > 0")
+        self.pass_over(name)
+        if name in self.params:
+            self.fail(tree, f"{name} is a param, a number, not a truth value; compare something with it")
+        if name in self.signals:
+            self.fail(tree, f"{name} is a signal, a number, not a truth value; compare it, as in {name} > 0")
+        self.refuse_word(tree, name)
+        self.names_used.setdefault(name, span)
+        return Label(name, span=span)
+
+    def refuse_word(self, tree: Branch, name: str) -> None:
+        """`True` is no label: a word of the language in capitals is a slip."""
+        if name.lower() in WORDS:
+            self.fail(
+                tree, f"words are in small letters: write {name.lower()} (a signal called {name} must be renamed)"
+            )
+        if name.lower() in ("inf", "infinity", "nan"):
+            self.fail(tree, f"{name} is no number that a signal could be compared with; leave the comparison out")
+
+    def pass_over(self, name: str) -> None:
+        if name in self.faulty and name not in self.params:
+            raise _PassedOver
+
+    def comparator(self, token: Branch | Token) -> Comparator:
+        return cast(Comparator, _COMPARATOR_SPELLINGS.get(str(token), str(token)))
+
+    def unchained(self, tree: Branch) -> str:
+        """`2 < x < 4` → `x > 2 & x < 4`."""
+        mirror = {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
+        terms = [self.term(part) for part in branches(tree)[::2]]
+        ops = [self.comparator(cast(Token, part)) for part in tree.children[1::2]]
+        pairs = []
+        for left, op, right in zip(terms, ops, terms[1:], strict=False):
+            flip = isinstance(left, Number) and not isinstance(right, Number)
+            a, o, b = (right, mirror[op], left) if flip else (left, op, right)
+            pairs.append(f"{term_text(a)} {o} {term_text(b)}")
+        return " & ".join(pairs)
+
+    # ------------------------------------------------------------------------------------------ intervals
+
+    def interval(self, operator: Branch) -> Interval:
+        """The interval of a temporal operator, in closed whole steps."""
+        tree = next((part for part in branches(operator) if part.data == "interval"), None)
+        word = str(operator.data)
+        if tree is None:
+            return self.endless(self.operator_span(operator), word, 0)
+        opening, lower, upper, closing = cast(tuple[Token, Branch, Branch, Token], tuple(tree.children))
+        a = self.whole_steps(lower)
+        if a < 0:
+            self.fail(lower, f"the interval starts at step {a}; steps count from 0")
+        first = a + (opening == "(")
+        if upper.data == "name" and str(upper.children[0]) == "inf":
+            return self.endless(self.span(tree), word, first)
+        b = self.whole_steps(upper)
+        last = b - (closing == ")")
+        if last < first:
+            example = f"[{a},{max(a, b) + 1})" if closing == ")" else f"[{a},{max(a, b)}]"
+            shown = f"{opening}{a},{b}{closing}"
+            self.fail(tree, f"the interval {shown} is empty: it holds no step; write for example {example}")
+        return Interval(first, last)
+
+    def endless(self, place: Span, word: str, first: int) -> Interval:
+        if not self.unbounded:
+            raise _At(
+                place,
+                f"{word} needs an interval with an end here, such as {_LETTERS[word]}[{first},{first + 10}] "
+                "(only monitors judge it without: stltool monitor, or unbounded=True; a label with an operator's name, "
+                "F, G or U, must be renamed)",
+            )
+        return Interval(first, None)
+
+    def whole_steps(self, tree: Branch) -> int:
+        value = self.constant(tree)
+        if abs(value.seconds if isinstance(value, Duration) else value) > _LARGEST_BOUND:
+            self.fail(tree, "this bound is out of range; count in larger steps")
+        if isinstance(value, Duration):
+            if self.step is None and "step =" in self.faulty:
+                raise _PassedOver
+            if self.step is None:
+                self.fail(tree, "this bound is a time, and no step is declared above; write a line such as step = 0.1s")
+            steps = value.seconds / self.step.seconds
+            if steps.denominator != 1:
+                low, high = (Duration(n * self.step.seconds) for n in (math.floor(steps), math.ceil(steps)))
+                self.fail(tree, f"{value} is not a multiple of the step, {self.step}; write {low} or {high}")
+        else:
+            steps = value
+            if steps.denominator != 1:
+                declared = "" if self.step is not None else ", and a step is declared above (step = 0.1s)"
+                unit = f", or {decimal_text(value)}s if it is a time in seconds{declared}"
+                self.fail(
+                    tree,
+                    f"the bound {float(value):g} is not a whole number of steps; "
+                    f"write {math.floor(value)} or {math.ceil(value)}{unit}",
+                )
+        if abs(steps) > _LARGEST_BOUND:
+            self.fail(tree, "this bound is out of range; count in larger steps")
+        return steps.numerator
+
+    # ------------------------------------------------------------------------------------------ numbers
+
+    def is_term(self, tree: Branch) -> bool:
+        tree = bare(tree)
+        if tree.data == "name":
+            name = str(tree.children[0])
+            known = self.definitions.get(name)
+            return (
+                name in self.params or name in self.signals or (known is not None and not isinstance(known, FORMULAS))
+            )
+        return tree.data in ("number", "time", "binary", "negate", "call", "sample")
+
+    def term(self, tree: Branch) -> Term:
+        tree = bare(tree)
+        span = self.span(tree)
+        parts = tree.children
+        match tree.data:
+            case "number":
+                return Number(self.literal_float(cast(Token, parts[0])), span=span)
+            case "name":
+                return self.named_term(tree)
+            case "sample":
+                return self.sample(tree)
+            case "negate":
+                return Negate(self.term(branches(tree)[0]), span=span)
+            case "binary":
+                left, op, right = cast(tuple[Branch, Token, Branch], tuple(parts))
+                return Arithmetic(cast(ArithmeticOperator, str(op)), self.term(left), self.term(right), span=span)
+            case "call":
+                args = tuple(self.term(part) for part in branches(tree)[1:])
+                return self.wrapped(tree, lambda: Call(cast(FunctionName, str(parts[0])), args, span=span))
+            case "time":
+                self.fail(tree, "a time where a plain number must stand; only intervals and params hold times")
+            case "comparison" | "chained" | "true" | "false" | "not" | "and" | "or":
+                self.fail(tree, "a truth value where a number must stand; check the parentheses")
+            case "implies" | "iff" | "xor" | "until" | "eventually" | "always":
+                self.fail(tree, "a truth value where a number must stand; check the parentheses")
+            case other:
+                raise AssertionError(f"the grammar's rule {other} has no builder")
+
+    def named_term(self, tree: Branch) -> Term:
+        name = str(tree.children[0])
+        if name in self.params:
+            value = self.param_value(tree, self.params[name])
+            number = Number(abs(value), span=self.span(tree))
+            return Negate(number, span=self.span(tree)) if value < 0 else number
+        self.pass_over(name)
+        if name in self.definitions:
+            node = self.definitions[name]
+            if isinstance(node, FORMULAS):
+                self.fail(tree, f"{name} is a truth value, not a number; it cannot be compared or computed with")
+            self.spend(tree, self.sizes[name])
+            return cast(Term, node)
+        return self.variable(tree, name)
+
+    def sample(self, tree: Branch) -> Term:
+        """Breach's `x[t]`: the signal's value at the step that is judged."""
+        token, index = cast(tuple[Token, Branch], tuple(tree.children))
+        name = str(token)
+        if index.data != "name" or str(index.children[0]) != "t":
+            self.fail(
+                tree,
+                f"a predicate reads one step, {name}[t]; record what {self.span(tree).text()} reads at another one "
+                "as a signal of its own (a truth value some steps later is F[1,1] a)",
+            )
+        if name in self.params or name in self.definitions:
+            self.fail(tree, f"{name} is no signal but a {'param' if name in self.params else 'definition'}; drop [t]")
+        self.pass_over(name)
+        return self.variable(tree, name)
+
+    def variable(self, tree: Branch, name: str) -> Variable:
+        span = self.span(tree)
+        self.refuse_word(tree, name)
+        self.names_used.setdefault(name, span)
+        return Variable(name, span=span)
+
+    def param_value(self, tree: Branch, value: Quantity) -> float:
+        if isinstance(value, Duration):
+            self.fail(tree, "a time where a plain number must stand; only intervals and params hold times")
+        try:
+            number = float(value)
+        except OverflowError:
+            self.fail(tree, "the value of this param is too large to compare with")
+        if number == 0 and value != 0:
+            self.fail(tree, "the value of this param is too small to compare with")
+        return number
+
+    def literal_float(self, token: Token) -> float:
+        value = float(str(token))
+        if not math.isfinite(value) or (value == 0 and Decimal(str(token)) != 0):
+            self.fail(token, f"{token} is too {'small' if value == 0 else 'large'} for a double")
+        return value
+
+    # ------------------------------------------------------------------------------------------ exact constants
+
+    def constant(self, tree: Branch) -> Quantity:
+        """The exact value of an expression over numbers, times and params."""
+        tree = bare(tree)
+        parts = branches(tree)
+        match tree.data:
+            case "number":
+                return self.literal(tree, str(parts[0]))
+            case "time":
+                digits = str(parts[0]).rstrip("".join(UNITS))
+                return Duration(self.literal(tree, digits) * UNITS[str(parts[0])[len(digits) :]])
+            case "name":
+                name = str(parts[0])
+                if name not in self.params:
+                    self.pass_over(name)
+                    if name in self.definitions:
+                        self.fail(tree, f"{name} is a definition; for a number in bounds write param {name} = …")
+                    known = near_misses(name, self.params) if self.params else f"give it a value: param {name} = 10"
+                    self.fail(tree, f"{name} is not a param; {known}")
+                return self.params[name]
+            case "negate":
+                value = self.constant(parts[0])
+                return Duration(-value.seconds) if isinstance(value, Duration) else -value
+            case "call":
+                return self.constant_call(tree)
+            case "binary":
+                return self.constant_binary(tree)
+            case "sample":
+                self.fail(tree, "a signal where a constant must stand; write a number or a param")
+            case _:
+                self.fail(tree, "a truth value where a number must stand")
+
+    def literal(self, tree: Branch, text: str) -> Fraction:
+        value = number(text)
+        if value is None or len(text) > LONGEST_NUMBER:
+            self.fail(tree, "this number is out of range for a param or a bound")
+        return value
+
+    def constant_call(self, tree: Branch) -> Quantity:
+        function, *args = branches(tree)
+        values = [self.constant(arg) for arg in args]
+        self.wrapped(tree, lambda: Call(cast(FunctionName, str(function)), (Number(0.0),) * len(values)))
+        name = str(function)
+        if name not in ("abs", "min", "max"):
+            self.fail(tree, f"{name} has no exact value; give the number itself")
+        times = [isinstance(value, Duration) for value in values]
+        if any(times) and not all(times):
+            self.mixed(tree)
+        plain = [value.seconds if isinstance(value, Duration) else value for value in values]
+        result = abs(plain[0]) if name == "abs" else min(plain) if name == "min" else max(plain)
+        return Duration(result) if times[0] else result
+
+    def constant_binary(self, tree: Branch) -> Quantity:
+        left, token, right = cast(tuple[Branch, Token, Branch], tuple(tree.children))
+        x, y, op = self.constant(left), self.constant(right), str(token)
+        times = isinstance(x, Duration), isinstance(y, Duration)
+        a = x.seconds if isinstance(x, Duration) else x
+        b = y.seconds if isinstance(y, Duration) else y
+        if op in "+-" and times[0] != times[1]:
+            self.mixed(tree)
+        if (op == "*" and all(times)) or (op == "/" and times == (False, True)) or (op == "^" and any(times)):
+            self.fail(tree, "this is no time: times add up, and are multiplied and divided by plain numbers")
+        result = self.computed(tree, op, a, b)
+        if max(result.numerator.bit_length(), result.denominator.bit_length()) > _LARGEST_BITS:
+            self.fail(tree, "this value is out of range: it has more digits than a param or a bound could use")
+        return Duration(result) if (times[0] != times[1] or (op in "+-" and times[0])) else result
+
+    def computed(self, tree: Branch, op: str, a: Fraction, b: Fraction) -> Fraction:
+        match op:
+            case "+":
+                return a + b
+            case "-":
+                return a - b
+            case "*":
+                return a * b
+            case "/":
+                if b == 0:
+                    self.fail(tree, "division by zero")
+                return a / b
+            case "^":
+                large = max(a.numerator.bit_length(), a.denominator.bit_length()) * abs(b) > _LARGEST_BITS
+                if b.denominator != 1 or abs(b) > LARGEST_EXPONENT or (a == 0 and b < 0) or large:
+                    self.fail(tree, f"this power is out of range: whole exponents up to {LARGEST_EXPONENT} only")
+                return a**b.numerator
+            case other:
+                raise AssertionError(f"the grammar's operator {other} has no meaning")
+
+    def mixed(self, tree: Branch) -> NoReturn:
+        self.fail(tree, "a time and a plain number do not add up; give both a unit, or none")
+
+    # ------------------------------------------------------------------------------------------ places
+
+    def span(self, item: Branch | Token) -> Span:
+        if isinstance(item, Token):
+            return Span(self.source, item.start_pos or 0, item.end_pos or 0)
+        return Span(self.source, item.meta.start_pos, item.meta.end_pos)
+
+    def operator_span(self, tree: Branch) -> Span:
+        """Where the operator itself stands: its word is no part of the tree."""
+        parts = branches(tree)
+        start = parts[0].meta.end_pos if tree.data == "until" else tree.meta.start_pos
+        text = self.source.text[start : parts[-1].meta.start_pos]
+        found = re.search(r"\w+|[^\s\w([]+|\[\]", text)
+        return Span(self.source, start + found.start(), start + found.end()) if found else self.span(tree)
+
+    def fail(self, item: Branch | Token, message: str) -> NoReturn:
+        raise _At(self.span(item), message)
+
+    def wrapped(self, tree: Branch, build: Callable[[], _T]) -> _T:
+        """A node constructor's complaint, with its place."""
+        try:
+            return build()
+        except StlSyntaxError as error:
+            self.fail(tree, str(error))
+
+    def require_shallow(self, phi: Formula) -> None:
+        """Later walks recurse; a depth that they all bear is the limit."""
+        level: list[Formula | Term] = [phi]
+        for _ in range(DEEPEST):
+            level = [child for node in level for child in _operands(node)]
+            if not level:
+                return
+        raise self.too_deep()
+
+    def too_deep(self) -> StlSyntaxError:
+        return StlSyntaxError(
+            f"{self.source.name}: operators are nested too deeply, over {DEEPEST} levels; simplify the formula, or "
+            "write a & b & c in one level"
+        )
+
+
+def _operands(node: Formula | Term) -> tuple[Formula | Term, ...]:
+    match node:
+        case Comparison(_, left, right) | Arithmetic(_, left, right):
+            return (left, right)
+        case Negate(arg):
+            return (arg,)
+        case Call(_, args):
+            return args
+        case Number() | Variable():
+            return ()
+        case _:
+            return children(node)

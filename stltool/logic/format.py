@@ -1,0 +1,266 @@
+"""The canonical layout of task files: what `stltool fmt` writes.
+
+One statement a line; operators in their short spelling, parentheses as the printer puts them (redundant ones go, those
+that make a text read alike everywhere come), a statement over 100 characters broken at its operators. Names, params,
+numbers, the form of intervals and all comments stay; blank lines between statements stay, one each. What is laid out is
+read again and compared with what was given: the meaning cannot change, or nothing comes out.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import cast
+
+from stltool.errors import StlSyntaxError
+from stltool.logic.formula import ArithmeticOperator
+from stltool.logic.printer import STRENGTH, Kind, computed, needs_parentheses, negated
+from stltool.logic.source import Source
+from stltool.logic.syntax import Branch, Comment, Document, Token, bare, branches, read, refuse
+
+WIDTH = 100
+_INDENT = 4
+_SIGNS = {"and": "&", "or": "|", "implies": "->", "iff": "<->", "xor": "xor", "until": "U"}
+_PREFIXES = {"not": "!", "eventually": "F", "always": "G"}
+_COMPARATORS = {"≤": "<=", "≥": ">=", "≠": "!="}
+
+
+def format_task(text: str, name: str = "task") -> str:
+    """The text of a task file in its canonical layout. Raises StlSyntaxError where it does not parse."""
+    document = read(Source(name, text), "task")
+    refuse(document.faults)
+    try:
+        for _ in range(len(document.comments) + 2):  # a comment may move behind what made its line break: once more
+            laid_out = _Layout(document).text()
+            if laid_out == document.source.text:
+                break
+            again = read(Source(name, laid_out), "task")
+            if _skeletons(again) != _skeletons(document) or _comments(again) != _comments(document):
+                raise AssertionError(f"{name}: the canonical layout would change the meaning; nothing was written")
+            document = again
+    except RecursionError:
+        raise StlSyntaxError(f"{name}: operators are nested too deeply to be laid out; name parts of them") from None
+    return laid_out
+
+
+def _comments(document: Document) -> list[str]:
+    return [_comment_text(comment) for comment in document.comments]
+
+
+def _skeletons(document: Document) -> list[object]:
+    """The statements without parentheses, places and spellings; a line of several params counts as several lines."""
+    found: list[object] = []
+    for tree in document.trees:
+        parts = branches(tree) if tree.data in ("params", "signals") else [tree]
+        found += [(str(tree.data), _skeleton(part)) for part in parts]
+    return found
+
+
+def _skeleton(item: Branch | Token) -> object:
+    if isinstance(item, Token):
+        return _COMPARATORS.get(str(item), str(item))
+    tree = bare(item)
+    return (str(tree.data), *(_skeleton(part) for part in tree.children))
+
+
+# --------------------------------------------------------------------------------------------------- one line
+
+
+def flat_text(tree: Branch) -> str:
+    """A formula or a term in one line, with the parentheses that the printer would put in."""
+    tree = bare(tree)
+    parts = branches(tree)
+    match tree.data:
+        case "formula":
+            return flat_text(parts[0])
+        case "and" | "or" | "implies" | "iff" | "xor":
+            return f" {_sign(tree)} ".join(_operand(part) for part in parts)
+        case "until":
+            return f"{_operand(parts[0])} {_sign(tree)} {_operand(parts[-1])}"
+        case "not" | "eventually" | "always":
+            return _sign(tree) + _operand(parts[-1], prefix=True)
+        case "comparison" | "chained":
+            return " ".join(_comparator(part) if isinstance(part, Token) else _term(part)[0] for part in tree.children)
+        case _:
+            return _term(tree)[0]
+
+
+def _sign(tree: Branch) -> str:
+    """An operator with its interval, as it stands before or between its operands."""
+    interval = next((_interval(part) for part in branches(tree) if part.data == "interval"), "")
+    if tree.data in _SIGNS:
+        return _SIGNS[tree.data] + interval
+    return _PREFIXES[tree.data] + interval + ("" if tree.data == "not" else " ")
+
+
+def _interval(tree: Branch) -> str:
+    opening, lower, upper, closing = cast(tuple[Token, Branch, Branch, Token], tuple(tree.children))
+    return f"{opening}{_term(lower)[0]},{_term(upper)[0]}{closing}"
+
+
+def _comparator(token: Token) -> str:
+    return _COMPARATORS.get(str(token), str(token))
+
+
+def _operand(tree: Branch, prefix: bool = False) -> str:
+    return f"({flat_text(tree)})" if needs_parentheses(_kind(tree), prefix) else flat_text(tree)
+
+
+def _kind(tree: Branch) -> Kind:
+    inner = tree = bare(tree)
+    while inner.data == "not":
+        inner = bare(branches(inner)[0])
+    match tree.data:
+        case "not":
+            return "temporal" if inner.data in ("eventually", "always") else "not"
+        case "eventually" | "always":
+            return "temporal"
+        case "comparison" | "chained" | "binary" | "negate":
+            return "comparison"
+        case data:
+            return "binary" if data in _SIGNS else "atom"
+
+
+def _term(tree: Branch) -> tuple[str, int]:
+    tree = bare(tree)
+    parts = branches(tree)
+    match tree.data:
+        case "negate":
+            return negated(_term(parts[0])), STRENGTH["negate"]
+        case "binary":
+            op = cast(ArithmeticOperator, str(parts[1]))
+            return computed(op, _term(parts[0]), _term(parts[2])), STRENGTH[op]
+        case "call":
+            return f"{parts[0]}({', '.join(_term(part)[0] for part in parts[1:])})", STRENGTH["atom"]
+        case "sample":
+            return f"{parts[0]}[{_term(parts[1])[0]}]", STRENGTH["atom"]
+        case "number" | "time" | "name" | "true" | "false":
+            return str(parts[0]), STRENGTH["atom"]
+        case _:
+            return f"({flat_text(tree)})", STRENGTH["atom"]  # a truth value among numbers: refused when it is built
+
+
+# --------------------------------------------------------------------------------------------------- lines
+
+
+class _Layout:
+    """Lines, with every comment near the place where it stood."""
+
+    def __init__(self, document: Document) -> None:
+        self.document = document
+        self.source = document.source.text
+        self.pending = deque(document.comments)
+        self.lines: list[str] = []
+        self.end = 0  # where in the source the last thing laid out ends
+        self.commented = -1  # the last line with a comment
+
+    def text(self) -> str:
+        for tree in self.document.trees:
+            start = tree.meta.start_pos
+            self.flush(start, "")
+            self.blank_line(start)
+            self.statement(tree)
+            self.end = tree.meta.end_pos
+        self.flush(len(self.source) + 1, "")
+        return "\n".join(self.lines) + "\n" if self.lines else ""
+
+    def blank_line(self, start: int) -> None:
+        """Keep one blank line where there were some."""
+        gap = self.source[self.end : start].replace("\r\n", "\n").replace("\r", "\n")
+        if self.lines and sum(1 for line in gap.split("\n")[1:-1] if not line.strip(" \t\f;")) > 0:
+            self.lines.append("")
+
+    def flush(self, until: int, pad: str) -> None:
+        """Lay out the comments before a place: behind the line they stood behind, else on lines of their own."""
+        while self.pending and self.pending[0].start < until:
+            comment = self.pending.popleft()
+            text = _comment_text(comment)
+            line_start = max(self.source.rfind("\n", 0, comment.start), self.source.rfind("\r", 0, comment.start)) + 1
+            behind = self.source[line_start : comment.start].strip()
+            if behind and self.lines and self.lines[-1] and self.commented < len(self.lines):
+                self.lines[-1] += f"  {text}"
+            else:
+                if pad == "":
+                    self.blank_line(comment.start)
+                self.lines.append(pad + text)
+            self.commented = len(self.lines)
+            self.end = max(self.end, comment.end)
+
+    def statement(self, tree: Branch) -> None:
+        match tree.data:
+            case "model":
+                self.lines.append(f"model {tree.children[0]}")
+            case "step":
+                self.lines.append(f"step = {_term(branches(tree)[0])[0]}")
+            case "params":
+                self.list("param", [(p.meta.start_pos, f"{p.children[0]} = {_value(p)}") for p in branches(tree)])
+            case "signals":
+                names = cast(list[Token], tree.children)
+                self.list("signal", [(cast(int, name.start_pos), str(name)) for name in names])
+            case "definition":
+                body = bare(branches(branches(tree)[1])[0])
+                line = f"{tree.children[0]} := {flat_text(body)}"
+                if self.fits(line, tree) or not _breakable(body):
+                    self.lines.append(line)
+                else:
+                    self.lines.append(f"{tree.children[0]} :=")
+                    self.block(body, _INDENT)
+            case other:
+                raise AssertionError(f"the grammar's rule {other} has no layout")
+
+    def list(self, word: str, items: list[tuple[int, str]]) -> None:
+        """A line of several params or signals; several lines where comments stand between them."""
+        line = f"{word} {', '.join(text for _, text in items)}"
+        if len(line) <= WIDTH and not (self.pending and self.pending[0].start < items[-1][0]):
+            self.lines.append(line)
+            return
+        for start, text in items:
+            self.flush(start, "")
+            self.lines.append(f"{word} {text}")
+
+    def fits(self, line: str, tree: Branch) -> bool:
+        return len(line) <= WIDTH and not (self.pending and self.pending[0].start < tree.meta.end_pos)
+
+    def block(self, tree: Branch, indent: int, lead: str = "") -> None:
+        """A formula over lines of its own; `lead` stands before it on the first."""
+        tree = bare(tree)
+        pad = " " * indent
+        self.flush(tree.meta.start_pos, pad)
+        line = f"{pad}{lead}{flat_text(tree)}"
+        if self.fits(line, tree):
+            self.lines.append(line)
+        elif tree.data in _SIGNS:
+            operands = [part for part in branches(tree) if part.data != "interval"]
+            for i, part in enumerate(operands):
+                self.operand(part, indent, f"{_sign(tree)} " if i else lead, prefix=False)
+        elif tree.data in _PREFIXES:
+            self.operand(branches(tree)[-1], indent, lead + _sign(tree), prefix=True)
+        else:
+            self.lines.append(line)
+
+    def operand(self, part: Branch, indent: int, lead: str, prefix: bool) -> None:
+        pad = " " * indent
+        self.flush(part.meta.start_pos, pad)
+        line = f"{pad}{lead}{_operand(part, prefix)}"
+        if self.fits(line, part) or not _breakable(part):
+            self.lines.append(line)
+        elif needs_parentheses(_kind(part), prefix):
+            self.lines.append(f"{pad}{lead}(")
+            self.block(part, indent + _INDENT)
+            self.flush(part.meta.end_pos, pad + " " * _INDENT)
+            self.lines.append(f"{pad})")
+        else:
+            self.block(part, indent, lead)
+
+
+def _breakable(tree: Branch) -> bool:
+    return bare(tree).data in _SIGNS or bare(tree).data in _PREFIXES
+
+
+def _value(param: Branch) -> str:
+    return _term(branches(param)[1])[0]
+
+
+def _comment_text(comment: Comment) -> str:
+    text = comment.text.removeprefix("//") if comment.text.startswith("//") else comment.text.removeprefix("#")
+    glued = not text or text[0] in "#! \t"
+    return f"#{text if glued else ' ' + text}".rstrip()

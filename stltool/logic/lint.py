@@ -1,0 +1,159 @@
+"""What a text might be misread as: places that other tools read differently, with the reading that holds here.
+
+None of these is an error: the grammar gives every text one meaning. The advice is to put the parentheses in, as
+`stltool fmt` does. Sources: design notes on STLRom, RTAMT and MATLAB in docs/language.md.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import cast
+
+from stltool.errors import near_misses
+from stltool.logic.format import flat_text
+from stltool.logic.source import Span
+from stltool.logic.syntax import Branch, Document, Token, branches
+
+_BINARY = ("iff", "xor", "implies", "or", "and", "until")
+_LONGEST_READING = 300
+_OPERAND = r"[\s(]*[\w.]+[\s)]*"
+_ARITHMETIC = re.compile(rf"//(?=[\s(]*[\d.]){_OPERAND}(?:[-+*/^&|<>=!]+{_OPERAND})*")  # no sentence, but an operand
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """A place and what to know of it."""
+
+    span: Span
+    message: str
+
+    def __str__(self) -> str:
+        return self.span.show(self.message)
+
+
+def ambiguities(document: Document) -> list[Advice]:
+    """Every place of a text that other tools would read differently, in the order of the text."""
+    found = [advice for tree in document.trees for advice in _of_statement(document, tree)]
+    found += _divisions(document)
+    found += _undeclared(document)
+    found += _misspelled(document)
+    return sorted(found, key=lambda advice: advice.span.start)
+
+
+def _of_statement(document: Document, statement: Branch) -> Iterator[Advice]:
+    """Outside in; below a place that is told only what stands in parentheses is looked at again."""
+    stack: list[tuple[Branch, bool]] = [(statement, False)]
+    while stack:
+        tree, told = stack.pop()
+        why = None if told else _differs(tree)
+        if why is not None:
+            reading = flat_text(tree)
+            if len(reading) > _LONGEST_READING:
+                reading = f"{reading[:_LONGEST_READING]} …"
+            yield Advice(_span(document, tree), f"{why}; here it means {reading}")
+        inside = (told or why is not None) and tree.data != "parentheses"
+        stack += [(part, inside) for part in reversed(tree.children) if not isinstance(part, Token)]
+
+
+def _differs(tree: Branch) -> str | None:
+    """Why other tools might read this operator and its operands differently; None where they would not."""
+    if tree.data == "binary":
+        left, op, right = branches(tree)
+        chained = str(op) == "^" and "binary" in (left.data, right.data)
+        return "a^b^c is read from the left by some tools (MATLAB), from the right by others" if chained else None
+    if tree.data not in _BINARY:
+        return None
+    operands = [part for part in branches(tree) if part.data != "interval"]
+    kinds = {str(part.data) for part in operands}
+    if tree.data == "or" and "and" in kinds:
+        return "'and' beside 'or' without parentheses is read from left to right by some tools (STLRom)"
+    if tree.data == "implies" and "implies" in kinds:
+        return "a chain of '->' is read from the left by some tools (RTAMT), from the right by others"
+    if tree.data in ("iff", "xor") and kinds & {"iff", "xor"}:
+        return "a chain of '<->' and 'xor' without parentheses is read differently by different tools"
+    if tree.data in ("implies", "iff", "xor") and kinds & set(_BINARY):
+        sign = {"implies": "->", "iff": "<->", "xor": "xor"}[tree.data]
+        return f"how tightly '{sign}' binds beside other operators differs from tool to tool"
+    if "until" in kinds:
+        return "how tightly 'until' binds beside other operators differs from tool to tool"
+    if any(_ends_in_temporal(part) for part in operands[:-1]):
+        return (
+            "a temporal operator's reach ends before the next operator here; in some tools it takes in all that follows"
+        )
+    return None
+
+
+def _ends_in_temporal(tree: Branch) -> bool:
+    while tree.data == "not":
+        tree = branches(tree)[-1]
+    return tree.data in ("eventually", "always")
+
+
+def _divisions(document: Document) -> Iterator[Advice]:
+    """`x > 5 // 2`: what follows // is a comment, which a Python reader may take for a division."""
+    for comment in document.comments:
+        before = document.source.text[: comment.start].rpartition("\n")[2].rstrip()
+        if re.search(r"[\w)\]]$", before) and _ARITHMETIC.fullmatch(comment.text):
+            span = Span(document.source, comment.start, comment.start + 2)
+            yield Advice(span, "what follows // is a comment; for a division write /, for a comment #")
+
+
+def _undeclared(document: Document) -> Iterator[Advice]:
+    """Signals that the file's signal lines do not name."""
+    lines = {
+        kind: [tree for tree in document.trees if tree.data == kind] for kind in ("signals", "params", "definition")
+    }
+    declared = {str(name) for tree in lines["signals"] for name in tree.children}
+    if not declared:
+        return
+    known = {str(param.children[0]) for tree in lines["params"] for param in branches(tree)}
+    known |= {str(tree.children[0]) for tree in lines["definition"]} | declared
+    for tree in lines["definition"]:
+        for token in _signal_names(tree):
+            if str(token) not in known:
+                known.add(str(token))
+                place = Span(document.source, _start(token), _start(token) + len(token))
+                yield Advice(place, f"{token} is on no signal line; {near_misses(str(token), declared)}")
+
+
+def _misspelled(document: Document) -> Iterator[Advice]:
+    """Bare names that nearly are definitions or params of the file, and so are read as labels instead."""
+    known = {str(tree.children[0]) for tree in document.trees if tree.data == "definition"}
+    known |= {str(p.children[0]) for tree in document.trees if tree.data == "params" for p in branches(tree)}
+    declared = {str(name) for tree in document.trees if tree.data == "signals" for name in tree.children}
+    names = [cast(Token, part.children[0]) for tree in document.trees for part in tree.find_data("name")]
+    first = {str(token): token for token in sorted(names, key=_start, reverse=True)}
+    for name in first.keys() - known - declared:
+        close = difflib.get_close_matches(name, known, n=1, cutoff=0.85)
+        if close and not _siblings(name, close[0]):
+            place = Span(document.source, _start(first[name]), _start(first[name]) + len(name))
+            yield Advice(place, f"{name} is read as a signal or label of that name; did you mean {close[0]}?")
+
+
+def _siblings(name: str, other: str) -> bool:
+    """Names of one family, which differ in a digit or have parts: gear1 and gear2, visit_a and visits_a."""
+    parts, others = name.split("_"), other.split("_")
+    return re.sub(r"\d", "", name) == re.sub(r"\d", "", other) or (len(parts) == len(others) > 1)
+
+
+def _start(token: Token) -> int:
+    return token.start_pos or 0
+
+
+def _signal_names(tree: Branch) -> Iterator[Token]:
+    """Names that stand for numbers: within comparisons, and before [t]."""
+    stack: list[tuple[Branch, bool]] = [(tree, False)]
+    while stack:
+        part, number = stack.pop()
+        if part.data == "sample" or (part.data == "name" and number):
+            yield part.children[0]  # type: ignore[misc]  # the name itself
+            continue
+        number = number or part.data in ("comparison", "chained", "binary", "negate", "call")
+        stack += [(child, number) for child in reversed(part.children) if not isinstance(child, Token)]
+
+
+def _span(document: Document, tree: Branch) -> Span:
+    return Span(document.source, tree.meta.start_pos, tree.meta.end_pos)

@@ -1,0 +1,63 @@
+"""The places of a formula: every occurrence of a sub-formula, and the formula with one of them replaced."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from stltool.logic.formula import Formula, Iff, Implies, Not, children, with_children
+
+
+@dataclass(frozen=True, slots=True)
+class Occurrence:
+    """One occurrence, in a list of all.
+
+    path      which operand to take at each operator, from the root
+    parent    the index of the operator it stands under; -1 for the root
+    operands  the indices of its own operands
+    polarity  1 if making it true can only make the whole true, −1 if only false, 0 under an equivalence
+    """
+
+    formula: Formula
+    path: tuple[int, ...]
+    parent: int
+    operands: tuple[int, ...]
+    polarity: int
+
+
+def occurrences(phi: Formula) -> tuple[Occurrence, ...]:
+    """Every occurrence, outside in, left to right: the root first, operands after their operator."""
+    found: list[tuple[Formula, tuple[int, ...], int, int]] = []
+    operands: list[list[int]] = []
+    stack: list[tuple[Formula, tuple[int, ...], int, int]] = [(phi, (), -1, 1)]
+    while stack:
+        node, path, parent, polarity = stack.pop()
+        index = len(found)
+        found.append((node, path, parent, polarity))
+        operands.append([])
+        if parent >= 0:
+            operands[parent].append(index)
+        for i, child in reversed(list(enumerate(children(node)))):
+            stack.append((child, (*path, i), index, polarity * _sign(node, i)))
+    return tuple(
+        Occurrence(node, path, parent, tuple(below), polarity)
+        for (node, path, parent, polarity), below in zip(found, operands, strict=True)
+    )
+
+
+def _sign(phi: Formula, operand: int) -> int:
+    if isinstance(phi, Iff):
+        return 0
+    return -1 if isinstance(phi, Not) or (isinstance(phi, Implies) and operand == 0) else 1
+
+
+def with_replaced(phi: Formula, path: Sequence[int], new: Formula) -> Formula:
+    """φ with `new` in the place of the occurrence at `path`."""
+    above = [phi]
+    for i in path:
+        above.append(children(above[-1])[i])
+    result = new
+    for node, i in zip(reversed(above[:-1]), reversed(path), strict=True):
+        operands = children(node)
+        result = with_children(node, (*operands[:i], result, *operands[i + 1 :]))
+    return result

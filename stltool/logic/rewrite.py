@@ -1,0 +1,463 @@
+"""Formula → an equal formula: negation normal form, and a smaller one.
+
+Truth and robustness are values of a chain (false < true, or −inf … inf) whose negation turns the order round. Every
+rewriting here holds in each such chain, so it keeps both, at every step:
+
+    ¬(φ U[0,b] ψ) = G[0,b] ¬ψ ∨ (¬ψ U[0,b] (¬φ ∧ ¬ψ))       φ U[a,b] ψ = G[0,a−1] φ ∧ F[a,a] (φ U[0,b−a] ψ)  for a > 0
+    ¬(φ ↔ ψ) = ¬φ ↔ ψ = (φ ∧ ¬ψ) ∨ (¬φ ∧ ψ)                 ¬(s > t) = s ≤ t, ¬(s = t) = s ≠ t
+    F[a,b] F[c,d] φ = F[a+c,b+d] φ                           F[a,b] φ ∨ F[c,d] φ = F[min(a,c),max(b,d)] φ  if they touch
+    F[a,b] φ ∨ F[a,b] ψ = F[a,b] (φ ∨ ψ)                     φ ∧ (φ ∨ ψ) = φ             and the duals of these
+
+φ ∨ ¬φ has robustness |φ|, so it is true only where φ reads labels alone, whose robustness is infinite.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias, assert_never
+
+from stltool.errors import SizeError
+from stltool.logic.formula import (
+    Always,
+    And,
+    Comparator,
+    Comparison,
+    Constant,
+    Eventually,
+    Formula,
+    Iff,
+    Implies,
+    Interval,
+    Label,
+    Not,
+    Or,
+    Until,
+    children,
+    require_formula,
+    walk,
+)
+from stltool.logic.source import Span
+
+MOST_OPERATORS = 200_000
+_DEEPEST = 200  # later walks recurse
+
+OPPOSITE: dict[Comparator, Comparator] = {"<": ">=", ">=": "<", ">": "<=", "<=": ">", "==": "!=", "!=": "=="}
+MIRROR: dict[Comparator, Comparator] = {"<": ">", ">": "<", "<=": ">=", ">=": "<=", "==": "==", "!=": "!="}
+
+
+def operator_count(phi: Formula) -> int:
+    """The number of operators, a & b & c having two: what `simplify` never raises."""
+    return sum(_own_operators(node) for node in walk(phi))
+
+
+def _own_operators(phi: Formula) -> int:
+    operands = len(children(phi))
+    return operands - 1 if isinstance(phi, And | Or) else min(operands, 1)
+
+
+# --------------------------------------------------------------------------------------- negation normal form
+
+
+def negation_normal_form(phi: Formula, most_operators: int = MOST_OPERATORS) -> Formula:
+    """φ with negations in front of labels only, and without implications and equivalences.
+
+    Same truth and robustness at every step, also of traces that end inside a window. A negated until and an equivalence
+    write their operands several times: SizeError where that makes more than `most_operators`, or nests over 200 deep.
+    """
+    require_formula(phi)
+    known: dict[tuple[int, bool], Formula] = {}  # by identity: hashing a deep node would walk all of it
+    result = _nnf(phi, False, known)
+    size, depth = _measures(result)
+    if size > most_operators:
+        raise SizeError(
+            f"the negation normal form has {float(size):.3g} operators, over {most_operators}: equivalences or negated "
+            "untils inside each other double it each time; nest them less, or judge the formula as it is"
+        )
+    if depth > max(_DEEPEST, _measures(phi)[1]):
+        raise SizeError(
+            f"the negation normal form nests operators {depth} deep, over {_DEEPEST}; nest negated untils less, or "
+            "judge the formula as it is"
+        )
+    return result
+
+
+def _nnf(phi: Formula, negated: bool, known: dict[tuple[int, bool], Formula]) -> Formula:
+    """φ or ¬φ; what is written several times is one node, so time and memory stay linear."""
+    found = known.get((id(phi), negated))
+    if found is None:
+        found = known[id(phi), negated] = _nnf_node(phi, negated, known)
+    return found
+
+
+def _nnf_node(phi: Formula, negated: bool, known: dict[tuple[int, bool], Formula]) -> Formula:
+    span = phi.span
+    match phi:
+        case Constant(value):
+            return Constant(value != negated, span=span)
+        case Label():
+            return Not(phi, span=span) if negated else phi
+        case Comparison(op, left, right):
+            return Comparison(OPPOSITE[op], left, right, span=span) if negated else phi
+        case Not(arg):
+            return _nnf(arg, not negated, known)
+        case And(args) | Or(args):
+            kind = And if isinstance(phi, And) != negated else Or
+            return kind(tuple([_nnf(arg, negated, known) for arg in args]), span=span)
+        case Implies(left, right):
+            join = And if negated else Or
+            return join((_nnf(left, not negated, known), _nnf(right, negated, known)), span=span)
+        case Iff(left, right):
+            p, q = _nnf(left, False, known), _nnf(right, False, known)
+            not_p, not_q = _nnf(left, True, known), _nnf(right, True, known)
+            if negated:
+                return Or((And((p, not_q), span=span), And((not_p, q), span=span)), span=span)
+            return And((Or((not_p, q), span=span), Or((p, not_q), span=span)), span=span)
+        case Eventually(interval, arg) | Always(interval, arg):
+            window = Eventually if isinstance(phi, Eventually) != negated else Always
+            return window(interval, _nnf(arg, negated, known), span=span)
+        case Until(interval, left, right):
+            if not negated:
+                return Until(interval, _nnf(left, False, known), _nnf(right, False, known), span=span)
+            a, b = interval.a, interval.b
+            not_p, not_q = _nnf(left, True, known), _nnf(right, True, known)
+            rest = Interval(0, None if b is None else b - a)
+            broken = Until(rest, not_q, And((not_p, not_q), span=span), span=span)
+            never = Or((Always(rest, not_q, span=span), broken), span=span)
+            if a == 0:
+                return never
+            early = Eventually(Interval(0, a - 1), not_p, span=span)
+            return Or((early, Always(Interval(a, a), never, span=span)), span=span)
+        case _:
+            assert_never(phi)
+
+
+def _measures(phi: Formula) -> tuple[int, int]:
+    """Operators and depth of a formula whose nodes may be shared, each node visited once."""
+    known: dict[int, tuple[int, int]] = {}
+    stack = [phi]
+    while stack:
+        node = stack[-1]
+        missing = [child for child in children(node) if id(child) not in known]
+        if missing:
+            stack.extend(missing)
+            continue
+        stack.pop()
+        below = [known[id(child)] for child in children(node)]
+        size = _own_operators(node) + sum(size for size, _ in below)
+        known[id(node)] = (size, 1 + max((depth for _, depth in below), default=-1))
+    return known[id(phi)]
+
+
+# ------------------------------------------------------------------------------------------- simplification
+
+_Window: TypeAlias = type[Eventually] | type[Always]
+_Junction: TypeAlias = type[And] | type[Or]
+
+
+def simplify(phi: Formula, cut: bool = False) -> Formula:
+    """An equal formula with no more operators, usually fewer; simplifying it again changes nothing.
+
+    Truth and robustness are the same at every step of every trace that is long enough for φ (a window without an end is
+    taken to hold a step); with `cut`, also of traces that end inside or before a window, judged on the steps there are,
+    where F[2,3] true may be false. The horizon does not grow. Nodes that survive keep their places. A term without a
+    value (1/0) is no error any more where it is left out.
+    """
+    require_formula(phi)
+    return _Simplifier(cut).of(phi).formula
+
+
+@dataclass(slots=True, eq=False)
+class _Part:
+    """A simplified formula and what the rules ask about it.
+
+    key        equal keys mean equal formulas (up to the order of operands, and x > 0 for 0 < x)
+    operands   the parts under its operator
+    operators  how many it has
+    growth     operators of its negation minus its own: at most 1, since ¬ can be put in front
+    crisp      no comparison in it: its robustness is always infinite
+    negation   its negation, once asked for
+    """
+
+    key: int
+    formula: Formula
+    operands: tuple[_Part, ...]
+    operators: int
+    growth: int
+    crisp: bool
+    negation: _Part | None = None
+
+
+class _Simplifier:
+    """Builds simplified parts from simplified parts, inside out: every method returns what no rule applies to."""
+
+    def __init__(self, cut: bool) -> None:
+        self.cut = cut
+        self._keys: dict[tuple[object, ...], int] = {}
+
+    def of(self, phi: Formula) -> _Part:
+        match phi:
+            case Constant(value):
+                return self.constant(value, phi.span)
+            case Label(name):
+                return self._part(phi, ("label", name), (), growth=1, crisp=True)
+            case Comparison():
+                return self.comparison(phi)
+            case Not(arg):
+                return self.negate(self.of(arg), phi.span)
+            case And(args):
+                return self.junction(And, [self.of(arg) for arg in args], phi.span)
+            case Or(args):
+                return self.junction(Or, [self.of(arg) for arg in args], phi.span)
+            case Implies(left, right):
+                return self.implies(self.of(left), self.of(right), phi.span)
+            case Iff(left, right):
+                return self.iff(self.of(left), self.of(right), phi.span)
+            case Eventually(interval, arg):
+                return self.window(Eventually, interval, self.of(arg), phi.span)
+            case Always(interval, arg):
+                return self.window(Always, interval, self.of(arg), phi.span)
+            case Until(interval, left, right):
+                return self.until(interval, self.of(left), self.of(right), phi.span)
+            case _:
+                assert_never(phi)
+
+    def _part(
+        self, phi: Formula, key: tuple[object, ...], operands: Sequence[_Part], growth: int, crisp: bool = False
+    ) -> _Part:
+        return _Part(
+            key=self._keys.setdefault(key, len(self._keys)),
+            formula=phi,
+            operands=tuple(operands),
+            operators=_own_operators(phi) + sum(part.operators for part in operands),
+            growth=min(growth, 1),
+            crisp=all(part.crisp for part in operands) if operands else crisp,
+        )
+
+    def constant(self, value: bool, span: Span | None) -> _Part:
+        return self._part(Constant(value, span=span), ("constant", value), (), growth=0, crisp=True)
+
+    def comparison(self, phi: Comparison) -> _Part:
+        op, left, right = phi.op, phi.left, phi.right
+        if op in (">", ">="):
+            op, left, right = MIRROR[op], right, left
+        return self._part(phi, (op, left, right), (), growth=0)
+
+    # ------------------------------------------------------------------------------------------ Boolean operators
+
+    def negate(self, x: _Part, span: Span | None = None) -> _Part:
+        """¬x, moved inwards where that makes it smaller."""
+        if x.negation is None or x.negation.operators > x.operators + x.growth:
+            negation = self._negation(x, span if span is not None else x.formula.span)
+            x.negation = negation
+            if negation.negation is None:
+                negation.negation = x
+        return x.negation
+
+    def _negation(self, x: _Part, span: Span | None) -> _Part:
+        phi, operands = x.formula, x.operands
+        match phi:
+            case Constant(value):
+                return self.constant(not value, phi.span)
+            case Comparison(op, left, right):
+                return self.comparison(Comparison(OPPOSITE[op], left, right, span=phi.span))
+            case Not():
+                return operands[0]
+            case _ if x.growth == 1:
+                return self._part(Not(phi, span=span), ("not", x.key), (x,), growth=-1)
+            case And():
+                return self.junction(Or, [self.negate(part) for part in operands], phi.span)
+            case Or():
+                return self.junction(And, [self.negate(part) for part in operands], phi.span)
+            case Implies():
+                return self.junction(And, [operands[0], self.negate(operands[1])], phi.span)
+            case Iff():
+                if operands[0].growth <= operands[1].growth:
+                    return self.iff(self.negate(operands[0]), operands[1], phi.span)
+                return self.iff(operands[0], self.negate(operands[1]), phi.span)
+            case Eventually(interval, _):
+                return self.window(Always, interval, self.negate(operands[0]), phi.span)
+            case Always(interval, _):
+                return self.window(Eventually, interval, self.negate(operands[0]), phi.span)
+            case Label() | Until():
+                raise AssertionError("its negation is larger")
+            case _:
+                assert_never(phi)
+
+    def implies(self, left: _Part, right: _Part, span: Span | None) -> _Part:
+        if isinstance(left.formula, Constant):
+            return right if left.formula.value else self.constant(True, span)
+        if isinstance(right.formula, Constant):
+            return right if right.formula.value else self.negate(left)
+        if left.growth < 0:
+            return self.junction(Or, [self.negate(left), right], span)
+        if left.key == right.key and left.crisp:
+            return self.constant(True, span)
+        growth = right.growth  # ¬(φ → ψ) = φ ∧ ¬ψ
+        return self._part(
+            Implies(left.formula, right.formula, span=span), ("->", left.key, right.key), (left, right), growth
+        )
+
+    def iff(self, left: _Part, right: _Part, span: Span | None) -> _Part:
+        for one, other in ((left, right), (right, left)):
+            if isinstance(one.formula, Constant):
+                return other if one.formula.value else self.negate(other)
+        if left.crisp and right.crisp:
+            if left.key == right.key:
+                return self.constant(True, span)
+            if self.negate(left).key == right.key:
+                return self.constant(False, span)
+        if left.growth + right.growth < 0:
+            return self.iff(self.negate(left), self.negate(right), span)
+        key = ("<->", *sorted((left.key, right.key)))
+        growth = min(left.growth, right.growth)
+        return self._part(Iff(left.formula, right.formula, span=span), key, (left, right), growth)
+
+    def junction(self, kind: _Junction, parts: Iterable[_Part], span: Span | None) -> _Part:
+        """And or Or of any number of parts."""
+        neutral = kind is And
+        rest = list(parts)
+        while True:
+            flat: dict[int, _Part] = {}
+            for part in rest:
+                for piece in part.operands if isinstance(part.formula, kind) else (part,):
+                    if isinstance(piece.formula, Constant):
+                        if piece.formula.value != neutral:
+                            return piece
+                    else:
+                        flat.setdefault(piece.key, piece)
+            rest = self._joined(kind, flat)
+            if len(rest) == len(flat):
+                break
+        if any(part.crisp and self.negate(part).key in flat for part in rest):
+            return self.constant(not neutral, span)
+        dual = Or if kind is And else And
+        rest = [p for p in rest if not (isinstance(p.formula, dual) and any(q.key in flat for q in p.operands))]
+        if len(rest) < 2:
+            return rest[0] if rest else self.constant(neutral, span)
+        key = (kind, *sorted(part.key for part in rest))
+        growth = sum(part.growth for part in rest)
+        return self._part(kind(tuple([part.formula for part in rest]), span=span), key, rest, growth)
+
+    # ------------------------------------------------------------------------------------------ windows
+
+    def window(self, kind: _Window, interval: Interval, x: _Part, span: Span | None) -> _Part:
+        """F or G of a part."""
+        phi = x.formula
+        a, b = interval.a, interval.b
+        if isinstance(phi, Constant) and (phi.value == (kind is Always) or a == 0 or not self.cut):
+            return x  # an empty window, which only `cut` knows, is false for F and true for G
+        if b == 0:
+            return x
+        if isinstance(phi, Eventually | Always) and self._adds_up(kind, interval, phi):
+            inner = phi.interval
+            kind = kind if isinstance(phi, kind) or self._is_step(inner) else type(phi)
+            b = None if b is None or inner.b is None else b + inner.b
+            return self.window(kind, Interval(a + inner.a, b), x.operands[0], span)
+        if self._is_step(interval):
+            kind = Eventually  # F[k,k] and G[k,k] are the same: one spelling
+        return self._part(kind(interval, phi, span=span), (kind, a, b, x.key), (x,), x.growth)
+
+    def _adds_up(self, kind: _Window, outer: Interval, phi: Eventually | Always) -> bool:
+        return isinstance(phi, kind) or self._is_step(outer) or self._is_step(phi.interval)
+
+    def _is_step(self, interval: Interval) -> bool:
+        """Whether F and G agree on it: one step that is there."""
+        return interval.a == interval.b and not self.cut
+
+    def until(self, interval: Interval, left: _Part, right: _Part, span: Span | None) -> _Part:
+        a, b = interval.a, interval.b
+        if b == 0 or (isinstance(right.formula, Constant) and (a == 0 or not right.formula.value)):
+            return right
+        if isinstance(left.formula, Constant):
+            if left.formula.value:
+                return self.window(Eventually, interval, right, span)
+            return right if a == 0 else left
+        if isinstance(right.formula, Constant) and not self.cut:  # true, at step a at the earliest
+            return self.window(Always, Interval(0, a - 1), left, span)
+        if left.key == right.key and (a == 0 or not self.cut):
+            return self.window(Always, Interval(0, a), left, span)
+        return self._part(
+            Until(interval, left.formula, right.formula, span=span),
+            (Until, a, b, left.key, right.key),
+            (left, right),
+            growth=1,
+        )
+
+    def _joined(self, kind: _Junction, flat: dict[int, _Part]) -> list[_Part]:
+        """The operands of an And (an Or) with windows joined: fewer of them, or the same.
+
+        Under And: G of one operand join where they touch, F of one operand go where another operand implies them, G of
+        equal windows join; under Or dually. An operand that also stands bare is its own window [0,0].
+        """
+        own: _Window = Always if kind is And else Eventually
+        groups: dict[int, list[_Part]] = {}
+        for part in flat.values():
+            if isinstance(part.formula, Eventually | Always):
+                groups.setdefault(part.operands[0].key, []).append(part)
+        rest = dict(flat)  # key → what stands in that operand's place now
+        for operand, parts in groups.items():
+            if operand in flat:
+                parts.insert(0, flat[operand])
+            parts = [part for part in parts if rest.get(part.key) is part]
+            if len(parts) > 1:
+                self._join_windows(own, operand, parts, rest)
+        equal: dict[Interval, list[_Part]] = {}
+        for key, part in rest.items():
+            if key == part.key and isinstance(part.formula, Eventually | Always) and self._is_own(own, part.formula):
+                equal.setdefault(part.formula.interval, []).append(part)
+        for interval, parts in equal.items():
+            if len(parts) > 1:
+                span = parts[0].formula.span
+                inner = self.junction(kind, [part.operands[0] for part in parts], span)
+                _replace(rest, parts, self.window(own, interval, inner, span))
+        return list(rest.values())
+
+    def _is_own(self, own: _Window, phi: Eventually | Always) -> bool:
+        return isinstance(phi, own) or self._is_step(phi.interval)
+
+    def _join_windows(self, own: _Window, operand: int, parts: list[_Part], rest: dict[int, _Part]) -> None:
+        """Windows of one operand, in place in `rest`."""
+        runs: list[tuple[int, float, list[_Part]]] = []  # windows of `own`, joined where they touch
+        others: list[tuple[int, float, _Part]] = []
+        for a, b, part in sorted(((*_ends(part, operand), part) for part in parts), key=lambda window: window[:2]):
+            phi = part.formula
+            if part.key != operand and isinstance(phi, Eventually | Always) and not self._is_own(own, phi):
+                others.append((a, b, part))
+            elif runs and a <= runs[-1][1] + 1:
+                start, end, joined = runs[-1]
+                joined.append(part)
+                runs[-1] = (start, max(end, b), joined)
+            else:
+                runs.append((a, b, [part]))
+        inside: float | None = None  # the earliest end among those that start later
+        for a, b, part in sorted(others, key=lambda window: (-window[0], window[1])):  # what is inside comes first
+            before = bisect.bisect_right(runs, b, key=lambda run: run[0]) - 1
+            meets = before >= 0 and runs[before][1] >= a
+            if self.cut:  # a G implies an F by a step that is there, which only step 0 is sure to be
+                meets = meets and a == 0 == runs[0][0]
+            if meets or (inside is not None and inside <= b):
+                del rest[part.key]
+            inside = b if inside is None else min(inside, b)
+        for start, end, joined in runs:
+            if len(joined) > 1:
+                x = joined[0] if joined[0].key == operand else joined[0].operands[0]
+                interval = Interval(start, None if end == math.inf else int(end))
+                _replace(rest, joined, self.window(own, interval, x, joined[0].formula.span))
+
+
+def _ends(part: _Part, operand: int) -> tuple[int, float]:
+    """The first and the last step of a window; [0,0] for the operand itself."""
+    phi = part.formula
+    if part.key == operand or not isinstance(phi, Eventually | Always):
+        return 0, 0
+    return phi.interval.a, math.inf if phi.interval.b is None else phi.interval.b
+
+
+def _replace(rest: dict[int, _Part], parts: Sequence[_Part], new: _Part) -> None:
+    """`new` in the place of the first of `parts`, and the others gone."""
+    rest[parts[0].key] = new
+    for part in parts[1:]:
+        del rest[part.key]

@@ -1,0 +1,412 @@
+"""Text → the trees of its statements, with every fault told in words: the only module that imports lark.
+
+A text is cut into tokens, tokens into statements, and each statement parsed by itself: `name :=` and the first words of
+the other lines stand nowhere else, so a fault in one statement says nothing about the next one, and all of them are
+reported together. No character is dropped: what the grammar has no token for is a fault at that place.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import pairwise
+from typing import TypeAlias, cast
+
+from lark import Lark, Tree
+from lark import Token as Token  # the builder and the formatter read tokens too
+from lark.exceptions import UnexpectedInput, UnexpectedToken
+from lark.parsers.lalr_interactive_parser import InteractiveParser
+
+from stltool.errors import StlSyntaxError
+from stltool.logic.grammar import grammar_text
+from stltool.logic.source import Source, Span
+
+Branch: TypeAlias = Tree[Token]
+
+LONGEST_TEXT = 2_000_000  # characters; a task file is a page, and a trace given for one should not fill memory
+_MOST_FAULTS = 20
+_EQUAL_HINT = "write == to compare, := to define"
+_TEMPORAL = ("_EVENTUALLY", "_ALWAYS", "_UNTIL")
+_TEMPORAL_WORDS = ("always", "globally", "eventually", "finally", "until")
+WORDS = (*_TEMPORAL_WORDS, "true", "false", "and", "or", "not", "xor", "implies", "iff")
+_LINE_WORDS = {"_MODEL": "model", "_PARAM": "param", "_SIGNAL": "signal", "_STEP": "step"}
+
+# Operators of other tools that have no place here, and what to write.
+_PAST = "{word} looks back; formulas look ahead: once[0,5] a, judged at t + 5, is F[0,5] a judged at t"
+_NEXT = "there is no {word}: the next step is F[1,1] a"
+_RELEASE = "there is no {word}: a R[0,5] b is !(!a U[0,5] !b)"
+_ELSEWHERE = {
+    **dict.fromkeys(("once", "historically", "since", "prev", "previous", "rise", "fall"), _PAST),
+    **dict.fromkeys(("next", "X"), _NEXT),
+    **dict.fromkeys(("release", "R", "releases"), _RELEASE),
+    "pow": "there is no {word}: write a^b",
+    "exp": "there is no {word}; record it as a signal of its own (abs, min, max, sqrt are known)",
+}
+
+# What the parser expected, in words. A test holds that every terminal of the grammar stands here.
+_OPERATORS = (
+    "_IFF",
+    "_XOR",
+    "_IMPLIES",
+    "_OR",
+    "_AND",
+    "_UNTIL",
+    "COMPARATOR",
+    "PLUS",
+    "MINUS",
+    "TIMES",
+    "DIVIDE",
+    "POWER",
+)
+_TERM_STARTS = ("NAME", "NUMBER", "TIME", "FUNCTION", "LPAR", "MINUS")
+_FORMULA_STARTS = (*_TERM_STARTS, "TRUE", "FALSE", "_NOT", "_EVENTUALLY", "_ALWAYS")
+TERMINAL_WORDS = {
+    **dict.fromkeys(_OPERATORS, "an operator"),
+    **dict.fromkeys(_FORMULA_STARTS, "a formula"),
+    "NAME": "a name",
+    "NUMBER": "a number",
+    "TIME": "a time",
+    "FUNCTION": "a function",
+    "LPAR": "'('",
+    "MINUS": "'-'",
+    "RPAR": "')'",
+    "LSQB": "'['",
+    "RSQB": "']'",
+    "COMMA": "','",
+    "COLON": "':'",
+    "_DOTS": "'..'",
+    "ASSIGN": "':='",
+    "EQUAL": "'='",
+    "SEMICOLON": "';'",
+    "STRING": 'a file name in quotes ("floor.toml")',
+    **{terminal: f"a {word} line" for terminal, word in _LINE_WORDS.items()},
+    "COMMENT": "a comment",
+    "$END": "the end",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Comment:
+    """A comment, its mark included: the characters `start … end-1`."""
+
+    start: int
+    end: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A message, ready to print, about the place `start`; `names` are what the faulty statement would define."""
+
+    start: int
+    message: str
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """A text, read: a tree a statement (or the tree of one formula), comments, names, and what is wrong with it."""
+
+    source: Source
+    trees: tuple[Branch, ...]
+    comments: tuple[Comment, ...]
+    names: frozenset[str]
+    faults: tuple[Fault, ...]
+
+
+def branches(tree: Branch) -> list[Branch]:
+    """A tree's children, where they are trees."""
+    return cast(list[Branch], tree.children)
+
+
+def bare(tree: Branch) -> Branch:
+    """A tree without the parentheses around it."""
+    while tree.data == "parentheses":
+        tree = branches(tree)[0]
+    return tree
+
+
+@cache
+def _lark() -> Lark:
+    # the basic lexer: a word means the same wherever it stands
+    return Lark(
+        grammar_text("stl.lark"),
+        parser="lalr",
+        lexer="basic",
+        start=["statement", "formula"],
+        propagate_positions=True,
+        maybe_placeholders=False,
+    )
+
+
+def read(source: Source, start: str) -> Document:
+    """The trees of a task file (`start` "task") or of one formula ("formula")."""
+    if len(source.text) > LONGEST_TEXT:
+        raise StlSyntaxError(
+            f"{source.name}: the text has {len(source.text)} characters; at most {LONGEST_TEXT} are read: a task file "
+            "is a page, a trace is a file of its own"
+        )
+    if start == "formula" and not source.text.strip():
+        raise StlSyntaxError(f"{source.name}: the text is empty; write a formula such as F[0,10] A")
+    tokens, foreign = _tokens(source)
+    broken = {fault.start for fault in foreign}
+    trees, faults = [], list(foreign)
+    pieces = _statements(tokens) if start == "task" else [tokens]
+    for piece, begin, end in _places(pieces, len(source.text)):
+        if any(begin <= place < end for place in broken):
+            faults = [replace(f, names=_defined(piece)) if begin <= f.start < end else f for f in faults]
+            continue  # what a foreign character hides is anybody's guess
+        result = _parse(source, "statement" if start == "task" else start, piece)
+        if isinstance(result, Fault):
+            faults.append(result)
+        else:
+            trees.append(result)
+    faults.sort(key=lambda fault: fault.start)
+    names = frozenset(str(token) for token in tokens if token.type == "NAME")
+    return Document(source, tuple(trees), tuple(_comments(source, tokens, broken)), names, tuple(faults))
+
+
+def refuse(faults: Sequence[Fault]) -> None:
+    """StlSyntaxError with all faults, in the order of the text, if there are any."""
+    if not faults:
+        return
+    shown = [fault.message for fault in sorted(faults, key=lambda fault: fault.start)[:_MOST_FAULTS]]
+    if len(faults) > 1:
+        more = f"; the first {len(shown)} are shown" if len(faults) > len(shown) else ""
+        shown.append(f"{len(faults)} errors{more}")
+    raise StlSyntaxError("\n".join(shown))
+
+
+# --------------------------------------------------------------------------------------------------- tokens
+
+
+def _tokens(source: Source) -> tuple[list[Token], list[Fault]]:
+    """All tokens, and a fault for every character that no token begins with."""
+    tokens: list[Token] = []
+    faults: list[Fault] = []
+    offset = 0
+    while True:
+        try:
+            for token in _lark().lex(source.text[offset:] if offset else source.text):
+                tokens.append(_shifted(token, offset) if offset else token)
+        except UnexpectedInput as error:
+            place = offset + (error.pos_in_stream or 0)
+            faults.append(Fault(place, _foreign(source, place)))
+            offset = place + len(_glued(source.text, place))
+            if len(faults) < _MOST_FAULTS:
+                continue
+        return tokens, faults
+
+
+def _shifted(token: Token, offset: int) -> Token:
+    start, end = cast(int, token.start_pos), cast(int, token.end_pos)
+    return Token(token.type, token.value, start_pos=start + offset, end_pos=end + offset)
+
+
+def _glued(text: str, place: int) -> str:
+    """What stands at a place that no token begins at: a number with letters behind it, or one character."""
+    found = re.compile(r"\.*\w+|\.+").match(text, place)
+    return found.group() if found else text[place]
+
+
+def _foreign(source: Source, place: int) -> str:
+    character = source.text[place]
+    shown = repr(character) if character.isprintable() else f"U+{ord(character):04X}"
+    before = source.text[:place].rpartition("\n")[2]
+    if character == '"':
+        message = 'a file name ends with a quote, on the line it begins on: model "floor.toml"'
+    elif character in "²³":
+        message = f"write ^{'2' if character == '²' else '3'} for a power"
+    elif before.split()[:1] == ["model"] or character == "'":
+        message = 'a file name stands in double quotes, on a model line: model "floor.toml"'
+    elif character == "." and re.search(r"[A-Za-z_]\w*$", before):
+        message = "names have no dots; write for example car_speed for car.speed"
+    elif character.isalpha():
+        message = f"{shown} has no place in a name; names have letters a to z, digits and _"
+    elif character == ".":
+        message = "dots stand in numbers such as 0.5 and in intervals such as [0..5]"
+    elif not character.isascii() and character.isnumeric():
+        message = f"{shown} is no digit here; digits are 0 to 9"
+    elif character.isdigit():
+        message = "this number is glued to letters; put an operator or a space between"
+    elif character == "=":
+        message = f"'=' cannot stand here; {_EQUAL_HINT}"
+    elif character == "%":
+        message = "'%' has no meaning here; comments begin with # or //"
+    else:
+        message = f"the character {shown} has no meaning here; remove it or spell the operator in words"
+    return Span(source, place, place + 1).show(message)
+
+
+def _comments(source: Source, tokens: Sequence[Token], broken: set[int]) -> Iterator[Comment]:
+    """Between tokens there are only spaces, comments and characters that are faults already."""
+    text, start = source.text, 0
+    for token in [*tokens, None]:
+        stop = len(text) if token is None else cast(int, token.start_pos)
+        gap = text[start:stop]
+        if not gap.isspace() and not any(start <= place < stop for place in broken):
+            for found in re.finditer(r"#[^\r\n]*|//[^\r\n]*", gap):
+                yield Comment(start + found.start(), start + found.end(), found.group())
+        start = stop if token is None else cast(int, token.end_pos)
+
+
+def _statements(tokens: list[Token]) -> list[list[Token]]:
+    """The tokens of each statement."""
+    starts = [i for i, token in enumerate(tokens) if i == 0 or token.type in _LINE_WORDS or _defines(tokens, i)]
+    return [tokens[i:j] for i, j in pairwise([*starts, len(tokens)])]
+
+
+def _places(pieces: Sequence[list[Token]], length: int) -> Iterator[tuple[list[Token], int, int]]:
+    """Each piece with the places that belong to it: from its first token to the next piece, all of them together."""
+    starts = [0, *(cast(int, piece[0].start_pos) for piece in pieces[1:]), length + 1]
+    return zip(pieces, starts, starts[1:], strict=False)
+
+
+def _defines(tokens: Sequence[Token], i: int) -> bool:
+    follows = i + 1 < len(tokens) and tokens[i + 1].type == "ASSIGN"
+    return tokens[i].type == "NAME" and follows and (i == 0 or tokens[i - 1].type != "_PARAM")
+
+
+def _defined(tokens: Sequence[Token]) -> tuple[str, ...]:
+    """What a statement defines, as far as its tokens tell."""
+    marks = ("ASSIGN", "EQUAL")
+    if tokens and tokens[0].type == "_PARAM":
+        return tuple(str(t) for b, t in pairwise(tokens) if t.type == "NAME" and b.type in ("_PARAM", "COMMA"))
+    return tuple(str(t) for t, n in pairwise(tokens) if t.type == "NAME" and n.type in marks)
+
+
+# --------------------------------------------------------------------------------------------------- statements
+
+
+def _parse(source: Source, start: str, tokens: list[Token]) -> Branch | Fault:
+    machine = _lark().parse_interactive(start=start)
+    for i, token in enumerate(tokens):
+        try:
+            if token.type == "_ALWAYS" and i and _empty_interval(tokens[i - 1], token):
+                message = f"{tokens[i - 1]}[] could be an empty interval or two operators; write F[0,10] a, or F (G a)"
+                return Fault(cast(int, token.start_pos), _span(source, token).show(message), _defined(tokens))
+            machine.feed_token(token)
+        except UnexpectedToken:
+            return Fault(cast(int, token.start_pos), _unexpected(source, machine, tokens, i), _defined(tokens))
+    try:
+        return cast(Branch, machine.feed_eof(tokens[-1] if tokens else None))  # type: ignore[no-untyped-call]
+    except UnexpectedToken:
+        place = cast(int, tokens[-1].end_pos) if tokens else 0
+        return Fault(place, _unexpected(source, machine, tokens, len(tokens)), _defined(tokens))
+
+
+def _empty_interval(before: Token, token: Token) -> bool:
+    word = str(before).rstrip("_")[-1:].isalpha() or str(before).endswith("_")
+    return before.type in _TEMPORAL and word and str(token) == "[]" and _touch(before, token)
+
+
+def _touch(before: Token, after: Token) -> bool:
+    return before.end_pos == after.start_pos
+
+
+def _span(source: Source, token: Token) -> Span:
+    return Span(source, cast(int, token.start_pos), cast(int, token.end_pos))
+
+
+def _unexpected(source: Source, machine: InteractiveParser, tokens: Sequence[Token], i: int) -> str:
+    """What stands at token i, what was expected, and what to write instead."""
+    accepts = cast(set[str], machine.accepts())  # type: ignore[no-untyped-call]
+    accepted = {name for name in accepts if name in TERMINAL_WORDS} or {"$END"}
+    if i < len(tokens):
+        token = tokens[i]
+        hint = _hint(tokens, i, accepted)
+        return _span(source, token).show(
+            f"{str(token)!r} cannot stand here; {hint or 'expected ' + _expected(accepted)}"
+        )
+    place = cast(int, tokens[-1].end_pos) if tokens else 0
+    whole = not source.text[place:].strip() or machine.parser_state.parse_conf.start == "formula"
+    found = "the text ends here" if whole else "the statement ends here"
+    hint = _hint(tokens, i, accepted)
+    return Span(source, place, place + 1).show(f"{found}; {hint or 'expected ' + _expected(accepted)}")
+
+
+def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
+    """What to write instead, for the slips that people make."""
+    token = tokens[i] if i < len(tokens) else None
+    kind = token.type if token is not None else "$END"
+    before = tokens[i - 1] if i else None
+    last = before.type if before is not None else ""
+    opened = _open_bracket(tokens, i)
+    if kind in ("COMMA", "COLON", "_DOTS") and opened > 0 and tokens[opened].type == "LSQB":
+        word = tokens[opened - 1]
+        if word.type == "NAME":
+            close = difflib.get_close_matches(str(word).rstrip("_"), _TEMPORAL_WORDS, n=1, cutoff=0.7)
+            known = f"did you mean {close[0]}?" if close else "F, G, U and their words are"
+            return _elsewhere(word) or f"{word} is not an operator that takes an interval; {known}"
+    if opened > 0 and tokens[opened - 1].type in _TEMPORAL and "_DOTS" in accepted:
+        return "the interval needs two bounds in whole steps, such as F[0,10]"
+    if kind == "ASSIGN" and tokens[0].type == "_PARAM":
+        return f"a param is given with =: param {before} = 5"
+    if kind == "EQUAL":
+        return f"write {before} without the second =" if last == "COMPARATOR" else _EQUAL_HINT
+    if kind in ("COMPARATOR", "EQUAL") and str(before) in ("~", "<>"):
+        return "write != for unequal"
+    if kind == "_UNTIL" and "_AND" in accepted:
+        return "until does not chain; put parentheses around one of them"
+    if kind == "_DOTS" or (kind == "TIME" and last == "NAME"):
+        return None
+    for near in (before, token):
+        if near is not None and near.type == "NAME" and (other := _elsewhere(near)) is not None:
+            return other
+    if i == 1 and last == "NAME":
+        close = difflib.get_close_matches(str(before), list(_LINE_WORDS.values()), n=1, cutoff=0.7)
+        if close:
+            return f"did you mean {close[0]}?"
+    if kind == "STRING":
+        return 'a file name in quotes stands on a model line only: model "floor.toml"'
+    for near in (before, token):
+        if near is not None and near.type == "NAME" and str(near).lower() in WORDS:
+            return f"words are in small letters: write {str(near).lower()}"
+    if last == "NAME" and kind == "LPAR":
+        return f"{before} is not a function (abs, min, max, sqrt are); put an operator before '('"
+    if kind == "NAME" and i + 1 < len(tokens) and tokens[i + 1].type == "EQUAL":
+        return f"write {token} := … to define it, or param {token} = … for a number"
+    if kind in ("NAME", "NUMBER", "TIME") and last in ("NAME", "NUMBER", "TIME", "RPAR", "RSQB"):
+        return f"expected an operator between {str(before)!r} and {str(token)!r}"
+    if kind in ("_EVENTUALLY", "_ALWAYS", "_NOT") and "_AND" in accepted:
+        return f"expected an operator before {str(token)!r}"
+    if kind == "LSQB" and last in ("NUMBER", "RPAR", "RSQB"):
+        return "an interval stands right behind its operator, such as F[0,10]"
+    return None
+
+
+def _open_bracket(tokens: Sequence[Token], i: int) -> int:
+    """The last bracket or parenthesis before token i that is still open, or −1."""
+    depth = 0
+    for k in range(min(i, len(tokens)) - 1, -1, -1):
+        if tokens[k].type in ("RPAR", "RSQB"):
+            depth += 1
+        elif tokens[k].type in ("LPAR", "LSQB"):
+            if depth == 0:
+                return k
+            depth -= 1
+    return -1
+
+
+def _elsewhere(word: Token) -> str | None:
+    known = _ELSEWHERE.get(str(word).rstrip("_"))
+    return known.format(word=word) if known is not None else None
+
+
+def _expected(accepted: set[str]) -> str:
+    words: list[str] = []
+    rest = set(accepted)
+    if rest.issuperset(_LINE_WORDS):
+        rest -= {*_LINE_WORDS, "NAME", "SEMICOLON"}
+        words.append("the next line (model, param, signal, step or name := formula)")
+    if rest.issuperset(_FORMULA_STARTS):
+        rest -= set(_FORMULA_STARTS)
+        words.append("a formula")
+    elif rest.issuperset(_TERM_STARTS):
+        rest -= set(_FORMULA_STARTS)
+        words.append("a number, a signal or an arithmetic expression")
+    words += sorted({TERMINAL_WORDS[terminal] for terminal in rest})
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"

@@ -1,0 +1,364 @@
+"""A trace file → signals: CSV, NumPy's .npz, Parquet, by the file's ending.
+
+    load_trace("log.csv")  →  {"x": float64 (n_steps,), "door": bool (n_steps,), …}
+
+A CSV file is read twice over. The fast reader, `numpy.loadtxt`, is trusted with files in which every line break ends a
+row and every separator ends a cell, and only where it finds nothing to object to. Everything else goes to the slow
+reader, which accepts the same files and knows the line, the column and the text of what is wrong.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import mmap
+import zipfile
+import zlib
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.errors import FileError, NameLookupError, TraceError, near_misses
+from stltool.sizes import require_memory
+
+Signals: TypeAlias = dict[str, NDArray[Any]]
+
+_SEPARATORS = {",": "a comma", ";": "a semicolon", "\t": "a tab"}
+_TRUTH = {"true": True, "false": False}
+_LONGEST_LINE = 1 << 20  # characters of a header; a longer one is no header
+_SAMPLE = 1 << 16  # bytes that tell how long a file's lines are
+_LABEL_WIDTH = 8  # bytes of a label's cell that the fast reader keeps
+_COPIES = 2.5  # of the table, at most, while it is read
+_REMEDY = "give a shorter part of the trace, or name fewer signals"
+
+
+def load_trace(path: str | Path, names: Iterable[str] | None = None) -> Signals:
+    """The signals of a trace file: name → array (n_steps,) of numbers or Booleans; of an .npz also (n_traces, n_steps).
+
+    The ending says what it is: `.csv` or `.tsv` (a line of names, then a row a step; cells are numbers, which become
+    doubles, or true and false), `.npz` (an array a signal) or `.parquet` (a column a signal; needs pyarrow). With
+    `names` only those signals are read, and what else the file holds need not be numbers. Raises FileError where the
+    file is not what its ending says, TraceError with the place where its content is no trace, NameLookupError where a
+    name is missing, SizeError before memory is taken that there is not.
+    """
+    path = Path(path)
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise FileError(f"{path}: a trace is read from {', '.join(_READERS)} files; name one of them")
+    if not path.exists():
+        raise FileError(f"{path}: there is no such trace file")
+    if not path.is_file():
+        raise FileError(f"{path}: this trace file cannot be read: it is not a regular file")
+    return reader(path, None if names is None else list(dict.fromkeys(names)))
+
+
+def _chosen(path: Path, known: Sequence[str], names: Sequence[str] | None, what: str) -> list[str]:
+    """The names to read: all that are there, or those asked for."""
+    for name in names or ():
+        if name not in known:
+            raise NameLookupError(f"{path}: there is no {what} {name}; {near_misses(name, known)}")
+    return list(known if names is None else names)
+
+
+@contextmanager
+def _faults(path: Path, what: str, *kinds: type[Exception]) -> Iterator[None]:
+    """What the system and a format's library find wrong, as a FileError."""
+    caught: tuple[type[Exception], ...] = (OSError, *kinds)
+    try:
+        yield
+    except caught as fault:
+        told = fault.strerror if isinstance(fault, OSError) and fault.strerror else str(fault).partition("\n")[0]
+        raise FileError(f"{path}: cannot be read as {what}: {told or type(fault).__name__}") from None
+
+
+# ------------------------------------------------------------------------------------------------------------- CSV
+
+
+@dataclass(frozen=True)
+class _Table:
+    """What the first two lines of a CSV file say."""
+
+    path: Path
+    separator: str
+    header: list[str]
+    body: int  # the byte after the header line, at most
+    labels: frozenset[str]  # the columns whose first cell is true or false
+
+
+def _read_csv(path: Path, names: list[str] | None) -> Signals:
+    with _faults(path, "CSV"):
+        table = _csv_table(path)
+        wanted = _chosen(path, table.header, names, "column")
+        if _is_plain(table, wanted):
+            signals = _read_fast(table, wanted)
+            if signals is not None:
+                return signals
+        return _read_slowly(table, wanted)
+
+
+def _csv_table(path: Path) -> _Table:
+    with _opened(path) as file:
+        line = file.readline(_LONGEST_LINE).removeprefix("\ufeff")
+        if "\0" in line:
+            raise FileError(f"{path}: not a CSV file: it holds binary data (a zero byte in line 1)")
+        bad = next((ord(c) & 0xFF for c in line if "\udc80" <= c <= "\udcff"), None)
+        if bad is not None:
+            raise FileError(f"{path}: not a CSV file: byte {bad:#04x} in line 1 is not UTF-8 text; save it as UTF-8")
+        if len(line) == _LONGEST_LINE:
+            raise FileError(f"{path}: not a CSV file: line 1 has over a million characters; line 1 names the signals")
+        if not line.strip():
+            what = "line 1 is empty" if line else "the file is empty"
+            raise TraceError(f"{path}: {what}; line 1 names the signals, such as: t,x,door")
+        separator, header = _csv_header(path, line)
+        first = next((row for _, row in _rows(path, file, separator, 1)), None)
+    if first is None:
+        raise TraceError(f"{path}: no data below the header; write a row a step")
+    labels = frozenset(name for name, cell in zip(header, first, strict=False) if cell.strip().lower() in _TRUTH)
+    return _Table(path, separator, header, len(line.encode()), labels)
+
+
+def _csv_header(path: Path, line: str) -> tuple[str, list[str]]:
+    """The separator and the names that the first line says."""
+    where = f"{path}, line 1"
+    pieces = line.split('"')
+    if len(pieces) % 2 == 0:
+        raise TraceError(f"{where}: a quote is not closed in this line of names")
+    outside = "".join(pieces[::2])
+    separators = [separator for separator in _SEPARATORS if separator in outside.strip("\r\n")]
+    if len(separators) > 1:
+        found = " and ".join(_SEPARATORS[separator] for separator in separators)
+        raise TraceError(
+            f"{where}: {found} could both separate the names; use one, and put names with another in quotes"
+        )
+    separator = separators[0] if separators else ","
+    header = [name.strip() for name in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
+    for number, name in enumerate(header, start=1):
+        if not name:
+            raise TraceError(f"{where}: column {number} has no name; every column needs one")
+        if name in header[: number - 1]:
+            raise TraceError(f"{where}: two columns are named {name}; every column needs a name of its own")
+        if _is_value(name):
+            raise TraceError(f"{where}: {name} stands where a name should; put a line with the columns' names on top")
+    return separator, header
+
+
+def _is_plain(table: _Table, wanted: Sequence[str]) -> bool:
+    """Whether lines are rows: no quotes, and no empty lines but at the end. SizeError where it would not fit."""
+    with table.path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        zero = data.find(b"\0")
+        if zero >= 0:
+            raise FileError(f"{table.path}: not a CSV file: it holds binary data (a zero byte at offset {zero})")
+        sample = data[:_SAMPLE]
+        rows = len(data) * (sample.count(b"\n") or sample.count(b"\r")) / len(sample)
+        width = np.dtype(_cell_types(table, wanted)).itemsize
+        require_memory(rows * width * _COPIES, f"{table.path}, some {rows:.3g} rows,", _REMEDY)
+        start = table.body + 3 * data[:3].startswith(b"\xef\xbb\xbf")
+        if data.find(b'"', start) >= 0:
+            return False
+        gaps = [place for place in (data.find(gap, start) for gap in (b"\n\n", b"\n\r", b"\r\r")) if place >= 0]
+        return not gaps or not data[min(gaps) :].strip()
+
+
+def _cell_types(table: _Table, wanted: Sequence[str]) -> list[tuple[str, str]]:
+    """What the fast reader makes of each column; of what nobody asked for it keeps a byte."""
+    return [
+        (f"{i}", "S1" if name not in wanted else f"S{_LABEL_WIDTH}" if name in table.labels else "f8")
+        for i, name in enumerate(table.header)
+    ]
+
+
+def _read_fast(table: _Table, wanted: Sequence[str]) -> Signals | None:
+    """The columns by numpy.loadtxt; None where it, or the text of a label, needs a closer look."""
+    try:
+        cells = np.loadtxt(
+            table.path, dtype=_cell_types(table, wanted), delimiter=table.separator, skiprows=1, comments=None,
+            encoding="utf-8", ndmin=1,
+        )  # fmt: skip
+    except ValueError:
+        return None
+    signals: Signals = {}
+    for name in wanted:
+        column = cells[str(table.header.index(name))]
+        if name in table.labels:
+            texts, which = np.unique(column, return_inverse=True)
+            if any(len(text) == _LABEL_WIDTH for text in texts.tolist()):
+                return None  # more may have stood there than was kept
+            truths = [_TRUTH.get(text.decode("latin-1").strip().lower()) for text in texts.tolist()]
+            if None in truths:
+                return None
+            signals[name] = np.array(truths, dtype=np.bool_)[which]
+        else:
+            signals[name] = np.ascontiguousarray(column)
+    return signals
+
+
+def _read_slowly(table: _Table, wanted: Sequence[str]) -> Signals:
+    """The columns cell by cell: what is wrong is told with its line and its column."""
+    places = [(table.header.index(name), name, name in table.labels) for name in wanted]
+    columns: dict[str, array[Any]] = {name: array("b" if name in table.labels else "d") for name in wanted}
+    with _opened(table.path) as file:
+        file.readline()
+        for line, row in _rows(table.path, file, table.separator, 1):
+            if len(row) != len(table.header):
+                raise TraceError(
+                    f"{table.path}, line {line}: {_count(len(row), 'cell')} where the header names "
+                    f"{_count(len(table.header), 'column')}"
+                )
+            for i, name, label in places:
+                value = _truth(row[i]) if label else _number(row[i])
+                if value is None:
+                    raise TraceError(f"{table.path}, line {line}, column {name}: {_objection(row[i], label)}")
+                columns[name].append(value)
+    return {
+        name: np.frombuffer(column, np.bool_ if name in table.labels else np.float64).copy()
+        for name, column in columns.items()
+    }
+
+
+def _rows(path: Path, file: IO[str], separator: str, before: int) -> Iterator[tuple[int, list[str]]]:
+    """The rows, each with the line that it ends on; empty lines are none at the end, and an error elsewhere."""
+    reader = csv.reader(file, delimiter=separator, skipinitialspace=True, strict=True)
+    empty = None
+    while True:
+        try:
+            row = next(reader)
+        except StopIteration:
+            return
+        except csv.Error as fault:
+            raise TraceError(f"{path}, line {reader.line_num + before}: {fault}; close every quote") from None
+        line = reader.line_num + before
+        if not row or (len(row) == 1 and not row[0].strip()):
+            empty = line if empty is None else empty
+            continue
+        if empty is not None:
+            raise TraceError(f"{path}, line {empty}: an empty line among the rows; every step needs its row")
+        yield line, row
+
+
+def _opened(path: Path) -> IO[str]:
+    """The text; what is not UTF-8 is kept as lone surrogates, which harm nobody in a column that nobody asks for."""
+    return path.open(encoding="utf-8", errors="surrogateescape", newline="")
+
+
+def _number(text: str) -> float | None:
+    text = text.strip()
+    try:
+        return float(text) if text.isascii() and "_" not in text else None
+    except ValueError:
+        return None
+
+
+def _truth(text: str) -> bool | None:
+    return _TRUTH.get(text.strip().lower())
+
+
+def _is_value(text: str) -> bool:
+    return _truth(text) is not None or _number(text) is not None
+
+
+def _objection(text: str, label: bool) -> str:
+    """What is wrong with a cell, and what to write."""
+    shown = text.strip()
+    shown = repr(shown if len(shown) <= 40 else shown[:40] + "…")
+    if not text.strip():
+        return "an empty cell; every step needs a value"
+    if label:
+        return f"{shown} is neither true nor false, as the cells above are"
+    if _truth(text) is not None:
+        return f"{shown} is no number, as the cells above are; write 1 or 0"
+    comma = _number(text.replace(",", ".", 1)) is not None
+    return f"{shown} is no number" + ("; write it with a decimal point" if comma else "")
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'s'[: n != 1]}"
+
+
+# ------------------------------------------------------------------------------------------------------- npz, Parquet
+
+
+def _read_npz(path: Path, names: list[str] | None) -> Signals:
+    if not zipfile.is_zipfile(path):
+        raise FileError(f"{path}: not an .npz file, as numpy.savez writes")
+    broken = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, RuntimeError)
+    with _faults(path, "an .npz file", *broken), np.load(path, allow_pickle=False) as file:
+        wanted = _chosen(path, file.files, names, "array")
+        shapes: dict[str, tuple[int, ...]] = {}
+        taken = 0
+        for name in wanted:
+            shapes[name], dtype = _npy_header(path, file.zip, name)
+            where = f"{path}, array {name}"
+            if dtype.kind not in "biuf":
+                kind = "Python objects, which are not read" if dtype.kind == "O" else f"{dtype}"
+                raise TraceError(f"{where}: it holds {kind}; save numbers or Booleans")
+            if len(shapes[name]) not in (1, 2):
+                raise TraceError(f"{where}: its shape is {shapes[name]}; (n_steps,) or (n_traces, n_steps) is needed")
+            if 0 in shapes[name]:
+                raise TraceError(f"{where}: its shape is {shapes[name]}; it holds no sample")
+            if shapes[name] != shapes[wanted[0]]:
+                raise TraceError(
+                    f"{where}: its shape is {shapes[name]}, that of {wanted[0]} is {shapes[wanted[0]]}; "
+                    "a trace's signals have one shape"
+                )
+            taken += math.prod(shapes[name]) * dtype.itemsize
+        require_memory(taken, f"{path}", _REMEDY)
+        return {name: file[name] for name in wanted}
+
+
+def _npy_header(path: Path, archive: zipfile.ZipFile, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Shape and type of an array, before it is read."""
+    members = archive.namelist()
+    with archive.open(name if name in members else f"{name}.npy") as member:
+        version = np.lib.format.read_magic(member)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(member)
+    return shape, dtype
+
+
+def _read_parquet(path: Path, names: list[str] | None) -> Signals:
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError:
+        raise FileError(
+            f"{path}: Parquet needs pyarrow; pip install 'stltool[parquet]', or write the trace as .csv or .npz"
+        ) from None
+    with _faults(path, "a Parquet file", pa.ArrowException), parquet.ParquetFile(path) as file:
+        schema, rows = file.schema_arrow, file.metadata.num_rows
+        for name, count in zip(*np.unique(schema.names, return_counts=True), strict=True):
+            if count > 1:
+                raise TraceError(f"{path}: two columns are named {name}; every column needs a name of its own")
+        wanted = _chosen(path, schema.names, names, "column")
+        if not rows:
+            raise TraceError(f"{path}: it holds no row; a trace has a row a step")
+        for name in wanted:
+            kind = schema.field(name).type
+            if not (pa.types.is_boolean(kind) or _is_numeric(pa, kind)):
+                raise TraceError(f"{path}, column {name}: it holds {kind}; numbers or Booleans are needed")
+        require_memory(rows * 8 * len(wanted) * _COPIES, f"{path}, {rows} rows,", _REMEDY)
+        return {name: _arrow_column(path, name, file.read(columns=[name]).column(name), pa) for name in wanted}
+
+
+def _is_numeric(pa: Any, kind: Any) -> bool:
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind))
+
+
+def _arrow_column(path: Path, name: str, column: Any, pa: Any) -> NDArray[Any]:
+    if column.null_count:
+        row = column.is_null().to_numpy().argmax()
+        raise TraceError(f"{path}, row {row + 1}, column {name}: no value; every step needs one")
+    if pa.types.is_decimal(column.type):
+        column = column.cast(pa.float64())
+    values: NDArray[Any] = column.to_numpy()
+    return values
+
+
+_READERS: dict[str, Callable[[Path, list[str] | None], Signals]] = {
+    ".csv": _read_csv, ".tsv": _read_csv, ".npz": _read_npz, ".parquet": _read_parquet,
+}  # fmt: skip

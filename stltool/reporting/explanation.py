@@ -1,0 +1,142 @@
+"""What a task says, as plain data: its tree and horizon, the paper's fragment, what it might be misread as, sizes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stltool.automata import TaskAutomaton, compile_automaton
+from stltool.automata.compile import Encoding
+from stltool.automata.vacuity import meaning
+from stltool.errors import FragmentError, SizeError
+from stltool.logic.formula import (
+    Always,
+    And,
+    Comparison,
+    Constant,
+    Eventually,
+    Formula,
+    Iff,
+    Implies,
+    Label,
+    Not,
+    Or,
+    Until,
+    children,
+    horizon,
+    is_bounded,
+)
+from stltool.logic.fragment import check_fragment
+from stltool.logic.task import Task
+from stltool.models import MDP
+from stltool.product import build_product
+from stltool.reporting.data import disagreement_data, encoding_sizes, part_data, product_data
+
+_MOST_NODES = 500  # of a tree, told
+
+_SIGNS: dict[type, str] = {
+    Not: "!", And: "&", Or: "|", Implies: "->", Iff: "<->", Eventually: "F", Always: "G", Until: "U",
+}  # fmt: skip
+
+
+def explain(task: Task, model: MDP | None = None, encoding: Encoding = "exact") -> dict[str, Any]:
+    """What a task says, as JSON-able data; with a model also the sizes of the automaton and the product on it.
+
+    `tree` nests the operators: each has its `operator`, `horizon`, place (`line`, `column`) and `operands`.
+    `ambiguities` are texts that other tools would read differently; `meaning` says whether the task can hold and fail
+    at all and which of its parts do not matter, before any model, and `warnings` the same in words. `fragment` is the
+    decomposition along the paper's fragment, or its refusal, which names the smallest sub-formula at fault; `automaton`
+    is there where no automaton could be built.
+    """
+    facts = _text_data(task)
+    if not is_bounded(task.formula):
+        return facts
+    told = meaning(task.formula)
+    facts |= {"meaning": told.data(), "warnings": told.warnings()}
+    if told.holds is not None:
+        facts["holds_for_example_on"] = str(told.holds)
+    if told.fails is not None:
+        facts["fails_for_example_on"] = str(told.fails)
+    try:
+        facts["fragment"] = _fragment_data(task.formula)
+    except FragmentError as refusal:
+        facts["fragment"] = {"refused": str(refusal)}
+    try:
+        facts |= _automaton_data(task, model, encoding)
+    except (FragmentError, SizeError) as refusal:
+        facts["automaton"] = {"refused": str(refusal)}
+    return facts
+
+
+def _text_data(task: Task) -> dict[str, Any]:
+    from stltool.logic.lint import ambiguities  # which reads trees of lark, slow to load
+
+    steps = horizon(task.formula) if is_bounded(task.formula) else None
+    return {
+        "task": task.name,
+        "formula": str(task.formula),
+        "params": {key: str(value) for key, value in task.params.items()},
+        **({"step": str(task.step)} if task.step is not None else {}),
+        "horizon": steps,
+        "samples_needed": None if steps is None else steps + 1,
+        "tree": tree_data(task.formula),
+        "ambiguities": [str(advice) for advice in ambiguities(task.document)] if task.document is not None else [],
+    }
+
+
+def tree_data(phi: Formula) -> dict[str, Any]:
+    """The operators of a formula, nested, each with its horizon and place; cut after the first few hundred."""
+    budget = [_MOST_NODES]
+    return _tree(phi, budget)
+
+
+def _tree(phi: Formula, budget: list[int]) -> dict[str, Any]:
+    budget[0] -= 1
+    node: dict[str, Any] = {"operator": _operator(phi), "horizon": horizon(phi) if is_bounded(phi) else None}
+    if phi.span is not None:
+        node |= {"line": phi.span.line, "column": phi.span.column}
+    operands: list[dict[str, Any]] = []
+    for child in children(phi):
+        if budget[0] <= 0:
+            operands.append({"operator": "…", "horizon": None, "operands": []})
+            break
+        operands.append(_tree(child, budget))
+    return {**node, "operands": operands}
+
+
+def _operator(phi: Formula) -> str:
+    match phi:
+        case Constant() | Label() | Comparison():
+            return str(phi)
+        case Eventually(interval) | Always(interval) | Until(interval):
+            return f"{_SIGNS[type(phi)]}{interval}"
+        case _:
+            return _SIGNS[type(phi)]
+
+
+def _fragment_data(phi: Formula) -> dict[str, Any]:
+    fragment = check_fragment(phi)
+    return {
+        "outer": f"{fragment.outer}[0,{fragment.T})",
+        "parts": [str(part) for part in fragment.parts],
+        "equal_windows": fragment.uniform,
+    }
+
+
+def _automaton_data(task: Task, model: MDP | None, encoding: Encoding) -> dict[str, Any]:
+    facts: dict[str, Any] = {}
+    automaton: TaskAutomaton
+    if model is not None:
+        product = build_product(model, task, encoding)
+        automaton = product.automaton
+        facts |= product_data(product) | {"check_bytes": product.check_bytes()}
+    else:
+        automaton = compile_automaton(task.formula, encoding)
+        facts["automaton_states"] = automaton.n_states
+    facts |= encoding_sizes(automaton)
+    facts["parts"] = part_data(automaton)
+    if not automaton.exact:
+        try:
+            facts["disagrees_on"] = disagreement_data(automaton)
+        except SizeError as refusal:
+            facts["disagreement"] = str(refusal)
+    return facts

@@ -1,0 +1,366 @@
+"""A monitored trace as a picture: signals with their predicates, labels, robustness and verdicts over one time axis.
+
+More samples than the picture has columns are drawn by envelopes, never by leaving some out: a curve goes through the
+least and the greatest value of each column, and a column with any violated step is violated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from stltool.errors import TraceError
+from stltool.logic.formula import (
+    Arithmetic,
+    Call,
+    Comparison,
+    Negate,
+    Number,
+    Term,
+    Variable,
+    label_names,
+    variables,
+    walk,
+)
+from stltool.logic.task import Task
+from stltool.monitoring.offline import MonitorResult, monitor
+from stltool.reporting.figures import picture
+from stltool.reporting.monitoring import both, robustness_text, true_ranges
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Reals: TypeAlias = NDArray[np.float64]
+Booleans: TypeAlias = NDArray[np.bool_]
+
+COLUMNS = 1500  # of the time axis, each a step or an envelope of several
+PANELS, LANES, PREDICATES = 8, 12, 6  # signals, labels, and predicates on one signal, at most
+HOLDS, VIOLATED, UNJUDGED = "#0072b2", "#d55e00", "#cccccc"  # Okabe and Ito's blue and vermillion
+_PREDICATES = ("#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a7000", "#7f7f7f")
+_LABEL, _INK, _SMALL, _TINT = "#5f7f9f", "#222222", 8, 0.11
+_LARGEST = 1e100  # what is beyond is drawn there: matplotlib computes with differences
+_LONGEST = 120  # characters of a formula in the title; half of it in a legend
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """Where on a signal's axis the truth of a comparison changes, and on which side it is true.
+
+    `side` is "above" or "below" the one value, "between" or "outside" of two, and "anywhere" where the signal alone
+    does not tell.
+    """
+
+    values: tuple[float, ...] = ()
+    side: str = "anywhere"
+
+
+def monitored(
+    result: MonitorResult,
+    signals: dict[str, NDArray[Any]],
+    task: Task,
+    kind: str,
+    trace: int | None = None,
+    at: int | None = None,
+) -> str | bytes:
+    """The picture as a file's content; `kind` is svg, png or pdf."""
+    return picture(monitor_figure(result, signals, task, trace, at), kind, "monitor")
+
+
+def monitor_figure(
+    result: MonitorResult,
+    signals: dict[str, NDArray[Any]],
+    task: Task,
+    trace: int | None = None,
+    at: int | None = None,
+) -> Figure:
+    """One trace (of a batch: `trace`) as a matplotlib figure; step `at` or the first violation is marked."""
+    verdicts, robustness = both(result)
+    if trace is not None:
+        verdicts, robustness = verdicts[trace], robustness[trace]
+        signals = {name: values[trace] for name, values in signals.items()}
+    names, labels = list(variables(task.formula)), list(label_names(task.formula))
+    panels, lanes = names[:PANELS], labels[:LANES]
+    heights = [1.3] * len(panels) + ([0.3 + 0.22 * len(lanes)] if lanes else []) + [1.3, 0.4]
+    figure = Figure(figsize=(10, 1.2 + 1.1 * sum(heights)), layout="constrained")
+    axes = figure.subplots(len(heights), sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+    reading = _readers(task, panels)
+    colours: dict[Comparison, str] = {}
+    for panel, name in zip(axes, panels, strict=False):
+        for node in reading[name]:
+            colours.setdefault(node, _PREDICATES[len(colours) % len(_PREDICATES)])
+        _signal_panel(panel, name, signals, reading[name], colours)
+    if lanes:
+        _label_panel(axes[len(panels)], lanes, signals)
+    _robustness_panel(axes[-2], robustness)
+    violated = np.flatnonzero(~verdicts)
+    first = int(violated[0]) if len(violated) else None
+    _verdict_strip(axes[-1], verdicts, result.n_steps)
+    _mark(axes, first if at is None else at, verdicts, at is None)
+    for panel in axes:
+        panel.tick_params(labelsize=_SMALL)
+        if panel.get_legend_handles_labels()[0]:
+            legend = panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.05), fontsize=_SMALL, frameon=False)
+            for handle in legend.legend_handles:
+                handle.set_alpha(1.0)  # where a tint would hardly show
+    hidden = [
+        f"{shown} of the {all_} {what} are shown"
+        for shown, all_, what in ((len(panels), len(names), "signals"), (len(lanes), len(labels), "labels"))
+        if shown < all_
+    ]
+    axes[-1].set(xlabel="; ".join(["step", *hidden]), xlim=(-0.5, result.n_steps - 0.5))
+    figure.align_ylabels(axes[:-1])
+    figure.suptitle(_title(task, verdicts, robustness, trace, at), fontsize=10, x=0.01, ha="left", color=_INK)
+    return figure
+
+
+def _title(task: Task, verdicts: Booleans, robustness: Reals, trace: int | None, at: int | None) -> str:
+    told = [] if trace is None else [f"trace {trace}"]
+    told += [] if task.path is None else [task.name]
+    if at is not None:
+        verdict = f"step {at} {'holds' if verdicts[at] else 'violated'}, robustness {robustness_text(robustness[at])}"
+    else:
+        least = int(robustness.argmin())
+        count = int((~verdicts).sum())
+        verdict = f"violated at {count} of {len(verdicts)} steps" if count else f"holds at all {len(verdicts)} steps"
+        verdict += f"; least robustness {robustness_text(robustness[least])} at step {least}"
+    return ": ".join([*told, verdict]) + "\n" + _shortened(str(task.formula), _LONGEST)
+
+
+def _shortened(text: str, longest: int) -> str:
+    text = text if len(text) <= longest else text[: longest - 1] + "…"
+    return f" {text}" if text.startswith("_") else text  # which legends leave out
+
+
+# -------------------------------------------------------------------------------------------------------- the panels
+
+
+def _signal_panel(
+    axes: Axes,
+    name: str,
+    signals: dict[str, NDArray[Any]],
+    comparisons: Sequence[Comparison],
+    colours: dict[Comparison, str],
+) -> None:
+    """The curve, each predicate's thresholds dashed, and its side of them tinted at the steps where it holds."""
+    values = signals[name].astype(np.float64)
+    xs, ys = envelope(values)
+    few, whole = len(values) <= 150, len(xs) == len(values)
+    axes.plot(xs, ys, color=_INK, linewidth=1.1 if whole else 0.6, marker="." if few else None, markersize=3, zorder=3)
+    tests = {node: threshold(node, name) for node in comparisons[:PREDICATES]}
+    levels = [level for test in tests.values() for level in test.values]
+    low, high = _limits(ys, levels)
+    axes.set_ylim(low, high)
+    for node, test in tests.items():
+        text = _shortened(str(node), _LONGEST // 2)
+        try:
+            truth = monitor(node, signals, semantics="boolean").verdicts
+        except TraceError:  # no value at a step that the formula does not look at, such as 1/0
+            truth, text = np.zeros(len(values), dtype=np.bool_), f"{text} (has gaps)"
+        assert truth is not None  # asked for
+        for i, (bottom, top) in enumerate(_sides(test, low, high)):
+            _bands(axes, truth, bottom, top, colours[node], text if i == 0 else None)
+        for level in (level for level in test.values if low <= level <= high):
+            axes.axhline(level, color=colours[node], linestyle="--", linewidth=1.0)
+    if len(comparisons) > PREDICATES:
+        axes.plot([], [], linestyle="", label=f"and {len(comparisons) - PREDICATES} more")
+    axes.set_ylabel(_shortened(name, _LONGEST // 4), fontsize=9)
+    axes.grid(axis="x", alpha=0.25)
+
+
+def _bands(axes: Axes, truth: Booleans, bottom: float, top: float, colour: str, label: str | None) -> None:
+    """Light where a column has a step that holds, less light where all its steps do."""
+    some, every = coarse(truth, np.logical_or), coarse(truth, np.logical_and)
+    for ranges, text in ((some, label), (every, None)):
+        axes.broken_barh(ranges, (bottom, top - bottom), facecolor=colour, alpha=_TINT, linewidth=0, label=text)
+
+
+def _sides(test: Threshold, low: float, high: float) -> list[tuple[float, float]]:
+    """What of a panel from `low` to `high` is tinted."""
+    first, *rest = [min(max(level, low), high) for level in test.values] or [low]
+    match test.side:
+        case "above":
+            return [(first, high)]
+        case "below":
+            return [(low, first)]
+        case "between":
+            return [(first, rest[0])]
+        case "outside":
+            return [(low, first), (rest[0], high)]
+        case _:
+            return [(low, high)]
+
+
+def _limits(values: Reals, levels: Sequence[float]) -> tuple[float, float]:
+    """What of the axis to show: all values, and those levels beside which they are more than a flat line."""
+    low, high = float(values.min()), float(values.max())
+    reach = 3 * (high - low) or math.inf
+    near = [level for level in levels if max(low - reach, -_LARGEST) <= level <= min(high + reach, _LARGEST)]
+    low, high = min([low, *near]), max([high, *near])
+    room = 0.08 * (high - low) or 0.5 * (abs(high) or 1.0)
+    return low - room, high + room
+
+
+def _label_panel(axes: Axes, lanes: Sequence[str], signals: dict[str, NDArray[Any]]) -> None:
+    for i, name in enumerate(lanes):
+        truth = signals[name] != 0
+        for ranges in (coarse(truth, np.logical_or), coarse(truth, np.logical_and)):
+            axes.broken_barh(ranges, (i - 0.35, 0.7), facecolor=_LABEL, alpha=0.6, linewidth=0)
+    axes.set_yticks(range(len(lanes)), [_shortened(name, _LONGEST // 4) for name in lanes])
+    axes.set(ylim=(len(lanes) - 0.4, -0.6))
+    axes.set_ylabel("labels", fontsize=9)
+    axes.grid(axis="x", alpha=0.25)
+
+
+def _robustness_panel(axes: Axes, robustness: Reals) -> None:
+    """The finite part, on its side of zero in the verdicts' colours."""
+    finite = np.isfinite(robustness)
+    xs, ys = envelope(robustness)
+    axes.axhline(0.0, color=_INK, linewidth=0.8)
+    axes.plot(xs, ys, color=_INK, linewidth=1.1 if len(xs) == len(robustness) else 0.6)
+    drawn = np.isfinite(np.concatenate([[np.nan], ys, [np.nan]]))
+    alone = drawn[1:-1] & ~drawn[:-2] & ~drawn[2:]  # between infinities, where a line has no length
+    axes.plot(xs[alone], ys[alone], linestyle="", marker=".", color=_INK, markersize=5)
+    for colour, side in ((HOLDS, ys >= 0), (VIOLATED, ys <= 0)):
+        axes.fill_between(xs, ys, 0.0, where=side, color=colour, alpha=0.25, linewidth=0, interpolate=True)
+    axes.set_ylim(*_limits(np.append(ys[np.isfinite(ys)], 0.0), ()))
+    if not finite.all():
+        axes.plot([], [], linestyle="", label=f"infinite at {len(finite) - finite.sum()}\nof {len(finite)} steps")
+    if not finite.any():
+        axes.set_yticks([0])
+    axes.set_ylabel("robustness", fontsize=9)
+    axes.grid(axis="x", alpha=0.25)
+
+
+def _verdict_strip(axes: Axes, verdicts: Booleans, n_steps: int) -> None:
+    """Violated steps stand taller than others, so that they are told apart without colours too."""
+    violated = coarse(~verdicts, np.logical_or)
+    holding = coarse(verdicts, np.logical_and)
+    if len(holding):
+        axes.broken_barh(holding, (0.25, 0.5), facecolor=HOLDS, linewidth=0, label="holds")
+    if len(violated):
+        axes.broken_barh(violated, (0.0, 1.0), color=VIOLATED, linewidth=0.6, label="violated")  # never too thin to see
+    if len(verdicts) < n_steps:
+        rest = [(len(verdicts) - 0.5, n_steps - len(verdicts))]
+        axes.broken_barh(rest, (0.4, 0.2), facecolor=UNJUDGED, linewidth=0, label="not judged")
+    axes.set(ylim=(0, 1), yticks=[])
+    axes.set_ylabel("verdict", fontsize=9, rotation=0, ha="right", va="center")
+
+
+def _mark(panels: Iterable[Axes], step: int | None, verdicts: Booleans, first: bool) -> None:
+    """A dotted line through all panels at the first violation, or at the step that was asked for."""
+    if step is None:
+        return
+    colour = HOLDS if verdicts[step] else VIOLATED
+    *_, strip = panels
+    for panel in panels:
+        panel.axvline(step, color=colour, linewidth=1.0, linestyle=":", zorder=4)
+    text = f"first violated: step {step}" if first else f"asked: step {step}"
+    strip.plot(step, 1.3, marker="v", color=colour, markersize=7, linestyle="", clip_on=False, label=text)
+
+
+# ---------------------------------------------------------------------------------------------------------- envelopes
+
+
+def envelope(values: Reals) -> tuple[Reals, Reals]:
+    """The curve of values (n,) as points: each sample, or each column's least and greatest; gaps where infinite."""
+    values = np.where(np.isfinite(values), values.clip(-_LARGEST, _LARGEST), np.nan)
+    n = len(values)
+    if n <= 2 * COLUMNS:
+        return np.arange(n, dtype=np.float64), values
+    starts = _columns(n)
+    centres = (starts + np.append(starts[1:], n) - 1) / 2
+    ends = [np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)]
+    return np.repeat(centres, 2), np.stack(ends, axis=1).ravel()
+
+
+def coarse(truth: Booleans, combined: np.ufunc) -> list[tuple[float, float]]:
+    """The ranges (left edge, width) in which truth (n,), column by column combined by "or" or "and", is true."""
+    n = len(truth)
+    starts = _columns(n) if n > COLUMNS else np.arange(n)
+    stops = np.append(starts[1:], n)
+    ranges = true_ranges(combined.reduceat(truth, starts))
+    return [(float(starts[a]) - 0.5, float(stops[b - 1] - starts[a])) for a, b in ranges.tolist()]
+
+
+def _columns(n: int) -> NDArray[np.int64]:
+    """Where each of the picture's columns starts among n samples."""
+    return np.arange(COLUMNS, dtype=np.int64) * n // COLUMNS
+
+
+# --------------------------------------------------------------------------------------------------------- thresholds
+
+
+def _readers(task: Task, panels: Sequence[str]) -> dict[str, list[Comparison]]:
+    """The distinct comparisons that read each signal, in the formula's order."""
+    reading: dict[str, dict[Comparison, None]] = {name: {} for name in panels}
+    for node in walk(task.formula):
+        if isinstance(node, Comparison):
+            for name in variables(node):
+                if name in reading:
+                    reading[name][node] = None
+    return {name: list(nodes) for name, nodes in reading.items()}
+
+
+def threshold(node: Comparison, name: str) -> Threshold:
+    """Where the truth of `a·name + b ⋈ c·name + d`, or of `|a·name + b| ⋈ d`, changes."""
+    for inner, outer, flipped in ((node.left, node.right, False), (node.right, node.left, True)):
+        if isinstance(inner, Call) and inner.function == "abs":
+            line, bound = _affine(inner.args[0], name), _affine(outer, name)
+            if line is None or bound is None or not line[0] or bound[0] or bound[1] < 0:
+                return Threshold()
+            low, high = sorted(_double((sign * bound[1] - line[1]) / line[0]) for sign in (-1, 1))
+            greater = (node.op in (">", ">=")) != flipped
+            return Threshold(
+                (low, high), "anywhere" if node.op in ("==", "!=") else "outside" if greater else "between"
+            )
+    left, right = _affine(node.left, name), _affine(node.right, name)
+    if left is None or right is None or left[0] == right[0]:
+        return Threshold()
+    slope = left[0] - right[0]
+    value = _double((right[1] - left[1]) / slope)
+    if node.op in ("==", "!="):
+        return Threshold((value,))
+    return Threshold((value,), "above" if (node.op in (">", ">=")) == (slope > 0) else "below")
+
+
+def _double(value: Fraction) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return math.copysign(math.inf, value)
+
+
+def _affine(term: Term, name: str) -> tuple[Fraction, Fraction] | None:
+    """(a, b) where the term is a·name + b for numbers a and b, as written; None for any other term."""
+    match term:
+        case Number(value):
+            return Fraction(0), Fraction(repr(value))
+        case Variable(other):
+            return (Fraction(1), Fraction(0)) if other == name else None
+        case Negate(arg):
+            inner = _affine(arg, name)
+            return None if inner is None else (-inner[0], -inner[1])
+        case Arithmetic(op, left, right):
+            (a, b), (c, d) = _affine(left, name) or (None, None), _affine(right, name) or (None, None)
+            if a is None or b is None or c is None or d is None:
+                return None
+            match op:
+                case "+":
+                    return a + c, b + d
+                case "-":
+                    return a - c, b - d
+                case "*" if not a or not c:
+                    return a * d + b * c, b * d
+                case "/" if not c and d:
+                    return a / d, b / d
+                case _:
+                    return None
+        case _:
+            return None

@@ -1,0 +1,234 @@
+"""Monitored traces as plain data and as the terminal's tables; as a picture by `monitor_figure`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.errors import SettingsError
+from stltool.files import write_atomically
+from stltool.logic.task import Task
+from stltool.monitoring.offline import MonitorResult
+from stltool.reporting.tradeoffs import require_picture
+
+PICTURES = (".png", ".svg", ".pdf")
+_RANGES, _TRACES = 5, 20  # rows of the terminal's tables
+
+
+def monitor_data(result: MonitorResult, task: Task, trace: str | Path, at: int | None = None) -> dict[str, Any]:
+    """Verdicts and robustness of all judged steps, or of step `at` alone, with what they come to.
+
+    Of a batch, `verdicts` and `robustness` are lists of lists, the other figures are over all of its traces, and `each`
+    has them trace by trace. Raises SettingsError where `at` is no judged step.
+    """
+    whole = both(result)
+    judged = whole[0].shape[-1]
+    if at is not None and not 0 <= at < judged:
+        longer = "" if result.end != "error" else "; --end cut or hold judges every step of the trace"
+        raise SettingsError(f"--at {at}: steps 0 … {judged - 1} of these {result.n_steps} samples are judged{longer}")
+    start, stop = (0, judged) if at is None else (at, at + 1)
+    verdicts, robustness = (np.atleast_2d(values)[:, start:stop] for values in whole)
+    each = [_figures(*rows, start) for rows in zip(verdicts, robustness, strict=True)]
+    batch = whole[0].ndim == 2
+    return {
+        "task": task.name if task.path is not None else None,
+        "formula": str(task.formula),
+        "trace": str(trace),
+        "traces": len(each) if batch else None,
+        "samples": result.n_steps,
+        "horizon": result.horizon,
+        "end": result.end,
+        "at": at,
+        "judged": stop - start,
+        **(_totals(each) if batch else each[0]),
+        "verdicts": verdicts.tolist() if batch else verdicts[0].tolist(),
+        "robustness": [_jsonable(row) for row in robustness] if batch else _jsonable(robustness[0]),
+        **({"each": each} if batch else {}),
+    }
+
+
+def both(result: MonitorResult) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Verdicts and robustness; SettingsError where only one of them was asked for."""
+    if result.verdicts is None or result.robustness is None:
+        raise SettingsError('verdicts and robustness are both shown; monitor with semantics="both"')
+    return result.verdicts, result.robustness
+
+
+def _figures(verdicts: NDArray[np.bool_], robustness: NDArray[np.float64], start: int) -> dict[str, Any]:
+    """What the judged steps of one trace come to; they count from `start`."""
+    violations = np.flatnonzero(~verdicts)
+    least = int(robustness.argmin())
+    return {
+        "verdict": bool(verdicts[0]),
+        "holds": not len(violations),
+        "violations": len(violations),
+        "first_violation": start + int(violations[0]) if len(violations) else None,
+        "least_robustness": _jsonable(robustness[least : least + 1])[0],
+        "least_robustness_at": start + least,
+    }
+
+
+def _totals(each: list[dict[str, Any]]) -> dict[str, Any]:
+    violated = [figures["first_violation"] for figures in each if not figures["holds"]]
+    least = min(each, key=lambda figures: float(figures["least_robustness"]))
+    return {
+        "verdict": all(figures["verdict"] for figures in each),
+        "holds": not violated,
+        "violations": sum(figures["violations"] for figures in each),
+        "violating_traces": len(violated),
+        "first_violation": min(violated, default=None),
+        "least_robustness": least["least_robustness"],
+        "least_robustness_at": least["least_robustness_at"],
+    }
+
+
+def _jsonable(values: NDArray[np.float64]) -> list[float | str]:
+    """JSON has no infinity: "inf" and "-inf" stand for it."""
+    if np.isfinite(values).all():
+        return values.tolist()  # type: ignore[no-any-return]
+    return [value if math.isfinite(value) else str(value) for value in values.tolist()]
+
+
+# ------------------------------------------------------------------------------------------------------------ tables
+
+
+def monitor_facts(data: dict[str, Any]) -> dict[str, str]:
+    """The terminal's first lines: what was judged and what came of it."""
+    judged, at, traces = data["judged"], data["at"], data["traces"]
+    last = judged - 1
+    horizon = "none: an interval has no end" if data["horizon"] is None else f"{data['horizon']}"
+    facts = {
+        "task": f"{data['task']} := {data['formula']}" if data["task"] is not None else data["formula"],
+        "trace": f"{data['trace']}, {_count(data['samples'], 'sample')}" + (f" × {traces} traces" if traces else ""),
+        "horizon": horizon + _ENDS[data["end"]],
+        "judged": f"step {at}" if at is not None else f"{_count(judged, 'step')}, 0 … {last}",
+    }
+    if traces is not None:
+        kept = traces - data["violating_traces"]
+        facts["holds"] = f"for {kept} of {_count(traces, 'trace')}" + ("" if at is not None else " at every step")
+        if at is None:
+            facts["violated"] = f"at {data['violations']} of {judged * traces} steps"
+    else:
+        facts[f"step {at or 0}"] = _verdict(data["verdict"])
+        if at is None:
+            facts["violated"] = "at no step"
+            if not data["holds"]:
+                facts["violated"] = (
+                    f"at {data['violations']} of {judged} steps, first at step {data['first_violation']}"
+                )
+    facts["robustness"] = robustness_text(data["least_robustness"])
+    if at is None:
+        facts["robustness"] += f" at step {data['least_robustness_at']}, the least"
+    return facts
+
+
+_ENDS = {
+    "error": "",
+    "cut": "; windows are cut where the trace ends",
+    "hold": "; the last sample is held where the trace ends",
+}
+
+
+def range_rows(data: dict[str, Any]) -> tuple[list[dict[str, Any]], int]:
+    """The first ranges of steps that one trace violates, and how many more there are."""
+    robustness = np.array(data["robustness"], dtype=np.float64)
+    ranges = true_ranges(~np.array(data["verdicts"], dtype=np.bool_))
+    rows = []
+    for first, stop in ranges[:_RANGES].tolist():
+        least = first + int(robustness[first:stop].argmin())
+        rows.append({
+            "violated": f"step {first}" if stop == first + 1 else f"steps {first} … {stop - 1}",
+            "steps": stop - first,
+            "least_robustness": robustness_text(robustness[least]),
+            "at_step": least,
+        })  # fmt: skip
+    return rows, len(ranges) - len(rows)
+
+
+def true_ranges(truth: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The runs of consecutive true entries as rows (first, after the last), in order."""
+    edges = np.diff(np.concatenate([[False], truth, [False]]).astype(np.int8))
+    return np.stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)], axis=1)
+
+
+def trace_rows(data: dict[str, Any]) -> tuple[list[dict[str, Any]], int]:
+    """The first traces of a batch, a row each, and how many more there are."""
+    rows = []
+    for number, figures in enumerate(data["each"][:_TRACES]):
+        row = {"trace": number, f"step {data['at'] or 0}": _verdict(figures["verdict"])}
+        if data["at"] is None:
+            first = figures["first_violation"]
+            row |= {"violated_at": _count(figures["violations"], "step"), "first": "–" if first is None else first}
+        row["least_robustness" if data["at"] is None else "robustness"] = robustness_text(figures["least_robustness"])
+        rows.append(row | ({"at_step": figures["least_robustness_at"]} if data["at"] is None else {}))
+    return rows, len(data["each"]) - len(rows)
+
+
+def step_lines(data: dict[str, Any], trace: int | None) -> Iterator[str]:
+    """Every judged step of one trace, a line each, below a heading."""
+    verdicts, robustness = data["verdicts"], data["robustness"]
+    if trace is not None:
+        verdicts, robustness = verdicts[trace], robustness[trace]
+    first = data["at"] or 0
+    width = max(len("step"), len(str(first + len(verdicts) - 1)))
+    yield f"{'step':<{width}}  verdict   robustness"
+    for step, (verdict, value) in enumerate(zip(verdicts, robustness, strict=True), start=first):
+        yield f"{step:<{width}}  {_verdict(verdict):<8}  {robustness_text(value)}"
+
+
+def shown_trace(data: dict[str, Any], asked: int | None) -> int | None:
+    """Which trace of a batch to show: the one asked for, else the first that violates, else the first. None: no batch.
+
+    Raises SettingsError where there is no such trace.
+    """
+    traces = data["traces"]
+    if traces is None:
+        if asked is not None:
+            raise SettingsError(f"--trace {asked}: {data['trace']} holds a single trace; leave --trace out")
+        return None
+    if asked is not None:
+        if not 0 <= asked < traces:
+            raise SettingsError(f"--trace {asked}: {data['trace']} holds traces 0 … {traces - 1}")
+        return asked
+    return next((number for number, figures in enumerate(data["each"]) if not figures["holds"]), 0)
+
+
+def robustness_text(value: float | str) -> str:
+    """Robustness as people read it; 0 has no sign."""
+    return f"{float(value) + 0.0:.6g}"
+
+
+def _verdict(holds: bool) -> str:
+    return "holds" if holds else "violated"
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'s'[: n != 1]}"
+
+
+# ----------------------------------------------------------------------------------------------------------- picture
+
+
+def require_monitor_picture(path: Path) -> None:
+    """An error, before the work, where a picture could not be written after it."""
+    require_picture(path, PICTURES)
+
+
+def write_monitor_picture(
+    result: MonitorResult,
+    signals: dict[str, NDArray[Any]],
+    task: Task,
+    path: Path,
+    trace: int | None = None,
+    at: int | None = None,
+) -> None:
+    """Signals, robustness and verdicts over time, of a batch those of `trace`; the old file or the new one."""
+    from stltool.reporting.monitor_figure import monitored
+
+    require_monitor_picture(path)
+    write_atomically(path, monitored(result, signals, task, path.suffix.lower()[1:], trace, at))

@@ -1,0 +1,387 @@
+"""What users of other tools write: Breach's files, times with units, several faults at once, params changed late."""
+
+import sys
+from fractions import Fraction
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import stltool as stl
+from stltool.errors import FileError, SettingsError, StlSyntaxError
+from stltool.logic.formula import Always, Comparison, Eventually, Interval, Label, Number, Variable
+from stltool.logic.quantities import Duration, duration
+from tests.conftest import ROOT
+
+A, B = Label("a"), Label("b")
+OUTSIDE = ROOT.parent / "shared" / "data" / "stl"
+
+
+@pytest.mark.parametrize(
+    ("text", "meaning"),
+    [
+        ("alw_[0,3] ev_[1,2] a", Always(Interval(0, 3), Eventually(Interval(1, 2), A))),
+        ("[]_[0,3] <>_(0,3] a", Always(Interval(0, 3), Eventually(Interval(1, 3), A))),
+        ("a until_[0,3] b", stl.parse("a U[0,3] b")),
+        ("a 𝒰_[0,3] b", stl.parse("a U[0,3] b")),
+        ("G_[0 .. 3] a", Always(Interval(0, 3), A)),
+        ("x[t] > 0.5", Comparison(">", Variable("x"), Number(0.5))),
+        ("gear [ t ] == 3", Comparison("==", Variable("gear"), Number(3.0))),
+        ("(((((a)))))", A),
+        ("G_ & b", stl.parse("b & G_").__class__((Label("G_"), B))),
+    ],
+)
+def test_spellings_of_other_tools(text, meaning):
+    assert stl.parse(text) == meaning
+
+
+def test_times_are_whole_multiples_of_the_step():
+    text = "F[0,2s] a & G[0.5s,1min) b"
+    assert stl.parse(text, step="0.1s") == stl.parse("F[0,20] a & G[5,600) b")
+    assert stl.parse(text, step="500ms") == stl.parse("F[0,4] a & G[1,120) b")
+    assert stl.parse("F[0,T] a", params={"T": "3s"}, step="0.5s") == stl.parse("F[0,6] a")
+    task = stl.parse_task("step = 0.1s\nparam T = 2s, n = T / 0.5s\nr := F[0,T + 2*500ms - T/2] G[0,n] A")
+    assert task.formula == stl.parse("F[0,20] G[0,4] A")
+    assert task.step == Duration(Fraction(1, 10))
+    assert task.params == {"T": Duration(Fraction(2)), "n": Fraction(4)}
+    assert str(task.params["T"]) == "2s"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("r := F[0,2s] A", "this bound is a time, and no step is declared above; write a line such as step = 0.1s"),
+        ("step = 0.1s\nr := F[0,0.25s] A", "0.25s is not a multiple of the step, 0.1s; write 0.2s or 0.3s"),
+        ("step = 0.1s\nr := F[0,0.25] A", "write 0 or 1, or 0.25s if it is a time in seconds"),
+        ("step = 0.1s\nr := F[0,2s + 1] A", "a time and a plain number do not add up"),
+        ("step = 0.1s\nr := F[0,2s * 3s] A", "this is no time"),
+        ("step = 0.1s\nr := F[0,2s^2] A", "this is no time"),
+        ("step = 0.1s\nr := F[0,2/3s] A", "this is no time"),
+        ("step = 0.1s\nr := F[0,max(2s, 3)] A", "a time and a plain number do not add up"),
+        ("step = 0.1s\nparam T = 2s\nr := x > T", "a time where a plain number must stand"),
+        ("step = 0.1s\nr := x > 2s", "a time where a plain number must stand"),
+        ("step = 0.1\nr := F[0,2] A", "the step is a positive time with its unit"),
+        ("step = -1s\nr := F[0,2] A", "the step is a positive time with its unit"),
+        ("step = 1s\nstep = 1s\nr := F[0,2] A", "a second step line"),
+        ("r := F[0,2 s] A", "expected an operator between '2' and 's'"),
+        ("r := x[t+1] - x[t] > 0", "record what x[t+1] reads at another one as a signal of its own"),
+        ("r := x[3] > 0", "a predicate reads one step, x[t]"),
+        ("r := x[t] & A", "compare it, as in x[t] > 0"),
+        ("param x = 3\nr := x[t] > 0", "x is no signal but a param; drop [t]"),
+        ("signal x\nr := x & A", "x is a signal, a number, not a truth value; compare it, as in x > 0"),
+        ("signal x\nparam x = 3\nr := A", "x is a signal (line 1); give this param another name"),
+        ("r := x > 0\nsignal r", "r is a signal (line 2); give this definition another name"),
+        ("r := once[0,3] A", "once looks back"),
+        ("r := A since[0,3] B", "since looks back"),
+        ("r := next(A)", "the next step is F[1,1] a"),
+        ("r := pow(x, 2) > 1", "write a^b"),
+        ("r := alwayss[0,3] A", "alwayss is not an operator that takes an interval; did you mean always?"),
+        ("r := foo[0,3] A", "F, G, U and their words are"),
+        ("r := foo[min(1, 2),3] A", "foo is not an operator that takes an interval"),
+        ("r := True", "words are in small letters: write true"),
+        ("r := A AND B", "words are in small letters: write and"),
+        ("r := NOT A", "words are in small letters: write not"),
+        ("r := Always[0,3] A", "did you mean always?"),
+        ("r := x < inf", "inf is no number"),
+        ("params T = 3\nr := A", "did you mean param?"),
+        ("r := A\nq = F[0,3] A", "write q := … to define it"),
+        ("r := F[0,3 A", "cannot stand here"),
+        ("r := F[0,T[t]] A", "a signal where a constant must stand"),
+        ("r := [0,3] A", "'[' cannot stand here"),
+        ("r := A [0,3] B", "A is not an operator that takes an interval"),
+        ("r := G[0,3] A G[0,3] B", "expected an operator before 'G'"),
+        ("r := A &\nq := B", "line 1, column 9: the statement ends here; expected a formula"),
+        ('r := A "floor"', "on a model line only"),
+        ('model "floor\nr := A', "ends with a quote"),
+        ("r := F[0...50] A", "dots stand in numbers such as 0.5 and in intervals such as [0..5]"),
+        ("r := F[0...5e1] A", "dots stand in numbers"),
+        ("r := x² > 4", "write ^2 for a power"),
+        ("r := F[0,٣] A", "digits are 0 to 9"),
+        ("r := größe > 3", "'ö' has no place in a name"),
+        ("r := car.speed > 3", "names have no dots; write for example car_speed"),
+        ("model floor.toml\nr := A", "in double quotes, on a model line"),
+        ("r := F_[] A", "could be an empty interval"),
+        ("r := A U_[] B", "could be an empty interval"),
+        ("param e = (10^-64)^8\nr := x > e", "too small to compare with"),
+        ("param T = (10^64)^18/7\nr := F[0,T] A", "this bound is out of range"),
+        ("param T := 5\nr := F[0,T] A", "a param is given with =: param T = 5"),
+        ("param T = (10^64)^18\nparam V = T*T*T\nr := F[0,V] x", "this value is out of range"),
+        ("param T = 10^64\nr := F[0,T/7] A", "this bound is out of range"),
+        ("c := 5\nr := F[0,c] A", "c is a definition; for a number in bounds write param c"),
+        ("x := x > 2", "x would be defined by itself"),
+        ("r := x !== 3", "write != without the second ="),
+        ("step = 5\nr := F[0,1s] A", "the step is a positive time"),
+        ("r := A % a comment", "comments begin with # or //"),
+    ],
+)
+def test_a_refusal_says_what_to_write(text, says):
+    with pytest.raises(StlSyntaxError) as caught:
+        stl.parse_task(text)
+    assert says in str(caught.value)
+
+
+def test_all_faults_of_a_file_are_told_at_once_and_nothing_else():
+    text = """param T = 10, T = 11
+near := x <
+model "floor.toml"
+model "floor.toml"
+r := F[0,T] near
+s := F[0,tau] A & § B
+q := G[5,3] (A & near)
+fine := F[0,3] A
+v := near & fine & B > A
+"""
+    with pytest.raises(StlSyntaxError) as caught:
+        stl.parse_task(text)
+    told = [line.split(":")[0] for line in str(caught.value).splitlines() if line.startswith("task, line")]
+    # near is faulty, so r and v (whose own fault hides behind it) are passed over; T = 10 is taken
+    assert told == [f"task, line {n}, column {m}" for n, m in [(1, 15), (2, 12), (4, 1), (6, 19), (7, 7)]]
+    assert str(caught.value).endswith("5 errors")
+
+
+def test_numbers_defined_from_each_other_do_not_explode():
+    text = "t0 := x + x\n" + "".join(f"t{i + 1} := t{i} + t{i}\n" for i in range(40)) + "r := t40 > 2"
+    with pytest.raises(StlSyntaxError, match="larger than 50000 operators"):
+        stl.parse_task(text)
+
+
+def test_values_for_names_that_a_formula_does_not_have_are_refused():
+    with pytest.raises(StlSyntaxError, match="no param G in this formula; known names: x, y"):
+        stl.parse("G[0,5] (x > y)", params={"G": 3})
+    with pytest.raises(StlSyntaxError, match="no param Q"):
+        stl.parse("F[0,5] a", params={"Q": 3})
+    with pytest.raises(SettingsError, match="is no positive time"):
+        stl.parse("a", step=5)
+
+
+def test_what_a_faulty_line_defines_is_missed_nowhere():
+    """Only the line itself is at fault: not those that use its names."""
+    for line in (
+        "param T := 5",
+        "param T 5",
+        "param T == 5",
+        "T = §",
+        "param T = §",
+        "T := §3",
+        "param T = 1/0",
+        "T := 3 +",
+        "param T = 5 5",
+    ):
+        with pytest.raises(StlSyntaxError) as caught:
+            stl.parse_task(f"{line}\nr := F[0,T] (x > T)\nq := r & F[0,2*T] G[0,abs(T)] T")
+        assert str(caught.value).count("task, line") == 1, line
+        assert "line 1" in str(caught.value)
+
+
+def test_many_faults_are_cut_short():
+    with pytest.raises(StlSyntaxError, match="40 errors; the first 20 are shown"):
+        stl.parse_task("".join(f"a{i} := F[2,1] A\n" for i in range(40)))
+    with pytest.raises(StlSyntaxError, match="20 errors"):
+        stl.parse("§ " * 1000)
+
+
+LINES = ["a := F[0,3] A", "b := G[3,2] A", "c := A &", "d := § A", "e := x > y + 1", ""]
+
+
+@given(st.lists(st.sampled_from(LINES), max_size=6))
+def test_errors_are_counted_line_by_line(lines):
+    """Each faulty line is told once, wherever it stands; the others never."""
+    lines = [line.replace(" :=", f"{i} :=", 1) for i, line in enumerate(lines)]
+    faulty = [i + 1 for i, line in enumerate(lines) if line[:1] in ("b", "c", "d")]
+    try:
+        stl.parse_task("\n".join([*lines, "z := A"]))
+        told = []
+    except StlSyntaxError as error:
+        told = [int(line.split()[2].strip(",")) for line in str(error).splitlines() if line.startswith("task, line")]
+    assert told == faulty
+
+
+# ------------------------------------------------------------------------------------------- no interval, no end
+
+
+def test_operators_without_an_interval_are_for_monitors():
+    for text, meaning in [
+        ("always a", Always(Interval(0, None), A)),
+        ("G[2,inf) a", Always(Interval(2, None), A)),
+        ("F(2,inf] a", Eventually(Interval(3, None), A)),
+        ("a until b", stl.parse("a U[0,inf) b", unbounded=True)),
+        ("F G a", Eventually(Interval(0, None), Always(Interval(0, None), A))),
+        ("<>[]a", Eventually(Interval(0, None), Always(Interval(0, None), A))),
+        ("alw (a & b)", stl.parse("G[0,inf) (a & b)", unbounded=True)),
+    ]:
+        phi = stl.parse(text, unbounded=True)
+        assert phi == meaning
+        assert stl.parse(str(phi), unbounded=True) == phi
+        with pytest.raises(StlSyntaxError, match="needs an interval with an end here, such as"):
+            stl.parse(text)
+    with pytest.raises(StlSyntaxError, match="inf is the upper bound of an interval without an end"):
+        stl.parse_task("param inf = 3\nr := F[0,inf] a")
+
+
+# ------------------------------------------------------------------------------------------- params, late
+
+
+def test_params_change_without_reading_again(monkeypatch):
+    text = "step = 0.5s\nparam T = 10, tau = T/2, d = 3s\nr := F[0,T) G[0,tau] (A & F[0,d] B)\nq := A"
+    task = stl.parse_task(text, task="r", params={"d": "1s"})
+    fresh = stl.parse_task(text, task="r", params={"d": "1s", "T": 20})
+    expected = [stl.parse(f"F[0,20) G[0,10] (A & F[0,{d}] B)") for d in (2, 4)]
+    monkeypatch.setattr("stltool.logic.parser.read", None)  # nothing may be read from here on
+    later = task.with_params(T=20)
+    assert later == fresh
+    assert [later.formula, later.with_params(d="2s").formula] == expected
+    with pytest.raises(StlSyntaxError, match="no param tua to override; did you mean tau"):
+        task.with_params(tua=3)
+    with pytest.raises(StlSyntaxError, match="the bound 2.5 is not a whole number"):
+        task.with_params(T=5)
+    with pytest.raises(StlSyntaxError, match="d is a time here; override it with a unit, as in -p d=3s"):
+        task.with_params(d=3)
+    with pytest.raises(StlSyntaxError, match="T is a plain number here; override it without a unit"):
+        task.with_params(T="3s")
+
+
+def test_a_task_of_no_text_has_no_params_to_change():
+    from stltool.logic.task import Task
+
+    with pytest.raises(ValueError, match="not read from a text"):
+        Task("r", A).with_params(T=3)
+
+
+def test_a_param_may_be_repeated_with_its_value_only():
+    assert stl.parse_task("param t1=1, t2=2\nparam t1=1.0\nr := F[0,t1] A", params={"t1": 3}).formula == stl.parse(
+        "F[0,3] A"
+    )
+    with pytest.raises(StlSyntaxError, match="t1 is defined twice"):
+        stl.parse_task("param t1=1\nparam t1=2\nr := F[0,t1] A")
+
+
+# ------------------------------------------------------------------------------------------- sizes
+
+
+def test_large_texts_parse_or_are_refused_in_words(tmp_path):
+    many = stl.parse(" & ".join(["(x > 0 | F[0,3] b)"] * 5000))
+    assert len(many.args) == 5000
+    assert stl.parse("(" * 10_000 + "a" + ")" * 10_000) == A
+    for text in (
+        "G[0,1] " * 500 + "a",
+        " -> ".join("a" * 10_000),
+        " + ".join("x" * 10_000) + " > 0",
+        "!" * 10_000 + "a",
+    ):
+        with pytest.raises(StlSyntaxError, match="nested too deeply"):
+            stl.parse(text)
+        with pytest.raises(StlSyntaxError, match="nested too deeply"):
+            stl.parse_task(f"r := {text}")
+    with pytest.raises(StlSyntaxError, match=r"at most 2000000 are read"):
+        stl.parse("a & " * 600_000)
+    with pytest.raises(StlSyntaxError, match="the text ends here"):
+        stl.parse("(" * 10_000)
+    path = tmp_path / "task.stl"
+    with path.open("wb") as file:
+        file.truncate(100_000_000)
+    with pytest.raises(FileError, match="not a task file: it has 100000000 bytes"):
+        stl.load_task(path)
+
+
+# ------------------------------------------------------------------------------------------- quantities
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [("0.1s", "1/10"), ("2 min", "120"), ("1e-3ms", "1/1000000"), (".5h", "1800"), ("3us", "3/1000000")],
+)
+def test_durations(text, seconds):
+    assert duration(text) == Duration(Fraction(seconds))
+
+
+@pytest.mark.parametrize("text", ["", "s", "3", "3 parsecs", "1e999s", "0x3s", "nan s", "3m"])
+def test_no_durations(text):
+    assert duration(text) is None
+
+
+@given(st.fractions(min_value=-5, max_value=10**6))
+def test_durations_print_as_what_they_are(seconds):
+    assert Fraction(str(Duration(seconds)).replace("s", "")) == seconds
+    assert stl.parse_task(f"step = {Duration(abs(seconds) + 1)}\nr := A").step == Duration(abs(seconds) + 1)
+
+
+def test_steps_and_params_from_outside_are_checked():
+    with pytest.raises(SettingsError, match="step '3' is no positive time with a unit"):
+        stl.parse("a", step="3")
+    with pytest.raises(SettingsError, match="is no positive time"):
+        stl.parse("a", step="0s")
+    with pytest.raises(SettingsError, match="param T: '3 parsecs' is not a number"):
+        stl.parse("a", params={"T": "3 parsecs"})
+
+
+# ------------------------------------------------------------------------------------------- files of other tools
+
+
+@pytest.mark.skipif(not OUTSIDE.exists(), reason=f"outside data absent: {OUTSIDE.name}")
+@pytest.mark.parametrize("name", ["rlrom/cartpole", "rlrom/minigrid"])
+def test_rlrom_files_are_read_as_they_are(name):
+    assert stl.horizon(stl.load_task(OUTSIDE / f"{name}.stl").formula) in (500, 1000)
+
+
+@pytest.mark.skipif(not OUTSIDE.exists(), reason=f"outside data absent: {OUTSIDE.name}")
+def test_breach_files_are_read_once_their_times_have_units():
+    text = (OUTSIDE / "breach" / "AFC_simple_spec.stl").read_text()
+    with pytest.raises(StlSyntaxError, match=r"or 0\.5s if it is a time in seconds"):
+        stl.parse_task(text)
+    for seconds in ("t_start=10", "t_end=40", "t_0=1", "t_stab=0.5"):
+        text = text.replace(seconds, f"{seconds}s")
+    task = stl.parse_task(f"step = 0.1s\n{text}")
+    assert (task.name, stl.horizon(task.formula)) == ("AF_overshoot_req", 405)
+    assert "AF - AFref > 0.01 * 14.7" in str(task.formula)
+
+    text = (OUTSIDE / "breach" / "Autotrans_spec.stl").read_text()
+    with pytest.raises(StlSyntaxError, match="always needs an interval"):
+        stl.parse_task(text)
+    with pytest.raises(StlSyntaxError) as caught:
+        stl.parse_task(text, unbounded=True)
+    assert str(caught.value).endswith("3 errors")  # the three lines with broken seconds
+    for plain in ("0.01,.02", "0,0.04"):
+        text = text.replace(plain, plain.replace(",", "s,") + "s")
+    text = text.replace("t1=1", "t1=1s").replace("[0, 25]", "[0s, 25s]").replace("[25, 50]", "[25s, 50s]")
+    text = text.replace("[0.1, t1+.1]", "[0.1s, t1+.1s]").replace("[0s,", "[0,").replace("[0s, ", "[0, ")
+    task = stl.parse_task(f"step = 0.01s\n{text}", unbounded=True)
+    assert str(task).startswith("phi_return3 := G[0,inf) ((gear == 3 & (F[1,2] !(gear == 3))) -> (G[10,110]")
+
+
+@pytest.mark.skipif(not OUTSIDE.exists(), reason=f"outside data absent: {OUTSIDE.name}")
+def test_a_breach_file_that_reads_other_steps_is_refused_construct_by_construct():
+    with pytest.raises(StlSyntaxError) as caught:
+        stl.load_task(OUTSIDE / "breach" / "stlib.stl")
+    told = [line for line in str(caught.value).splitlines() if "stlib.stl, line" in line]
+    assert len(told) == 13
+    assert sum("as a signal of its own" in line for line in told) == 7
+    assert sum("is not a whole number of steps; write" in line for line in told) == 6
+
+
+def calls(run):
+    """How many Python functions are called: work that no clock measures."""
+    count = 0
+
+    def count_one(frame, event, arg):
+        nonlocal count
+        count += event == "call"
+
+    sys.setprofile(count_one)
+    try:
+        run()
+    finally:
+        sys.setprofile(None)
+    return count
+
+
+@pytest.mark.parametrize("piece", ["(always[0,3] (x > 1)) and ", "b or not c and ", "(x - 1) / 2 > 3 -> d) and ("])
+def test_reading_takes_work_in_proportion_to_the_text(piece):
+    texts = ["(" * ("and (" in piece) + piece * n + "a" + ")" * ("and (" in piece) for n in (100, 200, 400)]
+    stl.parse(texts[0])
+    first, second, third = (calls(lambda text=text: stl.parse(text)) for text in texts)
+    assert (third - second) / (second - first) == pytest.approx(2, rel=0.02)
+
+
+def test_lines_of_old_macs_are_counted():
+    with pytest.raises(StlSyntaxError, match="line 3, column 8"):
+        stl.parse_task("a := B\r# c\rr := A §\rq := C\r")

@@ -1,0 +1,290 @@
+"""`stltool monitor` as its users meet it."""
+
+import json
+import os
+import re
+
+import numpy as np
+import pytest
+
+from stltool.reporting import terminal
+from tests import test_cli
+from tests.conftest import ROOT
+
+stltool = test_cli.stltool  # the fixture
+DUTY = ROOT / "examples" / "monitor" / "duty.stl"
+SHIFT = ROOT / "examples" / "monitor" / "shift.csv"
+KEYS = [
+    "task", "formula", "trace", "traces", "samples", "horizon", "end", "at", "judged", "verdict", "holds", "violations",
+    "first_violation", "least_robustness", "least_robustness_at", "verdicts", "robustness",
+]  # fmt: skip
+
+
+@pytest.fixture
+def log(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("when,x,door\nMon,1,true\nTue,-1,true\nWed,-2,false\nThu,-3,false\nFri,4,true\n")
+    return path
+
+
+@pytest.fixture
+def batch(tmp_path):
+    path = tmp_path / "batch.npz"
+    np.savez(path, x=np.array([[1.0, 2, 3], [1, -1, -2], [-1, 1, 1]]))
+    return path
+
+
+def test_a_task_file_on_a_log(stltool):
+    code, out, err = stltool("monitor", DUTY, SHIFT)
+    assert (code, err) == (1, "")
+    lines = out.splitlines()
+    assert lines[0].startswith("task        duty := battery > 0.1 & (battery < 0.3 -> (F[0,12] docked)) & ")
+    assert lines[2:7] == [
+        "horizon     45",
+        "judged      206 steps, 0 … 205",
+        "step 0      holds",
+        "violated    at 19 of 206 steps, first at step 132",
+        "robustness  -0.339 at step 142, the least",
+    ]
+    assert lines[8].split() == ["violated", "steps", "least", "robustness", "at", "step"]
+    assert lines[9:] == [
+        "steps 132 … 148  17     -0.339            142",
+        "steps 160 … 161  2      -0.009            160",
+    ]
+    for late, violated in ((20, 1), (21, 0)):  # the battery is low at step 140, the robot in the dock at 161
+        code, out, _ = stltool("monitor", DUTY, SHIFT, "--task", "charged", "-p", f"late={late}", "--json")
+        data = json.loads(out)
+        assert (code, data["task"], data["violations"]) == (violated, "charged", violated)
+        assert data["formula"] == f"battery < 0.3 -> (F[0,{late}] docked)"
+
+
+def test_a_formula_on_a_log(stltool, log):
+    code, out, _ = stltool("monitor", "G[0,1] (x > -T | door)", log, "-p", "T=2.5")
+    assert code == 1
+    assert out.splitlines() == [
+        "task        G[0,1] (x > -2.5 | door)",
+        f"trace       {log}, 5 samples",
+        "horizon     1",
+        "judged      4 steps, 0 … 3",
+        "step 0      holds",
+        "violated    at 2 of 4 steps, first at step 2",
+        "robustness  -0.5 at step 2, the least",
+        "",
+        "violated     steps  least robustness  at step",
+        "steps 2 … 3  2      -0.5              2",
+    ]
+    code, out, _ = stltool("monitor", "x > -5", log)
+    assert code == 0
+    assert out.splitlines()[-2:] == ["violated    at no step", "robustness  2 at step 3, the least"]
+
+
+def test_one_object(stltool, log):
+    code, out, err = stltool("monitor", "G[0,1] (x > 0 & door)", log, "--json")
+    data = json.loads(out)
+    assert (code, err, list(data)) == (1, "", KEYS)
+    assert data == {
+        "task": None, "formula": "G[0,1] (x > 0 & door)", "trace": str(log), "traces": None, "samples": 5, "horizon": 1,
+        "end": "error", "at": None, "judged": 4, "verdict": False, "holds": False, "violations": 4,
+        "first_violation": 0, "least_robustness": "-inf", "least_robustness_at": 1, "verdicts": [False] * 4,
+        "robustness": [-1.0, "-inf", "-inf", "-inf"],
+    }  # fmt: skip
+    data = json.loads(stltool("monitor", "F[0,1] door", log, "--json")[1])
+    assert (data["holds"], data["robustness"]) == (False, ["inf", "inf", "-inf", "inf"])
+
+
+@pytest.mark.parametrize(
+    ("at", "code", "says"),
+    [(0, 0, "step 0      holds\nrobustness  1\n"), (2, 1, "step 2      violated\nrobustness  -2\n")],
+)
+def test_one_step(stltool, log, at, code, says):
+    ended, out, _ = stltool("monitor", "x > 0", log, "--at", at)
+    assert ended == code
+    assert out.endswith(f"judged      step {at}\n{says}")
+    ended, out, _ = stltool("monitor", "x > 0", log, "--at", at, "--json")
+    data = json.loads(out)
+    assert (ended, data["at"], data["judged"], data["verdict"], data["holds"]) == (code, at, 1, not code, not code)
+    assert (data["violations"], data["first_violation"]) == ((1, at) if code else (0, None))
+    assert (len(data["verdicts"]), len(data["robustness"]), data["least_robustness_at"]) == (1, 1, at)
+
+
+def test_the_end_of_the_trace(stltool, log):
+    """At the last step a cut G[0,2] sees one sample, a held one that sample thrice."""
+    for end, verdicts in (("error", [False] * 3), ("cut", [False] * 4 + [True]), ("hold", [False] * 4 + [True])):
+        code, out, _ = stltool("monitor", "G[0,2] x > 0", log, "--end", end, "--json")
+        data = json.loads(out)
+        assert (code, data["end"], data["verdicts"], data["judged"]) == (1, end, verdicts, len(verdicts))
+    for end, verdict in (("cut", True), ("hold", False)):
+        code, out, _ = stltool("monitor", "G[1,2] x < 0", log, "--end", end, "--at", 4, "--json")
+        assert json.loads(out)["verdict"] is verdict
+    assert "horizon     2; windows are cut where the trace ends\n" in stltool(
+        "monitor", "G[0,2] x > 0", log, "--end", "cut")[1]  # fmt: skip
+    assert "horizon     2; the last sample is held where the trace ends\n" in stltool(
+        "monitor", "G[0,2] x > 0", log, "--end", "hold")[1]  # fmt: skip
+    code, out, _ = stltool("monitor", "F[0,1] door -> G[0,0] x > -9", log, "--end", "hold", "--steps")
+    assert code == 0
+
+
+def test_every_step_is_listed(stltool, log):
+    code, out, _ = stltool("monitor", "x > 0", log, "--steps")
+    assert code == 1
+    assert out.split("\n\n")[-1].splitlines() == [
+        "step  verdict   robustness", "0     holds     1", "1     violated  -1", "2     violated  -2",
+        "3     violated  -3", "4     holds     4",
+    ]  # fmt: skip
+    _, out, _ = stltool("monitor", "x > 0", log, "--steps", "--at", 3)
+    assert out.split("\n\n")[-1].splitlines() == ["step  verdict   robustness", "3     violated  -3"]
+
+
+def test_a_batch_has_a_row_a_trace(stltool, batch, tmp_path):
+    code, out, _ = stltool("monitor", "x > 0", batch)
+    assert code == 1
+    assert out.splitlines() == [
+        "task        x > 0",
+        f"trace       {batch}, 3 samples × 3 traces",
+        "horizon     0",
+        "judged      3 steps, 0 … 2",
+        "holds       for 1 of 3 traces at every step",
+        "violated    at 3 of 9 steps",
+        "robustness  -2 at step 2, the least",
+        "",
+        "trace  step 0    violated at  first  least robustness  at step",
+        "0      holds     0 steps      –      1                 0",
+        "1      holds     2 steps      1      -2                2",
+        "2      violated  1 step       0      -1                0",
+    ]
+    code, out, _ = stltool("monitor", "x > 0", batch, "--at", 1)
+    assert (code, out.splitlines()[4:]) == (1, [
+        "holds       for 2 of 3 traces", "robustness  -1", "", "trace  step 1    robustness", "0      holds     2",
+        "1      violated  -1", "2      holds     1",
+    ])  # fmt: skip
+    assert stltool("monitor", "x > -5", batch)[0] == 0
+    data = json.loads(stltool("monitor", "x > 0", batch, "--json")[1])
+    assert list(data) == [*KEYS[:12], "violating_traces", *KEYS[12:], "each"]
+    assert (data["traces"], data["violating_traces"], data["first_violation"]) == (3, 2, 0)
+    assert data["verdicts"] == [[True] * 3, [True, False, False], [False, True, True]]
+    assert data["each"][1] == {
+        "verdict": True, "holds": False, "violations": 2, "first_violation": 1, "least_robustness": -2.0,
+        "least_robustness_at": 2,
+    }  # fmt: skip
+    for options, says in (([], "trace 1:\nstep "), (["--trace", 2], "trace 2:\nstep ")):
+        assert says in stltool("monitor", "x > 0", batch, "--steps", *options)[1]
+    np.savez(tmp_path / "many.npz", x=np.ones((23, 2)))
+    assert stltool("monitor", "x > 0", tmp_path / "many.npz")[1].endswith("\nand 3 more; --json has all\n")
+
+
+def test_many_ranges(stltool, tmp_path):
+    (tmp_path / "t.csv").write_text("x\n" + "1\n-1\n" * 7)
+    _, out, _ = stltool("monitor", "x > 0", tmp_path / "t.csv")
+    assert out.endswith("step 9    1      -1                9\nand 2 more; --json has all\n")
+
+
+@pytest.mark.parametrize("ending", ["png", "SVG", "pdf"])
+def test_the_picture(stltool, log, batch, tmp_path, ending):
+    path = tmp_path / "sub" / f"t.{ending}"
+    code, out, _ = stltool("monitor", "G[0,1] x > 0 & door", log, "--plot", path)
+    assert code == 1
+    assert out.endswith(f"\n\nplot  {path}\n")
+    assert path.read_bytes().startswith({"png": b"\x89PNG", "SVG": b"<svg", "pdf": b"%PDF"}[ending])
+    assert os.listdir(path.parent) == [path.name]
+    for options, shown in (([], 1), (["--trace", 0], 0)):
+        code, out, _ = stltool("monitor", "x > 0", batch, "--plot", path, *options)
+        assert (code, out.splitlines()[-1]) == (1, f"plot  {path}, trace {shown}")
+    if ending == "SVG":
+        assert "trace 0: holds at all 3 steps" in path.read_text()
+        stltool("monitor", "x > 0", batch, "--plot", path, "--at", 1, "--json")
+        assert "trace 1: step 1 violated, robustness -1" in path.read_text()
+
+
+def test_bad_input_ends_with_code_2(stltool, log, batch, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "task.stl").write_text("bounded := G[0,9] x > 0\nforever := x > 0\n")
+    (tmp_path / "folder.png").mkdir()
+    (tmp_path / "folder.stl").mkdir()
+    cases = [
+        (["tsak.stl", log], "tsak.stl: there is no such task file; did you mean task.stl?"),
+        ([tmp_path / "none" / "a.stl", log], "a.stl: there is no such task file\n"),
+        (["folder.stl", log], "folder.stl: this task file cannot be read: Is a directory"),
+        (["task", log], f"{log}: there is no column task; known names: door, when, x"),
+        (["task.txt", log], "(read as a formula: there is no file task.txt)"),
+        (["G[0,1] x >", log], "G[0,1] x >\n              ^\n"),
+        (["G[0,1] " * 60 + "x >", log], "formula, line 1"),  # too long for a file's name
+        (["task.stl", log, "--task", "bonded"], "no definition bonded; did you mean bounded?"),
+        (["task.stl", log, "-p", "T=3"], "no param T to override"),
+        (["task.stl", log, "--task", "bounded"], "the traces have 5 samples; this formula needs 10"),
+        (["x > 0", log, "--task", "a"], "--task a: a formula has no definitions to choose from; leave --task out"),
+        (["x > 0", log, "-p", "T=3"], "formula: no param T in this formula; known names: x"),
+        (["x > T0", log, "-p", "T=3"], "formula: no param T in this formula; did you mean T0?"),
+        (["x > 0", log, "-p", "T"], "'T' is not NAME=VALUE"),
+        (["true", log], "true: this reads no signal and no label, so a trace says nothing about it"),
+        (["X > 0", log], "there is no column X; did you mean x?"),
+        (["when > 0", log], "line 2, column when: 'Mon' is no number"),
+        (["x & door", log], "compare it, as in x > 0"),
+        (["x > 0", "none.csv"], "none.csv: there is no such trace file"),
+        (["x > 0", "task.stl"], "task.stl: a trace is read from .csv, .tsv, .npz, .parquet files"),
+        (["x > 0", log, "--end", "wrap"], "--end wrap: choose error, cut, hold"),
+        (["x > 0", log, "--at", 5], "--at 5: steps 0 … 4 of these 5 samples are judged; --end cut or hold judges"),
+        (["x > 0", log, "--at", -1], "--at -1: steps 0 … 4 of these 5 samples are judged"),
+        (["x > 0", log, "--at", 5, "--end", "cut"], "--at 5: steps 0 … 4 of these 5 samples are judged"),
+        (["x > 0", log, "--trace", 0], "--trace 0 says which trace --plot or --steps shows; add one of them"),
+        (["x > 0", log, "--trace", 0, "--steps"], "log.csv holds a single trace; leave --trace out"),
+        (["x > 0", batch, "--trace", 3, "--steps"], f"--trace 3: {batch} holds traces 0 … 2"),
+        (["x > 0", log, "--steps", "--json"], "--steps lists what --json has already; keep one of them"),
+        (["x > 0", "none.csv", "--plot", "t.jpg"], "t.jpg: a picture is written as .png, .svg or .pdf; name"),
+        (["x > 0", "none.csv", "--plot", "folder.png"], "folder.png: cannot be written: it is not a regular file"),
+        (["x > 0", "none.csv", "--plot", "task.stl/t.png"], "task.stl: cannot be a folder for results"),
+    ]  # fmt: skip
+    for arguments, says in cases:
+        code, out, err = stltool("monitor", *arguments)
+        assert (code, out) == (2, ""), arguments
+        assert says in err, arguments
+    assert sorted(os.listdir(tmp_path)) == ["batch.npz", "folder.png", "folder.stl", "log.csv", "task.stl"]
+
+
+def test_a_file_comes_before_a_formula(stltool, log, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert stltool("monitor", "door", log)[0] == 1
+    (tmp_path / "door").write_text("any := door | x < 0")
+    assert stltool("monitor", "door", log)[0] == 0
+
+
+def test_what_takes_long_is_told(stltool, log, monkeypatch):
+    monkeypatch.setattr(terminal, "_PATIENCE", 0.0)
+    slow = np.loadtxt
+
+    def wait(*args, **kwargs):
+        import time
+
+        time.sleep(0.2)
+        return slow(*args, **kwargs)
+
+    monkeypatch.setattr(np, "loadtxt", wait)
+    assert f"reading {log} …" in stltool("monitor", "x > 0", log)[2]
+    assert stltool("monitor", "x > 0", log, "--json")[2] == ""
+    monkeypatch.setenv("FORCE_COLOR", "1")  # a terminal, where somebody watches
+    _, out, err = stltool("monitor", "x > 0", log)
+    assert "reading" in err
+    assert "reading" not in out
+
+
+def test_what_does_not_take_long_is_not_told(monkeypatch):
+    class Timer:
+        def __init__(self, seconds, _tell, words):
+            told.append((seconds, words))
+
+        def start(self):
+            told.append("start")
+
+        def cancel(self):
+            told.append("cancel")
+
+    told = []
+    monkeypatch.setattr(terminal.threading, "Timer", Timer)
+    with pytest.raises(ZeroDivisionError), terminal.working("counting"):
+        _ = 1 / 0
+    assert told == [(2.0, ["counting …"]), "start", "cancel"]
+
+
+def test_help_has_an_example(stltool):
+    _, out, _ = stltool("monitor", "--help")
+    shown = " ".join(re.sub(r"[│\n]", " ", out).split())
+    assert 'stltool monitor "G[0,20] battery > 0.2" log.csv --plot log.png' in shown
