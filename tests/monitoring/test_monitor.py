@@ -225,6 +225,10 @@ def test_the_first_violation():
         ("a", {"a": [0, 2]}, TraceError, "a is 2 at step 1: .* as in a > 0"),
         ("x > 0", {"x": [2**53 + 1]}, TraceError, "x is 9007199254740993 at step 0: whole numbers beyond"),
         ("x > 0", {"x": ["one"]}, TraceError, "not numbers"),
+        ("x > 0", {"x": np.ones(2, dtype=np.longdouble)}, TraceError, "not numbers that fit a double"),
+        ("x > 0", {"x": np.ma.array([1.0, 2.0], mask=[0, 1])}, TraceError, "x has masked samples"),
+        ("x > 0", {"x": [10**30]}, TraceError, "x holds object"),
+        ("x > 0", {"x": 1.0}, TraceError, r"x has shape \(\)"),
         ("x > 0", {"x": [[[1.0]]]}, TraceError, r"\(n_traces, n_steps\)"),
         ("sped > 0", {"speed": [1.0]}, NameLookupError, r"line 1, column 1: .* no signal sped; did you mean speed\?"),
         ("true", {}, TraceError, "no signal to take the number of steps from"),
@@ -289,6 +293,18 @@ def test_numbers_of_any_kind(kind):
     assert stl.monitor(Label("a"), {"a": given}).robustness.tolist() == [-np.inf, np.inf, np.inf]
 
 
+def test_the_largest_whole_numbers():
+    for x in (2**53, -(2**53)):
+        for samples in ([x], np.array([x]), [float(x)]):
+            assert stl.monitor(stl.parse("x > 0"), {"x": samples}).robustness.tolist() == [x]
+        assert stl.OnlineMonitor(stl.parse("x > 0")).feed({"x": x}) == [(0, x > 0, x)]
+        beyond = x + x // 2**53
+        for samples in ([beyond], [0.5, beyond], np.array([beyond])):
+            with pytest.raises(TraceError, match="whole numbers beyond"):
+                stl.monitor(stl.parse("x > 0"), {"x": samples})
+    assert stl.monitor(stl.parse("x > 0"), {"x": [1e300, 2**53]}).verdicts.all()
+
+
 def test_the_arrays_given_are_left_alone():
     signals = {"x": np.array([[0.0, -0.0, 2.0, 0.5]]), "a": np.array([[True, False, True, True]])}
     before = {name: values.copy() for name, values in signals.items()}
@@ -342,7 +358,7 @@ def test_equal_parts_are_computed_once():
 def test_every_buffer_is_given_back_once(phi, end, data):
     columns, machine = data.draw(batches(4)), Machine(compile_formula(phi))
     block = Block(columns, len(columns["x"]), 4, end)
-    machine.run(block)
+    assert [values.dtype for values in machine.run(block)] == [np.bool_, np.float64]
     for kind in (np.bool_, np.float64):
         free = machine.pool(kind, 0).free
         assert len({id(buffer) for buffer in free}) == len(free)
