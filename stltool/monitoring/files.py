@@ -2,7 +2,7 @@
 
     load_trace("log.csv")  →  {"x": float64 (n_steps,), "door": bool (n_steps,), …}
 
-A CSV file is read twice over. The fast reader, `numpy.loadtxt`, is trusted with files in which every line break ends a
+CSV has two readers. The fast one, `numpy.loadtxt`, is trusted with files in which every line break ends a
 row and every separator ends a cell, and only where it finds nothing to object to. Everything else goes to the slow
 reader, which accepts the same files and knows the line, the column and the text of what is wrong.
 """
@@ -60,8 +60,9 @@ def load_trace(path: str | Path, names: Iterable[str] | None = None) -> Signals:
 
 def _chosen(path: Path, known: Sequence[str], names: Sequence[str] | None, what: str) -> list[str]:
     """The names to read: all that are there, or those asked for."""
+    there = set(known)
     for name in names or ():
-        if name not in known:
+        if name not in there:
             raise NameLookupError(f"{path}: there is no {what} {name}; {near_misses(name, known)}")
     return list(known if names is None else names)
 
@@ -87,7 +88,7 @@ class _Table:
     path: Path
     separator: str
     header: list[str]
-    body: int  # the byte after the header line, at most
+    body: int  # where the data begin, in bytes after the mark of UTF-8 if there is one
     labels: frozenset[str]  # the columns whose first cell is true or false
 
 
@@ -138,13 +139,15 @@ def _csv_header(path: Path, line: str) -> tuple[str, list[str]]:
         )
     separator = separators[0] if separators else ","
     header = [name.strip() for name in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
+    seen: set[str] = set()
     for number, name in enumerate(header, start=1):
         if not name:
             raise TraceError(f"{where}: column {number} has no name; every column needs one")
-        if name in header[: number - 1]:
+        if name in seen:
             raise TraceError(f"{where}: two columns are named {name}; every column needs a name of its own")
         if _is_value(name):
             raise TraceError(f"{where}: {name} stands where a name should; put a line with the columns' names on top")
+        seen.add(name)
     return separator, header
 
 
@@ -154,11 +157,11 @@ def _is_plain(table: _Table, wanted: Sequence[str]) -> bool:
         zero = data.find(b"\0")
         if zero >= 0:
             raise FileError(f"{table.path}: not a CSV file: it holds binary data (a zero byte at offset {zero})")
-        sample = data[:_SAMPLE]
-        rows = len(data) * (sample.count(b"\n") or sample.count(b"\r")) / len(sample)
+        start = table.body + 3 * data[:3].startswith(b"\xef\xbb\xbf")
+        sample = data[start : start + _SAMPLE]
+        rows = (len(data) - start) * (sample.count(b"\n") or sample.count(b"\r") or 1) / len(sample)
         width = np.dtype(_cell_types(table, wanted)).itemsize
         require_memory(rows * width * _COPIES, f"{table.path}, some {rows:.3g} rows,", _REMEDY)
-        start = table.body + 3 * data[:3].startswith(b"\xef\xbb\xbf")
         if data.find(b'"', start) >= 0:
             return False
         gaps = [place for place in (data.find(gap, start) for gap in (b"\n\n", b"\n\r", b"\r\r")) if place >= 0]
@@ -167,8 +170,9 @@ def _is_plain(table: _Table, wanted: Sequence[str]) -> bool:
 
 def _cell_types(table: _Table, wanted: Sequence[str]) -> list[tuple[str, str]]:
     """What the fast reader makes of each column; of what nobody asked for it keeps a byte."""
+    asked = set(wanted)
     return [
-        (f"{i}", "S1" if name not in wanted else f"S{_LABEL_WIDTH}" if name in table.labels else "f8")
+        (f"{i}", "S1" if name not in asked else f"S{_LABEL_WIDTH}" if name in table.labels else "f8")
         for i, name in enumerate(table.header)
     ]
 
@@ -183,8 +187,9 @@ def _read_fast(table: _Table, wanted: Sequence[str]) -> Signals | None:
     except ValueError:
         return None
     signals: Signals = {}
+    places = {name: i for i, name in enumerate(table.header)}
     for name in wanted:
-        column = cells[str(table.header.index(name))]
+        column = cells[str(places[name])]
         if name in table.labels:
             texts, which = np.unique(column, return_inverse=True)
             if any(len(text) == _LABEL_WIDTH for text in texts.tolist()):
@@ -200,7 +205,8 @@ def _read_fast(table: _Table, wanted: Sequence[str]) -> Signals | None:
 
 def _read_slowly(table: _Table, wanted: Sequence[str]) -> Signals:
     """The columns cell by cell: what is wrong is told with its line and its column."""
-    places = [(table.header.index(name), name, name in table.labels) for name in wanted]
+    asked = set(wanted)
+    places = [(i, name, name in table.labels) for i, name in enumerate(table.header) if name in asked]
     columns: dict[str, array[Any]] = {name: array("b" if name in table.labels else "d") for name in wanted}
     with _opened(table.path) as file:
         file.readline()
@@ -292,7 +298,7 @@ def _read_npz(path: Path, names: list[str] | None) -> Signals:
         shapes: dict[str, tuple[int, ...]] = {}
         taken = 0
         for name in wanted:
-            shapes[name], dtype = _npy_header(path, file.zip, name)
+            shapes[name], dtype = _npy_header(file.zip, name)
             where = f"{path}, array {name}"
             if dtype.kind not in "biuf":
                 kind = "Python objects, which are not read" if dtype.kind == "O" else f"{dtype}"
@@ -311,7 +317,7 @@ def _read_npz(path: Path, names: list[str] | None) -> Signals:
         return {name: file[name] for name in wanted}
 
 
-def _npy_header(path: Path, archive: zipfile.ZipFile, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
+def _npy_header(archive: zipfile.ZipFile, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
     """Shape and type of an array, before it is read."""
     members = archive.namelist()
     with archive.open(name if name in members else f"{name}.npy") as member:

@@ -352,7 +352,10 @@ def test_what_would_not_fit_is_refused_before_it_is_read(tmp_path, write, monkey
     for end in ("\n", "\r\n", "\r"):
         csv_file = write(f"x,y,note{end}" + f"1.5,2.5,ab{end}" * 10_000)
         stl.load_trace(csv_file, ["x", "y"])
-        assert asked.pop() == pytest.approx(10_001 * (8 + 8 + 1) * 2.5, rel=1e-3)
+        assert asked.pop() == pytest.approx(10_000 * (8 + 8 + 1) * 2.5, rel=1e-3)
+    wide = write(",".join(f"x{i}" for i in range(50_000)) + "\n" + ",".join("1" * 50_000) + "\n")
+    assert len(stl.load_trace(wide)) == 50_000
+    assert 50_000 * 8 * 2.5 <= asked.pop() <= 50_000 * 8 * 2.5 * 2
 
 
 def test_so_it_is_of_parquet(tmp_path, monkeypatch):
