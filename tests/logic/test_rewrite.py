@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.errors import SizeError, StlSyntaxError
+from stltool.logic import rewrite
 from stltool.logic.formula import (
     Always,
     And,
@@ -180,6 +181,7 @@ SIMPLER = """
     !a <-> !b => a <-> b  ;  !a <-> b => !a <-> b  ;  !a <-> x > 0 => a <-> x <= 0
     !(a U[0,2] b) => !(a U[0,2] b)  ;  !(a <-> b) => !(a <-> b)
     G[0,1] a -> !(G[0,1] b) => (G[0,1] a) -> !(G[0,1] b)  ;  !!(G[0,1] a -> !(G[0,1] b)) => !(G[0,1] (a & b))
+    !!(G[0,1] x > 0 -> !(G[0,1] y > 0)) => F[0,1] (x <= 0 | y <= 0)
     # operands that repeat, absorb, contradict
     a & (b & a) & (c & b) => a & b & c  ;  a | (b | c) | b => a | b | c  ;  (a & b) | (b & a) => a & b
     x > 0 & 0 < x => x > 0  ;  (a <-> b) | (b <-> a) => a <-> b  ;  (a -> b) & (b -> a) => (a -> b) & (b -> a)
@@ -220,6 +222,7 @@ def test_what_becomes_of(text, simple, cut):
 
 CUT = """
     # only where the windows are there
+    !(F[1,2] true) => false => G[1,2] false  ;  F[1,2] true | G[1,2] false => true => true
     F[1,2] true => true => F[1,2] true  ;  G[1,2] false => false => G[1,2] false
     G[2,2] a => F[2,2] a => G[2,2] a  ;  F[2,2] G[0,3] a => G[2,5] a => F[2,2] G[0,3] a
     F[0,3] G[1,1] a => F[1,4] a => F[0,3] G[1,1] a  ;  F[0,99] G[1,1] a => F[1,99] a => F[0,99] G[1,1] a
@@ -252,8 +255,8 @@ def test_negation_normal_forms(text, normal):
 
 def test_nodes_that_survive_keep_their_places():
     phi = stl.parse("!(F[0,3] !alpha) & (beta | !(x > 0)) & true")
-    for rewrite in REWRITINGS:
-        places = {node.span.text() for node in walk(rewrite(phi)) if isinstance(node, Label | Comparison)}
+    for rewritten in (negation_normal_form(phi), simplify(phi)):
+        places = {node.span.text() for node in walk(rewritten) if isinstance(node, Label | Comparison)}
         assert places == {"alpha", "beta", "x > 0"}
     merged = simplify(stl.parse("a & F[0,2] b & G[1,2] c & G[1,2] d"))
     assert [part.span.text() for part in merged.args] == ["a", "F[0,2] b", "G[1,2] c"]
@@ -279,8 +282,8 @@ def nested(wrap, depth):
 )
 def test_deep_formulas_are_no_trouble(wrap):
     phi = nested(wrap, 99)
-    for rewrite in REWRITINGS:
-        assert operator_count(rewrite(phi)) <= operator_count(phi) + 198
+    for rewritten in (negation_normal_form(phi), simplify(phi)):
+        assert operator_count(rewritten) <= operator_count(phi) + 198
 
 
 def test_large_formulas_take_no_time_squared():
@@ -292,6 +295,15 @@ def test_large_formulas_take_no_time_squared():
     windows = [(Always if i % 2 else Eventually)(Interval(2 * i, 2 * i), labels[0]) for i in range(n)]
     assert operator_count(simplify(And(tuple(windows)))) == 2 * n - 2
     assert simplify(And(tuple(Eventually(Interval(0, i), labels[0]) for i in range(n)))) == labels[0]
+
+
+def test_a_negation_is_made_once():
+    made = []
+    with pytest.MonkeyPatch.context() as patch:
+        once = rewrite._Simplifier._negation
+        patch.setattr(rewrite._Simplifier, "_negation", lambda self, x, span: made.append(x) or once(self, x, span))
+        simplify(nested(lambda phi, i: Not(And((stl.parse(f"x > {i}"), phi if i else stl.parse("y > 0")))), 100))
+    assert 100 <= len(made) <= 400
 
 
 def test_what_doubles_too_often_is_refused():
