@@ -13,11 +13,8 @@ from stltool.errors import FragmentError
 from stltool.reporting import encoding_data, encoding_rows, surrogate_data, surrogate_rows
 from stltool.reporting.story import count_text, state_histories
 from stltool.testing import models
-from tests import oracles, test_cli
-from tests.conftest import FACTORY
-from tests.test_cli import PATROLLING, SMALL
-
-stltool = test_cli.stltool  # the fixture
+from tests import oracles
+from tests.conftest import FACTORY, PATROLLING, SMALL
 
 
 @given(models(max_states=4), st.integers(1, 4))

@@ -8,7 +8,6 @@ import pytest
 
 import stltool as stl
 from tests.conftest import FACTORY, ROOT
-from tests.test_cli import stltool  # noqa: F401 - the fixture that runs the command line
 
 TASK = str(FACTORY / "tradeoff.stl")
 SMALL = ["-p", "T=5", "-p", "tau=6"]
@@ -21,7 +20,7 @@ def front(floor5):
     return stl.pareto(stl.build_joint_product(floor5, tasks))
 
 
-def test_pareto_prints_the_corners(stltool, front):  # noqa: F811
+def test_pareto_prints_the_corners(stltool, front):
     code, out, err = stltool("pareto", TASK, *SMALL, *BOTH, "--json")
     data = json.loads(out)
     assert (code, err) == (0, "")
@@ -40,7 +39,7 @@ def test_pareto_prints_the_corners(stltool, front):  # noqa: F811
 
 
 @pytest.mark.parametrize("ending", ["svg", "PNG"])
-def test_pareto_draws_the_front(stltool, tmp_path, ending):  # noqa: F811
+def test_pareto_draws_the_front(stltool, tmp_path, ending):
     first, again = (tmp_path / f"{name}.{ending}" for name in ("front", "again"))
     for path in (first, again):
         code, out, _ = stltool("pareto", TASK, *SMALL, *BOTH, "--plot", path)
@@ -56,7 +55,7 @@ def test_pareto_draws_the_front(stltool, tmp_path, ending):  # noqa: F811
         assert picture.startswith(b"\x89PNG")
 
 
-def test_tradeoff_prints_and_saves(stltool, front, tmp_path):  # noqa: F811
+def test_tradeoff_prints_and_saves(stltool, front, tmp_path):
     policy = tmp_path / "policy.npz"
     arguments = [
         "tradeoff",
@@ -112,7 +111,7 @@ def test_tradeoff_prints_and_saves(stltool, front, tmp_path):  # noqa: F811
         ),
     ],
 )
-def test_bad_input_ends_with_its_message(stltool, tmp_path, monkeypatch, arguments, says):  # noqa: F811
+def test_bad_input_ends_with_its_message(stltool, tmp_path, monkeypatch, arguments, says):
     monkeypatch.chdir(tmp_path)
     command, *rest = arguments
     code, out, err = stltool(command, TASK, *SMALL, *rest)
@@ -121,7 +120,7 @@ def test_bad_input_ends_with_its_message(stltool, tmp_path, monkeypatch, argumen
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_pages_programmes(stltool, monkeypatch):  # noqa: F811
+def test_the_pages_programmes(stltool, monkeypatch):
     """What the page shows of linear programmes, but for what another release of the solver may change."""
     monkeypatch.chdir(ROOT)
     text = (ROOT / "docs" / "tradeoffs.md").read_text(encoding="utf-8")

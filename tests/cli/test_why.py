@@ -9,11 +9,7 @@ import numpy as np
 import pytest
 
 import stltool as stl
-from tests import test_cli
-from tests.conftest import FACTORY, ROOT
-from tests.test_cli import PATROLLING, SMALL
-
-stltool = test_cli.stltool  # the fixture
+from tests.conftest import FACTORY, PATROLLING, ROOT, SMALL
 
 
 def test_the_runs_and_states_of_the_optimum(stltool):

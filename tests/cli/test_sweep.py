@@ -6,7 +6,6 @@ import re
 import pytest
 
 from tests.learning.test_sweep import TINY, files
-from tests.test_cli import stltool  # noqa: F401 - the fixture that runs the command line
 
 
 @pytest.fixture
@@ -16,7 +15,7 @@ def sweep_file(tmp_path):
     return path
 
 
-def test_a_sweep_from_start_to_report(stltool, sweep_file, tmp_path, monkeypatch):  # noqa: F811
+def test_a_sweep_from_start_to_report(stltool, sweep_file, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     code, out, err = stltool("sweep", sweep_file, "--workers", 1)
     assert (code, len(err.splitlines())) == (0, 8)
@@ -41,7 +40,7 @@ def test_a_sweep_from_start_to_report(stltool, sweep_file, tmp_path, monkeypatch
     assert (folder / "report.html").read_text() == page
 
 
-def test_parts_are_run_and_all_that_is_there_is_shown(stltool, sweep_file, tmp_path):  # noqa: F811
+def test_parts_are_run_and_all_that_is_there_is_shown(stltool, sweep_file, tmp_path):
     out = tmp_path / "o"
     options = ["--workers", 1, "--out", out, "--json"]
     code, text, _ = stltool("sweep", sweep_file, "--only", "C", "--method", "naive", "--seeds", 1, *options)
@@ -58,7 +57,7 @@ def test_parts_are_run_and_all_that_is_there_is_shown(stltool, sweep_file, tmp_p
     ]  # fmt: skip
 
 
-def test_a_dry_run_writes_nothing(stltool, sweep_file, tmp_path):  # noqa: F811
+def test_a_dry_run_writes_nothing(stltool, sweep_file, tmp_path):
     out = tmp_path / "o"
     code, text, _ = stltool("sweep", sweep_file, "--dry-run", "--out", out, "--workers", 2)
     assert code == 0
@@ -74,7 +73,7 @@ def test_a_dry_run_writes_nothing(stltool, sweep_file, tmp_path):  # noqa: F811
     assert data["seconds"] == pytest.approx(2 * sum(r["seconds_each"] for r in data["runs"]))
 
 
-def test_failures_are_told_at_the_end(stltool, sweep_file, tmp_path):  # noqa: F811
+def test_failures_are_told_at_the_end(stltool, sweep_file, tmp_path):
     sweep_file.write_text(TINY.replace("batch = 8", "batch = 0"))
     code, out, err = stltool("sweep", sweep_file, "--workers", 1, "--out", tmp_path / "o")
     assert code == 2
@@ -102,7 +101,7 @@ def test_failures_are_told_at_the_end(stltool, sweep_file, tmp_path):  # noqa: F
         (["--workers", "2", "--cluster", "tcp://h:1"], "give one of the two"),
     ],
 )
-def test_bad_options_end_with_their_message(stltool, sweep_file, tmp_path, options, says):  # noqa: F811
+def test_bad_options_end_with_their_message(stltool, sweep_file, tmp_path, options, says):
     code, out, err = stltool("sweep", sweep_file, "--out", tmp_path / "o", *options)
     assert (code, out) == (2, "")
     assert says in err

@@ -6,7 +6,6 @@ import pytest
 
 import stltool as stl
 from tests.conftest import FACTORY
-from tests.test_cli import stltool  # noqa: F401 - the fixture
 
 UNCERTAIN = str(FACTORY / "uncertain.stl")
 SMALL = ["-p", "T=5", "-p", "tau=5"]
@@ -20,7 +19,7 @@ def product():
 
 @pytest.mark.parametrize("minimize", [False, True])
 @pytest.mark.parametrize("nature", [None, "against", "with"])
-def test_check_asks_nature(stltool, product, nature, minimize):  # noqa: F811
+def test_check_asks_nature(stltool, product, nature, minimize):
     options = [*(["--nature", nature] if nature else []), *(["--minimize"] if minimize else [])]
     code, out, err = stltool("check", UNCERTAIN, *SMALL, *options, "--json")
     data = json.loads(out)
@@ -34,7 +33,7 @@ def test_check_asks_nature(stltool, product, nature, minimize):  # noqa: F811
     assert f"{'minimum' if minimize else 'maximum'} of all, nature {nature or 'against'}" in out
 
 
-def test_the_nominal_model_is_checked_when_asked(stltool, product):  # noqa: F811
+def test_the_nominal_model_is_checked_when_asked(stltool, product):
     code, out, _ = stltool("check", UNCERTAIN, *SMALL, "--nature", "nominal", "--json")
     data = json.loads(out)
     nominal = stl.build_product(product.model.nominal(), product.formula)
@@ -45,7 +44,7 @@ def test_the_nominal_model_is_checked_when_asked(stltool, product):  # noqa: F81
     )
 
 
-def test_policies_are_saved_and_judged_by_every_nature(stltool, product, tmp_path):  # noqa: F811
+def test_policies_are_saved_and_judged_by_every_nature(stltool, product, tmp_path):
     values = {}
     for made in ("against", "nominal"):
         path = tmp_path / f"{made}.npz"
@@ -64,7 +63,7 @@ def test_policies_are_saved_and_judged_by_every_nature(stltool, product, tmp_pat
     assert json.loads(out)["probability"] == values["against", "with"]
 
 
-def test_at_least_holds_whatever_nature_does(stltool, product):  # noqa: F811
+def test_at_least_holds_whatever_nature_does(stltool, product):
     guaranteed, hoped = (stl.robust_check(product, nature=nature).probability for nature in ("against", "with"))
     between = (guaranteed + hoped) / 2
     for nature, code, says in (("against", 1, "does not hold"), ("with", 0, "holds")):
@@ -72,7 +71,7 @@ def test_at_least_holds_whatever_nature_does(stltool, product):  # noqa: F811
         assert (ended, out.rstrip().endswith(says)) == (code, True)
 
 
-def test_bad_natures_and_wrong_commands_end_with_a_message(stltool, tmp_path):  # noqa: F811
+def test_bad_natures_and_wrong_commands_end_with_a_message(stltool, tmp_path):
     for arguments, says in (
         (["check", UNCERTAIN, "--nature", "kind"], "--nature kind: choose against, with, nominal"),
         (["check", FACTORY / "patrolling.stl", "--nature", "with"], "no intervals; leave --nature out"),
@@ -99,7 +98,7 @@ def test_a_report_tells_the_nature(product, tmp_path):
     assert data["run"] is None
 
 
-def test_exact_arithmetic_and_certificates_need_one_probability_each(stltool, tmp_path):  # noqa: F811
+def test_exact_arithmetic_and_certificates_need_one_probability_each(stltool, tmp_path):
     path = tmp_path / "proof.jsonl"
     for option in (["--exact"], ["--certificate", path]):
         code, out, err = stltool("check", UNCERTAIN, *SMALL, *option)
@@ -114,7 +113,7 @@ def test_exact_arithmetic_and_certificates_need_one_probability_each(stltool, tm
     assert (code, "exact P  " in out) == (0, True)
 
 
-def test_the_nominal_model_on_the_ordinary_road(stltool, tmp_path):  # noqa: F811
+def test_the_nominal_model_on_the_ordinary_road(stltool, tmp_path):
     """Learned on the nominal probabilities, judged against nature; nothing takes them unasked."""
     policy = tmp_path / "p.npz"
     code, _, err = stltool("learn", UNCERTAIN, *SMALL, "--out", policy, "--episodes", "5")
@@ -128,7 +127,7 @@ def test_the_nominal_model_on_the_ordinary_road(stltool, tmp_path):  # noqa: F81
     assert (code, "the model's probabilities are no intervals" in err) == (2, True)
 
 
-def test_a_bound_inside_the_enclosure_has_no_exact_way_out(stltool, product):  # noqa: F811
+def test_a_bound_inside_the_enclosure_has_no_exact_way_out(stltool, product):
     value = stl.robust_check(product).probability
     code, out, _ = stltool("check", UNCERTAIN, *SMALL, "--at-least", repr(value))
     assert (code, out.rstrip().endswith("not decided: the bound lies inside the enclosure")) == (1, True)

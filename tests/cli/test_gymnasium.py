@@ -12,13 +12,12 @@ from stltool.errors import ModelError
 from stltool.reporting import load_report, render
 from tests.conftest import ROOT
 from tests.models.gymnasium_envs import Scripted
-from tests.test_cli import stltool  # noqa: F401 - a fixture
 
 LAKE = ROOT / "examples" / "frozenlake"
 KNOWN, UNKNOWN = LAKE / "crossing.stl", LAKE / "crossing-blackbox.stl"
 
 
-def test_a_black_box_is_run_and_bounded(stltool, tmp_path):  # noqa: F811
+def test_a_black_box_is_run_and_bounded(stltool, tmp_path):
     arguments = [UNKNOWN, "--episodes", 400, "--rollouts", 300, "--seed", 5, "--out", tmp_path]
     code, out, _ = stltool("run", *arguments)
     assert code == 0
@@ -46,7 +45,7 @@ def test_a_black_box_is_run_and_bounded(stltool, tmp_path):  # noqa: F811
     assert (code, err, again["guarantees"][0]["satisfied"]) == (0, "", found["satisfied"])
 
 
-def test_the_table_is_run_and_checked(stltool, tmp_path):  # noqa: F811
+def test_the_table_is_run_and_checked(stltool, tmp_path):
     code, out, _ = stltool("run", KNOWN, "-p", "T=30", "--episodes", 200, "--out", tmp_path)
     assert code == 0
     assert "maximum of all" in out
@@ -55,7 +54,7 @@ def test_the_table_is_run_and_checked(stltool, tmp_path):  # noqa: F811
     assert (code, "a black box's policy is judged by fresh runs alone" in err) == (2, True)
 
 
-def test_the_other_commands_on_a_black_box(stltool, tmp_path):  # noqa: F811
+def test_the_other_commands_on_a_black_box(stltool, tmp_path):
     policy = tmp_path / "p.npz"
     code, out, _ = stltool("learn", UNKNOWN, "--episodes", 100, "--out", policy)
     assert (code, "exact P  unknown: the model is a black box" in out) == (0, True)

@@ -5,8 +5,6 @@ import sys
 
 import pytest
 
-from tests.test_cli import stltool  # noqa: F401 - a fixture
-
 UNTIDY = "param T=3 # steps\nr:=alw_[0,T] A and B\n"
 TIDY = "param T = 3  # steps\nr := (G[0,T] A) & B\n"
 
@@ -18,7 +16,7 @@ def task(tmp_path):
     return path
 
 
-def test_files_are_laid_out_in_place(stltool, task):  # noqa: F811
+def test_files_are_laid_out_in_place(stltool, task):
     code, out, err = stltool("fmt", task)
     assert (code, out) == (0, f"{task}: laid out anew\n")
     assert task.read_text() == TIDY
@@ -28,7 +26,7 @@ def test_files_are_laid_out_in_place(stltool, task):  # noqa: F811
     assert stltool("fmt", task) == (0, "", "")
 
 
-def test_check_writes_nothing_and_tells_by_its_exit_code(stltool, task):  # noqa: F811
+def test_check_writes_nothing_and_tells_by_its_exit_code(stltool, task):
     code, out, err = stltool("fmt", "--check", task)
     assert (code, out) == (1, f"{task}: would be laid out anew\n")
     assert "here it means" in err
@@ -37,7 +35,7 @@ def test_check_writes_nothing_and_tells_by_its_exit_code(stltool, task):  # noqa
     assert stltool("fmt", "--check", task) == (0, "", "")
 
 
-def test_a_pipe(stltool, monkeypatch):  # noqa: F811
+def test_a_pipe(stltool, monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.StringIO(UNTIDY))
     code, out, err = stltool("fmt", "-")
     assert (code, out) == (0, TIDY)
@@ -46,7 +44,7 @@ def test_a_pipe(stltool, monkeypatch):  # noqa: F811
     assert stltool("fmt", "--check", "-")[:2] == (1, "standard input: would be laid out anew\n")
 
 
-def test_a_faulty_file_is_left_alone_and_the_others_are_laid_out(stltool, task, tmp_path):  # noqa: F811
+def test_a_faulty_file_is_left_alone_and_the_others_are_laid_out(stltool, task, tmp_path):
     faulty, missing = tmp_path / "faulty.stl", tmp_path / "missing.stl"
     faulty.write_text("r := A &\nq := § B\n")
     code, out, err = stltool("fmt", faulty, missing, task)

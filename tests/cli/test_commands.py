@@ -10,26 +10,7 @@ import sys
 import pytest
 
 import stltool as stl
-from stltool import cli
-from tests.conftest import FACTORY
-
-PATROLLING = str(FACTORY / "patrolling.stl")
-SMALL = ["-p", "T=5", "-p", "tau=5"]
-
-
-@pytest.fixture
-def stltool(monkeypatch, capsys):
-    """Run the command line in this process: (exit code, stdout, stderr)."""
-
-    def run(*args):
-        monkeypatch.setattr(sys, "argv", ["stltool", *map(str, args)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        output = capsys.readouterr()
-        assert "Traceback" not in output.err
-        return ended.value.code or 0, output.out, output.err
-
-    return run
+from tests.conftest import FACTORY, PATROLLING, SMALL
 
 
 def test_check_prints_one_object(stltool):

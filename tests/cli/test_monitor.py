@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from stltool.reporting import terminal
-from tests import test_cli
 from tests.conftest import ROOT
 
-stltool = test_cli.stltool  # the fixture
 DUTY = ROOT / "examples" / "monitor" / "duty.stl"
 SHIFT = ROOT / "examples" / "monitor" / "shift.csv"
 KEYS = [
