@@ -6,6 +6,7 @@ generators: what a checkpoint holds. Evaluations never follow exploring traces: 
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -26,12 +27,14 @@ from stltool.models.environment import Environment, require_state
 class Point:
     """One evaluation: after so many episodes and environment steps, the policy's exact probability.
 
-    None where the model is not known.
+    None where the model is not known. `time` is when it was evaluated, in seconds since 1970; runs that differ in it
+    alone are equal.
     """
 
     episode: int
     steps: int
     probability: float | None
+    time: float = field(default=0.0, compare=False)
 
 
 @dataclass
@@ -85,7 +88,7 @@ class Trainer:
             progress.finished = self._over(progress)
             if progress.episode % settings.evaluate_every == 0 or self.ends(progress):
                 value = self.evaluate(self.learner.policy_table())
-                progress.history.append(Point(progress.episode, progress.steps, value))
+                progress.history.append(Point(progress.episode, progress.steps, value, time.time()))
                 progress.finished |= value is not None and self.enough(value)
             if shown is not None:
                 value = progress.history[-1].probability if progress.history else None

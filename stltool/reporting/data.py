@@ -182,7 +182,10 @@ def training_data(training: Training) -> dict[str, Any]:
         "settings": dataclasses.asdict(training.settings),
         "environment_steps": training.environment_steps,
         "seconds": training.seconds,
-        "history": [dataclasses.asdict(point) for point in training.history],
+        "history": [
+            {"episode": point.episode, "steps": point.steps, "probability": point.probability}
+            for point in training.history
+        ],
     }
 
 

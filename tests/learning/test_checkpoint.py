@@ -49,8 +49,12 @@ def test_a_cut_run_resumes_to_the_same_bits(patrolling, tmp_path, method, faithf
                 progress=cut_after(cut),
                 **settings,
             )
+    began = time.time()
     resumed = stl.learn(patrolling, method, checkpoint=path, resume=True, **settings)
     assert resumed.history == whole.history
+    times = [point.time for point in resumed.history]
+    assert times == sorted(times)
+    assert times[0] <= began <= times[-1] <= time.time()  # those of the first run are kept
     assert np.array_equal(resumed.policy.table, whole.policy.table)
     assert resumed.counts.seen.tolist() == whole.counts.seen.tolist()
     longer = stl.learn(patrolling, method, checkpoint=path, resume=True, **{**settings, "episodes": 16})
