@@ -1,0 +1,72 @@
+# The public names, each once, in reading order; stltool/__init__.py loads them from where this says when first used.
+
+from .logic.parser import load_task as load_task, parse as parse, parse_task as parse_task
+from .logic.formula import Formula as Formula, horizon as horizon
+from .logic.semantics import robustness as robustness, satisfies as satisfies
+from .logic.fragment import Fragment as Fragment, check_fragment as check_fragment
+from .logic.rewrite import negation_normal_form as negation_normal_form, simplify as simplify
+from .logic.task import Task as Task
+from .logic.format import format_task as format_task
+from .logic.lint import ambiguities as ambiguities
+from .monitoring import (
+    Decision as Decision,
+    MonitorResult as MonitorResult,
+    OnlineMonitor as OnlineMonitor,
+    SmoothRobustness as SmoothRobustness,
+    load_trace as load_trace,
+    monitor as monitor,
+    smooth_robustness as smooth_robustness,
+)
+from .automata import TaskAutomaton as TaskAutomaton, compile_automaton as compile_automaton
+from .automata.vacuity import Meaning as Meaning, meaning as meaning
+from .models import (
+    MDP as MDP,
+    from_gymnasium as from_gymnasium,
+    load_model as load_model,
+    to_gymnasium as to_gymnasium,
+)
+from .product import (
+    JointProduct as JointProduct,
+    Product as Product,
+    build_joint_product as build_joint_product,
+    build_product as build_product,
+)
+from .policy import Policy as Policy, load_policy as load_policy
+from .checking import (
+    CheckResult as CheckResult,
+    Estimate as Estimate,
+    Front as Front,
+    LikelyRuns as LikelyRuns,
+    Run as Run,
+    Sensitivity as Sensitivity,
+    SequentialTest as SequentialTest,
+    SurrogateResult as SurrogateResult,
+    Tradeoff as Tradeoff,
+    check as check,
+    estimate as estimate,
+    likely_runs as likely_runs,
+    pareto as pareto,
+    robust_check as robust_check,
+    sample_run as sample_run,
+    sensitivity as sensitivity,
+    sprt as sprt,
+    surrogate_optimum as surrogate_optimum,
+    tradeoff as tradeoff,
+    write_certificate as write_certificate,
+)
+from .recheck import certify as certify
+from .learning import (
+    Guarantee as Guarantee,
+    Settings as Settings,
+    Sweep as Sweep,
+    SweepResult as SweepResult,
+    Training as Training,
+    guarantee as guarantee,
+    learn as learn,
+    load_sweep as load_sweep,
+    run_sweep as run_sweep,
+)
+from .reporting import explain as explain, report as report
+from .errors import StlToolError as StlToolError
+
+__version__: str
