@@ -58,6 +58,10 @@ class SolverError(StlToolError):
     """A numerical solver ended without an answer."""
 
 
+class MissingExtraError(StlToolError):
+    """A package is needed that a plain install of stltool does not bring."""
+
+
 class FileError(StlToolError):
     """A file cannot be read or written, or holds something else than its name says."""
 

@@ -8,18 +8,27 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import os
 import signal
+import threading
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, TypeVar
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
+from contextlib import ExitStack, closing, contextmanager
+from multiprocessing import resource_tracker
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from stltool.errors import SettingsError
+from stltool.extras import require
 
 if TYPE_CHECKING:
     from distributed import Client
 
 _PATIENCE = 20.0  # seconds to wait for a scheduler
+_DEATHS = 3  # of processes at one piece of work, before it is given up
+_DIED = "its worker process died again and again; is there too little memory for so many workers?"
 _GUARD = 'a script that starts workers does so under if __name__ == "__main__":, for each of them imports it'
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
@@ -38,12 +47,114 @@ def spread(
     Closing the iterator gives up the rest. Raises SettingsError where there are no such processes.
     """
     workers = min(workers, len(items))
-    if cluster is None and workers <= 1:
+    if cluster is not None and items:
+        with _client(cluster) as client:
+            yield from _distributed(client, work, items)
+    elif workers <= 1:
         for item in items:
             yield item, work(item)
-    elif items:
-        with _client(workers, cluster) as client:
-            yield from _distributed(client, work, items)
+    else:
+        yield from _processes(work, items, workers)
+
+
+# ------------------------------------------------------------------------------------------- processes of this machine
+
+
+class _Worker(Generic[_Item, _Result]):
+    """A process that does one piece of work at a time. A pool of one, so that its death says which work it was."""
+
+    def __init__(self) -> None:
+        self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_prepare)
+        with _for_children():
+            self.started = self._pool.submit(os.getpid)  # the process starts here
+
+    def submit(self, work: Callable[[_Item], _Result], item: _Item) -> Future[_Result]:
+        """The work's future, whose exception is a BrokenExecutor where the process has died."""
+        try:
+            return self._pool.submit(work, item)
+        except BrokenExecutor as error:
+            future: Future[_Result] = Future()
+            future.set_exception(error)
+            return future
+
+    def close(self) -> None:
+        """End the process, in the middle of its work if need be."""
+        if not isinstance(self.started.exception(), BrokenExecutor):
+            for child in multiprocessing.active_children():
+                if child.pid == self.started.result():
+                    child.kill()
+        self._pool.shutdown(cancel_futures=True)
+
+
+def _processes(
+    work: Callable[[_Item], _Result], items: Sequence[_Item], n_workers: int
+) -> Generator[tuple[_Item, _Result | str], None, None]:
+    """One piece of work a process, the next when it is done; what a process died of goes to a new one."""
+    with ExitStack() as stack:
+        workers: list[_Worker[_Item, _Result]] = [stack.enter_context(closing(_Worker())) for _ in range(n_workers)]
+        if any(isinstance(worker.started.exception(), BrokenExecutor) for worker in workers):
+            raise SettingsError(f"the worker processes did not start; {_GUARD}, or take 1 worker")
+        waiting = deque((item, 0) for item in items)  # with how many processes died of it
+        under_way: dict[Future[_Result], tuple[_Worker[_Item, _Result], _Item, int]] = {}
+        while waiting or under_way:
+            while waiting and workers:
+                worker, (item, deaths) = workers.pop(), waiting.popleft()
+                under_way[worker.submit(work, item)] = worker, item, deaths
+            for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+                worker, item, deaths = under_way.pop(future)
+                error = future.exception()
+                if not isinstance(error, BrokenExecutor):
+                    workers.append(worker)
+                    yield item, future.result() if error is None else _could_not(error)
+                    continue
+                workers.append(stack.enter_context(closing(_Worker())))
+                if deaths + 1 < _DEATHS:
+                    waiting.appendleft((item, deaths + 1))
+                else:
+                    yield item, _DIED
+
+
+def _prepare() -> None:
+    """In a worker, first of all: a Ctrl-C at the terminal reaches all processes, and the one that asked ends this one;
+    where that one is gone, so is this one.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def follow() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+@contextmanager
+def _for_children() -> Iterator[None]:
+    """What a process that starts now inherits: one thread for linear algebra, and Ctrl-C blocked."""
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    mask = None
+    if hasattr(signal, "pthread_sigmask"):  # not so on Windows
+        resource_tracker.ensure_running()  # which would unblock the signal when it starts
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        os.environ.update(_ONE_THREAD)
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+        if mask is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def _could_not(error: BaseException) -> str:
+    return f"the worker could not run it: {type(error).__name__}: {error}"
+
+
+# ------------------------------------------------------------------------------------------------------- dask clusters
 
 
 def _distributed(
@@ -59,53 +170,27 @@ def _distributed(
                 yield item, future.result()
             elif future.status != "error":
                 raise SettingsError("the connection to the dask scheduler was lost; the same command goes on from here")
-            elif isinstance(error := future.exception(), KilledWorker):
-                yield item, "its worker process died again and again; is there too little memory for so many workers?"
             else:
-                yield item, f"the worker could not run it: {type(error).__name__}: {error}"
+                error = future.exception()
+                yield item, _DIED if isinstance(error, KilledWorker) else _could_not(error)
     finally:
         client.cancel(list(waiting))
 
 
 @contextmanager
-def _client(workers: int, cluster: str | None) -> Iterator[Client]:
+def _client(cluster: str) -> Iterator[Client]:
+    require("distributed", "a sweep on a cluster", "give --workers")
+    from distributed import Client
+    from distributed.comm.addressing import get_address_host_port
+
+    for handler in logging.getLogger("distributed").handlers:  # what matters is told by our errors
+        handler.setLevel(logging.CRITICAL)
     try:
-        from distributed import Client, LocalCluster, WorkerPlugin
-        from distributed.comm.addressing import get_address_host_port
-    except ImportError:
+        get_address_host_port(cluster)
+        client = Client(cluster, timeout=_PATIENCE, set_as_default=False)
+    except (OSError, ValueError) as error:
         raise SettingsError(
-            "more than one worker, or a cluster, needs dask.distributed; pip install 'stltool[sweep]', or take 1 worker"
+            f"no dask scheduler answers at {cluster}: {error}; write for example tcp://host:8786"
         ) from None
-    if cluster is not None:
-        for handler in logging.getLogger("distributed").handlers:  # what matters is told by our errors
-            handler.setLevel(logging.CRITICAL)
-        try:
-            get_address_host_port(cluster)
-            client = Client(cluster, timeout=_PATIENCE, set_as_default=False)
-        except (OSError, ValueError) as error:
-            raise SettingsError(
-                f"no dask scheduler answers at {cluster}: {error}; write for example tcp://host:8786"
-            ) from None
-        with client:
-            yield client
-        return
-    try:
-        local = LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address=None,
-            silence_logs=logging.CRITICAL,
-        )
-    except RuntimeError as error:
-        raise SettingsError(f"the worker processes did not start ({error}); {_GUARD}, or take 1 worker") from None
-
-    class Deaf(WorkerPlugin):
-        """A Ctrl-C at the terminal reaches all processes; this one ends the workers."""
-
-        def setup(self, worker: object) -> None:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    with local, Client(local, set_as_default=False) as client:
-        client.register_plugin(Deaf())
+    with client:
         yield client

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.errors import FileError, NameLookupError, TraceError, near_misses
+from stltool.extras import require
 from stltool.sizes import require_memory
 
 Signals: TypeAlias = dict[str, NDArray[Any]]
@@ -328,13 +329,9 @@ def _npy_header(archive: zipfile.ZipFile, name: str) -> tuple[tuple[int, ...], n
 
 
 def _read_parquet(path: Path, names: list[str] | None) -> Signals:
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError:
-        raise FileError(
-            f"{path}: Parquet needs pyarrow; pip install 'stltool[parquet]', or write the trace as .csv or .npz"
-        ) from None
+    pa = require("pyarrow", f"{path}: Parquet", "write the trace as .csv or .npz")
+    from pyarrow import parquet
+
     with _faults(path, "a Parquet file", pa.ArrowException), parquet.ParquetFile(path) as file:
         schema, rows = file.schema_arrow, file.metadata.num_rows
         for name, count in zip(*np.unique(schema.names, return_counts=True), strict=True):

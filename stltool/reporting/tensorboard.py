@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from stltool.errors import FileError, SettingsError
+from stltool.errors import FileError
+from stltool.extras import require
 from stltool.learning import Training
 
 
 def require_tensorboard() -> None:
-    """SettingsError where TensorBoard is not installed, before the work."""
-    try:
-        import tensorboard  # noqa: F401
-    except ImportError:
-        raise SettingsError(
-            "TensorBoard is not installed; pip install 'stltool[tensorboard]', or write --history FILE.csv"
-        ) from None
+    """MissingExtraError where TensorBoard is not installed, before the work."""
+    require("tensorboard", "a learning curve in TensorBoard", "write --history FILE.csv")
 
 
 def write_tensorboard(training: Training, folder: str | Path) -> None:

@@ -1,4 +1,4 @@
-"""Hypothesis strategies for formulas, traces and MDPs, for your own property tests: `pip install stltool[test]`."""
+"""Hypothesis strategies for formulas, traces and MDPs, for your own property tests."""
 
 from stltool.testing.strategies import flag_formulas, formulas, interval_models, models, predicates, traces
 

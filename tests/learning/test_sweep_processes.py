@@ -7,18 +7,15 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import psutil
 import pytest
 
 import stltool as stl
-from stltool.errors import SettingsError
+from stltool.errors import MissingExtraError, SettingsError
 from stltool.learning import pool
 from tests.conftest import FACTORY, ROOT
 from tests.learning.test_sweep import files
-
-pytest.importorskip("distributed")
 
 # runs long enough to be killed in, whatever their speed: evaluations cost milliseconds each
 LONG = f"""
@@ -131,6 +128,7 @@ def test_an_interrupt_says_how_to_go_on(sweep_file, undisturbed, tmp_path):
 
 
 def test_a_cluster_that_goes_and_one_that_comes(sweep_file, undisturbed, tmp_path):
+    pytest.importorskip("distributed")
     script = tmp_path / "cluster.py"
     script.write_text(CLUSTER)
     (tmp_path / "elsewhere").mkdir()
@@ -154,10 +152,12 @@ def test_a_cluster_that_goes_and_one_that_comes(sweep_file, undisturbed, tmp_pat
 
 
 DEADLY = """
-import os
+import os, sys
 from stltool.learning.pool import spread
 
 def work(item):
+    with open(sys.argv[1], "a") as log:
+        print(item, file=log)
     if item == "deadly":
         os._exit(1)
     if item == "faulty":
@@ -165,7 +165,9 @@ def work(item):
     return item.upper()
 
 if __name__ == "__main__":
-    print(sorted(spread(work, ["deadly", "faulty", "fine"], 3)))
+    items = ["deadly", "faulty", *(f"fine{i}" for i in range(6))]
+    for item, result in sorted(spread(work, items, 3)):
+        print(f"{item}: {result}")
 """
 UNGUARDED = """
 import sys
@@ -177,11 +179,15 @@ stl.run_sweep(stl.load_sweep(sys.argv[1]), sys.argv[2], workers=2)
 def test_work_that_kills_its_workers_is_given_up(tmp_path):
     script = tmp_path / "deadly.py"
     script.write_text(DEADLY)
-    environment = {**os.environ, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, env=environment, cwd=ROOT)
-    assert "('deadly', 'its worker process died again and again" in done.stdout, done.stderr
-    assert "('faulty', 'the worker could not run it: ValueError: no good')" in done.stdout
-    assert "('fine', 'FINE')" in done.stdout
+    log = tmp_path / "log"
+    done = subprocess.run([sys.executable, script, log], capture_output=True, text=True, cwd=ROOT)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert [line.split("; ")[0] for line in done.stdout.splitlines()] == [
+        "deadly: its worker process died again and again", "faulty: the worker could not run it: ValueError: no good",
+        *(f"fine{i}: FINE{i}" for i in range(6)),
+    ]  # fmt: skip
+    lines = sorted(log.read_text().splitlines())
+    assert lines == sorted([*["deadly"] * 3, "faulty", *(f"fine{i}" for i in range(6))])  # nothing else is done twice
 
 
 def test_a_script_without_a_guard_is_told_so(sweep_file, tmp_path):
@@ -195,7 +201,57 @@ def test_a_script_without_a_guard_is_told_so(sweep_file, tmp_path):
     assert files(tmp_path / "out") == {}
 
 
+WITHOUT_DASK = """
+import sys
+sys.modules["dask"] = sys.modules["distributed"] = None
+import stltool as stl
+if __name__ == "__main__":
+    sweep = stl.load_sweep(sys.argv[1]).select(seeds=2)
+    assert len(stl.run_sweep(sweep, sys.argv[2], workers=2).runs) == 2
+"""
+INHERITED = """
+import os, signal, sys, threading
+from stltool.learning.pool import spread
+
+def seen(_):
+    threads = {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+    return signal.getsignal(signal.SIGINT) == signal.SIG_IGN, set(threads.values())
+
+if __name__ == "__main__":
+    os.environ["OMP_NUM_THREADS"], before = "7", threading.active_count()
+    for _, found in spread(seen, [1, 2, 3], 2):
+        assert found == (True, {"1"}), found
+    assert os.environ["OMP_NUM_THREADS"] == "7" and "OPENBLAS_NUM_THREADS" not in os.environ
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    assert threading.active_count() == before
+"""
+
+
+@pytest.mark.parametrize("program", [WITHOUT_DASK, INHERITED])
+def test_processes_of_this_machine(sweep_file, tmp_path, program):
+    """They need no dask, have one thread for linear algebra, ignore Ctrl-C; this process stays as it was."""
+    script = tmp_path / "script.py"
+    script.write_text(program)
+    command = [sys.executable, script, sweep_file, tmp_path / "out"]
+    environment = {key: value for key, value in os.environ.items() if not key.endswith("_NUM_THREADS")}
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_what_is_given_up_ends_at_once():
+    """Closing the iterator ends processes in the middle of their work, and waits for none of it."""
+    before = set(psutil.Process().children())
+    outcomes = pool.spread(time.sleep, [0, 60, 60], 2)
+    assert next(outcomes) == (0, None)
+    assert set(psutil.Process().children()) > before
+    start = time.perf_counter()
+    outcomes.close()
+    assert time.perf_counter() - start < 10
+    assert not any("spawn_main" in " ".join(child.cmdline()) for child in psutil.Process().children())
+
+
 def test_clusters_that_do_not_answer(sweep_file, tmp_path, monkeypatch):
+    pytest.importorskip("distributed")
     monkeypatch.setattr(pool, "_PATIENCE", 0.2)
     sweep = stl.load_sweep(sweep_file)
     for address, says in [("nonsense", "missing port"), ("x://h:1", "unknown address scheme"), ("", "missing port")]:
@@ -205,10 +261,5 @@ def test_clusters_that_do_not_answer(sweep_file, tmp_path, monkeypatch):
 
 def test_what_to_install_where_dask_is_missing(sweep_file, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(SettingsError, match=r"pip install 'stltool\[sweep\]', or take 1 worker"):
-        stl.run_sweep(stl.load_sweep(sweep_file), tmp_path, workers=2)
-
-
-def test_dask_is_imported_only_for_several_processes():
-    code = "import sys, stltool as stl; stl.run_sweep; sys.exit('distributed' in sys.modules or 'dask' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], cwd=Path(ROOT)).returncode == 0
+    with pytest.raises(MissingExtraError, match=r"pip install 'stltool\[cluster\]', or give --workers"):
+        stl.run_sweep(stl.load_sweep(sweep_file), tmp_path, cluster="tcp://localhost:8786")

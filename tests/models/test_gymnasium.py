@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.errors import ModelError, SettingsError
+from stltool.errors import MissingExtraError, ModelError, SettingsError
 from stltool.models.environment import simulator
 from tests.models.gymnasium_envs import Listed, Scripted
 
@@ -525,7 +525,7 @@ def test_runs_at_the_same_time_need_an_environment_each():
 def test_without_gymnasium_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     for ask in (lambda: stl.from_gymnasium(None), lambda: stl.to_gymnasium(None)):
-        with pytest.raises(SettingsError, match=r"pip install 'stltool\[gymnasium\]'"):
+        with pytest.raises(MissingExtraError, match=r"pip install 'stltool\[gymnasium\]'"):
             ask()
 
 

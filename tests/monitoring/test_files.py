@@ -11,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.errors import FileError, NameLookupError, SizeError, StlToolError, TraceError
+from stltool.errors import FileError, MissingExtraError, NameLookupError, SizeError, StlToolError, TraceError
 from stltool.monitoring import files as traces
 
 
@@ -324,7 +324,8 @@ def test_parquet_that_is_no_trace(tmp_path, write):
 
 def test_parquet_without_pyarrow(write, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(FileError, match=r"Parquet needs pyarrow; pip install 'stltool\[parquet\]', or write the trace"):
+    says = r"Parquet needs the package pyarrow, .*; pip install 'stltool\[parquet\]', or write the trace"
+    with pytest.raises(MissingExtraError, match=says):
         stl.load_trace(write("", "t.parquet"))
 
 

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.errors import ModelError, SettingsError
+from stltool.extras import require
 from stltool.models.environment import Environment
 from stltool.models.gymnasium.episodes import Episodes, Shared
 from stltool.models.gymnasium.spaces import (
@@ -42,14 +43,8 @@ if TYPE_CHECKING:
 
 
 def require_gymnasium() -> Any:
-    """The gymnasium package; SettingsError, saying how to install it, where it is missing."""
-    try:
-        import gymnasium
-    except ImportError:
-        raise SettingsError(
-            "Gymnasium environments need the gymnasium package; pip install 'stltool[gymnasium]'"
-        ) from None
-    return gymnasium
+    """The gymnasium package; MissingExtraError, saying how to install it, where it is missing."""
+    return require("gymnasium", "a Gymnasium environment")
 
 
 def from_gymnasium(

@@ -1,0 +1,26 @@
+"""Packages that a plain install does not bring, each by its extra; where one is missing, the error names the extra."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from stltool.errors import MissingExtraError
+
+EXTRAS = {"distributed": "cluster", "gymnasium": "gymnasium", "pyarrow": "parquet", "tensorboard": "tensorboard"}
+"""Package → the extra of stltool that installs it."""
+
+
+def require(package: str, what: str, otherwise: str = "") -> Any:
+    """Import an extra's package. Raises MissingExtraError where that fails.
+
+    what       what needs the package ("a sweep on a cluster"); the message begins with it
+    otherwise  what to do without it ("write the trace as .csv")
+    """
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        absent = isinstance(error, ModuleNotFoundError) and error.name == package
+        fault = "which is not installed" if absent else f"which cannot be imported ({error})"
+        remedy = f"pip install 'stltool[{EXTRAS[package]}]'" + (f", or {otherwise}" if otherwise else "")
+        raise MissingExtraError(f"{what} needs the package {package}, {fault}; {remedy}") from None
