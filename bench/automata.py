@@ -47,7 +47,7 @@ FORMULAS = {
     "persistence 100": "G[0,100] (a -> G[0,100] b)",
     "recurrence 100": "G[0,99] (F[0,99] a & F[0,99] b)",
     "sequence": "F[0,10] (a & F[0,10] (b & F[0,10] c))",
-    "semantics.md §2": "F[0,3) (F[0,2) a & G[0,4) b)",
+    "docs/semantics.md §2": "F[0,3) (F[0,2) a & G[0,4) b)",
 }  # fmt: skip
 
 

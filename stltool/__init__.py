@@ -28,6 +28,10 @@ One straight way through the house, and the map in reading order:
     reporting/    results → JSON, HTML, terminal
     cli/          the same from the command line
     kernels/      numba loops; testing/  Hypothesis strategies for users' own tests
+
+"The paper" is [Wang24]: S. Wang, Xunyuan Yin, S. Li and Xiang Yin, Tractable Reinforcement Learning for Signal Temporal
+Logic Tasks With Counterfactual Experience Replay, IEEE Control Systems Letters 8, 2024, DOI 10.1109/LCSYS.2024.3397844.
+docs/references.md lists this and the other keys in brackets; docs/semantics.md has the definitions that all follow.
 """
 
 import sys

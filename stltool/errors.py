@@ -67,7 +67,7 @@ class FileError(StlToolError):
 
 
 class InexactEncodingWarning(UserWarning):
-    """The chosen encoding is the paper's approximation and may disagree with the formula."""
+    """The chosen encoding, the flags of [Wang24], approximates the formula and may disagree with it."""
 
 
 def near_misses(name: str, known: Iterable[str]) -> str:

@@ -164,7 +164,7 @@ class Policy:
 
         First column: `[signals… registers…]` in the order of the model's signals and the automaton's registers (the
         flags); then a column per action, by name. States without a row have no preference: uniform. Where the
-        product's automaton has no flags, the paper's flags are the policy's memory, and `check` judges it exactly.
+        product's automaton has no flags, the flags of [Wang24] are the policy's memory, and `check` judges it exactly.
         """
         names, rows = _read_q_table(path)
         product = with_flags(product)

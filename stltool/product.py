@@ -121,7 +121,7 @@ def joined(task: Product, memory: Product | JointProduct) -> tuple[Product, NDAr
     """The product whose verdicts are `task`'s and whose states know those of `memory` too; both of one model.
 
     Returns it with the memory's automaton state (n_states,) of each of its automaton states. With it, a policy that
-    remembers one way (the paper's flags) is judged by an automaton that remembers another way (the exact one).
+    remembers one way (the flags of [Wang24]) is judged by an automaton that remembers another way (the exact one).
     """
     pairs, letter = np.unique(np.stack([task.letter, memory.letter], axis=1), axis=0, return_inverse=True)
     left, right = task.automaton, memory.automaton

@@ -166,7 +166,7 @@ def policy_value(product: stl.Product, policy: stl.Policy) -> Fraction:
 
 
 def layered_value(product: stl.Product, policy: stl.Policy | None = None, maximize: bool = True) -> Fraction:
-    """Backward induction on the product, a Fraction a state, as semantics.md §3 writes it."""
+    """Backward induction on the product, a Fraction a state, as docs/semantics.md §3 writes it."""
     model, automaton = product.model, product.automaton
     rows = [choices(model, s) for s in range(model.n_states)]
     n_q = automaton.n_states

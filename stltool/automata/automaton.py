@@ -1,4 +1,4 @@
-"""The task automaton: the one object every back end consumes (semantics.md §2).
+"""The task automaton: the one object every back end consumes (docs/semantics.md §2).
 
     (Q, q₀, Λ, δ : Λ × Q → Q, h, verdict_t : Q → {true, false, undecided} for t = 0 … h)
 

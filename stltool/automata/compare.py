@@ -1,4 +1,4 @@
-"""A shortest trace on which two automata of one formula disagree: what the paper's flags get wrong, shown."""
+"""A shortest trace on which two automata of one formula disagree: what the flags of [Wang24] get wrong, shown."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def compile_automaton(
 ) -> TaskAutomaton:
     """The automaton that judges φ.
 
-    "exact" covers every bounded formula and is as small as we can make it; "paper" is the paper's flags, which warn
+    "exact" covers every bounded formula and is as small as we can make it; "paper" is the flags of [Wang24], which warn
     where they may disagree with the formula; "history" remembers whole windows. `valuations` (n, n_atoms) restricts it
     to those that occur in a model (`atoms_of` names the columns); by default it reads all. Compilation stops with a
     SizeError that names the part that explodes when it grows over `most_states`. Raises FragmentError for "paper" only.

@@ -1,4 +1,4 @@
-"""The paper's flag vector (eq. 10 and 11, as settled by semantics.md §2).
+"""The paper's flag vector [Wang24, eq. 10 and 11], its misprints mended (docs/semantics.md §2).
 
     F[0,τ) ψ:  f ← τ           if ψ holds, else max(f − 1, 0)        χ = (f > 0)
     G[0,τ) ψ:  f ← min(f+1, τ) if ψ holds, else 0                    χ = (f = τ)

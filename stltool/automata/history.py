@@ -1,4 +1,4 @@
-"""The τ-MDP encoding (Aksaray et al. 2016): remember the last τ letters, judge the inner formula on them.
+"""The τ-MDP encoding [Aksaray16]: remember the last τ letters, judge the inner formula on them.
 
 For Φ = F[a,b] φ or G[a,b] φ with D = horizon(φ), a state is the last D + 1 letters, or all of them so far:
 Σ_{i ≤ D+1} |Λ|^i states. After step t the window starts at k = t − D; outer F decides true when φ holds there, outer G
@@ -39,7 +39,7 @@ _LONGEST_NAME = 4  # letters shown of a history
 
 
 def history_length(phi: Formula) -> int:
-    """How many of the last steps the encoding remembers: τ where φ is in the paper's fragment."""
+    """How many of the last steps the encoding remembers: τ where φ is in the fragment of [Wang24]."""
     _, _, inner = _outer(phi)
     return horizon(inner) + 1
 

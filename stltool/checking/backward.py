@@ -1,4 +1,4 @@
-"""Backward induction over the product (semantics.md §3), with numba's kernels or a plain numpy twin.
+"""Backward induction over the product (docs/semantics.md §3), with numba's kernels or a plain numpy twin.
 
     V_t(s,q) = 1 / 0                                            if verdict_t(q) is true / false
              = opt_c Σ_s' P(s'|c) · V_{t+1}(s', δ(L(s'), q))     otherwise

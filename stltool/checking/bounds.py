@@ -1,4 +1,4 @@
-"""An enclosure of a backward induction's value that rounding cannot break (prior-art.md, "Bounds that are rigorous").
+"""An enclosure of a backward induction's value that rounding cannot break (docs/semantics.md §3) [Higham02, §3.1].
 
 All terms are nonnegative, so a value computed with n roundings along every path has V̂ = V·(1 + δ) + ε with
 

@@ -12,8 +12,8 @@ completion
 
 and with it what any edge loses against the best one of its source: ≥ 0, and 0 for the best. A run loses what its edges
 lose. Best first: the heap holds the deviations from the runs found so far, each told by its own best completion
-(Eppstein, Finding the k shortest paths, SIAM J. Comput. 28(2), 1998: sidetracks; an acyclic graph and a perfect
-heuristic spare his heaps of heaps). Order and probabilities hold up to rounding, some 1e−15 a step.
+([Eppstein98]: sidetracks; an acyclic graph and a perfect heuristic spare his heaps of heaps). Order and probabilities
+hold up to rounding, some 1e−15 a step.
 
 Why not a library's routine: scipy's `yen` and networkx's `shortest_simple_paths` search again for every deviation, want
 the graph whole, without parallel edges (two actions to one successor) or edges of length 0 (p = 1), and `yen` the

@@ -9,7 +9,7 @@
 
 Only what can be reached is a variable, up to the step where every verdict has fallen, or to the horizon where costs
 count. Sizes are counted before a matrix is made. x(t,s,q,·) normalised is the policy: every achievable point is that of
-such a policy. Source: Altman, "Constrained Markov decision processes", 1999, over a finite horizon.
+such a policy. Source: [Altman99], over a finite horizon.
 """
 
 from __future__ import annotations

@@ -7,8 +7,7 @@ gives a corner p(w) of it and a line that no policy crosses:
 
 From the two corners best for one task alone, the segment between neighbours A, B is closed when the weights that are
 normal to it find nothing above it (within the tolerance); else their corner divides it. The segment that may hide most,
-between it and the lines of its ends, is tried first. Source: Forejt, Kwiatkowska and Parker, "Pareto curves for
-probabilistic model checking", ATVA 2012.
+between it and the lines of its ends, is tried first. Source: [Forejt12].
 """
 
 from __future__ import annotations

@@ -6,12 +6,12 @@
 
 opt is max or min over the state's choices, or a policy's mixture; nature works against it (max–min, min–max) or with it
 (max–max, min–min). Nature chooses anew at every step and knows (t, s, q) and the choice taken: the
-dynamic, (s,a)-rectangular reading. Over all history-dependent policies and natures the values are these (Iyengar,
-"Robust dynamic programming", 2005; Nilim and El Ghaoui, 2005). A fixed distribution is one of nature's ways, so where
+dynamic, (s,a)-rectangular reading. Over all history-dependent policies and natures the values are these
+[Iyengar05] [Nilim05]. A fixed distribution is one of nature's ways, so where
 one governs the whole run, a policy's value against nature is no more, and with it no less, than its value there.
 
 The inner optimum needs no solver: start from the lower ends and hand the budget 1 − Σ lower out in the order of W,
-each entry up to its width (Givan, Leach and Dean, 2000): a fractional knapsack. h sweeps, no stopping rule.
+each entry up to its width [Givan00]: a fractional knapsack. h sweeps, no stopping rule.
 
 **The enclosure.** Let a row have d entries, u = 2⁻⁵³, ends lower*, upper* as given and lower, upper their doubles. By
 duality, for W in [0, 1], nature's maximum is min over λ in [0, 1] of

@@ -13,8 +13,8 @@ successor ŝ, the most probable one (the first of equals), and takes from the ot
 
 A row with one successor has no tilt (0). A state's derivative is the sum over its choices: all its rows tilted at once.
 For an optimal policy it is the derivative of the optimum too, wherever that has one (envelope theorem). One pass back
-and one forth over the unfolded product: nothing is truncated. Source: the adjoint method; for Markov chains, Cao,
-Stochastic Learning and Optimization, Springer 2007, ch. 2 (performance derivatives).
+and one forth over the unfolded product: nothing is truncated. Source: the adjoint method; for Markov chains,
+[Cao07, ch. 2] (performance derivatives).
 """
 
 from __future__ import annotations

@@ -15,8 +15,7 @@ Wald's customary bounds (1−β)/α and β/(1−α) keep the errors only approxi
 a martingale under p₀, so P(ever λ ≥ ln(1/α)) ≤ α, also for p > p₀ and when the test is cut short; likewise for β.
 
 Looking at an interval while runs come in and stopping when it pleases would void its confidence: there is no such
-option. Sources: Clopper & Pearson, Biometrika 26 (1934); Okamoto, Ann. Inst. Stat. Math. 10 (1958); Wald, Ann. Math.
-Stat. 16 (1945); Younes & Simmons, Information and Computation 204 (2006).
+option. Sources: [Clopper34] [Hoeffding63] [Okamoto58] [Wald45] [Younes06].
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What the paper's surrogate leads to when nothing is left to learn: its optimal policies, and their exact P.
 
-With χ_t ∈ {0, 1} the inner formula's truth that the flags show after step t (paper eq. 11), two readings of eq. 9:
+With χ_t ∈ {0, 1} the inner formula's truth that the flags show after step t [Wang24, eq. 11], two readings of eq. 9:
 
     discounted   max E Σ_{t ≥ 1} γ^(t−1) r(χ_t)                 eq. 12 and 5 as published: stationary, without an end
     episode      max E Σ_{t = τ−1}^{T+τ−2} r(χ_t)               eq. 9: start k is judged at t = k + τ − 1
@@ -11,7 +11,7 @@ the outer operator tells optimal policies apart. The episode reading maximises t
 the inner formula holds, where the task asks for the probability of *one* (F) or of *all* (G).
 
 discounted   value iteration V ← L V on (s, q), L V(s,q) = max_c Σ_s' p(s'|c) (χ(q') + γ V(s',q')), q' = δ(L(s'),q).
-             With Δ = L V − V, V* lies within L V + γ/(1−γ)·[min Δ, max Δ] (Puterman 1994, Prop. 6.6.5 and Th. 6.6.6),
+             With Δ = L V − V, V* lies within L V + γ/(1−γ)·[min Δ, max Δ] [Puterman94, Prop. 6.6.5 and Th. 6.6.6],
              so a choice c of (s, q) with
                  L V(s,q) − Σ_s' p(s'|c) (χ(q') + γ V(s',q')) > γ/(1−γ)·(max Δ − min Δ)
              is in no optimal policy (action elimination, §6.7). It stops when the right side is below a tolerance; the

@@ -11,8 +11,7 @@ longest horizon h of the tasks, whether or not verdicts have fallen before. With
     W_t(s',q)  = Σ_i w_i·1{Φ_i falls true on reading s'} + V_{t+1}(s', δ_t(L(s'), q))
 
 after h sweeps. No term is negative, so the a-priori enclosure of bounds.py holds; defects count as often as the largest
-sum to come. Source: the weighted reward of Etessami, Kwiatkowska, Vardi and Yannakakis, "Multi-objective model checking
-of Markov decision processes", LMCS 2008, over a finite horizon.
+sum to come. Source: the weighted reward of [Etessami08], over a finite horizon.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ def explain(
     step: Step = None,
     as_json: AsJson = False,
 ) -> None:
-    """What a task says: its tree and horizons, the paper's fragment, automaton and product sizes.
+    """What a task says: its tree and horizons, the fragment of Wang et al. (2024), automaton and product sizes.
 
     Warns where the task can never hold or always holds, where a part of it does not matter, and where other tools would
     read the text differently.

@@ -1,4 +1,4 @@
-"""`stltool surrogate`: what the paper's surrogate objective would lead to, learned perfectly."""
+"""`stltool surrogate`: what the surrogate objective of [Wang24] would lead to, learned perfectly."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def surrogate(
     name: TaskName = None,
     as_json: AsJson = False,
 ) -> None:
-    """What the paper's surrogate reward is worth for the task: P of its optimal policies beside the best P of all."""
+    """What the surrogate reward of Wang et al. (2024) is worth: P of its optimal policies beside the best."""
     import stltool as stl
     from stltool.checking.surrogate import READINGS
     from stltool.reporting import product_data, surrogate_data

@@ -1,6 +1,6 @@
 """Q-learning's inner loops. S model states, N automaton states, C choices, E entries (pairs (t, q) still open).
 
-surrogate   Q (S, N, C):   Q[s,q,a] += α (r(q') + γ max Q[s',q',·] − Q[s,q,a])                  paper, eq. 5
+surrogate   Q (S, N, C):   Q[s,q,a] += α (r(q') + γ max Q[s',q',·] − Q[s,q,a])                  [Wang24, eq. 5]
 clocked     Q (S, C, E), V (S, E+2):   Q[s,a,e] += α (V[s', succ(e)] − Q[s,a,e]),   V = max over a that were tried
 
 `env`, `table` and `replay` are the named tuples of kernels/tuples.py.

@@ -1,4 +1,4 @@
-"""cfer: counterfactual experience replay (paper, Algorithm 1 and eq. 14).
+"""cfer: counterfactual experience replay [Wang24, Alg. 1 and eq. 14].
 
 One real transition (s, a, s') is evidence for every automaton state q at once, since δ and the labels are known: as
 published, each such tuple enters the memory; corrected, the memory holds real transitions only, and one of them

@@ -4,7 +4,7 @@ A choice's successors x₁, x₂, … are independent draws of its distribution 
 again, or to stop: that only says how many of them are seen. So what holds at all n at once, holds at the n at hand.
 
 **An entry** p = P(s), of which k of n tries are a sample. Against p stands a coin of unknown bias, Beta(½, ½) its
-mixture (Krichevsky and Trofimov, 1981):
+mixture [Krichevsky81]:
 
     M_n(p) = ∫ θᵏ(1−θ)ⁿ⁻ᵏ dBeta(θ; ½, ½) / (pᵏ(1−p)ⁿ⁻ᵏ) = B(k+½, n−k+½) / (π · pᵏ(1−p)ⁿ⁻ᵏ),        M₀ = 1
 
@@ -25,8 +25,7 @@ are bounded at once: β = α / (j(j+1)·C(N, j)) for each of the C(N, j) sets of
 **Rounding.** Ends come from bisection: an end is moved only to values that are outside by more than `_SLACK` of the
 terms' sizes, a hundred times what gammaln is off by. So an interval is too wide by that, never too narrow.
 
-Sources: Robbins, Ann. Math. Stat. 41 (1970); Ville (1939); Howard, Ramdas, McAuliffe and Sekhon, "Time-uniform,
-nonparametric, nonasymptotic confidence sequences", Ann. Stat. 49 (2021).
+Sources: [Ville39] [Robbins70] [Howard21].
 """
 
 from __future__ import annotations

@@ -23,8 +23,7 @@ here (`policy=None`) has the greatest bound, with the same confidence. Where run
 model's initial distribution, or `start`. Its transition probabilities are never read; with the support known, its
 graph is.
 
-Sources: Iyengar (2005) and Nilim and El Ghaoui (2005) for the robust value; Strehl and Littman, "An analysis of
-model-based interval estimation for Markov decision processes" (2008), for learning with such intervals.
+Sources: [Iyengar05] and [Nilim05] for the robust value, [Strehl08] for learning with such intervals.
 """
 
 from __future__ import annotations

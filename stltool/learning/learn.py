@@ -94,7 +94,7 @@ def learn(
     """Learn a policy without knowing the probabilities.
 
     method       "cfer", "model-based", "naive" or "naive-er": exact objective, γ = 1, Q carries the clock;
-                 `faithful=True` runs "naive", "naive-er", "cfer" or "cfper" as published (reproduction.md)
+                 `faithful=True` runs "naive", "naive-er", "cfer" or "cfper" as published (docs/reproduction.md)
     seed         every random choice comes from it: same seed, same result
     environment  anything whose `reset()` and `step(i)` (the i-th available action of the current state) return the
                  index of a state as the model counts them. Default: the model, sampled
@@ -107,7 +107,7 @@ def learn(
     chosen = _checked(method, faithful, seed, product, settings)
     start = time.perf_counter()
     for_environment, for_learner = (np.random.default_rng(s) for s in np.random.SeedSequence(int(seed)).spawn(2))
-    # as published, a policy remembers the paper's flags; whatever it remembers, `product` judges
+    # as published, a policy remembers the flags of [Wang24]; whatever it remembers, `product` judges
     home = with_flags(product) if faithful else product
     problem = Problem.of(home)
     learner: Learner

@@ -1,6 +1,6 @@
 """model-based: learned transition counts, optimism where nothing is known, planning with the checker's kernels.
 
-Acting (R-max, Brafman and Tennenholtz 2002): a choice taken fewer than `known_after` times leads to a paradise that
+Acting (R-max [Brafman02]): a choice taken fewer than `known_after` times leads to a paradise that
 satisfies the task; others follow their counted frequencies. Paradise is worth a thousandth less than 1, the later the
 less: what is as good as sure comes first, and exploring is not put off. The plan is made anew whenever a choice becomes
 known, and at every episode's beginning. When the task is violated already, the rest of the episode takes what was tried

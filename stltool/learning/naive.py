@@ -1,4 +1,4 @@
-"""naive: one Q update per environment step, the paper's baseline from [15]."""
+"""naive: one Q update per environment step, the baseline of [Wang24, §V-B]."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""naive-er: ordinary experience replay over factual transitions, every `period`-th step a batch."""
+"""naive-er: ordinary experience replay over factual transitions [Wang24, §V-B], every `period`-th step a batch."""
 
 from __future__ import annotations
 

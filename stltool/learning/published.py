@@ -1,7 +1,7 @@
-"""The engine of the methods as published (reproduction.md): one surrogate table, a replay memory, ε-greedy episodes.
+"""The engine of the methods as published (docs/reproduction.md): a surrogate table, a replay memory, ε-greedy episodes.
 
 They differ in four things: whether each step updates online, what enters the memory (nothing, the factual tuple, or the
-counterfactual ones), how tuples are drawn, and, not in the paper, which share of a batch is factual. Numbers are drawn
+counterfactual ones), how tuples are drawn, and, not in [Wang24], which share of a batch is factual. Numbers are drawn
 at an episode's beginning: two for each step's action, then `batch` for each replay.
 """
 

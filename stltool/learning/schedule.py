@@ -1,4 +1,4 @@
-"""Exploration: ε = ε_end + (ε_start − ε_end)·exp(−episode / n_d) (the paper's formula, its sign slip mended)."""
+"""Exploration: ε = ε_end + (ε_start − ε_end)·exp(−episode / n_d) [Wang24, §V-B], its sign mended."""
 
 from __future__ import annotations
 

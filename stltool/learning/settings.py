@@ -13,7 +13,7 @@ from stltool.errors import SettingsError, near_misses
 
 @dataclass(frozen=True)
 class Settings:
-    """Defaults are the paper's for its smaller scenarios (Table I), where a knob is the paper's; `Settings.of` has the
+    """Defaults are the paper's for smaller scenarios [Wang24, Table I], where it has the knob; `Settings.of` has the
     corrected methods' own.
 
     episodes        training episodes

@@ -1,4 +1,4 @@
-"""The two Q-tables: the paper's stationary one on its surrogate reward, and the exact one that carries the clock."""
+"""The two Q-tables: the stationary one of [Wang24] on its surrogate reward, the exact one that carries the clock."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class SurrogateTable:
     """Q(s, q, a) on the surrogate reward, as published: stationary, discounted, bootstrapping past the end.
 
     The reward of arriving in q' is 2χ − 1 under an outer F and χ − offset under an outer G, where χ is the truth of
-    the inner formula that q' shows (paper eq. 12 up to e^−50, Table I).
+    the inner formula that q' shows [Wang24, eq. 12 up to e^−50, and Table I].
     """
 
     def __init__(self, problem: Problem, settings: Settings, outer: str) -> None:

@@ -280,7 +280,7 @@ def walk(phi: Formula) -> Iterator[Formula]:
 
 
 def horizon(phi: Formula) -> int:
-    """The number of steps after the evaluation step that can matter (semantics.md §1).
+    """The number of steps after the evaluation step that can matter (docs/semantics.md §1).
 
     A trace that decides φ at step 0 has `horizon(φ) + 1` samples. Raises StlSyntaxError where an operator's interval
     has no end.

@@ -1,4 +1,4 @@
-"""The paper's fragment, and the decomposition that its flags need (paper eq. 1, language.md).
+"""The paper's fragment [Wang24, eq. 1], and the decomposition that its flags need (docs/semantics.md §2).
 
     Φ ::= ¬Φ | F[0,T) φ | G[0,T) φ
     φ ::= ¬φ | φ∧φ | φ∨φ | φ→φ | φ↔φ | F[0,τ) ψ | G[0,τ) ψ

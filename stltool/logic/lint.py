@@ -1,7 +1,8 @@
 """What a text might be misread as: places that other tools read differently, with the reading that holds here.
 
 None of these is an error: the grammar gives every text one meaning. The advice is to put the parentheses in, as
-`stltool fmt` does. Sources: design notes on STLRom, RTAMT and MATLAB in docs/language.md.
+`stltool fmt` does. What STLRom, RTAMT and MATLAB read: docs/language.md, "What other tools read
+differently".
 """
 
 from __future__ import annotations

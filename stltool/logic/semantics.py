@@ -1,4 +1,4 @@
-"""Truth and robustness of a formula at a step of a trace (semantics.md §1): slow and obvious, the oracle.
+"""Truth and robustness of a formula at a step of a trace (docs/semantics.md §1): slow and obvious, the oracle.
 
     (s,t) ⊨ F[a,b] φ   iff  (s,u) ⊨ φ for some u in t+a … t+b          G[a,b]: for every such u
     (s,t) ⊨ φ U[a,b] ψ iff  (s,u) ⊨ ψ for some u in t+a … t+b, and (s,v) ⊨ φ for every v in t … u−1

@@ -1,4 +1,4 @@
-"""Grid worlds from ASCII maps in TOML, with the paper's motion model (reproduction.md).
+"""Grid worlds from ASCII maps in TOML, with the motion model of [Wang24] (docs/reproduction.md, "The floor").
 
     kind = "grid"
     map = '''

@@ -7,7 +7,7 @@ Row c of an interval MDP is the polytope
 one for each choice, independent of each other: (s,a)-rectangular uncertainty. Its nominal distribution goes from the
 lower ends the same fraction r of every width,  p_k = lower_k + r·(upper_k − lower_k),  r = (1 − Σ lower) / Σ width.
 
-Source: Givan, Leach and Dean, "Bounded-parameter Markov decision processes", Artificial Intelligence 122 (2000).
+Source: [Givan00].
 """
 
 from __future__ import annotations

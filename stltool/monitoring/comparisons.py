@@ -1,7 +1,7 @@
 """Comparisons over arrays, decided as the slow semantics decides them, which computes in fractions of decimals.
 
 Terms are computed in doubles, each value v̂ with a bound E on its distance from the value that the semantics has (first
-order terms as in Higham, Accuracy and Stability of Numerical Algorithms, §3.3; u = 2⁻⁵³ the unit roundoff):
+order terms as in [Higham02, §3.3]; u = 2⁻⁵³ the unit roundoff):
 
     number, signal   E = 4u|v̂|                  a double is at most u|v̂| from the decimal it prints as
     a + b, a − b     E = Ea + Eb + 4u|v̂|

@@ -3,7 +3,7 @@
 Step t is decided by sample t + horizon(φ). The program of φ runs once a sample; at time t an instruction of horizon h
 computes its value at step t − h, from operands that wait in a queue where their horizons are shorter. Windows of fixed
 width w are aggregated by two stacks over an associative ∘, three applications a sample amortised and at most w values
-held (Tangwongsan, Hirzel, Schneider, General incremental sliding-window aggregation, VLDB 2015, §2):
+held [Tangwongsan15, §2]:
 
     F[a,b] φ       max of φ over w = b−a+1 steps                                       G[a,b]: min
     φ U[0,w−1] ψ   B of (A₁,B₁) ∘ (A₂,B₂) = (min(A₁,A₂), max(B₁, min(A₁,B₂))) over the pairs (φ,ψ) of w steps

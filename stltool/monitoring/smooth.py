@@ -1,6 +1,6 @@
 """Robustness with soft extrema, and how far it can be from the exact one.
 
-The paper's eq. 8 with smoothness β:
+[Wang24, eq. 8] with smoothness β:
 
     smax(x₁ … x_n) = 1/β log Σ exp(βx_i)           max ≤ smax ≤ max + log(n)/β
     smin(x₁ … x_n) = −1/β log Σ exp(−βx_i)         min − log(n)/β ≤ smin ≤ min
@@ -65,7 +65,7 @@ class SmoothRobustness:
 def smooth_robustness(
     phi: Formula | Task, signals: Mapping[str, ArrayLike], beta: float, end: End = "error"
 ) -> SmoothRobustness:
-    """Robustness with log-sum-exp in the place of max and min (paper, eq. 8), β from 1e-100 to 1e100.
+    """Robustness with log-sum-exp in the place of max and min [Wang24, eq. 8], β from 1e-100 to 1e100.
 
     Signals and ends as for `monitor`, whose errors it raises too; SettingsError for another β. Under "hold" a held
     sample counts once for every step of a window, so an interval without end is refused there.

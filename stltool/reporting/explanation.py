@@ -1,4 +1,4 @@
-"""What a task says, as plain data: its tree and horizon, the paper's fragment, what it might be misread as, sizes."""
+"""What a task says, as plain data: its tree and horizon, the fragment of [Wang24], misreadings, sizes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's two claims about representation, as plain data: surrogate against task, flags against histories.
+"""The two claims of [Wang24] about representation, as plain data: surrogate against task, flags against histories.
 
 `surrogate_data` and `encoding_data` give the numbers; `surrogate_rows` and `encoding_rows` make of them, scenario by
 scenario, the rows of a table for the terminal or a page.

@@ -90,7 +90,7 @@ def formulas(
 
 @st.composite
 def flag_formulas(draw: st.DrawFn, labels: Sequence[str] = LABELS, longest: int = 3, equal: bool = True) -> Formula:
-    """The paper's fragment: outer F or G over a Boolean combination of inner F and G.
+    """The fragment of [Wang24]: outer F or G over a Boolean combination of inner F and G.
 
     `equal` gives all inner windows one length: the formulas whose flags are exact.
     """

@@ -13,7 +13,7 @@ from stltool.reporting.data import disagreement_data
 from stltool.testing import flag_formulas, traces
 from tests.automata.judging import every_trace, judge, judge_all, truth_of_all
 
-SEMANTICS_EXAMPLE = "F[0,3) (F[0,2) a & G[0,4) b)"  # semantics.md §2
+SEMANTICS_EXAMPLE = "F[0,3) (F[0,2) a & G[0,4) b)"  # docs/semantics.md §2
 
 
 @given(phi=flag_formulas(), data=st.data())

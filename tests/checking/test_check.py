@@ -117,7 +117,7 @@ def test_sanity_figures_of_the_design(floor5, floor10):
 
 @pytest.mark.parametrize("tau", [5, 10])
 def test_optima_of_the_papers_scenarios(floor5, floor10, tau):
-    """Lower bounds and figures of the scenario table (reproduction.md)."""
+    """Lower bounds and figures of the scenario table (docs/reproduction.md)."""
     factory = ROOT / "examples" / "factory"
     for model in (floor5, floor10):
         reach = stl.load_task(factory / "reaching.stl", params={"T": 10, "tau": tau})

@@ -1,4 +1,4 @@
-"""Truth and robustness against brute force and against laws (semantics.md §1)."""
+"""Truth and robustness against brute force and against laws (docs/semantics.md §1)."""
 
 import math
 

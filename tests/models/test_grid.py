@@ -1,4 +1,4 @@
-"""Grid worlds against the motion model written out by hand (reproduction.md)."""
+"""Grid worlds against the motion model written out by hand (docs/reproduction.md)."""
 
 from fractions import Fraction
 
