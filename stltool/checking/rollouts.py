@@ -1,9 +1,9 @@
 """Verdicts of independent runs: of the model, all at once, or of anything that resets and steps, one by one.
 
-Runs are made in blocks of fixed size, block b from the generator of `SeedSequence(seed)`'s b-th child, in lock step:
-at step t one uniform number for each run that is still undecided (two where the policy mixes), in the runs' order.
-So verdicts depend on the seed alone, not on threads. They come in the order of the runs, never in the order in which
-runs end: verdicts of short runs would come first, and a sequential test would be biased towards them.
+Runs are made in blocks of fixed size, block b from a random stream of its own (randomness.py), in lock step: at step t
+one uniform number for each run that is still undecided (two where the policy mixes), in the runs' order. So
+verdicts depend on the seed alone, not on threads. They come in the order of the runs, never in the order in which runs
+end: verdicts of short runs would come first, and a sequential test would be biased towards them.
 
 Successors are found by inversion, u · (the row's sum) in the row's partial sums: rows that sum to 1 only nearly are
 scaled. With 53 random bits a step, a run's distribution is off by less than 10⁻¹⁵ times steps and row length.
@@ -25,12 +25,14 @@ from stltool.automata import TRUE, UNDECIDED
 from stltool.models.environment import Resettable, cumulated, require_state, simulator
 from stltool.policy import Policy, silence
 from stltool.product import Product
+from stltool.randomness import Purpose, generator, require_seed
 
 Verdicts: TypeAlias = NDArray[np.bool_]
 Draw: TypeAlias = Callable[[NDArray[np.int32]], NDArray[np.float64]]
 """Uniform numbers in [0, 1) for the runs with these numbers."""
 
-_FRESH = 0x65737431  # a child of the seed that no learner and no block of runs counts up to
+# parts of a purpose's random numbers
+_BLOCKS, _ENVIRONMENT, _CHOICES = 0, 1, 2
 BLOCK = 1 << 14  # runs in lock step: their arrays fit a processor's second-level cache
 
 
@@ -38,15 +40,21 @@ class Rollouts:
     """Iterate over the verdicts (n,) bool of `runs` runs of a policy, a batch at a time.
 
     `environment` takes the place of the model: its `reset()` and `step(i)` return the index of a state as the model
-    counts them, and the model's probabilities are not read. A model that is a black box has its own; its runs are
-    fresh: they share no random number with a training of the same seed. `steps` counts the steps taken by the batches
-    that came.
+    counts them, and the model's probabilities are not read. A model that is a black box has its own. Runs are fresh:
+    they share no random number with another `purpose` under the same seed. `steps` counts the steps taken by the
+    batches that came.
     Raises PolicyError, naming the state, where the policy says nothing; ModelError, where the environment returns
     something that is no state.
     """
 
     def __init__(
-        self, product: Product, policy: Policy, runs: int, seed: int, environment: Resettable | None = None
+        self,
+        product: Product,
+        policy: Policy,
+        runs: int,
+        seed: int,
+        environment: Resettable | None = None,
+        purpose: Purpose = Purpose.ESTIMATE,
     ) -> None:
         self._own = environment is None and product.model.blackbox is not None
         if environment is None and not self._own:
@@ -54,34 +62,36 @@ class Rollouts:
         self.product, self.policy = policy.on(product)
         self.runs = runs
         self.steps = 0
-        self._seed = seed
+        self.seed, self._purpose = require_seed(seed), purpose
         self._environment = environment
 
     def __iter__(self) -> Iterator[Verdicts]:
         self.steps = 0
         environment = self._environment
         if self._own:
-            rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_FRESH,)))
-            environment = simulator(self.product.model, rng, self.product.horizon)
+            environment = simulator(self.product.model, self._stream(_ENVIRONMENT), self.product.horizon)
         found = self._simulated() if environment is None else self._observed(environment)
         for verdicts, steps in found:
             self.steps += steps
             yield verdicts
 
+    def _stream(self, *part: int) -> np.random.Generator:
+        return generator(self.seed, self._purpose, *part)
+
     # -------------------------------------------------------------------------------------------- the model itself
 
     def _simulated(self) -> Iterator[tuple[Verdicts, int]]:
         """Blocks in order, a few ahead in threads; numba and numpy release the interpreter."""
-        sums, seeds = cumulated(self.product.model), np.random.SeedSequence(self._seed)
-        sizes = (min(BLOCK, self.runs - first) for first in range(0, self.runs, BLOCK))
+        sums = cumulated(self.product.model)
+        sizes = enumerate(min(BLOCK, self.runs - first) for first in range(0, self.runs, BLOCK))
         workers = min(os.cpu_count() or 1, -(-self.runs // BLOCK))
 
-        def block(size: int, seed: np.random.SeedSequence) -> tuple[Verdicts, int]:
-            rng = np.random.default_rng(seed)
+        def block(number: int, size: int) -> tuple[Verdicts, int]:
+            rng = self._stream(_BLOCKS, number)
             return follow(self.product, self.policy, sums, size, lambda live: rng.random(len(live)))
 
         with ThreadPoolExecutor(workers) as pool:
-            blocks = (pool.submit(block, size, *seeds.spawn(1)) for size in sizes)
+            blocks = (pool.submit(block, *numbered) for numbered in sizes)
             ahead = deque(itertools.islice(blocks, workers))
             while ahead:
                 yield ahead.popleft().result()
@@ -92,7 +102,7 @@ class Rollouts:
     def _observed(self, environment: Resettable) -> Iterator[tuple[Verdicts, int]]:
         product, policy = self.product, self.policy
         automaton, model = product.automaton, product.model
-        rng = np.random.default_rng(self._seed)
+        rng = self._stream(_CHOICES)
         for _ in range(self.runs):
             t, s = 0, require_state(environment.reset(), "reset()", model.n_states, model.name)
             q = product.enter(s, automaton.initial)

@@ -37,6 +37,7 @@ from stltool.errors import SettingsError
 from stltool.models.environment import Resettable
 from stltool.policy import Policy
 from stltool.product import Product
+from stltool.randomness import Purpose
 from stltool.sizes import require_time
 
 Side: TypeAlias = Literal["both", "lower", "upper"]
@@ -55,7 +56,7 @@ class Estimate:
     lower, upper  with `confidence` the probability lies between them (a one-sided bound leaves 0 or 1 on its other
                   side). The confidence is of the method: of many estimates from fresh seeds, at least such a share
                   contain the probability.
-    steps         steps of all runs, where they were made here
+    steps, seed   steps of all runs, and the seed of their random numbers, where they were made here
     """
 
     runs: int
@@ -67,6 +68,7 @@ class Estimate:
     side: Side = "both"
     method: str = "Clopper-Pearson"
     steps: int | None = None
+    seed: int | None = None
     seconds: float = 0.0
 
     @property
@@ -91,6 +93,7 @@ class SequentialTest:
     beta      bounds the probability of "holds" where P ≤ at_least − indifference
     log_likelihood_ratio   ln(P(runs | at_least − indifference) / P(runs | at_least + indifference)); the test stops
                            when it leaves (accept_below, reject_above) = (ln β, ln 1/α)
+    seed      of the runs' random numbers, where they were made here
     """
 
     verdict: Literal["holds", "does not hold", "undecided"]
@@ -103,6 +106,7 @@ class SequentialTest:
     log_likelihood_ratio: float
     accept_below: float
     reject_above: float
+    seed: int | None = None
     seconds: float = 0.0
 
     @property
@@ -143,7 +147,8 @@ def estimate(
     runs          how many, fixed beforehand (10 000), or
     epsilon       so many that neither bound is farther than this from the estimate, whatever is seen
     side          "both" bounds, or with all confidence a "lower" or an "upper" one
-    seed          of every random choice made here: same seed, same result
+    seed          an integer from 0; every random choice made here comes from it: same seed, same result. The runs are
+                  independent of a training under the same seed
     environment   anything whose `reset()` and `step(i)` (the i-th available action of the current state) return the
                   index of a state as the model counts them; the model's probabilities are then not read. Default: the
                   model itself, all runs at once.
@@ -153,9 +158,9 @@ def estimate(
     returns no state, SettingsError for settings out of range, SizeError for runs beyond a week.
     """
     n = planned_runs(runs, epsilon, confidence, side)
-    rollouts = Rollouts(product, policy, n, _checked_seed(seed), environment)
+    rollouts = Rollouts(product, policy, n, seed, environment)
     result = estimate_from(rollouts, n, confidence=confidence, side=side, progress=progress)
-    return replace(result, steps=rollouts.steps)
+    return replace(result, steps=rollouts.steps, seed=rollouts.seed)
 
 
 def sprt(
@@ -178,10 +183,11 @@ def sprt(
     with (runs done, most_runs); the rest as for `estimate`.
     """
     hypotheses(at_least, indifference, alpha, beta, most_runs)
-    rollouts = Rollouts(product, policy, most_runs, _checked_seed(seed), environment)
-    return sprt_from(
+    rollouts = Rollouts(product, policy, most_runs, seed, environment, Purpose.SPRT)
+    result = sprt_from(
         rollouts, at_least, indifference=indifference, alpha=alpha, beta=beta, most_runs=most_runs, progress=progress
     )
+    return replace(result, seed=rollouts.seed)
 
 
 # --------------------------------------------------------------------------------------- verdicts from anywhere
@@ -398,9 +404,3 @@ def _require_runs(runs: int, name: str, what: str | None = None) -> None:
     if not isinstance(runs, int | np.integer) or runs < 1:
         raise SettingsError(f"{name} is {runs!r}; at least 1 is needed")
     require_time(runs, _RATE, what or f"{runs} runs", "take a wider interval or fewer runs")
-
-
-def _checked_seed(seed: int) -> int:
-    if not isinstance(seed, int | np.integer) or seed < 0:
-        raise SettingsError(f"seed is {seed!r}; it must be a whole number from 0")
-    return int(seed)

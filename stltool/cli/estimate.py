@@ -94,7 +94,7 @@ def estimate(
             result = stl.estimate(product, chosen, seed=seed, progress=bar, **fixed)
         else:
             result = stl.sprt(product, chosen, bound, seed=seed, progress=bar, **sequential)
-    data = estimate_data(result, product, chosen, seed, truth)
+    data = estimate_data(result, product, chosen, truth)
     if as_json:
         print(json.dumps(data))
     else:
@@ -102,7 +102,7 @@ def estimate(
         facts = {
             "task": f"{product.task_name} := {product.formula}",
             "policy": f"{policy if policy is not None else 'the best of all'} ({chosen.kind})",
-            "runs": f"{result.runs}, {result.satisfied} satisfied{steps}, seed {seed}, {result.seconds:.3g} s",
+            "runs": f"{result.runs}, {result.satisfied} satisfied{steps}, seed {result.seed}, {result.seconds:.3g} s",
             "found": data["statement"],
         }
         if truth is not None:

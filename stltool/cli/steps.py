@@ -210,8 +210,6 @@ def guarantees_of(
 
     Of a black box from fresh runs alone: it does not say where runs start.
     """
-    import numpy as np
-
     import stltool as stl
     from stltool.reporting import guarantee_data
     from stltool.reporting.terminal import progress_bar
@@ -224,13 +222,12 @@ def guarantees_of(
             )
         found.append(guarantee_data(bound))
     if rollouts:
-        # the learner's random numbers are of children 0 and 1 of the seed, these of another
-        seed = int(np.random.SeedSequence(training.seed, spawn_key=(2,)).generate_state(1)[0])
         with progress_bar("fresh runs", quiet=quiet) as bar:
             runs = stl.estimate(
-                product, training.policy, runs=rollouts, confidence=confidence, side="lower", seed=seed, progress=bar
-            )
-        found.append(guarantee_data(runs, seed))
+                product, training.policy, runs=rollouts, confidence=confidence, side="lower", seed=training.seed,
+                progress=bar,
+            )  # fmt: skip
+        found.append(guarantee_data(runs))
     return found
 
 

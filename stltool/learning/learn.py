@@ -30,6 +30,7 @@ from stltool.logic.fragment import check_fragment
 from stltool.models.environment import Environment, Resettable, simulator
 from stltool.policy import Policy, with_flags
 from stltool.product import Product
+from stltool.randomness import Purpose, generator, require_seed
 from stltool.sizes import require_time
 
 _FAITHFUL: dict[str, Callable[[Problem, Settings, str, np.random.Generator], Learner]] = {
@@ -106,7 +107,9 @@ def learn(
     """
     chosen = _checked(method, faithful, seed, product, settings)
     start = time.perf_counter()
-    for_environment, for_learner = (np.random.default_rng(s) for s in np.random.SeedSequence(int(seed)).spawn(2))
+    for_environment, for_learner = (
+        generator(seed, purpose) for purpose in (Purpose.LEARNING_ENVIRONMENT, Purpose.LEARNER)
+    )
     # as published, a policy remembers the flags of [Wang24]; whatever it remembers, `product` judges
     home = with_flags(product) if faithful else product
     problem = Problem.of(home)
@@ -144,8 +147,7 @@ def _checked(method: str, faithful: bool, seed: int, product: Product, settings:
     if method not in (_FAITHFUL if faithful else _CORRECTED):
         instead = "it is no published method; leave faithful out" if faithful else "it exists as published only; set it"
         raise SettingsError(f"there is no {method} with faithful={faithful}: {instead}")
-    if not isinstance(seed, int | np.integer) or seed < 0:
-        raise SettingsError(f"seed is {seed!r}; it must be a whole number from 0")
+    require_seed(seed)
     if product.horizon < 1:
         raise SettingsError(f"{product.formula} is decided by the first state; there is nothing to learn")
     chosen = Settings.of(method, faithful, **settings)

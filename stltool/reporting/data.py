@@ -24,6 +24,7 @@ from stltool.logic.fragment import check_fragment
 from stltool.models.fractions import long_numbers
 from stltool.policy import Policy
 from stltool.product import Product
+from stltool.randomness import Purpose, generator
 from stltool.reporting.guarantees import guarantee_data
 from stltool.reporting.runs import likely_data, sensitivity_data
 
@@ -140,7 +141,6 @@ def estimate_data(
     result: Estimate | SequentialTest,
     product: Product,
     policy: Policy,
-    seed: int,
     exact: CheckResult | None = None,
 ) -> dict[str, Any]:
     """One statistical check, flat; `exact` is the same policy's exact check, to be shown beside it."""
@@ -152,7 +152,6 @@ def estimate_data(
     return {
         **product_data(product),
         "policy": policy.kind,
-        "seed": seed,
         **_finite(dataclasses.asdict(result)),
         **decided,
         "statement": result.statement,
@@ -253,7 +252,7 @@ def _why_data(product: Product, policy: Policy) -> dict[str, Any] | None:
 
 
 def _run_data(product: Product, policy: Policy, seed: int) -> dict[str, Any]:
-    run: Run = sample_run(product, policy, np.random.default_rng(seed))
+    run: Run = sample_run(product, policy, generator(seed, Purpose.SAMPLE_RUN))
     model = product.model
     steps = [
         {

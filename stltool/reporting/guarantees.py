@@ -11,8 +11,8 @@ from stltool.errors import SettingsError
 from stltool.learning import Guarantee
 
 
-def guarantee_data(found: Guarantee | Estimate, seed: int | None = None) -> dict[str, Any]:
-    """One guarantee, flat; `seed` is that of the runs of an Estimate."""
+def guarantee_data(found: Guarantee | Estimate) -> dict[str, Any]:
+    """One guarantee, flat."""
     if isinstance(found, Guarantee):
         details: dict[str, Any] = {
             "source": "learning data",
@@ -29,7 +29,7 @@ def guarantee_data(found: Guarantee | Estimate, seed: int | None = None) -> dict
             "source": "fresh runs",
             "runs": found.runs,
             "satisfied": found.satisfied,
-            "seed": seed,
+            "seed": found.seed,
             "assumes": "runs are independent of each other and of the learning",
         }
     bound = {"lower": found.lower, "confidence": found.confidence, "seconds": found.seconds}

@@ -16,6 +16,7 @@ from stltool.checking.statistical import _excess, clopper_pearson, okamoto_runs,
 from stltool.errors import ModelError, PolicyError, SettingsError, SizeError
 from stltool.kernels import rollout as kernels
 from stltool.models.environment import Environment, cumulated, simulator
+from stltool.randomness import Purpose
 from stltool.testing import flag_formulas, formulas, models
 from tests import oracles
 
@@ -436,7 +437,7 @@ def test_the_test_on_a_policy_is_the_test_on_its_runs(patrolling):
     policy = stl.check(patrolling).policy
     for bound, verdict in ((0.7, "holds"), (0.76, "does not hold")):
         result = stl.sprt(patrolling, policy, bound, seed=9)
-        other = sprt_from(Rollouts(patrolling, policy, 100_000, 9), bound)
+        other = sprt_from(Rollouts(patrolling, policy, 100_000, 9, purpose=Purpose.SPRT), bound)
         assert result.verdict == verdict
         assert (result.runs, result.satisfied) == (other.runs, other.satisfied)
     short = stl.sprt(patrolling, policy, 0.738, most_runs=200)
