@@ -302,7 +302,7 @@ def _multiply(
         initial=0,
         horizon=horizon,
         verdict_starts=np.array([changes[i] for i in different], dtype=np.int64),
-        verdict_rows=rows[different][:, representative],
+        verdict_rows=np.ascontiguousarray(rows[different][:, representative]),
         state_names=names,
         parts=tuple(machine.part for machine in machines),
     )

@@ -190,7 +190,7 @@ def _induct(
     state = np.arange(model.n_states)[:, None]
     for t in range(joint.horizon - 1, -1, -1):
         layer = automaton.layers[t]
-        W = values[:, state, layer.delta[letter]]
+        W = np.ascontiguousarray(values[:, state, layer.delta[letter]])
         W += np.tensordot(given[:, :n_tasks], layer.holds.astype(np.float64), 1)[:, letter]
         values = np.empty_like(W)
         sweep(t, W, values)

@@ -69,7 +69,7 @@ def check(
             raise SettingsError(f"--save-policy {save_policy} would replace the policy that is checked; name another")
     if certificate is not None:
         require_certificate_file(certificate)
-    product = make_product(task, model, param, name, encoding, as_json, learning=False)
+    product = make_product(task, model, param, name, encoding, as_json, learning=False, exact=exact)
     uncertain = product.model.intervals is not None
     product, judge = judge_by(product, nature)
     robust = uncertain and nature != "nominal"

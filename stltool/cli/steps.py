@@ -43,6 +43,7 @@ def make_product(
     rollouts: bool = False,
     nominal: bool = False,
     guarantees: bool = False,
+    exact: bool = False,
 ) -> Product:
     """The product of a task file and its model, with the kernels loaded that the command needs."""
     from stltool import kernels
@@ -50,7 +51,7 @@ def make_product(
 
     product = load_product(task, model, param, name, encoding, nominal)
     with kernels_ready(quiet):
-        kernels.warm_up(learning, rollouts, guarantees or product.model.intervals is not None)
+        kernels.warm_up(learning, rollouts, guarantees or product.model.intervals is not None, exact)
     return product
 
 

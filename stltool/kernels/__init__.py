@@ -1,10 +1,15 @@
 """Numba loops: arrays in, arrays out; they import nothing of stltool. `.py_func` is each one's slow twin.
 
-Compiled once per machine (`cache=True`); importing this package alone loads nothing.
+All are declared with `jit.kernel`: compiled once per machine, again when a source here changes. Importing this package
+alone loads nothing else.
 """
 
+from stltool.kernels import jit  # first, so that it sees the sources before they are read
 
-def warm_up(learning: bool = True, rollouts: bool = False, intervals: bool = False) -> None:
+__all__ = ["jit", "warm_up"]
+
+
+def warm_up(learning: bool = True, rollouts: bool = False, intervals: bool = False, exact: bool = False) -> None:
     """Load the kernels of checking, and those asked for; the first call on a machine compiles them, some seconds."""
     from stltool.kernels import fixed, sweep
 
@@ -14,6 +19,10 @@ def warm_up(learning: bool = True, rollouts: bool = False, intervals: bool = Fal
         from stltool.kernels import robust
 
         robust.warm_up()
+    if exact:
+        from stltool.kernels import rational
+
+        rational.warm_up()
     if learning:
         from stltool.kernels import learning as learners
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from stltool.kernels.jit import kernel
+from stltool.kernels.sweep import one_state
 from stltool.kernels.sweep import optimum as sums
 
 I16: TypeAlias = NDArray[np.int16]
@@ -19,7 +20,7 @@ I32: TypeAlias = NDArray[np.int32]
 I64: TypeAlias = NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def optimum(
     choice_start: I64, row_start: I64, target: I32, numerator: I64, denominator: int, W: I64,
     maximize: bool, lo: int, hi: int, out: I64, best: I16,
@@ -36,7 +37,7 @@ def optimum(
             out[s, q] = y + np.int64(y * denominator < x)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def policy(
     choice_start: I64, row_start: I64, target: I32, numerator: I64, denominator: int, W: I64,
     chosen: I16, lo: int, hi: int, out: I64,
@@ -58,7 +59,7 @@ def policy(
 
 def warm_up() -> None:
     """Compile or load every kernel here, on a model of one state."""
-    start, index, one = np.array([0, 1], dtype=np.int64), np.zeros(1, dtype=np.int32), np.ones(1, dtype=np.int64)
+    rows, one = one_state()[:3], np.ones(1, dtype=np.int64)
     layer, choice = np.zeros((1, 1), dtype=np.int64), np.zeros((1, 1), dtype=np.int16)
-    optimum(start, start, index, one, 1, layer, True, 0, 1, layer.copy(), choice)
-    policy(start, start, index, one, 1, layer, choice, 0, 1, layer.copy())
+    optimum(*rows, one, 1, layer, True, 0, 1, layer.copy(), choice)
+    policy(*rows, one, 1, layer, choice, 0, 1, layer.copy())

@@ -11,9 +11,11 @@ from __future__ import annotations
 from typing import Any, TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from stltool.kernels.jit import kernel
+from stltool.kernels.rollout import inversion
+from stltool.kernels.sweep import one_state, optimum
 from stltool.kernels.tuples import Replay, Surrogate, Tables
 
 F64: TypeAlias = NDArray[np.float64]
@@ -21,20 +23,7 @@ I32: TypeAlias = NDArray[np.int32]
 I64: TypeAlias = NDArray[np.int64]
 
 
-@njit(cache=True)
-def inversion(sums: F64, lo: int, hi: int, x: float) -> int:
-    """The first entry of sums[lo:hi] that exceeds x; the last one where none does."""
-    hi -= 1
-    while lo < hi:
-        middle = (lo + hi) // 2
-        if x < sums[middle]:
-            hi = middle
-        else:
-            lo = middle + 1
-    return lo
-
-
-@njit(cache=True)
+@kernel
 def greedy(values: F64, n: int, chance: float) -> int:
     """The best of the first n, ties broken by `chance` in [0, 1)."""
     best, ties = values[0], 1
@@ -55,7 +44,7 @@ def greedy(values: F64, n: int, chance: float) -> int:
 # ----------------------------------------------------------------------------------------------- as published
 
 
-@njit(cache=True)
+@kernel
 def surrogate_update(table: Any, s: int, q: int, a: int, s2: int, q2: int) -> None:
     best = table.Q[s2, q2, 0]
     for b in range(1, table.Q.shape[2]):
@@ -63,7 +52,7 @@ def surrogate_update(table: Any, s: int, q: int, a: int, s2: int, q2: int) -> No
     table.Q[s, q, a] += table.alpha * (table.reward[q2] + table.gamma * best - table.Q[s, q, a])
 
 
-@njit(cache=True)
+@kernel
 def remember(rows: I32, place: I64, s: int, q: int, a: int, s2: int, q2: int) -> int:
     """Into the memory, the oldest row leaves; place = (next, size). Which row it became."""
     i = int(place[0])
@@ -73,7 +62,7 @@ def remember(rows: I32, place: I64, s: int, q: int, a: int, s2: int, q2: int) ->
     return i
 
 
-@njit(cache=True)
+@kernel
 def replay_batch(table: Any, replay: Any, u: F64) -> None:
     """One update for each number of u: the first `n_facts` draw from the facts, the rest from the memory."""
     sums = np.empty(0)
@@ -89,7 +78,7 @@ def replay_batch(table: Any, replay: Any, u: F64) -> None:
         surrogate_update(table, row[0], row[1], row[2], row[3], row[4])
 
 
-@njit(cache=True)
+@kernel
 def surrogate_observe(
     table: Any, replay: Any, draws: F64, letter: int, t: int, s: int, q: int, a: int, s2: int, q2: int
 ) -> None:
@@ -109,7 +98,7 @@ def surrogate_observe(
         replay_batch(table, replay, draws[t // replay.period])
 
 
-@njit(cache=True)
+@kernel
 def surrogate_episode(
     env: Any, letter: I32, delta: I32, initial: int, table: Any, replay: Any,
     moves: F64, explore: F64, epsilon: float, draws: F64, states: I32, actions: I32,
@@ -135,7 +124,7 @@ def surrogate_episode(
 # ------------------------------------------------------------------------------------------------- corrected
 
 
-@njit(cache=True)
+@kernel
 def clocked_update(
     Q: F64, V: F64, visits: I32, s: int, a: int, e: int, n_choices: int, value: float, least: float
 ) -> None:
@@ -148,7 +137,7 @@ def clocked_update(
     V[s, e] = best
 
 
-@njit(cache=True)
+@kernel
 def clocked_transitions(
     Q: F64, V: F64, visits: I32, letter: I32, entries: I64, successor: I32, n_choices: I64, least: float, rows: I32
 ) -> None:
@@ -175,11 +164,8 @@ def clocked_transitions(
 
 
 def warm_up() -> None:
-    """Compile or load every kernel here that runs over and over, on a model of one state and one step."""
-    start, index = np.array([0, 1], dtype=np.int64), np.zeros(1, dtype=np.int32)
-    for array in (start, index):  # a model's arrays are read-only
-        array.setflags(write=False)
-    env = Tables(start, start, index, np.ones(1), np.ones(1))
+    """Compile or load every kernel here that Python calls, on a model of one state and one step."""
+    env = Tables(*one_state()[:3], np.ones(1), np.ones(1))
     rows, place, one = np.zeros((1, 5), dtype=np.int32), np.zeros(2, dtype=np.int64), np.ones(1)
     whole = np.zeros((1, 1), dtype=np.int32)
     replay = Replay(True, 1, rows, one, place, whole[0], whole, True, np.ones((1, 1)), 1, rows, place)
@@ -189,7 +175,13 @@ def warm_up() -> None:
     surrogate_episode(
         env, letter, whole, 0, table, replay, moves, np.zeros((1, 2)), 0.5, draws, states, actions
     )  # fmt: skip
+    surrogate_observe(table, replay, draws, 0, 0, 0, 0, 0, 0, 0)
+    greedy(table.Q[0, 0], 1, 0.5)
     Q, V, visits = np.zeros((1, 1, 1)), np.zeros((1, 3)), np.ones((1, 1, 1), dtype=np.int32)
     clocked_update(Q, V, visits, 0, 0, 0, 1, 0.0, 0.1)
     n, rows = np.ones(1, dtype=np.int64), np.zeros((1, 3), dtype=np.int32)
     clocked_transitions(Q, V, visits[0], letter, n, visits, n, 0.1, rows)
+    start, row_start, target, probability = one_state()
+    learned = start.copy(), row_start.copy(), target.copy(), probability.copy()  # a learned model is not read-only
+    layer = np.zeros((1, 1))
+    optimum(*learned, layer, True, 0, 1, layer.copy(), np.zeros((1, 1), dtype=np.int16))

@@ -10,15 +10,17 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from stltool.kernels.jit import kernel
+from stltool.kernels.sweep import one_state
 
 I16: TypeAlias = NDArray[np.int16]
 I32: TypeAlias = NDArray[np.int32]
 I64: TypeAlias = NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def optimum(
     choice_start: I64, row_start: I64, target: I32, numerator: I64, letter: I32, delta: I32, V: I64,
     chosen: I16, maximize: bool, wanted: NDArray[np.bool_], bits: int, lo: int, hi: int, out: I64, best: I16,
@@ -60,7 +62,7 @@ def optimum(
 
 def warm_up() -> None:
     """Compile or load every kernel here, on a model of one state."""
-    start, index, one = np.array([0, 1], dtype=np.int64), np.zeros(1, dtype=np.int32), np.ones(1, dtype=np.int64)
+    rows, one, letter = one_state()[:3], np.ones(1, dtype=np.int64), np.zeros(1, dtype=np.int32)
     layer, choice = np.zeros((1, 1, 1), dtype=np.int64), np.zeros((1, 1), dtype=np.int16)
-    lookup, wanted = np.zeros((1, 1), dtype=np.int32), np.ones((1, 1), dtype=np.bool_)
-    optimum(start, start, index, one, index, lookup, layer, choice, True, wanted, 61, 0, 1, layer.copy(), choice.copy())
+    delta, wanted = np.zeros((1, 1), dtype=np.int32), np.ones((1, 1), dtype=np.bool_)
+    optimum(*rows, one, letter, delta, layer, choice, True, wanted, 61, 0, 1, layer.copy(), choice.copy())

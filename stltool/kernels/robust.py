@@ -9,15 +9,17 @@ in the place of Σ p·W.
 
 from __future__ import annotations
 
-import numpy as np
-from numba import njit
+from functools import partial
 
-from stltool.kernels.sweep import F64, I16, I32, I64, gather
+import numpy as np
+
+from stltool.kernels.jit import kernel
+from stltool.kernels.sweep import F64, I16, I32, I64, gather, one_state
 
 __all__ = ["gather", "mixture", "optimum", "policy", "warm_up"]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@partial(kernel, inline="always")
 def _nature(
     start: int, stop: int, q: int, target: I32, lower: F64, width: F64, left: float, ascending: bool, W: F64,
     key: F64, order: I64,
@@ -46,7 +48,7 @@ def _nature(
     return 1.0 if total > 1.0 else total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def optimum(
     choice_start: I64, row_start: I64, target: I32, lower: F64, width: F64, budget: F64, ascending: bool, W: F64,
     maximize: bool, lo: int, hi: int, out: F64, best: I16,
@@ -66,7 +68,7 @@ def optimum(
                     best[s, q] = c - first
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def policy(
     choice_start: I64, row_start: I64, target: I32, lower: F64, width: F64, budget: F64, ascending: bool, W: F64,
     chosen: I16, lo: int, hi: int, out: F64,
@@ -86,7 +88,7 @@ def policy(
             out[s, q] = _nature(start, stop, q, target, lower, width, budget[c], ascending, W, key, order)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mixture(
     choice_start: I64, row_start: I64, target: I32, lower: F64, width: F64, budget: F64, ascending: bool, W: F64,
     weight: F64, lo: int, hi: int, out: F64,
@@ -108,7 +110,7 @@ def mixture(
             out[s, q] = value
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _longest(choice_start: I64, row_start: I64, lo: int, hi: int) -> int:
     longest = 0
     for c in range(choice_start[lo], choice_start[hi]):
@@ -118,8 +120,7 @@ def _longest(choice_start: I64, row_start: I64, lo: int, hi: int) -> int:
 
 def warm_up() -> None:
     """Compile or load every kernel here, on a model of one state."""
-    start, index, one = np.array([0, 1], dtype=np.int64), np.zeros(1, dtype=np.int32), np.ones(1)
-    layer, rows = np.zeros((1, 1)), (start, start, index, one, np.zeros(1), np.zeros(1), True)
+    layer, rows = np.zeros((1, 1)), (*one_state(), np.zeros(1), np.zeros(1), True)
     optimum(*rows, layer, True, 0, 1, layer.copy(), np.zeros((1, 1), dtype=np.int16))
     policy(*rows, layer, np.zeros((1, 1), dtype=np.int16), 0, 1, layer.copy())
     mixture(*rows, layer, np.ones((1, 1, 1)), 0, 1, layer.copy())

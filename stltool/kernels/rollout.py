@@ -12,8 +12,10 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from stltool.kernels.jit import kernel
+from stltool.kernels.sweep import one_state
 
 F64: TypeAlias = NDArray[np.float64]
 I8: TypeAlias = NDArray[np.int8]
@@ -22,7 +24,20 @@ I32: TypeAlias = NDArray[np.int32]
 I64: TypeAlias = NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True)
+@kernel
+def inversion(sums: F64, lo: int, hi: int, x: float) -> int:
+    """The first entry of sums[lo:hi] that exceeds x; the last one where none does."""
+    hi -= 1
+    while lo < hi:
+        middle = (lo + hi) // 2
+        if x < sums[middle]:
+            hi = middle
+        else:
+            lo = middle + 1
+    return lo
+
+
+@kernel
 def pick(chosen: I16, s: I32, q: I32, choice: I16) -> int:
     """The first run where the policy says nothing (a negative entry), or −1."""
     for k in range(len(choice)):
@@ -32,7 +47,7 @@ def pick(chosen: I16, s: I32, q: I32, choice: I16) -> int:
     return -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mix(weight: F64, u: F64, s: I32, q: I32, choice: I16) -> None:
     for k in range(len(choice)):
         row = weight[s[k], q[k]]
@@ -47,7 +62,7 @@ def mix(weight: F64, u: F64, s: I32, q: I32, choice: I16) -> None:
                 break
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def move(
     choice_start: I64, row_start: I64, target: I32, sums: F64, letter: I32, delta: I32, verdict: I8,
     choice: I16, u: F64, s: I32, q: I32, number: I32, outcome: I8,
@@ -56,15 +71,8 @@ def move(
     live = 0
     for k in range(len(choice)):
         c = choice_start[s[k]] + choice[k]
-        lo, hi = row_start[c], row_start[c + 1] - 1
-        x = u[k] * sums[hi]
-        while lo < hi:
-            middle = (lo + hi) // 2
-            if x < sums[middle]:
-                hi = middle
-            else:
-                lo = middle + 1
-        after = target[lo]
+        lo, hi = row_start[c], row_start[c + 1]
+        after = target[inversion(sums, lo, hi, u[k] * sums[hi - 1])]
         memory = delta[letter[after], q[k]]
         outcome[number[k]] = verdict[memory]
         s[live], q[live], number[live] = after, memory, number[k]
@@ -73,13 +81,11 @@ def move(
 
 
 def warm_up() -> None:
-    """Compile or load every kernel here, on a model of one state; a model's arrays are read-only."""
-    start, target, sums = np.array([0, 1], dtype=np.int64), np.zeros(1, dtype=np.int32), np.ones(1)
-    for array in (start, target):
-        array.setflags(write=False)
+    """Compile or load every kernel here, on a model of one state."""
+    rows, sums = one_state()[:3], np.ones(1)
     index, choice, u = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int16), np.zeros(1)
     pick(np.zeros((1, 1), dtype=np.int16), index, index, choice)
     mix(np.ones((1, 1, 1)), u, index, index, choice)
     verdict, outcome = np.zeros(1, dtype=np.int8), np.zeros(1, dtype=np.int8)
     delta = np.zeros((1, 1), dtype=np.int32)
-    move(start, start, target, sums, index.copy(), delta, verdict, choice, u, index, index, index, outcome)
+    move(*rows, sums, index.copy(), delta, verdict, choice, u, index, index, index, outcome)

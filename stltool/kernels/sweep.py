@@ -12,8 +12,9 @@ from __future__ import annotations
 from typing import Any, TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from stltool.kernels.jit import kernel
 
 F64: TypeAlias = NDArray[np.float64]
 I16: TypeAlias = NDArray[np.int16]
@@ -22,7 +23,7 @@ I64: TypeAlias = NDArray[np.int64]
 Numbers: TypeAlias = NDArray[Any]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gather(values: F64, letter: I32, delta: I32, lo: int, hi: int, out: F64) -> None:
     """out[s,q] = values[s, delta[letter[s], q]] for lo <= s < hi."""
     for s in range(lo, hi):
@@ -31,7 +32,7 @@ def gather(values: F64, letter: I32, delta: I32, lo: int, hi: int, out: F64) -> 
             out[s, q] = values[s, row[q]]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def optimum(
     choice_start: I64, row_start: I64, target: I32, probability: Numbers, W: Numbers,
     maximize: bool, lo: int, hi: int, out: Numbers, best: I16,
@@ -64,7 +65,7 @@ def optimum(
                         best[s, q] = c - first
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def policy(
     choice_start: I64, row_start: I64, target: I32, probability: F64, W: F64,
     chosen: I16, lo: int, hi: int, out: F64,
@@ -82,7 +83,7 @@ def policy(
             out[s, q] = total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mixture(
     choice_start: I64, row_start: I64, target: I32, probability: F64, W: F64,
     weight: F64, lo: int, hi: int, out: F64,
@@ -102,12 +103,19 @@ def mixture(
             out[s, q] = value
 
 
+def one_state() -> tuple[I64, I64, I32, F64]:
+    """The rows of a model of one state, to warm kernels up with: read-only as a model's, which numba tells apart."""
+    rows = np.array([0, 1], dtype=np.int64), np.array([0, 1], dtype=np.int64), np.zeros(1, dtype=np.int32), np.ones(1)
+    for array in rows:
+        array.setflags(write=False)
+    return rows
+
+
 def warm_up() -> None:
     """Compile or load every kernel here, on a model of one state."""
-    start, index, one = np.array([0, 1], dtype=np.int64), np.zeros(1, dtype=np.int32), np.ones(1)
-    layer, rows = np.zeros((1, 1)), (start, start, index, one)
+    rows, layer, letter = one_state(), np.zeros((1, 1)), np.zeros(1, dtype=np.int32)
     for dtype in (np.float64, np.int64):
-        gather(layer.astype(dtype), index, np.zeros((1, 1), dtype=np.int32), 0, 1, layer.astype(dtype))
+        gather(layer.astype(dtype), letter, np.zeros((1, 1), dtype=np.int32), 0, 1, layer.astype(dtype))
     optimum(*rows, layer, True, 0, 1, layer.copy(), np.zeros((1, 1), dtype=np.int16))
     policy(*rows, layer, np.zeros((1, 1), dtype=np.int16), 0, 1, layer.copy())
     mixture(*rows, layer, np.ones((1, 1, 1)), 0, 1, layer.copy())

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from stltool.kernels.jit import compiling
 from stltool.learning.sweep import SweepProgress
 from stltool.models.fractions import long_numbers
 from stltool.reporting.page import bound_texts, probability_text
@@ -91,17 +92,27 @@ def _note(steps: int, probability: float | None) -> str:
 
 @contextmanager
 def kernels_ready(quiet: bool = False) -> Iterator[None]:
-    """Announce that kernels are being loaded; the first run on a machine compiles them."""
-    console = Console(stderr=True, highlight=False)
-    message = "loading the numerical kernels (compiled on the first run, some seconds)"
+    """Announce it where kernels are compiled in this block; mostly they are only loaded, and nothing is said."""
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    status = console.status("")
+
+    def tell(kept: bool) -> None:
+        after = "once for this version" if kept else "in every run: set NUMBA_CACHE_DIR to a folder you can write to"
+        message = f"compiling the numerical kernels, some seconds, {after}"
+        if console.is_terminal:
+            status.update(message)
+            status.start()
+        else:
+            console.print(message)
+
     if quiet:
         yield
-    elif console.is_terminal:
-        with console.status(message):
-            yield
     else:
-        console.print(message)
-        yield
+        try:
+            with compiling(tell):
+                yield
+        finally:
+            status.stop()
 
 
 @contextmanager

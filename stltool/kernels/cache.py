@@ -1,0 +1,150 @@
+"""Machine code of the kernels on disk: where it is kept, and how.
+
+The places, the first that can be written to: the folder that NUMBA_CACHE_DIR names, `__pycache__` beside the sources,
+the user's cache folder. Places before it that cannot be written to are read, so that whoever installs for others can
+compile for them. Without any, each process compiles for itself.
+
+Each kernel and signature has its own files, written at once and replaced whole: processes that compile at the same time
+write the same, and none waits for another. (In numba's own layout two signatures that are compiled at the same time can
+get one file.) A damaged file is compiled again. No disk full and no folder that vanished ends a run.
+
+Folders of other sources at the same place are removed: nothing that starts from now on can use them. A process that
+still runs with the older sources has loaded what it needs, or compiles it again. Folders of the same sources and
+another compiler (several Pythons over one checkout) stay until nobody has used them for a month.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import llvmlite
+import numba
+import numpy as np
+from numba.core import config as _numba_config
+from numba.core.caching import IndexDataCacheFile, _Cache
+from numba.core.compiler import CompileResult
+
+from stltool.kernels.jit import HERE, SOURCES, tell_compiling
+
+config = cast(Any, _numba_config)  # its settings are made when it is imported
+
+_UNUSED = 30 * 86400  # seconds
+_TOUCHED = 86400
+_CODE_SETTINGS = ("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK", "DEBUGINFO_DEFAULT")  # of numba's NUMBA_*
+
+
+def compiler() -> str:
+    """A digest of all that compiles, and is set for it; the processor is part of each file's key."""
+    versions = (numba.__version__, llvmlite.__version__, np.__version__, sys.version, sys.flags.optimize)
+    settings = [getattr(config, name, None) for name in _CODE_SETTINGS]
+    return hashlib.sha256(repr((versions, settings)).encode()).hexdigest()[:16]
+
+
+def folders() -> tuple[list[Path], Path | None]:
+    """The folders that can have code of these sources and this compiler; the one to write to, None where there is none.
+
+    The last of the first is the second.
+    """
+    name = f"numba-{SOURCES}-{compiler()}"
+    readable: list[Path] = []
+    for place in _places():
+        folder = place / name
+        if _can_write(folder):
+            _clean(place, folder)
+            return [*readable, folder], folder
+        if folder.is_dir():
+            readable.append(folder)
+    return readable, None
+
+
+def _places() -> Iterator[Path]:
+    mine = hashlib.sha256(os.fsencode(HERE.resolve())).hexdigest()[:16]  # another installation's sources are others
+    if config.CACHE_DIR:
+        yield Path(config.CACHE_DIR, f"stltool-{mine}")
+    yield HERE / "__pycache__"
+    import platformdirs
+
+    yield platformdirs.user_cache_path("stltool", appauthor=False) / f"kernels-{mine}"
+
+
+def _can_write(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return False
+    return True
+
+
+def _clean(place: Path, mine: Path) -> None:
+    """Remove what cannot be used again from a place; see the module's text."""
+    now = time.time()
+    with contextlib.suppress(OSError):
+        if now - mine.stat().st_mtime > _TOUCHED:
+            os.utime(mine)  # in use
+        for folder in place.glob("numba-*-*"):
+            same_sources = folder.name.split("-")[1] == SOURCES
+            if not same_sources or now - folder.stat().st_mtime > _UNUSED:
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+_folders = functools.cache(folders)  # once a process
+
+
+class KernelCache(_Cache):
+    """What numba's dispatcher asks for a kernel's machine code, and gives it to."""
+
+    def __init__(self, name: str, on_disk: bool) -> None:
+        self._name, self._on_disk = name, on_disk
+
+    @property
+    def cache_path(self) -> str | None:
+        written = _folders()[1] if self._on_disk else None
+        return None if written is None else str(written)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        target_context.refresh()
+        for folder in _folders()[0] if self._on_disk else ():
+            try:
+                found = self._file(folder, sig, target_context.codegen()).load(self._key(sig, target_context.codegen()))
+                if found is not None:
+                    return CompileResult._rebuild(target_context, *found)
+            except Exception:  # a damaged file fails in many ways; it is replaced when the kernel has been compiled
+                continue
+        tell_compiling(kept=self.cache_path is not None)
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        folder = _folders()[1] if self._on_disk else None
+        if folder is None or data.library.has_dynamic_globals or data.lifted:  # the latter cannot be kept
+            return
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            file = self._file(folder, sig, data.codegen)
+            file.flush()  # numba reads the old index before it writes a new one: a damaged one must not be there
+            file.save(self._key(sig, data.codegen), data._reduce())
+
+    @staticmethod
+    def _key(sig: Any, codegen: Any) -> tuple[Any, ...]:
+        return sig, codegen.magic_tuple()
+
+    def _file(self, folder: Path, sig: Any, codegen: Any) -> Any:
+        key = hashlib.sha256(repr(self._key(sig, codegen)).encode()).hexdigest()[:16]
+        return IndexDataCacheFile(str(folder), f"{self._name}-{key}", folder.name)
+
+    def enable(self) -> None:
+        """Nothing; as the next two, a part of the interface that numba does not need."""
+
+    def disable(self) -> None: ...
+
+    def flush(self) -> None: ...

@@ -1,0 +1,84 @@
+"""The one decorator of all kernels: numba compiles them, and what is kept on disk is never older than the sources.
+
+numba's own cache compares the file of the function that it kept, not the files of the functions that it calls, although
+their code is compiled into it: after an edit or an upgrade of a callee its callers in other files would go on with the
+old one. So machine code is kept in a folder of its own for each state of *all* sources here and of the compiler:
+
+    <place>/numba-<digest of the sources>-<digest of the compiler>/
+
+kernels/cache.py says which places there are. This module imports numba only when a kernel is declared, and the package
+imports it before the source of any kernel is read, so that the digest cannot be newer than the code.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal, TypeAlias, TypeVar, cast
+
+_Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
+_Files: TypeAlias = tuple[tuple[str, int, int], ...]
+
+HERE = Path(__file__).parent
+
+
+def _files() -> _Files:
+    """Name, time of change and size of every source here; none where they are not files of a folder (in an archive)."""
+    try:
+        with os.scandir(HERE) as entries:
+            found = [(entry.name, entry.stat()) for entry in entries if entry.name.endswith(".py")]
+    except OSError:
+        return ()
+    return tuple(sorted((name, stat.st_mtime_ns, stat.st_size) for name, stat in found))
+
+
+def _digest(files: _Files) -> str:
+    sha = hashlib.sha256()
+    for name, _, _ in files:
+        source = (HERE / name).read_bytes()
+        sha.update(f"{name}\0{len(source)}\0".encode() + source)
+    return sha.hexdigest()[:16]
+
+
+_FILES = _files()
+SOURCES = _digest(_FILES)
+
+
+def kernel(function: _Kernel, *, inline: Literal["never", "always"] = "never") -> _Kernel:
+    """Compile `function` with numba, without Python and without its lock; `.py_func` is the Python function.
+
+    The machine code is kept on disk, unless a source here has changed since this process began: what Python has read
+    may then be older or newer than the digest says.
+    """
+    from numba import njit
+
+    compiled: Any = njit(nogil=True, inline=inline)(function)
+    if hasattr(compiled, "py_func"):  # with NUMBA_DISABLE_JIT it is the function itself
+        from stltool.kernels.cache import KernelCache
+
+        name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}"
+        compiled._cache = KernelCache(name, on_disk=bool(_FILES) and _files() == _FILES)
+    return cast(_Kernel, compiled)
+
+
+_listeners: list[Callable[[bool], None]] = []
+
+
+@contextmanager
+def compiling(tell: Callable[[bool], None]) -> Iterator[None]:
+    """tell(whether it will be kept on disk) is called once, before the first kernel that this block compiles."""
+    _listeners.append(tell)
+    try:
+        yield
+    finally:
+        if tell in _listeners:
+            _listeners.remove(tell)
+
+
+def tell_compiling(kept: bool) -> None:
+    """Called by the cache when a kernel is about to be compiled."""
+    while _listeners:
+        _listeners.pop()(kept)
