@@ -6,6 +6,7 @@ exact      QComp's resource-gathering (F<=200 success) as a fraction, against St
 
 from __future__ import annotations
 
+import sys
 import tempfile
 import time
 from fractions import Fraction
@@ -19,7 +20,9 @@ from stltool.checking.backward import induct, sweeper
 from stltool.kernels import rational
 
 ROOT = Path(__file__).resolve().parent.parent
-QCOMP = ROOT.parent / "shared" / "data" / "qcomp" / "resource_gathering_200_15_15.tra"
+sys.path.append(str(ROOT))
+
+from tests import qcomp  # noqa: E402
 
 
 def enclosure_row() -> str:
@@ -46,9 +49,8 @@ def enclosure_row() -> str:
 
 
 def exact_row() -> str:
-    if not QCOMP.exists():
-        return "| exact fraction, resource-gathering | Storm's exact engine | not measured: the model is not here |"
-    model = stl.load_model(QCOMP)
+    with tempfile.TemporaryDirectory() as folder:
+        model = stl.load_model(qcomp.resource_gathering(Path(folder)))
     product = stl.build_product(model, stl.parse("F[0,200] success"))
 
     def ours() -> Fraction | None:

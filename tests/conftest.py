@@ -1,3 +1,4 @@
+import os
 import sys
 from pathlib import Path
 
@@ -13,9 +14,20 @@ settings.register_profile(
 settings.load_profile("stltool")
 
 ROOT = Path(__file__).resolve().parent.parent
+DATA = ROOT / "tests" / "data"
+OUTSIDE = Path(os.environ.get("STLTOOL_OUTSIDE_DATA", ROOT.parent / "shared" / "data"))
+"""Files of others, which are not part of the project (tests/data/README.md)."""
+
 FACTORY = ROOT / "examples" / "factory"
 PATROLLING = str(FACTORY / "patrolling.stl")
 SMALL = ["-p", "T=5", "-p", "tau=5"]
+
+
+def needs_outside(name: str) -> pytest.MarkDecorator:
+    """Skip a test that compares with a file of others where that is not present."""
+    return pytest.mark.skipif(
+        not (OUTSIDE / name).exists(), reason=f"compares with files of others, which are absent: {name}"
+    )
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ from stltool.errors import PolicyError, SizeError
 from stltool.logic.formula import Not
 from stltool.testing import flag_formulas, formulas, models
 from tests import oracles
-from tests.conftest import ROOT
+from tests.conftest import OUTSIDE, ROOT, needs_outside
 
 LABELS = ("a", "b", "c")
 
@@ -128,10 +128,7 @@ def test_optima_of_the_papers_scenarios(floor5, floor10, tau):
         assert stl.check(stl.build_product(model, task)).probability == pytest.approx(figure, abs=1e-5)
 
 
-PUBLISHED = ROOT.parent / "shared" / "data" / "published-policies"
-
-
-@pytest.mark.skipif(not PUBLISHED.exists(), reason="outside data absent: published-policies")
+@needs_outside("published-policies")
 @pytest.mark.parametrize(
     ("table", "floor", "task", "T", "figure"),
     [
@@ -143,7 +140,7 @@ PUBLISHED = ROOT.parent / "shared" / "data" / "published-policies"
 def test_published_q_tables_have_their_known_probability(request, table, floor, task, T, figure):
     task = stl.load_task(ROOT / "examples" / "factory" / task, params={"T": T, "tau": 5})
     product = stl.build_product(request.getfixturevalue(floor), task)
-    policy = stl.Policy.from_q_table(PUBLISHED / table, product)
+    policy = stl.Policy.from_q_table(OUTSIDE / "published-policies" / table, product)
     result = stl.check(product, policy)
     assert result.probability == pytest.approx(figure, abs=1e-6)
     assert result.probability <= stl.check(product).upper

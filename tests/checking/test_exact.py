@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import tomllib
 from fractions import Fraction
 
 import numpy as np
@@ -16,10 +17,9 @@ from stltool.checking.rational import exact_probability
 from stltool.checking.reach import first_steps
 from stltool.errors import ModelError, SettingsError, SizeError
 from stltool.testing import strategies
-from tests import oracles
-from tests.conftest import ROOT
+from tests import oracles, qcomp
+from tests.conftest import DATA, OUTSIDE, needs_outside
 
-QCOMP = ROOT.parent / "shared" / "data" / "qcomp"
 FORMULAS = ["F[0,6] (A & B)", "G[0,5] F[0,2] A", "F[0,2] G[0,3] (A | B)", "A U[1,7] B", "G[0,3] (A -> F[1,3] B)"]
 DENOMINATORS = [1, 2, 10, 16, 300, 997, 10**6, 3 * 10**11, 10**17]
 
@@ -207,18 +207,20 @@ def test_first_steps_are_breadth_first(model, phi):
 # --------------------------------------------------------------------------------------------------------- QComp
 
 
-def published(name):
-    path = QCOMP / f"{name}.json"
-    if not path.exists():
-        pytest.skip("the QComp models are not beside this checkout")
-    return {entry["property"]: Fraction(entry["value"]) for entry in json.loads(path.read_text())["expected"]}
+PUBLISHED = tomllib.loads((DATA / "qcomp.toml").read_text(encoding="utf-8"))
 
 
-def test_resource_gathering_to_the_last_digit():
-    (value,) = published("resource_gathering_200_15_15").values()
-    model = stl.load_model(QCOMP / "resource_gathering_200_15_15.tra")
-    assert (model.n_states, model.n_choices, model.n_transitions) == (24064, 77312, 83456)
-    product = stl.build_product(model, stl.parse("F[0,200] success"))
+def has_the_size(model, published):
+    sizes = (model.n_states, model.n_choices, model.n_transitions)
+    return sizes == (published["states"], published["choices"], published["transitions"])
+
+
+def test_resource_gathering_to_the_last_digit(tmp_path):
+    published = PUBLISHED["resource_gathering"]
+    value = Fraction(published["value"])
+    model = stl.load_model(qcomp.resource_gathering(tmp_path))
+    assert has_the_size(model, published)
+    product = stl.build_product(model, stl.parse(published["formula"]))
     result = stl.check(product, exact=True, keep_policy=False)
     assert result.fraction == value == Fraction(40402280165576036172779067978949245387, 5 * 10**37)
     enclosed = stl.check(product, keep_policy=False)
@@ -226,6 +228,27 @@ def test_resource_gathering_to_the_last_digit():
     assert enclosed.upper - enclosed.lower < 6e-15
 
 
+def approaches(model, text, maximize, value, short, late=1000):
+    """P of a bounded reach grows with its bound towards the published value without one."""
+    bounds = []
+    for k in (200, late):
+        product = stl.build_product(model, stl.parse(text.replace("K", str(k))))
+        bounds.append(stl.check(product, maximize=maximize, keep_policy=False))
+    assert bounds[0].lower <= bounds[1].upper
+    assert bounds[1].lower <= value
+    assert value - Fraction(bounds[1].upper) < short
+
+
+@pytest.mark.parametrize("published", PUBLISHED["consensus"], ids=lambda published: f"K={published['K']}")
+@pytest.mark.parametrize("side", ["minimum", "maximum"])
+def test_unbounded_published_values_are_approached_from_below(published, side, tmp_path):
+    model = stl.load_model(qcomp.consensus(tmp_path, published["K"]))
+    assert has_the_size(model, published)
+    value, late = Fraction(published[side]["value"]), {2: 1000, 4: 4000}[published["K"]]
+    approaches(model, published[side]["formula"], side == "maximum", value, 1e-9, late)
+
+
+@needs_outside("qcomp")
 @pytest.mark.parametrize(
     ("name", "prop", "text", "maximize", "short"),
     [
@@ -235,14 +258,25 @@ def test_resource_gathering_to_the_last_digit():
         ("zeroconf_dl_1000_1_true_10", 'Pmin=? [!"fresh" U "late"]', "!fresh U[0,K] late", False, 1e-14),
     ],
 )
-def test_unbounded_published_values_are_approached_from_below(name, prop, text, maximize, short):
-    """P of a bounded reach grows with its bound towards the published value without one."""
-    value = published(name)[prop]
-    model = stl.load_model(QCOMP / f"{name}.tra")
-    bounds = []
-    for k in (200, 1000):
-        product = stl.build_product(model, stl.parse(text.replace("K", str(k))))
-        bounds.append(stl.check(product, maximize=maximize, keep_policy=False))
-    assert bounds[0].lower <= bounds[1].upper
-    assert bounds[1].lower <= value
-    assert value - Fraction(bounds[1].upper) < short
+def test_the_benchmarks_own_files(name, prop, text, maximize, short):
+    listed = json.loads((OUTSIDE / "qcomp" / f"{name}.json").read_text(encoding="utf-8"))
+    value = {entry["property"]: Fraction(entry["value"]) for entry in listed["expected"]}[prop]
+    approaches(stl.load_model(OUTSIDE / "qcomp" / f"{name}.tra"), text, maximize, value, short)
+
+
+@needs_outside("qcomp")
+def test_the_models_written_anew_are_the_benchmarks(tmp_path):
+    """The same sizes, and the same probabilities as fractions, as the published files."""
+    pairs = [
+        (qcomp.resource_gathering(tmp_path), "resource_gathering_200_15_15", "F[0,90] success", True),
+        (qcomp.consensus(tmp_path, 2), "consensus_2_2", "F[0,40] finished_ones", False),
+        (qcomp.consensus(tmp_path, 4), "consensus_2_4", "F[0,60] finished_disagree", True),
+    ]
+    for ours, theirs, text, maximize in pairs:
+        models = [stl.load_model(path) for path in (ours, OUTSIDE / "qcomp" / f"{theirs}.tra")]
+        fractions = []
+        for model in models:
+            product = stl.build_product(model, stl.parse(text))
+            fractions.append(stl.check(product, maximize=maximize, exact=True, keep_policy=False).fraction)
+        assert fractions[0] == fractions[1]
+        assert models[0].n_transitions == models[1].n_transitions

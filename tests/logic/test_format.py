@@ -12,9 +12,7 @@ from stltool.logic.format import WIDTH, format_task
 from stltool.logic.source import Source
 from stltool.logic.syntax import read
 from stltool.testing import formulas, predicates
-from tests.conftest import ROOT
-
-OUTSIDE = ROOT.parent / "shared" / "data" / "stl"
+from tests.conftest import DATA, OUTSIDE, needs_outside
 
 SPELLINGS = {
     "&": ["and", "&&", "∧", "/\\"], "|": ["or", "||", "∨"], "!": ["not ", "~", "¬"], "->": ["=>", "→", "implies"],
@@ -160,12 +158,20 @@ def test_what_does_not_parse_is_not_laid_out():
         format_task("r := " + "!" * 5000 + "A")
 
 
-@pytest.mark.skipif(not OUTSIDE.exists(), reason=f"outside data absent: {OUTSIDE.name}")
-@pytest.mark.parametrize("name", ["breach/AFC_simple_spec", "breach/Autotrans_spec", "breach/stlib", "rlrom/cartpole"])
-def test_files_of_other_tools_are_laid_out(name):
-    """Also those that are no tasks of ours: laying out asks for syntax alone."""
-    text = (OUTSIDE / f"{name}.stl").read_text()
+def lays_out(text):
     once = format_task(text)
     assert format_task(once) == once
     assert once.count("#") == text.count("#")
     assert once.count(":=") == text.count(":=")
+
+
+@pytest.mark.parametrize("name", ["boiler", "lift", "patterns", "pendulum"])
+def test_dialects_of_other_tools_are_laid_out(name):
+    """Also those that are no tasks of ours: laying out asks for syntax alone."""
+    lays_out((DATA / "dialects" / f"{name}.stl").read_text())
+
+
+@needs_outside("stl")
+@pytest.mark.parametrize("name", ["breach/AFC_simple_spec", "breach/Autotrans_spec", "breach/stlib", "rlrom/cartpole"])
+def test_files_of_other_tools_are_laid_out(name):
+    lays_out((OUTSIDE / "stl" / f"{name}.stl").read_text())

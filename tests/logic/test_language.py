@@ -11,10 +11,9 @@ import stltool as stl
 from stltool.errors import FileError, SettingsError, StlSyntaxError
 from stltool.logic.formula import Always, Comparison, Eventually, Interval, Label, Number, Variable
 from stltool.logic.quantities import Duration, duration
-from tests.conftest import ROOT
+from tests.conftest import DATA, OUTSIDE, needs_outside
 
 A, B = Label("a"), Label("b")
-OUTSIDE = ROOT.parent / "shared" / "data" / "stl"
 
 
 @pytest.mark.parametrize(
@@ -317,15 +316,56 @@ def test_steps_and_params_from_outside_are_checked():
 # ------------------------------------------------------------------------------------------- files of other tools
 
 
-@pytest.mark.skipif(not OUTSIDE.exists(), reason=f"outside data absent: {OUTSIDE.name}")
+def test_a_file_in_rlroms_dialect_is_read_as_it_is():
+    task = stl.load_task(DATA / "dialects" / "pendulum.stl")
+    assert (task.name, stl.horizon(task.formula)) == ("phi_up_gently", 200)
+    assert "abs(angle) < 0.05 & angle_dot > -1" in str(task)
+
+
+def test_files_in_breachs_dialect_are_read_once_their_times_have_units():
+    text = (DATA / "dialects" / "boiler.stl").read_text()
+    with pytest.raises(StlSyntaxError, match=r"or 0\.5s if it is a time in seconds"):
+        stl.parse_task(text)
+    for seconds in ("t_heat=4", "t_day=36", "t_burn=0.5"):
+        text = text.replace(seconds, f"{seconds}s")
+    task = stl.parse_task("step = 0.1s\n" + text.replace("alw_[1, t_day]", "alw_[1s, t_day]"))
+    assert (task.name, stl.horizon(task.formula)) == ("warm_by_then", 400)
+    assert "abs(wanted - water) <= 0.05 * wanted | !(water - wanted > 2 * 0.05 * 20)" in str(task)
+    assert stl.horizon(task.definitions["flame_out"]) == 365
+
+    text = (DATA / "dialects" / "lift.stl").read_text()
+    with pytest.raises(StlSyntaxError, match="always needs an interval"):
+        stl.parse_task(text)
+    with pytest.raises(StlSyntaxError) as caught:
+        stl.parse_task(text, unbounded=True)
+    assert str(caught.value).endswith("2 errors")  # of the three lines with broken seconds, one refers to another
+    for plain in ("0.05,.1]", ".1,wait+.5]", "0.5, 20]", "0, 45]"):
+        text = text.replace(plain, plain.replace(",", "s,").replace("]", "s]"))
+    text = text.replace("param wait = 3.", "param wait = 3.s").replace("param wait = 3,", "param wait = 3s,")
+    task = stl.parse_task(f"step = 0.05s\n{text}", unbounded=True)
+    assert str(task) == "served := (F[0,900] (floor == 3)) & (G[0,inf) (floor <= 9))"
+    closes = "G[0,inf) ((!(door >= 0.9) & (F[1,2] (door >= 0.9))) -> (F[2,70] !(door >= 0.9)))"
+    assert str(task.definitions["closes"]) == closes
+
+
+def test_a_file_in_breachs_dialect_that_reads_other_steps_is_refused_construct_by_construct():
+    with pytest.raises(StlSyntaxError) as caught:
+        stl.load_task(DATA / "dialects" / "patterns.stl")
+    told = [line for line in str(caught.value).splitlines() if "patterns.stl, line" in line]
+    assert len(told) == 4
+    assert sum("as a signal of its own" in line for line in told) == 3
+    assert sum("is not a whole number of steps; write" in line for line in told) == 1
+
+
+@needs_outside("stl")
 @pytest.mark.parametrize("name", ["rlrom/cartpole", "rlrom/minigrid"])
 def test_rlrom_files_are_read_as_they_are(name):
-    assert stl.horizon(stl.load_task(OUTSIDE / f"{name}.stl").formula) in (500, 1000)
+    assert stl.horizon(stl.load_task(OUTSIDE / "stl" / f"{name}.stl").formula) in (500, 1000)
 
 
-@pytest.mark.skipif(not OUTSIDE.exists(), reason=f"outside data absent: {OUTSIDE.name}")
+@needs_outside("stl")
 def test_breach_files_are_read_once_their_times_have_units():
-    text = (OUTSIDE / "breach" / "AFC_simple_spec.stl").read_text()
+    text = (OUTSIDE / "stl" / "breach" / "AFC_simple_spec.stl").read_text()
     with pytest.raises(StlSyntaxError, match=r"or 0\.5s if it is a time in seconds"):
         stl.parse_task(text)
     for seconds in ("t_start=10", "t_end=40", "t_0=1", "t_stab=0.5"):
@@ -334,7 +374,7 @@ def test_breach_files_are_read_once_their_times_have_units():
     assert (task.name, stl.horizon(task.formula)) == ("AF_overshoot_req", 405)
     assert "AF - AFref > 0.01 * 14.7" in str(task.formula)
 
-    text = (OUTSIDE / "breach" / "Autotrans_spec.stl").read_text()
+    text = (OUTSIDE / "stl" / "breach" / "Autotrans_spec.stl").read_text()
     with pytest.raises(StlSyntaxError, match="always needs an interval"):
         stl.parse_task(text)
     with pytest.raises(StlSyntaxError) as caught:
@@ -348,10 +388,10 @@ def test_breach_files_are_read_once_their_times_have_units():
     assert str(task).startswith("phi_return3 := G[0,inf) ((gear == 3 & (F[1,2] !(gear == 3))) -> (G[10,110]")
 
 
-@pytest.mark.skipif(not OUTSIDE.exists(), reason=f"outside data absent: {OUTSIDE.name}")
+@needs_outside("stl")
 def test_a_breach_file_that_reads_other_steps_is_refused_construct_by_construct():
     with pytest.raises(StlSyntaxError) as caught:
-        stl.load_task(OUTSIDE / "breach" / "stlib.stl")
+        stl.load_task(OUTSIDE / "stl" / "breach" / "stlib.stl")
     told = [line for line in str(caught.value).splitlines() if "stlib.stl, line" in line]
     assert len(told) == 13
     assert sum("as a signal of its own" in line for line in told) == 7

@@ -1,6 +1,7 @@
-"""Monitors against RTAMT: the expected lists of its own tests, and RTAMT itself where it is installed."""
+"""Monitors against RTAMT: its recorded answers, and RTAMT itself where it is installed."""
 
 import json
+import tomllib
 import warnings
 
 import numpy as np
@@ -25,10 +26,11 @@ from stltool.logic.formula import (
     Until,
     Variable,
 )
-from tests.conftest import ROOT
+from tests.conftest import DATA, OUTSIDE, needs_outside
 from tests.monitoring.test_monitor import close
 
-CASES = ROOT.parent / "shared" / "data" / "stl" / "rtamt_tests_discrete_offline.json"
+RECORDED = tomllib.loads((DATA / "rtamt.toml").read_text(encoding="utf-8"))
+CASES = "stl/rtamt_tests_discrete_offline.json"
 POSITIVE_A, POSITIVE_B = stl.parse("a > 0"), stl.parse("b > 0")
 ENDLESS = Interval(0, None)
 
@@ -41,37 +43,53 @@ SAME = {
     "always[0,1](a)": "G[0,1] (a > 0)", "eventually[0,1](a)": "F[0,1] (a > 0)",
     "a until[0,1] b": "a > 0 U[0,1] (b > 0)",
     "always(a)": Always(ENDLESS, POSITIVE_A), "eventually(a)": Eventually(ENDLESS, POSITIVE_A),
+    "always[1,3](a)": "G[1,3] (a > 0)", "eventually[2,4](a)": "F[2,4] (a > 0)",
+    "a until[1,3] b": "a > 0 U[1,3] (b > 0)",
     "a until b": Until(ENDLESS, POSITIVE_A, POSITIVE_B),
 }  # fmt: skip
-OUTSIDE = {  # the past, next, and functions that we do not have
+OTHERS = {  # the past, next, and functions that we do not have
     "historically(a)", "historically[0,1](a)", "historically[1,2](a)", "once(a)", "once[0,1](a)", "once[1,2](a)",
     "prev(a)", "rise(a)", "fall(a)", "a since b", "a since[0,1] b", "next(a)", "exp(a)",
 }  # fmt: skip
 ANOTHER = {"a iff b": "a > 0 <-> b > 0", "a xor b": "a > 0 xor b > 0"}  # RTAMT has -|a - b| and |a - b|
 
 
-@pytest.mark.skipif(not CASES.exists(), reason=f"{CASES.name} is not beside the project")
+def agrees(text, signals, expected):
+    """Ours on the same trace: the same robustness, or what is known to differ."""
+    if text in OTHERS:
+        for number in (text, f"{text} > 0"):
+            with pytest.raises(StlToolError):
+                stl.parse(number)
+    elif text in SAME:
+        ours = SAME[text]
+        found = stl.monitor(stl.parse(ours) if isinstance(ours, str) else ours, signals, end="cut")
+        assert found.robustness == pytest.approx(expected, rel=1e-15), text
+        assert all(v == (m > 0) for v, m in zip(found.verdicts, expected, strict=True) if m != 0), text
+    else:
+        a, b = (np.array(signals[name]) for name in "ab")
+        assert expected == ((-1) ** (text == "a iff b") * np.abs(a - b)).tolist()
+        found = stl.monitor(stl.parse(ANOTHER[text]), signals, end="cut").robustness
+        both = np.minimum(np.maximum(-a, b), np.maximum(a, -b))
+        assert found.tolist() == (both if text == "a iff b" else -both).tolist() != expected
+
+
+@pytest.mark.parametrize("text", RECORDED["robustness"])
+def test_recorded_answers_of_rtamt(text):
+    answer = RECORDED["robustness"][text]
+    agrees(text, RECORDED["signals"][answer["on"]], answer["values"])
+
+
+def test_every_formula_has_a_recorded_answer():
+    assert set(RECORDED["robustness"]) == {*SAME, *OTHERS, *ANOTHER}
+
+
+@needs_outside(CASES)
 def test_the_expected_lists_of_rtamt():
-    cases = json.loads(CASES.read_text(encoding="utf-8"))["cases"]
+    cases = json.loads((OUTSIDE / CASES).read_text(encoding="utf-8"))["cases"]
     assert len(cases) == 40
-    assert {case["formula"] for case in cases} == {*SAME, *OUTSIDE, *ANOTHER}
+    assert {case["formula"] for case in cases} <= {*SAME, *OTHERS, *ANOTHER}
     for case in cases:
-        text, expected = case["formula"], [float(value) for value in case["expected"]]
-        if text in OUTSIDE:
-            for number in (text, f"{text} > 0"):
-                with pytest.raises(StlToolError):
-                    stl.parse(number)
-        elif text in SAME:
-            ours = SAME[text]
-            found = stl.monitor(stl.parse(ours) if isinstance(ours, str) else ours, case["signals"], end="cut")
-            assert found.robustness == pytest.approx(expected, rel=1e-15), text
-            assert all(v == (m > 0) for v, m in zip(found.verdicts, expected, strict=True) if m != 0), text
-        else:
-            a, b = (np.array(case["signals"][name]) for name in "ab")
-            assert expected == ((-1) ** (text == "a iff b") * np.abs(a - b)).tolist()
-            found = stl.monitor(stl.parse(ANOTHER[text]), case["signals"], end="cut").robustness
-            both = np.minimum(np.maximum(-a, b), np.maximum(a, -b))
-            assert found.tolist() == (both if text == "a iff b" else -both).tolist() != expected
+        agrees(case["formula"], case["signals"], [float(value) for value in case["expected"]])
 
 
 def rtamt():
