@@ -2,6 +2,7 @@
 
 from .logic.parser import load_task as load_task, parse as parse, parse_task as parse_task
 from .logic.formula import Formula as Formula, horizon as horizon
+from .logic.compose import F as F, G as G, U as U, label as label, signal as signal
 from .logic.semantics import robustness as robustness, satisfies as satisfies
 from .logic.fragment import Fragment as Fragment, check_fragment as check_fragment
 from .logic.rewrite import negation_normal_form as negation_normal_form, simplify as simplify

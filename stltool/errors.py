@@ -14,6 +14,10 @@ class StlToolError(Exception):
     """The user's input is at fault. `str(error)` is the whole message, ready to print."""
 
 
+class ArgumentError(StlToolError, TypeError):
+    """A public function was given something of another kind than it takes."""
+
+
 class StlSyntaxError(StlToolError):
     """A formula or a task file does not parse, or parses to something ill-typed."""
 

@@ -24,7 +24,10 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arguments import path as path_of
+from stltool.arguments import require, whole
 from stltool.automata import Encoding
+from stltool.display import Card, Displayed
 from stltool.errors import InexactEncodingWarning, PolicyError, near_misses
 from stltool.files import read_bytes, read_text, require_folder, require_replaceable, write_atomically
 from stltool.product import JointProduct, Product, build_joint_product, build_product, joined
@@ -77,7 +80,7 @@ class Binding:
             )
 
 
-class Policy:
+class Policy(Displayed):
     """See the module's text. Raises PolicyError when the table does not fit the product.
 
     `home` is the product whose automaton states the table speaks of. A policy of the same task and model can be checked
@@ -85,12 +88,31 @@ class Policy:
     """
 
     def __init__(self, product: Product | JointProduct, table: NDArray[Any]) -> None:
+        require(product, (Product, JointProduct), "Policy's product")
         self.home = product
         self.binding = Binding.of(product)
-        self.table = _checked(product, np.asarray(table))
+        try:
+            given = np.asarray(table)
+        except ValueError:
+            raise PolicyError(
+                "the policy's table is not an array: its rows have unequal lengths; give one row for each state"
+            ) from None
+        self.table = _checked(product, given)
+
+    def _card(self) -> Card:
+        home, silent = self.home, int((self.table < 0).sum())
+        task = f"{home.task_name} := {home.formula}" if isinstance(home, Product) else "; ".join(self.binding.tasks)
+        return Card(
+            f"Policy: {self.kind}, a table of {' x '.join(map(str, self.table.shape))}",
+            [
+                {"task": task},
+                {"model": home.model.name, "encoding": self.binding.encoding, "entries without action": silent or None},
+            ],
+        )
 
     def on(self, product: Product) -> tuple[Product, Policy]:
         """This policy and a product to judge it on: `product`, or its join with what the policy remembers."""
+        require(product, Product, "the policy's product")
         self.binding.require(product, "the policy")
         if self.binding.automaton_digest == product.automaton.digest():
             return product, self
@@ -115,12 +137,13 @@ class Policy:
 
     def at(self, t: int) -> NDArray[Any]:
         """The table of step t: (S, Q) choices or (S, Q, C) weights."""
+        whole(t, "the policy's step t", 0, None if self.stationary else len(self.table) - 1)
         table: NDArray[Any] = self.table if self.stationary else self.table[t]
         return table
 
     def save(self, path: str | Path) -> None:
         """Write the policy as .npz with a JSON header, the old file or the new one."""
-        require_policy_file(path)
+        require_policy_file(path_of(path, "save's path"))
         header = json.dumps({"format": FORMAT, **asdict(self.binding)})
         buffer = io.BytesIO()
         np.savez_compressed(buffer, header=np.frombuffer(header.encode("utf-8"), dtype=np.uint8), table=self.table)
@@ -129,6 +152,8 @@ class Policy:
     @classmethod
     def load(cls, path: str | Path, product: Product) -> Policy:
         """Read a policy for this product; PolicyError names both sides when it belongs to another."""
+        path = path_of(path, "Policy.load's path")
+        require(product, Product, "Policy.load's product")
         data = read_bytes(path, "policy file")
         try:
             with np.load(io.BytesIO(data), allow_pickle=False) as archive:
@@ -166,6 +191,8 @@ class Policy:
         flags); then a column per action, by name. States without a row have no preference: uniform. Where the
         product's automaton has no flags, the flags of [Wang24] are the policy's memory, and `check` judges it exactly.
         """
+        path = path_of(path, "Policy.from_q_table's path")
+        require(product, Product, "Policy.from_q_table's product")
         names, rows = _read_q_table(path)
         product = with_flags(product)
         model, automaton = product.model, product.automaton
@@ -207,7 +234,9 @@ def silence(product: Product, s: int, q: int, t: int) -> PolicyError:
 
 def load_policy(path: str | Path, product: Product) -> Policy:
     """Read a policy by its file's ending: `.npz` as saved by `Policy.save`, `.csv` a Q-table."""
-    if Path(path).suffix.lower() == ".csv":
+    path = path_of(path, "load_policy's path")
+    require(product, Product, "load_policy's product")
+    if path.suffix.lower() == ".csv":
         return Policy.from_q_table(path, product)
     return Policy.load(path, product)
 

@@ -12,11 +12,13 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arguments import mapping, require, whole
 from stltool.automata import Encoding, JointAutomaton, TaskAutomaton, compile_automaton, join_automata
 from stltool.automata.compile import MOST_STATES, atoms_of
 from stltool.automata.reach import reachable
+from stltool.display import Card, Displayed, counted
 from stltool.errors import NameLookupError, SettingsError, near_misses
-from stltool.logic.formula import Formula, label_names, require_bounded, variables
+from stltool.logic.formula import Composable, Formula, bounded_formula_of, label_names, variables
 from stltool.logic.source import Span
 from stltool.logic.task import Task
 from stltool.models import MDP
@@ -24,8 +26,8 @@ from stltool.monitoring.states import truth
 from stltool.sizes import require_memory
 
 
-@dataclass(frozen=True, eq=False)
-class Product:
+@dataclass(frozen=True, eq=False, repr=False)
+class Product(Displayed):
     """What learners and checkers work on.
 
     letter        (n_model_states,) int32: the automaton's letter L(s) of each model state
@@ -60,8 +62,18 @@ class Product:
 
     def describe(self, index: int, t: int | None = None) -> str:
         """A product state's index, told in the user's names: state, signals, labels, what is remembered."""
-        s, q = divmod(int(index), self.automaton.n_states)
+        s, q = divmod(whole(index, "a product state's index", 0, self.n_states - 1), self.automaton.n_states)
         return _place(self.model, s, self.automaton.describe(q), t)
+
+    def _card(self) -> Card:
+        model, automaton = self.model, self.automaton
+        return Card(
+            f"Product: {counted(model.n_states, 'model state')} x {counted(automaton.n_states, 'automaton state')}",
+            [
+                {"task": f"{self.task_name} := {self.formula}"},
+                {"model": model.name, "horizon": self.horizon, "encoding": automaton.encoding},
+            ],
+        )
 
     def check_bytes(self, keep_policy: bool = True) -> int:
         """Bytes that one check takes: three layers of values, and an action per step and product state."""
@@ -69,8 +81,8 @@ class Product:
         return layers + (2 * self.n_states * self.horizon if keep_policy else 2 * self.n_states)
 
 
-@dataclass(frozen=True, eq=False)
-class JointProduct:
+@dataclass(frozen=True, eq=False, repr=False)
+class JointProduct(Displayed):
     """Several tasks over one model, remembered together: what trade-offs are made on.
 
     tasks     their products, each with a name of its own
@@ -97,15 +109,30 @@ class JointProduct:
         """(model states, states of the joint automaton)"""
         return self.model.n_states, self.automaton.n_states
 
+    @property
+    def n_states(self) -> int:
+        return self.shape[0] * self.shape[1]
+
+    def _card(self) -> Card:
+        tasks = "; ".join(f"{task.task_name} := {task.formula}" for task in self.tasks)
+        return Card(
+            f"JointProduct: {counted(self.shape[0], 'model state')} x {counted(self.shape[1], 'joint state')}",
+            [
+                {"tasks": tasks},
+                {"model": self.model.name, "horizon": self.horizon, "encoding": self.automaton.encoding},
+            ],
+        )
+
     def task(self, name: str) -> int:
         """The number of the task of that name; NameLookupError where there is none."""
+        require(name, str, "a task's name")
         if name not in self.names:
             raise NameLookupError(f"there is no task {name} here; {near_misses(name, self.names)}")
         return self.names.index(name)
 
     def describe(self, index: int, t: int | None = None) -> str:
         """As `Product.describe`."""
-        s, q = divmod(int(index), self.automaton.n_states)
+        s, q = divmod(whole(index, "a product state's index", 0, self.n_states - 1), self.automaton.n_states)
         return _place(self.model, s, self.automaton.describe(q), t)
 
 
@@ -181,8 +208,9 @@ def build_product(
     a label or signal that the model does not have, FragmentError when the encoding does not cover the formula,
     SizeError before allocating what would not fit.
     """
-    formula, name = (task.formula, task.name) if isinstance(task, Task) else (task, "formula")
-    require_bounded(formula)
+    require(model, MDP, "build_product's model")
+    formula = bounded_formula_of(task, "build_product's task")
+    name = task.name if isinstance(task, Task) else "formula"
     _require_names(label_names(formula), model.labels, model.signals, "label", "compare it with a number")
     _require_names(variables(formula), model.signals, model.labels, "signal", "use it without comparing")
     if isinstance(task, Task):
@@ -219,12 +247,16 @@ def build_joint_product(
     `tasks` are named by their definitions, or by the mapping. Raises SettingsError where two have one name, SizeError
     before allocating what would not fit, and what `build_product` raises for each.
     """
+    require(model, MDP, "build_joint_product's model")
+    named: list[tuple[str, Formula | Task]]
     if isinstance(tasks, Mapping):
-        named = list(tasks.items())
+        named = list(mapping(tasks, "build_joint_product's tasks", "{'patrol': formula}").items())  # type: ignore[arg-type]
     else:
+        require(tasks, (list, tuple), "build_joint_product's tasks", "give a list of tasks, or {name: formula}")
         for task in tasks:
-            if not isinstance(task, Task):
+            if isinstance(task, Composable) and not isinstance(task, Task):
                 raise SettingsError(f"{task} has no name; give tasks as a mapping from names to formulas")
+            require(task, Task, "one of build_joint_product's tasks")
         named = [(task.name, task) for task in tasks]
     if not named:
         raise SettingsError("there is no task to trade off; give at least one")

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import stltool as stl
-from stltool.errors import InexactEncodingWarning, NameLookupError, StlSyntaxError
+from stltool.errors import ArgumentError, InexactEncodingWarning, NameLookupError
 
 
 def test_names_are_bound_or_refused_with_their_place(floor5):
@@ -46,7 +46,7 @@ def test_text_is_not_a_formula(floor5):
         stl.compile_automaton,
     ]
     for call in calls:
-        with pytest.raises(StlSyntaxError, match="call stltool.parse on the text first"):
+        with pytest.raises(ArgumentError, match="parse it: stl.parse"):
             call("F[0,3] A")
 
 

@@ -10,14 +10,16 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arguments import described, one_of, whole
 from stltool.automata.automaton import TaskAutomaton
 from stltool.automata.flags import flag_automaton
 from stltool.automata.history import history_automaton
 from stltool.automata.residuals import Residuals
 from stltool.automata.windows import window_automaton
 from stltool.errors import FragmentError, InexactEncodingWarning, SettingsError, SizeError
-from stltool.logic.formula import Formula, atoms, boolean_value, require_bounded
+from stltool.logic.formula import Formula, atoms, boolean_value, bounded_formula_of
 from stltool.logic.fragment import Fragment, check_fragment
+from stltool.logic.task import Task
 
 Encoding = Literal["exact", "paper", "history"]
 ENCODINGS: tuple[Encoding, ...] = get_args(Encoding)
@@ -26,18 +28,17 @@ MOST_STATES = 100_000
 _MOST_ATOMS = 14  # all valuations of so many predicates are still a table
 
 
-def atoms_of(phi: Formula, encoding: Encoding = "exact") -> tuple[Formula, ...]:
+def atoms_of(phi: Formula | Task, encoding: Encoding = "exact") -> tuple[Formula, ...]:
     """The Boolean formulas whose truth an encoding's automaton of φ reads, left to right."""
-    require_bounded(phi)
-    if encoding not in ENCODINGS:
-        raise SettingsError(f"there is no encoding {encoding!r}; choose one of {', '.join(ENCODINGS)}")
+    phi = bounded_formula_of(phi, "the automaton's formula")
+    one_of(encoding, "encoding", ENCODINGS)
     if encoding == "paper":
         return tuple(part.psi for part in check_fragment(phi).parts)
     return atoms(phi)
 
 
 def compile_automaton(
-    phi: Formula,
+    phi: Formula | Task,
     encoding: Encoding = "exact",
     valuations: NDArray[np.bool_] | None = None,
     memory_limit: int | None = None,
@@ -50,9 +51,12 @@ def compile_automaton(
     to those that occur in a model (`atoms_of` names the columns); by default it reads all. Compilation stops with a
     SizeError that names the part that explodes when it grows over `most_states`. Raises FragmentError for "paper" only.
     """
+    phi = bounded_formula_of(phi, "compile_automaton's formula")
     read = atoms_of(phi, encoding)
+    whole(most_states, "most_states", least=1)
     if valuations is None:
         valuations = all_valuations(len(read))
+    valuations = truth_table(valuations, len(read), "atoms_of(formula, encoding)")
     if encoding == "paper":
         fragment = check_fragment(phi)
         if not fragment.uniform:
@@ -66,6 +70,19 @@ def compile_automaton(
     if encoding == "history":
         return history_automaton(phi, read, valuations, memory_limit)
     return _exact(phi, valuations, most_states)
+
+
+def truth_table(valuations: object, columns: int, meaning: str) -> NDArray[np.bool_]:
+    """Truth assignments (n, columns); SettingsError for anything else."""
+    found = described(valuations)
+    if isinstance(valuations, np.ndarray):
+        if valuations.dtype == np.bool_ and valuations.ndim == 2 and valuations.shape[1] == columns and len(valuations):
+            return valuations
+        found = f"{valuations.dtype} of shape {valuations.shape}"
+    raise SettingsError(
+        f"the valuations are {found}; give an array of Booleans, at least one row and {columns} columns, one for each "
+        f"of {meaning}"
+    )
 
 
 def _exact(phi: Formula, valuations: NDArray[np.bool_], most_states: int) -> TaskAutomaton:

@@ -23,11 +23,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arguments import whole
 from stltool.automata.automaton import FALSE, TRUE
-from stltool.automata.compile import atoms_of, compile_automaton
+from stltool.automata.compile import atoms_of, compile_automaton, truth_table
 from stltool.automata.fates import Effort, Fates, differ, shortest_run
 from stltool.automata.samples import Samples, truth_along
-from stltool.errors import SettingsError, SizeError
+from stltool.errors import SizeError
 from stltool.logic.feasible import feasible_valuations, leaves
 from stltool.logic.formula import (
     Comparison,
@@ -35,15 +36,16 @@ from stltool.logic.formula import (
     Formula,
     Label,
     Not,
+    bounded_formula_of,
     children,
     horizon,
-    require_bounded,
     temporal_depth,
     walk,
     with_children,
 )
 from stltool.logic.occurrences import occurrences, with_replaced
 from stltool.logic.rewrite import OPPOSITE, simplify
+from stltool.logic.task import Task
 
 MOST_EFFORT = 60_000  # states times letters explored: about a second
 _MOST_PLACES = 2000  # occurrences
@@ -185,7 +187,9 @@ def _shown(phi: Formula) -> str:
 # --------------------------------------------------------------------------------------------- the questions
 
 
-def meaning(phi: Formula, valuations: NDArray[np.bool_] | None = None, most_effort: int = MOST_EFFORT) -> Meaning:
+def meaning(
+    phi: Formula | Task, valuations: NDArray[np.bool_] | None = None, most_effort: int = MOST_EFFORT
+) -> Meaning:
     """Whether φ can hold, whether it can fail, and which of its parts do not matter.
 
     `valuations` (n, n_leaves) bool are the truth assignments of `leaves(φ)` that can occur at a step, those of the
@@ -193,14 +197,10 @@ def meaning(phi: Formula, valuations: NDArray[np.bool_] | None = None, most_effo
     letters; `status` says what it left. Raises StlSyntaxError for a formula without a horizon, SettingsError for
     valuations of another shape.
     """
-    require_bounded(phi)
+    phi = bounded_formula_of(phi, "meaning's formula")
+    whole(most_effort, "most_effort", least=0)
     if valuations is not None:
-        wanted = len(leaves(phi))
-        if valuations.ndim != 2 or valuations.shape[1] != wanted or not len(valuations) or valuations.dtype != np.bool_:
-            raise SettingsError(
-                f"the valuations are {valuations.dtype} of shape {valuations.shape}; give Booleans, at least one row "
-                f"and {wanted} columns, one for each of leaves(formula)"
-            )
+        valuations = truth_table(valuations, len(leaves(phi)), "leaves(formula)")
     n = sum(1 for _ in walk(phi))
     if n > _MOST_PLACES:
         status = f"not decided: the formula has {n} operators and operands, over {_MOST_PLACES}"

@@ -17,6 +17,9 @@ from typing import NoReturn, TypeVar, cast, get_args
 
 from stltool.errors import StlSyntaxError, near_misses
 from stltool.logic.formula import (
+    DEEPEST,
+    LARGEST_BOUND,
+    MOST_NODES,
     Always,
     And,
     Arithmetic,
@@ -39,7 +42,7 @@ from stltool.logic.formula import (
     Term,
     Until,
     Variable,
-    children,
+    operands,
 )
 from stltool.logic.printer import term_text
 from stltool.logic.quantities import (
@@ -55,11 +58,8 @@ from stltool.logic.source import Source, Span
 from stltool.logic.syntax import WORDS, Branch, Fault, Token, bare, branches
 
 FORMULAS = get_args(Formula)
-MOST_NODES = 50_000
-DEEPEST = 200
 _COMPARATOR_SPELLINGS = {"≤": "<=", "≥": ">=", "≠": "!="}
 _LARGEST_BITS = 4000
-_LARGEST_BOUND = 10**15
 _LETTERS = {"always": "G", "eventually": "F", "until": "U"}
 _T = TypeVar("_T")
 
@@ -321,7 +321,7 @@ class Builder:
 
     def whole_steps(self, tree: Branch) -> int:
         value = self.constant(tree)
-        if abs(value.seconds if isinstance(value, Duration) else value) > _LARGEST_BOUND:
+        if abs(value.seconds if isinstance(value, Duration) else value) > LARGEST_BOUND:
             self.fail(tree, "this bound is out of range; count in larger steps")
         if isinstance(value, Duration):
             if self.step is None and "step =" in self.faulty:
@@ -342,7 +342,7 @@ class Builder:
                     f"the bound {float(value):g} is not a whole number of steps; "
                     f"write {math.floor(value)} or {math.ceil(value)}{unit}",
                 )
-        if abs(steps) > _LARGEST_BOUND:
+        if abs(steps) > LARGEST_BOUND:
             self.fail(tree, "this bound is out of range; count in larger steps")
         return steps.numerator
 
@@ -559,7 +559,7 @@ class Builder:
         """Later walks recurse; a depth that they all bear is the limit."""
         level: list[Formula | Term] = [phi]
         for _ in range(DEEPEST):
-            level = [child for node in level for child in _operands(node)]
+            level = [child for node in level for child in operands(node)]
             if not level:
                 return
         raise self.too_deep()
@@ -569,17 +569,3 @@ class Builder:
             f"{self.source.name}: operators are nested too deeply, over {DEEPEST} levels; simplify the formula, or "
             "write a & b & c in one level"
         )
-
-
-def _operands(node: Formula | Term) -> tuple[Formula | Term, ...]:
-    match node:
-        case Comparison(_, left, right) | Arithmetic(_, left, right):
-            return (left, right)
-        case Negate(arg):
-            return (arg,)
-        case Call(_, args):
-            return args
-        case Number() | Variable():
-            return ()
-        case _:
-            return children(node)

@@ -13,16 +13,27 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias, assert_never, get_args
+from typing import TYPE_CHECKING, ClassVar, Literal, NoReturn, TypeAlias, TypeVar, assert_never
 
-from stltool.errors import StlSyntaxError
+from stltool.arguments import described, kind_name, require
+from stltool.display import Card, Displayed, cut
+from stltool.errors import ArgumentError, StlSyntaxError
 from stltool.logic.source import Span
+
+if TYPE_CHECKING:
+    from stltool.logic.task import Task
 
 Comparator = Literal["<", "<=", ">", ">=", "==", "!="]
 ArithmeticOperator = Literal["+", "-", "*", "/", "^"]
 FunctionName = Literal["abs", "min", "max", "sqrt"]
 
+MOST_NODES = 50_000
+LARGEST_BOUND = 10**15  # steps
+DEEPEST = 200  # levels of operators: most walks recurse
+
 COMPARATORS: tuple[Comparator, ...] = ("<", "<=", ">", ">=", "==", "!=")
+_LONGEST_REPR = 300
+
 FUNCTION_ARITY: dict[FunctionName, tuple[int, int | None]] = {
     "abs": (1, 1), "sqrt": (1, 1), "min": (2, None), "max": (2, None),
 }  # fmt: skip
@@ -30,9 +41,10 @@ FUNCTION_ARITY: dict[FunctionName, tuple[int, int | None]] = {
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """What all nodes share: the place in the text, if there is one."""
+    """What all nodes share: the place in the text, if there is one, and their size once it was asked for."""
 
     span: Span | None = field(default=None, compare=False, repr=False, kw_only=True)
+    _size: tuple[int, int] | None = field(default=None, compare=False, repr=False, init=False)
 
 
 # ------------------------------------------------------------------------------------------- terms (real values)
@@ -112,30 +124,90 @@ class Interval:
         return f"[{self.a},inf)" if self.b is None else f"[{self.a},{self.b}]"
 
 
-class _Printed:
+class Composable(Displayed):
+    """What composes with `&`, `|`, `~` and `>>` (implication): formulas, and tasks, which stand for their formula.
+
+    `and`, `or`, `not` and chains of comparisons ask for a truth value, which a formula does not have: a TypeError.
+    Beware of Python's precedences: `>>` binds tighter than `&`, and `&` tighter than comparisons; use parentheses.
+    """
+
+    __slots__ = ()
+    KIND: ClassVar[str] = "Formula"
+    __array_ufunc__: ClassVar[None] = None  # numpy's numbers leave the operators to us
+
+    def _formula(self) -> Formula:
+        raise NotImplementedError
+
+    def __and__(self, other: Formula | Task) -> And:
+        return _joined(And, self._formula(), operand(other, "&"))
+
+    def __or__(self, other: Formula | Task) -> Or:
+        return _joined(Or, self._formula(), operand(other, "|"))
+
+    def __rshift__(self, other: Formula | Task) -> Implies:
+        return fitting(Implies(self._formula(), operand(other, ">>")))
+
+    def __invert__(self) -> Not:
+        return fitting(Not(self._formula()))
+
+    def __rand__(self, other: object) -> NoReturn:
+        refuse_operand(other, "&")
+
+    def __ror__(self, other: object) -> NoReturn:
+        refuse_operand(other, "|")
+
+    def __rrshift__(self, other: object) -> NoReturn:
+        refuse_operand(other, ">>")
+
+    def __lt__(self, other: object) -> NoReturn:
+        raise ArgumentError(
+            f"{cut(str(self._formula()), 60)} is true or false, and cannot be compared; for a signal write "
+            "stl.signal('x') > 0.5, in parentheses beside & and |: (x > 0.5) & phi"
+        )
+
+    __le__ = __gt__ = __ge__ = __lt__
+
+    def __bool__(self) -> NoReturn:
+        raise ArgumentError(
+            "a formula is neither true nor false by itself; write phi & psi, phi | psi, ~phi for and, or, not, "
+            "(0.2 < x) & (x < 0.6) for 0.2 < x < 0.6, and stl.satisfies(phi, signals) to judge a trace"
+        )
+
+
+class _Printed(Composable):
     """Formulas print as text that parses back to them."""
 
     __slots__ = ()
 
+    def _formula(self) -> Formula:
+        return self  # type: ignore[return-value]  # only the members of `Formula` inherit this
+
     def __str__(self) -> str:
         from stltool.logic.printer import to_text
 
-        return to_text(self)  # type: ignore[arg-type]  # only the members of `Formula` inherit this
+        return to_text(self)  # type: ignore[arg-type]
+
+    def __repr__(self) -> str:
+        return f"parse({cut(str(self), _LONGEST_REPR)!r})"
+
+    def _card(self) -> Card:
+        phi = self._formula()
+        return Card(str(self), [{"horizon": horizon(phi) if is_bounded(phi) else "none: an interval has no end"}])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Constant(_Printed, Node):
     value: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Label(_Printed, Node):
     """A named Boolean signal: a label of the model."""
 
     name: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Comparison(_Printed, Node):
     """A predicate `left ⋈ right` over signal values, strictness kept."""
 
@@ -144,12 +216,12 @@ class Comparison(_Printed, Node):
     right: Term
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Not(_Printed, Node):
     arg: Formula
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class And(_Printed, Node):
     args: tuple[Formula, ...]
 
@@ -157,7 +229,7 @@ class And(_Printed, Node):
         _at_least_two(self.args, "And")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Or(_Printed, Node):
     args: tuple[Formula, ...]
 
@@ -165,19 +237,19 @@ class Or(_Printed, Node):
         _at_least_two(self.args, "Or")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Implies(_Printed, Node):
     left: Formula
     right: Formula
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Iff(_Printed, Node):
     left: Formula
     right: Formula
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Eventually(_Printed, Node):
     """F[a,b] φ: φ at some step t+a … t+b."""
 
@@ -185,7 +257,7 @@ class Eventually(_Printed, Node):
     arg: Formula
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Always(_Printed, Node):
     """G[a,b] φ: φ at every step t+a … t+b."""
 
@@ -193,7 +265,7 @@ class Always(_Printed, Node):
     arg: Formula
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Until(_Printed, Node):
     """φ U[a,b] ψ: ψ at some u in t+a … t+b, and φ at every step of [t, u)."""
 
@@ -215,19 +287,19 @@ def _at_least_two(args: tuple[Formula, ...], name: str) -> None:
 # ------------------------------------------------------------------------------------------- questions about formulas
 
 
-def require_formula(phi: object) -> None:
-    """StlSyntaxError, saying what to call, where something else than a formula was given."""
-    if not isinstance(phi, get_args(Formula)):
-        hint = (
-            "call stltool.parse on the text first" if isinstance(phi, str) else "give a formula, as stltool.parse makes"
-        )
-        raise StlSyntaxError(f"{phi!r} is not a formula; {hint}")
+def formula_of(phi: object, what: str) -> Formula:
+    """The formula itself, or a task's; ArgumentError, saying what to write, for anything else."""
+    if isinstance(phi, Composable):
+        return phi._formula()
+    require(phi, Composable, what)
+    raise AssertionError
 
 
-def require_bounded(phi: object) -> None:
-    """StlSyntaxError unless it is a formula whose every interval has an end: whatever judges runs needs a horizon."""
-    require_formula(phi)
-    horizon(phi)  # type: ignore[arg-type]  # a formula, as just checked
+def bounded_formula_of(phi: object, what: str) -> Formula:
+    """The same, with an end to every interval: whatever judges runs needs a horizon. StlSyntaxError without."""
+    formula = formula_of(phi, what)
+    horizon(formula)
+    return formula
 
 
 def children(phi: Formula) -> tuple[Formula, ...]:
@@ -279,13 +351,17 @@ def walk(phi: Formula) -> Iterator[Formula]:
         stack.extend(reversed(children(node)))
 
 
-def horizon(phi: Formula) -> int:
+def horizon(phi: Formula | Task) -> int:
     """The number of steps after the evaluation step that can matter (docs/semantics.md §1).
 
     A trace that decides φ at step 0 has `horizon(φ) + 1` samples. Raises StlSyntaxError where an operator's interval
     has no end.
     """
-    below = max((horizon(child) for child in children(phi)), default=0)
+    return _horizon(formula_of(phi, "horizon's formula"))
+
+
+def _horizon(phi: Formula) -> int:
+    below = max((_horizon(child) for child in children(phi)), default=0)
     match phi:
         case Eventually(interval, _) | Always(interval, _) | Until(interval, _, _):
             if interval.b is None:
@@ -390,3 +466,90 @@ def _term_variables(term: Term) -> list[Variable]:
             return [variable for arg in args for variable in _term_variables(arg)]
         case _:
             assert_never(term)
+
+
+# ------------------------------------------------------------------------------------------- formulas put together
+
+
+def operand(value: object, sign: str) -> Formula:
+    """What may stand beside an operator; ArgumentError, with what was probably meant, for anything else."""
+    if not isinstance(value, Composable):
+        refuse_operand(value, sign)
+    return value._formula()
+
+
+def refuse_operand(value: object, sign: str) -> NoReturn:
+    kind = kind_name(type(value))
+    if isinstance(value, bool) or type(value).__name__ == "bool":
+        remedy = "== and != between formulas give True or False; a constant formula is stl.parse('true')"
+    elif isinstance(value, int | float) or kind == "Expression":
+        remedy = f"put the comparison in parentheses: phi {sign} (x > 0.5)"
+    elif isinstance(value, str):
+        remedy = "parse it: stl.parse(text)"
+    else:
+        remedy = "give formulas or tasks"
+    raise ArgumentError(f"an operand of {sign} is {described(value)}, not a Formula; {remedy}")
+
+
+_J = TypeVar("_J", And, Or)
+_N = TypeVar("_N", bound=Node)
+
+
+def _joined(kind: type[_J], left: Formula, right: Formula) -> _J:
+    """a & b & c in one level, however it is put together."""
+    args: tuple[Formula, ...] = ()
+    nodes = levels = 1
+    for phi in (left, right):
+        n, deep = _measure(phi)
+        inside = isinstance(phi, kind)
+        args += phi.args if isinstance(phi, And | Or) and inside else (phi,)
+        nodes, levels = nodes + n - inside, max(levels, deep + 1 - inside)
+    result = kind(args)
+    object.__setattr__(result, "_size", (nodes, levels))
+    return fitting(result)
+
+
+def fitting(phi: _N) -> _N:
+    """The node itself; StlSyntaxError where it is too deep or too large for what recurses through it."""
+    nodes, levels = _measure(phi)
+    if levels > DEEPEST:
+        raise StlSyntaxError(
+            f"operators are nested too deeply, over {DEEPEST} levels; simplify the formula, or write a & b & c in one "
+            "level"
+        )
+    if nodes > MOST_NODES:
+        raise StlSyntaxError(f"the formula is larger than {MOST_NODES} operators; simplify it")
+    return phi
+
+
+def _measure(root: Node) -> tuple[int, int]:
+    """(nodes, levels), remembered by every node: a formula that is put together is not walked again each time."""
+    stack = [root] if root._size is None else []
+    while stack:
+        node = stack[-1]
+        below = operands(node)
+        unknown = [child for child in below if child._size is None]
+        if unknown:
+            stack.extend(unknown)
+            continue
+        sizes = [child._size for child in below if child._size is not None]
+        size = 1 + sum(n for n, _ in sizes), 1 + max((levels for _, levels in sizes), default=0)
+        object.__setattr__(node, "_size", size)
+        stack.pop()
+    assert root._size is not None
+    return root._size
+
+
+def operands(node: Node) -> tuple[Formula | Term, ...]:
+    """Sub-formulas and terms right below, left to right."""
+    match node:
+        case Comparison(_, left, right) | Arithmetic(_, left, right):
+            return (left, right)
+        case Negate(arg):
+            return (arg,)
+        case Call(_, args):
+            return args
+        case Number() | Variable():
+            return ()
+        case _:
+            return children(node)  # type: ignore[arg-type]  # terms are done

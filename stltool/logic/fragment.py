@@ -22,12 +22,13 @@ from stltool.logic.formula import (
     Not,
     Until,
     boolean_value,
+    bounded_formula_of,
     children,
     is_temporal,
-    require_bounded,
     temporal_depth,
     with_children,
 )
+from stltool.logic.task import Task
 
 Operator = Literal["F", "G"]
 
@@ -65,9 +66,9 @@ class Fragment:
         return len({part.tau for part in self.parts}) <= 1
 
 
-def check_fragment(phi: Formula) -> Fragment:
+def check_fragment(phi: Formula | Task) -> Fragment:
     """Decompose φ along the paper's fragment; FragmentError names what does not fit."""
-    require_bounded(phi)
+    phi = bounded_formula_of(phi, "check_fragment's formula")
     negated = False
     root = phi
     while isinstance(root, Not) and isinstance(root.arg, Not | Eventually | Always):

@@ -19,6 +19,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias, assert_never
 
+from stltool.arguments import flag, whole
 from stltool.errors import SizeError
 from stltool.logic.formula import (
     Always,
@@ -36,10 +37,11 @@ from stltool.logic.formula import (
     Or,
     Until,
     children,
-    require_formula,
+    formula_of,
     walk,
 )
 from stltool.logic.source import Span
+from stltool.logic.task import Task
 
 MOST_OPERATORS = 200_000
 _DEEPEST = 200  # later walks recurse
@@ -61,13 +63,14 @@ def _own_operators(phi: Formula) -> int:
 # --------------------------------------------------------------------------------------- negation normal form
 
 
-def negation_normal_form(phi: Formula, most_operators: int = MOST_OPERATORS) -> Formula:
+def negation_normal_form(phi: Formula | Task, most_operators: int = MOST_OPERATORS) -> Formula:
     """φ with negations in front of labels only, and without implications and equivalences.
 
     Same truth and robustness at every step, also of traces that end inside a window. A negated until and an equivalence
     write their operands several times: SizeError where that makes more than `most_operators`, or nests over 200 deep.
     """
-    require_formula(phi)
+    phi = formula_of(phi, "negation_normal_form's formula")
+    most_operators = whole(most_operators, "most_operators", least=0)
     known: dict[tuple[int, bool], Formula] = {}  # by identity: hashing a deep node would walk all of it
     result = _nnf(phi, False, known)
     size, depth = _measures(result)
@@ -157,7 +160,7 @@ _Window: TypeAlias = type[Eventually] | type[Always]
 _Junction: TypeAlias = type[And] | type[Or]
 
 
-def simplify(phi: Formula, cut: bool = False) -> Formula:
+def simplify(phi: Formula | Task, cut: bool = False) -> Formula:
     """An equal formula with no more operators, usually fewer; simplifying it again changes nothing.
 
     Truth and robustness are the same at every step of every trace that is long enough for φ (a window without an end is
@@ -165,8 +168,7 @@ def simplify(phi: Formula, cut: bool = False) -> Formula:
     where F[2,3] true may be false. The horizon does not grow. Nodes that survive keep their places. A term without a
     value (1/0) is no error any more where it is left out.
     """
-    require_formula(phi)
-    return _Simplifier(cut).of(phi).formula
+    return _Simplifier(flag(cut, "simplify's cut")).of(formula_of(phi, "simplify's formula")).formula
 
 
 @dataclass(slots=True, eq=False)

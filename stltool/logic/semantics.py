@@ -19,7 +19,8 @@ from typing import Any, TypeAlias, assert_never
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stltool.errors import NameLookupError, TraceError, near_misses
+from stltool.arguments import described, whole
+from stltool.errors import ArgumentError, NameLookupError, TraceError, near_misses
 from stltool.logic.formula import (
     Always,
     And,
@@ -43,15 +44,16 @@ from stltool.logic.formula import (
     Term,
     Until,
     Variable,
+    formula_of,
     horizon,
     label_names,
-    require_formula,
     variables,
 )
+from stltool.logic.task import Task
 
 _LARGEST_EXPONENT = 1000  # above, a power is computed in doubles
 
-Signal: TypeAlias = Mapping[str, ArrayLike]
+Signals: TypeAlias = Mapping[str, ArrayLike]
 """name → array (n_steps,): reals for variables, Booleans (or 0 / 1) for labels."""
 
 Real: TypeAlias = Fraction | float  # a float only for infinities and after sqrt or a broken power
@@ -65,37 +67,38 @@ COMPUTE: dict[ArithmeticOperator, Callable[[Any, Any], Real]] = {
 CALL: dict[FunctionName, Callable[..., Real]] = {"abs": abs, "min": min, "max": max, "sqrt": math.sqrt}
 
 
-def satisfies(phi: Formula, signal: Signal, t: int = 0) -> bool:
+def satisfies(phi: Formula | Task, signals: Signals, t: int = 0) -> bool:
     """Whether the trace satisfies φ at step t.
 
-    `signal` maps every name of φ to an array of n_steps samples. Raises TraceError when the trace ends before step
+    `signals` maps every name of φ to an array of n_steps samples. Raises TraceError when the trace ends before step
     t + horizon(φ), NameLookupError when a name is missing.
     """
-    return _true(phi, _samples(phi, signal, t), t)
+    phi = formula_of(phi, "satisfies' formula")
+    return _true(phi, _samples(phi, signals, t, "satisfies"), t)
 
 
-def robustness(phi: Formula, signal: Signal, t: int = 0) -> float:
+def robustness(phi: Formula | Task, signals: Signals, t: int = 0) -> float:
     """How far the trace is from changing the truth of φ at step t.
 
     > 0 implies true, < 0 implies false. A label has margin +inf or -inf; `==` has -|d|, `!=` |d|; errors as
     for `satisfies`.
     """
-    return _margin(phi, _samples(phi, signal, t), t)
+    phi = formula_of(phi, "robustness' formula")
+    return _margin(phi, _samples(phi, signals, t, "robustness"), t)
 
 
-def _samples(phi: Formula, signal: Signal, t: int) -> dict[str, NDArray[np.float64]]:
+def _samples(phi: Formula, signals: Signals, t: int, caller: str) -> dict[str, NDArray[np.float64]]:
     """The arrays of the names that φ reads, as floats, each long enough to decide φ at t."""
-    require_formula(phi)
-    if t < 0:
-        raise TraceError(f"step {t} is before the trace; steps count from 0")
+    require_signals(signals, f"{caller}' signals")
+    whole(t, f"{caller}' step t", least=0)
     needed = t + horizon(phi) + 1
     labels = label_names(phi)
     samples = {}
     for name, span in {**variables(phi), **labels}.items():
-        if name not in signal:
-            message = f"the trace has no signal {name}; {near_misses(name, signal)}"
+        if name not in signals:
+            message = f"the trace has no signal {name}; {near_misses(name, signals)}"
             raise NameLookupError(span.show(message) if span else message)
-        values = np.asarray(signal[name])
+        values = samples_of(name, signals[name])
         if values.ndim != 1:
             raise TraceError(f"signal {name} has shape {values.shape}; a trace is one-dimensional")
         if len(values) < needed:
@@ -116,13 +119,29 @@ def _samples(phi: Formula, signal: Signal, t: int) -> dict[str, NDArray[np.float
             )
         samples[name] = values
     if not samples and t + horizon(phi) > 0:
-        _check_constant_length(phi, signal, needed)
+        _check_constant_length(phi, signals, needed)
     return samples
 
 
-def _check_constant_length(phi: Formula, signal: Signal, needed: int) -> None:
+def require_signals(signals: object, what: str) -> None:
+    """ArgumentError unless it is a mapping, or a data frame: something with names."""
+    if not hasattr(signals, "keys"):
+        raise ArgumentError(
+            f"{what} are {described(signals)}, not a mapping; write {{name: samples}}, such as {{'x': [0.1, 0.5]}}"
+        )
+
+
+def samples_of(name: str, values: ArrayLike) -> NDArray[Any]:
+    """An array of any shape; TraceError where there is none."""
+    try:
+        return np.asarray(values)
+    except (TypeError, ValueError):
+        raise TraceError(f"signal {name} is no array: its rows have unequal lengths, or are no numbers") from None
+
+
+def _check_constant_length(phi: Formula, signals: Signals, needed: int) -> None:
     """A formula without names still needs a trace of its length, where there is one to look at."""
-    shortest = min((len(np.asarray(values)) for values in signal.values()), default=needed)
+    shortest = min((len(np.atleast_1d(samples_of(*item))) for item in signals.items()), default=needed)
     if shortest < needed:
         raise TraceError(f"the trace has {shortest} samples; {phi} needs {needed}")
 

@@ -5,24 +5,28 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
-from stltool.logic.formula import Formula, Term
+from stltool.display import Card
+from stltool.errors import SettingsError
+from stltool.logic.formula import Composable, Formula, Term, horizon, is_bounded
 from stltool.logic.quantities import Duration, ParamValue, Quantity
 
 if TYPE_CHECKING:
     from stltool.logic.syntax import Document
 
 
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One definition of a task file, chosen as the task.
+@dataclass(frozen=True, slots=True, repr=False)
+class Task(Composable):
+    """One definition of a task file, chosen as the task. It is taken wherever a formula is.
 
     `params` holds the values after overrides, as exact fractions, or times; `definitions` all definitions in file
     order, each a formula or an arithmetic term; `model` the path of the model file, already relative to the task file's
     folder, or None where the file names none; `step` how long a step takes, where the file says so; `document` the text
     as read.
     """
+
+    KIND: ClassVar[str] = "Task"
 
     name: str
     formula: Formula
@@ -37,11 +41,21 @@ class Task:
     def with_params(self, **params: ParamValue) -> Task:
         """The same task with other values for some of its params; the text is not read again.
 
-        Raises StlSyntaxError where the file has no such param, or the formula does not allow its value.
+        Raises StlSyntaxError where the file has no such param, or the formula does not allow its value, SettingsError
+        for a value that is no number and for a task that was not read from a text.
         """
         if self.rebuild is None:
-            raise ValueError("this task was not read from a text, so it has no params to change")
+            raise SettingsError("this task was not read from a text, so it has no params to change; use stl.parse_task")
         return self.rebuild(params)
+
+    def _formula(self) -> Formula:
+        return self.formula
 
     def __str__(self) -> str:
         return f"{self.name} := {self.formula}"
+
+    def _card(self) -> Card:
+        params = ", ".join(f"{name} = {value}" for name, value in self.params.items())
+        steps = horizon(self.formula) if is_bounded(self.formula) else "none: an interval has no end"
+        model = self.model if self.model is not None else "none named"
+        return Card(f"Task {self}", [{"horizon": steps, "params": params or None, "model": model}])

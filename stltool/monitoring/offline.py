@@ -20,9 +20,10 @@ from typing import Any, Literal, NoReturn, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stltool.arguments import one_of
 from stltool.errors import SettingsError, TraceError
 from stltool.logic import semantics as oracle
-from stltool.logic.formula import Always, Eventually, Formula, Until, children, horizon, is_temporal
+from stltool.logic.formula import Always, Eventually, Formula, Until, children, formula_of, horizon, is_temporal
 from stltool.logic.task import Task
 from stltool.monitoring.blocks import Machine
 from stltool.monitoring.program import compile_formula
@@ -81,8 +82,8 @@ def monitor(
     trace and step; in verdicts alone, only where one hangs on it), NameLookupError where a name is missing,
     StlSyntaxError where an interval has no end and `end` is "error".
     """
-    require_option("semantics", semantics, get_args(Semantics))
-    formula, traces = prepare(phi, signals, end)
+    one_of(semantics, "semantics", get_args(Semantics))
+    formula, traces = prepare(phi, signals, end, "monitor")
     truth, margins = semantics != "robustness", semantics != "boolean"
     outs = judge(formula, traces, end, truth, margins)
     outs = outs if traces.batch else [out[0] for out in outs]
@@ -105,19 +106,15 @@ def judge(formula: Formula, traces: Traces, end: End, truth: bool, margins: bool
     return outs
 
 
-def prepare(phi: Formula | Task, signals: Mapping[str, ArrayLike], end: End) -> tuple[Formula, Traces]:
+def prepare(phi: Formula | Task, signals: Mapping[str, ArrayLike], end: End, caller: str) -> tuple[Formula, Traces]:
     """The formula and the traces it reads. Raises what `monitor` says, but for what samples are."""
-    formula = phi.formula if isinstance(phi, Task) else phi
+    formula = formula_of(phi, f"{caller}'s formula")
+    oracle.require_signals(signals, f"{caller}'s signals")
     program = compile_formula(formula)
-    require_option("end", end, get_args(End))
+    one_of(end, "end", get_args(End))
     if end == "error" and program.horizon is None:
         horizon(formula)  # raises, with the place of the interval without end
     return formula, read_traces(program, signals)
-
-
-def require_option(what: str, given: str, known: tuple[str, ...]) -> None:
-    if given not in known:
-        raise SettingsError(f"there is no {what} {given!r}; choose {', '.join(known)}")
 
 
 def decided_steps(traces: Traces, end: End) -> int:

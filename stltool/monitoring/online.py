@@ -23,11 +23,12 @@ from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, assert_never
 
 import numpy as np
 
-from stltool.errors import NameLookupError, TraceError, near_misses
-from stltool.logic.formula import Constant, Formula, Label, require_bounded
+from stltool.arguments import described, one_of
+from stltool.errors import ArgumentError, NameLookupError, TraceError, near_misses
+from stltool.logic.formula import Constant, Formula, Label, bounded_formula_of
 from stltool.logic.task import Task
 from stltool.monitoring.comparisons import Predicate
-from stltool.monitoring.offline import judge, require_option
+from stltool.monitoring.offline import judge
 from stltool.monitoring.program import Atom, Instruction, compile_formula
 from stltool.monitoring.samples import WHOLE, Traces
 
@@ -56,8 +57,7 @@ class OnlineMonitor:
     """
 
     def __init__(self, phi: Formula | Task) -> None:
-        self.formula = phi.formula if isinstance(phi, Task) else phi
-        require_bounded(self.formula)
+        self.formula = bounded_formula_of(phi, "OnlineMonitor's formula")
         self._program = compile_formula(self.formula)
         instructions = self._program.instructions
         self.horizon: int = instructions[-1].horizon or 0
@@ -77,6 +77,10 @@ class OnlineMonitor:
         Raises NameLookupError where a name is missing, TraceError where a value is no finite number (a label: neither
         true nor false), or gives a predicate no value or no margin. A refused sample leaves the monitor as it was.
         """
+        if not hasattr(sample, "keys"):
+            raise ArgumentError(
+                f"feed's sample is {described(sample)}, not a mapping; write {{name: value}}, such as {{'x': 0.5}}"
+            )
         values = self._read(sample)
         try:
             atoms = [(i, atom(values)) for i, atom in self._atoms]
@@ -91,7 +95,7 @@ class OnlineMonitor:
 
     def finish(self, end: Literal["cut", "hold"] = "cut") -> list[Decision]:
         """The decisions of the remaining steps, were the trace to end here. The monitor may be fed on."""
-        require_option("end", end, ("cut", "hold"))
+        one_of(end, "end", ("cut", "hold"))
         n = len(self._last)
         if n == 0:
             return []

@@ -33,7 +33,6 @@ from stltool.logic.formula import (
     Not,
     Or,
     Until,
-    require_formula,
 )
 from stltool.logic.source import Span
 from stltool.monitoring.comparisons import Predicate
@@ -68,8 +67,7 @@ class Program:
 
 
 def compile_formula(phi: Formula) -> Program:
-    """The program of a formula; those of the last few formula objects are kept. StlSyntaxError for anything else."""
-    require_formula(phi)
+    """The program of a formula; those of the last few formula objects are kept."""
     return _compile(_Same(phi))
 
 

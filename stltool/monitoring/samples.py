@@ -119,8 +119,6 @@ def read_traces(program: Program, signals: Mapping[str, ArrayLike]) -> Traces:
 
     Raises NameLookupError where a name is missing, TraceError where an array is not of numbers, or shapes differ.
     """
-    if not hasattr(signals, "keys"):  # a mapping, or a data frame
-        raise TraceError(f"the signals are {type(signals).__name__}; give a mapping: name → array of samples")
     arrays: dict[str, NDArray[Any]] = {}
     for name, span in {**program.variables, **program.labels}.items():
         if name not in signals:

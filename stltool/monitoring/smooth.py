@@ -32,6 +32,7 @@ from typing import TypeAlias, assert_never
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stltool.arguments import real
 from stltool.errors import SettingsError
 from stltool.logic.formula import Constant, Formula, Label
 from stltool.logic.task import Task
@@ -70,9 +71,9 @@ def smooth_robustness(
     Signals and ends as for `monitor`, whose errors it raises too; SettingsError for another β. Under "hold" a held
     sample counts once for every step of a window, so an interval without end is refused there.
     """
-    if isinstance(beta, bool) or not isinstance(beta, int | float | np.number) or not 1e-100 <= beta <= 1e100:
+    if not 1e-100 <= (beta := float(real(beta, "beta", "10"))) <= 1e100:
         raise SettingsError(f"beta is {beta!r}; it must be a number from 1e-100 to 1e100")
-    formula, traces = prepare(phi, signals, end)
+    formula, traces = prepare(phi, signals, end, "smooth_robustness")
     h = traces.program.horizon
     if h is None and end == "hold":
         raise SettingsError(

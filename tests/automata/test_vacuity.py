@@ -13,7 +13,7 @@ import stltool as stl
 from stltool.automata.fates import Effort, Fates, differ, shortest_run
 from stltool.automata.samples import Samples, truth_along
 from stltool.automata.vacuity import meaning
-from stltool.errors import SettingsError, SizeError, StlSyntaxError
+from stltool.errors import ArgumentError, SettingsError, SizeError, StlSyntaxError
 from stltool.logic.feasible import feasible_valuations, leaves
 from stltool.logic.formula import (
     Always,
@@ -445,7 +445,7 @@ def test_letters_of_another_shape_are_refused(wrong):
 def test_formulas_without_a_horizon_are_refused():
     with pytest.raises(StlSyntaxError, match="no horizon"):
         meaning(Always(Interval(0, None), A))
-    with pytest.raises(StlSyntaxError, match="call stltool.parse"):
+    with pytest.raises(ArgumentError, match="parse it: stl.parse"):
         meaning("a")
 
 

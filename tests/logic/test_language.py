@@ -242,7 +242,7 @@ def test_params_change_without_reading_again(monkeypatch):
 def test_a_task_of_no_text_has_no_params_to_change():
     from stltool.logic.task import Task
 
-    with pytest.raises(ValueError, match="not read from a text"):
+    with pytest.raises(SettingsError, match="not read from a text"):
         Task("r", A).with_params(T=3)
 
 

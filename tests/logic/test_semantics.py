@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.errors import NameLookupError, TraceError
+from stltool.errors import NameLookupError, SettingsError, TraceError
 from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Interval, Label, Not, Or, Until
 from stltool.monitoring.states import truth
 from stltool.testing import formulas, predicates, traces
@@ -94,7 +94,7 @@ def test_a_trace_too_short_names_both_lengths():
         stl.satisfies(stl.parse("F[0,4] a"), {"a": [0, 0, 0]}, t=1)
     with pytest.raises(TraceError, match="the trace has 2 samples"):
         stl.satisfies(stl.parse("F[0,4] true"), {"a": [0, 0]})
-    with pytest.raises(TraceError, match="steps count from 0"):
+    with pytest.raises(SettingsError, match="step t is -1; it must be an integer from 0"):
         stl.satisfies(A, {"a": [0]}, t=-1)
 
 

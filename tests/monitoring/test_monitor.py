@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 
 import stltool as stl
-from stltool.errors import NameLookupError, SettingsError, StlSyntaxError, TraceError
+from stltool.errors import ArgumentError, NameLookupError, SettingsError, StlSyntaxError, TraceError
 from stltool.logic.formula import (
     Always,
     And,
@@ -247,7 +247,7 @@ def test_options_that_do_not_exist():
         stl.monitor(stl.parse("a"), {"a": [1]}, semantics="truth")
     with pytest.raises(StlSyntaxError, match="only monitors judge it, with end cut or hold"):
         stl.monitor(Eventually(Interval(0, None), stl.parse("a")), {"a": [1]})
-    with pytest.raises(StlSyntaxError, match=r"call stltool\.parse on the text first"):
+    with pytest.raises(ArgumentError, match="parse it: stl.parse"):
         stl.monitor("a", {"a": [1]})
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.errors import SettingsError, SizeError, TraceError
+from stltool.errors import ArgumentError, SettingsError, SizeError, TraceError
 from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Interval, Not, Or, Until, is_bounded
 from stltool.testing import formulas, traces
 from tests.monitoring.test_monitor import batches, perhaps_endless
@@ -171,7 +171,7 @@ def test_no_steps():
 def test_what_smooth_robustness_refuses():
     phi = stl.parse("F[0,1] (1 / x > 0)")
     for beta in (0, -1.0, math.inf, math.nan, 1e101):
-        with pytest.raises(SettingsError, match=re.escape(f"beta is {beta};")):
+        with pytest.raises(SettingsError, match=re.escape(f"beta is {float(beta)};")):
             stl.smooth_robustness(phi, {"x": [1.0, 2.0]}, beta)
     with pytest.raises(TraceError, match="step 1: .* 1, 0"):
         stl.smooth_robustness(phi, {"x": [1.0, 0.0]}, 1.0)
@@ -191,7 +191,7 @@ def test_beta_is_a_positive_number(beta):
 
 @pytest.mark.parametrize("signals", [[1, 2], None, np.zeros(3)])
 def test_signals_are_a_mapping(signals):
-    with pytest.raises(TraceError, match="give a mapping: name → array of samples"):
+    with pytest.raises(ArgumentError, match="not a mapping; write {name: samples}"):
         stl.smooth_robustness(stl.parse("x > 0"), signals, 1.0)
-    with pytest.raises(TraceError, match="give a mapping: name → array of samples"):
+    with pytest.raises(ArgumentError, match="not a mapping; write {name: samples}"):
         stl.monitor(stl.parse("x > 0"), signals)

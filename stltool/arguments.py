@@ -1,0 +1,197 @@
+"""What public functions take, checked at their doors: one sentence names what was given, what is needed, what to write.
+
+    require(product, Product, "check's product")
+    ArgumentError: check's product is an MDP, not a Product; build one: stl.build_product(model, task)
+
+Kinds are told by their names, so that this file needs none of the classes: what users mix up stands in one table.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence, Set
+from decimal import Decimal
+from fractions import Fraction
+from numbers import Integral, Real
+from os import PathLike
+from pathlib import Path, PurePath
+
+from stltool.errors import ArgumentError, SettingsError
+
+_LONGEST = 40  # characters of a value in a message
+
+# what makes an object of this kind
+_MAKE = {
+    "Formula": "write one: stl.parse('F[0,5] A')",
+    "Task": "read one: stl.load_task(path), or stl.parse_task(text)",
+    "MDP": "load one: stl.load_model(path), or make one: stl.MDP.from_arrays(...)",
+    "Product": "build one: stl.build_product(model, task)",
+    "JointProduct": "build one: stl.build_joint_product(model, tasks)",
+    "Policy": "take that of stl.check(product) or stl.learn(product), or load one: stl.load_policy(path, product)",
+    "CheckResult": "make one: stl.check(product)",
+    "Training": "make one: stl.learn(product)",
+    "Counts": "take those of a training: training.counts",
+    "Sweep": "read one: stl.load_sweep(path)",
+    "str": "write it in quotes",
+    "Mapping": "write one: {name: values}",
+}
+
+# (needed, given) → what was probably meant
+_MEANT = {
+    ("Formula", "str"): "parse it: stl.parse(text)",
+    ("Formula", "Path"): "load it: stl.load_task(path)",
+    ("Formula", "Product"): "take the product's: product.formula",
+    ("Formula", "TaskAutomaton"): "take the automaton's: automaton.formula",
+    ("Formula", "Expression"): "compare it: stl.signal('x') > 0.5",
+    ("Formula", "MDP"): "give the task; where both are asked for, the model comes first",
+    ("Task", "str"): "read it: stl.load_task(path), or stl.parse_task(text)",
+    ("Task", "Path"): "read it: stl.load_task(path)",
+    ("MDP", "str"): "load it: stl.load_model(path)",
+    ("MDP", "Path"): "load it: stl.load_model(path)",
+    ("MDP", "Formula"): "the model comes first, then the task",
+    ("MDP", "Task"): "the model comes first, then the task",
+    ("MDP", "Product"): "take the product's: product.model",
+    ("MDP", "JointProduct"): "take the product's: joint.model",
+    ("Product", "JointProduct"): "take that of one task: joint.tasks[0]",
+    ("Product", "Policy"): "the product comes first, then the policy",
+    ("Product", "CheckResult"): "take the result's: result.product",
+    ("Product", "TaskAutomaton"): "build one with a model: stl.build_product(model, task)",
+    ("JointProduct", "Product"): "build one of all tasks: stl.build_joint_product(model, tasks)",
+    ("Policy", "str"): "load it: stl.load_policy(path, product)",
+    ("Policy", "Path"): "load it: stl.load_policy(path, product)",
+    ("Policy", "Training"): "take the training's: training.policy",
+    ("Policy", "CheckResult"): "take the result's: result.policy",
+    ("Policy", "array"): "make one of the table: stl.Policy(product, table)",
+    ("CheckResult", "Product"): "check it: stl.check(product)",
+    ("Training", "Policy"): "give the whole result of stl.learn, not its policy",
+    ("Counts", "Training"): "take the training's: training.counts",
+    ("Sweep", "str"): "read it: stl.load_sweep(path)",
+    ("Sweep", "Path"): "read it: stl.load_sweep(path)",
+}
+
+
+def require(
+    value: object, kinds: type | tuple[type, ...], what: str, remedy: str | None = None, *, optional: bool = False
+) -> None:
+    """ArgumentError unless `value` is of one of these kinds, or None where it is optional.
+
+    `what` names the argument ("check's policy"); without a `remedy` the tables above say what to write.
+    """
+    if isinstance(value, kinds) or (optional and value is None):
+        return
+    needed = list(dict.fromkeys(map(kind_name, kinds if isinstance(kinds, tuple) else (kinds,))))
+    given = "Path" if isinstance(value, PurePath) else "array" if _is_array(value) else kind_name(type(value))
+    if remedy is None:
+        meant = (_MEANT.get((kind, given)) for kind in needed)
+        remedy = next(filter(None, meant), None) or _MAKE.get(needed[0], "give one")
+    raise ArgumentError(f"{what} is {described(value)}, not {_either(needed, optional)}; {remedy}")
+
+
+def flag(value: object, what: str) -> bool:
+    """True or False; ArgumentError for anything else, so that no text is taken for True."""
+    if isinstance(value, bool) or type(value).__name__ == "bool":  # numpy's, too
+        return bool(value)
+    raise ArgumentError(f"{what} is {described(value)}, not a flag; write True or False")
+
+
+def whole(value: object, what: str, least: int | None = None, most: int | None = None) -> int:
+    """An integer; SettingsError for anything else, or one out of range."""
+    limits = f" from {least}" if least is not None else ""
+    limits += f" up to {most}" if most is not None else ""
+    good = isinstance(value, Integral) and not isinstance(value, bool)
+    if not good or (least is not None and value < least) or (most is not None and value > most):  # type: ignore[operator]
+        raise SettingsError(f"{what} is {described(value)}; it must be an integer{limits}")
+    return int(value)  # type: ignore[call-overload, no-any-return]
+
+
+def seed(value: object, what: str) -> int:
+    """What every random choice of a function comes from: an integer from 0."""
+    if type(value).__name__ in ("Generator", "RandomState", "SeedSequence"):
+        raise SettingsError(f"{what} is {described(value)}; give an integer from 0, which the result records")
+    return whole(value, what, least=0)
+
+
+def real(value: object, what: str, example: str = "0.5") -> float | Fraction:
+    """A finite number: fractions and decimals exactly, others as doubles."""
+    if not isinstance(value, bool) and isinstance(value, Real | Decimal):
+        try:
+            number = Fraction(value) if isinstance(value, Fraction | Decimal) else float(value)
+            if math.isfinite(number):
+                return number
+        except (OverflowError, ValueError):  # an infinite decimal, an integer beyond all doubles
+            pass
+    unquoted = ", without quotes" if isinstance(value, str) else ""
+    raise SettingsError(f"{what} is {described(value)}; a finite number is needed, such as {example}{unquoted}")
+
+
+def one_of(value: object, what: str, known: Sequence[str]) -> str:
+    """One of these words; SettingsError names them."""
+    if not isinstance(value, str) or value not in known:
+        raise SettingsError(f"there is no {what} {described(value)}; choose {', '.join(known)}")
+    return value
+
+
+def function(value: object, what: str) -> None:
+    """ArgumentError unless it can be called, or is None."""
+    if value is not None and not callable(value):
+        raise ArgumentError(f"{what} is {described(value)}, not a function or None; leave it out, or write one")
+
+
+def path(value: object, what: str) -> Path:
+    """The path that a text or a path object names; ArgumentError for anything else."""
+    if not isinstance(value, str | PathLike) or "\0" in str(value):
+        raise ArgumentError(f"{what} is {described(value)}, not a path; write one in quotes, or as pathlib.Path")
+    return Path(value)
+
+
+def mapping(value: object, what: str, example: str) -> Mapping[str, object]:
+    """A mapping with texts as keys."""
+    require(value, Mapping, what, f"write for example {example}")
+    assert isinstance(value, Mapping)
+    for key in value:
+        require(key, str, f"a name in {what}", f"write for example {example}")
+    return value
+
+
+def described(value: object) -> str:
+    """A value as a message shows it: short, whatever it is."""
+    if value is None or isinstance(value, bool):
+        return str(value)
+    if isinstance(value, str):
+        return repr(value if len(value) <= _LONGEST else f"{value[:_LONGEST]}...")
+    if isinstance(value, PurePath):
+        return f"the path {str(value)!r}"
+    if isinstance(value, Real | Decimal | complex):
+        text = str(value)
+        return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    if _is_array(value):
+        shape = getattr(value, "shape", None)
+        return str(value) if shape == () else f"an array of shape {shape}"
+    name = kind_name(type(value))
+    if isinstance(value, Sequence | Set | Mapping) and type(value).__module__ == "builtins":
+        return f"a {name} of {len(value)}"
+    if callable(value) and hasattr(value, "__name__"):
+        return f"the function {value.__name__}"
+    return _article(name)
+
+
+def kind_name(kind: type) -> str:
+    """What users call a class: all nodes of formulas are a Formula."""
+    return str(getattr(kind, "KIND", kind.__name__))
+
+
+def _is_array(value: object) -> bool:
+    return hasattr(value, "shape") and hasattr(value, "dtype")
+
+
+def _either(names: Sequence[str], optional: bool) -> str:
+    words = [_article(name) for name in names] + ["None"] * optional
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+def _article(name: str) -> str:
+    if name == "str":
+        return "text"
+    return f"{'an' if name[0] in 'AEIOaeio' or name == 'MDP' else 'a'} {name}"

@@ -1,0 +1,230 @@
+"""Formulas put together in Python: what the text language writes, without text.
+
+    x, at_A = stl.signal("x"), stl.label("A")
+    phi = stl.G(stl.F(at_A, 0, 9) & (x + 0.1 <= 0.5), 0, 20)        # G[0,20] ((F[0,9] A) & x + 0.1 <= 0.5)
+
+`str` of what comes out parses back to it. Numbers are what they are in a text: a double is the shortest decimal that
+prints it. `&`, `|`, `~` and `>>` are operators of formulas themselves (formula.py); comparisons beside them stand in
+parentheses, and so do implications.
+"""
+
+from __future__ import annotations
+
+import re
+from decimal import Decimal
+from fractions import Fraction
+from numbers import Integral, Real
+from typing import TYPE_CHECKING, ClassVar, NoReturn, TypeAlias
+
+from stltool.arguments import described, real, require, whole
+from stltool.display import Card, Displayed
+from stltool.errors import ArgumentError, SettingsError, StlSyntaxError
+from stltool.logic.formula import (
+    LARGEST_BOUND,
+    Always,
+    Arithmetic,
+    ArithmeticOperator,
+    Call,
+    Comparator,
+    Comparison,
+    Eventually,
+    Formula,
+    Interval,
+    Label,
+    Negate,
+    Number,
+    Term,
+    Until,
+    Variable,
+    fitting,
+    formula_of,
+    refuse_operand,
+)
+from stltool.logic.task import Task
+
+if TYPE_CHECKING:
+    Operand: TypeAlias = "Expression | int | float | Fraction | Decimal"
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+
+def F(phi: Formula | Task, a: int, b: int | None) -> Eventually:
+    """F[a,b] φ: φ at some step t+a … t+b, both included. `b=None`: to the end of the trace, for monitors alone."""
+    return fitting(Eventually(_interval("F", a, b), formula_of(phi, "F's formula")))
+
+
+def G(phi: Formula | Task, a: int, b: int | None) -> Always:
+    """G[a,b] φ: φ at every step t+a … t+b, both included. `b=None`: to the end of the trace, for monitors alone."""
+    return fitting(Always(_interval("G", a, b), formula_of(phi, "G's formula")))
+
+
+def U(phi: Formula | Task, psi: Formula | Task, a: int, b: int | None) -> Until:
+    """φ U[a,b] ψ: ψ at some step u of t+a … t+b, both included, and φ at every step of [t, u). `b` as for `F`."""
+    left, right = formula_of(phi, "U's first formula"), formula_of(psi, "U's second formula")
+    return fitting(Until(_interval("U", a, b), left, right))
+
+
+def label(name: str) -> Label:
+    """A label: true or false at a step. StlSyntaxError where a text could not name it so."""
+    require(name, str, "label's name")
+    _require_readable(name, name, Label(name))
+    return Label(name)
+
+
+def signal(name: str) -> Expression:
+    """A signal, to be compared: `stl.signal("x") > 0.4`. StlSyntaxError where a text could not name it so."""
+    require(name, str, "signal's name")
+    _require_readable(name, f"{name} > 0", Comparison(">", Variable(name), Number(0.0)))
+    return Expression(Variable(name))
+
+
+class Expression(Displayed):
+    """Arithmetic over signals and numbers: `+ - * / **` and abs; `< <= > >= == !=` make a formula of it."""
+
+    __slots__ = ("term",)
+    __array_ufunc__: ClassVar[None] = None  # numpy's numbers leave the operators to us
+    __hash__ = None  # type: ignore[assignment]  # == makes a formula
+
+    def __init__(self, term: Term) -> None:
+        self.term = term
+
+    def __str__(self) -> str:
+        from stltool.logic.printer import term_text
+
+        return term_text(self.term)
+
+    def __repr__(self) -> str:
+        return f"Expression({str(self)!r})"
+
+    def _card(self) -> Card:
+        return Card(str(self))
+
+    def __add__(self, other: Operand) -> Expression:
+        return _computed("+", self, other)
+
+    def __radd__(self, other: Operand) -> Expression:
+        return _computed("+", other, self)
+
+    def __sub__(self, other: Operand) -> Expression:
+        return _computed("-", self, other)
+
+    def __rsub__(self, other: Operand) -> Expression:
+        return _computed("-", other, self)
+
+    def __mul__(self, other: Operand) -> Expression:
+        return _computed("*", self, other)
+
+    def __rmul__(self, other: Operand) -> Expression:
+        return _computed("*", other, self)
+
+    def __truediv__(self, other: Operand) -> Expression:
+        return _computed("/", self, other)
+
+    def __rtruediv__(self, other: Operand) -> Expression:
+        return _computed("/", other, self)
+
+    def __pow__(self, other: Operand) -> Expression:
+        return _computed("^", self, other)
+
+    def __rpow__(self, other: Operand) -> Expression:
+        return _computed("^", other, self)
+
+    def __neg__(self) -> Expression:
+        return Expression(fitting(Negate(self.term)))
+
+    def __pos__(self) -> Expression:
+        return self
+
+    def __abs__(self) -> Expression:
+        return Expression(fitting(Call("abs", (self.term,))))
+
+    def __lt__(self, other: Operand) -> Comparison:
+        return _compared("<", self, other)
+
+    def __le__(self, other: Operand) -> Comparison:
+        return _compared("<=", self, other)
+
+    def __gt__(self, other: Operand) -> Comparison:
+        return _compared(">", self, other)
+
+    def __ge__(self, other: Operand) -> Comparison:
+        return _compared(">=", self, other)
+
+    def __eq__(self, other: Operand) -> Comparison:  # type: ignore[override]
+        return _compared("==", self, other)
+
+    def __ne__(self, other: Operand) -> Comparison:  # type: ignore[override]
+        return _compared("!=", self, other)
+
+    def __and__(self, other: object) -> NoReturn:
+        refuse_operand(self, "&")
+
+    def __or__(self, other: object) -> NoReturn:
+        refuse_operand(self, "|")
+
+    def __rshift__(self, other: object) -> NoReturn:
+        refuse_operand(self, ">>")
+
+    def __invert__(self) -> NoReturn:
+        refuse_operand(self, "~")
+
+    __rand__, __ror__, __rrshift__ = __and__, __or__, __rshift__
+
+    def __bool__(self) -> NoReturn:
+        raise ArgumentError(f"{self} is a number at every step, not true or false; compare it, as in {self} > 0.5")
+
+
+def _interval(operator: str, a: object, b: object) -> Interval:
+    first = whole(a, f"{operator}'s first step a", 0, LARGEST_BOUND)
+    return Interval(first, None if b is None else whole(b, f"{operator}'s last step b", 0, LARGEST_BOUND))
+
+
+def _require_readable(name: str, text: str, meant: Formula) -> None:
+    """StlSyntaxError unless the text means that: words of the language, and what is no word, cannot be names."""
+    from stltool.logic.parser import parse  # lark is slow to load
+
+    try:
+        if _NAME.fullmatch(name) and parse(text) == meant:
+            return
+    except StlSyntaxError:
+        pass
+    raise StlSyntaxError(
+        f"{described(name)} cannot be the name of a label or signal; take letters, digits and _, and none of the "
+        "language's words, such as F, until or true"
+    )
+
+
+def _compared(op: Comparator, left: Operand, right: Operand) -> Comparison:
+    return fitting(Comparison(op, _term(left, op), _term(right, op)))
+
+
+def _computed(op: ArithmeticOperator, left: Operand, right: Operand) -> Expression:
+    return Expression(fitting(Arithmetic(op, _term(left, op), _term(right, op))))
+
+
+def _term(value: object, sign: str) -> Term:
+    if isinstance(value, Expression):
+        return value.term
+    if isinstance(value, bool) or not isinstance(value, Real | Decimal):
+        raise ArgumentError(
+            f"an operand of {sign} is {described(value)}, neither a number nor a signal; comparisons stand in "
+            "parentheses beside & and |: (x > 0.5) & phi"
+        )
+    number = real(value, f"an operand of {sign}")
+    if not isinstance(value, Integral | Fraction | Decimal | float):  # a shorter float of numpy's: its own decimal
+        number = Fraction(str(value))
+    return _number(Fraction(int(value)) if isinstance(value, Integral) else number)
+
+
+def _number(value: float | Fraction) -> Term:
+    """The term that a text writes for this number: -0.1, 1 / 3."""
+    if value < 0:
+        return Negate(_number(-value))
+    if isinstance(value, float):
+        return Number(abs(value))  # no negative zero
+    double = float(value)
+    if Fraction(repr(double)) == value:
+        return Number(double)
+    if value.denominator == 1 or Fraction(repr(float(value.numerator))) != value.numerator:
+        raise SettingsError(f"{described(value)} cannot be written exactly; the nearest number that can is {double!r}")
+    return Arithmetic("/", _number(Fraction(value.numerator)), _number(Fraction(value.denominator)))
