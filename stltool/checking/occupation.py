@@ -14,7 +14,6 @@ such a policy. Source: [Altman99], over a finite horizon.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
 
 MOST_VARIABLES = 500_000  # some minutes
 
-_BYTES = 200  # a non-zero, in our matrices, cvxpy's and the solver's
+_BYTES = 200  # a non-zero, in our matrices, scipy's and the solver's
 _TOLERANCE = 1e-9  # of the solver, on rows and on reduced costs
 _NOISE = 1e-9  # a choice's share of its place, below which it is the solver's rounding
 
@@ -133,38 +132,30 @@ def solve(lp: Programme, objective: int, bounds: Mapping[int, float], most_itera
     Raises SolverError, with the solver's status, where it ends without an optimum. Simplex is slow to tell that there
     is none: ask for bounds that can be met, or limit its iterations.
     """
-    import cvxpy as cp
+    from scipy.optimize import linprog
 
     constrained = list(bounds)
     if lp.flow.shape[1] == 0:  # decided by the first state
         return Solution(np.empty(0), np.zeros(len(constrained)))
-    x = cp.Variable(lp.flow.shape[1], nonneg=True)
-    requirements = [lp.flow @ x == lp.inflow]
-    scale = np.ones(len(constrained))
-    if constrained:
-        rows = lp.reward[constrained]
-        scale = np.maximum(abs(rows).max(axis=1).toarray().ravel(), 1e-300)  # costs come in any unit
-        needed = np.array([bounds[i] - lp.constant[i] for i in constrained])
-        requirements.append(rows.multiply(1 / scale[:, None]).tocsr() @ x >= needed / scale)
-    problem = cp.Problem(cp.Maximize(lp.reward[[objective]].toarray()[0] @ x), requirements)
+    rows = lp.reward[constrained]
+    scale = np.maximum(abs(rows).max(axis=1).toarray().ravel(), 1e-300)  # costs come in any unit
+    needed = np.array([bounds[i] - lp.constant[i] for i in constrained])
     options = {"primal_feasibility_tolerance": _TOLERANCE, "dual_feasibility_tolerance": _TOLERANCE}
     if most_iterations is not None:
-        options["simplex_iteration_limit"] = most_iterations
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what is inaccurate shows in the certificate's gap
-            problem.solve(solver=cp.HIGHS, highs_options=options)  # type: ignore[no-untyped-call]
-        status = problem.status
-    except (cp.SolverError, ValueError) as error:  # ValueError: cvxpy cannot read a result without a solution
-        status = str(error).split(";")[0].split(":")[0]
-    if status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
+        options["maxiter"] = most_iterations
+    ended = linprog(  # a minimiser: the criterion and its bounds with their signs changed
+        -lp.reward[[objective]].toarray()[0],
+        A_ub=-rows.multiply(1 / scale[:, None]).tocsr(), b_ub=-needed / scale,
+        A_eq=lp.flow, b_eq=lp.inflow,
+        method="highs-ds", options=options,
+    )  # fmt: skip
+    if ended.status != 0:
         raise SolverError(
             f"the linear programme of {lp.flow.shape[1]} variables and {lp.flow.shape[0]} rows: HiGHS ended with "
-            f"{status!r}; shorten the windows, scale costs nearer to 1, or move the bounds a little away from what is "
-            "possible"
+            f"{ended.message!r}; shorten the windows, scale costs nearer to 1, or move the bounds a little away from "
+            "what is possible"
         )
-    duals = np.array(requirements[1].dual_value) if constrained else np.empty(0)
-    return Solution(np.maximum(np.array(x.value), 0), np.maximum(duals, 0) / scale)
+    return Solution(np.maximum(ended.x, 0), np.maximum(-ended.ineqlin.marginals, 0) / scale)
 
 
 def policy_of(lp: Programme, x: Floats, otherwise: Choices) -> Weights:
