@@ -6,12 +6,12 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from stltool.automata.automaton import TRUE, UNDECIDED, TaskAutomaton
+from stltool.automata.cover import literals, shortest_cover
 from stltool.errors import SizeError
 from stltool.logic.formula import And, Constant, Formula, Not, Or
 
 if TYPE_CHECKING:
     import networkx
-    from sympy.logic.boolalg import Boolean
 
 _MOST_SIMPLIFIED = 8  # atoms; beyond, an edge lists its valuations
 _MOST_DRAWN = 2000  # states; nobody sees more
@@ -90,40 +90,20 @@ def condition(automaton: TaskAutomaton, letters: tuple[int, ...]) -> Formula:
     if not taken:
         return Constant(False)
     if len(automaton.atoms) > _MOST_SIMPLIFIED:
-        return _or([_literals(automaton, row) for row in taken])
-    from sympy import SOPform, symbols
-
-    names = symbols([f"a{i}" for i in range(len(automaton.atoms))])
-    known = {tuple(row) for row, _ in rows}
-    every = (tuple(bool(code >> i & 1) for i in range(len(names))) for code in range(1 << len(names)))
-    free = [list(row) for row in every if row not in known]
-    return _from_sympy(SOPform(names, taken, free), automaton)
+        return _or([_and(automaton, [(i, not holds) for i, holds in enumerate(row)]) for row in taken])
+    n, known = len(automaton.atoms), {_code(row) for row, _ in rows}
+    unknown = (code for code in range(1 << n) if code not in known)
+    return _or([_and(automaton, literals(n, cube)) for cube in shortest_cover(n, map(_code, taken), unknown)])
 
 
-def _literals(automaton: TaskAutomaton, row: list[bool]) -> Formula:
-    parts = [atom if holds else Not(atom) for atom, holds in zip(automaton.atoms, row, strict=True)]
-    return parts[0] if len(parts) == 1 else And(tuple(parts))
+def _code(row: list[bool]) -> int:
+    return sum(1 << i for i, holds in enumerate(row) if holds)
+
+
+def _and(automaton: TaskAutomaton, parts: list[tuple[int, bool]]) -> Formula:
+    formulas = [Not(automaton.atoms[i]) if negated else automaton.atoms[i] for i, negated in parts]
+    return formulas[0] if len(formulas) == 1 else And(tuple(formulas))
 
 
 def _or(parts: list[Formula]) -> Formula:
     return parts[0] if len(parts) == 1 else Or(tuple(parts))
-
-
-def _from_sympy(expression: Boolean, automaton: TaskAutomaton) -> Formula:
-    match type(expression).__name__:
-        case "BooleanTrue" | "BooleanFalse":
-            return Constant(bool(expression))
-        case "Symbol":
-            return automaton.atoms[int(str(expression)[1:])]
-        case "Not":
-            return Not(_from_sympy(expression.args[0], automaton))
-        case "And":
-            return And(tuple(_from_sympy(part, automaton) for part in _sorted(expression)))
-        case "Or":
-            return Or(tuple(_from_sympy(part, automaton) for part in _sorted(expression)))
-        case other:
-            raise AssertionError(other)
-
-
-def _sorted(expression: Boolean) -> list[Boolean]:
-    return sorted(expression.args, key=lambda part: str(part).lstrip("~"))
