@@ -30,6 +30,7 @@ from stltool.automata import Encoding
 from stltool.display import Card, Displayed
 from stltool.errors import InexactEncodingWarning, PolicyError, near_misses
 from stltool.files import read_bytes, read_text, require_folder, require_replaceable, write_atomically
+from stltool.numbers import double
 from stltool.product import JointProduct, Product, build_joint_product, build_product, joined
 
 FORMAT = "stltool-policy-1"
@@ -329,9 +330,9 @@ def _read_q_table(path: str | Path) -> tuple[list[str], tuple[NDArray[np.float64
         try:
             if len(row) != len(header):
                 raise ValueError
-            key = [float(text) for text in row[0].strip().strip("[]()").replace(",", " ").split()]
-            value = [float(text) for text in row[1:]]
-            if (keys and len(key) != len(keys[0])) or not np.isfinite([*key, *value]).all():
+            key = [double(text) for text in row[0].strip().strip("[]()").replace(",", " ").split()]
+            value = [double(text) for text in row[1:]]
+            if keys and len(key) != len(keys[0]):
                 raise ValueError
         except ValueError:
             raise PolicyError(

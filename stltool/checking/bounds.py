@@ -19,6 +19,7 @@ from fractions import Fraction
 import numpy as np
 
 from stltool.models import MDP
+from stltool.numbers import round_down, round_up
 
 _U = Fraction(1, 2**53)
 _EXACT_SUMS = 1_000_000  # transitions
@@ -83,15 +84,3 @@ def around(
     gamma = n_roundings * _U / (1 - n_roundings * _U)
     slack = n_roundings * _UNDERFLOW if underflow else Fraction(0)
     return (Fraction(value) - slack) / (1 + gamma) - missing, (Fraction(value) + slack) / (1 - gamma) + missing
-
-
-def round_down(exact: Fraction) -> float:
-    """The largest double that is not above."""
-    nearest = float(exact)
-    return nearest if Fraction(nearest) <= exact else math.nextafter(nearest, -math.inf)
-
-
-def round_up(exact: Fraction) -> float:
-    """The smallest double that is not below."""
-    nearest = float(exact)
-    return nearest if Fraction(nearest) >= exact else math.nextafter(nearest, math.inf)

@@ -32,7 +32,8 @@ from stltool.checking.reach import first_steps, policy_layers
 from stltool.errors import CertificateError, FileError, SettingsError
 from stltool.files import atomic_file, require_folder, require_replaceable
 from stltool.models import MDP
-from stltool.models.fractions import LARGEST_SUM, Integers, long_numbers
+from stltool.models.fractions import LARGEST_SUM, Integers
+from stltool.numbers import long_numbers
 from stltool.policy import Policy
 from stltool.product import Product
 from stltool.recheck import DAMAGE, FORMAT, Refused, lines

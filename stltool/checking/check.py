@@ -16,20 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.checking.backward import Backend, Floats, Progress, Values, induct, sweep_of, sweeper
-from stltool.checking.bounds import (
-    can_underflow,
-    compounded,
-    defect,
-    enclose,
-    model_defects,
-    round_down,
-    round_up,
-    roundings,
-)
+from stltool.checking.bounds import can_underflow, compounded, defect, enclose, model_defects, roundings
 from stltool.checking.fixed import FixedPoint, fixed_point
 from stltool.checking.rational import exact_probability, require_exact
 from stltool.checking.reach import policy_layers
 from stltool.errors import PolicyError, SettingsError
+from stltool.numbers import round_down, round_up
 from stltool.policy import Policy
 from stltool.product import Product
 from stltool.sizes import require_memory, require_time

@@ -16,9 +16,10 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.checking.bounds import round_down, round_up, sums_exactly
+from stltool.checking.bounds import sums_exactly
 from stltool.models import MDP
 from stltool.models.fractions import LARGEST_SUM
+from stltool.numbers import round_down, round_up
 
 _LARGEST_DENOMINATOR = 2**31
 

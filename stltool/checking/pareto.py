@@ -19,9 +19,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from stltool.checking.backward import Progress
-from stltool.checking.bounds import round_up
 from stltool.checking.weighted import Criteria, Figure, best, probability
 from stltool.errors import SettingsError
+from stltool.numbers import round_up
 from stltool.product import JointProduct
 
 _SAME = 1e-12  # probabilities that differ by less of themselves are one

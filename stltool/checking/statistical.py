@@ -24,7 +24,6 @@ import math
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from fractions import Fraction
 from typing import Literal, TypeAlias, get_args
 
@@ -35,6 +34,7 @@ from stltool.checking.backward import Progress
 from stltool.checking.rollouts import Rollouts, Verdicts
 from stltool.errors import SettingsError
 from stltool.models.environment import Resettable
+from stltool.numbers import NumberError, ceiling_text, exact, floor_text
 from stltool.policy import Policy
 from stltool.product import Product
 from stltool.randomness import Purpose
@@ -75,11 +75,11 @@ class Estimate:
     def statement(self) -> str:
         """What was found, in words; bounds are rounded outwards."""
         lower = floor_text(self.lower)
-        upper = Context(prec=6, rounding=ROUND_CEILING).create_decimal_from_float(self.upper)
+        upper = ceiling_text(self.upper)
         found = {
-            "both": f"lies in [{lower}, {upper:f}]",
+            "both": f"lies in [{lower}, {upper}]",
             "lower": f"is at least {lower}",
-            "upper": f"is at most {upper:f}",
+            "upper": f"is at most {upper}",
         }
         return f"with confidence {100 * self.confidence:.12g} % the probability {found[self.side]}"
 
@@ -120,11 +120,6 @@ class SequentialTest:
             "undecided": f"is not decided after {self.runs} runs; nothing is claimed",
         }
         return f"P >= {self.at_least!r} {ends[self.verdict]}"
-
-
-def floor_text(bound: float) -> str:
-    """A lower bound in six digits, rounded down."""
-    return f"{Context(prec=6, rounding=ROUND_FLOOR).create_decimal_from_float(bound):f}"
 
 
 # ------------------------------------------------------------------------------------------------ runs of a policy
@@ -338,7 +333,7 @@ def _excess(runs: int, tail: float) -> float:
 
 def _tail(confidence: float, side: Side) -> float:
     """The probability that one bound may fail with."""
-    missing = 1 - Fraction(str(confidence))
+    missing = 1 - exact(confidence)
     return float(missing / 2 if side == "both" else missing)
 
 
@@ -387,9 +382,9 @@ def hypotheses(
 
 def _number(value: float, name: str) -> Fraction:
     try:
-        return Fraction(str(value))
-    except (ValueError, ZeroDivisionError):
-        raise SettingsError(f"{name} is {value!r}; a number is needed") from None
+        return exact(value)
+    except NumberError as error:
+        raise SettingsError(f"{name}: {error}") from None
 
 
 def require_confidence(confidence: float, side: str = "lower") -> None:

@@ -22,10 +22,10 @@ from fractions import Fraction
 import numpy as np
 
 from stltool.checking.backward import Progress
-from stltool.checking.bounds import round_up
 from stltool.checking.occupation import MOST_VARIABLES, Programme, Solution, policy_of, programme, solve
 from stltool.checking.weighted import Choices, Criteria, Figure, Weights, best, cost, of_policy, probability
 from stltool.errors import InfeasibleError, SettingsError, SolverError
+from stltool.numbers import number_text, round_up
 from stltool.policy import Policy
 from stltool.product import JointProduct
 from stltool.sizes import require_memory
@@ -40,7 +40,7 @@ class Tradeoff:
     """How a trade-off ended.
 
     maximize       the task whose probability was maximised
-    at_least, budget  the constraints, by task and by cost
+    at_least, budget  the constraints as given, by task and by cost
     probabilities  each task's probability under `policy`, and `costs` each budgeted cost's expectation: computed by
                    backward induction, lower ≤ exact ≤ upper
     bound          no policy that keeps the constraints has a higher probability (rounding included)
@@ -53,8 +53,8 @@ class Tradeoff:
 
     joint: JointProduct
     maximize: str
-    at_least: Mapping[str, float]
-    budget: Mapping[str, float]
+    at_least: Mapping[str, float | Fraction]
+    budget: Mapping[str, float | Fraction]
     probabilities: Mapping[str, Figure]
     costs: Mapping[str, Figure]
     bound: float
@@ -80,8 +80,8 @@ def tradeoff(
     joint: JointProduct,
     maximize: str,
     *,
-    at_least: Mapping[str, float] | None = None,
-    budget: Mapping[str, float] | None = None,
+    at_least: Mapping[str, float | Fraction] | None = None,
+    budget: Mapping[str, float | Fraction] | None = None,
     keep_policy: bool = True,
     most_variables: int = MOST_VARIABLES,
     progress: Progress | None = None,
@@ -100,10 +100,10 @@ def tradeoff(
     for name, bound in at_least.items():
         joint.task(name)
         if not 0 <= bound <= 1:
-            raise SettingsError(f"P({name}) >= {bound}: a probability lies between 0 and 1")
+            raise SettingsError(f"P({name}) >= {_text(bound)}: a probability lies between 0 and 1")
     for name, bound in budget.items():
         if not (math.isfinite(bound) and bound >= 0):
-            raise SettingsError(f"E[{name}] <= {bound}: a budget is a finite number, at least 0")
+            raise SettingsError(f"E[{name}] <= {_text(bound)}: a budget is a finite number, at least 0")
     if keep_policy:
         most_choices = int(np.diff(joint.model.choice_start).max())
         require_memory(
@@ -151,8 +151,8 @@ class _Asked:
     """The constraints as floors of criteria: P(Φ_i) ≥ c_i, and what is saved of a cost ≥ h·ḡ − B."""
 
     criteria: Criteria
-    at_least: Mapping[str, float]
-    budget: Mapping[str, float]
+    at_least: Mapping[str, float | Fraction]
+    budget: Mapping[str, float | Fraction]
 
     @property
     def floors(self) -> dict[int, Fraction]:
@@ -231,9 +231,11 @@ class _Asked:
 
     def status(self, probabilities: Mapping[str, Figure], costs: Mapping[str, Figure]) -> str:
         """ "complete" where every constraint holds, rounding included."""
-        missed = {f"P({name})": bound - probabilities[name].lower for name, bound in self.at_least.items()}
-        missed |= {f"E[{name}]": costs[name].upper - bound for name, bound in self.budget.items()}
-        parts = [f"{name} misses its bound by {by:.2g}" for name, by in missed.items() if by > 0]
+        missed = {
+            f"P({name})": Fraction(bound) - Fraction(probabilities[name].lower) for name, bound in self.at_least.items()
+        }
+        missed |= {f"E[{name}]": Fraction(costs[name].upper) - Fraction(bound) for name, bound in self.budget.items()}
+        parts = [f"{name} misses its bound by {float(by):.2g}" for name, by in missed.items() if by > 0]
         return "; ".join(parts) or "complete"
 
     def named(self, i: int) -> str:
@@ -244,8 +246,8 @@ class _Asked:
         """The constraint as the user would write it."""
         k = i - len(self.criteria.joint.tasks)
         if k < 0:
-            return f"{self.named(i)} >= {self.at_least[self.criteria.joint.names[i]]!r}"
-        return f"{self.named(i)} <= {self.budget[self.criteria.costs[k]]!r}"
+            return f"{self.named(i)} >= {_text(self.at_least[self.criteria.joint.names[i]])}"
+        return f"{self.named(i)} <= {_text(self.budget[self.criteria.costs[k]])}"
 
     def possible(self, i: int, upper: Fraction, whose: str) -> str:
         """What a criterion can be at best, told so that it differs from the bound that it misses."""
@@ -257,6 +259,10 @@ class _Asked:
         if whose == "its":
             return f"its {'maximum' if k < 0 else 'minimum'} is {shown}"
         return f"{whose} is at {'most' if k < 0 else 'least'} {shown}"
+
+
+def _text(bound: float | Fraction) -> str:
+    return number_text(bound) if isinstance(bound, Fraction) else repr(bound)
 
 
 def _as_policy(joint: JointProduct, weights: Weights) -> Policy:

@@ -27,19 +27,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.checking.backward import Floats, Progress
-from stltool.checking.bounds import (
-    around,
-    can_underflow,
-    compounded,
-    defect,
-    model_defects,
-    round_down,
-    round_up,
-    roundings,
-)
+from stltool.checking.bounds import around, can_underflow, compounded, defect, model_defects, roundings
 from stltool.checking.check import least_positive
 from stltool.errors import NameLookupError, SettingsError, near_misses
 from stltool.models import MDP
+from stltool.numbers import round_down, round_up
 from stltool.product import JointProduct
 from stltool.sizes import require_memory, require_time
 

@@ -2,9 +2,53 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import typer
+from typer.models import OptionInfo
+
+from stltool import numbers
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+_Number = TypeVar("_Number", int, float)
+
+
+class _App(typer.Typer):
+    """Numbers of options are read as all others are (stltool/numbers.py): `--runs 1_0` is refused."""
+
+    def command(self, *arguments: Any, **named: Any) -> Callable[[_Command], _Command]:
+        register = super().command(*arguments, **named)
+
+        def registered(function: _Command) -> _Command:
+            hints: dict[str, Any] = get_type_hints(function, include_extras=True)
+            for hint in hints.values():
+                kind, *option = get_args(hint)[:2] or (None,)
+                if option and isinstance(option[0], OptionInfo):
+                    parsers = [_PARSERS[one] for one in (kind, *get_args(kind)) if one in _PARSERS]
+                    option[0].parser = parsers[0] if parsers else None
+            function.__annotations__ = hints
+            return register(function)
+
+        return registered
+
+
+def integer(text: int | str) -> int:
+    return _read(numbers.whole, text) if isinstance(text, str) else text  # a default
+
+
+def number(text: float | str) -> float:
+    return _read(numbers.double, text) if isinstance(text, str) else text
+
+
+_PARSERS: dict[Any, Callable[[Any], Any]] = {int: integer, float: number}  # their names stand in --help
+
+
+def _read(read: Callable[[str], _Number], text: str) -> _Number:
+    try:
+        return read(text)
+    except numbers.NumberError as error:
+        raise typer.BadParameter(str(error)) from None
 
 
 def _version(asked: bool) -> None:
@@ -15,7 +59,7 @@ def _version(asked: bool) -> None:
         raise typer.Exit
 
 
-app = typer.Typer(
+app = _App(
     help="Signal temporal logic tasks on Markov decision processes, learned and verified exactly.",
     no_args_is_help=True,
     add_completion=False,

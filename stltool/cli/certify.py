@@ -13,6 +13,7 @@ from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Params, TaskName
 from stltool.cli.steps import load_product
 from stltool.errors import CertificateError, SettingsError
+from stltool.numbers import bound_texts, long_numbers
 
 
 @app.command()
@@ -36,10 +37,8 @@ def certify(
     """
     import stltool as stl
     from stltool.checking import require_certificate_of
-    from stltool.models.fractions import long_numbers
     from stltool.recheck import NotACertificate, Refused
     from stltool.recheck import certify as recheck
-    from stltool.reporting.page import bound_texts
     from stltool.reporting.terminal import error, print_facts, progress_bar
 
     if policy is not None and task is None:

@@ -13,7 +13,9 @@ from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Params, PolicyFile, TaskFile, TaskName
 from stltool.cli.steps import NATURES, judge_by, make_product, read_probability
 from stltool.errors import SettingsError
+from stltool.numbers import bound_texts, fraction_text
 
+_LONGEST_FRACTION = 400  # characters that are printed; --json has them all
 _VERDICTS = {
     True: "holds",
     False: "does not hold",
@@ -55,8 +57,7 @@ def check(
     from stltool.checking.certificate import require_certificate_file
     from stltool.policy import require_policy_file
     from stltool.reporting import check_data
-    from stltool.reporting.page import bound_texts
-    from stltool.reporting.terminal import fraction_text, print_checks, print_facts, progress_bar
+    from stltool.reporting.terminal import print_checks, print_facts, progress_bar
 
     bounds: list[tuple[str, str, Fraction]] = [
         (option, text, read_probability(text, option))
@@ -106,7 +107,7 @@ def check(
             print_facts({"nature": NATURES[data["nature"]]})
         print_checks([check_data(optimum), data] if chosen is not None else [data])
         if result.fraction is not None:
-            print_facts({"exact P": fraction_text(result.fraction)})
+            print_facts({"exact P": fraction_text(result.fraction, _LONGEST_FRACTION)})
         remedy = "; add --exact" if robust else ""  # which has no exact arithmetic
         print_facts({claim: _VERDICTS[holds].removesuffix(remedy) for claim, holds in verdicts})
         if certificate is not None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from stltool.errors import InexactEncodingWarning, SettingsError
+from stltool.numbers import NumberError, guess, read
 
 if TYPE_CHECKING:
     from stltool.automata import TaskAutomaton
@@ -182,12 +183,7 @@ def read_settings(pairs: list[str] | None) -> dict[str, Any]:
         key, text = read_pair(pair, "--set replays=50")
         if key in ("episodes", "seed", "method", "faithful", "product", "progress", "checkpoint", "resume"):
             raise SettingsError(f"--set {key}: there is an option or argument of its own for it; see --help")
-        for kind in (int, float, str):
-            try:
-                settings[key] = kind(text)
-                break
-            except ValueError:
-                continue
+        settings[key] = guess(text)
     return settings
 
 
@@ -234,12 +230,10 @@ def guarantees_of(
 
 def read_probability(text: str, option: str) -> Fraction:
     """A probability as typed: a decimal or a fraction, exactly."""
-    from stltool.models.fractions import parse_fraction
-
     try:
-        value = parse_fraction(text)
-    except ValueError:
-        raise SettingsError(f"{option} {text}: write a probability such as 0.95 or 19/20") from None
+        value = read(text)
+    except NumberError as error:
+        raise SettingsError(f"{option}: {error}; write a probability such as 0.95 or 19/20") from None
     if not 0 <= value <= 1:
         raise SettingsError(f"{option} {text}: a probability lies between 0 and 1")
     return value

@@ -13,6 +13,7 @@ import typer
 from stltool.cli.app import app
 from stltool.cli.options import AsJson
 from stltool.errors import SettingsError
+from stltool.numbers import NumberError, whole
 
 
 @app.command()
@@ -135,6 +136,6 @@ def _seeds(text: str | None) -> int | list[int] | None:
     if text is None:
         return None
     try:
-        return [int(one) for one in text.rstrip(",").split(",")] if "," in text else int(text)
-    except ValueError:
-        raise SettingsError(f"--seeds {text}: write how many, such as 3, or which, such as 0,4,7") from None
+        return [whole(one) for one in text.rstrip(",").split(",")] if "," in text else whole(text)
+    except NumberError as error:
+        raise SettingsError(f"--seeds: {error}; write how many, such as 3, or which, such as 0,4,7") from None

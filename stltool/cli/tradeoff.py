@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from fractions import Fraction
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,7 @@ from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Params, TaskFile
 from stltool.cli.steps import make_joint_product
 from stltool.errors import SettingsError
+from stltool.numbers import NumberError, number_text, read
 
 
 @app.command()
@@ -57,6 +59,8 @@ def tradeoff(
     typer.echo()
     figures = {f"P({name})": (figure, name, ">=", at_least) for name, figure in result.probabilities.items()}
     figures |= {f"E[{name}]": (figure, name, "<=", budgets) for name, figure in result.costs.items()}
+    asked = {name: f">= {number_text(bound)}" for name, bound in at_least.items()}
+    asked |= {name: f"<= {number_text(bound)}" for name, bound in budgets.items()}
     print_table(
         [
             {
@@ -64,7 +68,7 @@ def tradeoff(
                 "value": f"{figure.value:.12g}",
                 "lower_bound": f"{figure.lower:.12g}",
                 "upper_bound": f"{figure.upper:.12g}",
-                "asked": f"{sign} {bounds[name]!r}" if name in bounds else "maximum" if name == maximize else "",
+                "asked": asked[name] if name in asked else "maximum"[: 7 * (name == maximize)],
                 "multiplier": f"{result.multipliers[name]:.6g}" if name in bounds else "",
             }
             for shown, (figure, name, sign, bounds) in figures.items()
@@ -82,17 +86,17 @@ def tradeoff(
     })  # fmt: skip
 
 
-def _read_bounds(texts: list[str] | None, sign: str, option: str, example: str) -> dict[str, float]:
+def _read_bounds(texts: list[str] | None, sign: str, option: str, example: str) -> dict[str, Fraction]:
     """NAME>=P or NAME<=B, each name once."""
-    bounds: dict[str, float] = {}
+    bounds: dict[str, Fraction] = {}
     for text in texts or []:
         name, found, value = (part.strip() for part in text.partition(sign))
-        try:
-            number = float(value)
-        except ValueError:
-            found = ""
         if not found or not name:
             raise SettingsError(f'{option} {text}: a name, {sign} and a number are needed; write {option} "{example}"')
+        try:
+            number = read(value)
+        except NumberError as error:
+            raise SettingsError(f'{option} {text}: {error}; write {option} "{example}"') from None
         if name in bounds:
             raise SettingsError(f"{option}: {name} has two bounds; give one")
         bounds[name] = number

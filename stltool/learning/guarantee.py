@@ -40,11 +40,12 @@ from numpy.typing import NDArray
 from stltool.automata import FALSE
 from stltool.checking import robust_check
 from stltool.checking.backward import Progress
-from stltool.checking.statistical import floor_text, require_confidence
+from stltool.checking.statistical import require_confidence
 from stltool.errors import SettingsError
 from stltool.learning.confidence import Floats, Whole, entry_interval, unseen_mass
 from stltool.learning.counts import Counts
 from stltool.models import MDP, Intervals
+from stltool.numbers import exact, floor_text
 from stltool.policy import Policy
 from stltool.product import Product, with_outcome
 from stltool.sizes import require_memory
@@ -169,7 +170,7 @@ def _of_intervals(
 ) -> MDP:
     """The model's states and choices with intervals from the counts, and one more state for what was never seen."""
     S, M = model.n_states, model.n_choices
-    alpha = 1 - Fraction(str(confidence))
+    alpha = 1 - exact(confidence)
     if support == "known":
         codes, seen = _of_graph(model, counts)
         choice = codes // S

@@ -30,6 +30,7 @@ import math
 import re
 import tomllib
 from collections.abc import Collection
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,7 @@ def load_sweep(path: str | Path) -> Sweep:
     """Read a sweep's file, its tasks and models. Raises a StlToolError that names file, place and key."""
     path = Path(path)
     try:
-        table = tomllib.loads(read_text(path, "sweep file"))
+        table = tomllib.loads(read_text(path, "sweep file"), parse_float=Decimal)
     except (ValueError, RecursionError) as error:
         raise SettingsError(f"{path}: not valid TOML: {error}") from None
     try:
@@ -145,6 +146,10 @@ def _take(table: dict[str, Any], key: str, kind: type | tuple[type, ...], where:
     if value is _MISSING:
         raise SettingsError(f"{where} has no {key}; add it")
     kinds = kind if isinstance(kind, tuple) else (kind,)
+    if isinstance(value, Decimal):  # params alone are exact
+        value = float(value)
+        if float in kinds:
+            table[key] = value
     if key in table and (type(value) not in kinds):
         shown = " or ".join(_KINDS[one] for one in kinds)
         raise SettingsError(f"{where}: {key} is {value!r}; it must be {shown}")

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from decimal import Decimal
 from fractions import Fraction
 from typing import NoReturn, TypeVar, cast, get_args
 
@@ -45,21 +44,15 @@ from stltool.logic.formula import (
     operands,
 )
 from stltool.logic.printer import term_text
-from stltool.logic.quantities import (
-    LARGEST_EXPONENT,
-    LONGEST_NUMBER,
-    UNITS,
-    Duration,
-    Quantity,
-    decimal_text,
-    number,
-)
+from stltool.logic.quantities import UNITS, Duration, Quantity
 from stltool.logic.source import Source, Span
 from stltool.logic.syntax import WORDS, Branch, Fault, Token, bare, branches
+from stltool.numbers import NumberError, double, number_text, read
 
 FORMULAS = get_args(Formula)
 _COMPARATOR_SPELLINGS = {"≤": "<=", "≥": ">=", "≠": "!="}
 _LARGEST_BITS = 4000
+_LARGEST_POWER = 1000
 _LETTERS = {"always": "G", "eventually": "F", "until": "U"}
 _T = TypeVar("_T")
 
@@ -336,10 +329,10 @@ class Builder:
             steps = value
             if steps.denominator != 1:
                 declared = "" if self.step is not None else ", and a step is declared above (step = 0.1s)"
-                unit = f", or {decimal_text(value)}s if it is a time in seconds{declared}"
+                unit = f", or {number_text(value)}s if it is a time in seconds{declared}"
                 self.fail(
                     tree,
-                    f"the bound {float(value):g} is not a whole number of steps; "
+                    f"the bound {number_text(value)} is not a whole number of steps; "
                     f"write {math.floor(value)} or {math.ceil(value)}{unit}",
                 )
         if abs(steps) > LARGEST_BOUND:
@@ -434,9 +427,12 @@ class Builder:
         return number
 
     def literal_float(self, token: Token) -> float:
-        value = float(str(token))
-        if not math.isfinite(value) or (value == 0 and Decimal(str(token)) != 0):
-            self.fail(token, f"{token} is too {'small' if value == 0 else 'large'} for a double")
+        try:
+            value, exact_value = double(str(token)), read(str(token))
+        except NumberError as error:
+            self.fail(token, str(error))
+        if value == 0 and exact_value != 0:
+            self.fail(token, f"{token} is too small for a double, of which the smallest is 5e-324")
         return value
 
     # ------------------------------------------------------------------------------------------ exact constants
@@ -473,10 +469,10 @@ class Builder:
                 self.fail(tree, "a truth value where a number must stand")
 
     def literal(self, tree: Branch, text: str) -> Fraction:
-        value = number(text)
-        if value is None or len(text) > LONGEST_NUMBER:
-            self.fail(tree, "this number is out of range for a param or a bound")
-        return value
+        try:
+            return read(text)
+        except NumberError as error:
+            self.fail(tree, str(error))
 
     def constant_call(self, tree: Branch) -> Quantity:
         function, *args = branches(tree)
@@ -521,8 +517,8 @@ class Builder:
                 return a / b
             case "^":
                 large = max(a.numerator.bit_length(), a.denominator.bit_length()) * abs(b) > _LARGEST_BITS
-                if b.denominator != 1 or abs(b) > LARGEST_EXPONENT or (a == 0 and b < 0) or large:
-                    self.fail(tree, f"this power is out of range: whole exponents up to {LARGEST_EXPONENT} only")
+                if b.denominator != 1 or abs(b) > _LARGEST_POWER or (a == 0 and b < 0) or large:
+                    self.fail(tree, f"this power is out of range: whole exponents up to {_LARGEST_POWER} only")
                 return a**b.numerator
             case other:
                 raise AssertionError(f"the grammar's operator {other} has no meaning")

@@ -15,6 +15,7 @@ from stltool.logic.quantities import Duration, ParamValue, Quantity, duration, q
 from stltool.logic.source import Source
 from stltool.logic.syntax import LONGEST_TEXT, Document, read, refuse
 from stltool.logic.task import Task
+from stltool.numbers import NumberError
 
 
 def parse(
@@ -143,7 +144,10 @@ def _exact(params: Mapping[str, ParamValue] | None) -> dict[str, Quantity]:
 
 
 def _step(step: str | Duration | None) -> Duration | None:
-    value = duration(step) if isinstance(step, str) else step
+    try:
+        value = duration(step) if isinstance(step, str) else step
+    except NumberError:
+        value = None
     if step is not None and (not isinstance(value, Duration) or value.seconds <= 0):
         raise SettingsError(f"step {step!r} is no positive time with a unit; write for example step='0.1s'")
     return value

@@ -1,27 +1,26 @@
-"""Exact constants of a text: plain numbers, and times with a unit.
+"""Exact constants of a text: plain numbers (stltool/numbers.py), and times with a unit.
 
-A decimal means that decimal, as a fraction. A time becomes a number of steps only through the file's step (0.1s, say),
-so times and plain numbers add up with their own kind alone.
+A time becomes a number of steps only through the file's step (0.1s, say), so times and plain numbers add up with their
+own kind alone.
 """
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
 from fractions import Fraction
 from typing import TypeAlias
 
 from stltool.errors import SettingsError
+from stltool.numbers import Exactable, NumberError, exact, number_text, read
 
 UNITS = {
     "ns": Fraction(1, 10**9), "us": Fraction(1, 10**6), "µs": Fraction(1, 10**6), "μs": Fraction(1, 10**6),
     "ms": Fraction(1, 1000), "s": Fraction(1), "min": Fraction(60), "h": Fraction(3600),
 }  # fmt: skip
-LONGEST_NUMBER = 60  # characters; a longer literal is a slip, and its exact value would fill memory
-LARGEST_EXPONENT = 64
+_TIME = re.compile(r"(.*[0-9.])\s*([a-zµμ]+)\s*(/.*)?")
 
-ParamValue: TypeAlias = "int | float | str | Fraction | Duration"
+ParamValue: TypeAlias = "Exactable | Duration"
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -31,57 +30,32 @@ class Duration:
     seconds: Fraction
 
     def __str__(self) -> str:
-        number, bar, divisor = decimal_text(self.seconds).partition("/")
+        number, bar, divisor = number_text(self.seconds).partition("/")
         return f"{number}s{bar}{divisor}"
 
 
 Quantity: TypeAlias = Fraction | Duration
 
 
-def decimal_text(value: Fraction) -> str:
-    """The decimal that a fraction is, or the fraction."""
-    rest, places = value.denominator, 0
-    for factor in (2, 5):
-        count = 0
-        while rest % factor == 0:
-            rest, count = rest // factor, count + 1
-        places = max(places, count)
-    if rest != 1 or places == 0:
-        return str(value)
-    digits = str(int(abs(value) * 10**places)).zfill(places + 1)
-    return f"{'-' if value < 0 else ''}{digits[:-places]}.{digits[-places:]}"
-
-
-def number(text: str) -> Fraction | None:
-    """The exact value of a decimal or a fraction `3/4`; None where it is none, or out of range."""
-    try:
-        parts = [Decimal(part) for part in text.split("/", 1)]
-        if (
-            not text.isascii()
-            or len(text) > LONGEST_NUMBER
-            or any(abs(part.adjusted()) > LARGEST_EXPONENT for part in parts)
-        ):
-            return None
-        return Fraction(text)
-    except (ValueError, InvalidOperation, ZeroDivisionError):
-        return None
-
-
 def duration(text: str) -> Duration | None:
-    """The time that `0.1s` or `5min` spells; None where it spells none."""
-    found = re.fullmatch(r"(-?[\d.eE+-]*[\d.])\s*([a-zµμ]+)", text.strip())
-    value = number(found[1]) if found is not None else None
-    if found is None or value is None or found[2] not in UNITS:
+    """The time that `0.1s`, `5min` or `1s/3` spells; None where it spells none. Raises NumberError."""
+    found = _TIME.fullmatch(text.strip())
+    if found is None or found[2] not in UNITS:
         return None
-    return Duration(value * UNITS[found[2]])
+    return Duration(read(found[1] + (found[3] or "")) * UNITS[found[2]])
 
 
 def quantity(name: str, value: ParamValue) -> Quantity:
-    """The exact value of a param given from outside; SettingsError where it is none."""
+    """The exact value of a param given from outside; SettingsError where it has none."""
     if isinstance(value, Duration):
         return value
-    for read in (number, duration):
-        exact = read(str(value))
-        if exact is not None:
-            return exact
-    raise SettingsError(f"param {name}: {value!r} is not a number; write for example {name}=20")
+    try:
+        time = duration(value) if isinstance(value, str) else None
+        return exact(value) if time is None else time
+    except NumberError as error:
+        raise SettingsError(f"param {name}: {error}; write for example {name}=20") from None
+
+
+def quantity_text(value: Quantity) -> str:
+    """As a task file would write it."""
+    return str(value) if isinstance(value, Duration) else number_text(value)

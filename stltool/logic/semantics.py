@@ -50,6 +50,7 @@ from stltool.logic.formula import (
     variables,
 )
 from stltool.logic.task import Task
+from stltool.numbers import shortest
 
 _LARGEST_EXPONENT = 1000  # above, a power is computed in doubles
 
@@ -243,7 +244,7 @@ def _as_double(phi: Comparison, left: Real, right: Real) -> float:
 
 def exact(value: float) -> Real:
     """The decimal that a double prints as, as a fraction; infinities as they are."""
-    return Fraction(repr(float(value))) if math.isfinite(value) else float(value)
+    return shortest(value) if math.isfinite(value) else float(value)
 
 
 def _value(term: Term, signal: Mapping[str, NDArray[np.float64]], t: int) -> Real:

@@ -61,7 +61,7 @@ _OPERATORS = (
     "DIVIDE",
     "POWER",
 )
-_TERM_STARTS = ("NAME", "NUMBER", "TIME", "FUNCTION", "LPAR", "MINUS")
+_TERM_STARTS = ("NAME", "NUMBER", "TIME", "FUNCTION", "LPAR", "MINUS", "PLUS")
 _FORMULA_STARTS = (*_TERM_STARTS, "TRUE", "FALSE", "_NOT", "_EVENTUALLY", "_ALWAYS")
 TERMINAL_WORDS = {
     **dict.fromkeys(_OPERATORS, "an operator"),
@@ -71,7 +71,7 @@ TERMINAL_WORDS = {
     "TIME": "a time",
     "FUNCTION": "a function",
     "LPAR": "'('",
-    "MINUS": "'-'",
+    **dict.fromkeys(("PLUS", "MINUS"), "a sign"),
     "RPAR": "')'",
     "LSQB": "'['",
     "RSQB": "']'",

@@ -8,22 +8,20 @@ row lacks or exceeds is the model's *defect*.
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
 from fractions import Fraction
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.numbers import shortest
+
 Integers: TypeAlias = NDArray[Any]
 """int64 where numbers and their denominator are below 2^62, else Python integers in an object array."""
 
 LARGEST_SUM = 2**62  # what sums in int64 may come to
-_LONGEST_NUMBER, _LARGEST_EXPONENT = 70, 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,21 +48,6 @@ class Fractions:
         return Fraction(int(self.initial[s]), self.initial_denominator)
 
 
-def parse_fraction(value: object) -> Fraction:
-    """A number, a decimal or a fraction as text, exactly. Raises ValueError for anything else, or too long a one."""
-    if isinstance(value, Fraction):
-        return value
-    text = str(value)
-    if isinstance(value, bool) or len(text) > _LONGEST_NUMBER or "_" in text:
-        raise ValueError(text)
-    try:
-        if any(abs(Decimal(part).adjusted()) > _LARGEST_EXPONENT for part in text.split("/", 1)):
-            raise ValueError(text)
-        return Fraction(text)
-    except (InvalidOperation, ZeroDivisionError, OverflowError):
-        raise ValueError(text) from None
-
-
 def over_one(values: Iterable[Fraction]) -> tuple[Integers, int]:
     """Fractions as integers over their least common denominator."""
     known = list(values)
@@ -74,21 +57,10 @@ def over_one(values: Iterable[Fraction]) -> tuple[Integers, int]:
     return np.array(found, dtype=np.int64 if whole else object), denominator
 
 
-@contextmanager
-def long_numbers() -> Iterator[None]:
-    """Let integers of any length be written, which Python limits to some thousand digits."""
-    longest = sys.get_int_max_str_digits()
-    sys.set_int_max_str_digits(0)
-    try:
-        yield
-    finally:
-        sys.set_int_max_str_digits(longest)
-
-
 def of_doubles(values: NDArray[np.float64], row_start: NDArray[np.int64]) -> tuple[Integers, int]:
     """Doubles as integers over one denominator: shortest decimals where every row of them sums to 1, else binary."""
     unique, which = np.unique(values, return_inverse=True)
-    for exact in (lambda value: Fraction(repr(value)), Fraction):
+    for exact in (shortest, Fraction):
         shares, denominator = over_one(exact(value) for value in unique.tolist())
         numerator = shares[which]
         if (np.add.reduceat(numerator, row_start[:-1]) == denominator).all():

@@ -28,9 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.errors import ModelError, near_misses
-from stltool.models.fractions import Fractions, parse_fraction
+from stltool.models.fractions import Fractions
 from stltool.models.intervals import Intervals
 from stltool.models.mdp import MDP, GridLayout
+from stltool.numbers import NumberError, exact, number_text
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -65,8 +66,8 @@ def grid_from_table(table: Mapping[str, Any], default_name: str = "grid") -> MDP
         raise ModelError(f"moves is {moves!r}; choose one of {', '.join(MOVES)}")
     success, slip, uncertain = _noise(table)
     cell = _fraction(table, "cell", Fraction(1))
-    if cell <= 0:
-        raise ModelError(f"cell is {cell}; the side of a cell is positive")
+    if not Fraction(1, 10**100) <= cell <= 10**100:
+        raise ModelError(f"cell is {number_text(cell)}; the side of a cell is positive, between 1e-100 and 1e100")
 
     height, width = cells.shape
     line, column = np.nonzero(cells != "#")  # states in reading order, from the top left
@@ -108,18 +109,23 @@ def _noise(table: Mapping[str, Any]) -> tuple[_Ends, _Ends, bool]:
     for key, (lower, upper) in (("success", success), ("slip", slip)):
         if lower < 0 or upper > 1:
             wrong = lower if lower < 0 else upper
-            raise ModelError(f"{key} is {wrong}; a probability lies between 0 and 1")
+            raise ModelError(f"{key} is {number_text(wrong)}; a probability lies between 0 and 1")
         if lower > upper:
-            raise ModelError(f"{key} is [{lower}, {upper}]; the lower end comes first")
+            raise ModelError(f"{key} is {_interval_text((lower, upper))}; the lower end comes first")
     least, most = success[0] + 3 * slip[0], success[1] + 3 * slip[1]
     if not uncertain and least != 1:
-        raise ModelError(f"success {success[0]} and three times slip {slip[0]} sum to {least}, not 1")
+        shown = [number_text(value) for value in (success[0], slip[0], least)]
+        raise ModelError("success {} and three times slip {} sum to {}, not 1".format(*shown))
     if not least <= 1 <= most:
         raise ModelError(
-            f"success [{success[0]}, {success[1]}] and three times slip [{slip[0]}, {slip[1]}] sum to {least} … "
-            f"{most}, and never to 1; widen one of them"
+            f"success {_interval_text(success)} and three times slip {_interval_text(slip)} sum to "
+            f"{number_text(least)} … {number_text(most)}, and never to 1; widen one of them"
         )
     return success, slip, uncertain
+
+
+def _interval_text(ends: _Ends) -> str:
+    return f"[{', '.join(map(number_text, ends))}]"
 
 
 def _is_interval(value: object) -> bool:
@@ -163,7 +169,7 @@ def _transitions(
     n_states, n_moves = len(row), len(moves)
     denominator = math.lcm(*(end.denominator for end in (*success, *slip)))
     if denominator >= 2**53:
-        written = ["–".join(dict.fromkeys(map(str, ends))) for ends in (success, slip)]
+        written = ["–".join(dict.fromkeys(map(number_text, ends))) for ends in (success, slip)]
         raise ModelError(
             f"success {written[0]} and slip {written[1]} have no common denominator below 2^53; round them"
         )
@@ -267,8 +273,7 @@ def _centres(position: NDArray[np.int64], cell: Fraction) -> NDArray[np.float64]
 
 
 def _fraction(table: Mapping[str, Any], key: str, default: Fraction) -> Fraction:
-    value = table.get(key, default)
     try:
-        return parse_fraction(value)
-    except ValueError:
-        raise ModelError(f'{key} is {value!r}; write a number or a fraction in quotes, such as "7/300"') from None
+        return exact(table.get(key, default))
+    except NumberError as error:
+        raise ModelError(f'{key}: {error}; write a number, or a fraction in quotes such as "7/300"') from None

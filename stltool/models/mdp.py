@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stltool.errors import ModelError, SettingsError, near_misses
-from stltool.models.fractions import Fractions, Integers, of_doubles, over_one, parse_fraction
+from stltool.models.fractions import Fractions, Integers, of_doubles, over_one
 from stltool.models.intervals import Intervals
+from stltool.numbers import NumberError, exact
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -346,15 +347,15 @@ def _exact_entries(
     """The rows' entries as integers over one denominator: as given in fractions, or what the doubles mean."""
     as_fractions = np.array([m.dtype == object for m in given])[action]
     length = np.diff(rows.indptr)
-    exact = np.empty(rows.nnz, dtype=object)
+    shares = np.empty(rows.nnz, dtype=object)
     if not as_fractions.all():
         doubles = rows[~as_fractions]
         numerator, denominator = of_doubles(doubles.data, doubles.indptr)
-        exact[~np.repeat(as_fractions, length)] = [Fraction(int(n), denominator) for n in numerator]
+        shares[~np.repeat(as_fractions, length)] = [Fraction(int(n), denominator) for n in numerator]
     entries = np.flatnonzero(np.repeat(as_fractions, length))
     s, a = np.repeat(state, length)[entries], np.repeat(action, length)[entries]
-    exact[entries] = [given[i][j, k] for i, j, k in zip(a, s, rows.indices[entries], strict=True)]
-    return over_one(exact.tolist())
+    shares[entries] = [given[i][j, k] for i, j, k in zip(a, s, rows.indices[entries], strict=True)]
+    return over_one(shares.tolist())
 
 
 def _given(matrices: ArrayLike | Iterable[Any], what: str) -> list[Any]:
@@ -423,10 +424,13 @@ def _matrix(matrix: Any, action: int, what: str) -> Any:
         if np.iscomplexobj(matrix):
             raise TypeError
         if issparse(matrix):
-            return matrix.astype(np.float64)
+            return _nearest(matrix)
         array = np.asarray(matrix)
-        array = _parsed(array) if array.dtype.kind in "OU" else array.astype(np.float64)
-    except (TypeError, ValueError):
+        array = _parsed(array) if array.dtype.kind in "OU" else _nearest(array)
+        array.astype(np.float64)  # what no double is near to is found here
+    except NumberError as error:
+        raise ModelError(f"{what} of action {action} are not numbers: {error}") from None
+    except (TypeError, ValueError, OverflowError):
         raise ModelError(f"{what} of action {action} are not numbers") from None
     if array.ndim != 2:
         raise ModelError(f"{what} of action {action} have shape {array.shape}; a matrix (S, S) is needed")
@@ -435,17 +439,32 @@ def _matrix(matrix: Any, action: int, what: str) -> Any:
 
 def _parsed(array: NDArray[Any]) -> NDArray[np.object_]:
     """Fractions from numbers and texts, element by element."""
-    parsed: NDArray[np.object_] = np.frompyfunc(parse_fraction, 1, 1)(array)
+    parsed: NDArray[np.object_] = np.frompyfunc(exact, 1, 1)(array)
     return parsed
 
 
+def _nearest(array: Any) -> Any:
+    """An array or sparse matrix of numbers in doubles. Raises TypeError for anything else, texts included."""
+    if array.dtype.kind not in "biuf":
+        raise TypeError
+    return array.astype(np.float64)
+
+
 def _floats(values: ArrayLike, what: str) -> Floats:
+    """Doubles of their own: of numbers, or of texts and Fractions, whose nearest doubles they are."""
     try:
-        if np.iscomplexobj(values):
-            raise TypeError
-        return np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
+        array = np.asarray(values)
+        doubles: Floats = (_parsed(array) if array.dtype.kind in "OU" else _nearest(array)).astype(np.float64)
+    except NumberError as error:
+        raise ModelError(f"{what} does not hold numbers: {error}") from None
+    except (TypeError, ValueError, OverflowError):
         raise ModelError(f"{what} does not hold numbers") from None
+    if array.dtype.kind in "iu" and array.dtype.itemsize == 8:
+        large = array[(array > 2**53) | (array < -(2**53))].tolist()
+        wrong = next((value for value in large if int(float(value)) != value), None)
+        if wrong is not None:
+            raise ModelError(f"{what} holds {wrong}, which is not a double; give floats")
+    return doubles
 
 
 def _booleans(values: ArrayLike, name: str) -> NDArray[np.bool_]:
@@ -475,10 +494,10 @@ def _initial(
     array = np.asarray(initial)
     if array.dtype.kind in "OU":
         try:
-            exact = [parse_fraction(value) for value in array.ravel().tolist()]
-        except ValueError as error:
+            shares = [exact(value) for value in array.ravel().tolist()]
+            return np.array(shares, dtype=np.float64), shares
+        except (NumberError, OverflowError) as error:
             raise ModelError(f"the initial distribution does not hold numbers: {error}") from None
-        return np.array(exact, dtype=np.float64), exact
     return _floats(array, "the initial distribution"), None
 
 

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from stltool.errors import FileError, NameLookupError, TraceError, near_misses
 from stltool.extras import require
+from stltool.numbers import NumberError, double
 from stltool.sizes import require_memory
 
 Signals: TypeAlias = dict[str, NDArray[Any]]
@@ -254,10 +255,9 @@ def _opened(path: Path) -> IO[str]:
 
 
 def _number(text: str) -> float | None:
-    text = text.strip()
     try:
-        return float(text) if text.isascii() and "_" not in text else None
-    except ValueError:
+        return double(text)
+    except NumberError:
         return None
 
 

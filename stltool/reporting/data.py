@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from fractions import Fraction
 from importlib import metadata
 from typing import Any, cast
 
@@ -21,7 +20,7 @@ from stltool.errors import FragmentError, SettingsError
 from stltool.learning import Guarantee, Training
 from stltool.logic.formula import Comparison, Formula, Label, boolean_value, walk
 from stltool.logic.fragment import check_fragment
-from stltool.models.fractions import long_numbers
+from stltool.numbers import fraction_text
 from stltool.policy import Policy
 from stltool.product import Product
 from stltool.randomness import Purpose, generator
@@ -125,7 +124,7 @@ def check_data(result: CheckResult, optimum: CheckResult | None = None) -> dict[
         "probability": result.probability,
         "lower": result.lower,
         "upper": result.upper,
-        "exact": _fraction_text(result.fraction),
+        "exact": fraction_text(result.fraction) if result.fraction is not None else None,
         "arithmetic": result.arithmetic,
         "optimum": best.probability,
         "optimum_lower": best.lower,
@@ -165,11 +164,6 @@ def estimate_data(
 def _finite(data: dict[str, Any]) -> dict[str, Any]:
     """JSON has no infinity: a ratio that is infinite is left out."""
     return {key: value for key, value in data.items() if not (isinstance(value, float) and math.isinf(value))}
-
-
-def _fraction_text(value: Fraction | None) -> str | None:
-    with long_numbers():
-        return str(value) if value is not None else None
 
 
 def training_data(training: Training) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from stltool.logic.formula import (
     is_bounded,
 )
 from stltool.logic.fragment import check_fragment
+from stltool.logic.quantities import quantity_text
 from stltool.logic.task import Task
 from stltool.models import MDP
 from stltool.product import build_product
@@ -74,7 +75,7 @@ def _text_data(task: Task) -> dict[str, Any]:
     return {
         "task": task.name,
         "formula": str(task.formula),
-        "params": {key: str(value) for key, value in task.params.items()},
+        "params": {key: quantity_text(value) for key, value in task.params.items()},
         **({"step": str(task.step)} if task.step is not None else {}),
         "horizon": steps,
         "samples_needed": None if steps is None else steps + 1,

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from stltool.checking import Estimate
-from stltool.checking.statistical import floor_text
 from stltool.errors import SettingsError
 from stltool.learning import Guarantee
+from stltool.numbers import floor_text
 
 
 def guarantee_data(found: Guarantee | Estimate) -> dict[str, Any]:

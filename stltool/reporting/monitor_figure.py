@@ -31,6 +31,7 @@ from stltool.logic.formula import (
 )
 from stltool.logic.task import Task
 from stltool.monitoring.offline import MonitorResult, monitor
+from stltool.numbers import shortest
 from stltool.reporting.figures import picture
 from stltool.reporting.monitoring import both, robustness_text, true_ranges
 
@@ -341,7 +342,7 @@ def _affine(term: Term, name: str) -> tuple[Fraction, Fraction] | None:
     """(a, b) where the term is a·name + b for numbers a and b, as written; None for any other term."""
     match term:
         case Number(value):
-            return Fraction(0), Fraction(repr(value))
+            return Fraction(0), shortest(value)
         case Variable(other):
             return (Fraction(1), Fraction(0)) if other == name else None
         case Negate(arg):

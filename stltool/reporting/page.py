@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +13,7 @@ from stltool.checking import CheckResult
 from stltool.errors import FileError
 from stltool.files import read_text, write_atomically
 from stltool.learning import Training
+from stltool.numbers import bound_texts, probability_text
 from stltool.reporting.data import FORMAT, SWEEP_FORMAT, report_data
 from stltool.reporting.guarantees import guarantee_rows
 from stltool.reporting.runs import trace_text, verdict_text
@@ -92,20 +91,3 @@ def _templates() -> jinja2.Environment:
     )
     environment.filters["probability"] = probability_text
     return environment
-
-
-def bound_texts(lower: float | Fraction, upper: float | Fraction) -> tuple[str, str]:
-    """An enclosure in 17 digits, rounded outwards: what is printed encloses too."""
-    texts = (
-        Context(prec=17, rounding=rounding).divide(*map(Decimal, bound.as_integer_ratio()))
-        for bound, rounding in ((lower, ROUND_FLOOR), (upper, ROUND_CEILING))
-    )
-    low, high = map(str, texts)
-    return low, high
-
-
-def probability_text(value: float) -> str:
-    """A probability with digits that tell it from 0 and 1."""
-    if 0.999 < value < 1:
-        return f"1 − {1 - value:.3g}"
-    return f"{value:.6g}"

@@ -17,9 +17,9 @@ from stltool.checking import SurrogateResult, check, surrogate_optimum
 from stltool.errors import FragmentError, SizeError
 from stltool.logic.fragment import check_fragment
 from stltool.models import MDP
+from stltool.numbers import probability_text
 from stltool.policy import with_flags
 from stltool.product import Product, build_product
-from stltool.reporting.page import probability_text
 from stltool.sizes import bytes_text
 
 _BUILT = 5 * 10**8  # bytes: histories that need more are counted, not built

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
-from fractions import Fraction
 from typing import Any
 
 from rich.console import Console
@@ -16,11 +15,9 @@ from rich.text import Text
 
 from stltool.kernels.jit import compiling
 from stltool.learning.sweep import SweepProgress
-from stltool.models.fractions import long_numbers
-from stltool.reporting.page import bound_texts, probability_text
+from stltool.numbers import bound_texts, probability_text
 from stltool.reporting.runs import trace_text, verdict_text
 
-_LONGEST_FRACTION = 400
 _PATIENCE = 2.0  # seconds without a word
 Advance = Callable[..., None]
 """Called with (done, total), or while learning (episode, episodes, environment steps, exact probability or None)."""
@@ -237,13 +234,6 @@ def _print_columns(rows: list[tuple[str, ...]]) -> None:
     for row in rows:
         cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=True)]
         console.print(Text.assemble((cells[0], "bold"), "  ", "  ".join(cells[1:]).rstrip()))
-
-
-def fraction_text(value: Fraction) -> str:
-    """A fraction whole, or what it is like where it is too long to read."""
-    with long_numbers():
-        text = str(value)
-    return text if len(text) <= _LONGEST_FRACTION else f"a fraction of {len(text)} digits; --json prints it"
 
 
 def error(message: str) -> None:

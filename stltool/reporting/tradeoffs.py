@@ -34,8 +34,8 @@ def tradeoff_data(result: Tradeoff) -> dict[str, Any]:
     return {
         **joint_data(result.joint),
         "maximize": result.maximize,
-        "at_least": dict(result.at_least),
-        "budget": dict(result.budget),
+        "at_least": {name: float(bound) for name, bound in result.at_least.items()},
+        "budget": {name: float(bound) for name, bound in result.budget.items()},
         "probabilities": {name: dataclasses.asdict(figure) for name, figure in result.probabilities.items()},
         "costs": {name: dataclasses.asdict(figure) for name, figure in result.costs.items()},
         "bound": result.bound,

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.errors import FileError, SettingsError, StlSyntaxError
 from stltool.logic.formula import Always, Comparison, Eventually, Interval, Label, Number, Variable
-from stltool.logic.quantities import Duration, duration
+from stltool.logic.quantities import Duration, duration, quantity
 from tests.conftest import DATA, OUTSIDE, needs_outside
 
 A, B = Label("a"), Label("b")
@@ -290,17 +290,24 @@ def test_large_texts_parse_or_are_refused_in_words(tmp_path):
     [("0.1s", "1/10"), ("2 min", "120"), ("1e-3ms", "1/1000000"), (".5h", "1800"), ("3us", "3/1000000")],
 )
 def test_durations(text, seconds):
+    assert quantity("tau", text) == Duration(Fraction(seconds))
     assert duration(text) == Duration(Fraction(seconds))
 
 
-@pytest.mark.parametrize("text", ["", "s", "3", "3 parsecs", "1e999s", "0x3s", "nan s", "3m"])
+@pytest.mark.parametrize("text", ["", "s", "3", "3 parsecs", "nan s", "3m"])
 def test_no_durations(text):
     assert duration(text) is None
 
 
+@pytest.mark.parametrize(("text", "says"), [("1e9999s", "out of range"), ("0x3s", "not a number"), ("1s/0", "zero")])
+def test_durations_with_a_number_that_is_none(text, says):
+    with pytest.raises(SettingsError, match=f"param tau: .*{says}"):
+        quantity("tau", text)
+
+
 @given(st.fractions(min_value=-5, max_value=10**6))
 def test_durations_print_as_what_they_are(seconds):
-    assert Fraction(str(Duration(seconds)).replace("s", "")) == seconds
+    assert duration(str(Duration(seconds))) == Duration(seconds)
     assert stl.parse_task(f"step = {Duration(abs(seconds) + 1)}\nr := A").step == Duration(abs(seconds) + 1)
 
 

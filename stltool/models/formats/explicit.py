@@ -24,12 +24,14 @@ from numpy.typing import NDArray
 
 from stltool.errors import ModelError
 from stltool.files import read_text
-from stltool.models.fractions import Fractions, over_one, parse_fraction
+from stltool.models.fractions import Fractions, over_one
 from stltool.models.intervals import Intervals
 from stltool.models.mdp import MDP
+from stltool.numbers import double, index, read
 from stltool.sizes import require_memory
 
 _BYTES_A_LINE = 400  # of Python objects while a file is read
+_TRUTH = {"true": 1.0, "false": 0.0}
 _LABEL = re.compile(r'(\d{1,9})="([^"]*)"', re.ASCII)
 
 
@@ -96,7 +98,7 @@ def _transitions(path: Path) -> tuple[int, _Rows, bool]:
     lines = _lines(path, "transition file")
     number, header = next(lines, (1, ""))
     try:
-        counts = [_whole(word) for word in header.split()]
+        counts = [index(word) for word in header.split()]
         if len(counts) not in (2, 3) or min(counts) < 0:
             raise ValueError
     except ValueError:
@@ -116,7 +118,7 @@ def _transitions(path: Path) -> tuple[int, _Rows, bool]:
         if chain:
             words.insert(1, "0")
         try:
-            s, choice, successor = (_whole(word) for word in words[:3])
+            s, choice, successor = (index(word) for word in words[:3])
             text = words[3]
             if len(words) > (4 if chain else 5):
                 raise ValueError
@@ -149,19 +151,12 @@ def _transitions(path: Path) -> tuple[int, _Rows, bool]:
     return n_states, rows, any(text.startswith("[") for text in known)
 
 
-def _whole(word: str) -> int:
-    """A number of digits alone. Raises ValueError for anything else that int would take."""
-    if re.fullmatch(r"\s*\d{1,18}\s*", word, re.ASCII) is None:
-        raise ValueError(word)
-    return int(word)
-
-
 def _parse_ends(text: str) -> _Ends:
     """A probability, or [lower,upper]. Raises ValueError for anything else."""
     if text.startswith("[") and text.endswith("]"):
-        lower, upper = (parse_fraction(end) for end in text[1:-1].split(","))
+        lower, upper = (read(end) for end in text[1:-1].split(","))
         return lower, upper
-    share = parse_fraction(text)
+    share = read(text)
     return share, share
 
 
@@ -189,7 +184,7 @@ def _labels(path: Path, n_states: int) -> dict[str, NDArray[np.bool_]]:
     for number, line in lines:
         state, colon, numbers = line.partition(":")
         try:
-            s, which = _whole(state), [_whole(word) for word in numbers.split()]
+            s, which = index(state.strip()), [index(word) for word in numbers.split()]
             if not colon or not 0 <= s < n_states or any(i not in names for i in which):
                 raise ValueError
         except ValueError:
@@ -235,9 +230,9 @@ def _variables(path: Path, n_states: int) -> tuple[list[str] | None, dict[str, N
         state, _, tuple_text = line.partition(":")
         words = [word.strip() for word in tuple_text.strip("() ").split(",")]
         try:
-            s = _whole(state)
-            column = [float({"true": 1, "false": 0}.get(word, word)) for word in words if "_" not in word]
-            if not 0 <= s < n_states or len(column) != len(variables) or not np.isfinite(column).all():
+            s = index(state.strip())
+            column = [_TRUTH[word] if word in _TRUTH else double(word) for word in words]
+            if not 0 <= s < n_states or len(column) != len(variables):
                 raise ValueError
         except ValueError:
             _fail(path, number, line, f'write "state:({",".join(variables)})" with numbers, true or false')
