@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from stltool.errors import FileError, NameLookupError, TraceError, near_misses
 from stltool.extras import require
-from stltool.numbers import NumberError, double
+from stltool.numbers import NumberError, double, shown
 from stltool.sizes import require_memory
 
 Signals: TypeAlias = dict[str, NDArray[Any]]
@@ -36,7 +36,9 @@ _TRUTH = {"true": True, "false": False}
 _LONGEST_LINE = 1 << 20  # characters of a header; a longer one is no header
 _SAMPLE = 1 << 16  # bytes that tell how long a file's lines are
 _LABEL_WIDTH = 8  # bytes of a label's cell that the fast reader keeps
+_PIECE = 1 << 18  # decimals whose texts are in memory at a time
 _COPIES = 2.5  # of the table, at most, while it is read
+_NEEDED = "every step needs a number"
 _REMEDY = "give a shorter part of the trace, or name fewer signals"
 
 
@@ -202,6 +204,8 @@ def _read_fast(table: _Table, wanted: Sequence[str]) -> Signals | None:
             signals[name] = np.array(truths, dtype=np.bool_)[which]
         else:
             signals[name] = np.ascontiguousarray(column)
+            if not np.isfinite(signals[name]).all():
+                return None
     return signals
 
 
@@ -219,10 +223,11 @@ def _read_slowly(table: _Table, wanted: Sequence[str]) -> Signals:
                     f"{_count(len(table.header), 'column')}"
                 )
             for i, name, label in places:
-                value = _truth(row[i]) if label else _number(row[i])
-                if value is None:
-                    raise TraceError(f"{table.path}, line {line}, column {name}: {_objection(row[i], label)}")
-                columns[name].append(value)
+                try:
+                    columns[name].append(_truth(row[i]) if label else double(row[i]))
+                except NumberError as error:
+                    why = _objection(row[i], label, str(error))
+                    raise TraceError(f"{table.path}, line {line}, column {name}: {why}") from None
     return {
         name: np.frombuffer(column, np.bool_ if name in table.labels else np.float64).copy()
         for name, column in columns.items()
@@ -254,33 +259,29 @@ def _opened(path: Path) -> IO[str]:
     return path.open(encoding="utf-8", errors="surrogateescape", newline="")
 
 
-def _number(text: str) -> float | None:
-    try:
-        return double(text)
-    except NumberError:
-        return None
-
-
-def _truth(text: str) -> bool | None:
-    return _TRUTH.get(text.strip().lower())
+def _truth(text: str) -> bool:
+    if text.strip().lower() not in _TRUTH:
+        raise NumberError(f"{shown(text)} is neither true nor false, as the cells above are")
+    return _TRUTH[text.strip().lower()]
 
 
 def _is_value(text: str) -> bool:
-    return _truth(text) is not None or _number(text) is not None
+    for read in (_truth, double):
+        try:
+            read(text)
+        except NumberError:
+            continue
+        return True
+    return text.lower() in ("nan", "inf")
 
 
-def _objection(text: str, label: bool) -> str:
-    """What is wrong with a cell, and what to write."""
-    shown = text.strip()
-    shown = repr(shown if len(shown) <= 40 else shown[:40] + "…")
+def _objection(text: str, label: bool, why: str) -> str:
+    """What is wrong with a cell, and what to write; `why` it is no value of its column."""
     if not text.strip():
         return "an empty cell; every step needs a value"
-    if label:
-        return f"{shown} is neither true nor false, as the cells above are"
-    if _truth(text) is not None:
-        return f"{shown} is no number, as the cells above are; write 1 or 0"
-    comma = _number(text.replace(",", ".", 1)) is not None
-    return f"{shown} is no number" + ("; write it with a decimal point" if comma else "")
+    if not label and text.strip().lower() in _TRUTH:
+        return f"{shown(text)} is not a number, as the cells above are; write 1 or 0"
+    return f"{why}; {_NEEDED}" if "finite" in why else why
 
 
 def _count(n: int, what: str) -> str:
@@ -315,7 +316,13 @@ def _read_npz(path: Path, names: list[str] | None) -> Signals:
                 )
             taken += math.prod(shapes[name]) * dtype.itemsize
         require_memory(taken, f"{path}", _REMEDY)
-        return {name: file[name] for name in wanted}
+        signals = {name: file[name] for name in wanted}
+    for name, values in signals.items():
+        if values.dtype.kind == "f" and not (finite := np.isfinite(values)).all():
+            *trace, step = (int(i) for i in np.argwhere(~finite)[0])
+            at = f"trace {trace[0]}, step {step}" if trace else f"step {step}"
+            raise TraceError(f"{path}, array {name}, {at}: {values[(*trace, step)]} is not a finite number; {_NEEDED}")
+    return signals
 
 
 def _npy_header(archive: zipfile.ZipFile, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
@@ -356,9 +363,21 @@ def _arrow_column(path: Path, name: str, column: Any, pa: Any) -> NDArray[Any]:
     if column.null_count:
         row = column.is_null().to_numpy().argmax()
         raise TraceError(f"{path}, row {row + 1}, column {name}: no value; every step needs one")
-    if pa.types.is_decimal(column.type):
-        column = column.cast(pa.float64())
-    values: NDArray[Any] = column.to_numpy()
+    values: NDArray[Any] = _of_decimals(column, pa) if pa.types.is_decimal(column.type) else column.to_numpy()
+    if values.dtype.kind == "f" and not (finite := np.isfinite(values)).all():
+        row = int(np.flatnonzero(~finite)[0])
+        raise TraceError(f"{path}, row {row + 1}, column {name}: {values[row]} is not a finite number; {_NEEDED}")
+    return values
+
+
+def _of_decimals(column: Any, pa: Any) -> NDArray[np.float64]:
+    """The double nearest to each decimal. Arrow's own cast multiplies by a power of ten, and one in ten is the next one
+    (3694.20 becomes 3694.2000000000003); the texts of decimals are read rightly.
+    """
+    values = np.empty(len(column))
+    for start in range(0, len(column), _PIECE):
+        part = column.slice(start, _PIECE).cast(pa.string()).cast(pa.float64())
+        values[start : start + _PIECE] = part.to_numpy()
     return values
 
 

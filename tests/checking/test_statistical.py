@@ -528,7 +528,7 @@ def test_settings_of_an_estimate_are_checked(options, message):
         ({"at_least": 0.995}, r"region 0.985 … 1.005 leaves \[0, 1\]; take an indifference of at most 0.005"),
         ({"at_least": 0.1, "indifference": 0.2}, r"region -0.1 … 0.3 leaves .* at most 0.1"),
         ({"indifference": 0}, "indifference is 0; above 0 is needed"),
-        ({"indifference": math.inf}, "indifference is inf; a number is needed"),
+        ({"indifference": math.inf}, "indifference: 'inf' is not a finite number"),
         ({"alpha": 0}, "alpha is 0"),
         ({"beta": 1.5}, "beta is 1.5"),
         ({"alpha": 0.5, "beta": 0.5}, r"alpha \+ beta is 1; below 1"),

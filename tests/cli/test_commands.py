@@ -367,7 +367,7 @@ def test_other_bad_input_ends_with_code_2(stltool, tmp_path):
         (["check", PATROLLING, "--encoding", "fast"], "no encoding 'fast'"),
         (["check", PATROLLING, "--at-least", "1.2"], "a probability lies between 0 and 1"),
         (["check", no_model], "no model; add a line such as"),
-        (["check", no_model, "--model", row], "sum to 6/5, not 1"),
+        (["check", no_model, "--model", row], "sum to 1.2, not 1"),
         (["run", PATROLLING, "--method", "cefr"], "did you mean cfer"),
         (["run", PATROLLING, "--episodes", "0"], "episodes is 0"),
         (["run", PATROLLING, "--set", "replay=3"], "no setting 'replay'; did you mean replays"),

@@ -215,7 +215,7 @@ def test_bad_input_ends_with_code_2(stltool, log, batch, tmp_path, monkeypatch):
         (["x > 0", log, "-p", "T"], "'T' is not NAME=VALUE"),
         (["true", log], "true: this reads no signal and no label, so a trace says nothing about it"),
         (["X > 0", log], "there is no column X; did you mean x?"),
-        (["when > 0", log], "line 2, column when: 'Mon' is no number"),
+        (["when > 0", log], "line 2, column when: 'Mon' is not a number"),
         (["x & door", log], "compare it, as in x > 0"),
         (["x > 0", "none.csv"], "none.csv: there is no such trace file"),
         (["x > 0", "task.stl"], "task.stl: a trace is read from .csv, .tsv, .npz, .parquet files"),

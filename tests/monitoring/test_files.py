@@ -4,6 +4,8 @@ import csv
 import io
 import sys
 import zipfile
+from decimal import Context, Decimal
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -56,8 +58,8 @@ def test_spellings_of_one_trace(write, text):
 
 
 def test_one_column_names_in_quotes_and_any_number(write):
-    assert plain(stl.load_trace(write("x\n1\n nan\n-inf\n0007\n+1.\n.5\n1e999\n", "t.tsv"))) == {
-        "x": ("f", ["1.0", "nan", "-inf", "7.0", "1.0", "0.5", "inf"])
+    assert plain(stl.load_trace(write("x\n1\n0007\n+1.\n.5\n-2/4\n1e-999\n", "t.tsv"))) == {
+        "x": ("f", ["1.0", "7.0", "1.0", "0.5", "-0.5", "0.0"])
     }
     assert list(stl.load_trace(write('"a, b";"c""d"; e f \n1;2;3\n'))) == ["a, b", 'c"d', "e f"]
 
@@ -69,7 +71,7 @@ def test_columns_that_nobody_asks_for_need_not_be_numbers(write):
         path = write("\n".join(lines[:many]) + "\n")
         assert plain(stl.load_trace(path, ["x"])) == {"x": ("f", ["1.0", "2.0", "3.0"][: many - 1])}
         assert stl.load_trace(path, []) == {}
-        with pytest.raises(TraceError, match="line 2, column when: 'Mon' is no number"):
+        with pytest.raises(TraceError, match="line 2, column when: 'Mon' is not a number"):
             stl.load_trace(path)
         with pytest.raises(TraceError, match="line 3, column y: '2' is neither true nor false, as the cells above are"):
             stl.load_trace(path, ["x", "y"])
@@ -104,21 +106,21 @@ def test_columns_that_nobody_asks_for_need_not_be_numbers(write):
         ("x,y\n1,2\n1,\t\n", TraceError, "line 3, column y: an empty cell"),
         ("x,y\n1,2\n1,\n", TraceError, "line 3, column y: an empty cell; every step needs a value"),
         ("x\ty\n1\t2\n \t1\n", TraceError, "line 3, column x: an empty cell; every step needs a value"),
-        ("x,y\n1,2\n1,2.5.1\n", TraceError, "line 3, column y: '2.5.1' is no number"),
-        ("x,y\n1,2\n1_0,1\n", TraceError, "line 3, column x: '1_0' is no number"),
-        ("x,y\n1,2\n٣,1\n", TraceError, "line 3, column x: '٣' is no number"),
-        ("x,y\n1,2\n0x10,1\n", TraceError, "line 3, column x: '0x10' is no number"),
-        ("x;y\n1;2\n1;2,5\n", TraceError, "line 3, column y: '2,5' is no number; write it with a decimal point"),
-        ("x,y\n1,2\n1,True\n", TraceError, "line 3, column y: 'True' is no number, as the cells above are; write"),
+        ("x,y\n1,2\n1,2.5.1\n", TraceError, "line 3, column y: '2.5.1' is not a number"),
+        ("x,y\n1,2\n1_0,1\n", TraceError, "line 3, column x: '1_0' is not a number"),
+        ("x,y\n1,2\n٣,1\n", TraceError, "line 3, column x: '٣' is not a number"),
+        ("x,y\n1,2\n0x10,1\n", TraceError, "line 3, column x: '0x10' is not a number"),
+        ("x;y\n1;2\n1;2,5\n", TraceError, "line 3, column y: '2,5' is not a number; write it with a decimal point"),
+        ("x,y\n1,2\n1,True\n", TraceError, "line 3, column y: 'True' is not a number, as the cells above are; write"),
         ("x\ntrue\nfalsehood\n", TraceError, "line 3, column x: 'falsehood' is neither true nor false"),
-        (f"x\n1\n{'a' * 40} \n", TraceError, f"line 3, column x: '{'a' * 40}' is no number"),
-        (f"x\n1\n{'a' * 50}\n", TraceError, f"line 3, column x: '{'a' * 40}…' is no number"),
+        (f"x\n1\n{'a' * 40} \n", TraceError, f"line 3, column x: '{'a' * 40}' is not a number"),
+        (f"x\n1\n{'a' * 50}\n", TraceError, f"line 3, column x: '{'a' * 40}…' is not a number"),
         ('x,y\n"1",2\n3,"4\n', TraceError, "line 3: unexpected end of data; close every quote"),
         ('x,y\n"1"0,2\n', TraceError, "line 2: ',' expected after"),
         ('x,y\n1,2\n"1"0,2\n', TraceError, "line 3: ',' expected after '\"'; close every quote"),
         ("x,y\n1,2\n3,\0\n", FileError, "not a CSV file: it holds binary data (a zero byte at offset 10)"),
         ("x\0,y\n1,2\n", FileError, "not a CSV file: it holds binary data (a zero byte in line 1)"),
-        (b"x,y\n1,2\n3,\xe9\n", TraceError, "line 3, column y: '\\udce9' is no number"),
+        (b"x,y\n1,2\n3,\xe9\n", TraceError, "line 3, column y: '\\udce9' is not a number"),
         (b"x,\xe9\n1,2\n", FileError, "not a CSV file: byte 0xe9 in line 1 is not UTF-8 text; save it as UTF-8"),
         (b"x,\x80\n1,2\n", FileError, "not a CSV file: byte 0x80 in line 1"),
         (b"x,\xff\n1,2\n", FileError, "not a CSV file: byte 0xff in line 1"),
@@ -134,7 +136,7 @@ def test_what_is_wrong_is_told_with_its_place(write, text, kind, says):
 
 
 def test_a_decimal_comma_is_told_from_other_slips(write):
-    with pytest.raises(TraceError, match=r"'1,000,5' is no number$"):
+    with pytest.raises(TraceError, match=r"'1,000,5' is not a number$"):
         stl.load_trace(write("x;y\n1;2\n1;1,000,5\n"))
 
 
@@ -176,8 +178,10 @@ def slow_reader(text, names):
             try:
                 if any("_" in cell or not cell.isascii() for cell in cells):
                     return None
-                signals[name] = np.array([float(cell) for cell in cells])
-            except ValueError:
+                signals[name] = np.array([float(Fraction(cell) if "/" in cell else cell) for cell in cells])
+            except (ValueError, ZeroDivisionError):
+                return None
+            if not np.isfinite(signals[name]).all():
                 return None
     return plain(signals)
 
@@ -259,6 +263,20 @@ def test_arrays_that_are_no_signals_are_refused_by_name(tmp_path, arrays, says):
     assert list(stl.load_trace(ok, ["fine"])) == ["fine"]
 
 
+@pytest.mark.parametrize(
+    ("bad", "says"),
+    [
+        (np.array([1, 2, np.nan, np.inf]), "t.npz, array x, step 2: nan is not a finite number; every step needs a"),
+        (np.float16([[1, 2], [-np.inf, 2]]), "t.npz, array x, trace 1, step 0: -inf is not a finite number"),
+    ],
+)
+def test_what_is_not_finite_in_an_npz_is_told_with_its_place(tmp_path, bad, says):
+    with pytest.raises(TraceError) as refused:
+        stl.load_trace(npz(tmp_path / "t.npz", x=bad))
+    assert says in str(refused.value)
+    assert stl.load_trace(npz(tmp_path / "t.npz", x=bad, y=np.ones(bad.shape)), ["y"])["y"].all()
+
+
 def test_files_that_are_no_npz(tmp_path, write):
     with pytest.raises(FileError, match="not an .npz file, as numpy.savez writes"):
         stl.load_trace(write("x\n1\n", "t.npz"))
@@ -283,8 +301,6 @@ def parquet(path, **columns):
 
 
 def test_parquet(tmp_path):
-    from decimal import Decimal
-
     dotted = {"a.b": np.float32([0.5, 1])}
     decimals = [Decimal("0.25"), Decimal(3)]
     path = parquet(tmp_path / "t.parquet", x=[1, 2], door=[True, False], d=decimals, when=["a", None], **dotted)
@@ -298,6 +314,51 @@ def test_parquet(tmp_path):
         stl.load_trace(path, ["door2"])
 
 
+@pytest.mark.parametrize(
+    ("width", "precision", "scale"),
+    [
+        (32, 9, 2),
+        (32, 9, 9),
+        (64, 18, 2),
+        (64, 18, 7),
+        (128, 12, 2),
+        (128, 38, 19),
+        (128, 38, 38),
+        (256, 76, 0),
+        (256, 76, 40),
+    ],
+)
+def test_parquet_decimals_are_the_nearest_doubles(tmp_path, monkeypatch, width, precision, scale):
+    """Against Python's own: arrow's cast of decimals to doubles is off by one unit in the last place now and then."""
+    import pyarrow as pa
+
+    rng = np.random.default_rng(width + scale)
+    lengths = rng.integers(1, precision + 1, 3000)
+    texts = ["".join(map(str, rng.integers(0, 10, n))) for n in lengths]
+    cents = ["369420", "0", "9" * precision, "1", *(str(n) for n in range(1000))]
+    given_values = [
+        Decimal(sign + digits).scaleb(-scale, Context(prec=100)) for sign in ("", "-") for digits in (*texts, *cents)
+    ]
+    column = pa.array(given_values, getattr(pa, f"decimal{width}")(precision, scale))
+    path = parquet(tmp_path / "t.parquet", x=pa.chunked_array([column.slice(0, 7), column.slice(7)]))
+    monkeypatch.setattr(traces, "_PIECE", 1000)
+    assert stl.load_trace(path)["x"].tolist() == [float(value) for value in given_values]
+    with pytest.raises(TraceError, match="row 2, column x: no value"):
+        stl.load_trace(parquet(tmp_path / "t.parquet", x=pa.array([given_values[0], None], column.type)))
+
+
+def test_a_parquet_price_is_what_it_says(tmp_path):
+    path = parquet(tmp_path / "t.parquet", x=[Decimal("3694.20")])
+    assert stl.monitor(stl.parse("x <= 3694.2"), stl.load_trace(path)).verdicts.all()
+
+
+@pytest.mark.parametrize("kind", ["int64", "uint64"])
+def test_parquet_integers_that_are_no_doubles(tmp_path, kind):
+    path = parquet(tmp_path / "t.parquet", x=np.array([5, 2**53 + 1], kind))
+    with pytest.raises(TraceError, match="signal x is 9007199254740993 at step 1: whole numbers beyond"):
+        stl.monitor(stl.parse("x > 0"), stl.load_trace(path))
+
+
 def test_parquet_that_is_no_trace(tmp_path, write):
     gaps = parquet(
         tmp_path / "gaps.parquet", x=[1.0, 2.0, None, None], door=[True, None, True, True], y=[float("nan")] * 4
@@ -305,8 +366,9 @@ def test_parquet_that_is_no_trace(tmp_path, write):
     with pytest.raises(TraceError, match="row 3, column x: no value; every step needs one"):
         stl.load_trace(gaps)
     with pytest.raises(TraceError, match="row 2, column door: no value"):
-        stl.load_trace(gaps, ["y", "door"])
-    assert np.isnan(stl.load_trace(gaps, ["y"])["y"]).all()
+        stl.load_trace(gaps, ["door"])
+    with pytest.raises(TraceError, match="row 1, column y: nan is not a finite number; every step needs a number"):
+        stl.load_trace(gaps, ["y"])
     with pytest.raises(TraceError, match="it holds no row; a trace has a row a step"):
         stl.load_trace(parquet(tmp_path / "none.parquet", x=np.array([], float)))
     with pytest.raises(TraceError, match="column x: it holds list<"):
