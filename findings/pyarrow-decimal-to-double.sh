@@ -4,7 +4,8 @@
 # Arrow multiplies the unscaled integer by a power of ten that is itself rounded (0.01 for scale 2), so many results are one
 # unit in the last place away from the double nearest to the decimal, the one that Python's float("3694.20"), and any CSV
 # reader, gives. A column of prices then no longer equals the same prices read from CSV, and x <= 3694.2 fails for 3694.20.
-# Casting through strings (decimal128 -> string -> float64) is right. All decimal widths behave alike.
+# Casting through strings (decimal128 -> string -> float64) is right. All decimal widths behave alike. (Arrow's developers aim
+# at one unit in the last place, apache/arrow pull request 36667; the documentation of `cast` and `safe=True` does not say so.)
 #
 # Seen with pyarrow 26.0.1, numpy 2.4:
 #
