@@ -46,6 +46,9 @@ _ELSEWHERE = {
     "exp": "there is no {word}; record it as a signal of its own (abs, min, max, sqrt are known)",
 }
 
+_BRACKETS = {"LPAR": "parenthesis", "RPAR": "parenthesis", "LSQB": "bracket", "RSQB": "bracket"}
+_NESTING = {"LPAR": 1, "LSQB": 1, "RPAR": -1, "RSQB": -1}
+
 # What the parser expected, in words. A test holds that every terminal of the grammar stands here.
 _OPERATORS = (
     "_IFF",
@@ -207,8 +210,10 @@ def _shifted(token: Token, offset: int) -> Token:
 
 
 def _glued(text: str, place: int) -> str:
-    """What stands at a place that no token begins at: a number with letters behind it, or one character."""
-    found = re.compile(r"\.*\w+|\.+").match(text, place)
+    """What stands at a place that no token begins at: a quote to the end of its line, a number with letters behind it,
+    or one character.
+    """
+    found = re.compile(r"\.*\w+|\.+|\"[^\r\n]*").match(text, place)
     return found.group() if found else text[place]
 
 
@@ -217,7 +222,7 @@ def _foreign(source: Source, place: int) -> str:
     shown = repr(character) if character.isprintable() else f"U+{ord(character):04X}"
     before = source.text[:place].rpartition("\n")[2]
     if character == '"':
-        message = 'a file name ends with a quote, on the line it begins on: model "floor.toml"'
+        message = 'this quote is not closed; a file name ends with a quote on the same line: model "floor.toml"'
     elif character in "²³":
         message = f"write ^{'2' if character == '²' else '3'} for a power"
     elif before.split()[:1] == ["model"] or character == "'":
@@ -316,16 +321,45 @@ def _unexpected(source: Source, machine: InteractiveParser, tokens: Sequence[Tok
     accepts = cast(set[str], machine.accepts())  # type: ignore[no-untyped-call]
     accepted = {name for name in accepts if name in TERMINAL_WORDS} or {"$END"}
     if i < len(tokens):
-        token = tokens[i]
-        hint = _hint(tokens, i, accepted)
-        return _span(source, token).show(
-            f"{str(token)!r} cannot stand here; {hint or 'expected ' + _expected(accepted)}"
-        )
-    place = cast(int, tokens[-1].end_pos) if tokens else 0
-    whole = not source.text[place:].strip() or machine.parser_state.parse_conf.start == "formula"
-    found = "the text ends here" if whole else "the statement ends here"
-    hint = _hint(tokens, i, accepted)
-    return Span(source, place, place + 1).show(f"{found}; {hint or 'expected ' + _expected(accepted)}")
+        found, span = f"{str(tokens[i])!r} cannot stand here", _span(source, tokens[i])
+    else:
+        place = cast(int, tokens[-1].end_pos) if tokens else 0
+        whole = not source.text[place:].strip() or machine.parser_state.parse_conf.start == "formula"
+        found, span = f"the {'text' if whole else 'statement'} ends here", Span(source, place, place + 1)
+    bracket, instead = _bracket_hint(source, tokens, i, accepted)
+    if not instead:
+        hint = _hint(tokens, i, accepted) or "expected " + _expected(accepted)
+        bracket = f"{hint}; {bracket}" if bracket else hint
+    return span.show(f"{found}; {bracket}")
+
+
+def _bracket_hint(source: Source, tokens: Sequence[Token], i: int, accepted: set[str]) -> tuple[str, bool]:
+    """What is wrong with the brackets around token i, "" if nothing is; whether that says it all."""
+    kind = tokens[i].type if i < len(tokens) else "$END"
+    opened = _open_bracket(tokens, i)
+    if kind in ("RPAR", "RSQB") and opened < 0:
+        return f"no {_BRACKETS[kind]} is open here; remove it, or open one before", True
+    if opened < 0 or (_all_closed(tokens, i) and not (kind == "RSQB" and tokens[opened].type == "LPAR")):
+        return "", False
+    place = _span(source, tokens[opened])
+    interval = opened > 0 and tokens[opened - 1].type in _TEMPORAL and {"RSQB", "_DOTS"} & accepted
+    where = f"line {place.line}, column {place.column}"
+    told = f"the {'interval' if interval else _BRACKETS[tokens[opened].type]} opened at {where} is not closed"
+    closers = [closer for name, closer in (("RSQB", "]"), ("RPAR", ")")) if name in accepted]
+    if not closers or (tokens[opened].type == "LPAR" and not interval and kind not in ("$END", "RSQB")):
+        return told, False
+    before = "" if kind == "$END" else f" before {str(tokens[i])!r}"
+    return f"{told}; write {' or '.join(closers)}{before}", True
+
+
+def _all_closed(tokens: Sequence[Token], i: int) -> bool:
+    """Whether token i and those behind it close every bracket that is open before it; an interval's ) counts too."""
+    depth = 0
+    for token in tokens[:i]:
+        depth = max(0, depth + _NESTING.get(token.type, 0))
+    for token in tokens[i:]:
+        depth += _NESTING.get(token.type, 0)
+    return depth <= 0
 
 
 def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:

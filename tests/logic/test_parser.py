@@ -2,7 +2,7 @@ import math
 from fractions import Fraction
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 import stltool as stl
@@ -146,7 +146,31 @@ def test_every_terminal_of_the_grammar_has_words():
         ("foo(x) > 2", "line 1, column 4", "foo is not a function"),
         ("a § b", "line 1, column 3", "the character '§' has no meaning here"),
         ("3x > 2", "line 1, column 1", "glued to letters"),
-        ("(a", "line 1, column 3", "the text ends here; expected ')'"),
+        (
+            "(a",
+            "line 1, column 3",
+            "the text ends here; the parenthesis opened at line 1, column 1 is not closed; write )",
+        ),
+        (
+            "F[0,T b",
+            "line 1, column 7",
+            "the interval opened at line 1, column 2 is not closed; write ] or ) before 'b'",
+        ),
+        ("F[0,5 -x > 3", "line 1, column 10", "the interval opened at line 1, column 2 is not closed; write ] or )"),
+        ("G[0,5] (F[0,3 a)", "line 1, column 15", "the interval opened at line 1, column 10 is not closed"),
+        ("F[0,3 F[0,5] a", "line 1, column 7", "the interval opened at line 1, column 2 is not closed"),
+        (
+            "F[0, (2+1] a",
+            "line 1, column 10",
+            "the parenthesis opened at line 1, column 6 is not closed; write ) before ']'",
+        ),
+        ("F[0 a", "line 1, column 5", "such as F[0,10]; the interval opened at line 1, column 2 is not closed"),
+        ("x[t > 3", "line 1, column 5", "the bracket opened at line 1, column 2 is not closed; write ] before '>'"),
+        ("abs(x > 3", "line 1, column 10", "the parenthesis opened at line 1, column 4 is not closed; write )"),
+        ("(a b", "line 1, column 4", "between 'a' and 'b'; the parenthesis opened at line 1, column 1 is not closed"),
+        ("G[0,5] (a &", "line 1, column 12", "expected a formula; the parenthesis opened at line 1, column 8 is not"),
+        ("a)", "line 1, column 2", "no parenthesis is open here; remove it, or open one before"),
+        ("F[0,5]] a", "line 1, column 7", "no bracket is open here; remove it, or open one before"),
         ("abs(x, y) > 1", "line 1, column 1", "abs takes one argument, here it has 2"),
         ("x > 1e400", "line 1, column 5", "too large for a double"),
     ],
@@ -161,6 +185,31 @@ def test_a_syntax_error_says_where_what_and_what_to_write(text, place, says):
     assert line.strip() in text
     assert set(caret.strip()) == {"^"}
     assert caret.index("^") - 4 == int(place.rsplit(" ", 1)[1]) - 1
+
+
+@given(phi=formulas(), data=st.data())
+def test_a_missing_bracket_is_named_with_the_one_it_should_close(phi, data):
+    text = str(phi)
+    closers = [place for place, character in enumerate(text) if character in "])"]
+    assume(closers)
+    place = data.draw(st.sampled_from(closers))
+    broken = text[:place] + text[place + 1 :]
+    with pytest.raises(StlSyntaxError, match=r"opened at line 1, column (\d+) is not closed") as caught:
+        stl.parse(broken)
+    column = int(str(caught.value).split("opened at line 1, column ")[1].split(" ")[0])
+    assert broken[column - 1] in "[("
+    at = int(str(caught.value).split("line 1, column ")[1].split(":")[0])
+    assert column < at
+
+
+def test_brackets_of_a_statement_are_its_own():
+    with pytest.raises(StlSyntaxError) as caught:
+        stl.parse_task('model "floor.toml\na := (b & F[0,3] c\nd := G[0,2 a\n')
+    message = str(caught.value)
+    assert "line 1, column 7: this quote is not closed; a file name ends with a quote on the same line" in message
+    assert "line 2, column 19: the statement ends here; the parenthesis opened at line 2, column 6 is not" in message
+    assert "line 3, column 12: 'a' cannot stand here; the interval opened at line 3, column 7 is not closed" in message
+    assert message.endswith("3 errors")
 
 
 @given(phi=formulas(), data=st.data())
