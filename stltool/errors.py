@@ -7,7 +7,9 @@ The command line prints the message and leaves with exit code 2; nobody sees a t
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+
+MOST_FAULTS = 20  # of a text that are told
 
 
 class StlToolError(Exception):
@@ -72,6 +74,19 @@ class FileError(StlToolError):
 
 class InexactEncodingWarning(UserWarning):
     """The chosen encoding, the flags of [Wang24], approximates the formula and may disagree with it."""
+
+
+def all_told(messages: Sequence[str], count: int | None = None) -> str:
+    """What is wrong with a text, one fault below the other: the first `MOST_FAULTS`, and how many there are.
+
+    `count` is their number where `messages` are only the first of them.
+    """
+    count = len(messages) if count is None else count
+    shown = list(messages[:MOST_FAULTS])
+    if count > 1:
+        more = f"; the first {len(shown)} are shown" if count > len(shown) else ""
+        shown.append(f"{count} errors{more}")
+    return "\n".join(shown)
 
 
 def near_misses(name: str, known: Iterable[str]) -> str:

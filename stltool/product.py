@@ -19,11 +19,11 @@ from stltool.automata.reach import reachable
 from stltool.display import Card, Displayed, counted
 from stltool.errors import NameLookupError, SettingsError, near_misses
 from stltool.logic.formula import Composable, Formula, bounded_formula_of, label_names, variables
-from stltool.logic.source import Span
 from stltool.logic.task import Task
 from stltool.models import MDP
 from stltool.monitoring.states import truth
 from stltool.sizes import require_memory
+from stltool.source import Span
 
 
 @dataclass(frozen=True, eq=False, repr=False)

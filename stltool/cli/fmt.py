@@ -27,8 +27,8 @@ def fmt(
     from stltool.files import read_text, write_atomically
     from stltool.logic.format import format_task
     from stltool.logic.lint import ambiguities
-    from stltool.logic.source import Source
     from stltool.logic.syntax import LONGEST_TEXT, read
+    from stltool.source import Source
 
     changed, refusals = [], []
     for path in files:

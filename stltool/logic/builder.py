@@ -45,9 +45,9 @@ from stltool.logic.formula import (
 )
 from stltool.logic.printer import term_text
 from stltool.logic.quantities import UNITS, Duration, Quantity
-from stltool.logic.source import Source, Span
 from stltool.logic.syntax import WORDS, Branch, Fault, Token, bare, branches
 from stltool.numbers import NumberError, double, number_text, read
+from stltool.source import Source, Span
 
 FORMULAS = get_args(Formula)
 _COMPARATOR_SPELLINGS = {"≤": "<=", "≥": ">=", "≠": "!="}

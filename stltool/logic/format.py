@@ -14,8 +14,8 @@ from typing import cast
 from stltool.errors import StlSyntaxError
 from stltool.logic.formula import ArithmeticOperator
 from stltool.logic.printer import STRENGTH, Kind, computed, needs_parentheses, negated
-from stltool.logic.source import Source
 from stltool.logic.syntax import Branch, Comment, Document, Token, bare, branches, read, refuse
+from stltool.source import Source
 
 WIDTH = 100
 _INDENT = 4

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal, NoReturn, TypeAlias, TypeVa
 from stltool.arguments import described, kind_name, require
 from stltool.display import Card, Displayed, cut
 from stltool.errors import ArgumentError, StlSyntaxError
-from stltool.logic.source import Span
+from stltool.source import Span
 
 if TYPE_CHECKING:
     from stltool.logic.task import Task

@@ -15,8 +15,8 @@ from typing import cast
 
 from stltool.errors import near_misses
 from stltool.logic.format import flat_text
-from stltool.logic.source import Span
 from stltool.logic.syntax import Branch, Document, Token, branches
+from stltool.source import Span
 
 _BINARY = ("iff", "xor", "implies", "or", "and", "until")
 _LONGEST_READING = 300

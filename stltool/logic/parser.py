@@ -12,10 +12,10 @@ from stltool.files import read_text
 from stltool.logic.builder import FORMULAS, Builder
 from stltool.logic.formula import Formula
 from stltool.logic.quantities import Duration, ParamValue, Quantity, duration, quantity
-from stltool.logic.source import Source
 from stltool.logic.syntax import LONGEST_TEXT, Document, read, refuse
 from stltool.logic.task import Task
 from stltool.numbers import NumberError
+from stltool.source import Source
 
 
 def parse(

@@ -40,8 +40,8 @@ from stltool.logic.formula import (
     formula_of,
     walk,
 )
-from stltool.logic.source import Span
 from stltool.logic.task import Task
+from stltool.source import Span
 
 MOST_OPERATORS = 200_000
 _DEEPEST = 200  # later walks recurse

@@ -20,14 +20,13 @@ from lark import Token as Token  # the builder and the formatter read tokens too
 from lark.exceptions import UnexpectedInput, UnexpectedToken
 from lark.parsers.lalr_interactive_parser import InteractiveParser
 
-from stltool.errors import StlSyntaxError
+from stltool.errors import MOST_FAULTS, StlSyntaxError, all_told
 from stltool.logic.grammar import grammar_text
-from stltool.logic.source import Source, Span
+from stltool.source import Source, Span
 
 Branch: TypeAlias = Tree[Token]
 
 LONGEST_TEXT = 2_000_000  # characters; a task file is a page, and a trace given for one should not fill memory
-_MOST_FAULTS = 20
 _EQUAL_HINT = "write == to compare, := to define"
 _TEMPORAL = ("_EVENTUALLY", "_ALWAYS", "_UNTIL")
 _TEMPORAL_WORDS = ("always", "globally", "eventually", "finally", "until")
@@ -176,11 +175,7 @@ def refuse(faults: Sequence[Fault]) -> None:
     """StlSyntaxError with all faults, in the order of the text, if there are any."""
     if not faults:
         return
-    shown = [fault.message for fault in sorted(faults, key=lambda fault: fault.start)[:_MOST_FAULTS]]
-    if len(faults) > 1:
-        more = f"; the first {len(shown)} are shown" if len(faults) > len(shown) else ""
-        shown.append(f"{len(faults)} errors{more}")
-    raise StlSyntaxError("\n".join(shown))
+    raise StlSyntaxError(all_told([fault.message for fault in sorted(faults, key=lambda fault: fault.start)]))
 
 
 # --------------------------------------------------------------------------------------------------- tokens
@@ -199,7 +194,7 @@ def _tokens(source: Source) -> tuple[list[Token], list[Fault]]:
             place = offset + (error.pos_in_stream or 0)
             faults.append(Fault(place, _foreign(source, place)))
             offset = place + len(_glued(source.text, place))
-            if len(faults) < _MOST_FAULTS:
+            if len(faults) < MOST_FAULTS:
                 continue
         return tokens, faults
 

@@ -44,7 +44,7 @@ from stltool.logic.formula import (
     variables,
 )
 from stltool.logic.semantics import COMPARE, robustness, satisfies
-from stltool.logic.source import Span
+from stltool.source import Span
 
 Floats: TypeAlias = NDArray[np.float64]
 Values: TypeAlias = Floats | np.float64

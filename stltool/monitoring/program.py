@@ -34,8 +34,8 @@ from stltool.logic.formula import (
     Or,
     Until,
 )
-from stltool.logic.source import Span
 from stltool.monitoring.comparisons import Predicate
+from stltool.source import Span
 
 Op = Literal["atom", "not", "and", "or", "iff", "eventually", "always", "until"]
 Atom: TypeAlias = Constant | Label | Predicate

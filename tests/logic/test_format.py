@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.errors import StlSyntaxError
 from stltool.logic.format import WIDTH, format_task
-from stltool.logic.source import Source
 from stltool.logic.syntax import read
+from stltool.source import Source
 from stltool.testing import formulas, predicates
 from tests.conftest import DATA, OUTSIDE, needs_outside
 

@@ -6,8 +6,8 @@ from hypothesis import given
 import stltool as stl
 from stltool.logic.format import format_task
 from stltool.logic.lint import ambiguities
-from stltool.logic.source import Source
 from stltool.logic.syntax import read
+from stltool.source import Source
 from stltool.testing import formulas
 
 
