@@ -32,7 +32,7 @@ from stltool.logic.formula import (
 from stltool.logic.task import Task
 from stltool.monitoring.offline import MonitorResult, monitor
 from stltool.numbers import shortest
-from stltool.reporting.figures import picture
+from stltool.reporting.drawing import INK, drawing, picture, shown
 from stltool.reporting.monitoring import both, robustness_text, true_ranges
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ COLUMNS = 1500  # of the time axis, each a step or an envelope of several
 PANELS, LANES, PREDICATES = 8, 12, 6  # signals, labels, and predicates on one signal, at most
 HOLDS, VIOLATED, UNJUDGED = "#0072b2", "#d55e00", "#cccccc"  # Okabe and Ito's blue and vermillion
 _PREDICATES = ("#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a7000", "#7f7f7f")
-_LABEL, _INK, _SMALL, _TINT = "#5f7f9f", "#222222", 8, 0.11
+_LABEL, _SMALL, _TINT = "#5f7f9f", 8, 0.11
 _LARGEST = 1e100  # what is beyond is drawn there: matplotlib computes with differences
 _LONGEST = 120  # characters of a formula in the title; half of it in a legend
 
@@ -71,9 +71,11 @@ def monitored(
     at: int | None = None,
 ) -> str | bytes:
     """The picture as a file's content; `kind` is svg, png or pdf."""
-    return picture(monitor_figure(result, signals, task, trace, at), kind, "monitor")
+    figure = monitor_figure(result, signals, task, trace, at)
+    return picture(figure, kind, "monitor", "a trace, its robustness and its verdicts")
 
 
+@drawing()
 def monitor_figure(
     result: MonitorResult,
     signals: dict[str, NDArray[Any]],
@@ -111,19 +113,19 @@ def monitor_figure(
             for handle in legend.legend_handles:
                 handle.set_alpha(1.0)  # where a tint would hardly show
     hidden = [
-        f"{shown} of the {all_} {what} are shown"
-        for shown, all_, what in ((len(panels), len(names), "signals"), (len(lanes), len(labels), "labels"))
-        if shown < all_
+        f"{drawn} of the {all_} {what} are shown"
+        for drawn, all_, what in ((len(panels), len(names), "signals"), (len(lanes), len(labels), "labels"))
+        if drawn < all_
     ]
     axes[-1].set(xlabel="; ".join(["step", *hidden]), xlim=(-0.5, result.n_steps - 0.5))
     figure.align_ylabels(axes[:-1])
-    figure.suptitle(_title(task, verdicts, robustness, trace, at), fontsize=10, x=0.01, ha="left", color=_INK)
+    figure.suptitle(_title(task, verdicts, robustness, trace, at), fontsize=10, x=0.01, ha="left", color=INK)
     return figure
 
 
 def _title(task: Task, verdicts: Booleans, robustness: Reals, trace: int | None, at: int | None) -> str:
     told = [] if trace is None else [f"trace {trace}"]
-    told += [] if task.path is None else [task.name]
+    told += [] if task.path is None else [shown(task.name)]
     if at is not None:
         verdict = f"step {at} {'holds' if verdicts[at] else 'violated'}, robustness {robustness_text(robustness[at])}"
     else:
@@ -131,12 +133,7 @@ def _title(task: Task, verdicts: Booleans, robustness: Reals, trace: int | None,
         count = int((~verdicts).sum())
         verdict = f"violated at {count} of {len(verdicts)} steps" if count else f"holds at all {len(verdicts)} steps"
         verdict += f"; least robustness {robustness_text(robustness[least])} at step {least}"
-    return ": ".join([*told, verdict]) + "\n" + _shortened(str(task.formula), _LONGEST)
-
-
-def _shortened(text: str, longest: int) -> str:
-    text = text if len(text) <= longest else text[: longest - 1] + "…"
-    return f" {text}" if text.startswith("_") else text  # which legends leave out
+    return ": ".join([*told, verdict]) + "\n" + shown(str(task.formula), _LONGEST)
 
 
 # -------------------------------------------------------------------------------------------------------- the panels
@@ -153,13 +150,14 @@ def _signal_panel(
     values = signals[name].astype(np.float64)
     xs, ys = envelope(values)
     few, whole = len(values) <= 150, len(xs) == len(values)
-    axes.plot(xs, ys, color=_INK, linewidth=1.1 if whole else 0.6, marker="." if few else None, markersize=3, zorder=3)
+    axes.plot(xs, ys, color=INK, linewidth=1.1 if whole else 0.6, marker="." if few else None, markersize=3, zorder=3,
+              gid="signal")  # fmt: skip
     tests = {node: threshold(node, name) for node in comparisons[:PREDICATES]}
     levels = [level for test in tests.values() for level in test.values]
     low, high = _limits(ys, levels)
     axes.set_ylim(low, high)
     for node, test in tests.items():
-        text = _shortened(str(node), _LONGEST // 2)
+        text = shown(str(node), _LONGEST // 2)
         try:
             truth = monitor(node, signals, semantics="boolean").verdicts
         except TraceError:  # no value at a step that the formula does not look at, such as 1/0
@@ -168,18 +166,20 @@ def _signal_panel(
         for i, (bottom, top) in enumerate(_sides(test, low, high)):
             _bands(axes, truth, bottom, top, colours[node], text if i == 0 else None)
         for level in (level for level in test.values if low <= level <= high):
-            axes.axhline(level, color=colours[node], linestyle="--", linewidth=1.0)
+            axes.axhline(level, color=colours[node], linestyle="--", linewidth=1.0, gid="threshold")
     if len(comparisons) > PREDICATES:
         axes.plot([], [], linestyle="", label=f"and {len(comparisons) - PREDICATES} more")
-    axes.set_ylabel(_shortened(name, _LONGEST // 4), fontsize=9)
+    axes.set_ylabel(shown(name, _LONGEST // 4), fontsize=9)
     axes.grid(axis="x", alpha=0.25)
 
 
 def _bands(axes: Axes, truth: Booleans, bottom: float, top: float, colour: str, label: str | None) -> None:
     """Light where a column has a step that holds, less light where all its steps do."""
     some, every = coarse(truth, np.logical_or), coarse(truth, np.logical_and)
-    for ranges, text in ((some, label), (every, None)):
-        axes.broken_barh(ranges, (bottom, top - bottom), facecolor=colour, alpha=_TINT, linewidth=0, label=text)
+    for ranges, text, name in ((some, label, "some"), (every, None, "every")):
+        axes.broken_barh(
+            ranges, (bottom, top - bottom), facecolor=colour, alpha=_TINT, linewidth=0, label=text, gid=name
+        )
 
 
 def _sides(test: Threshold, low: float, high: float) -> list[tuple[float, float]]:
@@ -211,9 +211,10 @@ def _limits(values: Reals, levels: Sequence[float]) -> tuple[float, float]:
 def _label_panel(axes: Axes, lanes: Sequence[str], signals: dict[str, NDArray[Any]]) -> None:
     for i, name in enumerate(lanes):
         truth = signals[name] != 0
-        for ranges in (coarse(truth, np.logical_or), coarse(truth, np.logical_and)):
-            axes.broken_barh(ranges, (i - 0.35, 0.7), facecolor=_LABEL, alpha=0.6, linewidth=0)
-    axes.set_yticks(range(len(lanes)), [_shortened(name, _LONGEST // 4) for name in lanes])
+        for part, combined in (("some", np.logical_or), ("every", np.logical_and)):
+            bars = coarse(truth, combined)
+            axes.broken_barh(bars, (i - 0.35, 0.7), facecolor=_LABEL, alpha=0.6, linewidth=0, gid=part)
+    axes.set_yticks(range(len(lanes)), [shown(name, _LONGEST // 4) for name in lanes])
     axes.set(ylim=(len(lanes) - 0.4, -0.6))
     axes.set_ylabel("labels", fontsize=9)
     axes.grid(axis="x", alpha=0.25)
@@ -223,13 +224,13 @@ def _robustness_panel(axes: Axes, robustness: Reals) -> None:
     """The finite part, on its side of zero in the verdicts' colours."""
     finite = np.isfinite(robustness)
     xs, ys = envelope(robustness)
-    axes.axhline(0.0, color=_INK, linewidth=0.8)
-    axes.plot(xs, ys, color=_INK, linewidth=1.1 if len(xs) == len(robustness) else 0.6)
+    axes.axhline(0.0, color=INK, linewidth=0.8)
+    axes.plot(xs, ys, color=INK, linewidth=1.1 if len(xs) == len(robustness) else 0.6, gid="robustness")
     drawn = np.isfinite(np.concatenate([[np.nan], ys, [np.nan]]))
     alone = drawn[1:-1] & ~drawn[:-2] & ~drawn[2:]  # between infinities, where a line has no length
-    axes.plot(xs[alone], ys[alone], linestyle="", marker=".", color=_INK, markersize=5)
-    for colour, side in ((HOLDS, ys >= 0), (VIOLATED, ys <= 0)):
-        axes.fill_between(xs, ys, 0.0, where=side, color=colour, alpha=0.25, linewidth=0, interpolate=True)
+    axes.plot(xs[alone], ys[alone], linestyle="", marker=".", color=INK, markersize=5, gid="alone")
+    for colour, side, name in ((HOLDS, ys >= 0, "positive"), (VIOLATED, ys <= 0, "negative")):
+        axes.fill_between(xs, ys, 0.0, where=side, color=colour, alpha=0.25, linewidth=0, interpolate=True, gid=name)
     axes.set_ylim(*_limits(np.append(ys[np.isfinite(ys)], 0.0), ()))
     if not finite.all():
         axes.plot([], [], linestyle="", label=f"infinite at {len(finite) - finite.sum()}\nof {len(finite)} steps")
@@ -244,12 +245,13 @@ def _verdict_strip(axes: Axes, verdicts: Booleans, n_steps: int) -> None:
     violated = coarse(~verdicts, np.logical_or)
     holding = coarse(verdicts, np.logical_and)
     if len(holding):
-        axes.broken_barh(holding, (0.25, 0.5), facecolor=HOLDS, linewidth=0, label="holds")
+        axes.broken_barh(holding, (0.25, 0.5), facecolor=HOLDS, linewidth=0, label="holds", gid="holds")
     if len(violated):
-        axes.broken_barh(violated, (0.0, 1.0), color=VIOLATED, linewidth=0.6, label="violated")  # never too thin to see
+        axes.broken_barh(violated, (0.0, 1.0), color=VIOLATED, linewidth=0.6, label="violated",  # never too thin to see
+                         gid="violated")  # fmt: skip
     if len(verdicts) < n_steps:
         rest = [(len(verdicts) - 0.5, n_steps - len(verdicts))]
-        axes.broken_barh(rest, (0.4, 0.2), facecolor=UNJUDGED, linewidth=0, label="not judged")
+        axes.broken_barh(rest, (0.4, 0.2), facecolor=UNJUDGED, linewidth=0, label="not judged", gid="unjudged")
     axes.set(ylim=(0, 1), yticks=[])
     axes.set_ylabel("verdict", fontsize=9, rotation=0, ha="right", va="center")
 
@@ -261,9 +263,9 @@ def _mark(panels: Iterable[Axes], step: int | None, verdicts: Booleans, first: b
     colour = HOLDS if verdicts[step] else VIOLATED
     *_, strip = panels
     for panel in panels:
-        panel.axvline(step, color=colour, linewidth=1.0, linestyle=":", zorder=4)
+        panel.axvline(step, color=colour, linewidth=1.0, linestyle=":", zorder=4, gid="mark")
     text = f"first violated: step {step}" if first else f"asked: step {step}"
-    strip.plot(step, 1.3, marker="v", color=colour, markersize=7, linestyle="", clip_on=False, label=text)
+    strip.plot(step, 1.3, marker="v", color=colour, markersize=7, linestyle="", clip_on=False, label=text, gid="first")
 
 
 # ---------------------------------------------------------------------------------------------------------- envelopes

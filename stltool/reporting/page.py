@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +48,7 @@ def load_report(path: str | Path) -> dict[str, Any]:
         if data["format"] not in (FORMAT, SWEEP_FORMAT):
             raise KeyError
         render(data)  # whatever is missing or of another type shows here
-    except (ValueError, LookupError, TypeError, AttributeError, RecursionError, jinja2.TemplateError):
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError, jinja2.TemplateError):
         raise FileError(
             f"{path}: not a report's JSON ({FORMAT}, {SWEEP_FORMAT}); write one with stltool run or sweep"
         ) from None
@@ -53,37 +56,54 @@ def load_report(path: str | Path) -> dict[str, Any]:
 
 
 def render(data: dict[str, Any]) -> str:
-    """The HTML page, pictures included; nothing is loaded from elsewhere."""
-    from stltool.reporting import figures
-
+    """The HTML page. The pictures in it are made here, from numbers and names; nothing is loaded from elsewhere, and a
+    content security policy allows nothing but the page's own style sheet."""
     if data["format"] == SWEEP_FORMAT:
         return render_sweep(data)
-    environment = _templates()
-    environment.globals["bound_texts"] = bound_texts
-    environment.globals.update(trace_text=trace_text, verdict_text=verdict_text)
+    from stltool.reporting.figures import learning_curve
+    from stltool.reporting.floor import floor_map
+
     why = data.get("why")  # reports of earlier versions have none
     likely = why["runs"] if why else []
     found = data.get("guarantees")  # nor these
-    return environment.get_template("report.html").render(
+    curve = None
+    if data["training"] and data["checks"]:
+        maximum = next((check for check in data["checks"] if check["question"] == "maximum"), None)
+        curve = learning_curve(data["training"]["history"], maximum and maximum["probability"])
+    floor, run = data["floor"], data["run"]
+    return _page(
+        "report.html",
         data=data,
         why=why,
         guarantees=guarantee_rows(found, data["checks"]) if found else [],
-        curve=figures.learning_curve(data) if data["training"] and data["checks"] else None,
-        floor=figures.floor_map(data) if data["floor"] else None,
-        likely_floor=figures.floor_map(data, likely[0]["state_indices"]) if data["floor"] and likely else None,
+        curve=curve,
+        floor=floor_map(floor, run["states"] if run else None) if floor else None,
+        likely_floor=floor_map(floor, likely[0]["state_indices"], "likely") if floor and likely else None,
+        bound_texts=bound_texts,
+        trace_text=trace_text,
+        verdict_text=verdict_text,
     )
 
 
 def render_sweep(data: dict[str, Any]) -> str:
-    """The HTML page of a sweep (`sweep_data`), pictures included; nothing is loaded from elsewhere."""
-    from stltool.reporting import figures, sweeps
+    """The HTML page of a sweep (`sweep_data`), as `render` makes it."""
+    from stltool.reporting import sweeps
+    from stltool.reporting.figures import learning_curves, line_chart
 
-    environment = _templates()
-    environment.globals.update(failure_text=sweeps.failure_text, panel_title=sweeps.panel_title)
-    curves = figures.learning_curves(data, "svg") if data["results"] else None
-    return environment.get_template("sweep.html").render(data=data, rows=sweeps.result_rows(data), curves=curves)
+    charts = [section["figure"] and line_chart(section["figure"], f"section-{i}")
+              for i, section in enumerate(data["sections"])]  # fmt: skip
+    return _page(
+        "sweep.html",
+        data=data,
+        rows=sweeps.result_rows(data),
+        curves=learning_curves(data, "svg") if data["results"] else None,
+        charts=charts,
+        failure_text=sweeps.failure_text,
+        panel_title=sweeps.panel_title,
+    )
 
 
+@cache
 def _templates() -> jinja2.Environment:
     loader = jinja2.PackageLoader("stltool.reporting", "templates")
     environment = jinja2.Environment(
@@ -91,3 +111,11 @@ def _templates() -> jinja2.Environment:
     )
     environment.filters["probability"] = probability_text
     return environment
+
+
+def _page(template: str, **content: Any) -> str:
+    environment = _templates()
+    css = environment.get_template("page.css").render()
+    digest = base64.b64encode(hashlib.sha256(css.encode("utf-8")).digest()).decode("ascii")
+    policy = f"default-src 'none'; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
+    return environment.get_template(template).render(css=css, policy=policy, **content)

@@ -25,8 +25,8 @@ def sweep_data(
 ) -> dict[str, Any]:
     """Everything that a sweep's report shows; scenarios and methods without a finished run are left out.
 
-    `sections` stand below the table: {"title": …, "text": …, "rows": [{column: value}], "figure": SVG or None} each;
-    before them those of reporting/story.py, where the sweep asks for its story.
+    `sections` stand below the table: {"title": …, "text": …, "rows": [{column: value}], "figure": …} each, with what
+    `figures.line_chart` draws, or None; before them those of reporting/story.py, where the sweep asks for its story.
     """
     sweep = result.sweep
     found: dict[tuple[str, str], list[RunResult]] = {}

@@ -127,7 +127,10 @@ def test_the_table_tells_what_was_found(result):
 def test_the_page_has_it_all_and_is_made_again_from_its_json(result, tmp_path):
     sections = [
         {"title": "Encodings", "text": "Sizes & such.", "rows": [{"scenario": "R", "flags": "6"}]},
-        {"title": "A picture", "figure": "<svg id='mine'></svg>"},
+        {
+            "title": "A picture",
+            "figure": {"x": "share of it", "y": "P", "lines": [{"name": "mine", "x": [0, 1], "y": [0, 1]}]},
+        },
     ]
     data = sweep_data(result, command="stltool sweep <made-up>.toml", sections=sections)
     paths = write_sweep(data, tmp_path / "out")
@@ -137,7 +140,7 @@ def test_the_page_has_it_all_and_is_made_again_from_its_json(result, tmp_path):
     page = paths[0].read_text(encoding="utf-8")
     for text in (
         "<h1>made-up</h1>", "6 of 18 runs finished, 3 failed", "C naive, seed 1: &lt;worse&gt;", "<h2>Encodings</h2>",
-        "Sizes &amp; such.", '<td class="number">6</td>', "<svg id='mine'></svg>", "stltool sweep &lt;made-up&gt;.toml",
+        "Sizes &amp; such.", '<td class="number">6</td>', ">share of it</text>", "stltool sweep &lt;made-up&gt;.toml",
         "R: reaching, floor-5x5, T = 2, tau = 3", "<th>0.99 P* at</th>", "<th>cf</th><td>cfer, as published, batch = 8",
     ):  # fmt: skip
         assert text in page, text
