@@ -1,19 +1,53 @@
-"""The pictures of README and docs, after `make demo` and `.venv/bin/stltool sweep examples/paper/table.toml`."""
+"""The pictures of README and docs: `python docs/pictures.py`, or with names, `python docs/pictures.py floor front`.
 
+learning-curve, floor  from out/patrolling, which `make demo` writes
+sweep                  from out/table, which `.venv/bin/stltool sweep examples/paper/table.toml --out out/table` writes
+front, monitor         by themselves
+"""
+
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import stltool as stl
 from stltool.files import write_atomically
-from stltool.reporting import load_report, write_front_picture
-from stltool.reporting.figures import floor_map, learning_curve, learning_curves
+from stltool.reporting import front_data, load_report
+from stltool.reporting.figures import learning_curves, pareto_front
+from stltool.reporting.monitor_figure import monitored
+from stltool.reporting.page import curve_picture, run_picture
 
 HERE = Path(__file__).parent
-data = load_report(HERE.parent / "out" / "patrolling" / "report.json")
-write_atomically(HERE / "learning-curve.svg", learning_curve(data))
-write_atomically(HERE / "floor.svg", floor_map(data))
-shift = HERE.parent / "examples" / "factory" / "tradeoff.stl"
-tasks = [stl.load_task(shift, task=name) for name in ("charging", "patrolling")]
-joint = stl.build_joint_product(stl.load_model(tasks[0].model), tasks)
-write_front_picture(stl.pareto(joint), HERE / "front.svg")
-paper = load_report(HERE.parent / "out" / "table" / "report.json")
-write_atomically(HERE / "sweep.svg", learning_curves(paper, "svg"))
+EXAMPLES, OUT = HERE.parent / "examples", HERE.parent / "out"
+
+
+def curve() -> str:
+    return str(curve_picture(load_report(OUT / "patrolling" / "report.json")))
+
+
+def floor() -> str:
+    return str(run_picture(load_report(OUT / "patrolling" / "report.json")))
+
+
+def front() -> str | bytes:
+    tasks = [stl.load_task(EXAMPLES / "factory" / "tradeoff.stl", task=name) for name in ("charging", "patrolling")]
+    joint = stl.build_joint_product(stl.load_model(tasks[0].model), tasks)
+    return pareto_front(front_data(stl.pareto(joint)), "svg")
+
+
+def monitor() -> str | bytes:
+    task = stl.load_task(EXAMPLES / "monitor" / "duty.stl")
+    trace = stl.load_trace(EXAMPLES / "monitor" / "shift.csv", ["battery", "x", "y", "docked"])
+    return monitored(stl.monitor(task, trace), trace, task, "svg")
+
+
+def sweep() -> str | bytes:
+    return learning_curves(load_report(OUT / "table" / "report.json"), "svg")
+
+
+PICTURES: dict[str, Callable[[], str | bytes]] = {
+    "learning-curve": curve, "floor": floor, "front": front, "monitor": monitor, "sweep": sweep,
+}  # fmt: skip
+
+if __name__ == "__main__":
+    for name in sys.argv[1:] or PICTURES:
+        write_atomically(HERE / f"{name}.svg", PICTURES[name]())

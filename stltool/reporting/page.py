@@ -60,29 +60,46 @@ def render(data: dict[str, Any]) -> str:
     content security policy allows nothing but the page's own style sheet."""
     if data["format"] == SWEEP_FORMAT:
         return render_sweep(data)
-    from stltool.reporting.figures import learning_curve
-    from stltool.reporting.floor import floor_map
-
     why = data.get("why")  # reports of earlier versions have none
-    likely = why["runs"] if why else []
     found = data.get("guarantees")  # nor these
-    curve = None
-    if data["training"] and data["checks"]:
-        maximum = next((check for check in data["checks"] if check["question"] == "maximum"), None)
-        curve = learning_curve(data["training"]["history"], maximum and maximum["probability"])
-    floor, run = data["floor"], data["run"]
     return _page(
         "report.html",
         data=data,
         why=why,
         guarantees=guarantee_rows(found, data["checks"]) if found else [],
-        curve=curve,
-        floor=floor_map(floor, run["states"] if run else None) if floor else None,
-        likely_floor=floor_map(floor, likely[0]["state_indices"], "likely") if floor and likely else None,
+        curve=curve_picture(data),
+        floor=run_picture(data),
+        likely_floor=likely_picture(data),
         bound_texts=bound_texts,
         trace_text=trace_text,
         verdict_text=verdict_text,
     )
+
+
+def curve_picture(data: dict[str, Any]) -> str | None:
+    """The learning curve of a report, where it has an exact one."""
+    from stltool.reporting.figures import learning_curve
+
+    if not data["training"] or not data["checks"]:
+        return None
+    maximum = next((check for check in data["checks"] if check["question"] == "maximum"), None)
+    return learning_curve(data["training"]["history"], maximum and maximum["probability"])
+
+
+def run_picture(data: dict[str, Any]) -> str | None:
+    """The floor of a report with the run that was sampled, where the model has a floor."""
+    from stltool.reporting.floor import floor_map
+
+    run = data["run"]
+    return floor_map(data["floor"], run["states"] if run else None) if data["floor"] else None
+
+
+def likely_picture(data: dict[str, Any]) -> str | None:
+    """The floor with the most probable violation, where there is one."""
+    from stltool.reporting.floor import floor_map
+
+    runs = data["why"]["runs"] if data.get("why") else []
+    return floor_map(data["floor"], runs[0]["state_indices"], "likely") if data["floor"] and runs else None
 
 
 def render_sweep(data: dict[str, Any]) -> str:

@@ -11,6 +11,7 @@ from functools import cache
 from xml.etree import ElementTree
 
 import numpy as np
+import pytest
 from matplotlib import rc_context
 from matplotlib.textpath import TextPath
 
@@ -39,6 +40,10 @@ class Panel:
 
     def _mapped(self, points):
         return np.stack([self.x(points[:, 0]), self.y(points[:, 1])], axis=1)
+
+    def names(self):
+        """What of the panel has a name."""
+        return {e.get("class") for e in self.element.iter()} - {None, "axes", "xtick", "ytick", "legend"}
 
     def shapes(self, name):
         """The lines and the polygons of a name, each as points (n, 2)."""
@@ -182,3 +187,19 @@ def overlapping(boxes, slack=0.25):
         for (i, a), (j, b) in itertools.combinations(enumerate(boxes), 2)
         if min(a[2], b[2]) - max(a[0], b[0]) > slack and min(a[3], b[3]) - max(a[1], b[1]) > slack
     ]
+
+
+def same_picture(one, other):
+    """Two pictures show the same: their texts, and the shapes and markers of every name, panel by panel."""
+    assert sorted(text.text for text in one.texts()) == sorted(text.text for text in other.texts())
+    assert len(one.panels) == len(other.panels)
+    for panel, twin in zip(one.panels, other.panels, strict=True):
+        room = np.array([np.ptp(panel.xlim), np.ptp(panel.ylim)])
+        assert (*panel.xlim, *panel.ylim) == pytest.approx((*twin.xlim, *twin.ylim), abs=0.01 * room.max())
+        assert panel.names() == twin.names()
+        for name in panel.names():
+            for a, b in itertools.chain(
+                zip(panel.shapes(name), twin.shapes(name), strict=True), [(panel.markers(name), twin.markers(name))]
+            ):
+                assert a.shape == b.shape
+                np.testing.assert_allclose(a / room, b / room, atol=0.005)

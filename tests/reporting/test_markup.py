@@ -123,7 +123,7 @@ def checked():
     product = stl.build_product(model, task)
     run = stl.learn(product, "cfer", episodes=40, seed=1)
     judged = stl.estimate(product, run.policy, runs=50, side="lower", seed=2)
-    found = [stl.guarantee(product, run.policy, run.counts), guarantee_data(judged, seed=3)]
+    found = [stl.guarantee(product, run.policy, run.counts), guarantee_data(judged)]
     checks = [stl.check(product, exact=True), stl.check(product, run.policy)]
     data = report_data(checks, run, source="task", command="stltool run", guarantees=found,
                        estimates=[stl.estimate(product, run.policy, runs=50, seed=4)])  # fmt: skip

@@ -1,0 +1,69 @@
+"""The pictures of README and docs are what their commands draw today.
+
+Compared in the units of their axes, not byte by byte: another version of matplotlib may move a margin.
+"""
+
+import importlib.util
+import re
+import shlex
+
+import pytest
+
+from stltool.reporting import load_report
+from tests.conftest import ROOT
+from tests.reporting.svg import Picture, same_picture
+from tests.reporting.test_floor import Picture as Floor
+from tests.reporting.test_floor import require_run
+
+DOCS = ROOT / "docs"
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    spec = importlib.util.spec_from_file_location("pictures", DOCS / "pictures.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    """The report of `make demo`, made by its own command with fewer fresh runs, which no picture shows."""
+    from typer.testing import CliRunner
+
+    from stltool.cli.app import app
+
+    [command] = re.findall(r"\$\(BIN\)/stltool (run .*)", (ROOT / "Makefile").read_text())
+    out = tmp_path_factory.mktemp("out")
+    words = [str(ROOT / word) if word.startswith("examples/") else word for word in shlex.split(command)]
+    words[words.index("--out") + 1] = str(out / "patrolling")
+    done = CliRunner().invoke(app, [*words, "--rollouts", "100"], catch_exceptions=False)
+    assert done.exit_code == 0
+    return out
+
+
+def committed(name):
+    return (DOCS / f"{name}.svg").read_text(encoding="utf-8")
+
+
+def test_every_picture_of_the_docs_has_its_command(pictures):
+    shown = {path.stem for path in DOCS.glob("*.svg")}
+    assert shown == set(pictures.PICTURES)
+    pages = "".join(path.read_text(encoding="utf-8") for path in [ROOT / "README.md", *DOCS.glob("*.md")])
+    assert shown == set(re.findall(r"!\[[^]]*\]\((?:docs/)?([\w-]+)\.svg\)", pages))
+
+
+@pytest.mark.parametrize("name", ["front", "monitor"])
+def test_a_committed_picture_is_what_is_drawn_today(pictures, name):
+    same_picture(Picture(committed(name)), Picture(pictures.PICTURES[name]()))
+
+
+@pytest.mark.parametrize("name", ["learning-curve", "floor"])
+def test_the_committed_pictures_of_the_demo(pictures, demo, monkeypatch, name):
+    monkeypatch.setattr(pictures, "OUT", demo)
+    same_picture(Picture(committed(name)), Picture(pictures.PICTURES[name]()))
+
+
+def test_the_committed_floor_has_the_demos_run(demo):
+    data = load_report(demo / "patrolling" / "report.json")
+    require_run(Floor(committed("floor")), data["floor"], data["run"]["states"])
