@@ -11,6 +11,8 @@ from typing import IO
 
 from stltool.errors import FileError
 
+_TRIAL = 1 << 16  # bytes that a folder for results must have room for
+
 
 def read_bytes(path: str | Path, what: str) -> bytes:
     """A file's content, or a FileError. `what` names the file's role ("policy file")."""
@@ -78,12 +80,22 @@ def require_replaceable(path: Path) -> None:
 
 
 def require_folder(path: str | Path) -> None:
-    """FileError before the work, where a folder for its results could not be made after it; makes nothing."""
+    """FileError before the work, where a folder for its results could not be made or written after it.
+
+    Tried with a file that has no name and is gone afterwards: nothing is made.
+    """
     existing = Path(path).resolve()
     while not existing.exists():
         existing = existing.parent
     if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
         raise FileError(f"{path}: cannot be a folder for results: {existing} is no folder to write in; name another")
+    try:
+        with tempfile.TemporaryFile(dir=existing) as file:
+            file.write(bytes(_TRIAL))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise FileError(f"{path}: cannot be a folder for results: {existing}: {error.strerror}; name another") from None
 
 
 def _umask() -> int:

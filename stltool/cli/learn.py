@@ -58,7 +58,7 @@ def learn(
 
     require_policy_file(out)
     if tensorboard is not None:
-        require_tensorboard()
+        require_tensorboard(tensorboard)
     product = make_product(task, model, param, name, encoding, as_json, nominal=nominal)
     with progress_bar(f"learning ({method})", quiet=as_json) as bar:
         training = stl.learn(
