@@ -31,7 +31,11 @@ def read_text(path: str | Path, what: str, most: int | None = None) -> str:
     """
     if most is not None and Path(path).is_file() and (size := Path(path).stat().st_size) > most:
         raise FileError(f"{path}: not a {what}: it has {size} bytes, and a {what} at most {most}")
-    data = read_bytes(path, what)
+    return text_of(read_bytes(path, what), path, what)
+
+
+def text_of(data: bytes, path: str | Path, what: str) -> str:
+    """The text that a file's bytes are, or a FileError that says why they are none."""
     if b"\0" in data:
         raise FileError(f"{path}: not a {what}: it holds binary data (a zero byte at offset {data.index(0)})")
     try:

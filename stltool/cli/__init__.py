@@ -8,6 +8,7 @@ import sys
 import traceback
 from typing import NoReturn
 
+from stltool import streams
 from stltool.cli.app import app
 from stltool.errors import StlToolError
 
@@ -24,14 +25,18 @@ __all__ = [
 
 def main() -> None:
     """The entry point: runs the app; a fault of the user's input ends with its message and exit code 2."""
+    streams.prepare()
     try:
-        app()
+        try:
+            app()
+        finally:
+            sys.stdout.flush()  # what cannot be written fails here, not when Python has ended
     except StlToolError as fault:
         _end(str(fault), 2)
     except (MemoryError, RecursionError) as fault:
         _end(f"too large for this machine ({type(fault).__name__}); shorten the windows or simplify the task", 2)
     except OSError as fault:
-        _end(f"{fault.filename or 'output'}: {fault.strerror}", 2)
+        _end(f"{fault.filename or 'output'}: {fault.strerror or fault}", 2)
     except Exception:  # our own fault: shown whole, and not mistaken for exit code 1, "does not hold"
         traceback.print_exc()
         _end("this is a fault of stltool, not of your input; please report it with the lines above", 3)

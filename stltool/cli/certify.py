@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated
@@ -39,7 +38,7 @@ def certify(
     from stltool.checking import require_certificate_of
     from stltool.recheck import NotACertificate, Refused
     from stltool.recheck import certify as recheck
-    from stltool.reporting.terminal import error, print_facts, progress_bar
+    from stltool.reporting.terminal import error, print_facts, print_json, progress_bar
 
     if policy is not None and task is None:
         raise SettingsError("--policy: a policy is read for a task; give TASK too")
@@ -49,7 +48,10 @@ def certify(
     except NotACertificate as refusal:
         raise CertificateError(f"{file}: {refusal}; write one with stltool check --certificate") from None
     except Refused as refusal:
-        error(f"{file}: refused: {refusal}")
+        if as_json:
+            print_json({"proved": False, "refused": str(refusal)})
+        else:
+            error(f"{file}: refused: {refusal}")
         raise typer.Exit(1) from None
     except FileNotFoundError:
         raise CertificateError(f"{file}: there is no such certificate") from None
@@ -59,7 +61,7 @@ def certify(
         nominal = product.model.intervals is not None
         proved |= {"task": product.task_name, "encoding": product.automaton.encoding, "nominal": nominal}
     if as_json:
-        print(json.dumps(proved | {"proved": True, "compared_with": str(task) if task is not None else None}))
+        print_json(proved | {"proved": True, "compared_with": str(task) if task is not None else None})
         return
     with long_numbers():
         lower, upper = bound_texts(*(Fraction(proved[key]) for key in ("lower", "upper")))

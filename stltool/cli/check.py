@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated
@@ -57,7 +56,7 @@ def check(
     from stltool.checking.certificate import require_certificate_file
     from stltool.policy import require_policy_file
     from stltool.reporting import check_data
-    from stltool.reporting.terminal import print_checks, print_facts, progress_bar
+    from stltool.reporting.terminal import print_checks, print_facts, print_json, progress_bar
 
     bounds: list[tuple[str, str, Fraction]] = [
         (option, text, read_probability(text, option))
@@ -100,7 +99,7 @@ def check(
         data["holds"] = all(holds is True for _, holds in verdicts)
         data["decided"] = all(holds is not None for _, holds in verdicts)
     if as_json:
-        print(json.dumps(data))
+        print_json(data)
     else:
         print_facts({"task": f"{product.task_name} := {product.formula}"})
         if uncertain:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Annotated, Any
 
 import typer
@@ -55,7 +54,7 @@ def estimate(
     import stltool as stl
     from stltool.checking.statistical import hypotheses, planned_runs
     from stltool.reporting import estimate_data
-    from stltool.reporting.terminal import print_facts, progress_bar
+    from stltool.reporting.terminal import print_facts, print_json, progress_bar
 
     fixed = _given(runs=runs, epsilon=epsilon, confidence=confidence, side=side)
     sequential = _given(indifference=indifference, alpha=alpha, beta=beta, most_runs=most_runs)
@@ -96,7 +95,7 @@ def estimate(
             result = stl.sprt(product, chosen, bound, seed=seed, progress=bar, **sequential)
     data = estimate_data(result, product, chosen, truth)
     if as_json:
-        print(json.dumps(data))
+        print_json(data)
     else:
         steps = f", {result.steps} steps" if isinstance(result, stl.Estimate) else ""
         facts = {

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from decimal import Decimal
 from typing import Any
-
-import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Params, Step, TaskName, TaskOrFormula
@@ -29,31 +26,31 @@ def explain(
     read the text differently.
     """
     import stltool as stl
-    from stltool.reporting.terminal import print_facts, print_table, print_tree
+    from stltool.reporting.terminal import print_facts, print_json, print_table, print_tree
 
     loaded = load_task_or_formula(task, param, name, step)
     world = task_model(loaded, model) if model is not None or loaded.model is not None else None
     with warnings_shown():
         facts = stl.explain(loaded, world, encoding)  # type: ignore[arg-type]  # checked there, with a message
     if as_json:
-        print(json.dumps(facts))
+        print_json(facts)
         return
     print_facts(_shown(facts))
     print()
     print_tree(facts["tree"])
     if "parts" in facts:
-        typer.echo("\nparts of the automaton (a start's truth is known `delay` steps after it):")
+        print("\nparts of the automaton (a start's truth is known `delay` steps after it):")
         print_table(facts["parts"])
     trace = facts.get("disagrees_on")
     if trace is not None:
-        typer.echo(
-            "\na shortest trace on which the encoding and the formula disagree (without a model, comparisons are"
+        print(
+            "\na shortest trace on which the encoding and the formula disagree (without a model, comparisons are\n"
+            "taken as independent of each other):"
         )
-        typer.echo("taken as independent of each other):")
         print_table(trace["steps"])
-        typer.echo(f"the encoding says {trace['encoding_says']}, the formula is {trace['formula_is']}")
+        print(f"the encoding says {trace['encoding_says']}, the formula is {trace['formula_is']}")
     for advice in facts.get("warnings", []) + facts["ambiguities"]:
-        typer.echo(f"\nwarning: {advice}")
+        print(f"\nwarning: {advice}")
 
 
 def _shown(facts: dict[str, Any]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import Encoding, Model, Params, TaskFile, TaskName
+from stltool.cli.options import AsJson, Encoding, Model, Params, TaskFile, TaskName
 from stltool.cli.steps import bind, compile_task, read_params, task_model
 from stltool.errors import SettingsError
 
@@ -22,11 +22,13 @@ def export(
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
+    as_json: AsJson = False,
 ) -> None:
     """The task's automaton in another format: states say what they remember, edges which labels take them."""
     import stltool as stl
     from stltool.automata.graph import to_dot
     from stltool.files import write_atomically
+    from stltool.reporting.terminal import print_json, print_text
 
     if to != "dot":
         raise SettingsError(f"--to {to}: there is no such format; known: dot")
@@ -38,5 +40,11 @@ def export(
     text = to_dot(automaton)
     if out is not None:
         write_atomically(out, text)
-    else:
-        typer.echo(text, nl=False)
+    if as_json:
+        print_json({
+            "task": loaded.name, "formula": str(loaded.formula), "horizon": automaton.horizon, "encoding": encoding,
+            "automaton_states": automaton.n_states, "to": to, "out": str(out) if out is not None else None,
+            "text": text if out is None else None,
+        })  # fmt: skip
+    elif out is None:
+        print_text(text)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from stltool.cli.app import app
+from stltool.cli.options import AsJson
 from stltool.errors import StlToolError
 
 
@@ -18,39 +19,51 @@ def fmt(
     check: Annotated[
         bool, typer.Option("--check", help="write nothing; exit code 1 if a file is not in its canonical layout")
     ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Put task files into their canonical layout; comments stay, and the meaning provably does.
 
     Places that other tools would read differently are told, with the reading that holds here. A file that does not
     parse is left alone, its errors are told, and the exit code is 2.
     """
-    from stltool.files import read_text, write_atomically
+    from stltool.files import read_text, text_of, write_atomically
     from stltool.logic.format import format_task
     from stltool.logic.lint import ambiguities
     from stltool.logic.syntax import LONGEST_TEXT, read
+    from stltool.reporting.terminal import print_json, print_text, warn
     from stltool.source import Source
 
-    changed, refusals = [], []
+    told: list[dict[str, Any]] = []
     for path in files:
         piped = str(path) == "-"
         name = "standard input" if piped else str(path)
         try:
-            text = sys.stdin.read() if piped else read_text(path, "task file", LONGEST_TEXT)
+            if piped:
+                text = text_of(sys.stdin.buffer.read(), name, "task file")
+            else:
+                text = read_text(path, "task file", LONGEST_TEXT)
             laid_out = format_task(text, name)
         except StlToolError as refusal:
-            refusals.append(str(refusal))
+            told.append({"file": name, "error": str(refusal)})
             continue
-        for advice in ambiguities(read(Source(name, text), "task")):
-            typer.echo(f"warning: {advice}", err=True)
-        if laid_out != text:
-            changed.append(name)
+        advices = [str(advice) for advice in ambiguities(read(Source(name, text), "task"))]
+        told.append({"file": name, "changed": laid_out != text, "ambiguities": advices})
+        if not check and not piped and laid_out != text:
+            write_atomically(path, laid_out)
+        if piped and not check and as_json:
+            told[-1]["text"] = laid_out
+        if as_json:
+            continue
+        for advice in advices:
+            warn(advice)
         if piped and not check:
-            print(laid_out, end="")
+            print_text(laid_out)
         elif laid_out != text:
-            if not check:
-                write_atomically(path, laid_out)
             print(f"{name}: {'would be laid out anew' if check else 'laid out anew'}")
+    if as_json:
+        print_json({"check": check, "files": told})
+    refusals = [file["error"] for file in told if "error" in file]
     if refusals:
         raise StlToolError("\n".join(refusals))
-    if check and changed:
+    if check and any(file["changed"] for file in told):
         raise typer.Exit(1)

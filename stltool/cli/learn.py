@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -54,7 +53,7 @@ def learn(
     from stltool.policy import require_policy_file
     from stltool.reporting import training_data, write_history
     from stltool.reporting.tensorboard import require_tensorboard, write_tensorboard
-    from stltool.reporting.terminal import print_facts, progress_bar
+    from stltool.reporting.terminal import print_facts, print_json, progress_bar
 
     require_policy_file(out)
     if tensorboard is not None:
@@ -71,7 +70,7 @@ def learn(
     if tensorboard is not None:
         write_tensorboard(training, tensorboard)
     if as_json:
-        print(json.dumps({"task": product.task_name, "formula": str(product.formula), **training_data(training)}))
+        print_json({"task": product.task_name, "formula": str(product.formula), **training_data(training)})
         return
     exact = training.history[-1].probability
     unknown = "unknown: the model is a black box; stltool estimate --policy bounds it"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -64,7 +63,7 @@ def monitor(
         step_lines,
         trace_rows,
     )
-    from stltool.reporting.terminal import print_facts, print_table, working
+    from stltool.reporting.terminal import print_facts, print_json, print_table, working
 
     if end not in _ENDS:
         raise SettingsError(f"--end {end}: choose {', '.join(_ENDS)}")
@@ -88,20 +87,20 @@ def monitor(
         with working(f"drawing {plot}", quiet=as_json):
             write_monitor_picture(result, signals, loaded, plot, shown, at)
     if as_json:
-        print(json.dumps(data))
+        print_json(data)
     else:
         print_facts(monitor_facts(data))
         rows, more = range_rows(data) if shown is None else trace_rows(data)
         if rows and (at is None or shown is not None):
-            typer.echo()
+            print()
             print_table(rows)
             if more:
-                typer.echo(f"and {more} more; --json has all")
+                print(f"and {more} more; --json has all")
         if steps:
-            typer.echo(f"\ntrace {shown}:" if shown is not None else "")
-            typer.echo("\n".join(step_lines(data, shown)))
+            print(f"\ntrace {shown}:" if shown is not None else "")
+            print("\n".join(step_lines(data, shown)))
         if plot is not None:
-            typer.echo()
+            print()
             print_facts({"plot": f"{plot}" + (f", trace {shown}" if shown is not None else "")})
     if not data["holds"]:
         raise typer.Exit(1)

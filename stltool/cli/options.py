@@ -25,7 +25,9 @@ Params = Annotated[
     list[str] | None, typer.Option("--param", "-p", metavar="NAME=VALUE", help="override a param of the file")
 ]
 TaskName = Annotated[str | None, typer.Option("--task", help="the definition to use; default: the last one")]
-Encoding = Annotated[str, typer.Option("--encoding", help="exact, paper (Wang et al. 2024: flags) or history (τ-MDP)")]
+Encoding = Annotated[
+    str, typer.Option("--encoding", help="exact, paper (Wang et al. 2024: flags) or history (tau-MDP)")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON object instead of a table")]
 Method = Annotated[str, typer.Option("--method", "-m", help="cfer, model-based, naive or naive-er; cfper as published")]
 Faithful = Annotated[bool, typer.Option("--faithful", help="the method as published, its slips included")]

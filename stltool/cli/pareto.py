@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -28,7 +27,7 @@ def pareto(
     """The Pareto front of two tasks: the probabilities that no policy improves in one without losing in the other."""
     import stltool as stl
     from stltool.reporting import front_data, write_front_picture
-    from stltool.reporting.terminal import print_facts, print_table, progress_bar
+    from stltool.reporting.terminal import print_facts, print_json, print_table, progress_bar
     from stltool.reporting.tradeoffs import require_picture
 
     names = [name.strip() for name in tasks.split(",")]
@@ -44,10 +43,10 @@ def pareto(
     if plot is not None:
         write_front_picture(front, plot)
     if as_json:
-        print(json.dumps(front_data(front)))
+        print_json(front_data(front))
         return
     print_facts({name: product.formula for name, product in zip(names, joint.tasks, strict=True)})
-    typer.echo("\ncorners of the front; between neighbours, policies mix:")
+    print("\ncorners of the front; between neighbours, policies mix:")
     print_table(
         [
             {
@@ -57,7 +56,7 @@ def pareto(
             for corner in front.corners
         ]
     )
-    typer.echo()
+    print()
     print_facts({
         "front": f"{front.status}; {front.inductions} backward inductions, {front.seconds:.1f} s",
         "gap": f"{front.gap:.3g} at most above the segments",

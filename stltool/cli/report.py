@@ -8,18 +8,25 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
+from stltool.cli.options import AsJson
 
 
 @app.command()
 def report(
     data: Annotated[list[Path], typer.Argument(help="report.json files of earlier runs", show_default=False)],
+    as_json: AsJson = False,
 ) -> None:
     """Make the HTML page of a report again from its JSON, beside it."""
     from stltool.files import write_atomically
     from stltool.reporting import load_report, render
-    from stltool.reporting.terminal import print_facts
+    from stltool.reporting.terminal import print_facts, print_json
 
-    for path in data:
-        page = path.with_suffix(".html")
-        write_atomically(page, render(load_report(path)))
+    pages = [path.with_suffix(".html") for path in data]
+    texts = [render(load_report(path)) for path in data]
+    for page, text in zip(pages, texts, strict=True):
+        write_atomically(page, text)
+    if as_json:
+        print_json({"reports": list(map(str, pages))})
+        return
+    for page in pages:
         print_facts({"report": page})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
 from pathlib import Path
@@ -57,7 +56,7 @@ def run(
     from stltool.checking.statistical import planned_runs
     from stltool.files import read_text, require_folder
     from stltool.reporting import guarantee_rows, report_data, write_report
-    from stltool.reporting.terminal import print_checks, print_facts, print_table, progress_bar
+    from stltool.reporting.terminal import print_checks, print_facts, print_json, print_table, progress_bar
 
     planned_runs(rollouts or None, confidence=confidence, side="lower")
     product = make_product(
@@ -87,7 +86,7 @@ def run(
     training.policy.save(folder / "policy.npz")
     write_report(data, folder / "report.html")
     if as_json:
-        print(json.dumps(data))
+        print_json(data)
         return
     print_facts({
         "task": f"{product.task_name} := {product.formula}",

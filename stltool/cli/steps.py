@@ -12,8 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from stltool.errors import InexactEncodingWarning, SettingsError
 from stltool.numbers import NumberError, guess, read
 
@@ -159,11 +157,13 @@ def compile_task(task: Task, encoding: str) -> TaskAutomaton:
 
 @contextmanager
 def warnings_shown() -> Iterator[None]:
+    from stltool.reporting.terminal import warn
+
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", InexactEncodingWarning)
         yield
     for warning in caught:
-        typer.echo(f"warning: {warning.message}", err=True)
+        warn(str(warning.message))
 
 
 def read_params(pairs: list[str] | None) -> dict[str, str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Annotated, Any
 
 import typer
@@ -29,14 +28,14 @@ def surrogate(
     from stltool.checking.surrogate import READINGS
     from stltool.reporting import product_data, surrogate_data
     from stltool.reporting.story import gap_text, reading_text
-    from stltool.reporting.terminal import print_facts, print_table, progress_bar
+    from stltool.reporting.terminal import print_facts, print_json, print_table, progress_bar
 
     product = make_product(task, model, param, name, "exact", as_json, learning=False, nominal=nominal)
     with progress_bar("solving the surrogate", quiet=as_json) as bar:
         results = [stl.surrogate_optimum(product, reading, gamma=gamma, progress=bar) for reading in READINGS]
     data: dict[str, Any] = {**product_data(product), "surrogates": [surrogate_data(result) for result in results]}
     if as_json:
-        print(json.dumps(data))
+        print_json(data)
         return
     print_facts({"task": f"{product.task_name} := {product.formula}", "P*": f"{results[0].optimum.probability:.15g}"})
     print_table([

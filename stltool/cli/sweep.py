@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
 from pathlib import Path
@@ -25,7 +24,7 @@ def sweep(
     ] = None,
     seeds: Annotated[
         str | None,
-        typer.Option("--seeds", metavar="N|N,N", help="how many seeds (0 …), or which, instead of the file's"),
+        typer.Option("--seeds", metavar="N|N,N", help="how many seeds (0, 1, ...), or which, instead of the file's"),
     ] = None,
     workers: Annotated[
         int | None, typer.Option("--workers", "-w", help="processes; default: the machine's cores")
@@ -45,7 +44,7 @@ def sweep(
     from stltool.learning.sweep import finished_runs
     from stltool.reporting import sweep_data, write_sweep
     from stltool.reporting.sweeps import failure_text, failures_data, result_rows
-    from stltool.reporting.terminal import error, print_facts, print_table, sweep_bar
+    from stltool.reporting.terminal import error, print_facts, print_json, print_table, sweep_bar
 
     if workers is not None and cluster is not None:
         raise SettingsError("--workers and --cluster: a cluster has the workers it has; give one of the two")
@@ -69,14 +68,14 @@ def sweep(
     data = sweep_data(stl.SweepResult(shown, known.runs, result.failures, result.skipped), command)
     paths = write_sweep(data, folder) if known.runs else []
     if as_json:
-        print(json.dumps(data))
+        print_json(data)
     else:
         print_table(result_rows(data))
         for section in data["sections"]:
-            typer.echo(f"\n{section['title']}: {section['text']}")
+            print(f"\n{section['title']}: {section['text']}")
             print_table(section["rows"])
         if paths:
-            typer.echo()
+            print()
         print_facts({
             "runs": f"{len(result.runs)} finished, {result.skipped} of them before; {len(result.failures)} failed",
             **({"report": paths[0], "data": ", ".join(path.name for path in paths[1:])} if paths else {}),
@@ -92,7 +91,7 @@ def _dry_run(part: Any, folder: Path, workers: int | None, as_json: bool) -> Non
     import os
 
     from stltool.learning.sweep import estimated_seconds, finished_runs
-    from stltool.reporting.terminal import kernels_ready, print_facts, print_table
+    from stltool.reporting.terminal import kernels_ready, print_facts, print_json, print_table
 
     known = finished_runs(part, folder)
     done = {(run.scenario, run.method, run.seed) for run in known.runs}
@@ -109,7 +108,7 @@ def _dry_run(part: Any, folder: Path, workers: int | None, as_json: bool) -> Non
             {"scenario": scenario, "method": method, "seeds": seeds, "seconds_each": seconds.get((scenario, method))}
             for (scenario, method), seeds in rows.items()
         ]
-        print(json.dumps({"finished": len(done), "runs": runs, "workers": used, "seconds": work / used}))
+        print_json({"finished": len(done), "runs": runs, "workers": used, "seconds": work / used})
         return
     print_table([
         {"scenario": scenario, "method": method, "seeds": ", ".join(map(str, seeds)),

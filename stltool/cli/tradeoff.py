@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated
@@ -38,7 +37,7 @@ def tradeoff(
     import stltool as stl
     from stltool.policy import require_policy_file
     from stltool.reporting import tradeoff_data
-    from stltool.reporting.terminal import print_facts, print_table, progress_bar
+    from stltool.reporting.terminal import print_facts, print_json, print_table, progress_bar
 
     at_least = _read_bounds(require, ">=", "--require", "patrolling>=0.9")
     budgets = _read_bounds(budget, "<=", "--budget", "fuel<=12")
@@ -53,10 +52,10 @@ def tradeoff(
     if save_policy is not None and result.policy is not None:
         result.policy.save(save_policy)
     if as_json:
-        print(json.dumps(tradeoff_data(result)))
+        print_json(tradeoff_data(result))
         return
     print_facts({name: product.formula for name, product in zip(names, joint.tasks, strict=True)})
-    typer.echo()
+    print()
     figures = {f"P({name})": (figure, name, ">=", at_least) for name, figure in result.probabilities.items()}
     figures |= {f"E[{name}]": (figure, name, "<=", budgets) for name, figure in result.costs.items()}
     asked = {name: f">= {number_text(bound)}" for name, bound in at_least.items()}
@@ -74,7 +73,7 @@ def tradeoff(
             for shown, (figure, name, sign, bounds) in figures.items()
         ]
     )
-    typer.echo()
+    print()
     size = result.size
     print_facts({
         "no policy exceeds": f"P({maximize}) = {result.bound:.12g}, a gap of {result.gap:.3g}",

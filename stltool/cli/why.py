@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Annotated
 
 import typer
@@ -37,7 +36,7 @@ def why(
     """Why P is what it is: the most probable runs that violate the task, and the states whose success moves P most."""
     import stltool as stl
     from stltool.reporting import likely_data, product_data, sensitivity_data
-    from stltool.reporting.terminal import print_facts, print_likely, print_sensitive, progress_bar
+    from stltool.reporting.terminal import print_facts, print_json, print_likely, print_sensitive, progress_bar
 
     if minimize and policy is not None:
         raise SettingsError("--minimize asks for the worst of all policies, --policy for a given one; keep one of them")
@@ -72,7 +71,7 @@ def why(
         "sensitive": sensitivity_data(moves, states),
     }
     if as_json:
-        print(json.dumps(data))
+        print_json(data)
         return
     print_facts({
         "task": f"{product.task_name} := {product.formula}",

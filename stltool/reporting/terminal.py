@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +19,7 @@ from stltool.kernels.jit import compiling
 from stltool.learning.sweep import SweepProgress
 from stltool.numbers import bound_texts, probability_text
 from stltool.reporting.runs import trace_text, verdict_text
+from stltool.streams import printable
 
 _PATIENCE = 2.0  # seconds without a word
 Advance = Callable[..., None]
@@ -229,6 +232,7 @@ def print_sensitive(rows: list[dict[str, Any]]) -> None:
 
 
 def _print_columns(rows: list[tuple[str, ...]]) -> None:
+    rows = [tuple(map(printable, row)) for row in rows]
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
     console = Console(soft_wrap=True, highlight=False)
     for row in rows:
@@ -236,6 +240,22 @@ def _print_columns(rows: list[tuple[str, ...]]) -> None:
         console.print(Text.assemble((cells[0], "bold"), "  ", "  ".join(cells[1:]).rstrip()))
 
 
+def print_json(data: dict[str, Any]) -> None:
+    """One JSON object on a line, strictly: no NaN, no infinity."""
+    print(json.dumps(data, allow_nan=False))
+
+
+def print_text(text: str) -> None:
+    """A file's text as a file would hold it: UTF-8, whatever the terminal's encoding."""
+    sys.stdout.flush()
+    sys.stdout.buffer.write(text.encode())
+
+
 def error(message: str) -> None:
     """A message about the user's input, as plain text on stderr."""
     Console(stderr=True, soft_wrap=True, highlight=False, markup=False).print(f"error: {message}")
+
+
+def warn(message: str) -> None:
+    """What the user should know of, on stderr, where it does not mix with results."""
+    print(f"warning: {message}", file=sys.stderr)

@@ -36,11 +36,11 @@ def test_check_writes_nothing_and_tells_by_its_exit_code(stltool, task):
 
 
 def test_a_pipe(stltool, monkeypatch):
-    monkeypatch.setattr(sys, "stdin", io.StringIO(UNTIDY))
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(UNTIDY.encode())))
     code, out, err = stltool("fmt", "-")
     assert (code, out) == (0, TIDY)
     assert "warning: standard input, line 2, column 4" in err
-    monkeypatch.setattr(sys, "stdin", io.StringIO(UNTIDY))
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(UNTIDY.encode())))
     assert stltool("fmt", "--check", "-")[:2] == (1, "standard input: would be laid out anew\n")
 
 

@@ -1,0 +1,81 @@
+"""The standard streams as the command line needs them, whatever they are connected to.
+
+Where a stream's encoding lacks a character (a redirect on Windows, `PYTHONIOENCODING=ascii`), a readable stand-in is
+printed: tau, x, ->, <=. Where nobody reads on (`| head`), the rest is dropped, and the exit code stays what it is.
+"""
+
+from __future__ import annotations
+
+import codecs
+import errno
+import io
+import os
+import sys
+import unicodedata
+from typing import Any
+
+_STAND_INS = {
+    "×": "x", "·": "*", "−": "-", "–": "-", "—": "-", "…": "...", "•": "*", "→": "->", "←": "<-", "↔": "<->", "⇒": "=>",
+    "≤": "<=", "≥": ">=", "≠": "!=", "≈": "~", "∞": "inf", "∧": "&", "∨": "|", "¬": "!", "∈": "in", "∑": "sum",
+    "‘": "'", "’": "'", "“": '"', "”": '"', "█": "#", "✓": "yes", "✗": "no",
+}  # fmt: skip
+
+
+def prepare() -> None:
+    """Make stdout and stderr print what they can, and outlive their reader."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if not isinstance(stream, io.TextIOWrapper):
+            continue
+        stream.flush()
+        try:
+            raw = None if stream.isatty() else _Outlet(stream.fileno(), "wb", closefd=False)
+        except OSError:  # not connected to a file: a test's
+            raw = None
+        if raw is None:
+            stream.reconfigure(errors="stltool")
+        else:
+            options: dict[str, Any] = {"encoding": stream.encoding, "line_buffering": stream.line_buffering}
+            setattr(sys, name, io.TextIOWrapper(io.BufferedWriter(raw), errors="stltool", **options))
+
+
+def printable(text: str) -> str:
+    """The text as stdout will show it, so that columns can be measured."""
+    encoding = sys.stdout.encoding or "utf-8"
+    return text.encode(encoding, errors="stltool").decode(encoding)
+
+
+class _Outlet(io.FileIO):
+    """A file that goes nowhere once it cannot be written: without a word where nobody reads on."""
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            nothing = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nothing, self.fileno())
+            os.close(nothing)
+            if error.errno not in (errno.EPIPE, errno.EINVAL):  # the latter is a closed pipe's on Windows
+                raise
+            return super().write(data)
+
+
+def stand_in(character: str) -> str:
+    """What an encoding prints that lacks the character: one or a few ASCII characters."""
+    if character in _STAND_INS:
+        return _STAND_INS[character]
+    words = unicodedata.name(character, "").split()
+    if words[:1] == ["GREEK"] and words[2:3] == ["LETTER"]:
+        letter = words[3].lower()
+        return letter.capitalize() if words[1] == "CAPITAL" else letter
+    if words[:2] == ["BOX", "DRAWINGS"]:
+        return {"HORIZONTAL": "-", "VERTICAL": "|"}.get(" ".join(words[3:]), "+")
+    return character.encode("ascii", errors="backslashreplace").decode()
+
+
+def _replace(error: UnicodeError) -> tuple[str, int]:
+    assert isinstance(error, UnicodeEncodeError)
+    return "".join(map(stand_in, error.object[error.start : error.end])), error.end
+
+
+codecs.register_error("stltool", _replace)

@@ -1,0 +1,53 @@
+"""One working invocation of every command, on files that `folder_of_inputs` makes: for tests over all commands."""
+
+import shutil
+
+import typer.main
+
+import stltool as stl
+from stltool.cli import app
+from tests.conftest import FACTORY
+
+COMMANDS = typer.main.get_command(app).commands
+SMALL = ("-p", "T=3", "-p", "tau=8")
+SWEEP = """
+[sweep]
+seeds = 1
+settings = { episodes = 20 }
+[[method]]
+name = "cfer"
+[[scenario]]
+id = "P"
+task = "patrolling.stl"
+params = { T = 3, tau = 8 }
+"""
+CASES = {
+    "run": ["patrolling.stl", *SMALL, "--episodes", "20", "--rollouts", "100", "--out", "out"],
+    "check": ["patrolling.stl", *SMALL, "--policy", "policy.npz"],
+    "why": ["patrolling.stl", *SMALL],
+    "surrogate": ["patrolling.stl", *SMALL],
+    "tradeoff": ["tradeoff.stl", *SMALL, "--maximize", "charging", "--budget", "C<=2"],
+    "pareto": ["tradeoff.stl", *SMALL, "--tasks", "charging,patrolling"],
+    "certify": ["certificate.jsonl", "patrolling.stl", *SMALL],
+    "estimate": ["patrolling.stl", *SMALL, "--policy", "policy.npz", "--runs", "100"],
+    "learn": ["patrolling.stl", *SMALL, "--episodes", "20", "--out", "learned.npz"],
+    "sweep": ["sweep.toml", "--workers", "1", "--out", "swept"],
+    "monitor": ["F[0,2] x > 0.5", "trace.csv"],
+    "explain": ["patrolling.stl", *SMALL],
+    "fmt": ["patrolling.stl"],
+    "export": ["patrolling.stl", *SMALL, "--to", "dot"],
+    "report": ["report.json"],
+}
+
+
+def make_inputs(folder):
+    """The files that CASES name."""
+    for path in FACTORY.iterdir():
+        shutil.copy(path, folder)
+    task = stl.load_task(folder / "patrolling.stl", {"T": 3, "tau": 8})
+    best = stl.check(stl.build_product(stl.load_model(task.model), task))
+    best.policy.save(folder / "policy.npz")
+    stl.write_certificate(best, folder / "certificate.jsonl")
+    stl.report([best], None, folder / "report.html")
+    (folder / "sweep.toml").write_text(SWEEP)
+    (folder / "trace.csv").write_text("x\n0\n1\n1\n1\n")

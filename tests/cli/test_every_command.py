@@ -1,0 +1,134 @@
+"""What holds of every command: one JSON object, any encoding, a reader that leaves, a disk that is full."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from stltool import cli, streams
+from tests.cli.every import CASES, COMMANDS, make_inputs
+
+HELP = [[], *([name] for name in COMMANDS)]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    made = tmp_path_factory.mktemp("inputs")
+    make_inputs(made)
+    return made
+
+
+@pytest.fixture
+def printed(folder, tmp_path, monkeypatch):
+    """Run the command line in this process with files of an encoding: (exit code, stdout, stderr)."""
+
+    def run(encoding, *arguments):
+        files = [tmp_path / "stdout", tmp_path / "stderr"]
+        monkeypatch.chdir(folder)
+        with files[0].open("w", encoding=encoding) as out, files[1].open("w", encoding=encoding) as err:
+            monkeypatch.setattr(sys, "argv", ["stltool", *arguments])
+            monkeypatch.setattr(sys, "stdout", out)
+            monkeypatch.setattr(sys, "stderr", err)
+            with pytest.raises(SystemExit) as ended:
+                cli.main()
+            sys.stdout.flush()
+            sys.stderr.flush()
+        return ended.value.code or 0, *(file.read_bytes() for file in files)
+
+    return run
+
+
+def stltool(*arguments, cwd, **options):
+    command = [sys.executable, "-m", "stltool", *arguments]
+    return subprocess.run(command, cwd=cwd, stderr=subprocess.PIPE, **options)
+
+
+def no_constant(text):
+    raise AssertionError(f"{text} is no JSON")
+
+
+def test_every_command_has_a_case_and_json():
+    assert set(CASES) == set(COMMANDS)
+    assert [name for name, command in COMMANDS.items() if "as_json" not in {p.name for p in command.params}] == []
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_json_is_one_object_and_nothing_else(folder, name):
+    done = stltool(name, *CASES[name], "--json", cwd=folder, stdout=subprocess.PIPE)
+    assert done.returncode == 0, done.stderr
+    assert isinstance(json.loads(done.stdout, parse_constant=no_constant), dict)
+    assert done.stdout.count(b"\n") == 1
+    assert done.stderr == b""
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
+@pytest.mark.parametrize("name", CASES)
+def test_every_command_prints_in_any_encoding(printed, name, encoding):
+    code, out, err = printed(encoding, name, *CASES[name])
+    assert (code, b"fault of stltool" in err) == (0, False), err
+    printed_text = out.decode(encoding)
+    assert printed_text or name == "fmt"  # which has nothing to say of a file in order
+    assert "\\u" not in printed_text  # a stand-in that nobody can read
+    assert "\\x" not in printed_text
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
+def test_every_help_prints_in_any_encoding(printed, encoding):
+    for arguments in HELP:
+        code, out, err = printed(encoding, *arguments, "--help")
+        assert (code, err) == (0, b"")
+        lines = out.decode(encoding).splitlines()
+        assert "\\u" not in "".join(lines)
+        assert len({len(line) for line in lines if line.startswith(("|", "+"))}) == 1  # the frames are straight
+
+
+def test_columns_are_measured_as_they_are_printed(printed):
+    _, out, _ = printed("ascii", "surrogate", *CASES["surrogate"])
+    heading, *rows = out.decode().splitlines()[2:]
+    assert rows[0].startswith("discounted gamma = 0.999  ")
+    assert rows[0].index("0.999") + len("0.999  ") == heading.index("P, ties at random")
+
+
+def test_stand_ins():
+    shown = "τ × Φ₁ ≤ 1 → … ─│└ “é” 漢"
+    assert shown.encode("ascii", errors="stltool").decode() == 'tau x Phi\\u2081 <= 1 -> ... -|+ "\\xe9" \\u6f22'
+    assert shown.encode("cp1252", errors="stltool").decode("cp1252") == ("tau × Phi\\u2081 <= 1 -> … -|+ “é” \\u6f22")
+    assert "τ".encode(errors="stltool").decode() == "τ"
+    assert "\udcff".encode(errors="stltool") == b"\\udcff"  # of a file's name that is no text
+    assert streams.stand_in("█") == "#"
+
+
+def test_texts_of_files_stay_whole(folder, tmp_path):
+    """What a filter prints is a file's content: UTF-8, not the terminal's encoding, and no stand-ins."""
+    text = "# Straße → τ\np := F[0,3] A\n".encode()
+    env = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = stltool("fmt", "-", cwd=tmp_path, input=text, stdout=subprocess.PIPE, env=env)
+    assert (done.returncode, done.stdout, done.stderr) == (0, text, b"")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="its pipes end otherwise")
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["--help"], 0),
+        (["check", *CASES["check"], "--json"], 0),
+        (["check", *CASES["check"], "--at-most", "0.5"], 1),
+        (["check", "none.stl"], 2),
+    ],
+)
+def test_who_reads_no_further_changes_nothing(folder, arguments, code):
+    """As of `stltool ... | head`: no word about it, and the exit code is the command's."""
+    read, write = os.pipe()
+    os.close(read)
+    done = stltool(*arguments, cwd=folder, stdout=write)
+    os.close(write)
+    assert (done.returncode, b"Traceback" in done.stderr, b"Broken" in done.stderr) == (code, False, False)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+def test_what_cannot_be_written_is_told(folder):
+    with open("/dev/full", "w") as full:
+        done = stltool("check", *CASES["check"], cwd=folder, stdout=full)
+    assert (done.returncode, done.stderr) == (2, b"error: output: No space left on device\n")
