@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint bench fuzz format clean
+.PHONY: demo test lint bench claims fuzz format clean
 
 demo: .venv/installed
 	$(BIN)/stltool run examples/factory/patrolling.stl --method cfer --episodes 1000 --seed 0 --out out/patrolling
@@ -18,6 +18,11 @@ lint: .venv/installed-dev
 
 bench: .venv/installed-dev
 	$(BIN)/python bench/run.py
+
+# the figures of README and docs against their commands; CLASS=minutes|bench|all, ONLY=name,name, UPDATE=1 (docs/claims.py)
+CLASS ?= quick
+claims: .venv/installed-dev
+	$(BIN)/python docs/claims.py --class $(CLASS) $(if $(ONLY),--only $(ONLY)) $(if $(UPDATE),--update)
 
 # ten minutes; FUZZ=-max_total_time=60 for another time, and libFuzzer's other options
 FUZZ ?= -max_total_time=600

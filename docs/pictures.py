@@ -3,9 +3,11 @@
 learning-curve, floor  from out/patrolling, which `make demo` writes
 sweep                  from out/table, which `.venv/bin/stltool sweep examples/paper/table.toml --out out/table` writes
 front, monitor         by themselves
+
+tests/reporting/test_pictures.py and `make claims` draw them again and compare.
 """
 
-import sys
+import argparse
 from collections.abc import Callable
 from pathlib import Path
 
@@ -49,5 +51,11 @@ PICTURES: dict[str, Callable[[], str | bytes]] = {
 }  # fmt: skip
 
 if __name__ == "__main__":
-    for name in sys.argv[1:] or PICTURES:
-        write_atomically(HERE / f"{name}.svg", PICTURES[name]())
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"default: {', '.join(PICTURES)}")
+    parser.add_argument("--reports", type=Path, default=OUT, help="where the reports are, default: out")
+    parser.add_argument("--out", type=Path, default=HERE, help="where the pictures go, default: docs")
+    asked = parser.parse_args()
+    OUT = asked.reports
+    for name in asked.names or PICTURES:
+        write_atomically(asked.out / f"{name}.svg", PICTURES[name]())

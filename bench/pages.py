@@ -1,0 +1,148 @@
+"""Figures of README and docs/ that no other program of bench/ measures: `python bench/pages.py NAME`.
+
+scenarios   the table of docs/reproduction.md, from examples/paper/table.toml
+sweep       README and docs/sweeps.md: what a finished sweep in out/table took, and how its seeds differ
+guarantees  the table of docs/guarantees.md: bounds from learning data and from fresh runs, by episodes
+robust      docs/robust.md: a robust check beside an ordinary one
+tradeoff    docs/tradeoffs.md: a linear programme of a large task
+why         docs/why.md: the most probable runs and the derivatives of a long shift
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+import stltool as stl
+from stltool import kernels
+from stltool.checking.unfold import Unfolding
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+FACTORY, PAPER = EXAMPLES / "factory", EXAMPLES / "paper"
+T = TypeVar("T")
+
+
+def product(task: str, model: str = "floor-5x5", **params: int) -> stl.Product:
+    return stl.build_product(stl.load_model(FACTORY / f"{model}.toml"), stl.load_task(FACTORY / task, params))
+
+
+def timed(action: Callable[[], T]) -> tuple[T, float]:
+    """What an action returns, and its seconds; it has run once before, so that nothing is compiled."""
+    action()
+    start = time.perf_counter()
+    return action(), time.perf_counter() - start
+
+
+def guarantees() -> None:
+    print("| task | episodes | steps | support unknown | support known | fresh runs | exact P |")
+    print("|---|---:|---:|---:|---:|---:|---:|")
+    for task in ("patrolling", "reaching"):
+        own = product(f"{task}.stl", T=5, tau=5)
+        for episodes in (100, 1000, 10_000, 100_000):
+            run = stl.learn(own, "model-based", episodes=episodes, evaluate_every=episodes, seed=0)
+            bounds = [
+                stl.guarantee(own, run.policy, run.counts, confidence=0.99).lower,
+                stl.guarantee(own, run.policy, run.counts, confidence=0.99, support="known").lower,
+                stl.estimate(own, run.policy, runs=episodes, confidence=0.99, side="lower", seed=0).lower,
+                stl.check(own, run.policy).lower,
+            ]
+            cut = [f"{math.floor(bound * 10**4) / 10**4:.4f}" for bound in bounds]  # a bound is never rounded up
+            print("|", " | ".join([task, spaced(episodes), spaced(run.environment_steps), *cut]), "|", flush=True)
+
+
+def scenarios() -> None:
+    """As docs/reproduction.md groups them: neighbours that differ in τ alone share a row."""
+    sweep = tomllib.loads((PAPER / "table.toml").read_text(encoding="utf-8"))
+    print("| scenario | cells | task | T | τ | decay | memory | batch | episodes |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    rows: list[tuple[list[str], list[str], list[str]]] = []
+    texts = {
+        "reaching": "`F[0,T) F[0,τ) A`", "charging": "`F[0,T) G[0,τ) C`",
+        "patrolling": "`G[0,T) (F[0,τ) A & F[0,τ) B)`",
+    }  # fmt: skip
+    said = None
+    for scenario in sweep["scenario"]:
+        settings = {**sweep["sweep"]["settings"], **scenario.get("settings", {})}
+        text = texts[Path(scenario["task"]).stem]
+        cells = Path(scenario["model"]).stem.removeprefix("floor-").replace("x", " × ")
+        knobs = [str(settings[name]) for name in ("decay", "memory", "batch", "episodes")]
+        T, tau = str(scenario["params"]["T"]), str(scenario["params"]["tau"])
+        if rows and rows[-1][2] == [text, cells, T, *knobs]:
+            rows[-1][0].append(scenario["id"])
+            rows[-1][1].append(tau)
+        else:
+            rows.append(([scenario["id"]], [tau], [text, cells, T, *knobs]))
+    for ids, taus, (text, cells, T, *knobs) in rows:
+        shown, said = "the same" if text == said else text, text
+        print("|", " | ".join([", ".join(ids), cells, shown, T, ", ".join(taus), *knobs]), "|")
+
+
+def sweep() -> None:
+    data = json.loads(Path("out/table/report.json").read_text(encoding="utf-8"))
+    runs = [json.loads(path.read_text()) for path in Path("out/table/runs").glob("*/*/*.time.json")]
+    print(f"{sum(run['seconds'] for run in runs) / 60:.1f} minutes of runs")
+    (result,) = (r for r in data["results"] if (r["scenario"], r["method"]) == ("P1", "cfer"))
+    print(f"P1, cfer: {result['least']:.3f} … {result['greatest']:.3f}, published {result['published']:.3f}")
+
+
+def spaced(n: int) -> str:
+    return f"{n:,}".replace(",", " ")
+
+
+def robust() -> None:
+    certain = (FACTORY / "floor-10x10.toml").read_text(encoding="utf-8")
+    uncertain = certain.replace('success = "93/100"', "success = [0.9, 0.95]").replace(
+        'slip = "7/300"', "slip = [0.01, 0.04]"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "floor.toml"
+        path.write_text(uncertain, encoding="utf-8")
+        model = stl.load_model(path)
+    phi = stl.load_task(FACTORY / "patrolling.stl", {"T": 25, "tau": 25}).formula
+    own, ordinary = stl.build_product(model, phi), stl.build_product(model.nominal(), phi)
+    _, slow = timed(lambda: stl.robust_check(own, keep_policy=False))
+    _, fast = timed(lambda: stl.check(ordinary, keep_policy=False))
+    states = own.model.n_states * own.automaton.n_states
+    print(f"{spaced(states)} product states, {own.horizon} steps: robust {slow:.3f} s, ordinary {fast:.3f} s")
+
+
+def tradeoff() -> None:
+    names = ("charging", "patrolling")
+    tasks = [stl.load_task(FACTORY / "tradeoff.stl", {"T": 15, "tau": 12}, name) for name in names]
+    joint = stl.build_joint_product(stl.load_model(tasks[0].model), tasks)
+    start = time.perf_counter()
+    result = stl.tradeoff(joint, "charging", at_least={"patrolling": 0.5})
+    print(f"{result.size['variables']} variables, {time.perf_counter() - start:.0f} s")
+
+
+def why() -> None:
+    own = product("shift.stl", "floor-10x10", T=60, tau=20)
+    best = stl.check(own).policy
+    assert best is not None
+    print(f"{own.shape[0]} × {own.shape[1]} product states, {own.horizon} steps")
+    print(f"{own.n_states * own.horizon / 1e6:.1f} million (t, s, q)")
+    for name, policy in (("optimal", best), ("uniform", stl.Policy(own, np.full((*own.shape, 9), 1 / 9)))):
+        unfolded = Unfolding(own, policy)
+        edges = sum(len(unfolded.edges(t).child) for t in range(len(unfolded.layers) - 1)) / 1e6
+        _, runs = timed(lambda policy=policy: stl.likely_runs(own, policy, count=1000))
+        _, derivatives = timed(lambda policy=policy: stl.sensitivity(own, policy))
+        places = spaced(sum(map(len, unfolded.layers)))
+        print(f"{name}: {places} places, {edges:.0f} million edges, runs {runs:.2f} s, derivatives {derivatives:.2f} s")
+    satisfying = stl.likely_runs(own, best, satisfied=True, mass=0.9, most=10_000)
+    print(f"10000 satisfying runs cover {satisfying.covered:.2f}")
+
+
+if __name__ == "__main__":
+    programs = {f.__name__: f for f in (guarantees, robust, scenarios, sweep, tradeoff, why)}
+    if sys.argv[1] not in ("scenarios", "sweep"):
+        kernels.warm_up()
+    programs[sys.argv[1]]()
