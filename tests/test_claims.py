@@ -257,7 +257,7 @@ def test_what_is_a_figure_and_what_covers_it():
     other = book({"text": "takes {_} s of {m} MB", "values": {"m": {"find": "(.*)"}}})
     plain = claims.Plain("*", (r"Python 3\.11",), "a requirement")
     page = """# A page
-It takes 2.5 s of 17 MB with Python 3.11, P1 and s₀, `x > 4`, [a link](page-7.md).
+It takes 2.5 s of 17 MB with Python 3.11, P1 and s₀, `x > 4`, [a link](page-7.html).
 
     a formula 8
 
