@@ -11,9 +11,11 @@ from functools import lru_cache
 from xml.etree import ElementTree
 
 import matplotlib
+import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
+from numpy.typing import NDArray
 
 INK = "#222222"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito's
@@ -115,6 +117,12 @@ def shown(text: str, longest: int = 60) -> str:
     text = _ILLEGAL.sub("\ufffd", " ".join(str(text).split()))
     text = text if len(text) <= longest else text[: longest - 1] + "…"
     return f" {text}" if text.startswith("_") else text  # which legends leave out
+
+
+def alone(values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which values (n,) have no number beside them, so that a line through them has no length."""
+    drawn = np.isfinite(np.concatenate([[np.nan], values, [np.nan]]))
+    return np.asarray(drawn[1:-1] & ~drawn[:-2] & ~drawn[2:])
 
 
 def text_width(text: str, size: float) -> float:

@@ -11,13 +11,14 @@ from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullForma
 from numpy.typing import NDArray
 
 from stltool.numbers import probability_text
-from stltool.reporting.drawing import COLOURS, INK, drawing, picture, shown, svg, text_width
+from stltool.reporting.drawing import COLOURS, INK, alone, drawing, picture, shown, svg, text_width
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _CURVE, _OPTIMUM = "#2166ac", "#b2182b"
 _HIGH = 0.98  # a curve that comes as high shows its distance from 1, too
+_MARKED = 300  # evaluations, at most, that are marked one by one
 _FLAT = 0.3  # a front that reaches over less of either axis is shown enlarged
 _POWERS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -30,10 +31,12 @@ def learning_curve(history: Sequence[Mapping[str, Any]], optimum: float | None =
     near = bool(values.max() >= _HIGH and (values < 1).any())
     figure = Figure(figsize=(9.6 if near else 7.2, 3.3), layout="constrained")
     panels = figure.subplots(1, 2 if near else 1, squeeze=False)[0]
-    marker = "." if len(history) <= 60 else ""
     for axes, ys, name in zip(panels, (values, 1 - values), ("curve", "distance"), strict=False):
         drawn = np.where(ys > 0, ys, np.nan) if name == "distance" else ys
-        axes.plot(steps, drawn, color=_CURVE, linewidth=1.6, marker=marker, label="greedy policy, exact", gid=name)
+        marked = np.arange(len(steps)) if len(steps) <= _MARKED else np.flatnonzero(alone(drawn))
+        axes.plot(steps, drawn, color=_CURVE, linewidth=1.6, label="greedy policy, exact", gid=name,
+                  marker=".", markersize=6 if len(steps) <= 60 else 3, markevery=marked.tolist())  # fmt: skip
+        axes.set_xlim(left=0)
         axes.set_xlabel("environment steps")
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         axes.grid(alpha=0.25)
@@ -130,6 +133,7 @@ def learning_curves(data: dict[str, Any], kind: str) -> str | bytes:
             float(scenario["optimum"]), color=INK, linestyle="--", linewidth=0.9, zorder=3, gid="optimum"
         )
         panel.set(ylim=(-0.03, 1.03))
+        panel.set_xlim(left=0)
         panel.set_title(shown(panel_title(scenario), 56), fontsize=8)
         panel.tick_params(labelsize=7)
         panel.xaxis.set_major_formatter(EngFormatter(sep=""))

@@ -32,7 +32,7 @@ from stltool.logic.formula import (
 from stltool.logic.task import Task
 from stltool.monitoring.offline import MonitorResult, monitor
 from stltool.numbers import shortest
-from stltool.reporting.drawing import INK, drawing, picture, shown
+from stltool.reporting.drawing import INK, alone, drawing, picture, shown
 from stltool.reporting.monitoring import both, robustness_text, true_ranges
 
 if TYPE_CHECKING:
@@ -226,9 +226,8 @@ def _robustness_panel(axes: Axes, robustness: Reals) -> None:
     xs, ys = envelope(robustness)
     axes.axhline(0.0, color=INK, linewidth=0.8)
     axes.plot(xs, ys, color=INK, linewidth=1.1 if len(xs) == len(robustness) else 0.6, gid="robustness")
-    drawn = np.isfinite(np.concatenate([[np.nan], ys, [np.nan]]))
-    alone = drawn[1:-1] & ~drawn[:-2] & ~drawn[2:]  # between infinities, where a line has no length
-    axes.plot(xs[alone], ys[alone], linestyle="", marker=".", color=INK, markersize=5, gid="alone")
+    marked = alone(ys)
+    axes.plot(xs[marked], ys[marked], linestyle="", marker=".", color=INK, markersize=5, gid="alone")
     for colour, side, name in ((HOLDS, ys >= 0, "positive"), (VIOLATED, ys <= 0, "negative")):
         axes.fill_between(xs, ys, 0.0, where=side, color=colour, alpha=0.25, linewidth=0, interpolate=True, gid=name)
     axes.set_ylim(*_limits(np.append(ys[np.isfinite(ys)], 0.0), ()))

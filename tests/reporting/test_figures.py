@@ -57,8 +57,7 @@ def test_a_learning_curve_and_its_optimum(values, optimum):
     if logarithmic:
         [panel] = logarithmic
         distances = 1 - np.array(values)
-        drawn = np.concatenate([shape for shape in panel.shapes("distance") if len(shape)])
-        marked = panel.markers("distance") if len(values) <= 60 else drawn
+        marked = panel.markers("distance")
         kept = points(steps, distances)[distances > 0]
         assert marked[:, 0] == pytest.approx(kept[:, 0], rel=1e-2)
         assert marked[:, 1] == pytest.approx(kept[:, 1], rel=1e-2)
@@ -69,6 +68,15 @@ def test_a_learning_curve_and_its_optimum(values, optimum):
         assert certain[:, 1] == pytest.approx(panel.ylim[0], rel=1e-2)
         least = panel.levels("least-distance")
         assert least == ([] if optimum in (None, 1.0) else pytest.approx([1 - optimum], rel=1e-2))
+
+
+def test_a_long_curve_marks_what_stands_alone():
+    values = [0.5] * 400 + [1.0, 1 - 1e-4, 1.0]
+    panel, distance = Picture(learning_curve(history(values), None)).panels
+    same(panel.shapes("curve")[0], points([360 * i for i in range(1, 404)], values), panel)
+    assert len(panel.markers("curve")) == 0
+    assert distance.markers("distance")[:, 1] == pytest.approx([1e-4], rel=1e-2)
+    assert len(distance.markers("certain")) == 2
 
 
 def test_a_learning_curve_of_a_training(patrolling):
