@@ -19,10 +19,10 @@ lint: .venv/installed-dev
 bench: .venv/installed-dev
 	$(BIN)/python bench/run.py
 
-# the figures of README and docs against their commands; CLASS=minutes|bench|all, ONLY=name,name, UPDATE=1 (docs/claims.py)
+# the figures of README and docs against their commands; CLASS=minutes|bench|all, ONLY=name,name, UPDATE=1, LIST=1 (docs/claims.py)
 CLASS ?= quick
 claims: .venv/installed-dev
-	$(BIN)/python docs/claims.py --class $(CLASS) $(if $(ONLY),--only $(ONLY)) $(if $(UPDATE),--update)
+	$(BIN)/python docs/claims.py --class $(CLASS) $(if $(ONLY),--only $(ONLY)) $(if $(UPDATE),--update) $(if $(LIST),--list)
 
 # ten minutes; FUZZ=-max_total_time=60 for another time, and libFuzzer's other options
 FUZZ ?= -max_total_time=600

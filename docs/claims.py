@@ -9,6 +9,7 @@ not a measurement; tests/test_claims.py fails on a figure that is neither.
     make claims CLASS=minutes           quick, minutes, bench (up to an hour, alone on the machine), or all
     make claims ONLY=monitors,front     claims by name
     make claims UPDATE=1                write what was measured into the pages
+    make claims CLASS=all LIST=1        show them, and when they were last checked
 
 Claims of the classes `minutes` and `bench` are not run by the test suite. docs/claims.json keeps for each when, at
 which commit and on which machine it was last found to hold, and a digest of what the page said then: a page that has
@@ -141,7 +142,7 @@ class Claim:
     block: str | None = None
     picture: bool = False
     values: Mapping[str, Value] = field(default_factory=dict)
-    columns: Mapping[str, float] = field(default_factory=dict)
+    columns: Mapping[str, float | str] = field(default_factory=dict)
     relative: float = 0.0
     absolute: float = 0.0
     needs: tuple[str, ...] = ()
@@ -321,7 +322,7 @@ def differences(claim: Claim, page: str, output: Output) -> Iterator[Difference]
 
 
 def _table_differences(claim: Claim, match: re.Match[str], output: str) -> Iterator[Difference]:
-    """Row by row; cells of a column with a tolerance are compared as numbers."""
+    """Row by row; cells of a column with a tolerance are compared as numbers, with tolerance "any" not at all."""
     try:
         measured = find(claim, output.rstrip() + "\n")[0].splitlines()
     except ClaimError as error:
@@ -336,7 +337,8 @@ def _table_differences(claim: Claim, match: re.Match[str], output: str) -> Itera
         cells, others = _cells(row), _cells(run)
         if len(cells) != len(others):
             raise ClaimError(f"the output's row {run} has {len(others)} cells, the page's {len(cells)}")
-        kept = [a if alike(a, b, r) else b for a, b, r in zip(cells, others, tolerances, strict=True)]
+        pairs = zip(cells, others, tolerances, strict=True)
+        kept = [a if r == "any" or alike(a, b, float(r)) else b for a, b, r in pairs]
         if kept != cells:
             yield Difference(place, place + len(row), row, f"| {' | '.join(kept)} |")
         place += len(row) + 1
@@ -521,6 +523,15 @@ def amend(path: Path, found: Sequence[Difference]) -> None:
     path.write_text(text, encoding="utf-8")
 
 
+def _listed(claim: Claim) -> str:
+    """A claim with its page, its class, and when it was last found to hold."""
+    last = recorded().get(claim.name)
+    when = "in every test run" if claim.kind == "quick" else "never checked"
+    if last is not None:
+        when = f"last on {last['date']} at {last['commit']}, {last['machine']}"
+    return f"{claim.kind:8} {claim.name:20} {claim.page:24} {when}"
+
+
 def _told(claim: Claim, runs: Runs, update: bool, echo: Callable[[str], None]) -> bool:
     """Check one claim, say how it went, and keep that it held; whether it was not stale."""
     if missing := claim.missing():
@@ -551,17 +562,23 @@ def main(arguments: Sequence[str] | None = None, echo: Callable[[str], None] = p
     parser.add_argument("--class", dest="kind", default="quick", choices=[*CLASSES, "all"])
     parser.add_argument("--only", default="", help="names of claims, separated by commas")
     parser.add_argument("--update", action="store_true", help="write what was measured into the pages")
+    parser.add_argument("--list", action="store_true", help="only show when claims were last checked")
     asked = parser.parse_args(arguments)
     book, names = load(), [name for name in asked.only.split(",") if name]
     if unknown := set(names) - {claim.name for claim in book.claims}:
         parser.error(f"there is no claim {', '.join(sorted(unknown))}")
     chosen = [c for c in book.claims if (c.name in names if names else asked.kind in (c.kind, "all"))]
+    if asked.list:
+        for claim in chosen:
+            echo(_listed(claim))
+        return 0
     stale = 0
     with tempfile.TemporaryDirectory() as folder:
         runs = Runs(Path(folder))
         for claim in chosen:
             stale += not _told(claim, runs, asked.update, echo)
-    echo(f"{len(chosen)} claims, {stale} stale")
+    remedy = "" if not stale or asked.update else "; with UPDATE=1 the pages are made to say what was measured"
+    echo(f"{len(chosen)} claims, {stale} stale{remedy}")
     return 1 if stale else 0
 
 

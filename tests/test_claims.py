@@ -218,8 +218,12 @@ def test_a_text_is_found_wherever_its_lines_break_and_amended_in_its_style(tmp_p
 
 def test_tables_differ_row_by_row_and_columns_have_tolerances(tmp_path):
     claim = book({"table": "| a |", "columns": {"s": 0.5}})
+    free = book({"table": "| a |", "columns": {"s": "any"}})
     page = "x\n\n| a | s |\n|---|---|\n| 1 | 2.0 |\n| 2 | 4.0 |\n\ny\n"
     assert list(claims.differences(claim, page, output("| a | s |\n|---|---|\n| 1 | 2.9 |\n| 2 | 3.0 |"))) == []
+    assert list(claims.differences(free, page, output("| a | s |\n|---|---|\n| 1 | 99 |\n| 2 | – |"))) == []
+    (one,) = claims.differences(claim, page, output("| a | s |\n|---|---|\n| 1 | 2.9 |\n| 5 | 3.0 |"))
+    assert one.measured == "| 5 | 4.0 |"  # what is within its tolerance stays
     found = list(claims.differences(claim, page, output("| a | s |\n|---|---|\n| 1 | 2.0 |\n| 3 | 4.0 |\n")))
     path = tmp_path / "page.md"
     path.write_text(page)
@@ -323,12 +327,15 @@ def test_make_claims_tells_updates_and_records(tmp_path, monkeypatch):
     assert claims.main(["--class", "minutes"], told.append) == 1
     assert "STALE" in told[1]
     assert told[2].strip() == "line 1: stated 3, measured 5"
+    assert "UPDATE=1" in told[3]
     assert not record.exists()
     assert claims.main(["--only", "parts", "--update"], told.append) == 0
     assert page.read_text() == "It has 5 parts in 4 rooms.\n"
     assert claims.recorded()["parts"]["says"] == claims.digest(book.claims[0], page.read_text())
     assert claims.main(["--class", "all"], told.append) == 0
     assert told[-2].startswith("holds")
+    assert claims.main(["--class", "all", "--list"], told.append) == 0
+    assert re.match(r"minutes +parts +README.md +last on \d{4}-\d\d-\d\d at ", told[-1])
 
 
 def test_numbers_read_and_written_alike():
