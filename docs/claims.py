@@ -384,8 +384,8 @@ def digest(claim: Claim, page: str) -> str:
 def uncovered(book: Book, name: str, page: str) -> list[tuple[int, str, str]]:
     """(line, figure, its line of text) of every figure on a page that is neither claimed nor plain.
 
-    Not looked at: blocks that the test suite runs or that are code (console, python, toml), indented formulas, code
-    within lines, and the targets of links.
+    Not looked at: blocks that the test suite runs (console in docs, python), or that are code (toml, bibtex), indented
+    formulas, code within lines, and the targets of links.
     """
     rest = list(page)
 
@@ -395,7 +395,7 @@ def uncovered(book: Book, name: str, page: str) -> list[tuple[int, str, str]]:
                 rest[i] = " "
 
     for fence in _FENCE.finditer(page):
-        if fence[1]:
+        if fence[1] in ("python", "toml", "bibtex") or (fence[1] == "console" and name != "README.md"):
             blank(*fence.span())
     for hidden in (r"^    .*$", r"``?[^`\n]+``?", r"\]\([^)\s]+\)"):
         for match in re.finditer(hidden, "".join(rest), flags=re.MULTILINE):
@@ -404,15 +404,11 @@ def uncovered(book: Book, name: str, page: str) -> list[tuple[int, str, str]]:
     for claim in book.claims:
         if claim.page == name:
             match = find(claim, page)
-            if claim.text is None:
-                blank(*match.span())
-            else:  # figures of another claim within the text stay
-                places = [m.span() for m in re.finditer(_template(claim.text), page)]
-                others = _others(claim.text, page[match.start() : match.end()])
-                for start, end in places:
-                    for i in range(start, end):
-                        if not any(a <= i - start < b for a, b in others) and rest[i] != "\n":
-                            rest[i] = " "
+            start = match.start()
+            for a, b in _others(claim.text, match[0]) if claim.text is not None else ():
+                blank(start, match.start() + a)  # a figure that is left to another claim stays
+                start = match.start() + b
+            blank(start, match.end())
     for plain in book.plain:
         if plain.page in ("*", name):
             for pattern in plain.patterns:
@@ -424,7 +420,7 @@ def uncovered(book: Book, name: str, page: str) -> list[tuple[int, str, str]]:
 
 
 def _others(template: str, text: str) -> list[tuple[int, int]]:
-    """The spans, within a claim's text, of figures that it leaves to another claim: {_}."""
+    """The spans, within a claim's text and in order, of figures that it leaves to another claim: {_}."""
     numbered = iter(range(len(template)))
     named = re.sub(r"\{_\}", lambda _: f"{{other_{next(numbered)}}}", template)
     match = re.fullmatch(_template(named), text)

@@ -272,12 +272,18 @@ It takes 2.5 s of 17 MB with Python 3.11, P1 and s₀, `x > 4`, [a link](page-7.
 ```
 10
 ```
+
+```console
+11
+```
 """
     one, both = claims.Book((claim,), (plain,)), claims.Book((claim, other), (plain,))
     assert [(line, figure) for line, figure, _ in claims.uncovered(one, "page.md", page)] == [(2, "17"), (11, "10")]
     assert [figure for _, figure, _ in claims.uncovered(both, "page.md", page)] == ["10"]
     alone = claims.uncovered(claims.Book((other,), (plain,)), "page.md", page)
     assert [figure for _, figure, _ in alone] == ["2.5", "10"]
+    readme = claims.uncovered(claims.Book((), (plain,)), "README.md", page)  # whose console blocks no test runs
+    assert [figure for _, figure, _ in readme] == ["2.5", "17", "10", "11"]
 
 
 @pytest.mark.parametrize(
