@@ -85,12 +85,12 @@ def rollout_ratio() -> str:
     product = stl.build_product(stl.load_model(FACTORY / "floor-5x5.toml"), task)
     best = stl.check(product)
     assert best.policy is not None
-    policy, rng = best.policy, np.random.default_rng(0)
-    few = [stl.sample_run(product, policy, rng) for _ in range(3000)]
+    policy = best.policy
+    few = [stl.sample_run(product, policy, seed) for seed in range(3000)]
     slowly = estimate_from([run.satisfied for run in few], len(few), confidence=0.9999)
     quickly = stl.estimate(product, policy, runs=3_000_000, confidence=0.9999)
     assert all(result.lower <= best.probability <= result.upper for result in (slowly, quickly))
-    seconds = best_of(3, lambda: [stl.sample_run(product, policy, rng) for _ in range(3000)])
+    seconds = best_of(3, lambda: [stl.sample_run(product, policy, seed) for seed in range(3000)])
     slow = sum(len(run.actions) for run in few) / seconds
     assert quickly.steps is not None
     fast = quickly.steps / min(stl.estimate(product, policy, runs=quickly.runs).seconds for _ in range(7))

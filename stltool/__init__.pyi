@@ -43,6 +43,7 @@ from .checking import (
     SequentialTest as SequentialTest,
     SurrogateResult as SurrogateResult,
     Tradeoff as Tradeoff,
+    certify as certify,
     check as check,
     estimate as estimate,
     likely_runs as likely_runs,
@@ -55,7 +56,6 @@ from .checking import (
     tradeoff as tradeoff,
     write_certificate as write_certificate,
 )
-from .recheck import certify as certify
 from .learning import (
     Guarantee as Guarantee,
     Settings as Settings,

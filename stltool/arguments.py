@@ -9,12 +9,13 @@ Kinds are told by their names, so that this file needs none of the classes: what
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from decimal import Decimal
 from fractions import Fraction
 from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path, PurePath
+from typing import Any, cast
 
 from stltool.errors import ArgumentError, SettingsError
 
@@ -84,7 +85,7 @@ def require(
     if remedy is None:
         meant = (_MEANT.get((kind, given)) for kind in needed)
         remedy = next(filter(None, meant), None) or _MAKE.get(needed[0], "give one")
-    raise ArgumentError(f"{what} is {described(value)}, not {_either(needed, optional)}; {remedy}")
+    raise ArgumentError(f"{what} {_verb(what)} {described(value)}, not {_either(needed, optional)}; {remedy}")
 
 
 def flag(value: object, what: str) -> bool:
@@ -104,13 +105,6 @@ def whole(value: object, what: str, least: int | None = None, most: int | None =
     return int(value)  # type: ignore[call-overload, no-any-return]
 
 
-def seed(value: object, what: str) -> int:
-    """What every random choice of a function comes from: an integer from 0."""
-    if type(value).__name__ in ("Generator", "RandomState", "SeedSequence"):
-        raise SettingsError(f"{what} is {described(value)}; give an integer from 0, which the result records")
-    return whole(value, what, least=0)
-
-
 def real(value: object, what: str, example: str = "0.5") -> float | Fraction:
     """A finite number: fractions and decimals exactly, others as doubles."""
     if not isinstance(value, bool) and isinstance(value, Real | Decimal):
@@ -127,7 +121,7 @@ def real(value: object, what: str, example: str = "0.5") -> float | Fraction:
 def one_of(value: object, what: str, known: Sequence[str]) -> str:
     """One of these words; SettingsError names them."""
     if not isinstance(value, str) or value not in known:
-        raise SettingsError(f"there is no {what} {described(value)}; choose {', '.join(known)}")
+        raise SettingsError(f"{what} is {described(value)}; choose {', '.join(known[:-1])} or {known[-1]}")
     return value
 
 
@@ -144,13 +138,28 @@ def path(value: object, what: str) -> Path:
     return Path(value)
 
 
-def mapping(value: object, what: str, example: str) -> Mapping[str, object]:
-    """A mapping with texts as keys."""
-    require(value, Mapping, what, f"write for example {example}")
-    assert isinstance(value, Mapping)
-    for key in value:
+def mapping(value: object, what: str, example: str, *, optional: bool = False) -> Mapping[str, Any]:
+    """A mapping from names, or a data frame; nothing where it is optional and None."""
+    if optional and value is None:
+        return {}
+    if isinstance(value, type) or not (hasattr(value, "keys") and hasattr(value, "__getitem__")):
+        none = " or None" if optional else ""
+        raise ArgumentError(f"{what} are {described(value)}, not a mapping{none}; write for example {example}")
+    for key in value.keys():  # noqa: SIM118 - of a data frame, too
         require(key, str, f"a name in {what}", f"write for example {example}")
-    return value
+    return cast(Mapping[str, Any], value)
+
+
+def texts(value: object, what: str) -> list[str]:
+    """Names in a list, a tuple, a set or an array (n,); numbers among them count as their texts."""
+    is_column = _is_array(value) and len(getattr(value, "shape", ())) == 1
+    if not (isinstance(value, list | tuple | range | Set) or is_column):
+        raise ArgumentError(f"{what} are {described(value)}, not a list; write for example ['a', 'b']")
+    assert isinstance(value, Iterable)
+    for name in value:
+        if not isinstance(name, str | Integral):
+            raise ArgumentError(f"one of {what} is {described(name)}, not text; write it in quotes")
+    return [str(name) for name in value]
 
 
 def described(value: object) -> str:
@@ -189,6 +198,10 @@ def _is_array(value: object) -> bool:
 def _either(names: Sequence[str], optional: bool) -> str:
     words = [_article(name) for name in names] + ["None"] * optional
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+def _verb(what: str) -> str:
+    return "are" if what.endswith("s") and not what.endswith("ss") else "is"
 
 
 def _article(name: str) -> str:

@@ -9,6 +9,8 @@ import html
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from stltool.numbers import probability_text as text_of
+
 _WIDTH = 120  # characters of a line of text
 _LONGEST = 300  # of a cell
 
@@ -26,7 +28,7 @@ class Card:
     def text(self) -> str:
         lines = [self.title]
         for group in self.facts:
-            told = ", ".join(f"{name} {value}" for name, value in group.items() if value is not None)
+            told = "; ".join(f"{name}: {value}" for name, value in group.items() if value is not None)
             lines += [f"  {told}"] if told else []
         return "\n".join(cut(line, _WIDTH) for line in lines[:3])
 
@@ -62,6 +64,11 @@ def cut(text: str, most: int) -> str:
     """One line of at most so many characters."""
     text = " ".join(text.split()) if "\n" in text else text
     return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def probability_text(value: float) -> str:
+    """Six digits, or as many as tell it from 0 and 1: `0.737948`, `1 - 3.1e-10`."""
+    return text_of(value).replace("−", "-")
 
 
 def counted(n: int, what: str) -> str:

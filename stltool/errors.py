@@ -48,6 +48,10 @@ class CertificateError(StlToolError):
     """A certificate is not one, or belongs to another task or model."""
 
 
+class RefusedError(CertificateError):
+    """A certificate does not prove its bounds."""
+
+
 class SizeError(StlToolError):
     """What was asked for would not fit; raised before any memory is taken."""
 

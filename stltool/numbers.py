@@ -20,7 +20,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 from fractions import Fraction
+from numbers import Real
 from typing import TypeAlias
+
+from stltool.arguments import described
 
 MOST_DIGITS = 1000
 LIMIT = f"numbers have at most {MOST_DIGITS} digits, and sizes between 1e-{MOST_DIGITS} and 1e{MOST_DIGITS} or 0"
@@ -66,10 +69,12 @@ def exact(value: object) -> Fraction:
     """
     if isinstance(value, Fraction):
         return value
-    if isinstance(value, bool | bytes):
-        raise NumberError(f"{value!r} is not a number")
+    if isinstance(value, bool):
+        raise NumberError(f"{value} is not a number")
     if isinstance(value, int) and value.bit_length() > 4 * MOST_DIGITS:  # too long to be written as a text at all
         raise NumberError(f"an integer of {value.bit_length()} bits is out of range: {LIMIT}")
+    if not isinstance(value, str | Real | Decimal):
+        raise NumberError(f"{described(value)} is not a number")
     return read(value if isinstance(value, str) else str(value))
 
 

@@ -218,6 +218,12 @@ class Policy(Displayed):
         return greedy(product, q_values)
 
 
+def require_door(caller: str, product: object, policy: object = None) -> None:
+    """ArgumentError unless it is a product, and a policy or None: what most questions are asked about."""
+    require(product, Product, f"{caller}'s product")
+    require(policy, Policy, f"{caller}'s policy", optional=True)
+
+
 def require_policy_file(path: str | Path) -> None:
     """An error, before the work, where a policy could not be saved after it."""
     path = Path(path)

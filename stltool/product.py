@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.arguments import mapping, require, whole
+from stltool.arguments import flag, mapping, require, whole
 from stltool.automata import Encoding, JointAutomaton, TaskAutomaton, compile_automaton, join_automata
 from stltool.automata.compile import MOST_STATES, atoms_of
 from stltool.automata.reach import reachable
@@ -77,6 +77,7 @@ class Product(Displayed):
 
     def check_bytes(self, keep_policy: bool = True) -> int:
         """Bytes that one check takes: three layers of values, and an action per step and product state."""
+        flag(keep_policy, "check_bytes' keep_policy")
         layers = 3 * 8 * self.n_states
         return layers + (2 * self.n_states * self.horizon if keep_policy else 2 * self.n_states)
 
@@ -137,6 +138,8 @@ class JointProduct(Displayed):
 
 
 def _place(model: MDP, s: int, memory: str, t: int | None) -> str:
+    if t is not None:
+        whole(t, "the step t", 0)
     signals = ", ".join(f"{name} = {values[s]:g}" for name, values in model.signals.items())
     labels = ", ".join(name for name, values in model.labels.items() if values[s])
     step = f"step {t}, " if t is not None else ""
@@ -250,7 +253,7 @@ def build_joint_product(
     require(model, MDP, "build_joint_product's model")
     named: list[tuple[str, Formula | Task]]
     if isinstance(tasks, Mapping):
-        named = list(mapping(tasks, "build_joint_product's tasks", "{'patrol': formula}").items())  # type: ignore[arg-type]
+        named = list(mapping(tasks, "build_joint_product's tasks", "{'patrol': formula}").items())
     else:
         require(tasks, (list, tuple), "build_joint_product's tasks", "give a list of tasks, or {name: formula}")
         for task in tasks:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from stltool.errors import SizeError
+from stltool.arguments import real
+from stltool.errors import SettingsError, SizeError
 
 _USABLE = 0.8  # of the memory that is free now
 _MOST_DAYS = 7
@@ -11,10 +12,18 @@ _MOST_DAYS = 7
 def memory_limit(given: int | None = None) -> int:
     """Bytes that may be taken: `given`, or four fifths of what the machine has free."""
     if given is not None:
-        return given
+        return require_limit(given)
     import psutil
 
     return int(psutil.virtual_memory().available * _USABLE)
+
+
+def require_limit(given: object) -> int:
+    """A limit in bytes that was given; SettingsError for anything else than a number from 0."""
+    limit = real(given, "memory_limit", "2e9")
+    if limit < 0:
+        raise SettingsError(f"memory_limit is {given}; give bytes from 0, such as 2e9")
+    return int(limit)
 
 
 def require_memory(needed: float, what: str, remedy: str, limit: int | None = None) -> None:

@@ -186,7 +186,7 @@ def test_a_policy_that_remembers_flags_is_judged_by_the_exact_automaton(floor5, 
     policy.save(path)
     again = stl.load_policy(path, patrolling)
     assert stl.check(patrolling, again).probability == joined.probability
-    run = stl.sample_run(patrolling, again, np.random.default_rng(0))
+    run = stl.sample_run(patrolling, again, seed=0)
     assert " | " in run.memory[0]
 
 

@@ -10,15 +10,18 @@ verdict along s₀ s₁ … s_h equals the truth of the formula at 0 on that tra
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arguments import require, whole
+from stltool.display import Card, Displayed, counted, listed
 from stltool.logic.formula import Formula
 
 UNDECIDED, FALSE, TRUE = -1, 0, 1
+_SHOWN = 10  # parts in a notebook
 
 
 @dataclass(frozen=True)
@@ -39,8 +42,8 @@ class Part:
     states: int
 
 
-@dataclass(frozen=True, eq=False)
-class TaskAutomaton:
+@dataclass(frozen=True, eq=False, repr=False)
+class TaskAutomaton(Displayed):
     """A deterministic automaton over letters, with verdicts that depend on the step.
 
     formula     what it judges
@@ -75,6 +78,19 @@ class TaskAutomaton:
     registers: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 0), dtype=np.int32))
     register_names: tuple[str, ...] = ()
 
+    def _card(self) -> Card:
+        exact = self.encoding if self.exact else f"{self.encoding} (an approximation)"
+        rows = [(str(part.formula), part.delay, part.method, part.states) for part in self.parts[:_SHOWN]]
+        return Card(
+            f"TaskAutomaton: {counted(self.n_states, 'state')}, {counted(self.n_letters, 'letter')}",
+            [
+                {"formula": self.formula},
+                {"horizon": self.horizon, "encoding": exact, "reads": listed(map(str, self.atoms))},
+            ],
+            (("part", "delay", "method", "states"), rows),
+            more=max(0, len(self.parts) - _SHOWN),
+        )
+
     @property
     def n_states(self) -> int:
         return int(self.delta.shape[1])
@@ -88,11 +104,12 @@ class TaskAutomaton:
         row: NDArray[np.int8] = self.verdict_rows[np.searchsorted(self.verdict_starts, t, side="right") - 1]
         return row
 
-    def judge(self, letters: Iterable[int]) -> tuple[bool, int] | None:
+    def judge(self, letters: Sequence[int]) -> tuple[bool, int] | None:
         """The first decided verdict along a sequence of letters and its step; None if it ends undecided."""
+        require(letters, (list, tuple, np.ndarray), "judge's letters", "give letters by their numbers")
         q = self.initial
         for t, letter in enumerate(letters):
-            q = int(self.delta[letter, q])
+            q = int(self.delta[whole(letter, "one of judge's letters", 0, self.n_letters - 1), q])
             verdict = int(self.verdicts(min(t, self.horizon))[q])
             if verdict != UNDECIDED:
                 return verdict == TRUE, t
@@ -124,7 +141,7 @@ class TaskAutomaton:
 
     def describe(self, q: int) -> str:
         """What state q remembers, in the formula's terms."""
-        return self.state_names[q]
+        return self.state_names[whole(q, "the automaton's state q", 0, self.n_states - 1)]
 
     def letters_at(self, truth: NDArray[np.bool_]) -> NDArray[np.int32]:
         """The letters of truth assignments (n, m) that the automaton knows."""

@@ -20,6 +20,7 @@ from stltool.errors import FragmentError, InexactEncodingWarning, SettingsError,
 from stltool.logic.formula import Formula, atoms, boolean_value, bounded_formula_of
 from stltool.logic.fragment import Fragment, check_fragment
 from stltool.logic.task import Task
+from stltool.sizes import require_limit
 
 Encoding = Literal["exact", "paper", "history"]
 ENCODINGS: tuple[Encoding, ...] = get_args(Encoding)
@@ -54,6 +55,8 @@ def compile_automaton(
     phi = bounded_formula_of(phi, "compile_automaton's formula")
     read = atoms_of(phi, encoding)
     whole(most_states, "most_states", least=1)
+    if memory_limit is not None:
+        require_limit(memory_limit)
     if valuations is None:
         valuations = all_valuations(len(read))
     valuations = truth_table(valuations, len(read), "atoms_of(formula, encoding)")

@@ -28,6 +28,7 @@ from stltool.automata.automaton import FALSE, TRUE
 from stltool.automata.compile import atoms_of, compile_automaton, truth_table
 from stltool.automata.fates import Effort, Fates, differ, shortest_run
 from stltool.automata.samples import Samples, truth_along
+from stltool.display import Card, Displayed, listed
 from stltool.errors import SizeError
 from stltool.logic.feasible import feasible_valuations, leaves
 from stltool.logic.formula import (
@@ -119,8 +120,8 @@ class Idle:
         return {**_place(self.part), "uses": self.uses, "constant": self.constant, "means": str(self.formula)}
 
 
-@dataclass(frozen=True, slots=True)
-class Meaning:
+@dataclass(frozen=True, slots=True, repr=False)
+class Meaning(Displayed):
     """What a formula means before any model.
 
     can_hold, can_fail  whether some trace satisfies it, and whether some does not; None if not decided. False is
@@ -141,6 +142,20 @@ class Meaning:
     because: tuple[Formula, bool] | None
     idle: tuple[Idle, ...]
     status: str
+
+    def _card(self) -> Card:
+        words = {True: "yes", False: "no", None: "not decided"}
+        return Card(
+            f"Meaning: can hold: {words[self.can_hold]}, can fail: {words[self.can_fail]}, {self.status}",
+            [
+                {"formula": self.formula},
+                {
+                    "parts that do not matter": listed(str(idle.part) for idle in self.idle),
+                    "holds on": self.holds,
+                    "fails on": self.fails,
+                },
+            ],
+        )
 
     def warnings(self) -> list[str]:
         """What the author of the formula should look at, ready to print: place, line and carets where it was read."""

@@ -1,6 +1,6 @@
 """The exact probability that a policy, or the best one, satisfies the task: one question a file."""
 
-from stltool.checking.certificate import require_certificate_of, write_certificate
+from stltool.checking.certificate import certify, require_certificate_of, write_certificate
 from stltool.checking.check import CheckResult, check
 from stltool.checking.likely import LikelyRun, LikelyRuns, likely_runs
 from stltool.checking.pareto import Front, pareto
@@ -13,7 +13,7 @@ from stltool.checking.tradeoff import Tradeoff, tradeoff
 
 __all__ = [
     "CheckResult", "Estimate", "Front", "LikelyRun", "LikelyRuns", "Run", "Sensitivity", "SequentialTest",
-    "SurrogateResult", "Tradeoff", "check", "estimate", "estimate_from", "likely_runs", "pareto",
+    "SurrogateResult", "Tradeoff", "certify", "check", "estimate", "estimate_from", "likely_runs", "pareto",
     "require_certificate_of", "robust_check", "sample_run", "sensitivity", "sprt", "sprt_from", "surrogate_optimum",
     "tradeoff", "write_certificate",
 ]  # fmt: skip

@@ -32,6 +32,7 @@ Progress: TypeAlias = Callable[[int, int], None]
 """Called with (steps done, steps in all)."""
 
 Backend = Literal["numba", "numpy"]
+BACKENDS: tuple[Backend, ...] = ("numba", "numpy")
 Number: TypeAlias = type[np.float64] | type[np.int64]
 
 _WORTH_THREADS = 50_000  # numbers a sweep; below, starting threads costs more than they save

@@ -24,19 +24,22 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arguments import function, require
+from stltool.arguments import path as path_of
 from stltool.automata import FALSE, TRUE, UNDECIDED
 from stltool.checking.backward import Progress
 from stltool.checking.check import CheckResult
 from stltool.checking.rational import follower, weights
 from stltool.checking.reach import first_steps, policy_layers
-from stltool.errors import CertificateError, FileError, SettingsError
+from stltool.errors import CertificateError, FileError, RefusedError, SettingsError
 from stltool.files import atomic_file, require_folder, require_replaceable
 from stltool.models import MDP
 from stltool.models.fractions import LARGEST_SUM, Integers
 from stltool.numbers import long_numbers
 from stltool.policy import Policy
 from stltool.product import Product
-from stltool.recheck import DAMAGE, FORMAT, Refused, lines
+from stltool.recheck import DAMAGE, FORMAT, NotACertificate, Refused, lines
+from stltool.recheck import certify as recheck
 from stltool.sizes import require_memory
 
 _PARTS = ("model", "automaton")
@@ -52,9 +55,11 @@ def write_certificate(
 
     The result must have kept its policy. An exact result gets a certificate without any rounding.
     """
+    require(result, CheckResult, "write_certificate's result")
+    path = require_certificate_file(path_of(path, "write_certificate's path"))
+    function(progress, "write_certificate's progress")
     if result.policy is None:
         raise SettingsError("a certificate lists the policy; check with keep_policy=True")
-    path = require_certificate_file(path)
     product, policy = result.product, result.policy
     if result.question == "policy":
         product, policy = policy.on(product)
@@ -80,6 +85,26 @@ def write_certificate(
                 progress(product.horizon - part["t"], product.horizon)
         out.write((json.dumps({"sha256": seal.hexdigest()}) + "\n").encode())
         return Fraction(part["lower"]), Fraction(part["upper"])
+
+
+def certify(path: str | Path, progress: Progress | None = None) -> dict[str, Any]:
+    """Re-check a certificate in exact integers, by code that shares nothing with what wrote it (recheck.py).
+
+    Returns its header with what was counted; `lower` and `upper` are fractions as texts. Raises RefusedError where it
+    does not prove its bounds, CertificateError where it is not a certificate, FileError where it cannot be read.
+    """
+    path = path_of(path, "certify's path")
+    function(progress, "certify's progress")
+    try:
+        return recheck(str(path), progress)
+    except NotACertificate as refusal:
+        raise CertificateError(f"{path}: {refusal}; write one with stltool check --certificate") from None
+    except Refused as refusal:
+        raise RefusedError(f"{path}: refused: {refusal}") from None
+    except FileNotFoundError:
+        raise FileError(f"{path}: there is no such certificate") from None
+    except OSError as error:
+        raise FileError(f"{path}: this certificate cannot be read: {error.strerror}") from None
 
 
 def require_certificate_file(path: str | Path) -> Path:

@@ -15,24 +15,27 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.checking.backward import Backend, Floats, Progress, Values, induct, sweep_of, sweeper
+from stltool.arguments import flag, function, one_of, real
+from stltool.checking.backward import BACKENDS, Backend, Floats, Progress, Values, induct, sweep_of, sweeper
 from stltool.checking.bounds import can_underflow, compounded, defect, enclose, model_defects, roundings
 from stltool.checking.fixed import FixedPoint, fixed_point
 from stltool.checking.rational import exact_probability, require_exact
 from stltool.checking.reach import policy_layers
+from stltool.display import Card, Displayed
 from stltool.errors import PolicyError, SettingsError
 from stltool.numbers import round_down, round_up
-from stltool.policy import Policy
+from stltool.policy import Policy, require_door
 from stltool.product import Product
 from stltool.sizes import require_memory, require_time
 
 _RATE = 1e9  # multiply-adds a second, roughly, on one core
+_LONG = 10**30  # denominators that a short description leaves out
 _NAMED = 3  # silent places in a message
 _SHARP = 1e-9  # the relative width below which a fixed-point enclosure is not swept again in doubles
 
 
-@dataclass(frozen=True, eq=False)
-class CheckResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class CheckResult(Displayed):
     """How a check ended.
 
     probability   the value computed; lower ≤ exact value ≤ upper, rounding included, for the model as given
@@ -60,13 +63,27 @@ class CheckResult:
 
     def at_least(self, bound: float | Fraction) -> bool | None:
         """Whether the exact value is at least `bound`; None where the bound lies inside the enclosure."""
+        bound = real(bound, "at_least's bound")
         lower, upper = (self.lower, self.upper) if self.fraction is None else (self.fraction, self.fraction)
         return True if lower >= bound else False if upper < bound else None
 
     def at_most(self, bound: float | Fraction) -> bool | None:
         """Whether the exact value is at most `bound`; None where the bound lies inside the enclosure."""
+        bound = real(bound, "at_most's bound")
         lower, upper = (self.lower, self.upper) if self.fraction is None else (self.fraction, self.fraction)
         return True if upper <= bound else False if lower > bound else None
+
+    def _card(self) -> Card:
+        asked = {"maximum": "maximum over all policies", "minimum": "minimum over all policies", "policy": "the policy"}
+        nature = f", nature {self.nature}" if self.nature is not None else ""
+        exact = self.fraction is not None and self.fraction.denominator < _LONG
+        return Card(
+            f"CheckResult: P = {self.probability!r}, {asked[self.question]}{nature}, {self.status}",
+            [
+                {"bounds": f"[{self.lower!r}, {self.upper!r}]", "exactly": self.fraction if exact else None},
+                {"task": f"{self.product.task_name} := {self.product.formula}", "model": self.product.model.name},
+            ],
+        )
 
 
 def check(
@@ -89,8 +106,12 @@ def check(
     answer is asked of rows that do not sum to 1; SizeError before allocating what would not fit.
     """
     start = time.perf_counter()
-    require_known("backend", backend, ("numba", "numpy"))
-    require_known("arithmetic", arithmetic, ("auto", "double", "fixed"))
+    require_door("check", product, policy)
+    for switch, name in ((maximize, "maximize"), (exact, "exact"), (keep_policy, "keep_policy")):
+        flag(switch, f"check's {name}")
+    one_of(backend, "backend", BACKENDS)
+    one_of(arithmetic, "arithmetic", ("auto", "double", "fixed"))
+    function(progress, "check's progress")
     if exact:
         require_exact(product.model)
     question: Literal["maximum", "minimum", "policy"]
@@ -131,9 +152,19 @@ def require_sweeps(product: Product, keep_policy: bool, rate: float, memory_limi
     )
 
 
-def require_known(what: str, given: str, known: tuple[str, ...]) -> None:
-    if given not in known:
-        raise SettingsError(f"there is no {what} {given!r}; choose {', '.join(known)}")
+def or_optimal(caller: str, product: Product, policy: Policy | None, memory_limit: int | None = None) -> Policy:
+    """The policy itself, or the optimal one where none is given."""
+    require_door(caller, product, policy)
+    if policy is not None:
+        return policy
+    if product.model.blackbox is not None:
+        raise SettingsError(
+            f"{product.model.name} is a black box, whose optimal policy is not known; give {caller} a policy, such as "
+            "stl.learn(product).policy"
+        )
+    best = check(product, memory_limit=memory_limit).policy
+    assert best is not None  # checks keep it
+    return best
 
 
 @dataclass(frozen=True, eq=False)

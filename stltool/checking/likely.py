@@ -33,23 +33,26 @@ from typing import TypeAlias
 
 import numpy as np
 
+from stltool.arguments import flag, function, real, whole
 from stltool.automata import FALSE, TRUE, UNDECIDED
 from stltool.checking.backward import Floats, Progress
-from stltool.checking.check import check
+from stltool.checking.check import or_optimal
 from stltool.checking.sampling import Run
 from stltool.checking.unfold import Unfolding
+from stltool.display import Card, Displayed, counted, probability_text
 from stltool.errors import SettingsError
-from stltool.policy import Policy
+from stltool.policy import Policy, require_door
 from stltool.product import Product
 
 MOST_RUNS = 10_000
+_SHOWN = 10  # runs in a notebook
 _ROUNDING = 1e-12  # a set that lacks less than this share of what it should cover, covers it
 
 _Trail: TypeAlias = "tuple[_Trail | None, int, int, float, float]"
 """A run backwards: what came before, choice (−1 at the start), position in its layer, probability and its log."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LikelyRun(Run):
     """A run with its probability under the policy; `log_probability` stays finite where that underflows.
 
@@ -67,8 +70,8 @@ class LikelyRun(Run):
         return len(self.actions)
 
 
-@dataclass(frozen=True, eq=False)
-class LikelyRuns:
+@dataclass(frozen=True, eq=False, repr=False)
+class LikelyRuns(Displayed):
     """The most probable runs of one verdict, in order of falling probability.
 
     product, policy   where the runs live; with a policy that remembers otherwise than the task's automaton, their join
@@ -90,6 +93,25 @@ class LikelyRuns:
     exhausted: bool
     status: str
 
+    def _card(self) -> Card:
+        verdict = "satisfying" if self.satisfied else "violating"
+        rows = [
+            (i, probability_text(run.probability), run.step, " ".join(map(self.product.model.state_name, run.states)))
+            for i, run in enumerate(self.runs[:_SHOWN], start=1)
+        ]
+        best = probability_text(self.runs[0].probability) if self.runs else None
+        share = math.floor(1e4 * self.covered) / 100  # 100 for all alone
+        return Card(
+            f"LikelyRuns: {counted(len(self.runs), f'{verdict} run')}, {share:g} % of "
+            f"P = {probability_text(self.probability)}, {self.status}",
+            [
+                {"most probable": best, "all there are": "yes" if self.exhausted else "no"},
+                {"task": f"{self.product.task_name} := {self.product.formula}", "policy": self.policy.kind},
+            ],
+            (("", "probability", "decided at step", "states"), rows),
+            more=max(0, len(self.runs) - _SHOWN),
+        )
+
 
 def likely_runs(
     product: Product,
@@ -108,15 +130,16 @@ def likely_runs(
     the first `most` of it. Raises PolicyError where the policy says nothing about a place it reaches or belongs to
     another task, SettingsError for numbers out of range, SizeError before taking memory that is not there.
     """
-    for name, value in (("count", count), ("most", most)):
-        if not isinstance(value, int | np.integer) or value < 1:
-            raise SettingsError(f"{name} is {value!r}; ask for a whole number of runs from 1")
-    if mass is not None and not 0 < mass <= 1:
-        raise SettingsError(f"mass is {mass!r}; it is a share of the probability, above 0 and at most 1, such as 0.9")
-    if policy is None:
-        policy = check(product, memory_limit=memory_limit).policy
-        assert policy is not None
-    product, policy = policy.on(product)
+    require_door("likely_runs", product, policy)
+    flag(satisfied, "likely_runs' satisfied")
+    whole(count, "count", least=1)
+    whole(most, "most", least=1)
+    function(progress, "likely_runs' progress")
+    if mass is not None:
+        mass = float(real(mass, "mass", "0.9"))
+        if not 0 < mass <= 1:
+            raise SettingsError(f"mass is {mass}; it is a share of the probability, above 0 and at most 1, such as 0.9")
+    product, policy = or_optimal("likely_runs", product, policy, memory_limit).on(product)
     unfolding = Unfolding(product, policy, memory_limit, progress)
     wanted = TRUE if satisfied else FALSE
     probability = math.fsum(unfolding.start * unfolding.probabilities(wanted)[0])

@@ -18,12 +18,15 @@ import time
 from dataclasses import dataclass
 from fractions import Fraction
 
+from stltool.arguments import function, real, require, whole
 from stltool.checking.backward import Progress
 from stltool.checking.weighted import Criteria, Figure, best, probability
+from stltool.display import Card, Displayed, counted, probability_text
 from stltool.errors import SettingsError
 from stltool.numbers import round_up
 from stltool.product import JointProduct
 
+_SHOWN = 10  # corners in a notebook
 _SAME = 1e-12  # probabilities that differ by less of themselves are one
 
 
@@ -42,8 +45,8 @@ class Corner:
         return self.probabilities[0].value, self.probabilities[1].value
 
 
-@dataclass(frozen=True, eq=False)
-class Front:
+@dataclass(frozen=True, eq=False, repr=False)
+class Front(Displayed):
     """The front, from the corner best for the first task to the one best for the second; between them policies mix.
 
     corners     undominated, in that order
@@ -61,8 +64,21 @@ class Front:
     status: str
     seconds: float
 
+    def _card(self) -> Card:
+        first, second = self.joint.names
+        points = [corner.point for corner in self.corners]
+        ends = [f"({probability_text(p)}, {probability_text(q)})" for p, q in (points[0], points[-1])]
+        rows = [(probability_text(p), probability_text(q)) for p, q in points[:_SHOWN]]
+        return Card(
+            f"Front: {first} and {second}, {counted(len(points), 'corner')}, {self.status}",
+            [{"from": ends[0], "to": ends[1], "gap": f"{self.gap:.2g}"}, {"model": self.joint.model.name}],
+            ((f"P({first})", f"P({second})"), rows),
+            more=max(0, len(points) - _SHOWN),
+        )
+
     def at_least(self, second: float) -> tuple[float, float] | None:
         """(achieved by mixing corners, upper bound on) P(first) where P(second) >= `second`; None if out of reach."""
+        second = float(real(second, "at_least's bound", "0.9"))
         if not 0 <= second <= 1:
             raise SettingsError(f"P({self.joint.names[1]}) >= {second}: a probability lies between 0 and 1")
         points = [corner.point for corner in self.corners]
@@ -86,10 +102,13 @@ def pareto(
     it. Raises SettingsError for other than two tasks, and for a setting out of range.
     """
     started = time.perf_counter()
+    require(joint, JointProduct, "pareto's joint product")
+    function(progress, "pareto's progress")
     if len(joint.tasks) != 2:
         raise SettingsError(f"a Pareto front is of two tasks, not of {len(joint.tasks)}; choose two")
-    if points < 2:
+    if whole(points, "points") < 2:
         raise SettingsError(f"points = {points}: a front needs at least the best of either task, 2 points")
+    tolerance = float(real(tolerance, "tolerance", "1e-9"))
     if not 0 < tolerance < 1:
         raise SettingsError(f"tolerance = {tolerance}: a number between 0 and 1 is needed")
     criteria = Criteria(joint)

@@ -34,17 +34,28 @@ import itertools
 import math
 import time
 from fractions import Fraction
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.checking.backward import Backend, Floats, NumbaSweeper, NumpySweeper, Progress, Sweeper, induct, sweep_of
+from stltool.arguments import flag, function, one_of
+from stltool.checking.backward import (
+    BACKENDS,
+    Backend,
+    Floats,
+    NumbaSweeper,
+    NumpySweeper,
+    Progress,
+    Sweeper,
+    induct,
+    sweep_of,
+)
 from stltool.checking.bounds import compounded, defect, enclose
-from stltool.checking.check import CheckResult, require_known, require_sweeps, undefined
+from stltool.checking.check import CheckResult, require_sweeps, undefined
 from stltool.errors import SettingsError
 from stltool.models import Intervals
-from stltool.policy import Policy
+from stltool.policy import Policy, require_door
 from stltool.product import Product
 
 Nature = Literal["against", "with"]
@@ -77,15 +88,18 @@ def robust_check(
     says nothing about a state it may reach, SizeError before allocating what would not fit.
     """
     start = time.perf_counter()
+    require_door("robust_check", product, policy)
+    flag(maximize, "robust_check's maximize")
+    flag(keep_policy, "robust_check's keep_policy")
+    one_of(nature, "nature", get_args(Nature))
+    one_of(backend, "backend", BACKENDS)
+    function(progress, "robust_check's progress")
     intervals = product.model.intervals
     if intervals is None:
         product.model.require_points()
         raise SettingsError(
             "the model has no intervals; use stl.check, or give them with MDP.from_intervals or success = [lo, hi]"
         )
-    if nature not in ("against", "with"):
-        raise SettingsError(f"nature is {nature!r}; choose against or with")
-    require_known("backend", backend, ("numba", "numpy"))
     longest = int(np.diff(product.model.row_start).max())
     if longest > _LONGEST_ROW:
         raise SettingsError(f"a row has {longest} entries; robust checks take up to {_LONGEST_ROW}")

@@ -2,33 +2,52 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
+from dataclasses import dataclass, field
 
 from stltool.automata import TRUE, UNDECIDED
+from stltool.checking.check import or_optimal
+from stltool.display import Card, Displayed
 from stltool.models.environment import simulator
 from stltool.policy import Policy, silence
 from stltool.product import Product
+from stltool.randomness import Purpose, generator, require_seed
 
 
-@dataclass(frozen=True)
-class Run:
+@dataclass(frozen=True, repr=False)
+class Run(Displayed):
     """One sampled run s₀ … s_n up to the step where the verdict fell.
 
     `states` has one entry more than `actions`; `memory` tells what is remembered after each; `satisfied` is the
-    verdict, which fell at the last step.
+    verdict, which fell at the last step; `seed` what its random numbers came from, where it was sampled.
     """
 
     states: tuple[int, ...]
     actions: tuple[str, ...]
     memory: tuple[str, ...]
     satisfied: bool
+    seed: int | None = field(default=None, kw_only=True)
+
+    def _card(self) -> Card:
+        verdict = "satisfied" if self.satisfied else "violated"
+        return Card(
+            f"{type(self).__name__}: {verdict} at step {len(self.actions)}",
+            [
+                {"states": " ".join(map(str, self.states)), "seed": self.seed},
+                {"actions": " ".join(self.actions) or None},
+            ],
+        )
 
 
-def sample_run(product: Product, policy: Policy, rng: np.random.Generator) -> Run:
-    """Follow `policy` from a random first state until the task is decided, in the model or its black box."""
-    product, policy = policy.on(product)
+def sample_run(product: Product, policy: Policy | None = None, seed: int = 0) -> Run:
+    """Follow `policy` (default: the optimal one) from a random first state until the task is decided, in the model or
+    its black box.
+
+    seed   an integer from 0; every random choice comes from it: same seed, same run
+
+    Raises PolicyError where the policy says nothing about a state that the run reaches or belongs to another task.
+    """
+    rng = generator(require_seed(seed), Purpose.SAMPLE_RUN)
+    product, policy = or_optimal("sample_run", product, policy).on(product)
     model, automaton = product.model, product.automaton
     environment = simulator(model, rng, product.horizon)
     s = environment.reset()
@@ -46,4 +65,5 @@ def sample_run(product: Product, policy: Policy, rng: np.random.Generator) -> Ru
         t += 1
         states.append(s)
         memory.append(automaton.describe(q))
-    return Run(tuple(states), tuple(actions), tuple(memory), bool(automaton.verdicts(t)[q] == TRUE))
+    satisfied = bool(automaton.verdicts(t)[q] == TRUE)
+    return Run(tuple(states), tuple(actions), tuple(memory), satisfied, seed=int(seed))

@@ -25,13 +25,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stltool.arguments import function, whole
 from stltool.automata import TRUE
 from stltool.checking.backward import Floats, Progress
-from stltool.checking.check import check
+from stltool.checking.check import or_optimal
 from stltool.checking.unfold import Unfolding
+from stltool.display import Card, Displayed, probability_text
 from stltool.policy import Policy
 from stltool.product import Product
 from stltool.sizes import require_memory
+
+_SHOWN = 10  # states in a notebook
 
 
 @dataclass(frozen=True)
@@ -57,8 +61,8 @@ class StateSensitivity:
     actions: tuple[ActionSensitivity, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Sensitivity:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensitivity(Displayed):
     """Derivatives of a policy's P, per unit of probability; see the module's text.
 
     probability   P under the policy
@@ -80,8 +84,20 @@ class Sensitivity:
     visits: Floats
     times: Floats
 
+    def _card(self) -> Card:
+        ranked = self.ranked(_SHOWN)
+        rows = [(row.name, f"{row.derivative:.6g}", f"{row.visits:.6g}") for row in ranked]
+        told = "; ".join(f"{name}: {derivative}" for name, derivative, _ in rows[:3])
+        return Card(
+            f"Sensitivity: dP of {self.product.task_name} under a policy with P = {probability_text(self.probability)}",
+            [{"states that move P most": told or "none"}, {"model": self.product.model.name}],
+            (("state", "derivative", "expected visits"), rows),
+        )
+
     def ranked(self, count: int | None = None) -> tuple[StateSensitivity, ...]:
         """States that the policy acts in, the largest |derivative| first, then by `steepest`, then in model order."""
+        if count is not None:
+            whole(count, "ranked's count", least=0)
         model = self.product.model
         visited = np.flatnonzero(self.visits > 0)
         order = np.lexsort((visited, -self.steepest[visited], -np.abs(self.derivative[visited])))
@@ -128,10 +144,8 @@ def sensitivity(
     Raises PolicyError where the policy says nothing about a place it reaches or belongs to another task, SizeError
     before taking memory that is not there.
     """
-    if policy is None:
-        policy = check(product, memory_limit=memory_limit).policy
-        assert policy is not None
-    product, policy = policy.on(product)
+    function(progress, "sensitivity's progress")
+    product, policy = or_optimal("sensitivity", product, policy, memory_limit).on(product)
     model = product.model
     require_memory(
         8 * (4 * model.n_transitions + 4 * model.n_choices + 4 * model.n_states),

@@ -30,14 +30,17 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arguments import function, one_of, real, whole
 from stltool.checking.backward import Progress
+from stltool.checking.check import or_optimal
 from stltool.checking.rollouts import Rollouts, Verdicts
+from stltool.display import Card, Displayed
 from stltool.errors import SettingsError
-from stltool.models.environment import Resettable
-from stltool.numbers import NumberError, ceiling_text, exact, floor_text
-from stltool.policy import Policy
+from stltool.models.environment import Resettable, require_environment
+from stltool.numbers import ceiling_text, exact, floor_text
+from stltool.policy import Policy, require_door
 from stltool.product import Product
-from stltool.randomness import Purpose
+from stltool.randomness import Purpose, require_seed
 from stltool.sizes import require_time
 
 Side: TypeAlias = Literal["both", "lower", "upper"]
@@ -48,8 +51,8 @@ _RATE = 1e7  # runs a second at the very best, each decided after few steps
 _GRID = 64  # outcomes looked at at a time when runs are planned
 
 
-@dataclass(frozen=True)
-class Estimate:
+@dataclass(frozen=True, repr=False)
+class Estimate(Displayed):
     """How many runs satisfied the task, and what follows for the probability.
 
     probability   satisfied / runs, the maximum likelihood estimate
@@ -71,6 +74,18 @@ class Estimate:
     seed: int | None = None
     seconds: float = 0.0
 
+    def _card(self) -> Card:
+        return Card(
+            f"Estimate: P = {self.probability!r}, {self.satisfied} of {self.runs} runs satisfied",
+            [
+                {
+                    "interval": f"[{floor_text(self.lower)}, {ceiling_text(self.upper)}]",
+                    "confidence": f"{100 * self.confidence:.12g} %",
+                },
+                {"method": self.method, "side": self.side, "steps": self.steps, "seed": self.seed},
+            ],
+        )
+
     @property
     def statement(self) -> str:
         """What was found, in words; bounds are rounded outwards."""
@@ -84,8 +99,8 @@ class Estimate:
         return f"with confidence {100 * self.confidence:.12g} % the probability {found[self.side]}"
 
 
-@dataclass(frozen=True)
-class SequentialTest:
+@dataclass(frozen=True, repr=False)
+class SequentialTest(Displayed):
     """How a sequential probability ratio test of P ≥ `at_least` ended.
 
     verdict   "holds" | "does not hold" | "undecided" (`runs` reached the most allowed, nothing is claimed)
@@ -109,6 +124,15 @@ class SequentialTest:
     seed: int | None = None
     seconds: float = 0.0
 
+    def _card(self) -> Card:
+        return Card(
+            f"SequentialTest: P >= {self.at_least!r} {self.verdict if self.verdict != 'undecided' else 'is undecided'}",
+            [
+                {"runs": self.runs, "satisfied": self.satisfied, "seed": self.seed},
+                {"indifference": self.indifference, "alpha": self.alpha, "beta": self.beta},
+            ],
+        )
+
     @property
     def statement(self) -> str:
         """The verdict with what its error probability is a probability of."""
@@ -127,17 +151,18 @@ class SequentialTest:
 
 def estimate(
     product: Product,
-    policy: Policy,
+    policy: Policy | None = None,
     *,
     runs: int | None = None,
-    epsilon: float | None = None,
-    confidence: float = 0.99,
+    epsilon: float | Fraction | None = None,
+    confidence: float | Fraction = 0.99,
     side: Side = "both",
     seed: int = 0,
     environment: Resettable | None = None,
     progress: Progress | None = None,
 ) -> Estimate:
-    """The probability that the task holds under `policy`, estimated from independent runs, with its interval.
+    """The probability that the task holds under `policy` (default: the optimal one), from independent runs, with an
+    interval.
 
     runs          how many, fixed beforehand (10 000), or
     epsilon       so many that neither bound is farther than this from the estimate, whatever is seen
@@ -152,7 +177,12 @@ def estimate(
     Raises PolicyError where the policy says nothing about a state a run reaches, ModelError where the environment
     returns no state, SettingsError for settings out of range, SizeError for runs beyond a week.
     """
+    require_door("estimate", product, policy)
+    require_environment(environment, "estimate's environment")
+    function(progress, "estimate's progress")
     n = planned_runs(runs, epsilon, confidence, side)
+    require_seed(seed)
+    policy = or_optimal("estimate", product, policy)
     rollouts = Rollouts(product, policy, n, seed, environment)
     result = estimate_from(rollouts, n, confidence=confidence, side=side, progress=progress)
     return replace(result, steps=rollouts.steps, seed=rollouts.seed)
@@ -160,24 +190,31 @@ def estimate(
 
 def sprt(
     product: Product,
-    policy: Policy,
-    at_least: float,
+    policy: Policy | None = None,
+    at_least: float | Fraction | None = None,
     *,
-    indifference: float = 0.01,
-    alpha: float = 0.01,
-    beta: float = 0.01,
+    indifference: float | Fraction = 0.01,
+    alpha: float | Fraction = 0.01,
+    beta: float | Fraction = 0.01,
     most_runs: int = MOST_RUNS,
     seed: int = 0,
     environment: Resettable | None = None,
     progress: Progress | None = None,
 ) -> SequentialTest:
-    """Test whether the task holds under `policy` with probability `at_least`, with as few runs as that takes.
+    """Test whether the task holds under `policy` (default: the optimal one) with probability `at_least`, a number
+    between 0 and 1, with as few runs as that takes.
 
     Where P lies within `indifference` of `at_least` either answer is right. `alpha` bounds the probability of a wrong
     "does not hold", `beta` that of a wrong "holds"; "undecided" after `most_runs` claims nothing. `progress` is called
     with (runs done, most_runs); the rest as for `estimate`.
     """
+    require_door("sprt", product, policy)
+    require_environment(environment, "sprt's environment")
+    function(progress, "sprt's progress")
     hypotheses(at_least, indifference, alpha, beta, most_runs)
+    assert at_least is not None  # as just checked
+    require_seed(seed)
+    policy = or_optimal("sprt", product, policy)
     rollouts = Rollouts(product, policy, most_runs, seed, environment, Purpose.SPRT)
     result = sprt_from(
         rollouts, at_least, indifference=indifference, alpha=alpha, beta=beta, most_runs=most_runs, progress=progress
@@ -192,7 +229,7 @@ def estimate_from(
     verdicts: Iterable[bool | Verdicts],
     runs: int,
     *,
-    confidence: float = 0.99,
+    confidence: float | Fraction = 0.99,
     side: Side = "both",
     progress: Progress | None = None,
 ) -> Estimate:
@@ -219,11 +256,11 @@ def estimate_from(
 
 def sprt_from(
     verdicts: Iterable[bool | Verdicts],
-    at_least: float,
+    at_least: float | Fraction,
     *,
-    indifference: float = 0.01,
-    alpha: float = 0.01,
-    beta: float = 0.01,
+    indifference: float | Fraction = 0.01,
+    alpha: float | Fraction = 0.01,
+    beta: float | Fraction = 0.01,
     most_runs: int = MOST_RUNS,
     progress: Progress | None = None,
 ) -> SequentialTest:
@@ -235,7 +272,7 @@ def sprt_from(
     p0, p1 = hypotheses(at_least, indifference, alpha, beta, most_runs)
     per_success = math.log1p(float((p1 - p0) / p0)) if p1 > 0 else -math.inf
     per_failure = math.log1p(float((p0 - p1) / (1 - p0))) if p0 < 1 else math.inf
-    accept, reject = math.log(beta), -math.log(alpha)
+    accept, reject = math.log(float(beta)), -math.log(float(alpha))
     done = satisfied = 0
     ratio = 0.0
     for some in _batches(verdicts):
@@ -278,7 +315,9 @@ def _times(count: NDArray[np.int64], value: float) -> NDArray[np.float64]:
 # ------------------------------------------------------------------------------------------------- mathematics
 
 
-def clopper_pearson(satisfied: int, runs: int, confidence: float = 0.99, side: Side = "both") -> tuple[float, float]:
+def clopper_pearson(
+    satisfied: int, runs: int, confidence: float | Fraction = 0.99, side: Side = "both"
+) -> tuple[float, float]:
     """(lower, upper) around the probability of which `satisfied` of `runs` independent runs are a sample."""
     planned_runs(runs, None, confidence, side)
     if not 0 <= satisfied <= runs:
@@ -291,21 +330,23 @@ def clopper_pearson(satisfied: int, runs: int, confidence: float = 0.99, side: S
     return lower, upper
 
 
-def okamoto_runs(epsilon: float, confidence: float = 0.99, side: Side = "both") -> int:
+def okamoto_runs(epsilon: float | Fraction, confidence: float | Fraction = 0.99, side: Side = "both") -> int:
     """⌈ln(1/tail) / 2ε²⌉ with tail δ/2, or δ for one side: Okamoto's (Chernoff's, Hoeffding's) number of runs."""
     require_confidence(confidence, side)
-    if not _SHARPEST <= _number(epsilon, "epsilon") < Fraction(1, 2):
+    if not _SHARPEST <= _decimal(epsilon, "epsilon", "0.01") < Fraction(1, 2):
         raise SettingsError(f"epsilon is {epsilon}; a half-width lies between 1e-9 and 0.5, such as 0.01")
     return math.ceil(-math.log(_tail(confidence, side)) / (2 * float(epsilon) ** 2))
 
 
-def runs_needed(epsilon: float, confidence: float = 0.99, side: Side = "both") -> int:
+def runs_needed(epsilon: float | Fraction, confidence: float | Fraction = 0.99, side: Side = "both") -> int:
     """Runs after which no Clopper–Pearson bound can be farther than `epsilon` from the estimate, whatever is seen.
 
     Never more than Okamoto's number, for ordinary confidences some 40 % fewer.
     """
     enough, too_few = okamoto_runs(epsilon, confidence, side), 0
-    what = f"an interval of ±{epsilon:g} at confidence {confidence:g} takes up to {enough:.3g} runs; these"
+    what = (
+        f"an interval of ±{float(epsilon):g} at confidence {float(confidence):g} takes up to {enough:.3g} runs; these"
+    )
     _require_runs(enough, "runs", what)
     tail = _tail(confidence, side)
     while enough - too_few > 1:
@@ -331,9 +372,9 @@ def _excess(runs: int, tail: float) -> float:
         first, last = int(k[max(top - 1, 0)]), int(k[min(top + 1, len(k) - 1)])
 
 
-def _tail(confidence: float, side: Side) -> float:
+def _tail(confidence: float | Fraction, side: Side) -> float:
     """The probability that one bound may fail with."""
-    missing = 1 - exact(confidence)
+    missing = 1 - _decimal(confidence, "confidence")
     return float(missing / 2 if side == "both" else missing)
 
 
@@ -341,7 +382,10 @@ def _tail(confidence: float, side: Side) -> float:
 
 
 def planned_runs(
-    runs: int | None = None, epsilon: float | None = None, confidence: float = 0.99, side: Side = "both"
+    runs: int | None = None,
+    epsilon: float | Fraction | None = None,
+    confidence: float | Fraction = 0.99,
+    side: Side = "both",
 ) -> int:
     """How many runs `estimate` makes with these settings; SettingsError or SizeError where they make no sense."""
     require_confidence(confidence, side)
@@ -355,12 +399,16 @@ def planned_runs(
 
 
 def hypotheses(
-    at_least: float, indifference: float = 0.01, alpha: float = 0.01, beta: float = 0.01, most_runs: int = MOST_RUNS
+    at_least: float | Fraction | None,
+    indifference: float | Fraction = 0.01,
+    alpha: float | Fraction = 0.01,
+    beta: float | Fraction = 0.01,
+    most_runs: int = MOST_RUNS,
 ) -> tuple[Fraction, Fraction]:
     """p₀ and p₁ of `sprt` with these settings, as the decimals they were written in; SettingsError where they make
     no sense."""
     _require_runs(most_runs, "most_runs")
-    theta, margin = _number(at_least, "at_least"), _number(indifference, "indifference")
+    theta, margin = _decimal(at_least, "at_least", "0.9"), _decimal(indifference, "indifference", "0.01")
     if not 0 < theta < 1:
         raise SettingsError(f"at_least is {at_least}; a probability above 0 and below 1 can be tested")
     if margin <= 0:
@@ -371,7 +419,7 @@ def hypotheses(
             f"the indifference region {float(p1):.12g} … {float(p0):.12g} leaves [0, 1]; "
             f"take an indifference of at most {float(min(theta, 1 - theta)):.12g}"
         )
-    errors = _number(alpha, "alpha"), _number(beta, "beta")
+    errors = _decimal(alpha, "alpha", "0.01"), _decimal(beta, "beta", "0.01")
     for value, name in zip(errors, ("alpha", "beta"), strict=True):
         if not 0 < value < 1:
             raise SettingsError(f"{name} is {float(value)}; an error probability lies between 0 and 1, exclusive")
@@ -380,22 +428,18 @@ def hypotheses(
     return p0, p1
 
 
-def _number(value: float, name: str) -> Fraction:
-    try:
-        return exact(value)
-    except NumberError as error:
-        raise SettingsError(f"{name}: {error}") from None
+def _decimal(value: object, name: str, example: str = "0.99") -> Fraction:
+    """A double as the decimal that it was written as."""
+    return exact(real(value, name, example))
 
 
-def require_confidence(confidence: float, side: str = "lower") -> None:
+def require_confidence(confidence: float | Fraction, side: str = "lower") -> None:
     """SettingsError unless 0 < confidence < 1 and there is such a side."""
-    if not 0 < _number(confidence, "confidence") < 1:
+    if not 0 < _decimal(confidence, "confidence") < 1:
         raise SettingsError(f"confidence is {confidence}; it lies between 0 and 1, exclusive, such as 0.99")
-    if side not in get_args(Side):
-        raise SettingsError(f"side is {side!r}; choose both, lower or upper")
+    one_of(side, "side", get_args(Side))
 
 
 def _require_runs(runs: int, name: str, what: str | None = None) -> None:
-    if not isinstance(runs, int | np.integer) or runs < 1:
-        raise SettingsError(f"{name} is {runs!r}; at least 1 is needed")
+    whole(runs, name, least=1)
     require_time(runs, _RATE, what or f"{runs} runs", "take a wider interval or fewer runs")

@@ -36,13 +36,15 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arguments import function, one_of, real
 from stltool.automata import TRUE, UNDECIDED
 from stltool.checking.backward import Floats, Progress, sweeper
 from stltool.checking.bounds import model_defects
-from stltool.checking.check import CheckResult, check, require_known
+from stltool.checking.check import CheckResult, check
+from stltool.display import Card, Displayed
 from stltool.errors import SettingsError
 from stltool.logic.fragment import check_fragment
-from stltool.policy import Policy, with_flags
+from stltool.policy import Policy, require_door, with_flags
 from stltool.product import Product, build_product, joined
 from stltool.sizes import require_memory, require_time
 
@@ -55,8 +57,8 @@ _RATE = 2e8  # multiply-adds a second, roughly
 _EPSILON = 2.0**-52
 
 
-@dataclass(frozen=True, eq=False)
-class SurrogateResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class SurrogateResult(Displayed):
     """The surrogate's optimum, judged by the task.
 
     product    what judges: exact verdicts of the task
@@ -80,6 +82,23 @@ class SurrogateResult:
     sweeps: int
     seconds: float
     status: str = "complete"
+
+    def _card(self) -> Card:
+        return Card(
+            f"SurrogateResult: P = {self.at_random.probability!r} by the surrogate's optimum, {self.status}",
+            [
+                {
+                    "least": self.least.probability,
+                    "greatest": self.greatest.probability,
+                    "the task's optimum": self.optimum.probability,
+                },
+                {
+                    "reading": self.reading,
+                    "gamma": self.gamma,
+                    "task": f"{self.product.task_name} := {self.product.formula}",
+                },
+            ],
+        )
 
     @property
     def gap(self) -> float:
@@ -106,11 +125,13 @@ def surrogate_optimum(
     allocating what would not fit.
     """
     start = time.perf_counter()
-    require_known("reading", reading, READINGS)
-    if not 0 < gamma < 1:
-        raise SettingsError(f"gamma is {gamma!r}; it must be between 0 and 1, both excluded")
-    if not 0 < tolerance < 1:
-        raise SettingsError(f"tolerance is {tolerance!r}; it must be between 0 and 1, both excluded")
+    require_door("surrogate_optimum", product)
+    one_of(reading, "reading", READINGS)
+    gamma, tolerance = float(real(gamma, "gamma", "0.999")), float(real(tolerance, "tolerance", "1e-9"))
+    for value, name in ((gamma, "gamma"), (tolerance, "tolerance")):
+        if not 0 < value < 1:
+            raise SettingsError(f"{name} is {value!r}; it must be between 0 and 1, both excluded")
+    function(progress, "surrogate_optimum's progress")
     check_fragment(product.formula)
     home = replace(with_flags(product), task_name=product.task_name)
     product.model.require_points()

@@ -21,9 +21,11 @@ from fractions import Fraction
 
 import numpy as np
 
+from stltool.arguments import flag, function, mapping, real, require, whole
 from stltool.checking.backward import Progress
 from stltool.checking.occupation import MOST_VARIABLES, Programme, Solution, policy_of, programme, solve
 from stltool.checking.weighted import Choices, Criteria, Figure, Weights, best, cost, of_policy, probability
+from stltool.display import Card, Displayed, counted, probability_text
 from stltool.errors import InfeasibleError, SettingsError, SolverError
 from stltool.numbers import number_text, round_up
 from stltool.policy import Policy
@@ -35,11 +37,11 @@ _ROOM = 1e-6  # the least such room
 _ITERATIONS = 50  # of the simplex method a row, before bounds are taken to be out of its reach
 
 
-@dataclass(frozen=True, eq=False)
-class Tradeoff:
+@dataclass(frozen=True, eq=False, repr=False)
+class Tradeoff(Displayed):
     """How a trade-off ended.
 
-    maximize       the task whose probability was maximised
+    objective      the task whose probability was maximised
     at_least, budget  the constraints as given, by task and by cost
     probabilities  each task's probability under `policy`, and `costs` each budgeted cost's expectation: computed by
                    backward induction, lower ≤ exact ≤ upper
@@ -52,7 +54,7 @@ class Tradeoff:
     """
 
     joint: JointProduct
-    maximize: str
+    objective: str
     at_least: Mapping[str, float | Fraction]
     budget: Mapping[str, float | Fraction]
     probabilities: Mapping[str, Figure]
@@ -68,17 +70,27 @@ class Tradeoff:
     @property
     def probability(self) -> float:
         """P of the maximised task under the policy."""
-        return self.probabilities[self.maximize].value
+        return self.probabilities[self.objective].value
 
     @property
     def gap(self) -> float:
         """How much higher a policy's probability could be at most."""
-        return max(0.0, self.bound - self.probabilities[self.maximize].lower)
+        return max(0.0, self.bound - self.probabilities[self.objective].lower)
+
+    def _card(self) -> Card:
+        kept = [f"P({name}) >= {bound}" for name, bound in self.at_least.items()]
+        kept += [f"E[{name}] <= {bound}" for name, bound in self.budget.items()]
+        shown: dict[str, object] = {f"P({name})": probability_text(f.value) for name, f in self.probabilities.items()}
+        shown |= {f"E[{name}]": f"{figure.value:.6g}" for name, figure in self.costs.items()}
+        return Card(
+            f"Tradeoff: P({self.objective}) = {self.probability!r}, at most {self.bound!r}, {self.status}",
+            [shown, {"constraints": ", ".join(kept) or "none", "randomised at": counted(self.randomised, "place")}],
+        )
 
 
 def tradeoff(
     joint: JointProduct,
-    maximize: str,
+    objective: str,
     *,
     at_least: Mapping[str, float | Fraction] | None = None,
     budget: Mapping[str, float | Fraction] | None = None,
@@ -86,23 +98,32 @@ def tradeoff(
     most_variables: int = MOST_VARIABLES,
     progress: Progress | None = None,
 ) -> Tradeoff:
-    """Maximise a task's probability where others have `at_least` theirs and expected costs keep their `budget`.
+    """Maximise the probability of the task `objective`.
 
-    A cost is a signal (at least 0 everywhere) or a label (1 where it holds), summed over the states s₀ … s_{h−1}, h the
-    longest horizon of all tasks. Raises InfeasibleError, with what is possible, where no policy keeps the constraints,
-    SettingsError for a bound out of range, NameLookupError for an unknown task or cost, SizeError before building a
-    programme of more than `most_variables`, SolverError where the solver gives up.
+    at_least   the least probabilities of other tasks, by name
+    budget     the most expected costs, by name. A cost is a signal (at least 0 everywhere) or a label (1 where it
+               holds), summed over the states s₀ … s_{h−1}, h the longest horizon of all tasks
+
+    Raises InfeasibleError, with what is possible, where no policy keeps the constraints, SettingsError for a bound out
+    of range, NameLookupError for an unknown task or cost, SizeError before building a programme of more than
+    `most_variables`, SolverError where the solver gives up.
     """
     started = time.perf_counter()
-    at_least, budget = dict(at_least or {}), dict(budget or {})
+    require(joint, JointProduct, "tradeoff's joint product")
+    require(objective, str, "tradeoff's objective", f"name a task: {', '.join(joint.names)}")
+    at_least = _bounds(at_least, "at_least", "{'patrol': 0.9}")
+    budget = _bounds(budget, "budget", "{'fuel': 12}")
+    flag(keep_policy, "tradeoff's keep_policy")
+    whole(most_variables, "most_variables", least=1)
+    function(progress, "tradeoff's progress")
     criteria = Criteria(joint, tuple(budget))
-    objective = joint.task(maximize)
+    goal = joint.task(objective)
     for name, bound in at_least.items():
         joint.task(name)
         if not 0 <= bound <= 1:
             raise SettingsError(f"P({name}) >= {_text(bound)}: a probability lies between 0 and 1")
     for name, bound in budget.items():
-        if not (math.isfinite(bound) and bound >= 0):
+        if bound < 0:
             raise SettingsError(f"E[{name}] <= {_text(bound)}: a budget is a finite number, at least 0")
     if keep_policy:
         most_choices = int(np.diff(joint.model.choice_start).max())
@@ -119,9 +140,9 @@ def tradeoff(
     lp = programme(criteria, most_variables)
     room = asked.require_together(lp, highest)
     for margin in _MARGINS:
-        solution = asked.solve(lp, objective, room, margin)
+        solution = asked.solve(lp, goal, room, margin)
         multipliers = dict(zip(room, solution.multipliers.tolist(), strict=True))
-        upper, otherwise = asked.certificate(objective, multipliers)
+        upper, otherwise = asked.certificate(goal, multipliers)
         weights = policy_of(lp, solution.x, otherwise)
         probabilities, costs = asked.told(of_policy(criteria, weights))
         status = asked.status(probabilities, costs)
@@ -129,7 +150,7 @@ def tradeoff(
             break
     return Tradeoff(
         joint=joint,
-        maximize=maximize,
+        objective=objective,
         at_least=at_least,
         budget=budget,
         probabilities=probabilities,
@@ -144,6 +165,12 @@ def tradeoff(
         status=status,
         seconds=time.perf_counter() - started,
     )
+
+
+def _bounds(given: object, name: str, example: str) -> dict[str, float | Fraction]:
+    """Bounds by name; none where None is given."""
+    known = mapping(given, f"tradeoff's {name}", example, optional=True)
+    return {key: real(bound, f"{name} of {key}") for key, bound in known.items()}
 
 
 @dataclass(frozen=True, eq=False)

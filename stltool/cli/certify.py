@@ -11,7 +11,7 @@ import typer
 from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Params, TaskName
 from stltool.cli.steps import load_product
-from stltool.errors import CertificateError, SettingsError
+from stltool.errors import RefusedError, SettingsError
 from stltool.numbers import bound_texts, long_numbers
 
 
@@ -36,25 +36,19 @@ def certify(
     """
     import stltool as stl
     from stltool.checking import require_certificate_of
-    from stltool.recheck import NotACertificate, Refused
-    from stltool.recheck import certify as recheck
     from stltool.reporting.terminal import error, print_facts, print_json, progress_bar
 
     if policy is not None and task is None:
         raise SettingsError("--policy: a policy is read for a task; give TASK too")
     try:
         with progress_bar("checking layers", quiet=as_json) as bar:
-            proved = recheck(str(file), bar)
-    except NotACertificate as refusal:
-        raise CertificateError(f"{file}: {refusal}; write one with stltool check --certificate") from None
-    except Refused as refusal:
+            proved = stl.certify(file, bar)
+    except RefusedError as refusal:
         if as_json:
-            print_json({"proved": False, "refused": str(refusal)})
+            print_json({"proved": False, "refused": str(refusal).removeprefix(f"{file}: refused: ")})
         else:
-            error(f"{file}: refused: {refusal}")
+            error(str(refusal))
         raise typer.Exit(1) from None
-    except FileNotFoundError:
-        raise CertificateError(f"{file}: there is no such certificate") from None
     if task is not None:
         product = load_product(task, model, param, name, encoding)
         require_certificate_of(file, product, stl.load_policy(policy, product) if policy is not None else None)

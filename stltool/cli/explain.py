@@ -31,7 +31,7 @@ def explain(
     loaded = load_task_or_formula(task, param, name, step)
     world = task_model(loaded, model) if model is not None or loaded.model is not None else None
     with warnings_shown():
-        facts = stl.explain(loaded, world, encoding)  # type: ignore[arg-type]  # checked there, with a message
+        facts = stl.explain(loaded, model=world, encoding=encoding)  # type: ignore[arg-type]  # checked there, with a message
     if as_json:
         print_json(facts)
         return

@@ -78,7 +78,7 @@ def monitor(
     if not names:
         raise SettingsError(f"{loaded.formula}: this reads no signal and no label, so a trace says nothing about it")
     with working(f"reading {trace}", quiet=as_json):
-        signals = stl.load_trace(trace, names)
+        signals = stl.load_trace(trace, list(names))
     with working("judging every step", quiet=as_json):
         result = stl.monitor(loaded, signals, end=end)  # type: ignore[arg-type]  # checked above
         data = monitor_data(result, loaded, trace, at)

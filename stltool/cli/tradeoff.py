@@ -18,7 +18,7 @@ from stltool.numbers import NumberError, number_text, read
 @app.command()
 def tradeoff(
     task: TaskFile,
-    maximize: Annotated[str, typer.Option("--maximize", metavar="NAME", help="the definition to maximise")],
+    objective: Annotated[str, typer.Option("--objective", metavar="NAME", help="the definition to maximise")],
     require: Annotated[
         list[str] | None, typer.Option("--require", metavar="NAME>=P", help="another definition's least probability")
     ] = None,
@@ -43,11 +43,11 @@ def tradeoff(
     budgets = _read_bounds(budget, "<=", "--budget", "fuel<=12")
     if save_policy is not None:
         require_policy_file(save_policy)
-    names = list(dict.fromkeys([maximize, *at_least]))
+    names = list(dict.fromkeys([objective, *at_least]))
     joint = make_joint_product(task, names, model, param, encoding, as_json)
     with progress_bar("checking what is possible", quiet=as_json) as bar:
         result = stl.tradeoff(
-            joint, maximize, at_least=at_least, budget=budgets, keep_policy=save_policy is not None, progress=bar
+            joint, objective, at_least=at_least, budget=budgets, keep_policy=save_policy is not None, progress=bar
         )
     if save_policy is not None and result.policy is not None:
         result.policy.save(save_policy)
@@ -67,7 +67,7 @@ def tradeoff(
                 "value": f"{figure.value:.12g}",
                 "lower_bound": f"{figure.lower:.12g}",
                 "upper_bound": f"{figure.upper:.12g}",
-                "asked": asked[name] if name in asked else "maximum"[: 7 * (name == maximize)],
+                "asked": asked[name] if name in asked else "maximum"[: 7 * (name == objective)],
                 "multiplier": f"{result.multipliers[name]:.6g}" if name in bounds else "",
             }
             for shown, (figure, name, sign, bounds) in figures.items()
@@ -76,7 +76,7 @@ def tradeoff(
     print()
     size = result.size
     print_facts({
-        "no policy exceeds": f"P({maximize}) = {result.bound:.12g}, a gap of {result.gap:.3g}",
+        "no policy exceeds": f"P({objective}) = {result.bound:.12g}, a gap of {result.gap:.3g}",
         "status": result.status,
         "programme": f"{size['variables']} variables, {size['rows']} rows, {size['nonzeros']} non-zeros; "
                      f"{result.seconds:.1f} s in all",

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import deque
 from typing import cast
 
+from stltool.arguments import require
 from stltool.errors import StlSyntaxError
 from stltool.logic.formula import ArithmeticOperator
 from stltool.logic.printer import STRENGTH, Kind, computed, needs_parentheses, negated
@@ -26,6 +27,8 @@ _COMPARATORS = {"≤": "<=", "≥": ">=", "≠": "!="}
 
 def format_task(text: str, name: str = "task") -> str:
     """The text of a task file in its canonical layout. Raises StlSyntaxError where it does not parse."""
+    require(text, str, "format_task's text", "write it in quotes, or read the file: path.read_text()")
+    require(name, str, "format_task's name")
     document = read(Source(name, text), "task")
     refuse(document.faults)
     try:

@@ -14,7 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from stltool.errors import FragmentError
+from stltool.arguments import require
+from stltool.display import Card, Displayed
+from stltool.errors import FragmentError, SettingsError
 from stltool.logic.formula import (
     Always,
     Eventually,
@@ -46,8 +48,8 @@ class Part:
         return f"{self.operator}[0,{self.tau}) {self.psi}"
 
 
-@dataclass(frozen=True, slots=True)
-class Fragment:
+@dataclass(frozen=True, slots=True, repr=False)
+class Fragment(Displayed):
     """Φ = `outer`[0,`T`) g(φ₁, …, φ_n), with g the Boolean structure of `body` over `parts`."""
 
     outer: Operator
@@ -55,8 +57,18 @@ class Fragment:
     parts: tuple[Part, ...]
     body: Formula
 
+    def _card(self) -> Card:
+        parts = "; ".join(str(part) for part in self.parts)
+        return Card(
+            f"Fragment: {self.outer}[0,{self.T}) of {self.body}",
+            [{"parts": parts}, {"equal inner windows": "yes" if self.uniform else "no: flags are an approximation"}],
+        )
+
     def combine(self, chi: Sequence[bool]) -> bool:
         """g(χ): the truth of the body where part i has truth χ_i."""
+        require(chi, (list, tuple), "combine's truths", f"give {len(self.parts)} truth values, one for each part")
+        if len(chi) != len(self.parts):
+            raise SettingsError(f"combine's truths are {len(chi)}, the parts {len(self.parts)}; give one for each part")
         known = {part.formula: bool(value) for part, value in zip(self.parts, chi, strict=True)}
         return boolean_value(self.body, known.get)
 

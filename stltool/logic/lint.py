@@ -13,9 +13,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import cast
 
+from stltool.arguments import require
 from stltool.errors import near_misses
 from stltool.logic.format import flat_text
 from stltool.logic.syntax import Branch, Document, Token, branches
+from stltool.logic.task import Task
 from stltool.source import Span
 
 _BINARY = ("iff", "xor", "implies", "or", "and", "until")
@@ -35,8 +37,12 @@ class Advice:
         return self.span.show(self.message)
 
 
-def ambiguities(document: Document) -> list[Advice]:
-    """Every place of a text that other tools would read differently, in the order of the text."""
+def ambiguities(task: Task | Document) -> list[Advice]:
+    """Every place of a task's text that other tools would read differently, in the order of the text."""
+    require(task, (Task, Document), "ambiguities' task")
+    document = task.document if isinstance(task, Task) else task
+    if document is None:
+        return []  # put together without a text
     found = [advice for tree in document.trees for advice in _of_statement(document, tree)]
     found += _divisions(document)
     found += _undeclared(document)

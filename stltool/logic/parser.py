@@ -7,6 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import cast
 
+from stltool.arguments import described, flag, mapping, require
+from stltool.arguments import path as path_of
 from stltool.errors import SettingsError, StlSyntaxError, near_misses
 from stltool.files import read_text
 from stltool.logic.builder import FORMULAS, Builder
@@ -42,6 +44,7 @@ def formula_task(
     unbounded: bool = False,
 ) -> Task:
     """The formula that `text` spells as a task of that name, which remembers its text; arguments as for `parse`."""
+    _require_text("parse", text, name, params, unbounded)
     document = read(Source(name, text), "formula")
     refuse(document.faults)
     return _build_formula(document, _step(step), unbounded, _exact(params))
@@ -52,10 +55,13 @@ def parse_task(
     params: Mapping[str, ParamValue] | None = None,
     task: str | None = None,
     name: str = "task",
-    path: Path | None = None,
+    path: str | Path | None = None,
     unbounded: bool = False,
 ) -> Task:
     """The task that a task file's text describes; see `load_task`."""
+    _require_text("parse_task", text, name, params, unbounded)
+    require(task, str, "parse_task's task", _CHOICE, optional=True)
+    path = path_of(path, "parse_task's path") if path is not None else None
     return _build(read(Source(name, text), "task"), path, unbounded, task, _exact(params))
 
 
@@ -71,9 +77,22 @@ def load_task(
     temporal operators without an interval, which only monitors can judge. Raises FileError when the file cannot be read
     as text, StlSyntaxError, with all that is wrong, when it does not parse.
     """
-    path = Path(path)
+    path = path_of(path, "load_task's path")
+    require(task, str, "load_task's task", _CHOICE, optional=True)
+    _require_text("load_task", "", "", params, unbounded)
     text = read_text(path, "task file", LONGEST_TEXT)
     return parse_task(text, params, task, name=str(path), path=path, unbounded=unbounded)
+
+
+_CHOICE = "name one of the file's definitions in quotes"
+
+
+def _require_text(caller: str, text: object, name: object, params: object, unbounded: object) -> None:
+    """ArgumentError unless these are of the kinds that they should be."""
+    require(text, str, f"{caller}'s text", "write it in quotes; for a file, stl.load_task(path)")
+    require(name, str, f"{caller}'s name", "write it in quotes")
+    mapping(params, f"{caller}'s params", "{'T': 20}", optional=True)
+    flag(unbounded, f"{caller}'s unbounded")
 
 
 def _build_formula(
@@ -149,5 +168,5 @@ def _step(step: str | Duration | None) -> Duration | None:
     except NumberError:
         value = None
     if step is not None and (not isinstance(value, Duration) or value.seconds <= 0):
-        raise SettingsError(f"step {step!r} is no positive time with a unit; write for example step='0.1s'")
+        raise SettingsError(f"step {described(step)} is no positive time with a unit; write for example step='0.1s'")
     return value

@@ -19,8 +19,8 @@ from typing import Any, TypeAlias, assert_never
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stltool.arguments import described, whole
-from stltool.errors import ArgumentError, NameLookupError, TraceError, near_misses
+from stltool.arguments import mapping, whole
+from stltool.errors import NameLookupError, TraceError, near_misses
 from stltool.logic.formula import (
     Always,
     And,
@@ -52,6 +52,7 @@ from stltool.logic.formula import (
 from stltool.logic.task import Task
 from stltool.numbers import shortest
 
+SIGNALS = "{'x': [0.1, 0.5]}"  # how they are given
 _LARGEST_EXPONENT = 1000  # above, a power is computed in doubles
 
 Signals: TypeAlias = Mapping[str, ArrayLike]
@@ -90,7 +91,7 @@ def robustness(phi: Formula | Task, signals: Signals, t: int = 0) -> float:
 
 def _samples(phi: Formula, signals: Signals, t: int, caller: str) -> dict[str, NDArray[np.float64]]:
     """The arrays of the names that φ reads, as floats, each long enough to decide φ at t."""
-    require_signals(signals, f"{caller}' signals")
+    mapping(signals, f"{caller}' signals", SIGNALS)
     whole(t, f"{caller}' step t", least=0)
     needed = t + horizon(phi) + 1
     labels = label_names(phi)
@@ -122,14 +123,6 @@ def _samples(phi: Formula, signals: Signals, t: int, caller: str) -> dict[str, N
     if not samples and t + horizon(phi) > 0:
         _check_constant_length(phi, signals, needed)
     return samples
-
-
-def require_signals(signals: object, what: str) -> None:
-    """ArgumentError unless it is a mapping, or a data frame: something with names."""
-    if not hasattr(signals, "keys"):
-        raise ArgumentError(
-            f"{what} are {described(signals)}, not a mapping; write {{name: samples}}, such as {{'x': [0.1, 0.5]}}"
-        )
 
 
 def samples_of(name: str, values: ArrayLike) -> NDArray[Any]:

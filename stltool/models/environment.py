@@ -15,7 +15,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.errors import ModelError
+from stltool.arguments import described
+from stltool.errors import ArgumentError, ModelError
 from stltool.kernels.tuples import Tables
 from stltool.models.mdp import MDP
 
@@ -25,6 +26,15 @@ class Resettable(Protocol):
 
     def reset(self) -> int: ...
     def step(self, action: int, /) -> int: ...
+
+
+def require_environment(environment: object, what: str) -> None:
+    """ArgumentError unless it resets and steps, or is None."""
+    if environment is not None and not all(callable(getattr(environment, name, None)) for name in ("reset", "step")):
+        raise ArgumentError(
+            f"{what} is {described(environment)}, which has no reset() and step(i); give an object with both, which "
+            "return the index of a state"
+        )
 
 
 @dataclass(frozen=True, slots=True)

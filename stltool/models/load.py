@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from stltool.arguments import path as path_of
 from stltool.errors import FileError, ModelError
 from stltool.models.formats.explicit import load_explicit
 from stltool.models.grid import grid_from_table
@@ -20,7 +21,7 @@ def load_model(path: str | Path) -> MDP:
     `.toml` is a grid world (models/grid.py) or a Gymnasium environment (models/gymnasium/file.py), as its `kind` says;
     `.tra` PRISM's explicit files (models/formats/explicit.py).
     """
-    path = Path(path)
+    path = path_of(path, "load_model's path")
     loader = _LOADERS.get(path.suffix.lower())
     if loader is None:
         if not path.exists():

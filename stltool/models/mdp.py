@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stltool.arguments import described, mapping, require, texts, whole
+from stltool.display import Card, Displayed, counted, listed
 from stltool.errors import ModelError, SettingsError, near_misses
 from stltool.models.fractions import Fractions, Integers, of_doubles, over_one
 from stltool.models.intervals import Intervals
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
 Floats: TypeAlias = NDArray[np.float64]
 
+_SHOWN = 4  # initial states in a short description
 _ROW_TOLERANCE = 1e-9  # how far a row of doubles may sum from 1
 
 
@@ -45,8 +48,8 @@ class GridLayout:
     row: NDArray[np.int64]
 
 
-@dataclass(frozen=True, eq=False)
-class MDP:
+@dataclass(frozen=True, eq=False, repr=False)
+class MDP(Displayed):
     """See the module's text; build one with `MDP.from_arrays`, `from_intervals`, `black_box` or `load_model`.
 
     initial       (n_states,) probabilities of the first state
@@ -92,6 +95,30 @@ class MDP:
 
     # ------------------------------------------------------------------------------------------ sizes and names
 
+    def _card(self) -> Card:
+        counts = [counted(self.n_states, "state"), counted(self.n_actions, "action")]
+        if self.blackbox is None:
+            counts.append(counted(self.n_transitions, "transition"))
+        known = "a black box" if self.blackbox is not None else "intervals" if self.intervals is not None else None
+        first = np.flatnonzero(self.initial).tolist()
+        starts = [
+            self.state_name(s) + (f" ({self.initial[s]:.4g})" if len(first) > 1 else "") for s in first[: _SHOWN + 1]
+        ]
+        return Card(
+            f"MDP {self.name}: {', '.join(counts)}",
+            [
+                {
+                    "signals": listed(f"{x} in [{v.min():g}, {v.max():g}]" for x, v in self.signals.items()),
+                    "labels": listed(f"{x} ({counted(int(v.sum()), 'state')})" for x, v in self.labels.items()),
+                },
+                {
+                    "starts in": listed(starts, _SHOWN) if self.blackbox is None else "an unknown state",
+                    "actions": listed(self.action_names, 9),
+                    "probabilities": known,
+                },
+            ],
+        )
+
     @property
     def n_states(self) -> int:
         return len(self.choice_start) - 1
@@ -109,10 +136,12 @@ class MDP:
         return len(self.action_names)
 
     def state_name(self, s: int) -> str:
+        whole(s, "the model's state s", 0, self.n_states - 1)
         return self.state_names[s] if self.state_names is not None else str(s)
 
     def place(self, choice: int) -> str:
         """A choice in the user's names: "state (0,1), action N"."""
+        whole(choice, "the model's choice", 0, self.n_choices - 1)
         s = int(np.searchsorted(self.choice_start, choice, side="right")) - 1
         return f"state {self.state_name(s)}, action {self.action_names[self.choice_action[choice]]}"
 
@@ -255,15 +284,16 @@ class MDP:
 
         `learn`, `estimate`, `sprt` and `sample_run` answer for it; what needs probabilities raises SettingsError.
         """
-        if isinstance(n_states, bool) or not isinstance(n_states, int | np.integer) or n_states < 1:
-            raise ModelError(f"n_states is {n_states!r}; a whole number from 1 is needed")
+        whole(n_states, "n_states", least=1)
         if isinstance(actions, int | np.integer):
-            actions = [str(a) for a in range(actions)]
-        names = tuple(str(a) for a in actions)
+            actions = [str(a) for a in range(whole(actions, "actions", least=0))]
+        names = tuple(texts(actions, "black_box's actions"))
         if not names:
             raise ModelError("the model has no action; give their number or their names")
         if not callable(environment):
-            raise ModelError(f"environment is {environment!r}; give a function of a generator that returns one")
+            raise ModelError(
+                f"environment is {described(environment)}; give a function of a generator that returns one"
+            )
         shape = (int(n_states), len(names))
         has = np.ones(shape, dtype=np.bool_) if available is None else _booleans(available, "available")
         if has.shape != shape:
@@ -276,11 +306,10 @@ class MDP:
             target=np.empty(0, dtype=np.int32),
             probability=np.empty(0),
             initial=np.zeros(shape[0]),
-            signals={key: _floats(values, f"signal {key}") for key, values in (signals or {}).items()},
-            labels={key: _booleans(values, key) for key, values in (labels or {}).items()},
+            **_columns(signals, labels, optional=True),
             action_names=names,
-            state_names=tuple(str(s) for s in state_names) if state_names is not None else None,
-            name=name,
+            state_names=_names(state_names, "state_names"),
+            name=_name(name),
             blackbox=lambda rng, _: environment(rng),
         )
 
@@ -303,11 +332,8 @@ class MDP:
         """
         n_states = rows.shape[1]
         n_actions = rows.shape[0] // n_states
-        names = (
-            tuple(str(name) for name in action_names)
-            if action_names is not None
-            else tuple(str(a) for a in range(n_actions))
-        )
+        names = _names(action_names, "action_names") or tuple(str(a) for a in range(n_actions))
+        given_names = _names(state_names, "state_names")
         if len(names) != n_actions:
             raise ModelError(f"{len(names)} action names for {n_actions} actions")
         available = np.diff(rows.indptr) > 0
@@ -315,7 +341,7 @@ class MDP:
         action = np.tile(np.arange(n_actions, dtype=np.int32), n_states)[available]
         per_state = available.reshape(n_states, n_actions).sum(axis=1)
         row_start = rows.indptr.astype(np.int64)
-        start, exact_start = _initial(initial, n_states, state_names)
+        start, exact_start = _initial(initial, n_states, given_names)
         fractions = None
         if intervals is None and (exact_start is not None or any(m.dtype == object for m in given)):
             state = np.arange(n_states * n_actions)[available] // n_actions
@@ -330,15 +356,33 @@ class MDP:
             initial=start,
             fractions=fractions,
             intervals=intervals,
-            signals={key: _floats(values, f"signal {key}") for key, values in signals.items()},
-            labels={key: _booleans(values, key) for key, values in (labels or {}).items()},
+            **_columns(signals, labels),
             action_names=names,
-            state_names=tuple(str(s) for s in state_names) if state_names is not None else None,
-            name=name,
+            state_names=given_names,
+            name=_name(name),
         )
 
 
 # ------------------------------------------------------------------------------------------- checks on the way in
+
+
+def _columns(signals: object, labels: object, optional: bool = False) -> dict[str, Any]:
+    """The signals and labels of a model, by name."""
+    numbers = mapping(signals, "the model's signals", "{'x': [0.0, 0.5]}", optional=optional)
+    truths = mapping(labels, "the model's labels", "{'A': [True, False]}", optional=True)
+    return {
+        "signals": {key: _floats(numbers[key], f"signal {key}") for key in numbers},
+        "labels": {key: _booleans(truths[key], key) for key in truths},
+    }
+
+
+def _names(given: object, what: str) -> tuple[str, ...] | None:
+    return tuple(texts(given, what)) if given is not None else None
+
+
+def _name(given: object) -> str:
+    require(given, str, "the model's name")
+    return str(given)
 
 
 def _exact_entries(
@@ -485,6 +529,8 @@ def _initial(
         if state_names is None or initial not in state_names:
             raise ModelError(f"there is no initial state {initial!r}; {near_misses(initial, state_names or ())}")
         initial = list(state_names).index(initial)
+    if isinstance(initial, bool):
+        raise ModelError(f"the initial state is {initial}; give its index, its name, or a distribution (S,)")
     if isinstance(initial, int | np.integer):
         if not 0 <= initial < n_states:
             raise ModelError(f"the initial state {initial} is not one of 0 … {n_states - 1}")

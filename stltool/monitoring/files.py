@@ -24,6 +24,8 @@ from typing import IO, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arguments import path as path_of
+from stltool.arguments import texts
 from stltool.errors import FileError, NameLookupError, TraceError, near_misses
 from stltool.extras import require
 from stltool.numbers import NumberError, double, shown
@@ -51,7 +53,8 @@ def load_trace(path: str | Path, names: Iterable[str] | None = None) -> Signals:
     file is not what its ending says, TraceError with the place where its content is no trace, NameLookupError where a
     name is missing, SizeError before memory is taken that there is not.
     """
-    path = Path(path)
+    path = path_of(path, "load_trace's path")
+    wanted = None if names is None else list(dict.fromkeys(texts(names, "load_trace's names")))
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise FileError(f"{path}: a trace is read from {', '.join(_READERS)} files; name one of them")
@@ -59,7 +62,7 @@ def load_trace(path: str | Path, names: Iterable[str] | None = None) -> Signals:
         raise FileError(f"{path}: there is no such trace file")
     if not path.is_file():
         raise FileError(f"{path}: this trace file cannot be read: it is not a regular file")
-    return reader(path, None if names is None else list(dict.fromkeys(names)))
+    return reader(path, wanted)
 
 
 def _chosen(path: Path, known: Sequence[str], names: Sequence[str] | None, what: str) -> list[str]:

@@ -20,7 +20,8 @@ from typing import Any, Literal, NoReturn, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stltool.arguments import one_of
+from stltool.arguments import mapping, one_of
+from stltool.display import Card, Displayed, counted
 from stltool.errors import SettingsError, TraceError
 from stltool.logic import semantics as oracle
 from stltool.logic.formula import Always, Eventually, Formula, Until, children, formula_of, horizon, is_temporal
@@ -35,8 +36,8 @@ _MARGINS = 1 << 14  # samples a block: the buffers of a few values stay in the s
 _TRUTH = 1 << 17
 
 
-@dataclass(frozen=True, eq=False)
-class MonitorResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class MonitorResult(Displayed):
     """Truth and robustness at the decided steps.
 
     verdicts     Booleans (n_decided,) for one trace, (n_traces, n_decided) for a batch; None if not asked
@@ -51,6 +52,25 @@ class MonitorResult:
     horizon: int | None
     verdicts: NDArray[np.bool_] | None
     robustness: NDArray[np.float64] | None
+
+    def _card(self) -> Card:
+        some = self.verdicts if self.verdicts is not None else self.robustness
+        assert some is not None  # one of the two was asked for
+        traces = counted(len(some), "trace") if some.ndim == 2 else "1 trace"
+        facts: dict[str, object] = {}
+        if self.verdicts is not None:
+            facts["holds at"] = f"{int(self.verdicts.sum())} of {self.verdicts.size} steps"
+            violated = self.first_violation
+            if isinstance(violated, np.ndarray):
+                facts["traces with a violation"] = int((violated >= 0).sum())
+            else:
+                facts["first violation"] = "none" if violated is None else f"at step {violated}"
+        if self.robustness is not None and self.robustness.size:
+            facts["robustness"] = f"{self.robustness.min():.6g} to {self.robustness.max():.6g}"
+        return Card(
+            f"MonitorResult: {traces} of {counted(self.n_steps, 'sample')}, {counted(some.shape[-1], 'step')} decided",
+            [facts, {"formula": self.formula, "end": self.end}],
+        )
 
     @property
     def first_violation(self) -> int | NDArray[np.int64] | None:
@@ -109,7 +129,7 @@ def judge(formula: Formula, traces: Traces, end: End, truth: bool, margins: bool
 def prepare(phi: Formula | Task, signals: Mapping[str, ArrayLike], end: End, caller: str) -> tuple[Formula, Traces]:
     """The formula and the traces it reads. Raises what `monitor` says, but for what samples are."""
     formula = formula_of(phi, f"{caller}'s formula")
-    oracle.require_signals(signals, f"{caller}'s signals")
+    mapping(signals, f"{caller}'s signals", oracle.SIGNALS)
     program = compile_formula(formula)
     one_of(end, "end", get_args(End))
     if end == "error" and program.horizon is None:

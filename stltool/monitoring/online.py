@@ -23,8 +23,9 @@ from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, assert_never
 
 import numpy as np
 
-from stltool.arguments import described, one_of
-from stltool.errors import ArgumentError, NameLookupError, TraceError, near_misses
+from stltool.arguments import mapping, one_of
+from stltool.display import Card, Displayed, counted
+from stltool.errors import NameLookupError, TraceError, near_misses
 from stltool.logic.formula import Constant, Formula, Label, bounded_formula_of
 from stltool.logic.task import Task
 from stltool.monitoring.comparisons import Predicate
@@ -48,8 +49,12 @@ class Decision(NamedTuple):
     verdict: bool
     robustness: float
 
+    def _repr_html_(self) -> str:
+        verdict = "true" if self.verdict else "false"
+        return Card(f"Decision: {verdict} at step {self.step}", [{"robustness": self.robustness}]).html()
 
-class OnlineMonitor:
+
+class OnlineMonitor(Displayed):
     """Judges a trace sample by sample; memory and time a sample do not grow with the trace.
 
     What has been decided after n samples is what `monitor` says of these n samples with end "error", bit for bit, and
@@ -66,6 +71,13 @@ class OnlineMonitor:
         self._atoms = [(i, _atom(now.atom)) for i, now in enumerate(instructions) if now.atom is not None]
         self._network = _Network(instructions)
 
+    def _card(self) -> Card:
+        decided = max(0, self.n_steps - self.horizon)
+        return Card(
+            f"OnlineMonitor: {counted(self.n_steps, 'sample')} read, {counted(decided, 'step')} decided",
+            [{"formula": self.formula}, {"horizon": self.horizon, "values held": self.stored}],
+        )
+
     @property
     def stored(self) -> int:
         """How many samples and values are held: at most a few times the horizon an operator."""
@@ -77,10 +89,7 @@ class OnlineMonitor:
         Raises NameLookupError where a name is missing, TraceError where a value is no finite number (a label: neither
         true nor false), or gives a predicate no value or no margin. A refused sample leaves the monitor as it was.
         """
-        if not hasattr(sample, "keys"):
-            raise ArgumentError(
-                f"feed's sample is {described(sample)}, not a mapping; write {{name: value}}, such as {{'x': 0.5}}"
-            )
+        mapping(sample, "feed's sample", "{'x': 0.5}")
         values = self._read(sample)
         try:
             atoms = [(i, atom(values)) for i, atom in self._atoms]

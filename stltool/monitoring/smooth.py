@@ -33,6 +33,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stltool.arguments import real
+from stltool.display import Card, Displayed
 from stltool.errors import SettingsError
 from stltool.logic.formula import Constant, Formula, Label
 from stltool.logic.task import Task
@@ -50,8 +51,8 @@ _ROUNDING = 64 * 2.0**-53
 _WIDER = 1 + 2.0**-20  # covers the rounding of the bounds themselves
 
 
-@dataclass(frozen=True, eq=False)
-class SmoothRobustness:
+@dataclass(frozen=True, eq=False, repr=False)
+class SmoothRobustness(Displayed):
     """Soft robustness at the decided steps, and an enclosure of the exact one: lower ≤ robustness ≤ upper.
 
     Each array is (n_decided,) for one trace, (n_traces, n_decided) for a batch.
@@ -61,6 +62,16 @@ class SmoothRobustness:
     lower: Floats
     upper: Floats
     beta: float
+
+    def _card(self) -> Card:
+        facts: dict[str, object] = {}
+        if self.values.size:
+            facts["values"] = f"{self.values.min():.6g} to {self.values.max():.6g}"
+            width = self.upper - self.lower
+            known = width[np.isfinite(width)]
+            facts["widest enclosure"] = f"{known.max():.3g}" if known.size else None
+        shape = " x ".join(map(str, self.values.shape))
+        return Card(f"SmoothRobustness: values {shape}, beta {self.beta:g}", [facts])
 
 
 def smooth_robustness(

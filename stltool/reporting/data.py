@@ -23,7 +23,6 @@ from stltool.logic.fragment import check_fragment
 from stltool.numbers import fraction_text
 from stltool.policy import Policy
 from stltool.product import Product
-from stltool.randomness import Purpose, generator
 from stltool.reporting.guarantees import guarantee_data
 from stltool.reporting.runs import likely_data, sensitivity_data
 
@@ -246,7 +245,7 @@ def _why_data(product: Product, policy: Policy) -> dict[str, Any] | None:
 
 
 def _run_data(product: Product, policy: Policy, seed: int) -> dict[str, Any]:
-    run: Run = sample_run(product, policy, generator(seed, Purpose.SAMPLE_RUN))
+    run: Run = sample_run(product, policy, seed)
     model = product.model
     steps = [
         {

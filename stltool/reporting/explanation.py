@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from stltool.arguments import one_of, require
 from stltool.automata import TaskAutomaton, compile_automaton
-from stltool.automata.compile import Encoding
+from stltool.automata.compile import ENCODINGS, Encoding
 from stltool.automata.vacuity import meaning
 from stltool.errors import FragmentError, SizeError
 from stltool.logic.formula import (
@@ -22,6 +23,7 @@ from stltool.logic.formula import (
     Or,
     Until,
     children,
+    formula_of,
     horizon,
     is_bounded,
 )
@@ -39,7 +41,7 @@ _SIGNS: dict[type, str] = {
 }  # fmt: skip
 
 
-def explain(task: Task, model: MDP | None = None, encoding: Encoding = "exact") -> dict[str, Any]:
+def explain(task: Formula | Task, *, model: MDP | None = None, encoding: Encoding = "exact") -> dict[str, Any]:
     """What a task says, as JSON-able data; with a model also the sizes of the automaton and the product on it.
 
     `tree` nests the operators: each has its `operator`, `horizon`, place (`line`, `column`) and `operands`.
@@ -48,6 +50,10 @@ def explain(task: Task, model: MDP | None = None, encoding: Encoding = "exact") 
     decomposition along the paper's fragment, or its refusal, which names the smallest sub-formula at fault; `automaton`
     is there where no automaton could be built.
     """
+    require(model, MDP, "explain's model", optional=True)
+    one_of(encoding, "encoding", ENCODINGS)
+    if not isinstance(task, Task):
+        task = Task("formula", formula_of(task, "explain's task"))
     facts = _text_data(task)
     if not is_bounded(task.formula):
         return facts
@@ -80,7 +86,7 @@ def _text_data(task: Task) -> dict[str, Any]:
         "horizon": steps,
         "samples_needed": None if steps is None else steps + 1,
         "tree": tree_data(task.formula),
-        "ambiguities": [str(advice) for advice in ambiguities(task.document)] if task.document is not None else [],
+        "ambiguities": [str(advice) for advice in ambiguities(task)],
     }
 
 

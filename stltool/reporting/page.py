@@ -7,27 +7,79 @@ import hashlib
 import json
 from collections.abc import Sequence
 from functools import cache
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import jinja2
 
-from stltool.checking import CheckResult
-from stltool.errors import FileError
+from stltool.arguments import described, require
+from stltool.arguments import path as path_of
+from stltool.checking import CheckResult, Estimate
+from stltool.errors import ArgumentError, FileError
 from stltool.files import read_text, write_atomically
-from stltool.learning import Training
+from stltool.learning import Guarantee, Training
 from stltool.numbers import bound_texts, probability_text
+from stltool.product import Product
+from stltool.randomness import require_seed
 from stltool.reporting.data import FORMAT, SWEEP_FORMAT, report_data
 from stltool.reporting.guarantees import guarantee_rows
 from stltool.reporting.runs import trace_text, verdict_text
 
 
-def report(results: Sequence[CheckResult], training: Training | None, path: str | Path, **details: Any) -> None:
-    """Write `path` (.html) and the JSON beside it; `details` as in `report_data` (source, command, seed, estimates).
+def report(
+    results: CheckResult | Sequence[CheckResult],
+    training: Training | None = None,
+    path: str | Path | None = None,
+    *,
+    source: str | None = None,
+    command: str | None = None,
+    seed: int = 0,
+    estimates: Sequence[Estimate] = (),
+    guarantees: Sequence[Guarantee | Estimate] = (),
+    product: Product | None = None,
+) -> None:
+    """Write a page at `path` (.html) and beside it the JSON that it is made from.
 
-    A black box has no results: `stl.report([], training, path, guarantees=[found])`.
+    results     checks of one task on one model; those of a given policy are shown beside the optimum
+    training    its learning curve
+    source, command   the task file's text, and what repeats the run
+    seed        of the run that is shown
+    estimates   of the policy shown (the given one, else the optimal one), from runs
+    guarantees  for the policy shown, from data. A black box has no results: `stl.report([], training, path,
+                guarantees=[found])` reports the policy of `training`, on `product` (default: the policy's own)
+
+    Raises SettingsError for results of several tasks or models, FileError where the files cannot be written.
     """
-    write_report(report_data(results, training, **details), path)
+    if isinstance(training, str | PathLike):
+        raise ArgumentError(
+            f"report's training is {described(training)}, not a Training or None; the path comes third: "
+            "stl.report(results, None, path)"
+        )
+    require(training, Training, "report's training", optional=True)
+    target = path_of(path, "report's path")
+    for value, name in ((source, "source"), (command, "command")):
+        require(value, str, f"report's {name}", optional=True)
+    require(product, Product, "report's product", optional=True)
+    data = report_data(
+        _each([results] if isinstance(results, CheckResult) else results, CheckResult, "results"),
+        training,
+        source=source,
+        command=command,
+        seed=require_seed(seed),
+        estimates=_each(estimates, Estimate, "estimates"),
+        guarantees=_each(guarantees, (Guarantee, Estimate), "guarantees"),
+        product=product,
+    )
+    write_report(data, target)
+
+
+def _each(given: object, kinds: type | tuple[type, ...], name: str) -> list[Any]:
+    require(given, (list, tuple), f"report's {name}", "give a list of them")
+    assert isinstance(given, list | tuple)
+    for one in given:
+        require(one, kinds, f"one of report's {name}")
+    return list(given)
 
 
 def write_report(data: dict[str, Any], path: str | Path) -> None:

@@ -33,7 +33,7 @@ def tradeoff_data(result: Tradeoff) -> dict[str, Any]:
     """A trade-off, flat; figures are {value, lower, upper}."""
     return {
         **joint_data(result.joint),
-        "maximize": result.maximize,
+        "objective": result.objective,
         "at_least": {name: float(bound) for name, bound in result.at_least.items()},
         "budget": {name: float(bound) for name, bound in result.budget.items()},
         "probabilities": {name: dataclasses.asdict(figure) for name, figure in result.probabilities.items()},

@@ -96,8 +96,8 @@ def test_fresh_runs_share_no_random_number_with_the_training(known):
 def test_sampled_runs_are_the_models(known, unknown):
     policy = stl.learn(unknown, episodes=60, seed=1).policy
     for seed in range(5):
-        seen = stl.sample_run(known, stl.Policy(known, policy.table), np.random.default_rng(seed))
-        assert stl.sample_run(unknown, policy, np.random.default_rng(seed)) == seen
+        seen = stl.sample_run(known, stl.Policy(known, policy.table), seed=seed)
+        assert stl.sample_run(unknown, policy, seed=seed) == seen
 
 
 def test_policies_are_saved_and_belong_to_their_black_box(known, unknown, tmp_path):
@@ -149,7 +149,7 @@ def test_every_public_function_on_products_knows_of_black_boxes():
     """A function that is new here must answer for black boxes or refuse them, with a line in the tests above."""
     refusing = {"check", "robust_check", "likely_runs", "sensitivity", "pareto", "tradeoff", "surrogate_optimum"}
     fit = {"learn", "guarantee", "estimate", "sprt", "sample_run", "build_product", "build_joint_product",
-           "to_gymnasium", "explain"}  # fmt: skip
+           "to_gymnasium", "explain", "report"}  # fmt: skip
     found = {name: getattr(stl, name) for name in stl.__all__ if inspect.isfunction(getattr(stl, name))}
     models = {"product", "model", "joint"}
     asks = {name for name, ask in found.items() if models & set(inspect.signature(ask).parameters)}
@@ -179,7 +179,7 @@ def test_states_that_lack_actions_count_their_own():
     )
     assert (model.n_choices, model.place(0)) == (3, "state 0, action go")
     product = stl.build_product(model, stl.parse("F[0,1] B"))
-    run = stl.sample_run(product, stl.Policy(product, np.zeros(product.shape, dtype=int)), np.random.default_rng(0))
+    run = stl.sample_run(product, stl.Policy(product, np.zeros(product.shape, dtype=int)), seed=0)
     assert (run.actions, run.satisfied, taken) == (("go",), True, [0])
     with pytest.raises(SettingsError, match="the environment's random numbers are known"):
         stl.learn(product, episodes=1, checkpoint="never.npz")
@@ -198,7 +198,7 @@ def test_environments_that_return_no_state(wrong, known):
         for ask in (
             lambda p=product: stl.learn(p, episodes=1),
             lambda p=product, policy=policy: stl.estimate(p, policy, runs=1),
-            lambda p=product, policy=policy: stl.sample_run(p, policy, np.random.default_rng(0)),
+            lambda p=product, policy=policy: stl.sample_run(p, policy, seed=0),
         ):
             with pytest.raises(ModelError, match=f"{call}.* returned .*, which is no state of"):
                 ask()
@@ -207,7 +207,7 @@ def test_environments_that_return_no_state(wrong, known):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"n_states": 0}, "n_states is 0; a whole number from 1"),
+        ({"n_states": 0}, "n_states is 0; it must be an integer from 1"),
         ({"n_states": 2.0}, "n_states is 2.0"),
         ({"actions": 0}, "the model has no action"),
         ({"actions": ["a", "a"]}, "action names repeat"),
@@ -221,7 +221,7 @@ def test_environments_that_return_no_state(wrong, known):
 )
 def test_black_boxes_that_are_none_are_refused(changes, says):
     options = {"n_states": 2, "actions": 2, "environment": lambda rng: None} | changes
-    with pytest.raises(ModelError, match=says):
+    with pytest.raises((ModelError, SettingsError), match=says):
         stl.MDP.black_box(options.pop("n_states"), options.pop("actions"), options.pop("environment"), **options)
 
 

@@ -14,7 +14,7 @@ import pytest
 import stltool as stl
 from stltool import recheck
 from stltool.checking import require_certificate_of
-from stltool.errors import CertificateError, FileError, SettingsError, SizeError
+from stltool.errors import CertificateError, FileError, RefusedError, SettingsError, SizeError
 from stltool.reporting import check_data
 from tests import oracles
 from tests.conftest import ROOT
@@ -129,11 +129,11 @@ def test_no_changed_entry_becomes_a_lie(tmp_path):
                 node = node[key]
             node[place[-1]] += rng.choice([-1, 1, 1, 7, -(10**6), 10**17])
             unsealed = write(path, [*changed, seal], seal=False)
-            with pytest.raises(recheck.Refused):
+            with pytest.raises(CertificateError):
                 stl.certify(unsealed)
             try:
                 proved = stl.certify(write(path, changed))
-            except recheck.Refused:
+            except CertificateError:
                 refused += 1
                 continue
             accepted += 1
@@ -154,7 +154,7 @@ def test_a_lie_as_small_as_can_be(tmp_path):
         assert parts[-2]["one"] == 1
         parts[-2][key] = [lie] * len(parts[-2][key])
         parts[-1][key] = str(lie)
-        with pytest.raises(recheck.Refused, match="bound is (above|below) what a step gives"):
+        with pytest.raises(CertificateError, match="bound is (above|below) what a step gives"):
             stl.certify(write(path, parts))
 
 
@@ -200,7 +200,7 @@ def test_what_is_no_model_or_automaton_is_refused(tmp_path, patrolling, change, 
     stl.write_certificate(stl.check(patrolling), path)
     *parts, _ = read(path)
     change(parts)
-    with pytest.raises(recheck.Refused, match=says):
+    with pytest.raises(CertificateError, match=says):
         stl.certify(write(path, parts))
 
 
@@ -212,7 +212,7 @@ def test_a_conclusion_beyond_the_layers_is_refused(tmp_path, key):
         *parts, _ = read(path)
         step = Fraction(1, 10**30) if key == "lower" else -Fraction(1, 10**30)
         parts[-1][key] = str(Fraction(parts[-1][key]) + step)
-        with pytest.raises(recheck.Refused, match=f"the claimed {key} bound is"):
+        with pytest.raises(CertificateError, match=f"the claimed {key} bound is"):
             stl.certify(write(path, parts))
 
 
@@ -222,18 +222,18 @@ def test_lines_cannot_be_left_out_swapped_or_added(tmp_path, patrolling):
     *parts, seal = read(path)
     n = len(parts)
     for i in range(n):
-        with pytest.raises(recheck.Refused):
+        with pytest.raises(CertificateError):
             stl.certify(write(path, parts[:i] + parts[i + 1 :]))
     for i in range(n - 1):
         swapped = [*parts[:i], parts[i + 1], parts[i], *parts[i + 2 :]]
-        with pytest.raises(recheck.Refused):
+        with pytest.raises(CertificateError):
             stl.certify(write(path, swapped))
     for more, says in (([*parts, parts[-1]], "after the conclusion"), ([*parts, seal, parts[-1]], "after the seal")):
-        with pytest.raises(recheck.Refused, match=says):
+        with pytest.raises(CertificateError, match=says):
             stl.certify(write(path, more, seal=False))
-    with pytest.raises(recheck.Refused, match="cut off: its seal is missing"):
+    with pytest.raises(CertificateError, match="cut off: its seal is missing"):
         stl.certify(write(path, parts, seal=False))
-    with pytest.raises(recheck.Refused, match="the seal does not fit"):
+    with pytest.raises(CertificateError, match="the seal does not fit"):
         stl.certify(write(path, [*parts, {"sha256": "0" * 64}], seal=False))
 
 
@@ -243,15 +243,31 @@ def test_only_whole_numbers_are_read(tmp_path, patrolling, value):
     stl.write_certificate(stl.check(patrolling), path)
     text = path.read_text()
     path.write_text(text.replace('"upper":[', f'"upper":[{value},', 1))
-    with pytest.raises(recheck.Refused, match="no whole number"):
+    with pytest.raises(CertificateError, match="no whole number"):
         stl.certify(str(path))
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"[]\n", b"null\n", b"\x1f\x8bzip", b"\x00\xff", b"[" * 100_000])
 def test_other_files_are_no_certificates(tmp_path, content):
     (tmp_path / "c").write_bytes(content)
-    with pytest.raises(recheck.Refused, match="not a certificate|seal is missing|the file is empty"):
+    with pytest.raises(CertificateError, match="not a certificate|seal is missing|the file is empty"):
         stl.certify(str(tmp_path / "c"))
+
+
+def test_what_is_refused_and_what_cannot_be_read_are_told_apart(tmp_path, patrolling):
+    path = tmp_path / "c.jsonl"
+    stl.write_certificate(stl.check(patrolling), path)
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:-1]))
+    with pytest.raises(RefusedError, match=r"c\.jsonl: refused: the file is cut off"):
+        stl.certify(path)
+    path.write_text("{}")
+    with pytest.raises(CertificateError, match=r"c\.jsonl: not a certificate .* write one with") as error:
+        stl.certify(path)
+    assert not isinstance(error.value, RefusedError)
+    with pytest.raises(FileError, match="there is no such certificate"):
+        stl.certify(tmp_path / "none.jsonl")
+    with pytest.raises(FileError, match="this certificate cannot be read: Is a directory"):
+        stl.certify(tmp_path)
 
 
 def test_a_key_stands_once(tmp_path, patrolling):
@@ -259,7 +275,7 @@ def test_a_key_stands_once(tmp_path, patrolling):
     stl.write_certificate(stl.check(patrolling), path)
     text = path.read_text().replace('"claim":', '"claim":"minimum","claim":', 1)
     path.write_text(text)
-    with pytest.raises(recheck.Refused, match="one key twice"):
+    with pytest.raises(CertificateError, match="one key twice"):
         stl.certify(str(path))
 
 

@@ -173,7 +173,7 @@ def test_undefined_states_are_named_when_they_can_be_reached(patrolling):
     with pytest.raises(PolicyError, match=r"says nothing about step 0, state \(1,0\); x = 0.3, y = 0.1"):
         stl.check(patrolling, stl.Policy(patrolling, table))
     with pytest.raises(PolicyError, match="says nothing about step 0"):
-        stl.sample_run(patrolling, stl.Policy(patrolling, table), np.random.default_rng(0))
+        stl.sample_run(patrolling, stl.Policy(patrolling, table), seed=0)
     table = stl.check(patrolling).policy.table.copy()
     table[0, s - 1, :] = -1  # never there at step 0
     assert stl.check(patrolling, stl.Policy(patrolling, table)).probability == stl.check(patrolling).probability
@@ -264,8 +264,7 @@ def test_progress_counts_the_sweeps(patrolling):
 
 def test_sampled_runs_are_runs_of_the_policy(patrolling):
     best = stl.check(patrolling)
-    rng = np.random.default_rng(0)
-    runs = [stl.sample_run(patrolling, best.policy, rng) for _ in range(400)]
+    runs = [stl.sample_run(patrolling, best.policy, seed) for seed in range(400)]
     for run in runs[:50]:
         padded = [*run.states, *[run.states[-1]] * (9 - len(run.states))]
         if run.satisfied:

@@ -184,7 +184,7 @@ def test_what_would_not_fit_is_refused_first(floor5):
 
 
 def test_unknown_settings_are_named(patrolling):
-    with pytest.raises(SettingsError, match="no arithmetic 'float'; choose auto, double, fixed"):
+    with pytest.raises(SettingsError, match="arithmetic is 'float'; choose auto, double or fixed"):
         stl.check(patrolling, arithmetic="float")
 
 

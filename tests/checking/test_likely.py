@@ -297,7 +297,7 @@ def test_undefined_places_are_named_the_reachable_first(patrolling):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"count": 0}, "count is 0; ask for a whole number of runs from 1"),
+        ({"count": 0}, "count is 0; it must be an integer from 1"),
         ({"count": -3}, "count is -3"),
         ({"count": 2.5}, "count is 2.5"),
         ({"most": 0, "mass": 0.5}, "most is 0"),

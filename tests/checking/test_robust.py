@@ -449,7 +449,7 @@ def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
         lambda: stl.check(product, backend="numpy"),
         lambda: stl.learn(product, episodes=1),
         lambda: stl.learn(product, faithful=True, episodes=1),
-        lambda: stl.sample_run(product, policy, rng),
+        lambda: stl.sample_run(product, policy),
         lambda: simulator(product.model, rng),
         lambda: product.model.matrix(),
         lambda: product.model.exact(),
@@ -479,7 +479,7 @@ def test_a_guarantee_from_data_reads_no_probability(floor5):
 
 
 def test_explain_reads_no_probability(floor5):
-    told = [stl.explain(stl.parse_task("r := F[0,3] A"), model) for model in (blurred(floor5), floor5)]
+    told = [stl.explain(stl.parse_task("r := F[0,3] A"), model=model) for model in (blurred(floor5), floor5)]
     assert [data["product_states"] for data in told] == [told[0]["states"] * told[0]["automaton_states"]] * 2
 
 
@@ -487,7 +487,7 @@ def test_every_public_function_on_products_knows_of_intervals():
     """A function that is new here must answer for intervals or refuse them, with a line in the test above."""
     refusing = {"check", "learn", "sample_run", "likely_runs", "sensitivity", "estimate", "sprt", "pareto", "tradeoff",
                 "surrogate_optimum", "to_gymnasium"}  # fmt: skip
-    fit = {"robust_check", "build_product", "build_joint_product", "guarantee", "explain"}
+    fit = {"robust_check", "build_product", "build_joint_product", "guarantee", "explain", "report"}
     found = {name: getattr(stl, name) for name in stl.__all__ if inspect.isfunction(getattr(stl, name))}
     models = {"product", "model", "joint"}
     asks = {name for name, ask in found.items() if models & set(inspect.signature(ask).parameters)}

@@ -368,7 +368,7 @@ def test_tolerances_that_rounding_does_not_allow_are_said(patrolling):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ({"reading": "published"}, "no reading 'published'; choose discounted, episode"),
+        ({"reading": "published"}, "reading is 'published'; choose discounted or episode"),
         ({"gamma": 1.0}, "gamma is 1.0; it must be between 0 and 1, both excluded"),
         ({"gamma": 0.0}, "gamma is 0.0"),
         ({"gamma": float("nan")}, "gamma is nan"),

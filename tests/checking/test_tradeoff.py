@@ -386,7 +386,7 @@ def test_a_joint_policy_survives_its_file(shift, floor5, tmp_path):
             assert np.array_equal(again.table, result.policy.table)
             value = stl.check(product, again).probability
             assert value == pytest.approx(result.probabilities[name].value, abs=1e-12)
-            run = stl.sample_run(product, again, np.random.default_rng(0))
+            run = stl.sample_run(product, again, seed=0)
             assert len(run.states) > 1
     other = stl.build_product(floor5, stl.parse("F[0,5) A"))
     with pytest.raises(PolicyError, match=r"is for the task F\[0.* and the task G\[0.*, not for F\[0,4\] A"):
@@ -464,11 +464,11 @@ def test_a_contradiction_among_three_names_the_first(floor5):
 @pytest.mark.parametrize(
     ("arguments", "error", "says"),
     [
-        ({"maximize": "chargin"}, NameLookupError, "there is no task chargin here; did you mean charging?"),
+        ({"objective": "chargin"}, NameLookupError, "there is no task chargin here; did you mean charging?"),
         ({"at_least": {"resting": 0.5}}, NameLookupError, "there is no task resting"),
         ({"at_least": {"patrolling": 1.5}}, SettingsError, r"P\(patrolling\) >= 1.5: a probability lies between"),
-        ({"at_least": {"patrolling": float("nan")}}, SettingsError, "lies between 0 and 1"),
-        ({"budget": {"x": -1}}, SettingsError, r"E\[x\] <= -1: a budget is a finite number"),
+        ({"at_least": {"patrolling": float("nan")}}, SettingsError, "at_least of patrolling is nan; a finite number"),
+        ({"budget": {"x": -1}}, SettingsError, r"E\[x\] <= -1.0: a budget is a finite number"),
         ({"budget": {"x": float("inf")}}, SettingsError, "finite"),
         ({"budget": {"z": 1}}, NameLookupError, "the model has no signal z to be a cost; known names: A, B, C, x, y"),
         ({"most_variables": 10}, SizeError, r"a linear programme of \d+ variables, .* over the limit of 10 variables"),
@@ -476,7 +476,7 @@ def test_a_contradiction_among_three_names_the_first(floor5):
 )
 def test_bad_arguments(shift, arguments, error, says):
     with pytest.raises(error, match=says):
-        stl.tradeoff(shift, **{"maximize": "charging", **arguments})
+        stl.tradeoff(shift, **{"objective": "charging", **arguments})
 
 
 def test_bad_tasks_and_fronts(floor5, shift):
@@ -492,7 +492,7 @@ def test_bad_tasks_and_fronts(floor5, shift):
     for options, says in (
         ({"points": 1}, "at least the best of either"),
         ({"tolerance": 0}, "tolerance = 0"),
-        ({"tolerance": float("nan")}, "tolerance = nan"),
+        ({"tolerance": float("nan")}, "tolerance is nan; a finite number"),
     ):
         with pytest.raises(SettingsError, match=says):
             stl.pareto(shift, **options)

@@ -26,7 +26,7 @@ CASES = {
     "check": ["patrolling.stl", *SMALL, "--policy", "policy.npz"],
     "why": ["patrolling.stl", *SMALL],
     "surrogate": ["patrolling.stl", *SMALL],
-    "tradeoff": ["tradeoff.stl", *SMALL, "--maximize", "charging", "--budget", "C<=2"],
+    "tradeoff": ["tradeoff.stl", *SMALL, "--objective", "charging", "--budget", "C<=2"],
     "pareto": ["tradeoff.stl", *SMALL, "--tasks", "charging,patrolling"],
     "certify": ["certificate.jsonl", "patrolling.stl", *SMALL],
     "estimate": ["patrolling.stl", *SMALL, "--policy", "policy.npz", "--runs", "100"],

@@ -99,7 +99,7 @@ def test_bad_input_ends_with_code_2(stltool, tmp_path):
         (["-k", "few"], "Invalid value"),
         (["--mass", 0], "mass is 0.0; it is a share of the probability"),
         (["--mass", 1.01], "mass is 1.01"),
-        (["--mass", "nan"], "mass is nan"),
+        (["--mass", "nan"], "'nan' is not a finite number"),
         (["--mass", 0.5, "--most", 0], "most is 0"),
         (["--states", -1], "--states -1: ask for 0 states or more"),
         (["--minimize", "--policy", silent], "keep one of them"),

@@ -239,7 +239,7 @@ def test_the_lake_is_learned_with_and_without_its_table(trainings, tmp_path):
     found = stl.estimate(unknown, by_steps.policy, runs=800, seed=3)
     assert found.lower <= exact <= found.upper
     assert stl.sprt(unknown, by_steps.policy, 0.5, seed=3).verdict == "holds"
-    run = stl.sample_run(unknown, by_steps.policy, np.random.default_rng(0))
+    run = stl.sample_run(unknown, by_steps.policy, seed=0)
     assert run.satisfied == (run.states[-1] == 15)
     assert run.states[0] == 0
     by_steps.policy.save(tmp_path / "p.npz")
@@ -417,7 +417,7 @@ def test_steps_that_fail(answers, says):
     always = stl.Policy(product, np.ones(product.shape, dtype=int))
     for ask in (
         lambda: stl.estimate(product, always, runs=3),
-        lambda: stl.sample_run(product, always, np.random.default_rng(0)),
+        lambda: stl.sample_run(product, always, seed=0),
     ):
         with pytest.raises(ModelError, match=f"Scripted: {says}"):
             ask()
@@ -462,7 +462,7 @@ def test_episodes_shorter_than_the_horizon():
     for ask in (
         lambda: stl.learn(product, episodes=1),
         lambda: stl.estimate(product, policy, runs=1),
-        lambda: stl.sample_run(product, policy, np.random.default_rng(0)),
+        lambda: stl.sample_run(product, policy, seed=0),
     ):
         with pytest.raises(ModelError, match=says):  # known beforehand
             ask()

@@ -241,9 +241,9 @@ def test_traces_that_cannot_be_judged(text, signals, kind, says):
 
 
 def test_options_that_do_not_exist():
-    with pytest.raises(SettingsError, match="there is no end 'stop'; choose error, cut, hold"):
+    with pytest.raises(SettingsError, match="end is 'stop'; choose error, cut or hold"):
         stl.monitor(stl.parse("a"), {"a": [1]}, end="stop")
-    with pytest.raises(SettingsError, match="there is no semantics 'truth'; choose both, boolean, robustness"):
+    with pytest.raises(SettingsError, match="semantics is 'truth'; choose both, boolean or robustness"):
         stl.monitor(stl.parse("a"), {"a": [1]}, semantics="truth")
     with pytest.raises(StlSyntaxError, match="only monitors judge it, with end cut or hold"):
         stl.monitor(Eventually(Interval(0, None), stl.parse("a")), {"a": [1]})

@@ -91,7 +91,7 @@ def test_a_refused_sample_leaves_the_monitor_as_it_was(sample, kind, says):
 def test_what_an_online_monitor_refuses():
     with pytest.raises(StlSyntaxError, match="no horizon"):
         stl.OnlineMonitor(Eventually(Interval(0, None), stl.parse("a")))
-    with pytest.raises(SettingsError, match="there is no end 'error'; choose cut, hold"):
+    with pytest.raises(SettingsError, match="end is 'error'; choose cut or hold"):
         stl.OnlineMonitor(stl.parse("a")).finish("error")
 
 

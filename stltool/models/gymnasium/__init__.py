@@ -22,6 +22,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arguments import described, mapping, one_of, texts
+from stltool.arguments import require as require_kind
 from stltool.errors import ModelError, SettingsError
 from stltool.extras import require
 from stltool.models.environment import Environment
@@ -72,25 +74,29 @@ def from_gymnasium(
     row, where environment, labels or signals do not fit, or where `table=True` and there is none.
     """
     require_gymnasium()
-    if table not in (True, False, "auto"):
-        raise SettingsError(f'table is {table!r}; choose "auto", True or False')
-    if ends not in ("merged", "apart"):
-        raise SettingsError(f"ends is {ends!r}; choose merged or apart")
+    if not isinstance(table, bool) and not (isinstance(table, str) and table == "auto"):
+        raise SettingsError(f'table is {described(table)}; choose "auto", True or False')
+    one_of(ends, "ends", ("merged", "apart"))
+    labels = mapping(labels, "from_gymnasium's labels", "{'goal': {15}}", optional=True)
+    signals = mapping(signals, "from_gymnasium's signals", "{'x': [0.0, 0.5]}", optional=True)
+    require_kind(name, str, "from_gymnasium's name", optional=True)
+    if action_names is not None:
+        action_names = texts(action_names, "from_gymnasium's action_names")
     title = env_name(env)
     observations = Observations.of(env)
     first_action, n_actions = actions_of(env, title)
     apart = ends == "apart"
     size = observations.n_states * (2 if apart else 1)
-    columns = len(labels or {}) + len(signals or {})
+    columns = len(labels) + len(signals)
     require_memory(
         size * (120 + 8 * columns + 12 * n_actions), f"{title} with {size} observations", "make its spaces smaller"
     )
     if action_names is None:
         action_names = [str(first_action + a) for a in range(n_actions)]
     names = [observation_text(observations.observation(s)) for s in range(observations.n_states)]
-    described: dict[str, Any] = {
-        "labels": {key: _twice(observations.label(key, given), apart) for key, given in (labels or {}).items()},
-        "signals": {key: _twice(observations.signal(key, given), apart) for key, given in (signals or {}).items()},
+    facts: dict[str, Any] = {
+        "labels": {key: _twice(observations.label(key, given), apart) for key, given in labels.items()},
+        "signals": {key: _twice(observations.signal(key, given), apart) for key, given in signals.items()},
         "state_names": [*names, *(f"{text} ended" for text in names)] if apart else names,
         "name": name if name is not None else title,
     }
@@ -101,14 +107,14 @@ def from_gymnasium(
         raise ModelError(f"{missing}; use table=False: learn and estimate need no table")
     if table is not False and not missing:
         matrices, initial = read_table(env, title, observations.n_states, n_actions, apart)
-        return MDP.from_arrays(matrices, initial=initial, action_names=action_names, **described)
+        return MDP.from_arrays(matrices, initial=initial, action_names=action_names, **facts)
     shared = Shared(env, title, observations, first_action, apart)
 
     def episodes(rng: np.random.Generator, steps: int | None) -> Environment:
         adapter = Episodes(shared, rng, steps)
         return Environment(adapter.reset, adapter.step, rng)
 
-    model = MDP.black_box(size, list(action_names), lambda rng: episodes(rng, None), **described)
+    model = MDP.black_box(size, list(action_names), lambda rng: episodes(rng, None), **facts)
     return replace(model, blackbox=episodes)
 
 
@@ -124,6 +130,8 @@ def to_gymnasium(model: MDP, unavailable: Literal["error", "stay"] = "error") ->
     another one is a ModelError, or with `unavailable="stay"` leaves the state as it is, which is a move that the model
     does not have. A black box's environment works too; a model with intervals raises SettingsError.
     """
+    require_kind(model, MDP, "to_gymnasium's model")
+    one_of(unavailable, "unavailable", ("error", "stay"))
     require_gymnasium()
     from stltool.models.gymnasium.env import MDPEnv
 

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from stltool.errors import ModelError, SettingsError
+from stltool.errors import ModelError
 from stltool.models.environment import Environment, sampler
 from stltool.models.mdp import MDP
 
@@ -19,8 +19,6 @@ class MDPEnv(gymnasium.Env[int, int]):
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - the base class declares it so
 
     def __init__(self, model: MDP, unavailable: Literal["error", "stay"] = "error") -> None:
-        if unavailable not in ("error", "stay"):
-            raise SettingsError(f"unavailable is {unavailable!r}; choose error or stay")
         self.model = model
         self.observation_space: Any = spaces.Discrete(model.n_states)
         self.action_space: Any = spaces.Discrete(model.n_actions)

@@ -1,0 +1,269 @@
+"""What is wrong with an argument is told in a sentence, by every public function and method, whatever it is given.
+
+Every parameter of every door is given one thing of every kind. Either the kind is one that the door takes (`TAKES`,
+`OWN`), or a StlToolError comes out whose message is a short sentence. Doors are found by introspection: one without a
+valid call in `CALLS` fails.
+"""
+
+import inspect
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import stltool as stl
+from stltool.errors import ArgumentError, StlToolError
+
+# classes whose objects functions make, so that their constructors are no doors
+RESULTS = {
+    "CheckResult", "Estimate", "Fragment", "Front", "Guarantee", "JointProduct", "LikelyRuns", "MDP", "Meaning",
+    "MonitorResult", "Product", "Run", "Sensitivity", "SequentialTest", "SmoothRobustness", "StlToolError",
+    "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton", "Tradeoff", "Training", "Decision",
+}  # fmt: skip
+
+# called in inner loops with indices of their own: arrays answer for themselves
+INNER = {
+    "Product.enter", "TaskAutomaton.letters_at", "TaskAutomaton.verdicts", "TaskAutomaton.with_outcome",
+}  # fmt: skip
+
+
+def doors():
+    """name → callable: functions, constructors, class methods and methods with a parameter."""
+    found = {}
+    for name in stl.__all__:
+        thing = getattr(stl, name)
+        if inspect.isfunction(thing):
+            found[name] = thing
+        elif inspect.isclass(thing):
+            if name not in RESULTS:
+                found[name] = thing
+            for key, member in inspect.getmembers(thing, inspect.isroutine):
+                own = key in {k for base in thing.__mro__ if base.__module__.startswith("stltool") for k in vars(base)}
+                if not key.startswith("_") and own and f"{name}.{key}" not in INNER and parameters(member):
+                    found[f"{name}.{key}"] = member
+    return found
+
+
+def parameters(door):
+    listed = inspect.signature(door).parameters.values()
+    return [p.name for p in listed if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL) and p.name != "self"]
+
+
+class Anything:
+    def __init__(self, *given):
+        pass
+
+
+class World:
+    """One small thing of every kind."""
+
+    def __init__(self):
+        stay, swap = [[1, 0], [0, 1]], [[0.1, 0.9], [0.8, 0.2]]
+        self.model = stl.MDP.from_arrays([stay, swap], {"x": [0.0, 1.0]}, labels={"A": [1, 0], "B": [0, 1]})
+        self.text = "reach := F[0,2] A"
+        self.task = stl.parse_task(self.text)
+        self.formula = self.task.formula
+        self.product = stl.build_product(self.model, self.task)
+        self.joint = stl.build_joint_product(self.model, {"one": self.formula, "two": stl.parse("F[0,2] B")})
+        self.result = stl.check(self.product)
+        self.policy = self.result.policy
+        self.training = stl.learn(self.product, "naive", episodes=2)
+        self.blurred = stl.MDP.from_intervals(
+            [[[0.5, 0.2], [0.3, 0.3]]], [[[0.8, 0.5], [0.7, 0.7]]], {}, labels={"A": [1, 0]}
+        )
+        self.kinds = {
+            "None": None, "True": True, "int": 3, "float": 0.5, "text": "text", "path": Path("path.npz"),
+            "list": [1, 2], "tuple": (), "dict": {"a": 1}, "array": np.zeros((2, 2)), "scalar": np.float64(0.5),
+            "object": object(), "function": lambda *args: None, "class": Anything,
+            "generator": np.random.default_rng(0), "Formula": self.formula, "Task": self.task,
+            "Expression": stl.signal("x") + 1, "MDP": self.model,
+            "Product": self.product, "JointProduct": self.joint, "Policy": self.policy, "Training": self.training,
+            "TaskAutomaton": self.product.automaton, "CheckResult": self.result,
+            "Estimate": stl.estimate(self.product, runs=5),
+            "MonitorResult": stl.monitor(self.formula, {"A": [1, 0, 1]}),
+        }  # fmt: skip
+
+
+# door → a valid call, as arguments by name; "self" is the object whose method it is
+CALLS = {
+    "parse": lambda w: {"text": "F[0,2] A"},
+    "parse_task": lambda w: {"text": w.text},
+    "load_task": lambda w: {"path": "task.stl"},
+    "F": lambda w: {"phi": w.formula, "a": 0, "b": 5},
+    "G": lambda w: {"phi": w.formula, "a": 0, "b": 5},
+    "U": lambda w: {"phi": w.formula, "psi": w.task, "a": 0, "b": 5},
+    "label": lambda w: {"name": "A"},
+    "signal": lambda w: {"name": "x"},
+    "horizon": lambda w: {"phi": w.formula},
+    "satisfies": lambda w: {"phi": w.formula, "signals": {"A": [0, 0, 0, 1, 0, 1]}, "t": 0},
+    "robustness": lambda w: {"phi": w.formula, "signals": {"A": [0, 0, 0, 1, 0, 1]}, "t": 0},
+    "check_fragment": lambda w: {"phi": w.formula},
+    "Fragment.combine": lambda w: {"self": stl.check_fragment(w.formula), "chi": [True]},
+    "simplify": lambda w: {"phi": w.formula},
+    "negation_normal_form": lambda w: {"phi": w.formula},
+    "format_task": lambda w: {"text": w.text},
+    "ambiguities": lambda w: {"task": w.task},
+    "load_trace": lambda w: {"path": "trace.csv"},
+    "monitor": lambda w: {"phi": w.formula, "signals": {"A": [1, 0, 1]}},
+    "smooth_robustness": lambda w: {"phi": w.formula, "signals": {"A": [1, 0, 1]}, "beta": 1.0},
+    "OnlineMonitor": lambda w: {"phi": w.formula},
+    "OnlineMonitor.feed": lambda w: {"self": stl.OnlineMonitor(w.formula), "sample": {"A": 1}},
+    "OnlineMonitor.finish": lambda w: {"self": stl.OnlineMonitor(w.formula)},
+    "meaning": lambda w: {"phi": w.formula},
+    "compile_automaton": lambda w: {"phi": w.formula},
+    "TaskAutomaton.describe": lambda w: {"self": w.product.automaton, "q": 0},
+    "TaskAutomaton.judge": lambda w: {"self": w.product.automaton, "letters": [0, 1]},
+    "load_model": lambda w: {"path": "model.toml"},
+    "MDP.from_arrays": lambda w: {"transitions": [[[1]]], "signals": {}},
+    "MDP.from_intervals": lambda w: {"lower": [[[1]]], "upper": [[[1]]], "signals": {}},
+    "MDP.black_box": lambda w: {"n_states": 1, "actions": 1, "environment": lambda rng: None},
+    "MDP.place": lambda w: {"self": w.model, "choice": 0},
+    "MDP.state_name": lambda w: {"self": w.model, "s": 0},
+    "from_gymnasium": lambda w: {"env": stl.to_gymnasium(w.model)},
+    "to_gymnasium": lambda w: {"model": w.model},
+    "build_product": lambda w: {"model": w.model, "task": w.formula},
+    "build_joint_product": lambda w: {"model": w.model, "tasks": [w.task]},
+    "Product.describe": lambda w: {"self": w.product, "index": 0},
+    "Product.check_bytes": lambda w: {"self": w.product},
+    "JointProduct.describe": lambda w: {"self": w.joint, "index": 0},
+    "JointProduct.task": lambda w: {"self": w.joint, "name": "one"},
+    "Policy": lambda w: {"product": w.product, "table": np.zeros(w.product.shape, dtype=int)},
+    "Policy.at": lambda w: {"self": w.policy, "t": 0},
+    "Policy.on": lambda w: {"self": w.policy, "product": w.product},
+    "Policy.save": lambda w: {"self": w.policy, "path": "saved.npz"},
+    "Policy.load": lambda w: {"path": "policy.npz", "product": w.product},
+    "Policy.from_q_table": lambda w: {"path": "q.csv", "product": w.product},
+    "load_policy": lambda w: {"path": "policy.npz", "product": w.product},
+    "check": lambda w: {"product": w.product},
+    "CheckResult.at_least": lambda w: {"self": w.result, "bound": 0.5},
+    "CheckResult.at_most": lambda w: {"self": w.result, "bound": 0.5},
+    "robust_check": lambda w: {"product": stl.build_product(w.blurred, w.formula)},
+    "sample_run": lambda w: {"product": w.product},
+    "estimate": lambda w: {"product": w.product, "policy": w.policy, "runs": 5},
+    "sprt": lambda w: {"product": w.product, "policy": w.policy, "at_least": 0.5, "most_runs": 100},
+    "write_certificate": lambda w: {"result": w.result, "path": "proof.jsonl"},
+    "certify": lambda w: {"path": "certificate.jsonl"},
+    "likely_runs": lambda w: {"product": w.product},
+    "sensitivity": lambda w: {"product": w.product},
+    "Sensitivity.ranked": lambda w: {"self": stl.sensitivity(w.product)},
+    "surrogate_optimum": lambda w: {"product": w.product, "gamma": 0.5},
+    "tradeoff": lambda w: {"joint": w.joint, "objective": "one"},
+    "pareto": lambda w: {"joint": w.joint},
+    "Front.at_least": lambda w: {"self": stl.pareto(w.joint), "second": 0.5},
+    "report": lambda w: {"results": [w.result], "training": w.training, "path": "report.html"},
+    "explain": lambda w: {"task": w.task},
+}
+
+NUMBERS = {"int", "float", "scalar"}
+FORMULAS = {"Formula", "Task"}
+PATHS = {"text", "path"}
+CALLABLE = {"None", "function", "class"}
+MAPPING = {"None", "dict"}
+TEXT = {"None", "text"}
+LISTS = {"list", "tuple"}
+NAMES = {"None", *LISTS}
+
+# parameter → the kinds that are taken (the value may be at fault all the same); of single doors in OWN
+TAKES = {
+    **dict.fromkeys(("phi", "psi", "task"), FORMULAS),
+    **{key: {"int"} for key in ("t", "a", "q", "s", "index", "choice", "seed", "count", "most", "points", "n_states")},
+    **{key: {"int"} for key in ("most_runs", "most_states", "most_effort", "most_operators", "most_variables")},
+    **dict.fromkeys(
+        ("gamma", "alpha", "beta", "confidence", "tolerance", "indifference", "at_least", "bound", "second"), NUMBERS
+    ),
+    **{key: {"None", *NUMBERS} for key in ("epsilon", "mass", "memory_limit")},
+    **{key: {"True"} for key in ("maximize", "exact", "keep_policy", "satisfied", "cut", "unbounded")},
+    **{key: {"text"} for key in ("text", "name", "objective")},
+    **dict.fromkeys(("source", "command", "step"), TEXT),
+    **dict.fromkeys(("labels", "params", "budget"), MAPPING),
+    **dict.fromkeys(("names", "action_names", "state_names"), NAMES),
+    **dict.fromkeys(("letters", "chi", "estimates", "guarantees"), LISTS),
+    **{key: {"array", "list"} for key in ("table", "transitions", "lower", "upper")},
+    "b": {"int", "None"},
+    "environment": {"None"},
+    "initial": {"int", "text", "array", "list"},
+    "joint": {"JointProduct"},
+    "model": {"MDP"},
+    "path": PATHS,
+    "policy": {"Policy", "None"},
+    "product": {"Product"},
+    "progress": CALLABLE,
+    "result": {"CheckResult"},
+    "results": {"CheckResult", *LISTS},
+    "runs": {"None", "int"},
+    "sample": {"dict"},
+    "signals": {"dict"},
+    "training": {"None", "Training"},
+    "valuations": {"None"},
+}  # fmt: skip
+OWN = {
+    "parse_task": {"task": TEXT, "path": {"None", *PATHS}},
+    "load_task": {"task": TEXT},
+    "ambiguities": {"task": {"Task"}},
+    "explain": {"model": {"MDP", "None"}},
+    "from_gymnasium": {"table": {"True"}, "signals": MAPPING, "name": TEXT},
+    "MDP.black_box": {
+        "actions": {"int", *LISTS},
+        "available": {"None", "array", "list"},
+        "environment": {"function", "class"},
+        "signals": MAPPING,
+    },
+    "MDP.from_arrays": {"transitions": {"array", *LISTS}},
+    "build_joint_product": {"tasks": {"dict", *LISTS}},
+    "Product.describe": {"t": {"None", "int"}},
+    "JointProduct.describe": {"t": {"None", "int"}},
+    "Policy": {"product": {"Product", "JointProduct"}},
+    "Sensitivity.ranked": {"count": {"None", "int"}},
+    "tradeoff": {"at_least": MAPPING},
+    "report": {"product": {"None", "Product"}},
+}
+
+
+@pytest.fixture(scope="module")
+def world():
+    return World()
+
+
+@pytest.fixture
+def folder(world, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("task.stl").write_text(world.text)
+    Path("trace.csv").write_text("x,A\n0.5,true\n")
+    Path("model.toml").write_text('kind = "grid"\nmap = "SA"\ncell = 1\nmoves = "cross"\nsuccess = 1\n')
+    Path("q.csv").write_text("state,0,1\n[0 0],1,2\n")
+    world.policy.save("policy.npz")
+    stl.write_certificate(world.result, "certificate.jsonl")
+
+
+LEARNING = {"learn", "guarantee", "Settings", "Settings.of", "load_sweep", "run_sweep", "Sweep.select"}
+
+
+def test_every_door_has_a_valid_call():
+    assert set(doors()) == set(CALLS) | LEARNING
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_valid_call_is_valid(name, world, folder):
+    doors()[name](**CALLS[name](world))
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_whatever_is_given_a_sentence_comes_out(name, world, folder, monkeypatch):
+    monkeypatch.setattr("stltool.reporting.page.render", lambda data: "")  # pictures take long
+    door, wrong = doors()[name], []
+    for parameter in parameters(door):
+        takes = {**TAKES, **OWN.get(name, {})}.get(parameter, set())
+        for kind, value in world.kinds.items():
+            try:
+                door(**{**CALLS[name](world), parameter: value})
+            except StlToolError as error:
+                if len(str(error)) > 500 or "object at 0x" in str(error) or "array(" in str(error):
+                    wrong.append(f"{parameter} = {kind}: {str(error)[:200]}")
+                elif kind in takes - {"list", "dict"} and isinstance(error, ArgumentError):
+                    wrong.append(f"{parameter} = {kind} is refused: {error}")
+            except Exception as error:
+                wrong.append(f"{parameter} = {kind}: {type(error).__name__}: {str(error)[:200]}")
+            else:
+                if kind not in takes:
+                    wrong.append(f"{parameter} = {kind} is taken")
+    assert not wrong, "\n".join(wrong)
