@@ -3,12 +3,13 @@
 The table counts the *choices* of a state: entry i is its i-th available action (in a grid world simply the i-th
 action). Four forms, told apart by dtype and shape, with S model states, Q automaton states, C choices at most:
 
-    (S, Q) int16       stationary              (h, S, Q) int16       one table a step
+    (S, Q) integers    stationary              (h, S, Q) integers    one table a step
     (S, Q, C) float64  stationary mixture      (h, S, Q, C) float64  mixture a step
 
-A negative entry says nothing about that state. A policy is bound to formula and model by digests; where the model has
-intervals, by its nominal model's, so that a policy made for the one can be judged on the other. Over a joint product
-Q counts the states of the joint automaton: they know the step, and the policy serves each of the tasks.
+Integers are int16, or wider where a state has more choices (`MDP.choice_type`). A negative entry says nothing about
+that state. A policy is bound to formula and model by digests; where the model has intervals, by its nominal model's, so
+that a policy made for the one can be judged on the other. Over a joint product Q counts the states of the joint
+automaton: they know the step, and the policy serves each of the tasks.
 """
 
 from __future__ import annotations
@@ -288,7 +289,7 @@ def with_flags(product: Product) -> Product:
 
 def _checked(product: Product | JointProduct, table: NDArray[Any]) -> NDArray[Any]:
     n_choices = np.diff(product.model.choice_start)
-    most = int(n_choices.max())
+    most = product.model.most_choices
     base, timed = product.shape, (product.horizon, *product.shape)
     if table.dtype.kind in "iu":
         if table.shape not in (base, timed):
@@ -301,7 +302,8 @@ def _checked(product: Product | JointProduct, table: NDArray[Any]) -> NDArray[An
                 f"the policy takes choice {table[where]} in state {product.model.state_name(s)}, "
                 f"which has {n_choices[s]}, counted from 0"
             )
-        return np.ascontiguousarray(np.maximum(table, -1) if table.dtype.kind == "i" else table, dtype=np.int16)
+        kept = np.maximum(table, -1) if table.dtype.kind == "i" else table
+        return np.ascontiguousarray(kept, dtype=product.model.choice_type)
     if table.dtype.kind != "f":
         raise PolicyError(f"the policy's table holds {table.dtype}; whole numbers (choices) or weights are needed")
     if table.shape not in ((*base, most), (*timed, most)):

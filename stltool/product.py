@@ -78,8 +78,8 @@ class Product(Displayed):
     def check_bytes(self, keep_policy: bool = True) -> int:
         """Bytes that one check takes: three layers of values, and an action per step and product state."""
         flag(keep_policy, "check_bytes' keep_policy")
-        layers = 3 * 8 * self.n_states
-        return layers + (2 * self.n_states * self.horizon if keep_policy else 2 * self.n_states)
+        layers, table = 3 * 8 * self.n_states, np.dtype(self.model.choice_type).itemsize * self.n_states
+        return layers + (table * self.horizon if keep_policy else table)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -1,12 +1,40 @@
-"""Sizes before memory and time: what would not fit, or never end, is refused with the numbers and the ways out."""
+"""Sizes before memory and time: what would not fit, or never end, is refused with the numbers and the ways out.
+
+The one place that decides how wide integers are: states, letters and automaton states are numbered in int32, and more
+of them than that holds are refused; choices are as wide as the model needs (`integer_type`); whatever counts is int64.
+"""
 
 from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
 
 from stltool.arguments import real
 from stltool.errors import SettingsError, SizeError
 
 _USABLE = 0.8  # of the memory that is free now
 _MOST_DAYS = 7
+_MOST_NUMBERED = 2**31 - 2  # so that one more, and the number of all, are int32 too
+
+IntegerType: TypeAlias = type[np.int16] | type[np.int32] | type[np.int64]
+Numbers: TypeAlias = NDArray[np.signedinteger[Any]]
+"""Integers of a type that holds them."""
+
+
+def integer_type(largest: int) -> IntegerType:
+    """The type for numbers from −1 (none) to `largest`: int16 where that holds them, else int32, else int64."""
+    for candidate in (np.int16, np.int32):
+        if largest <= np.iinfo(candidate).max:
+            return candidate
+    return np.int64
+
+
+def require_numbered(n: int, what: str, remedy: str) -> None:
+    """Raise SizeError, before they are numbered, when n things are more than int32 can number."""
+    if n > _MOST_NUMBERED:
+        raise SizeError(f"{n} {what} are more than can be numbered (at most {_MOST_NUMBERED}); {remedy}")
 
 
 def memory_limit(given: int | None = None) -> int:

@@ -21,7 +21,7 @@ from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, TaskAutomat
 from stltool.logic.formula import Formula
 from stltool.logic.fragment import Fragment
 from stltool.logic.fragment import Part as FragmentPart
-from stltool.sizes import require_memory
+from stltool.sizes import require_memory, require_numbered
 
 
 def flag_automaton(
@@ -43,6 +43,7 @@ def flag_automaton(
         "shorten the inner windows or coarsen the time step",
         limit,
     )
+    require_numbered(n_states, f"flag vectors of {phi}", "shorten the inner windows or coarsen the time step")
     flags = np.indices(shape, dtype=np.int32).reshape(len(taus), n_states)
     delta = np.empty((len(valuations), n_states), dtype=np.int32)
     for letter, valuation in enumerate(valuations):

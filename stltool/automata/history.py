@@ -32,7 +32,7 @@ from stltool.logic.formula import (
     Until,
     horizon,
 )
-from stltool.sizes import require_memory
+from stltool.sizes import require_memory, require_numbered
 
 _Truth: TypeAlias = NDArray[np.bool_]
 _LONGEST_NAME = 4  # letters shown of a history
@@ -68,6 +68,7 @@ def history_automaton(
         limit,
     )
     n_states = int(predicted)
+    require_numbered(n_states, f"histories of {phi}", "use encoding exact")
     # states in order of length; a history of length l with letters λ₁ … λ_l (oldest first) has index
     # offset[l] + Σ λ_i n^(l−i)
     offset = np.cumsum([0] + [n**length for length in range(depth + 1)])

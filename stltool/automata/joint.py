@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from stltool.automata.automaton import TRUE, UNDECIDED, TaskAutomaton
 from stltool.errors import SizeError
-from stltool.sizes import require_memory
+from stltool.sizes import require_memory, require_numbered
 
 DECIDED = -1
 _LAYER_BYTES = 1000  # of a layer, however small
@@ -114,7 +114,7 @@ def join_automata(
     if int(strides[-1]) * sizes[-1] >= 2**62:
         raise SizeError(f"{what} is too much to number; {remedy}")
     require_memory(horizon * _LAYER_BYTES, what, remedy, memory_limit)
-    taken = 0
+    taken, n_states = 0, 1
     states = np.array([[automaton.initial for automaton in automata]], dtype=np.int32)
     layers = []
     for t in range(horizon + 1):
@@ -132,6 +132,8 @@ def join_automata(
         known, delta = np.unique(codes, return_inverse=True)
         layers.append(Layer(states, delta.reshape(codes.shape).astype(np.int32), holds))
         states = np.stack(np.unravel_index(known, sizes[::-1])[::-1], axis=1).astype(np.int32) - 1
+        n_states += len(states)
+        require_numbered(n_states, f"states of the joint automaton over {t} steps", remedy)
     nowhere = np.zeros((len(letters), len(states)), dtype=np.int32)
     last = Layer(states, nowhere, np.zeros((len(automata), *nowhere.shape), dtype=np.bool_))
     return JointAutomaton(tuple(automata), layers[0], (*layers[1:], last))

@@ -34,6 +34,7 @@ from stltool.logic.formula import (
     Until,
 )
 from stltool.logic.occurrences import Occurrence
+from stltool.sizes import Numbers, integer_type
 
 Truth: TypeAlias = NDArray[np.bool_]
 """(n_steps, n_traces): truth at every step of traces that is decided."""
@@ -56,7 +57,7 @@ class Samples:
         n_traces = min(_MOST_TRACES, _MOST_CELLS // (len(places) * n_steps))
         self.letters = _traces(len(valuations), n_steps, n_traces) if n_traces else np.empty((0, 0), dtype=np.int64)
         self._truth: list[Truth] = [np.empty((1, 0), dtype=np.bool_)] * len(places)
-        self._holding: dict[int, NDArray[np.int16]] = {}  # how many operands of an And or an Or hold
+        self._holding: dict[int, Numbers] = {}  # how many operands of an And or an Or hold
         for i in range(len(places) - 1, -1, -1) if n_traces else ():  # operands stand after their operator
             phi = places[i].formula
             match phi:
@@ -142,23 +143,23 @@ def truth_along(phi: Formula, operands: Sequence[Truth]) -> Truth:
             assert_never(phi)
 
 
-def _count(operands: Sequence[Truth]) -> NDArray[np.int16]:
+def _count(operands: Sequence[Truth]) -> Numbers:
     n = min(len(x) for x in operands)
-    holding = operands[0][:n].astype(np.int16)
+    holding: Numbers = operands[0][:n].astype(integer_type(len(operands)))
     for x in operands[1:]:
         holding += x[:n]
     return holding
 
 
-def _junction(phi: And | Or, holding: NDArray[np.int16]) -> Truth:
+def _junction(phi: And | Or, holding: Numbers) -> Truth:
     """The truth of an And or an Or, from how many of its operands hold."""
     found: Truth = holding == len(phi.args) if isinstance(phi, And) else holding > 0
     return found
 
 
-def _before(x: Truth) -> NDArray[np.int32]:
+def _before(x: Truth) -> Numbers:
     """How often x held before each step, (n_steps + 1, n_traces)."""
-    counts = np.zeros((len(x) + 1, *x.shape[1:]), dtype=np.int32)
+    counts: Numbers = np.zeros((len(x) + 1, *x.shape[1:]), dtype=integer_type(len(x)))
     np.cumsum(x, axis=0, out=counts[1:])
     return counts
 

@@ -24,6 +24,7 @@ from stltool.automata import FALSE, TRUE
 from stltool.checking.fixed import FixedPoint
 from stltool.policy import Policy
 from stltool.product import Product
+from stltool.sizes import Numbers
 
 Floats: TypeAlias = NDArray[np.float64]
 Values: TypeAlias = NDArray[Any]
@@ -48,8 +49,8 @@ class Sweeper(Protocol):
     one: float
 
     def gather(self, values: Values, out: Values) -> None: ...
-    def optimum(self, W: Values, maximize: bool, out: Values, best: NDArray[np.int16]) -> None: ...
-    def policy(self, W: Values, chosen: NDArray[np.int16], out: Values) -> None: ...
+    def optimum(self, W: Values, maximize: bool, out: Values, best: Numbers) -> None: ...
+    def policy(self, W: Values, chosen: Numbers, out: Values) -> None: ...
     def mixture(self, W: Values, weight: Floats, out: Values) -> None: ...
 
 
@@ -75,7 +76,7 @@ def induct(
 
 
 def sweep_of(
-    sweeper: Sweeper, policy: Policy | None, maximize: bool, tables: NDArray[np.int16]
+    sweeper: Sweeper, policy: Policy | None, maximize: bool, tables: Numbers
 ) -> Callable[[int, Values, Values], None]:
     """What `induct` does a step: a policy's value; or the optimum, whose choices go to `tables` (h or 1, S, Q)."""
 
@@ -124,10 +125,10 @@ class NumbaSweeper:
     def gather(self, values: Values, out: Values) -> None:
         self._run(self._gather, (values, *self._lookup), (out,))
 
-    def optimum(self, W: Values, maximize: bool, out: Values, best: NDArray[np.int16]) -> None:
+    def optimum(self, W: Values, maximize: bool, out: Values, best: Numbers) -> None:
         self._run(self._kernels.optimum, (*self._structure, *self._shares, W, maximize), (out, best))
 
-    def policy(self, W: Values, chosen: NDArray[np.int16], out: Values) -> None:
+    def policy(self, W: Values, chosen: Numbers, out: Values) -> None:
         self._run(self._kernels.policy, (*self._structure, *self._shares, W, chosen), (out,))
 
     def mixture(self, W: Values, weight: Floats, out: Values) -> None:
@@ -174,14 +175,14 @@ class NumpySweeper:
     def gather(self, values: Values, out: Values) -> None:
         out[:] = values[self._state, self._after]
 
-    def optimum(self, W: Values, maximize: bool, out: Values, best: NDArray[np.int16]) -> None:
+    def optimum(self, W: Values, maximize: bool, out: Values, best: Numbers) -> None:
         per_choice = self._matrix @ W
         for s in range(len(out)):
             options = per_choice[self._start[s] : self._start[s + 1]]
             best[s] = options.argmax(axis=0) if maximize else options.argmin(axis=0)
             out[s] = self._rounded_up(options.max(axis=0) if maximize else options.min(axis=0))
 
-    def policy(self, W: Values, chosen: NDArray[np.int16], out: Values) -> None:
+    def policy(self, W: Values, chosen: Numbers, out: Values) -> None:
         per_choice = self._rounded_up(self._matrix @ W)
         undefined: float = np.nan
         if self._denominator is not None:  # integers have no NaN to spread by itself

@@ -13,7 +13,6 @@ from fractions import Fraction
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stltool.arguments import flag, function, one_of, real
 from stltool.checking.backward import BACKENDS, Backend, Floats, Progress, Values, induct, sweep_of, sweeper
@@ -26,7 +25,7 @@ from stltool.errors import PolicyError, SettingsError
 from stltool.numbers import round_down, round_up
 from stltool.policy import Policy, require_door
 from stltool.product import Product
-from stltool.sizes import require_memory, require_time
+from stltool.sizes import Numbers, require_memory, require_time
 
 _RATE = 1e9  # multiply-adds a second, roughly, on one core
 _LONG = 10**30  # denominators that a short description leaves out
@@ -119,7 +118,7 @@ def check(
     kept = policy is None and keep_policy
     judge, rebased = policy.on(product) if policy is not None else (product, None)
     require_sweeps(judge, kept, _RATE, memory_limit)
-    tables = np.zeros((product.horizon if kept else 1, *product.shape), dtype=np.int16)
+    tables = np.zeros((product.horizon if kept else 1, *product.shape), dtype=product.model.choice_type)
     sweeps = _Sweeps(judge, rebased, maximize, tables, backend, progress)
     used: Literal["double", "fixed", "rational"]
     fraction = None
@@ -174,7 +173,7 @@ class _Sweeps:
     product: Product
     policy: Policy | None
     maximize: bool
-    tables: NDArray[np.int16]
+    tables: Numbers
     backend: Backend
     progress: Progress | None
 

@@ -26,7 +26,7 @@ from stltool.models import MDP
 from stltool.models.fractions import LARGEST_SUM, Integers, over_one
 from stltool.policy import Policy
 from stltool.product import Product
-from stltool.sizes import require_memory, require_time
+from stltool.sizes import Numbers, require_memory, require_time
 
 _KERNEL_BELOW = 2**40
 _KERNEL_RATE, _PYTHON_RATE = 5e8, 1e7  # digits' and Python integers' multiply-adds a second, roughly
@@ -36,7 +36,7 @@ def exact_probability(
     product: Product,
     policy: Policy | None,
     maximize: bool,
-    tables: NDArray[np.int16] | None = None,
+    tables: Numbers | None = None,
     *,
     in_kernel: bool = True,
     memory_limit: int | None = None,
@@ -74,7 +74,7 @@ def _in_digits(
     product: Product,
     policy: Policy | None,
     maximize: bool,
-    tables: NDArray[np.int16] | None,
+    tables: Numbers | None,
     memory_limit: int | None,
     progress: Progress | None,
 ) -> Fraction:
@@ -89,8 +89,8 @@ def _in_digits(
     first = first_steps(product)
     numerator = exact.numerator.astype(np.int64)
     run = over_ranges(product, work=product.n_states * most)
-    anything = np.full(product.shape, -1, dtype=np.int16)
-    best = np.zeros(product.shape, dtype=np.int16)
+    anything = np.full(product.shape, -1, dtype=model.choice_type)
+    best = np.zeros(product.shape, dtype=model.choice_type)
     values = np.zeros((*product.shape, 1), dtype=np.int64)
     values[:, automaton.verdicts(h) == TRUE] = 1
     one = 1
@@ -116,7 +116,7 @@ def _in_python(
     product: Product,
     policy: Policy | None,
     maximize: bool,
-    tables: NDArray[np.int16] | None,
+    tables: Numbers | None,
     memory_limit: int | None,
     progress: Progress | None,
 ) -> Fraction:
@@ -136,7 +136,7 @@ def _in_python(
         factor = exact.denominator
         if policy is None:
             values = per_choice[model.choice_start[:-1]]
-            best = np.zeros(product.shape, dtype=np.int16)
+            best = np.zeros(product.shape, dtype=model.choice_type)
             for i in range(1, int(n_choices.max())):
                 there = np.flatnonzero(n_choices > i)
                 option = per_choice[model.choice_start[there] + i]

@@ -8,15 +8,16 @@ from numpy.typing import NDArray
 from stltool.automata import UNDECIDED
 from stltool.policy import Policy
 from stltool.product import Product
+from stltool.sizes import Numbers, integer_type
 
 
-def first_steps(product: Product) -> NDArray[np.int32]:
+def first_steps(product: Product) -> Numbers:
     """(S, Q): the first step at which (s, q) can be entered, or horizon + 1 where it cannot within the horizon.
 
     Whatever follows (s, q) in one step has a first step at most one later, so {first ≤ t} is closed under a step.
     """
     model, delta = product.model, product.automaton.delta
-    first = np.full(product.shape, product.horizon + 1, dtype=np.int32)
+    first: Numbers = np.full(product.shape, product.horizon + 1, dtype=integer_type(product.horizon + 1))
     s = np.flatnonzero(model.initial)
     q = delta[product.letter[s], product.automaton.initial]
     state_start = model.row_start[model.choice_start]  # a state's transitions, all choices together

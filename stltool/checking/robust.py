@@ -110,7 +110,7 @@ def robust_check(
     swept = robust_sweeper(judge, intervals, minimal, backend)
     question: Literal["maximum", "minimum", "policy"]
     question = "policy" if rebased is not None else "maximum" if maximize else "minimum"
-    tables = np.zeros((product.horizon if kept else 1, *product.shape), dtype=np.int16)
+    tables = np.zeros((product.horizon if kept else 1, *product.shape), dtype=product.model.choice_type)
     entry = induct(judge, swept, sweep_of(swept, rebased, maximize, tables), progress)
     if rebased is not None and np.isnan(entry).any():
         raise undefined(judge, rebased)

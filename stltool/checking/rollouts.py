@@ -142,7 +142,7 @@ def follow(product: Product, policy: Policy, sums: NDArray[np.float64], runs: in
     s, q, number = s[open_], q[open_], number[open_]
     t, steps = 0, 0
     while len(s):
-        choice = np.empty(len(s), dtype=np.int16)
+        choice = np.empty(len(s), dtype=model.choice_type)
         if policy.deterministic:
             silent = rollout.pick(policy.at(t), s, q, choice)
             if silent >= 0:

@@ -138,7 +138,9 @@ def surrogate_optimum(
     layers = 1 if reading == "discounted" else home.horizon
     cells = layers * home.model.n_choices * home.automaton.n_states
     require_memory(
-        2 * cells + 8 * layers * home.n_states * _most_choices(home) + 4 * home.horizon * home.n_states,
+        2 * cells
+        + 8 * layers * home.n_states * home.model.most_choices
+        + 2 * np.dtype(home.model.choice_type).itemsize * home.horizon * home.n_states,
         f"the surrogate's optimal choices over {home.n_states} product states",
         "shorten the windows",
         memory_limit,
@@ -181,7 +183,7 @@ def _discounted(home: Product, gamma: float, tolerance: float, progress: Progres
     require_time(work, _RATE, f"value iteration of {most} sweeps", "take a smaller gamma, or shorten the windows")
     chi, unit, swept = _chi(home), _unit(home), sweeper(home, "numba")
     values, out, W = (np.zeros(home.shape) for _ in range(3))
-    best = np.empty(home.shape, dtype=np.int16)
+    best = np.empty(home.shape, dtype=home.model.choice_type)
     sweeps, threshold = 0, math.inf
     for sweeps in range(1, most + 1):
         reward_to_go = gamma * values + chi
@@ -204,7 +206,7 @@ def _episode(home: Product, progress: Progress | None) -> tuple[Left, float, int
     chi, unit, swept = _chi(home), _unit(home), sweeper(home, "numba")
     first = max(part.tau for part in fragment.parts) - 1
     values, W = np.zeros(home.shape), np.empty(home.shape)
-    best = np.empty(home.shape, dtype=np.int16)
+    best = np.empty(home.shape, dtype=home.model.choice_type)
     left = np.empty((h, home.model.n_choices, home.automaton.n_states), dtype=np.bool_)
     error = 0.0
     for t in range(h - 1, -1, -1):
@@ -237,16 +239,12 @@ def _left(home: Product, W: Floats, best: Floats, threshold: float) -> Left:
     return left
 
 
-def _most_choices(product: Product) -> int:
-    return int(np.diff(product.model.choice_start).max())
-
-
 def _uniform(home: Product, left: Left, stationary: bool) -> Policy:
     """The policy that is uniform over the choices left."""
     model = home.model
     owner = np.repeat(np.arange(model.n_states), np.diff(model.choice_start))
     number = np.arange(model.n_choices) - model.choice_start[owner]
-    weights = np.zeros((len(left), *home.shape, _most_choices(home)))
+    weights = np.zeros((len(left), *home.shape, home.model.most_choices))
     for c, (s, i) in enumerate(zip(owner.tolist(), number.tolist(), strict=True)):
         weights[:, s, :, i] = left[:, c]
     weights /= weights.sum(axis=-1, keepdims=True)
@@ -261,7 +259,7 @@ def _extreme(judge: Product, left: Left, maximize: bool) -> Policy:
     number = np.arange(model.n_choices) - model.choice_start[owner]
     state, after = np.arange(model.n_states)[:, None], automaton.delta[judge.letter]
     optimum: Callable[..., Floats] = np.maximum.reduceat if maximize else np.minimum.reduceat
-    table = np.zeros((judge.horizon, *judge.shape), dtype=np.int16)
+    table = np.zeros((judge.horizon, *judge.shape), dtype=model.choice_type)
     values = np.zeros(judge.shape)
     values[:, automaton.verdicts(judge.horizon) == TRUE] = 1.0
     for t in range(judge.horizon - 1, -1, -1):

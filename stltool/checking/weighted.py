@@ -33,9 +33,9 @@ from stltool.errors import NameLookupError, SettingsError, near_misses
 from stltool.models import MDP
 from stltool.numbers import round_down, round_up
 from stltool.product import JointProduct
-from stltool.sizes import require_memory, require_time
+from stltool.sizes import Numbers, require_memory, require_time
 
-Choices: TypeAlias = list[NDArray[np.int16]]
+Choices: TypeAlias = list[Numbers]
 """(S, n_t) for each step t < h: the choice's number within its state."""
 
 Weights: TypeAlias = list[Floats]
@@ -72,9 +72,10 @@ class Criteria:
             if most * self.joint.horizon > _LARGEST_COST:
                 raise SettingsError(f"cost {name} is up to {most:g} a step; scale the signal to numbers below 1e9")
         S, horizon = self.joint.model.n_states, self.joint.horizon
+        itemsize = np.dtype(self.joint.model.choice_type).itemsize
         widest = max(len(layer.states) for layer in self.joint.automaton.layers)
         require_memory(
-            8 * 3 * len(self) * S * widest + 2 * S * self.joint.automaton.n_states,
+            8 * 3 * len(self) * S * widest + itemsize * S * self.joint.automaton.n_states,
             f"sweeping {S} model states × up to {widest} joint automaton states",
             "shorten the windows",
         )
@@ -134,7 +135,7 @@ def best(
     chosen: Choices = []
 
     def sweep(t: int, W: Floats, out: Floats) -> None:
-        choice = np.zeros(W.shape[1:], dtype=np.int16)
+        choice = np.zeros(W.shape[1:], dtype=joint.model.choice_type)
         kernels.optimum(*rows, W[0], True, 0, S, out[0], choice)
         for i in range(1, n + 1):
             kernels.policy(*rows, W[i], choice, 0, S, out[i])

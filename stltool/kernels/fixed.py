@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.kernels.jit import kernel
-from stltool.kernels.sweep import one_state
+from stltool.kernels.sweep import Choices, one_state
 from stltool.kernels.sweep import optimum as sums
 
-I16: TypeAlias = NDArray[np.int16]
 I32: TypeAlias = NDArray[np.int32]
 I64: TypeAlias = NDArray[np.int64]
 
@@ -23,7 +22,7 @@ I64: TypeAlias = NDArray[np.int64]
 @kernel
 def optimum(
     choice_start: I64, row_start: I64, target: I32, numerator: I64, denominator: int, W: I64,
-    maximize: bool, lo: int, hi: int, out: I64, best: I16,
+    maximize: bool, lo: int, hi: int, out: I64, best: Choices,
 ) -> None:  # fmt: skip
     sums(choice_start, row_start, target, numerator, W, maximize, lo, hi, out, best)
     inverse = 1.0 / denominator
@@ -40,7 +39,7 @@ def optimum(
 @kernel
 def policy(
     choice_start: I64, row_start: I64, target: I32, numerator: I64, denominator: int, W: I64,
-    chosen: I16, lo: int, hi: int, out: I64,
+    chosen: Choices, lo: int, hi: int, out: I64,
 ) -> None:  # fmt: skip
     for s in range(lo, hi):
         for q in range(W.shape[1]):

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.kernels.jit import kernel
-from stltool.kernels.sweep import one_state
+from stltool.kernels.sweep import Choices, one_state
 
-I16: TypeAlias = NDArray[np.int16]
 I32: TypeAlias = NDArray[np.int32]
 I64: TypeAlias = NDArray[np.int64]
 
@@ -23,7 +22,7 @@ I64: TypeAlias = NDArray[np.int64]
 @kernel
 def optimum(
     choice_start: I64, row_start: I64, target: I32, numerator: I64, letter: I32, delta: I32, V: I64,
-    chosen: I16, maximize: bool, wanted: NDArray[np.bool_], bits: int, lo: int, hi: int, out: I64, best: I16,
+    chosen: Choices, maximize: bool, wanted: NDArray[np.bool_], bits: int, lo: int, hi: int, out: I64, best: Choices,
 ) -> None:  # fmt: skip
     """Where `wanted[s,q]`: the optimum over all choices, or `chosen[s,q]`'s value where that is not negative."""
     n_in, n_out, mask = V.shape[2], out.shape[2], (1 << bits) - 1

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from stltool.kernels.jit import kernel
-from stltool.kernels.sweep import F64, I16, I32, I64, gather, one_state
+from stltool.kernels.sweep import F64, I32, I64, Choices, gather, one_state
 
 __all__ = ["gather", "mixture", "optimum", "policy", "warm_up"]
 
@@ -51,7 +51,7 @@ def _nature(
 @kernel
 def optimum(
     choice_start: I64, row_start: I64, target: I32, lower: F64, width: F64, budget: F64, ascending: bool, W: F64,
-    maximize: bool, lo: int, hi: int, out: F64, best: I16,
+    maximize: bool, lo: int, hi: int, out: F64, best: Choices,
 ) -> None:  # fmt: skip
     key = np.empty(_longest(choice_start, row_start, lo, hi))
     order = np.empty(len(key), dtype=np.int64)
@@ -71,7 +71,7 @@ def optimum(
 @kernel
 def policy(
     choice_start: I64, row_start: I64, target: I32, lower: F64, width: F64, budget: F64, ascending: bool, W: F64,
-    chosen: I16, lo: int, hi: int, out: F64,
+    chosen: Choices, lo: int, hi: int, out: F64,
 ) -> None:  # fmt: skip
     """chosen[s,q]: the choice's number within its state; negative where the policy says nothing (value NaN)."""
     key = np.empty(_longest(choice_start, row_start, lo, hi))

@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.kernels.jit import kernel
-from stltool.kernels.sweep import one_state
+from stltool.kernels.sweep import Choices, one_state
 
 F64: TypeAlias = NDArray[np.float64]
 I8: TypeAlias = NDArray[np.int8]
-I16: TypeAlias = NDArray[np.int16]
 I32: TypeAlias = NDArray[np.int32]
 I64: TypeAlias = NDArray[np.int64]
 
@@ -38,7 +37,7 @@ def inversion(sums: F64, lo: int, hi: int, x: float) -> int:
 
 
 @kernel
-def pick(chosen: I16, s: I32, q: I32, choice: I16) -> int:
+def pick(chosen: Choices, s: I32, q: I32, choice: Choices) -> int:
     """The first run where the policy says nothing (a negative entry), or −1."""
     for k in range(len(choice)):
         choice[k] = chosen[s[k], q[k]]
@@ -48,7 +47,7 @@ def pick(chosen: I16, s: I32, q: I32, choice: I16) -> int:
 
 
 @kernel
-def mix(weight: F64, u: F64, s: I32, q: I32, choice: I16) -> None:
+def mix(weight: F64, u: F64, s: I32, q: I32, choice: Choices) -> None:
     for k in range(len(choice)):
         row = weight[s[k], q[k]]
         total = 0.0
@@ -65,7 +64,7 @@ def mix(weight: F64, u: F64, s: I32, q: I32, choice: I16) -> None:
 @kernel
 def move(
     choice_start: I64, row_start: I64, target: I32, sums: F64, letter: I32, delta: I32, verdict: I8,
-    choice: I16, u: F64, s: I32, q: I32, number: I32, outcome: I8,
+    choice: Choices, u: F64, s: I32, q: I32, number: I32, outcome: I8,
 ) -> int:  # fmt: skip
     """Runs still undecided move up to the front; how many they are. outcome[number] takes every run's verdict."""
     live = 0

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from stltool.kernels.jit import kernel
 
 F64: TypeAlias = NDArray[np.float64]
-I16: TypeAlias = NDArray[np.int16]
+Choices: TypeAlias = NDArray[np.signedinteger[Any]]  # int16 where that holds them
 I32: TypeAlias = NDArray[np.int32]
 I64: TypeAlias = NDArray[np.int64]
 Numbers: TypeAlias = NDArray[Any]
@@ -35,7 +35,7 @@ def gather(values: F64, letter: I32, delta: I32, lo: int, hi: int, out: F64) -> 
 @kernel
 def optimum(
     choice_start: I64, row_start: I64, target: I32, probability: Numbers, W: Numbers,
-    maximize: bool, lo: int, hi: int, out: Numbers, best: I16,
+    maximize: bool, lo: int, hi: int, out: Numbers, best: Choices,
 ) -> None:  # fmt: skip
     """In doubles; in integers where `probability`, W and out are int64 (kernels/fixed.py)."""
     n_q = W.shape[1]
@@ -68,7 +68,7 @@ def optimum(
 @kernel
 def policy(
     choice_start: I64, row_start: I64, target: I32, probability: F64, W: F64,
-    chosen: I16, lo: int, hi: int, out: F64,
+    chosen: Choices, lo: int, hi: int, out: F64,
 ) -> None:  # fmt: skip
     """chosen[s,q]: the choice's number within its state; negative where the policy says nothing (value NaN)."""
     for s in range(lo, hi):

@@ -23,7 +23,7 @@ from stltool.learning.counts import Counts
 from stltool.learning.learner import Learner, rarest
 from stltool.learning.problem import Problem
 from stltool.learning.settings import Settings
-from stltool.sizes import require_memory
+from stltool.sizes import Numbers, require_memory
 
 _HAIR = 1e-3  # what paradise lacks of 1: far above rounding, below what is worth exploring for
 
@@ -35,16 +35,17 @@ class ModelBased(Learner):
 
     def __init__(self, problem: Problem, settings: Settings, rng: np.random.Generator) -> None:
         automaton, S = problem.automaton, problem.n_states
-        layer = S * automaton.n_states
+        layer, itemsize = S * automaton.n_states, np.dtype(problem.choice_type).itemsize
         require_memory(
-            (2 * automaton.horizon + 24) * layer, f"planning {automaton.horizon} steps of {layer} product states",
+            (itemsize * automaton.horizon + 24) * layer,
+            f"planning {automaton.horizon} steps of {layer} product states",
             "shorten the windows",
-        )  # fmt: skip
+        )
         self._problem, self._settings = problem, settings
         self._choice_start = np.concatenate([[0], np.cumsum(problem.n_choices)]).astype(np.int64)
         self._counts = Counts(int(self._choice_start[-1]), S)
         self._visits = np.zeros(self._counts.n_choices, dtype=np.int64)
-        self._plan = np.zeros((automaton.horizon, S, automaton.n_states), dtype=np.int16)
+        self._plan = np.zeros((automaton.horizon, S, automaton.n_states), dtype=problem.choice_type)
 
     def begin_episode(self, epsilon: float, length: int) -> None:
         super().begin_episode(epsilon, length)
@@ -105,7 +106,7 @@ class ModelBased(Learner):
         probability: NDArray[np.float64],
         outside: Callable[[int], float],
         first: int,
-        table: NDArray[np.int16],
+        table: Numbers,
     ) -> None:
         """Backward induction to step `first`, the choices into `table`; being outside is worth `outside(t)`."""
         from stltool.kernels import sweep

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from stltool.automata import TaskAutomaton
 from stltool.product import Product
+from stltool.sizes import IntegerType, integer_type
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,3 +31,8 @@ class Problem:
     @property
     def most_choices(self) -> int:
         return int(self.n_choices.max())
+
+    @property
+    def choice_type(self) -> IntegerType:
+        """As the model's."""
+        return integer_type(self.most_choices - 1)

@@ -11,7 +11,7 @@ from stltool.automata import FALSE, TRUE, UNDECIDED, TaskAutomaton
 from stltool.kernels.tuples import Surrogate
 from stltool.learning.problem import Problem
 from stltool.learning.settings import Settings
-from stltool.sizes import require_memory
+from stltool.sizes import require_memory, require_numbered
 
 
 class SurrogateTable:
@@ -57,6 +57,7 @@ class ClockedTable:
         open_ = _open_pairs(automaton)
         self.entries = np.array([len(q) for _, q in open_], dtype=np.int64)
         E = int(self.entries.max())
+        require_numbered(E, "pairs of step and automaton state", "shorten the windows")
         shape = (problem.n_states, problem.most_choices, E)
         _require_table(shape)
         require_memory(
@@ -66,7 +67,7 @@ class ClockedTable:
         )
         self.Q, self.V = np.zeros(shape), np.zeros((problem.n_states, E + 2))
         self.V[:, -1] = 1.0
-        self.visits = np.zeros(shape if count_every_entry else shape[:2], dtype=np.int32)
+        self.visits = np.zeros(shape if count_every_entry else shape[:2], dtype=np.int64)
         self._pairs = open_
         self._index = np.full((n_letters, automaton.horizon, automaton.n_states), -1, dtype=np.int32)
         for letter, (t, q) in enumerate(open_):
@@ -112,7 +113,7 @@ class ClockedTable:
     def policy_table(self) -> NDArray[Any]:
         """The greedy policy over tried choices, the first of ties: (h, S, Q) choices."""
         problem, automaton = self._problem, self._problem.automaton
-        table = np.zeros((automaton.horizon, problem.n_states, automaton.n_states), dtype=np.int16)
+        table = np.zeros((automaton.horizon, problem.n_states, automaton.n_states), dtype=problem.choice_type)
         visits = self.visits if self.visits.ndim == 3 else self.visits[:, :, None]
         trust = visits / (visits + self._caution)
         for s, letter in enumerate(problem.letter):

@@ -32,6 +32,7 @@ from stltool.models.fractions import Fractions
 from stltool.models.intervals import Intervals
 from stltool.models.mdp import MDP, GridLayout
 from stltool.numbers import NumberError, exact, number_text
+from stltool.sizes import require_numbered
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -167,6 +168,7 @@ def _transitions(
     from scipy.sparse import coo_array
 
     n_states, n_moves = len(row), len(moves)
+    require_numbered(n_states, "free cells", "make the cells larger, or the map smaller")
     denominator = math.lcm(*(end.denominator for end in (*success, *slip)))
     if denominator >= 2**53:
         written = ["–".join(dict.fromkeys(map(number_text, ends))) for ends in (success, slip)]

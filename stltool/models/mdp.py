@@ -23,6 +23,7 @@ from stltool.errors import ModelError, SettingsError, near_misses
 from stltool.models.fractions import Fractions, Integers, of_doubles, over_one
 from stltool.models.intervals import Intervals
 from stltool.numbers import NumberError, exact
+from stltool.sizes import IntegerType, integer_type, require_numbered
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -134,6 +135,16 @@ class MDP(Displayed):
     @property
     def n_actions(self) -> int:
         return len(self.action_names)
+
+    @property
+    def most_choices(self) -> int:
+        """The most actions that a state has."""
+        return int(np.diff(self.choice_start).max())
+
+    @property
+    def choice_type(self) -> IntegerType:
+        """The type of a table of choices: of numbers within their state, negative where there is none."""
+        return integer_type(self.most_choices - 1)
 
     def state_name(self, s: int) -> str:
         whole(s, "the model's state s", 0, self.n_states - 1)
@@ -295,6 +306,7 @@ class MDP(Displayed):
                 f"environment is {described(environment)}; give a function of a generator that returns one"
             )
         shape = (int(n_states), len(names))
+        _require_numbered(*shape)
         has = np.ones(shape, dtype=np.bool_) if available is None else _booleans(available, "available")
         if has.shape != shape:
             raise ModelError(f"available has shape {has.shape}, not {shape} (states, actions)")
@@ -332,6 +344,7 @@ class MDP(Displayed):
         """
         n_states = rows.shape[1]
         n_actions = rows.shape[0] // n_states
+        _require_numbered(n_states, n_actions)
         names = _names(action_names, "action_names") or tuple(str(a) for a in range(n_actions))
         given_names = _names(state_names, "state_names")
         if len(names) != n_actions:
@@ -547,9 +560,15 @@ def _initial(
     return _floats(array, "the initial distribution"), None
 
 
+def _require_numbered(n_states: int, n_actions: int) -> None:
+    require_numbered(n_states, "states", "coarsen the grid, or give a part of the model")
+    require_numbered(n_actions, "actions", "give fewer")
+
+
 def _validate(m: MDP) -> None:
     if m.n_states < 1:
         raise ModelError("the model has no state")
+    _require_numbered(m.n_states, m.n_actions)
     if m.state_names is not None and len(m.state_names) != m.n_states:
         raise ModelError(f"{len(m.state_names)} state names for {m.n_states} states")
     if len(set(m.action_names)) != m.n_actions:

@@ -28,7 +28,7 @@ from stltool.models.fractions import Fractions, over_one
 from stltool.models.intervals import Intervals
 from stltool.models.mdp import MDP
 from stltool.numbers import double, index, read
-from stltool.sizes import require_memory
+from stltool.sizes import require_memory, require_numbered
 
 _BYTES_A_LINE = 400  # of Python objects while a file is read
 _TRUTH = {"true": 1.0, "false": 0.0}
@@ -109,6 +109,7 @@ def _transitions(path: Path) -> tuple[int, _Rows, bool]:
         f"{path}: reading {n_transitions} transitions of {n_states} states",
         "check the file's first line",
     )
+    require_numbered(n_states, "states", "give a part of the model")
     chain = len(counts) == 2
     rows: _Rows = {}
     known: dict[str, _Ends] = {}

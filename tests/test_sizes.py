@@ -1,0 +1,173 @@
+"""The widths of integers at their borders: what does not fit is wider, or refused, and never wraps."""
+
+import math
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+import stltool as stl
+from stltool import sizes
+from stltool.automata.samples import truth_along
+from stltool.checking.reach import first_steps
+from stltool.errors import SizeError
+from stltool.learning.problem import Problem
+from stltool.learning.tables import ClockedTable
+from stltool.logic.formula import And, Label, Or
+from stltool.product import joined
+from stltool.sizes import integer_type, require_numbered
+
+MOST = 2**31 - 2
+
+
+@pytest.mark.parametrize(
+    ("largest", "expected"),
+    [
+        (0, np.int16), (2**15 - 1, np.int16), (2**15, np.int32), (2**31 - 1, np.int32), (2**31, np.int64),
+        (2**63 - 1, np.int64),
+    ],
+)  # fmt: skip
+def test_a_type_holds_its_largest_number_and_minus_one(largest, expected):
+    assert integer_type(largest) is expected
+    assert np.array([largest, -1], dtype=expected).tolist() == [largest, -1]
+
+
+def test_more_than_can_be_numbered_is_refused():
+    require_numbered(MOST, "states", "take fewer")
+    with pytest.raises(
+        SizeError, match=r"2147483647 states are more than can be numbered \(at most 2147483646\); take"
+    ):
+        require_numbered(MOST + 1, "states", "take fewer")
+
+
+def test_the_last_number_and_the_number_of_all_with_one_more_are_int32():
+    assert np.array([MOST - 1, MOST, MOST + 1]).astype(np.int32).tolist() == [MOST - 1, MOST, MOST + 1]
+
+
+# ------------------------------------------------------------------------------------------ all that is numbered
+
+
+def line(n):
+    """A walk along n states, with labels at its ends."""
+    matrix = sparse.csr_array(np.roll(np.eye(n), 1, axis=1))
+    return {"transitions": [matrix], "signals": {}, "labels": {"A": np.arange(n) == 0, "B": np.arange(n) == n - 1}}
+
+
+def from_intervals(n):
+    given = line(n)
+    matrices = given.pop("transitions")
+    return stl.MDP.from_intervals(matrices, matrices, **given)
+
+
+def explicit(n):
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "walk.tra")
+        path.write_text(f"{n} {n}\n" + "".join(f"{s} {(s + 1) % n} 1\n" for s in range(n)))
+        return stl.load_model(path)
+
+
+def grid(n):
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "floor.toml")
+        path.write_text(f'kind = "grid"\nmap = """\nS{"." * (n - 1)}\n"""\n')
+        return stl.load_model(path)
+
+
+MODELS = {
+    "arrays": lambda n: stl.MDP.from_arrays(**line(n)),
+    "intervals": from_intervals,
+    "explicit": explicit,
+    "grid": grid,
+    "black box": lambda n: stl.MDP.black_box(n, 1, lambda rng: None),
+    "actions": lambda n: stl.MDP.from_arrays([np.eye(1)] * n, {}),
+}
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_model_is_refused_beyond_what_can_be_numbered(monkeypatch, model):
+    monkeypatch.setattr(sizes, "_MOST_NUMBERED", 20)
+    MODELS[model](20)
+    with pytest.raises(SizeError, match=r"21 .* more than can be numbered \(at most 20\)"):
+        MODELS[model](21)
+
+
+def automaton(text, encoding):
+    """The size of a task's automaton, and what makes it."""
+
+    def build():
+        return stl.build_product(stl.MDP.from_arrays(**line(4)), stl.parse(text), encoding)
+
+    return build().automaton.n_states, build
+
+
+def joint():
+    def build():
+        tasks = {"one": stl.parse("F[0,3] A"), "two": stl.parse("G[0,4] F[0,2] B")}
+        return stl.build_joint_product(stl.MDP.from_arrays(**line(4)), tasks)
+
+    return build().automaton.n_states, build
+
+
+def policys_memory():
+    """A policy with flags, judged on the exact automaton."""
+    model = stl.MDP.from_arrays(**line(4))
+    exact, flags = (stl.build_product(model, stl.parse("F[0,9] (G[0,4] A & G[0,4] B)"), e) for e in ("exact", "paper"))
+    return joined(exact, flags)[0].automaton.n_states, lambda: joined(exact, flags)
+
+
+def parts():
+    """The exact automaton of two watches, multiplied before it is minimised."""
+    _, build = automaton("G[0,9] ((F[0,3] A) & (F[0,5] B))", "exact")
+    return math.prod(part.states for part in build().automaton.parts), build
+
+
+def entries():
+    model = stl.MDP.from_arrays(**line(4))
+    product = stl.build_product(model, stl.parse("G[0,4] F[0,2] B"))
+    size = ClockedTable(Problem.of(product), stl.Settings.of("cfer", faithful=False), False).Q.shape[2]
+    return size, lambda: stl.learn(product, "cfer", episodes=1, seed=0)
+
+
+AUTOMATA = {
+    "flags": lambda: automaton("F[0,9] (G[0,4] A & G[0,4] B)", "paper"),
+    "histories": lambda: automaton("F[0,9] (G[0,4] A & G[0,4] B)", "history"),
+    "joint": joint,
+    "a policy's memory": policys_memory,
+    "parts": parts,
+    "entries": entries,
+}
+
+
+@pytest.mark.parametrize("what", AUTOMATA)
+def test_memory_is_refused_beyond_what_can_be_numbered(monkeypatch, what):
+    size, build = AUTOMATA[what]()
+    monkeypatch.setattr(sizes, "_MOST_NUMBERED", size)
+    build()
+    monkeypatch.setattr(sizes, "_MOST_NUMBERED", size - 1)
+    with pytest.raises(SizeError, match="more than can be numbered"):
+        build()
+
+
+# ---------------------------------------------------------------------------------------------------- counts, steps
+
+
+@pytest.mark.parametrize("n", [2**15 - 1, 2**15, 2**16, 2**16 + 1])
+def test_operands_are_counted_whatever_their_number(n):
+    """65536 that hold would be none in int16."""
+    labels = tuple(Label(f"a{i}") for i in range(n))
+    holds, fails = np.ones((1, 1), dtype=np.bool_), np.zeros((1, 1), dtype=np.bool_)
+    assert truth_along(And(labels), [holds] * n).all()
+    assert not truth_along(And(labels), [holds] * (n - 1) + [fails]).any()
+    assert truth_along(Or(labels), [holds] * n).all()
+    assert not truth_along(Or(labels), [fails] * n).any()
+
+
+@pytest.mark.parametrize("last", [2**15 - 2, 2**15 - 1, 2**31 - 2, 2**31 - 1, 2**40])
+def test_first_steps_of_any_horizon(last):
+    product = stl.build_product(stl.MDP.from_arrays(**line(4)), stl.parse(f"F[0,{last}] B"))
+    first = first_steps(product)
+    assert first.max() == last + 1  # the states that cannot be entered
+    assert first.min() == 0
+    assert sorted(first.min(axis=1)) == [0, 1, 2, 3]
