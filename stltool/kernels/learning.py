@@ -126,7 +126,7 @@ def surrogate_episode(
 
 @kernel
 def clocked_update(
-    Q: F64, V: F64, visits: I32, s: int, a: int, e: int, n_choices: int, value: float, least: float
+    Q: F64, V: F64, visits: I64, s: int, a: int, e: int, n_choices: int, value: float, least: float
 ) -> None:
     """The factual update of one entry, α = max(least, 1/n)."""
     visits[s, a, e] += 1
@@ -139,7 +139,7 @@ def clocked_update(
 
 @kernel
 def clocked_transitions(
-    Q: F64, V: F64, visits: I32, letter: I32, entries: I64, successor: I32, n_choices: I64, least: float, rows: I32
+    Q: F64, V: F64, visits: I64, letter: I32, entries: I64, successor: I32, n_choices: I64, least: float, rows: I32
 ) -> None:
     """Every open (t, q) that real transitions rows (n, 3) of (s, a, s') speak for, one after another.
 
@@ -177,10 +177,10 @@ def warm_up() -> None:
     )  # fmt: skip
     surrogate_observe(table, replay, draws, 0, 0, 0, 0, 0, 0, 0)
     greedy(table.Q[0, 0], 1, 0.5)
-    Q, V, visits = np.zeros((1, 1, 1)), np.zeros((1, 3)), np.ones((1, 1, 1), dtype=np.int32)
+    Q, V, visits = np.zeros((1, 1, 1)), np.zeros((1, 3)), np.ones((1, 1, 1), dtype=np.int64)
     clocked_update(Q, V, visits, 0, 0, 0, 1, 0.0, 0.1)
     n, rows = np.ones(1, dtype=np.int64), np.zeros((1, 3), dtype=np.int32)
-    clocked_transitions(Q, V, visits[0], letter, n, visits, n, 0.1, rows)
+    clocked_transitions(Q, V, visits[0], letter, n, whole[None], n, 0.1, rows)
     start, row_start, target, probability = one_state()
     learned = start.copy(), row_start.copy(), target.copy(), probability.copy()  # a learned model is not read-only
     layer = np.zeros((1, 1))
