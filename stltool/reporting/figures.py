@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _CURVE, _OPTIMUM = "#2166ac", "#b2182b"
 _HIGH = 0.98  # a curve that comes as high shows its distance from 1, too
 _MARKED = 300  # evaluations, at most, that are marked one by one
-_FLAT = 0.3  # a front that reaches over less of either axis is shown enlarged
+_POINT, _SMALL = 1e-9, 0.3  # a front that reaches over more and less of both axes than these is shown enlarged
 _POWERS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -88,13 +88,13 @@ def pareto_front(data: dict[str, Any], kind: str) -> str | bytes:
     axes.plot(*points.T, color=_CURVE, linewidth=1.8, marker="o", markersize=4, label="Pareto front, exact",
               gid="front", zorder=3)  # fmt: skip
     width, height = np.ptp(points, axis=0)
-    if 0 < max(width, height) < _FLAT:
+    if _POINT < max(width, height) < _SMALL:
         room = 0.15 * max(width, height)
         axes.set(xlim=(left - room, right + room), ylim=(bottom - room, top + room))
     else:
         axes.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03))
     axes.set(xlabel=f"P({shown(first, 40)})", ylabel=f"P({shown(second, 40)})", aspect="equal")
-    axes.ticklabel_format(useOffset=False)
+    axes.ticklabel_format(useOffset=False, style="plain")
     axes.locator_params(nbins=5)
     axes.grid(alpha=0.25)
     axes.legend(loc="lower left", frameon=False)

@@ -104,9 +104,10 @@ def front(corners, names=("charging", "patrolling")):
 @st.composite
 def fronts(draw):
     """Corners as a front has them: the first probability falls, the second rises."""
-    xs = draw(st.lists(st.floats(0, 1), min_size=1, max_size=8, unique=True))
-    ys = draw(st.lists(st.floats(0, 1), min_size=len(xs), max_size=len(xs), unique=True))
-    return list(zip(sorted(xs, reverse=True), sorted(ys), strict=True))
+    unit = draw(st.sampled_from([500, 10_000, 10**7]))
+    xs = draw(st.lists(st.integers(0, 500), min_size=1, max_size=8, unique=True))
+    ys = draw(st.lists(st.integers(0, 500), min_size=len(xs), max_size=len(xs), unique=True))
+    return [(1 - x / unit, y / unit) for x, y in zip(sorted(xs), sorted(ys), strict=True)]
 
 
 @given(fronts())
@@ -137,8 +138,9 @@ def test_a_small_front_is_enlarged():
     corners = [(0.9996, 0.9901), (0.9991, 0.9903), (0.998, 0.9904)]
     panel = Picture(pareto_front(front(corners), "svg")).panel
     assert np.ptp(panel.xlim) < 0.003
-    whole = Picture(pareto_front(front([(0.9, 0.1), (0.2, 0.8)]), "svg")).panel
-    assert (*whole.xlim, *whole.ylim) == pytest.approx((-0.03, 1.03) * 2, abs=1e-3)
+    for corners in ([(0.9, 0.1), (0.2, 0.8)], [(1.0, 0.5), (1 - 1e-12, 0.5 + 1e-12)]):
+        whole = Picture(pareto_front(front(corners), "svg")).panel
+        assert (*whole.xlim, *whole.ylim) == pytest.approx((-0.03, 1.03) * 2, abs=1e-3)
 
 
 def test_the_front_of_two_tasks():
