@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)
@@ -11,7 +11,7 @@ class Source:
     """A named text: a file, or the string given to `parse`."""
 
     name: str
-    text: str
+    text: str = field(repr=False)
 
     @property
     def lines(self) -> str:

@@ -4,6 +4,7 @@ import inspect
 from html.parser import HTMLParser
 from typing import get_args
 
+import numpy as np
 import pytest
 
 import stltool as stl
@@ -100,6 +101,18 @@ def test_three_lines_of_text_at_most(name, session):
     assert len(text.splitlines()) <= 3
     assert max(map(len, text.splitlines())) <= 310
     assert text.isascii()
+
+
+@pytest.mark.parametrize("name", [*CELLS, *MORE])
+def test_what_hangs_on_an_object_is_short_too(name, session):
+    """Arrays apart, which numpy shortens itself."""
+    thing = eval({**CELLS, **MORE}[name][0], session)
+    for key in dir(thing):
+        value = getattr(thing, key) if not key.startswith("_") and not callable(getattr(thing, key, None)) else None
+        for part in value if isinstance(value, list | tuple) else [value]:
+            if not isinstance(part, np.ndarray):
+                assert len(repr(part).splitlines()) <= 3, key
+                assert len(repr(part)) < 500, key
 
 
 class Tags(HTMLParser):

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata.automaton import TRUE, UNDECIDED, TaskAutomaton
+from stltool.display import Card, Displayed, counted
 from stltool.errors import SizeError
 from stltool.sizes import require_memory, require_numbered
 
@@ -46,8 +47,8 @@ class Layer:
         return result
 
 
-@dataclass(frozen=True, eq=False)
-class JointAutomaton:
+@dataclass(frozen=True, eq=False, repr=False)
+class JointAutomaton(Displayed):
     """The layers before s₀ is read (`start`, one state) and after steps 0 … h, h the longest of the tasks' horizons.
 
     Its states are numbered: the start, then layer by layer; the one of the last layer stays where it is.
@@ -58,6 +59,12 @@ class JointAutomaton:
     layers: tuple[Layer, ...]
 
     initial = 0
+
+    def _card(self) -> Card:
+        return Card(
+            f"JointAutomaton: {counted(self.n_states, 'state')}, {counted(len(self.automata), 'task')}",
+            [{"horizon": self.horizon, "encoding": self.encoding}],
+        )
 
     @property
     def horizon(self) -> int:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import pairwise
 from typing import TypeAlias, cast
@@ -113,10 +113,10 @@ class Document:
     """A text, read: a tree a statement (or the tree of one formula), comments, names, and what is wrong with it."""
 
     source: Source
-    trees: tuple[Branch, ...]
-    comments: tuple[Comment, ...]
-    names: frozenset[str]
-    faults: tuple[Fault, ...]
+    trees: tuple[Branch, ...] = field(repr=False)
+    comments: tuple[Comment, ...] = field(repr=False)
+    names: frozenset[str] = field(repr=False)
+    faults: tuple[Fault, ...] = field(repr=False)
 
 
 def branches(tree: Branch) -> list[Branch]:

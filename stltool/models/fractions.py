@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any, TypeAlias
 
@@ -32,9 +32,9 @@ class Fractions:
     initial              (n_states,) integers           initial_denominator  of all of them
     """
 
-    numerator: Integers
+    numerator: Integers = field(repr=False)
     denominator: int
-    initial: Integers
+    initial: Integers = field(repr=False)
     initial_denominator: int
 
     def defects(self, row_start: NDArray[np.int64]) -> tuple[Fraction, Fraction]:

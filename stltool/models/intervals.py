@@ -13,7 +13,7 @@ Source: [Givan00].
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
@@ -34,8 +34,8 @@ class Intervals:
     Lower ends may be 0: nature may then do without that successor. A model made with them checks them.
     """
 
-    lower: Floats
-    upper: Floats
+    lower: Floats = field(repr=False)
+    upper: Floats = field(repr=False)
 
     def nominal(self, row_start: NDArray[np.int64]) -> Floats:
         """The nominal distribution of every row (n_transitions,); entries that must be 0 are 0.

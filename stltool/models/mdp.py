@@ -45,8 +45,8 @@ class GridLayout:
 
     width: int
     height: int
-    column: NDArray[np.int64]
-    row: NDArray[np.int64]
+    column: NDArray[np.int64] = field(repr=False)
+    row: NDArray[np.int64] = field(repr=False)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

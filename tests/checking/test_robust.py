@@ -500,7 +500,7 @@ def test_bad_questions_are_refused(floor5):
         stl.robust_check(stl.build_product(floor5, stl.parse("F[0,3] A")))
     with pytest.raises(SettingsError, match="nature is 'kind'; choose against or with"):
         stl.robust_check(product, nature="kind")
-    with pytest.raises(SettingsError, match="no backend 'cuda'"):
+    with pytest.raises(SettingsError, match="backend is 'cuda'; choose numba or numpy"):
         stl.robust_check(product, backend="cuda")
     with pytest.raises(SizeError, match="keep_policy=False"):
         stl.robust_check(product, memory_limit=100)

@@ -496,6 +496,39 @@ def test_a_fixed_number_of_verdicts_is_taken_and_no_more():
             estimate_from([verdict], 1)
 
 
+def test_without_a_policy_the_optimal_one_is_judged(patrolling):
+    best = stl.check(patrolling).policy
+    for ask in (
+        lambda *policy: stl.estimate(patrolling, *policy, runs=300, seed=5).satisfied,
+        lambda *policy: stl.sprt(patrolling, *policy, at_least=0.7, seed=5).satisfied,
+        lambda *policy: stl.sample_run(patrolling, *policy, seed=5),
+        lambda *policy: stl.likely_runs(patrolling, *policy).runs,
+        lambda *policy: stl.sensitivity(patrolling, *policy).tilt.tolist(),
+    ):
+        assert ask() == ask(None) == ask(best)
+
+
+def test_without_a_policy_a_black_box_asks_for_one(patrolling):
+    model = stl.MDP.black_box(2, 2, lambda rng: None, labels={"A": [1, 0]})
+    hidden = stl.build_product(model, stl.parse("F[0,3] A"))
+    for ask in (
+        lambda: stl.estimate(hidden, runs=3), lambda: stl.sprt(hidden, at_least=0.5), lambda: stl.sample_run(hidden),
+        lambda: stl.likely_runs(hidden), lambda: stl.sensitivity(hidden),
+    ):  # fmt: skip
+        with pytest.raises(
+            SettingsError, match="whose optimal policy is not known; give .* a policy, such as stl.learn"
+        ):
+            ask()
+
+
+def test_a_sampled_run_records_its_seed(patrolling):
+    runs = [stl.sample_run(patrolling, seed=seed) for seed in (3, 3, np.int64(4))]
+    assert runs[0] == runs[1] != runs[2]
+    assert [run.seed for run in runs] == [3, 3, 4]
+    with pytest.raises(SettingsError, match="seed is a Generator; give an integer from 0"):
+        stl.sample_run(patrolling, seed=np.random.default_rng(0))
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
