@@ -21,6 +21,8 @@ from stltool.errors import ArgumentError, SettingsError
 
 _LONGEST = 40  # characters of a value in a message
 
+_WORDS = {"str": "text", "Iterable": "a list", "Mapping": "a mapping"}
+
 # what makes an object of this kind
 _MAKE = {
     "Formula": "write one: stl.parse('F[0,5] A')",
@@ -151,15 +153,14 @@ def mapping(value: object, what: str, example: str, *, optional: bool = False) -
 
 
 def texts(value: object, what: str) -> list[str]:
-    """Names in a list, a tuple, a set or an array (n,); numbers among them count as their texts."""
-    is_column = _is_array(value) and len(getattr(value, "shape", ())) == 1
-    if not (isinstance(value, list | tuple | range | Set) or is_column):
+    """Names, one after another; numbers among them count as their texts."""
+    if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
         raise ArgumentError(f"{what} are {described(value)}, not a list; write for example ['a', 'b']")
-    assert isinstance(value, Iterable)
-    for name in value:
+    names = list(value)
+    for name in names:
         if not isinstance(name, str | Integral):
             raise ArgumentError(f"one of {what} is {described(name)}, not text; write it in quotes")
-    return [str(name) for name in value]
+    return [str(name) for name in names]
 
 
 def described(value: object) -> str:
@@ -180,7 +181,9 @@ def described(value: object) -> str:
         return str(value) if shape == () else f"an array of shape {shape}"
     name = kind_name(type(value))
     if isinstance(value, Sequence | Set | Mapping) and type(value).__module__ == "builtins":
-        return f"a {name} of {len(value)}"
+        plain = len(value) <= _LONGEST and all(isinstance(item, str | int | float | None) for item in value)
+        short = plain and not isinstance(value, Mapping) and len(repr(value)) <= _LONGEST
+        return repr(value) if short else f"a {name} of {len(value)}"
     if callable(value) and hasattr(value, "__name__"):
         return f"the function {value.__name__}"
     return _article(name)
@@ -205,6 +208,6 @@ def _verb(what: str) -> str:
 
 
 def _article(name: str) -> str:
-    if name == "str":
-        return "text"
+    if name in _WORDS:
+        return _WORDS[name]
     return f"{'an' if name[0] in 'AEIOaeio' or name == 'MDP' else 'a'} {name}"

@@ -30,7 +30,7 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.arguments import function, one_of, real, whole
+from stltool.arguments import described, function, one_of, real, require, whole
 from stltool.checking.backward import Progress
 from stltool.checking.check import or_optimal
 from stltool.checking.rollouts import Rollouts, Verdicts
@@ -300,10 +300,11 @@ def sprt_from(
 
 
 def _batches(verdicts: Iterable[bool | Verdicts]) -> Iterator[Verdicts]:
+    require(verdicts, Iterable, "the verdicts", "give True or False for each run, or arrays of them")
     for given in [verdicts] if isinstance(verdicts, np.ndarray) else verdicts:
         batch = np.atleast_1d(np.asarray(given))
         if batch.dtype != np.bool_ or batch.ndim != 1:
-            raise SettingsError(f"a verdict is {given!r}; give True or False, or an array (n,) of them")
+            raise SettingsError(f"a verdict is {described(given)}; give True or False, or an array (n,) of them")
         yield batch
 
 

@@ -129,7 +129,7 @@ def require_state(answer: object, call: str, n_states: int, name: str) -> int:
         s = -1
     if not 0 <= s < n_states:
         raise ModelError(
-            f"the environment's {call} returned {answer!r}, which is no state of {name}; "
+            f"the environment's {call} returned {described(answer)}, which is no state of {name}; "
             f"return a state's index, 0 … {n_states - 1}"
         )
     return s

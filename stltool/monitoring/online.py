@@ -23,7 +23,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, assert_never
 
 import numpy as np
 
-from stltool.arguments import mapping, one_of
+from stltool.arguments import described, mapping, one_of
 from stltool.display import Card, Displayed, counted
 from stltool.errors import NameLookupError, TraceError, near_misses
 from stltool.logic.formula import Constant, Formula, Label, bounded_formula_of
@@ -135,14 +135,15 @@ class OnlineMonitor(Displayed):
     def _label(self, name: str, value: Any) -> bool:
         if not isinstance(value, _NUMBERS) or value not in (0, 1):
             raise TraceError(
-                f"{name} is {value!r} at step {self.n_steps}; it is used as a label, which is true or false (1 or 0)"
+                f"{name} is {described(value)} at step {self.n_steps}; it is used as a label, which is true or false "
+                "(1 or 0)"
             )
         return bool(value)
 
     def _real(self, name: str, value: Any) -> float:
         if type(value) is not float:
             if not isinstance(value, _NUMBERS) or isinstance(value, np.longdouble):
-                raise TraceError(f"{name} is {value!r} at step {self.n_steps}; give a float")
+                raise TraceError(f"{name} is {described(value)} at step {self.n_steps}; give a float")
             if isinstance(value, int | np.integer) and abs(int(value)) > WHOLE:
                 why = "whole numbers beyond 2^53 may have no double; give a float"
                 raise TraceError(f"{name} is {value} at step {self.n_steps}: {why}")

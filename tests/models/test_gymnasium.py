@@ -285,7 +285,7 @@ def test_a_tuple_of_observations_is_learned():
     product = stl.build_product(model, stl.parse("F[0,4] total >= 19 & G[0,4] !bust"))
     policy = stl.learn(product, "model-based", episodes=1500, seed=0).policy
     stick = stl.Policy(product, np.zeros(product.shape, dtype=int))
-    assert stl.estimate(product, policy, runs=400).lower > stl.estimate(product, stick, runs=400).upper
+    assert stl.estimate(product, policy, runs=2000).lower > stl.estimate(product, stick, runs=2000).upper
 
 
 def test_cliffs_are_walked_along():
@@ -524,7 +524,8 @@ def test_runs_at_the_same_time_need_an_environment_each():
 
 def test_without_gymnasium_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "gymnasium", None)
-    for ask in (lambda: stl.from_gymnasium(None), lambda: stl.to_gymnasium(None)):
+    model = stl.MDP.from_arrays([[[1]]], {})
+    for ask in (lambda: stl.from_gymnasium(None), lambda: stl.to_gymnasium(model)):
         with pytest.raises(MissingExtraError, match=r"pip install 'stltool\[gymnasium\]'"):
             ask()
 
@@ -557,7 +558,7 @@ def test_labels_are_given_in_several_ways(given_as):
         ([(1,)], r"label A: \(1,\) is no observation"),
         ("A", "label A is 'A'; give a function of an observation"),
         (3, "label A is 3; give a function"),
-        ({1: True}, "label A is {1: True}; give"),
+        ({1: True}, "label A is a dict of 1; give"),
         (lambda s: s, "label A is 0 for observation 0; return True or False"),
     ],
 )

@@ -215,7 +215,7 @@ def test_cells_share_what_outcomes_add_up_to(ends, worth):
         ({"success": "[0.9, 0.95"}, r"success is '\[0.9, 0.95'; write an interval as"),
         ({"success": "[0.9; 0.95]"}, r"write an interval as"),
         ({"success": ["often", 1]}, "success: 'often' is not a number; write a number, or a fraction in quotes"),
-        ({"success": [[0.9], 1]}, "success: a list of 1 is not a number"),
+        ({"success": [[0.9], 1]}, r"success: \[0.9\] is not a number"),
         ({"slip": "[-0.1, 0.1]"}, "slip is -0.1; a probability lies between 0 and 1"),
         ({"slip": [0, 1.5]}, "slip is 1.5; a probability"),
         ({"success": ["1/3", "1e-50"]}, "the lower end comes first"),

@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from stltool.arguments import described
 from stltool.errors import ModelError
 from stltool.models.environment import Environment, sampler
 from stltool.models.mdp import MDP
@@ -41,7 +42,7 @@ class MDPEnv(gymnasium.Env[int, int]):
         if self._environment is None:
             raise ModelError("step before reset: call reset() first")
         if not self.action_space.contains(action):
-            raise ModelError(f"action {action!r} is not one of 0 … {self.model.n_actions - 1}")
+            raise ModelError(f"action {described(action)} is not one of 0 … {self.model.n_actions - 1}")
         number = int(self._number[self._state, action])
         if number >= 0:
             self._state = self._environment.step(number)

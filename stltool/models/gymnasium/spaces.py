@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stltool.arguments import described
 from stltool.errors import ModelError
 
 LabelGiven: TypeAlias = Callable[[Any], bool] | Iterable[Any]
@@ -87,14 +88,14 @@ class Observations:
             for s, value in enumerate(found):
                 if not isinstance(value, bool | np.bool_):
                     raise ModelError(
-                        f"label {name} is {value!r} for observation {self.observation(s)}; return True or False, "
-                        "or make it a signal"
+                        f"label {name} is {described(value)} for observation {self.observation(s)}; return True or "
+                        "False, or make it a signal"
                     )
             return np.array(found, dtype=np.bool_)
         if isinstance(given, str | bytes | Mapping) or not isinstance(given, Iterable):
             raise ModelError(
-                f"label {name} is {given!r}; give a function of an observation, the observations where it holds, "
-                f"or {self.n_states} Booleans"
+                f"label {name} is {described(given)}; give a function of an observation, the observations where it "
+                f"holds, or {self.n_states} Booleans"
             )
         items = given.tolist() if isinstance(given, np.ndarray) else list(given)
         if items and all(isinstance(item, bool | np.bool_) for item in items):
@@ -108,10 +109,12 @@ class Observations:
         for item in items:
             s = self._index(self._listed(item))
             if isinstance(item, bool | np.bool_) or s < 0:
-                raise ModelError(f"label {name}: {item!r} is no observation of {self.title}, which has {self.space}")
+                raise ModelError(
+                    f"label {name}: {described(item)} is no observation of {self.title}, which has {self.space}"
+                )
             if holds[s]:
                 raise ModelError(
-                    f"label {name} lists {item!r} twice; for one value a state write True and False, "
+                    f"label {name} lists {described(item)} twice; for one value a state write True and False, "
                     "not 1 and 0; to list observations, each once"
                 )
             holds[s] = True
