@@ -21,9 +21,7 @@ import numpy as np
 import stltool as stl
 from stltool import kernels
 from stltool.checking import estimate_from
-from stltool.learning import Settings
 from stltool.learning.problem import Problem
-from stltool.learning.tables import ClockedTable
 
 ROOT = Path(__file__).resolve().parent.parent
 FACTORY = ROOT / "examples" / "factory"
@@ -55,7 +53,7 @@ def update_ratio(product: stl.Product) -> str:
     problem, rng = Problem.of(product), np.random.default_rng(0)
     rows = np.stack([rng.integers(n, size=2000) for n in (problem.n_states, 9, problem.n_states)], axis=1)
     rows = rows.astype(np.int32)
-    tables = [ClockedTable(problem, Settings(), count_every_entry=False) for _ in range(2)]
+    tables = [stl.Cfer().table(problem, count_every_entry=False) for _ in range(2)]
     for table in tables:
         table.visits[:] = 10
 

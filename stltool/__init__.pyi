@@ -57,8 +57,16 @@ from .checking import (
     write_certificate as write_certificate,
 )
 from .learning import (
+    Cfer as Cfer,
+    ModelBased as ModelBased,
+    Naive as Naive,
+    NaiveER as NaiveER,
+    PublishedCfer as PublishedCfer,
+    PublishedCfper as PublishedCfper,
+    PublishedNaive as PublishedNaive,
+    PublishedNaiveER as PublishedNaiveER,
     Guarantee as Guarantee,
-    Settings as Settings,
+    Learner as Learner,
     Sweep as Sweep,
     SweepResult as SweepResult,
     Training as Training,

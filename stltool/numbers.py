@@ -107,16 +107,6 @@ def double(text: str) -> float:
     return value
 
 
-def guess(text: str) -> int | float | str:
-    """An integer, else the nearest double, where the text is one; else the text itself."""
-    for kind in (whole, double):
-        try:
-            return kind(text)
-        except NumberError:
-            continue
-    return text
-
-
 def shortest(value: float) -> Fraction:
     """The shortest decimal that names a finite double, exactly."""
     return Fraction(repr(float(value)))

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool import numbers
 from stltool.cli.app import integer, number
-from stltool.cli.steps import read_probability, read_settings
+from stltool.cli.steps import read_learner, read_probability
 from stltool.cli.tradeoff import _read_bounds
-from stltool.errors import StlToolError
+from stltool.errors import SettingsError, StlToolError
 from stltool.logic.quantities import duration, quantity
 from stltool.models.grid import grid_from_table
 from stltool.numbers import MOST_DIGITS, NumberError
@@ -244,13 +244,17 @@ def test_integers_of_options_and_settings(text):
     value = expected(text)
     if value is not None and not set(text) & set("./eE"):
         assert integer(text) == value
-        assert read_settings([f"n={text}"]) == {"n": value}
+        whole = value
     else:
         with pytest.raises(typer.BadParameter):
             integer(text)
-    if text.strip():
-        found = read_settings([f"n={text}"])["n"]
-        assert found == (text.strip() if value is None else float(value))
+        whole = None
+    for name, found in (("memory", whole), ("decay", value)):
+        if found is not None and found > 0:
+            assert getattr(read_learner("cfer", False, [f"{name}={text}"]), name) == float(found)
+        else:
+            with pytest.raises(SettingsError):
+                read_learner("cfer", False, [f"{name}={text}"])
 
 
 @pytest.mark.parametrize("option", ["--runs", "--seed", "--confidence"])

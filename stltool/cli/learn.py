@@ -10,28 +10,37 @@ import typer
 from stltool.cli.app import app
 from stltool.cli.options import (
     AsJson,
+    Checkpoint,
+    CheckpointEvery,
     Encoding,
     Episodes,
+    EvaluateEvery,
     Faithful,
     Method,
     Model,
+    MostSteps,
     Nominal,
     Params,
+    Resume,
     Seed,
     Set,
+    StopGap,
     TaskFile,
     TaskName,
 )
-from stltool.cli.steps import make_product, read_settings, training_text
+from stltool.cli.steps import LearnerCommand, make_product, read_learner, resumable, training_text
 
 
-@app.command()
+@app.command(cls=LearnerCommand)
 def learn(
     task: TaskFile,
     out: Annotated[Path, typer.Option("--out", "-o", help="policy file to write (.npz)", show_default=False)],
     method: Method = "cfer",
     faithful: Faithful = False,
     episodes: Episodes = 1000,
+    evaluate_every: EvaluateEvery = 20,
+    most_steps: MostSteps = None,
+    stop_gap: StopGap = None,
     seed: Seed = 0,
     setting: Set = None,
     nominal: Nominal = False,
@@ -39,11 +48,9 @@ def learn(
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
-    checkpoint: Annotated[
-        Path | None, typer.Option("--checkpoint", help="a file that holds the run, to resume")
-    ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="go on from the checkpoint, where there is one")] = False,
-    checkpoint_every: Annotated[float, typer.Option("--checkpoint-every", help="seconds between checkpoints")] = 30.0,
+    checkpoint: Checkpoint = None,
+    resume: Resume = False,
+    checkpoint_every: CheckpointEvery = 30.0,
     history: Annotated[Path | None, typer.Option("--history", help="learning curve to write (.csv)")] = None,
     tensorboard: Annotated[Path | None, typer.Option("--tensorboard", help="folder for TensorBoard events")] = None,
     as_json: AsJson = False,
@@ -58,11 +65,13 @@ def learn(
     require_policy_file(out)
     if tensorboard is not None:
         require_tensorboard(tensorboard)
+    learner = read_learner(method, faithful, setting)
     product = make_product(task, model, param, name, encoding, as_json, nominal=nominal)
-    with progress_bar(f"learning ({method})", quiet=as_json) as bar:
+    with resumable(checkpoint), progress_bar(f"learning ({method})", quiet=as_json) as bar:
         training = stl.learn(
-            product, method, faithful=faithful, episodes=episodes, seed=seed, progress=bar,
-            checkpoint=checkpoint, resume=resume, checkpoint_every=checkpoint_every, **read_settings(setting),
+            product, learner, episodes=episodes, evaluate_every=evaluate_every, most_steps=most_steps,
+            stop_gap=stop_gap, seed=seed, checkpoint=checkpoint, resume=resume, checkpoint_every=checkpoint_every,
+            progress=bar,
         )  # fmt: skip
     training.policy.save(out)
     if history is not None:

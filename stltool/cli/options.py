@@ -32,7 +32,22 @@ AsJson = Annotated[bool, typer.Option("--json", help="print one JSON object inst
 Method = Annotated[str, typer.Option("--method", "-m", help="cfer, model-based, naive or naive-er; cfper as published")]
 Faithful = Annotated[bool, typer.Option("--faithful", help="the method as published, its slips included")]
 Episodes = Annotated[int, typer.Option("--episodes", "-e", help="training episodes")]
+EvaluateEvery = Annotated[
+    int, typer.Option("--evaluate-every", help="episodes between two exact evaluations of the learned policy")
+]
+MostSteps = Annotated[
+    int | None, typer.Option("--most-steps", help="end before an episode that could take more environment steps in all")
+]
+StopGap = Annotated[
+    float | None, typer.Option("--stop-gap", help="end when an evaluation is within this of the exact optimum")
+]
+Checkpoint = Annotated[
+    Path | None, typer.Option("--checkpoint", help="a file that holds the run, to resume it after an interrupt")
+]
+Resume = Annotated[bool, typer.Option("--resume", help="continue from the checkpoint, if there is one")]
+CheckpointEvery = Annotated[float, typer.Option("--checkpoint-every", help="seconds between checkpoints")]
 Seed = Annotated[int, typer.Option("--seed", "-s", help="seed of every random choice")]
 Set = Annotated[
-    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="a learner's setting, e.g. replays=50")
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="a setting of the method, e.g. replays=50; listed below"),
 ]

@@ -12,23 +12,29 @@ import typer
 from stltool.cli.app import app
 from stltool.cli.options import (
     AsJson,
+    Checkpoint,
+    CheckpointEvery,
     Encoding,
     Episodes,
+    EvaluateEvery,
     Faithful,
     Method,
     Model,
+    MostSteps,
     Nominal,
     Params,
+    Resume,
     Seed,
     Set,
+    StopGap,
     TaskFile,
     TaskName,
 )
-from stltool.cli.steps import guarantees_of, make_product, read_settings, training_text
+from stltool.cli.steps import LearnerCommand, guarantees_of, make_product, read_learner, resumable, training_text
 from stltool.errors import SettingsError
 
 
-@app.command()
+@app.command(cls=LearnerCommand)
 def run(
     task: TaskFile,
     nominal: Nominal = False,
@@ -39,6 +45,9 @@ def run(
     method: Method = "cfer",
     faithful: Faithful = False,
     episodes: Episodes = 1000,
+    evaluate_every: EvaluateEvery = 20,
+    most_steps: MostSteps = None,
+    stop_gap: StopGap = None,
     seed: Seed = 0,
     setting: Set = None,
     confidence: Annotated[float, typer.Option("--confidence", help="of the guarantees from data")] = 0.99,
@@ -46,6 +55,9 @@ def run(
         int, typer.Option("--rollouts", help="fresh runs that the learned policy is judged by; 0: none")
     ] = 10_000,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="folder for the results; default: out/NAME")] = None,
+    checkpoint: Checkpoint = None,
+    resume: Resume = False,
+    checkpoint_every: CheckpointEvery = 30.0,
     as_json: AsJson = False,
 ) -> None:
     """Learn a policy, check it exactly, write the report: the main job.
@@ -59,6 +71,7 @@ def run(
     from stltool.reporting.terminal import print_checks, print_facts, print_json, print_table, progress_bar
 
     planned_runs(rollouts or None, confidence=confidence, side="lower")
+    learner = read_learner(method, faithful, setting)
     product = make_product(
         task, model, param, name, encoding, as_json, rollouts=rollouts > 0, nominal=nominal, guarantees=True
     )
@@ -71,10 +84,12 @@ def run(
     if known:
         with progress_bar("checking the optimum", quiet=as_json) as bar:
             checks.append(stl.check(product, progress=bar))
-    with progress_bar(f"learning ({method})", quiet=as_json) as bar:
+    with resumable(checkpoint), progress_bar(f"learning ({method})", quiet=as_json) as bar:
         training = stl.learn(
-            product, method, faithful=faithful, episodes=episodes, seed=seed, progress=bar, **read_settings(setting)
-        )
+            product, learner, episodes=episodes, evaluate_every=evaluate_every, most_steps=most_steps,
+            stop_gap=stop_gap, seed=seed, checkpoint=checkpoint, resume=resume, checkpoint_every=checkpoint_every,
+            progress=bar,
+        )  # fmt: skip
     if known:
         checks.append(stl.check(product, training.policy))
     guarantees = guarantees_of(product, training, confidence, rollouts, as_json)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import shlex
+import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,13 +14,16 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import typer
+from typer.core import TyperCommand
+
 from stltool.errors import InexactEncodingWarning, SettingsError
-from stltool.numbers import NumberError, guess, read
+from stltool.numbers import NumberError, read
 
 if TYPE_CHECKING:
     from stltool.automata import TaskAutomaton
     from stltool.checking import CheckResult
-    from stltool.learning import Training
+    from stltool.learning import Learner, Training
     from stltool.logic.task import Task
     from stltool.models import MDP
     from stltool.product import JointProduct, Product
@@ -176,15 +181,25 @@ def read_params(pairs: list[str] | None) -> dict[str, str]:
     return values
 
 
-def read_settings(pairs: list[str] | None) -> dict[str, Any]:
-    """Settings of a learner: numbers where they look like numbers."""
+def read_learner(method: str, faithful: bool, pairs: list[str] | None) -> Learner[Any]:
+    """The learner of that name with the settings that `--set` gives it."""
+    from stltool.learning.methods import class_of, make, require_setting
+    from stltool.learning.settings import Budget, settings_of
+
+    cls = class_of(method, faithful)
     settings: dict[str, Any] = {}
     for pair in pairs or []:
-        key, text = read_pair(pair, "--set replays=50")
-        if key in ("episodes", "seed", "method", "faithful", "product", "progress", "checkpoint", "resume"):
-            raise SettingsError(f"--set {key}: there is an option or argument of its own for it; see --help")
-        settings[key] = guess(text)
-    return settings
+        name, text = read_pair(pair, "--set replays=50")
+        if name in settings:
+            raise SettingsError(f"--set {name} is given twice; give it once")
+        if name in ("seed", "method", "faithful", *settings_of(Budget)):
+            raise SettingsError(f"--set {name}: it has an option of its own, --{name.replace('_', '-')}; use that")
+        require_setting(cls, name)
+        try:
+            settings[name] = settings_of(cls)[name].read(text)
+        except SettingsError as error:
+            raise SettingsError(f"--set {error}") from None
+    return make(cls, settings)
 
 
 def read_pair(text: str, example: str) -> tuple[str, str]:
@@ -195,9 +210,40 @@ def read_pair(text: str, example: str) -> tuple[str, str]:
 
 
 def training_text(training: Training) -> str:
+    if training.status == "nothing to learn":
+        return "nothing: the first state decides the task, so any policy is as good as any other"
     episodes, steps = training.episodes, training.environment_steps
     method = training.method + (" as published" if training.faithful else "")
-    return f"{method}, {episodes} episodes, {steps} environment steps, {training.seconds:.1f} s"
+    ended = f"; ended {training.status}" if training.stopped_early else ""
+    return f"{method}, {episodes} episodes, {steps} environment steps, {training.seconds:.1f} s{ended}"
+
+
+@contextmanager
+def resumable(checkpoint: Path | None) -> Iterator[None]:
+    """On Ctrl-C say what is kept, and the command that continues; exit code 130."""
+    from stltool.reporting.terminal import error
+
+    try:
+        yield
+    except KeyboardInterrupt:
+        if checkpoint is None:
+            error("interrupted, and nothing is kept; with --checkpoint FILE a run can be resumed")
+        elif not checkpoint.exists():
+            error("interrupted before the first episode was over; there is nothing to resume")
+        else:
+            again = sys.argv[1:] if "--resume" in sys.argv else [*sys.argv[1:], "--resume"]
+            error(f"interrupted; the run is kept in {checkpoint}; resume it with\n{shlex.join(['stltool', *again])}")
+        raise typer.Exit(130) from None
+
+
+class LearnerCommand(TyperCommand):
+    """A command whose --help ends with every method's settings, read off the learners' classes."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        from stltool.learning.methods import methods_text
+
+        super().format_help(ctx, formatter)
+        typer.echo(f"\n{methods_text()}")
 
 
 def guarantees_of(

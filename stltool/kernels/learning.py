@@ -103,9 +103,9 @@ def surrogate_episode(
     env: Any, letter: I32, delta: I32, initial: int, table: Any, replay: Any,
     moves: F64, explore: F64, epsilon: float, draws: F64, states: I32, actions: I32,
 ) -> None:  # fmt: skip
-    """A whole episode of len(actions) steps; states (n+1,) and actions (n,) are filled. s₀ is not read."""
-    s = inversion(env.first, 0, len(env.first), moves[0] * env.first[-1])
-    states[0], q = s, initial
+    """A whole episode of len(actions) steps from states[0], which is not read; states (n+1,) and actions (n,) are
+    filled."""
+    s, q = states[0], initial
     for t in range(len(actions)):
         n = env.choice_start[s + 1] - env.choice_start[s]
         if explore[t, 0] < epsilon:
@@ -114,7 +114,7 @@ def surrogate_episode(
             a = greedy(table.Q[s, q], n, explore[t, 1])
         c = env.choice_start[s] + a
         lo, hi = env.row_start[c], env.row_start[c + 1]
-        s2 = env.target[inversion(env.sums, lo, hi, moves[t + 1] * env.sums[hi - 1])]
+        s2 = env.target[inversion(env.sums, lo, hi, moves[t] * env.sums[hi - 1])]
         q2 = delta[letter[s2], q]
         surrogate_observe(table, replay, draws, letter[s2], t, s, q, a, s2, q2)
         states[t + 1], actions[t] = s2, a
@@ -171,7 +171,7 @@ def warm_up() -> None:
     replay = Replay(True, 1, rows, one, place, whole[0], whole, True, np.ones((1, 1)), 1, rows, place)
     table = Surrogate(np.zeros((1, 1, 1)), one, 0.1, 0.9)
     draws, states = np.zeros((1, 1)), np.zeros(2, dtype=np.int32)
-    letter, actions, moves = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int32), np.zeros(2)
+    letter, actions, moves = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int32), np.zeros(1)
     surrogate_episode(
         env, letter, whole, 0, table, replay, moves, np.zeros((1, 2)), 0.5, draws, states, actions
     )  # fmt: skip

@@ -11,51 +11,87 @@ the choice: what was seen once is not preferred to what has proved itself.
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.learning.learner import Learner, Path, rarest
+from stltool.learning.counts import Counts
+from stltool.learning.episode import Episode
+from stltool.learning.kept import Kept
+from stltool.learning.learner import Learner, rarest
+from stltool.learning.naive import Clocked
 from stltool.learning.problem import Problem
-from stltool.learning.published import Published
+from stltool.learning.published import Counterfactual
 from stltool.learning.replay import ReplayMemory
-from stltool.learning.settings import Settings
+from stltool.learning.settings import setting
 from stltool.learning.tables import ClockedTable
 
 
-class FaithfulCfer(Published):
-    """As published: the factual update online, the counterfactual tuples into the memory, batches drawn from it."""
+@dataclass(frozen=True, kw_only=True)
+class PublishedCfer(Counterfactual):
+    """The factual update online, the counterfactual tuples into the memory, batches drawn from it."""
 
-    counterfactual = True
+    name: ClassVar[str] = "cfer"
 
 
-class Cfer(Learner):
-    """Corrected: exact objective, every open (t, q) from each real transition, replay of real transitions."""
+@dataclass(frozen=True, kw_only=True)
+class Cfer(Clocked, Learner["CferRun"]):
+    """Exact objective, every open (t, q) updated from each real transition, replay of real transitions."""
 
-    explores_on = True
+    name: ClassVar[str] = "cfer"
 
-    def __init__(self, problem: Problem, settings: Settings, rng: np.random.Generator) -> None:
-        self.table = ClockedTable(problem, settings, count_every_entry=False)
-        self._memory = ReplayMemory(settings.memory, width=3)
-        self._problem, self._settings, self._rng = problem, settings, rng
+    decay: float = setting(50.0, "n_d of the chance to explore, end + (start − end)·exp(−episode / n_d)", above=0)
+    memory: int = setting(100_000, "transitions that the replay memory holds; the oldest leave first", least=1)
+    replays: int = setting(600, "real transitions replayed after each episode", least=0)
 
-    def act(self, t: int, s: int, q: int, u: float, chance: float) -> int:
-        visits = self.table.visits[s, : self._problem.n_choices[s]]
-        if u < self.epsilon or visits.min() == 0:
-            return rarest(visits, chance)
-        return self.table.best(t, s, q, chance)
+    def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> CferRun:
+        table = self.table(problem, count_every_entry=False)
+        return CferRun(problem, table, ReplayMemory(self.memory, width=3), counts)
 
-    def end_episode(self, path: Path) -> None:
-        rows = path.rows()[::-1]
-        np.add.at(self.table.visits, (rows[:, 0], rows[:, 1]), 1)
-        self.table.update_all(rows)
-        self._memory.add(rows)
-        if self._settings.replays:
-            self.table.update_all(self._memory.rows[self._memory.draw(self._settings.replays, self._rng)])
+    def episode(self, state: CferRun, episode: Episode) -> None:
+        table, memory = state.table, state.memory
+        epsilon = self.epsilon(episode.number)
+        explore = episode.rng.random((episode.length, 2)).tolist()
+        while not episode.over and episode.verdict is not True:
+            t, s = episode.t, episode.s
+            u, chance = explore[t]
+            visits = table.visits[s, : episode.n_choices]
+            explores = episode.verdict is False or u < epsilon or visits.min() == 0
+            episode.step(rarest(visits, chance) if explores else table.best(t, s, episode.q, chance))
+        rows = episode.transitions()[::-1]
+        np.add.at(table.visits, (rows[:, 0], rows[:, 1]), 1)
+        table.update_all(rows)
+        memory.add(rows)
+        if self.replays and memory.size:
+            table.update_all(memory.rows[memory.draw(self.replays, episode.rng)])
 
-    def policy_table(self) -> NDArray[Any]:
-        return self.table.policy_table()
+    def policy(self, state: CferRun) -> NDArray[Any]:
+        return state.table.policy_table()
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        return {**self.table.arrays(), **self._memory.arrays()}
+    def arrays(self, state: CferRun) -> dict[str, Kept]:
+        S, C = state.problem.n_states, state.problem.most_choices
+        return {**state.table.arrays(), **state.memory.arrays(np.array([S, C, S]) - 1)}
+
+    def check(self, state: CferRun) -> None:
+        table, counts = state.table, state.counts
+        table.check()
+        table.require_visits(counts)
+        s, a, s2 = state.memory.checked(int(counts.seen.sum())).T
+        if (a >= state.problem.n_choices[s]).any():
+            raise ValueError("the memory holds a choice that its state does not have")
+        again = Counts(counts.n_choices, counts.n_states)
+        again.add(state.problem.first_choice[s] + a, s2)
+        if not counts.contains(again):
+            raise ValueError("the memory holds transitions that were never counted")
+
+
+@dataclass(frozen=True)
+class CferRun:
+    """What a run changes."""
+
+    problem: Problem
+    table: ClockedTable
+    memory: ReplayMemory
+    counts: Counts

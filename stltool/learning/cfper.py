@@ -5,11 +5,15 @@ Only as published: the corrected cfer keeps no counterfactual tuples that could 
 
 from __future__ import annotations
 
-from stltool.learning.published import Published
+from dataclasses import dataclass
+from typing import ClassVar
+
+from stltool.learning.published import Counterfactual
 
 
-class FaithfulCfper(Published):
-    """As published; f̃ are a tuple's flags, f those of the factual transition it was made from."""
+@dataclass(frozen=True, kw_only=True)
+class PublishedCfper(Counterfactual):
+    """cfer with tuples drawn by weight; f̃ are a tuple's flags, f those of the transition it was made from."""
 
-    counterfactual = True
-    weighted = True
+    name: ClassVar[str] = "cfper"
+    weighted: ClassVar[bool] = True

@@ -1,91 +1,272 @@
 """Checkpoints: everything a run is made of between two episodes, so that it goes on to the same bits.
 
-An .npz file without pickle: a JSON header (what the run is, how far it is, the generators' states) and the arrays of
-learner and counts. It is replaced atomically: a run killed at any moment leaves the last one whole.
+An .npz file without pickle: a JSON header (what the run is, how far it is, the generators' states, a digest of the
+content) and the arrays of history, counts and learner. It is replaced atomically: a run killed at any moment leaves the
+last one whole.
+
+A file is believed only after all of this holds, which is before any kernel sees an entry: it is of this run (task,
+model, method, settings, seed); its arrays are those that a run of this learner has, with their types and shapes, and
+none is unpacked that declares others; the content has its digest; entries are in range; and they add up, the counts to
+the steps, the learner's arrays to the counts (`Learner.check`).
 """
 
 from __future__ import annotations
 
-import dataclasses
+import hashlib
 import io
 import json
-import zipfile
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arrays import Members, open_arrays
 from stltool.errors import SettingsError
-from stltool.files import read_bytes, write_atomically
-from stltool.learning.counts import Counts
-from stltool.learning.learner import Learner
-from stltool.learning.trainer import Point, Progress
+from stltool.files import write_atomically
+from stltool.learning.kept import Kept
+from stltool.learning.trainer import Point, Progress, Status, Trainer
 
-FORMAT = "stltool-checkpoint-1"
+FORMAT = "stltool-checkpoint-2"
+_LONGEST_HEADER = 1 << 20
+_GENERATORS = ("PCG64", "PCG64DXSM")
 
 
 def save_checkpoint(
     path: Path,
     what: Mapping[str, Any],
     progress: Progress,
-    learner: Learner,
-    counts: Counts,
-    generators: list[np.random.Generator],
+    trainer: Trainer,
+    generators: Sequence[np.random.Generator],
 ) -> None:
     """Write the run `what` (its task, model, method and settings, by name) as it stands."""
+    arrays = {f"learner {name}": kept.values for name, kept in kept_arrays(trainer).items()}
+    arrays |= {f"counts {name}": array for name, array in trainer.counts.arrays().items()}
+    points = progress.history
+    arrays["history episode"] = np.array([point.episode for point in points], dtype=np.int64)
+    arrays["history steps"] = np.array([point.steps for point in points], dtype=np.int64)
+    values = [math.nan if point.probability is None else point.probability for point in points]
+    arrays["history probability"] = np.array(values, dtype=np.float64)
+    arrays["history time"] = np.array([point.time for point in points], dtype=np.float64)
     header = {
         "format": FORMAT,
         "what": dict(what),
         "episode": progress.episode,
         "steps": progress.steps,
-        "finished": progress.finished,
-        "history": [dataclasses.astuple(point) for point in progress.history],
+        "status": progress.status,
         "generators": [generator.bit_generator.state for generator in generators],
     }
-    arrays: dict[str, NDArray[Any]] = {f"learner {name}": array for name, array in learner.arrays().items()}
-    arrays |= {f"counts {name}": array for name, array in counts.arrays().items()}
+    write_atomically(path, packed(header, arrays))
+
+
+def packed(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """The bytes of a checkpoint."""
     buffer = io.BytesIO()
-    arrays["header"] = np.frombuffer(json.dumps(header).encode("utf-8"), dtype=np.uint8)
-    np.savez(buffer, **arrays)  # type: ignore[arg-type]  # numpy's stub takes every name for allow_pickle
-    write_atomically(path, buffer.getvalue())
+    text = json.dumps({**header, "digest": _digest(header, arrays)})
+    members = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    members["header"] = np.frombuffer(text.encode("utf-8"), dtype=np.uint8)
+    np.savez(buffer, **members)  # type: ignore[arg-type]  # numpy's stub takes every name for allow_pickle
+    return buffer.getvalue()
 
 
 def load_checkpoint(
-    path: Path,
-    what: Mapping[str, Any],
-    learner: Learner,
-    counts: Counts,
-    generators: list[np.random.Generator],
+    path: Path, what: Mapping[str, Any], trainer: Trainer, generators: Sequence[np.random.Generator]
 ) -> Progress:
     """Restore the run; SettingsError where the file is damaged, of another version, or of another run."""
-    data = read_bytes(path, "checkpoint")
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            header = json.loads(archive["header"].tobytes().decode("utf-8"))
-            arrays = {name: archive[name] for name in archive.files if name != "header"}
-        version = str(header["format"])
-    except (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise SettingsError(f"{path} is no checkpoint, or a damaged one; delete it and start again") from error
+        with open_arrays(path, "checkpoint") as members:
+            header = _header(members)
+            _require_format(path, header)
+            _require_same(path, header, what)
+            _require_length(path, header, trainer)
+            arrays = _arrays(members, header, trainer)
+        if header["digest"] != _digest({k: v for k, v in header.items() if k != "digest"}, arrays):
+            raise ValueError("its content was changed")
+        progress = _progress(header, arrays, trainer)
+        trainer.counts.restore({name: arrays[f"counts {name}"] for name in ("codes", "seen")})
+        _require_counts(progress, trainer)
+        for name, kept in kept_arrays(trainer).items():
+            kept.take(name, arrays[f"learner {name}"])
+        if trainer.state is not None:
+            trainer.learner.check(trainer.state)
+        states = [_state(generator, state) for generator, state in zip(generators, header["generators"], strict=True)]
+        for generator, state in zip(generators, states, strict=True):
+            generator.bit_generator.state = state
+    except ValueError as error:
+        raise SettingsError(
+            f"{path} is not a checkpoint, or a damaged one: {error}; delete it and start again"
+        ) from error
+    return progress
+
+
+def require_generators(generators: Sequence[np.random.Generator]) -> None:
+    """SettingsError where a generator's state is of a kind that is not checked when it is read."""
+    for generator in generators:
+        kind = type(generator.bit_generator).__name__
+        if kind not in _GENERATORS:
+            raise SettingsError(
+                f"the environment's generator is a {kind}; a checkpoint needs one of numpy.random.default_rng"
+            )
+
+
+# ------------------------------------------------------------------------------------------------------ the schema
+
+
+def kept_arrays(trainer: Trainer) -> dict[str, Kept]:
+    """The learner's arrays, by name, with the ranges that they have; SettingsError where they cannot be kept."""
+    if trainer.state is None:
+        return {}
+    arrays = trainer.learner.arrays(trainer.state)
+    kept = {name: array if isinstance(array, Kept) else Kept(array) for name, array in arrays.items()}
+    for name, one in kept.items():
+        if one.values.dtype.kind not in "biuf":
+            raise SettingsError(
+                f"{trainer.learner.name} cannot be checkpointed: its array {name} is of {one.values.dtype}; "
+                "keep numbers or Booleans"
+            )
+    return kept
+
+
+def _header(members: Members) -> dict[str, Any]:
+    raw = members.read("header", np.uint8, (None,), most=_LONGEST_HEADER)
+    try:
+        header = json.loads(raw.tobytes().decode("utf-8"))
+    except RecursionError:
+        raise ValueError("its header is nested too deeply") from None
+    if not isinstance(header, dict) or "format" not in header:
+        raise ValueError("its header does not say what it is")
+    return header
+
+
+def _require_format(path: Path, header: dict[str, Any]) -> None:
+    version = header["format"]
     if version != FORMAT:
         raise SettingsError(
             f"{path} has the format {version!r}, and this version of stltool reads {FORMAT!r}; "
             "finish the run with the version that began it, or start again"
         )
-    for name, here in what.items():
-        there = header["what"].get(name)
-        if there != here:
+    expected = {"format", "what", "episode", "steps", "status", "generators", "digest"}
+    if header.keys() != expected or not isinstance(header["what"], dict) or not isinstance(header["generators"], list):
+        raise ValueError("its header is not that of a run")
+
+
+def _require_same(path: Path, header: dict[str, Any], what: Mapping[str, Any]) -> None:
+    there = header["what"]
+    for name in dict.fromkeys([*what, *there]):
+        was, here = (repr(side[name]) if name in side else "not set" for side in (there, what))
+        if was != here:
             raise SettingsError(
-                f"{path} is of another run: its {name} is {there!r}, here it is {here!r}; "
+                f"{path} is of another run: its {name.removeprefix('setting ')} is {was}, here it is {here}; "
                 "resume it as it was begun, or give another checkpoint file"
             )
-    try:
-        learner.restore({k.removeprefix("learner "): v for k, v in arrays.items() if k.startswith("learner ")})
-        counts.restore({k.removeprefix("counts "): v for k, v in arrays.items() if k.startswith("counts ")})
-        for generator, state in zip(generators, header["generators"], strict=True):
-            generator.bit_generator.state = state
-        history = [Point(*row) for row in header["history"]]
-        return Progress(int(header["episode"]), int(header["steps"]), history, bool(header["finished"]))
-    except (ValueError, KeyError, TypeError) as error:
-        raise SettingsError(f"{path} is a damaged checkpoint; delete it and start again") from error
+
+
+def _require_length(path: Path, header: dict[str, Any], trainer: Trainer) -> None:
+    episode, steps, episodes = _index(header, "episode"), _index(header, "steps"), trainer.budget.episodes
+    if episode > episodes:
+        raise SettingsError(f"{path} is {episode} episodes old already; episodes is {episodes}, give more")
+    if steps > episode * trainer.length:
+        raise ValueError(f"{episode} episodes cannot take {steps} steps")
+
+
+def _arrays(members: Members, header: dict[str, Any], trainer: Trainer) -> dict[str, NDArray[Any]]:
+    """All arrays, each of the type and shape that a run of this learner has."""
+    counts, episode, steps = trainer.counts, _index(header, "episode"), _index(header, "steps")
+    rows = min(counts.n_choices * counts.n_states, steps)
+    points = episode + 1  # one before the first episode, where there is nothing to learn
+    schema: dict[str, tuple[Any, tuple[int | None, ...], int | None]] = {
+        "counts codes": (np.int64, (None,), rows),
+        "counts seen": (np.int64, (None,), rows),
+        "history episode": (np.int64, (None,), points),
+        "history steps": (np.int64, (None,), points),
+        "history probability": (np.float64, (None,), points),
+        "history time": (np.float64, (None,), points),
+    }
+    schema |= {
+        f"learner {name}": (kept.values.dtype, kept.values.shape, None) for name, kept in kept_arrays(trainer).items()
+    }
+    strange = set(members.names) ^ {*schema, "header"}
+    if strange:
+        raise ValueError(f"it has not the arrays of {trainer.learner.name}: {', '.join(sorted(strange))}")
+    return {name: members.read(name, *expected) for name, expected in schema.items()}
+
+
+def _progress(header: dict[str, Any], arrays: Mapping[str, NDArray[Any]], trainer: Trainer) -> Progress:
+    """How far the run is, its learning curve included."""
+    episode, steps, status = _index(header, "episode"), _index(header, "steps"), header["status"]
+    if status is not None and status not in get_args(Status):
+        raise ValueError(f"its status is {status!r}")
+    if (status == "nothing to learn") != (trainer.state is None):
+        raise ValueError(f"its status is {status!r}")
+    at, of, values, times = (arrays[f"history {name}"] for name in ("episode", "steps", "probability", "time"))
+    if not len(at) == len(of) == len(values) == len(times):
+        raise ValueError("its learning curve has columns of different lengths")
+    every = trainer.budget.evaluate_every
+    due = set(range(every, episode + 1, every)) if len(at) >= episode // every else {-1}
+    first = 0 if status == "nothing to learn" else 1
+    if ((at < first) | (at > episode)).any() or (at[1:] <= at[:-1]).any() or not due <= set(at.tolist()):
+        raise ValueError("its learning curve is not of its episodes")
+    if ((of < 0) | (of > steps)).any() or (of[1:] < of[:-1]).any():
+        raise ValueError("its learning curve is not of its steps")
+    if status is not None and (not len(at) or at[-1] != episode or of[-1] != steps):
+        raise ValueError("its learning curve does not reach its end")
+    known = ~np.isnan(values)
+    if (known != trainer.knows).any() and trainer.state is not None:
+        raise ValueError("its learning curve is of a model that is known otherwise")
+    if not ((values[known] >= 0) & (values[known] <= 1)).all() or not np.isfinite(times).all():
+        raise ValueError("its learning curve holds a number that is not a probability")
+    points = zip(at.tolist(), of.tolist(), values.tolist(), times.tolist(), strict=True)
+    history = [Point(e, s, None if math.isnan(p) else p, when) for e, s, p, when in points]
+    return Progress(episode, steps, history, status)
+
+
+def _require_counts(progress: Progress, trainer: Trainer) -> None:
+    """ValueError unless there is one transition a step, each of which the model can take."""
+    counts, tables = trainer.counts, trainer.environment.tables
+    if sum(counts.seen.tolist()) != progress.steps:
+        raise ValueError(f"{sum(counts.seen.tolist())} transitions were counted in {progress.steps} steps")
+    if tables is not None:
+        choices = np.repeat(np.arange(counts.n_choices), np.diff(tables.row_start))
+        possible = choices * counts.n_states + tables.target
+        if not np.isin(counts.choice * counts.n_states + counts.target, possible).all():
+            raise ValueError("a transition was counted that the model does not have")
+
+
+def _state(generator: np.random.Generator, state: Any) -> dict[str, Any]:
+    """The state of a generator of the same kind and stream; of one seed only the position in it differs."""
+    here: Any = generator.bit_generator.state
+    limits = {"has_uint32": 2, "uinteger": 1 << 32}
+    fine = (
+        isinstance(state, dict)
+        and state.keys() == here.keys()
+        and state["bit_generator"] == here["bit_generator"]
+        and isinstance(state["state"], dict)
+        and state["state"].keys() == here["state"].keys() == {"state", "inc"}
+        and state["state"]["inc"] == here["state"]["inc"]
+        and type(state["state"]["state"]) is int
+        and 0 <= state["state"]["state"] < 1 << 128
+        and all(type(state[name]) is int and 0 <= state[name] < limit for name, limit in limits.items())
+    )
+    if not fine:
+        raise ValueError("a generator's state is not one that this seed leads to")
+    found: dict[str, Any] = state
+    return found
+
+
+def _index(header: dict[str, Any], name: str) -> int:
+    value = header[name]
+    if type(value) is not int or not 0 <= value < 1 << 62:
+        raise ValueError(f"its {name} is {value!r}")
+    return value
+
+
+def _digest(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
+    """SHA-256 of the whole content, against damage; forgers can compute it too."""
+    found = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        found.update(json.dumps([name, array.dtype.str, array.shape]).encode())
+        found.update(array.data if array.size else b"")
+    return found.hexdigest()

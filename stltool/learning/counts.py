@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from stltool.errors import SettingsError
 
 _WAITING = 1 << 16  # transitions that wait to be counted together
+_MOST = np.iinfo(np.int64).max
 
 
 class Counts:
@@ -17,17 +21,36 @@ class Counts:
     """
 
     def __init__(self, n_choices: int, n_states: int) -> None:
-        self.n_choices, self.n_states = n_choices, n_states
+        for name, value in (("n_choices", n_choices), ("n_states", n_states)):
+            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+                raise SettingsError(f"{name} is {value!r}; give an integer from 1")
+        self.n_choices, self.n_states = int(n_choices), int(n_states)
+        if self.n_choices * self.n_states > _MOST:
+            raise SettingsError(f"{n_choices} choices of {n_states} states are too many to be counted")
         self._codes = np.empty(0, dtype=np.int64)  # choice · n_states + target, ascending
         self._seen = np.empty(0, dtype=np.int64)
         self._waiting: list[NDArray[np.int64]] = []
         self._n_waiting = 0
+        self._single: list[int] = []
 
-    def add(self, choice: NDArray[np.int64], target: NDArray[np.int64]) -> None:
-        """Count transitions (n,)."""
-        self._waiting.append(choice * self.n_states + target)
-        self._n_waiting += len(choice)
+    def add(self, choice: ArrayLike, target: ArrayLike) -> None:
+        """Count transitions: choices (n,) and their successors (n,).
+
+        Raises SettingsError, counting none of them, unless both are integers in range and equally many.
+        """
+        choices = _indices("choice", choice, self.n_choices)
+        targets = _indices("target", target, self.n_states)
+        if len(choices) != len(targets):
+            raise SettingsError(f"{len(choices)} choices with {len(targets)} targets; give one target for each choice")
+        self._waiting.append(choices * self.n_states + targets)
+        self._n_waiting += len(choices)
         if self._n_waiting > _WAITING:
+            self._settle()
+
+    def add_one(self, choice: int, target: int) -> None:
+        """Count one transition that is known to be in range."""
+        self._single.append(choice * self.n_states + target)
+        if len(self._single) > _WAITING:
             self._settle()
 
     @property
@@ -48,23 +71,57 @@ class Counts:
     @property
     def visits(self) -> NDArray[np.int64]:
         """(n_choices,): how often each choice was taken."""
-        return np.bincount(self.choice, self.seen, minlength=self.n_choices).astype(np.int64)
+        # whole numbers all along: weights of bincount would be doubles
+        visits = np.zeros(self.n_choices, dtype=np.int64)
+        np.add.at(visits, self.choice, self.seen)
+        return visits
+
+    def contains(self, other: Counts) -> bool:
+        """Whether every transition was seen here at least as often as in `other`."""
+        self._settle()
+        other._settle()
+        place = np.minimum(np.searchsorted(self._codes, other._codes), max(len(self._codes) - 1, 0))
+        if not len(self._codes):
+            return not len(other._codes)
+        return bool(((self._codes[place] == other._codes) & (self._seen[place] >= other._seen)).all())
 
     def arrays(self) -> dict[str, NDArray[np.int64]]:
         """Everything, for a checkpoint."""
         self._settle()
         return {"codes": self._codes, "seen": self._seen}
 
-    def restore(self, arrays: Mapping[str, NDArray[np.int64]]) -> None:
-        """Take what `arrays` gave."""
-        self._codes, self._seen = arrays["codes"], arrays["seen"]
-        self._waiting, self._n_waiting = [], 0
+    def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Take what `arrays` gave; ValueError where it cannot have given that."""
+        codes, seen = arrays["codes"], arrays["seen"]
+        for name, array in (("codes", codes), ("seen", seen)):
+            if array.dtype != np.int64 or array.ndim != 1 or len(array) != len(codes):
+                raise ValueError(f"{name} is {array.dtype} of shape {array.shape}; it must be int64 of {codes.shape}")
+        outside = (codes < 0) | (codes >= self.n_choices * self.n_states)
+        if outside.any() or (codes[1:] <= codes[:-1]).any():
+            raise ValueError("the counted transitions are out of range or out of order")
+        if (seen < 1).any() or sum(seen.tolist()) > _MOST:
+            raise ValueError("transitions were seen less often than once, or too often to be counted")
+        self._codes, self._seen = codes.copy(), seen.copy()
+        self._waiting, self._n_waiting, self._single = [], 0, []
 
     def _settle(self) -> None:
-        if not self._waiting:
+        if not self._waiting and not self._single:
             return
-        codes, place = np.unique(np.concatenate([self._codes, *self._waiting]), return_inverse=True)
-        one_each = np.ones(self._n_waiting, dtype=np.int64)
-        seen = np.bincount(place.ravel(), np.concatenate([self._seen, one_each]))
-        self._codes, self._seen = codes, seen.astype(np.int64)
-        self._waiting, self._n_waiting = [], 0
+        waiting = [*self._waiting, np.array(self._single, dtype=np.int64)]
+        codes, place = np.unique(np.concatenate([self._codes, *waiting]), return_inverse=True)
+        seen = np.zeros(len(codes), dtype=np.int64)
+        np.add.at(seen, place.ravel(), np.concatenate([self._seen, np.ones(len(place) - len(self._seen), np.int64)]))
+        self._codes, self._seen = codes, seen
+        self._waiting, self._n_waiting, self._single = [], 0, []
+
+
+def _indices(name: str, given: ArrayLike, n: int) -> NDArray[np.int64]:
+    array = np.atleast_1d(np.asarray(given))
+    if array.size == 0:
+        return np.empty(0, dtype=np.int64)
+    if array.ndim != 1 or array.dtype.kind not in "iu":
+        raise SettingsError(f"{name} is {array.dtype} of shape {array.shape}; give integers (n,)")
+    outside = np.flatnonzero((array < 0) | (array >= n))
+    if outside.size:
+        raise SettingsError(f"{name}[{outside[0]}] is {array[outside[0]]}; indices run from 0 to {n - 1}")
+    return array.astype(np.int64)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,41 +11,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.automata import TRUE, UNDECIDED
 from stltool.checking import check
-from stltool.errors import SettingsError, near_misses
-from stltool.files import require_replaceable
-from stltool.learning.cfer import Cfer, FaithfulCfer
-from stltool.learning.cfper import FaithfulCfper
-from stltool.learning.checkpoint import load_checkpoint, save_checkpoint
+from stltool.errors import SettingsError
+from stltool.files import require_folder, require_replaceable
+from stltool.learning.checkpoint import kept_arrays, load_checkpoint, require_generators, save_checkpoint
 from stltool.learning.counts import Counts
-from stltool.learning.learner import Learner
-from stltool.learning.model_based import ModelBased
-from stltool.learning.naive import FaithfulNaive, Naive
-from stltool.learning.naive_er import FaithfulNaiveER, NaiveER
+from stltool.learning.interrupt import Interrupt, interruptible
+from stltool.learning.learner import Learner, require_learner
+from stltool.learning.methods import METHODS, class_of, make, require_setting
 from stltool.learning.problem import Problem
-from stltool.learning.settings import Settings
-from stltool.learning.trainer import Point, Progress, Trainer
-from stltool.logic.fragment import check_fragment
+from stltool.learning.settings import Budget, recorded
+from stltool.learning.trainer import Point, Progress, Status, Trainer
 from stltool.models.environment import Environment, Resettable, simulator
 from stltool.policy import Policy, with_flags
 from stltool.product import Product
 from stltool.randomness import Purpose, generator, require_seed
 from stltool.sizes import require_time
 
-_FAITHFUL: dict[str, Callable[[Problem, Settings, str, np.random.Generator], Learner]] = {
-    "naive": FaithfulNaive,
-    "naive-er": FaithfulNaiveER,
-    "cfer": FaithfulCfer,
-    "cfper": FaithfulCfper,
-}
-_CORRECTED: dict[str, Callable[[Problem, Settings, np.random.Generator], Learner]] = {
-    "naive": Naive,
-    "naive-er": NaiveER,
-    "cfer": Cfer,
-    "model-based": ModelBased,
-}
-METHODS = tuple(dict.fromkeys([*_CORRECTED, *_FAITHFUL]))
-_RATE = 1e6  # environment steps and updates a second, roughly
+_RATE = 1e6  # environment steps a second, roughly
 
 Shown = Callable[[int, int, int, float | None], None]
 """Called once an episode with (episode, episodes, environment steps, exact probability so far or None)."""
@@ -56,19 +39,40 @@ Shown = Callable[[int, int, int, float | None], None]
 class Training:
     """A finished run: the policy at the end, the exact learning curve that led there, the transitions it saw.
 
-    stopped_early  whether `stop_gap` or `most_steps` ended it before its episodes were over
-    seconds        wall time, of a resumed run since it was resumed
+    learner    the method with the settings that were used; budget: those that belong to the run
+    status     how it ended: "complete" (all episodes), "within the gap" (`stop_gap`), "out of steps" (`most_steps`), or
+               "nothing to learn" (the first state decides the task, so any policy is as good as any other)
+    seconds    wall time, of a resumed run since it was resumed
     """
 
     policy: Policy
     history: list[Point]
-    method: str
-    faithful: bool
+    learner: Learner[Any]
+    budget: Budget
     seed: int
-    settings: Settings
     counts: Counts
     seconds: float
-    stopped_early: bool = False
+    status: Status = "complete"
+
+    @property
+    def method(self) -> str:
+        """The method's name."""
+        return self.learner.name
+
+    @property
+    def faithful(self) -> bool:
+        """Whether the method is one as published."""
+        return self.learner.published
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The method's settings by name, as they were used."""
+        return recorded(self.learner)
+
+    @property
+    def stopped_early(self) -> bool:
+        """Whether `stop_gap` or `most_steps` ended it before its episodes were over."""
+        return self.status in ("within the gap", "out of steps") and self.episodes < self.budget.episodes
 
     @property
     def episodes(self) -> int:
@@ -81,9 +85,13 @@ class Training:
 
 def learn(
     product: Product,
-    method: str = "cfer",
+    method: str | Learner[Any] = "cfer",
     *,
     faithful: bool = False,
+    episodes: int = 1000,
+    evaluate_every: int = 20,
+    most_steps: int | None = None,
+    stop_gap: float | None = None,
     seed: int = 0,
     environment: Resettable | None = None,
     checkpoint: str | Path | None = None,
@@ -94,80 +102,92 @@ def learn(
 ) -> Training:
     """Learn a policy without knowing the probabilities.
 
-    method       "cfer", "model-based", "naive" or "naive-er": exact objective, γ = 1, Q carries the clock;
-                 `faithful=True` runs "naive", "naive-er", "cfer" or "cfper" as published (docs/reproduction.md)
-    seed         every random choice comes from it: same seed, same result
-    environment  anything whose `reset()` and `step(i)` (the i-th available action of the current state) return the
-                 index of a state as the model counts them. Default: the model, sampled
-    checkpoint   a file that holds the whole run every `checkpoint_every` seconds, and at its end; `resume=True` goes on
-                 from it, where there is one, to the same bits as an undisturbed run
-    settings     fields of `Settings`, by name
+    method        a learner, such as `Cfer(replays=50)` or one of your own (docs/learning.md); or a name: "cfer",
+                  "model-based", "naive", "naive-er" (exact objective, γ = 1, Q carries the clock), with `faithful=True`
+                  "naive", "naive-er", "cfer", "cfper" as published (docs/reproduction.md)
+    settings      with a name: fields of its class, such as `replays=50`
+    episodes      training episodes
+    evaluate_every   episodes between two exact evaluations of the learned policy, the points of the learning curve
+    most_steps    end before an episode that could take more environment steps than this in all
+    stop_gap      end as soon as an evaluation is within this of the exact optimum (a known model only)
+    seed          an integer from 0; every random choice comes from it: same seed, same result
+    environment   anything whose `reset()` and `step(i)` (the i-th available action of the current state) return the
+                  index of a state as the model counts them. Default: the model, sampled
+    checkpoint    a file that holds the whole run every `checkpoint_every` seconds, at its end, and when it is
+                  interrupted (Ctrl-C); `resume=True` goes on from it, where there is one, to the same bits as an
+                  undisturbed run
 
-    Raises SettingsError for what does not fit together, ModelError where the environment returns no state.
+    Raises SettingsError for what does not fit together, ModelError where the environment returns no state, FileError
+    where the checkpoint cannot be written; all but the second before the first episode.
     """
-    chosen = _checked(method, faithful, seed, product, settings)
+    learner = _learner(method, faithful, settings)
+    budget = Budget(episodes=episodes, evaluate_every=evaluate_every, most_steps=most_steps, stop_gap=stop_gap)
+    seed = require_seed(seed)
     start = time.perf_counter()
-    for_environment, for_learner = (
-        generator(seed, purpose) for purpose in (Purpose.LEARNING_ENVIRONMENT, Purpose.LEARNER)
-    )
+    rng, rng_of_environment = (generator(seed, one) for one in (Purpose.LEARNER, Purpose.LEARNING_ENVIRONMENT))
+    decided = _decided(product, known_start=environment is None)
     # as published, a policy remembers the flags of [Wang24]; whatever it remembers, `product` judges
-    home = with_flags(product) if faithful else product
-    problem = Problem.of(home)
-    learner: Learner
-    if faithful:
-        learner = _FAITHFUL[method](problem, chosen, check_fragment(product.formula).outer, for_learner)
-    else:
-        learner = _CORRECTED[method](problem, chosen, for_learner)
-    length = _episode_length(product, faithful)
-    world = _environment(product, environment, for_environment, length)
-    counts = Counts(product.model.n_choices, product.model.n_states)
-    trainer = Trainer(
-        problem, world, learner, chosen, for_learner, counts,
-        episode_length=length,
-        to_the_end=faithful,
-        **_judge(home, product, chosen),
-    )  # fmt: skip
-    so_far, save = Progress(), None
-    if checkpoint is not None:
-        so_far, save = _checkpoints(
-            Path(checkpoint), resume, checkpoint_every, trainer, product, method, faithful, seed
-        )
-    elif resume:
+    home = with_flags(product) if learner.published and decided is None else product
+    length = product.horizon + 2 if learner.published else product.horizon
+    _require_length(budget, length)
+    if checkpoint is None and resume:
         raise SettingsError("resume=True needs the checkpoint to go on from; give checkpoint=FILE")
-    trainer.run(so_far, shown=progress, between=save)
+    world = _environment(product, environment, rng_of_environment, length)
+    judge = _Judge(home, product, budget)
+    counts = Counts(product.model.n_choices, product.model.n_states)
+    problem = Problem.of(home)
+    state = learner.start(problem, counts, rng) if decided is None else None
+    trainer = Trainer(
+        problem, world, learner, state, budget, rng, counts, length, judge.known, judge.evaluate, judge.enough
+    )
+    with interruptible(checkpoint is not None) as interrupt:
+        so_far, save = Progress(), None
+        if checkpoint is not None:
+            what = _identity(product, learner, budget, seed)
+            kept = _Checkpoint(Path(checkpoint), what, trainer, checkpoint_every, interrupt)
+            so_far, save = kept.begin(resume), kept.save
+        if decided is not None and so_far.status is None:
+            so_far = Progress(status="nothing to learn", history=[Point(0, 0, decided.value, time.time())])
+            if save is not None:
+                save(so_far)
+        trainer.run(so_far, shown=progress, between=save)
+    table = learner.policy(state) if state is not None else np.zeros(home.shape, dtype=np.int64)
     return Training(
-        Policy(home, learner.policy_table()), so_far.history, method, faithful, int(seed), chosen, counts,
-        time.perf_counter() - start, so_far.finished and so_far.episode < chosen.episodes,
+        Policy(home, table), so_far.history, learner, budget, seed, counts, time.perf_counter() - start,
+        so_far.status or "complete",
     )  # fmt: skip
 
 
-def _checked(method: str, faithful: bool, seed: int, product: Product, settings: dict[str, Any]) -> Settings:
-    if method not in METHODS:
-        raise SettingsError(f"there is no method {method!r}; {near_misses(method, METHODS)}")
-    if method not in (_FAITHFUL if faithful else _CORRECTED):
-        instead = "it is no published method; leave faithful out" if faithful else "it exists as published only; set it"
-        raise SettingsError(f"there is no {method} with faithful={faithful}: {instead}")
-    require_seed(seed)
-    if product.horizon < 1:
-        raise SettingsError(f"{product.formula} is decided by the first state; there is nothing to learn")
-    chosen = Settings.of(method, faithful, **settings)
-    if chosen.factual_share is not None and not (faithful and method in ("cfer", "cfper")):
-        raise SettingsError("factual_share balances the tuples of faithful cfer and cfper; leave it out here")
-    length = _episode_length(product, faithful)
-    if chosen.most_steps is not None and chosen.most_steps < length:
-        raise SettingsError(f"most_steps is {chosen.most_steps}, and one episode takes {length}; allow at least one")
+def _learner(method: str | Learner[Any], faithful: bool, settings: dict[str, Any]) -> Learner[Any]:
+    """The learner that is asked for, by name or as it is."""
+    if isinstance(method, str):
+        cls = class_of(method, faithful)
+        for name in settings:
+            require_setting(cls, name)
+        return make(cls, settings)
+    if isinstance(method, type) and issubclass(method, Learner):
+        raise SettingsError(f"method is the class {method.__name__}; give a learner, {method.__name__}(…)")
+    if not isinstance(method, Learner):
+        raise SettingsError(f"method is {method!r}; give a learner, or one of the names {', '.join(METHODS)}")
+    require_learner(method)
+    if faithful:
+        raise SettingsError("faithful=True chooses among names; a learner is what its class is: leave it out")
+    if settings:
+        raise SettingsError(
+            f"{', '.join(settings)}: settings are given to the learner itself, as in {type(method).__name__}"
+            f"({next(iter(settings))}=…)"
+        )
+    recorded(method)
+    return method
+
+
+def _require_length(budget: Budget, length: int) -> None:
+    if budget.most_steps is not None and budget.most_steps < length:
+        raise SettingsError(f"most_steps is {budget.most_steps}, and one episode takes {length}; allow at least one")
     require_time(
-        chosen.episodes * (length + chosen.replays + chosen.batch * length / chosen.period),
-        _RATE,
-        f"{chosen.episodes} episodes of {length} steps",
+        float(budget.episodes) * length, _RATE, f"{budget.episodes} episodes of {length} steps",
         "shorten the windows or take fewer episodes",
-    )
-    return chosen
-
-
-def _episode_length(product: Product, faithful: bool) -> int:
-    """Transitions at most: as published T + τ, two more than the horizon."""
-    return product.horizon + 2 if faithful else product.horizon
+    )  # fmt: skip
 
 
 def _environment(product: Product, given: Resettable | None, rng: np.random.Generator, length: int) -> Environment:
@@ -176,55 +196,89 @@ def _environment(product: Product, given: Resettable | None, rng: np.random.Gene
     return given if isinstance(given, Environment) else Environment(given.reset, given.step)
 
 
-def _judge(home: Product, product: Product, settings: Settings) -> dict[str, Any]:
-    """`evaluate` and `enough`: exact where the model is known."""
-    if product.model.blackbox is not None:
-        if settings.stop_gap is not None:
+@dataclass(frozen=True)
+class _Decided:
+    """The task's probability where the first state decides it; None where that depends on an unknown first state."""
+
+    value: float | None
+
+
+def _decided(product: Product, known_start: bool) -> _Decided | None:
+    """Whether every run is decided at its first state; None where one is not."""
+    model, automaton = product.model, product.automaton
+    states = np.arange(model.n_states)
+    known_start = known_start and model.blackbox is None
+    if known_start:
+        states = np.flatnonzero(model.initial)
+    verdicts = automaton.verdicts(0)[automaton.delta[product.letter[states], automaton.initial]]
+    if (verdicts == UNDECIDED).any():
+        return None
+    if known_start:
+        return _Decided(check(product, keep_policy=False).probability)
+    satisfied = verdicts == TRUE
+    return _Decided(float(satisfied[0]) if satisfied.all() or not satisfied.any() else None)
+
+
+class _Judge:
+    """`evaluate` and `enough` of a trainer: exact where the model is known."""
+
+    def __init__(self, home: Product, product: Product, budget: Budget) -> None:
+        self.known = product.model.blackbox is None
+        if not self.known and budget.stop_gap is not None:
             raise SettingsError("stop_gap needs the exact optimum, and the model is a black box; set episodes instead")
-        return {"evaluate": lambda table: None, "enough": lambda value: False}
-    judge = home if home.automaton.exact else product
-    best = check(product, keep_policy=False).probability if settings.stop_gap is not None else 0.0
+        self._home, self._product = home, home if home.automaton.exact else product
+        self._gap = budget.stop_gap
+        self._best = check(product, keep_policy=False).probability if budget.stop_gap is not None else 0.0
 
-    def evaluate(table: NDArray[Any]) -> float:
-        return check(judge, Policy(home, table)).probability
+    def evaluate(self, table: NDArray[Any]) -> float | None:
+        return check(self._product, Policy(self._home, table)).probability if self.known else None
 
-    def enough(value: float) -> bool:
-        return settings.stop_gap is not None and best - value <= settings.stop_gap
-
-    return {"evaluate": evaluate, "enough": enough}
+    def enough(self, value: float) -> bool:
+        return self._gap is not None and self._best - value <= self._gap
 
 
-def _checkpoints(
-    path: Path, resume: bool, every: float, trainer: Trainer, product: Product, method: str, faithful: bool, seed: int
-) -> tuple[Progress, Callable[[Progress], None]]:
-    """How far the run is, and what saves it from time to time."""
-    generator = trainer.environment.generator
-    if generator is None:
-        raise SettingsError(
-            "a run is resumed to the same bits only where the environment's random numbers are known; "
-            "give an Environment with its generator, or leave checkpoint out"
-        )
-    require_replaceable(path)
-    settings = dataclasses.asdict(trainer.settings)
-    episodes = settings.pop("episodes")  # a resumed run may be given more
-    what = {
+def _identity(product: Product, learner: Learner[Any], budget: Budget, seed: int) -> dict[str, Any]:
+    """What a checkpoint must be of, by name. Not the number of episodes: a resumed run may be given more."""
+    limits = recorded(budget)
+    del limits["episodes"]
+    return {
         "task": str(product.formula), "encoding": product.automaton.encoding, "model": product.model.digest(),
-        "automaton": product.automaton.digest(), "method": method, "faithful": faithful, "seed": int(seed), **settings,
+        "automaton": product.automaton.digest(), "method": learner.name, "faithful": learner.published, "seed": seed,
+        **limits, **{f"setting {name}": value for name, value in recorded(learner).items()},
     }  # fmt: skip
-    generators = [trainer.rng, generator]
-    so_far = Progress()
-    if path.exists():
+
+
+class _Checkpoint:
+    """The file of one run: what it is resumed from, and what saves it from time to time."""
+
+    def __init__(self, path: Path, what: dict[str, Any], trainer: Trainer, every: float, interrupt: Interrupt) -> None:
+        if trainer.environment.generator is None:
+            raise SettingsError(
+                "a run is resumed to the same bits only where the environment's random numbers are known; "
+                "give an Environment with its generator, or leave checkpoint out"
+            )
+        require_replaceable(path)
+        require_folder(path.resolve().parent)
+        self._path, self._what, self._trainer, self._every, self._interrupt = path, what, trainer, every, interrupt
+        self._generators = [trainer.rng, trainer.environment.generator]
+        require_generators(self._generators)
+        kept_arrays(trainer)
+        self._last = time.monotonic()
+
+    def begin(self, resume: bool) -> Progress:
+        """How far the run is."""
+        path = self._path
+        if not path.exists():
+            return Progress()
         if not resume:
             raise SettingsError(f"{path} exists; resume it (--resume), or delete it to begin anew")
-        so_far = load_checkpoint(path, what, trainer.learner, trainer.counts, generators)
-        if so_far.episode > episodes:
-            raise SettingsError(f"{path} is {so_far.episode} episodes old already; episodes is {episodes}, give more")
-    last = time.monotonic()
+        return load_checkpoint(path, self._what, self._trainer, self._generators)
 
-    def save(now: Progress) -> None:
-        nonlocal last
-        if trainer.ends(now) or time.monotonic() - last >= every:
-            save_checkpoint(path, what, now, trainer.learner, trainer.counts, generators)
-            last = time.monotonic()
-
-    return so_far, save
+    def save(self, now: Progress) -> None:
+        """Between two episodes: write the run when it is time, when it ends, and before an interrupt."""
+        due = time.monotonic() - self._last >= self._every
+        if due or self._trainer.ends(now) or self._interrupt.asked:
+            save_checkpoint(self._path, self._what, now, self._trainer, self._generators)
+            self._last = time.monotonic()
+        if self._interrupt.asked:
+            raise KeyboardInterrupt

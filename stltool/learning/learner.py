@@ -1,73 +1,96 @@
-"""What a method is to the trainer."""
+"""What a method is: a frozen dataclass whose fields are its settings, with five hooks.
+
+    start     begins a run: returns the state that its learning changes, whatever that is
+    episode   plays one episode, and learns from it
+    policy    the policy that the run has arrived at
+    arrays    what a checkpoint keeps of the state                         (optional)
+    check     whether what a checkpoint kept fits together                 (optional)
+
+A learner holds no state: the same object can be used for any number of runs. docs/learning.md shows one.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.models.environment import Environment
+from stltool.errors import SettingsError
+from stltool.learning.counts import Counts
+from stltool.learning.episode import Episode
+from stltool.learning.kept import Kept
+from stltool.learning.problem import Problem
+from stltool.learning.settings import check_settings
+
+State = TypeVar("State")
 
 
-@dataclass(frozen=True)
-class Path:
-    """The transitions of one episode: states (n+1,) and the choices taken (n,), both int32."""
+class Learner(ABC, Generic[State]):
+    """A method with its settings; see the module's text. Subclasses are frozen dataclasses.
 
-    states: NDArray[np.int32]
-    actions: NDArray[np.int32]
-
-    def rows(self) -> NDArray[np.int32]:
-        """(n, 3) int32: s, a, s'."""
-        return np.stack([self.states[:-1], self.actions, self.states[1:]], axis=1)
-
-
-class Learner(ABC):
-    """A method: it acts, sees what happens, and has a policy at any time.
-
-    Numbers that an episode needs are drawn when it begins, so that episodes run whole or step by step are the same.
+    name        how the method is called in reports and on the command line; default: the class's name
+    published   whether it is run as [Wang24] did: the policy remembers the paper's flags, and episodes take T + τ
+                transitions, two more than the task looks ahead
     """
 
-    compiled = False  # whether `play` runs whole episodes in simulated models
+    name: ClassVar[str] = ""
+    published: ClassVar[bool] = False
 
-    explores_on = False  # whether, when the task is violated, it explores to the horizon (u < 0), or begins anew
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if "name" not in vars(cls):
+            cls.name = cls.__name__
 
-    def begin_episode(self, epsilon: float, length: int) -> None:
-        """A new episode of at most `length` steps, with this chance of a random action."""
-        self.epsilon = epsilon
-
-    @abstractmethod
-    def act(self, t: int, s: int, q: int, u: float, chance: float) -> int:
-        """The choice to take; u and chance are uniform in [0, 1): the first says whether to explore."""
-
-    def observe(self, t: int, s: int, q: int, a: int, s2: int, q2: int) -> None:  # noqa: B027 - not all need it
-        """One transition, at once."""
-
-    def play(self, environment: Environment, explore: NDArray[np.float64]) -> Path:
-        """A whole episode in a simulated model: what acting and observing step by step would give, to the bit."""
-        raise NotImplementedError
-
-    def end_episode(self, path: Path) -> None:  # noqa: B027 - not all need it
-        """All transitions of the episode that ends."""
+    def __post_init__(self) -> None:
+        check_settings(self)
 
     @abstractmethod
-    def policy_table(self) -> NDArray[Any]:
+    def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> State:
+        """The state of a new run. `counts` always holds every transition seen so far, the present episode's too."""
+
+    @abstractmethod
+    def episode(self, state: State, episode: Episode) -> None:
+        """Play one episode: `episode.step(choice)` until it is over, or earlier. All randomness from `episode.rng`."""
+
+    @abstractmethod
+    def policy(self, state: State) -> NDArray[Any]:
         """The policy to be judged, which does not explore: a table as `Policy` takes it."""
 
-    @abstractmethod
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything that learning has changed, for a checkpoint between two episodes."""
+    def arrays(self, state: State) -> Mapping[str, NDArray[Any] | Kept]:
+        """Everything that learning has changed, to be written to a checkpoint and to be read back into place.
 
-    def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Take back what `arrays` gave."""
-        for name, array in self.arrays().items():
-            array[...] = arrays[name]
+        Arrays of fixed shapes, or `Kept` where their values have a range. Default: the state, where it is a dict.
+        """
+        if not isinstance(state, Mapping) or not all(isinstance(array, np.ndarray) for array in state.values()):
+            raise SettingsError(
+                f"{self.name} cannot be checkpointed: its state is a {type(state).__name__}; make it a dict of numpy "
+                "arrays, or define arrays(state)"
+            )
+        return state
+
+    def check(self, state: State) -> None:
+        """Raise ValueError, with a sentence, where arrays read from a checkpoint contradict each other."""
+
+
+def require_learner(learner: Learner[Any]) -> None:
+    """SettingsError unless the learner's settings can be recorded."""
+    if not dataclasses.is_dataclass(learner):
+        raise SettingsError(
+            f"{type(learner).__name__} is not a dataclass, so its settings are not known; "
+            "decorate the class with @dataclass(frozen=True)"
+        )
 
 
 def rarest(visits: NDArray[Any], chance: float) -> int:
     """The choice taken least, ties broken by `chance` in [0, 1): count-based exploring."""
     least = np.flatnonzero(visits == visits.min())
     return int(least[int(chance * len(least))])
+
+
+def summary(cls: type[Learner[Any]]) -> str:
+    """The method in a line: the first of its class's documentation."""
+    return (cls.__doc__ or "").strip().splitlines()[0]

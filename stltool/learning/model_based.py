@@ -12,28 +12,72 @@ and the rest fails. So a choice seen once is not preferred to one that has prove
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata import FALSE, TRUE
 from stltool.learning.counts import Counts
+from stltool.learning.episode import Episode
+from stltool.learning.kept import Kept
 from stltool.learning.learner import Learner, rarest
 from stltool.learning.problem import Problem
-from stltool.learning.settings import Settings
+from stltool.learning.settings import setting
 from stltool.sizes import Numbers, require_memory
 
 _HAIR = 1e-3  # what paradise lacks of 1: far above rounding, below what is worth exploring for
 
 
-class ModelBased(Learner):
-    """Acts on an optimistic plan, is judged by a cautious one; see the module's text."""
+@dataclass(frozen=True, kw_only=True)
+class ModelBased(Learner["Planner"]):
+    """Acts on an optimistic plan over the counted transitions, is judged by a cautious one."""
 
-    explores_on = True
+    name: ClassVar[str] = "model-based"
 
-    def __init__(self, problem: Problem, settings: Settings, rng: np.random.Generator) -> None:
+    known_after: int = setting(1, "visits after which a choice is planned with as counted, not as paradise", least=1)
+    caution: float = setting(0.1, "κ of the judged policy's trust n / (n + κ) in a choice seen n times", least=0)
+
+    def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> Planner:
+        return Planner(problem, counts)
+
+    def episode(self, state: Planner, episode: Episode) -> None:
+        chances = episode.rng.random((episode.length, 2))[:, 1].tolist()
+        visits = state.counts.visits
+        self.replan(state, visits, 0)
+        while not episode.over and episode.verdict is not True:
+            t, s = episode.t, episode.s
+            first, after = state.problem.first_choice[s : s + 2].tolist()
+            if episode.verdict is False:
+                a = rarest(visits[first:after], chances[t])
+            else:
+                a = int(state.plan[t, s, episode.q])
+            episode.step(a)
+            visits[first + a] += 1
+            if visits[first + a] == self.known_after:
+                self.replan(state, visits, t + 1)
+
+    def replan(self, state: Planner, visits: NDArray[np.int64], t: int) -> None:
+        """The optimistic plan of the steps from t on, after choices were taken `visits` times."""
+        h = state.problem.automaton.horizon
+        rows = state.rows(visits, self.known_after, 0.0)
+        state.induct(*rows, lambda step: 1.0 - _HAIR * (1 + step / h), t, state.plan)
+
+    def policy(self, state: Planner) -> NDArray[Any]:
+        table = np.zeros_like(state.plan)
+        state.induct(*state.rows(state.counts.visits, 1, self.caution), lambda t: 0.0, 0, table)
+        return table
+
+    def arrays(self, state: Planner) -> dict[str, Kept]:
+        return {}  # all that is learned is in the counts; the plan is made anew when an episode begins
+
+
+class Planner:
+    """Plans over the transitions counted so far; `plan` (h, S, N) is the one that is acted on."""
+
+    def __init__(self, problem: Problem, counts: Counts) -> None:
         automaton, S = problem.automaton, problem.n_states
         layer, itemsize = S * automaton.n_states, np.dtype(problem.choice_type).itemsize
         require_memory(
@@ -41,65 +85,27 @@ class ModelBased(Learner):
             f"planning {automaton.horizon} steps of {layer} product states",
             "shorten the windows",
         )
-        self._problem, self._settings = problem, settings
-        self._choice_start = np.concatenate([[0], np.cumsum(problem.n_choices)]).astype(np.int64)
-        self._counts = Counts(int(self._choice_start[-1]), S)
-        self._visits = np.zeros(self._counts.n_choices, dtype=np.int64)
-        self._plan = np.zeros((automaton.horizon, S, automaton.n_states), dtype=problem.choice_type)
+        self.problem, self.counts = problem, counts
+        self.plan = np.zeros(problem.shape, dtype=problem.choice_type)
 
-    def begin_episode(self, epsilon: float, length: int) -> None:
-        super().begin_episode(epsilon, length)
-        self._replan(0)
-
-    def act(self, t: int, s: int, q: int, u: float, chance: float) -> int:
-        if u < 0:
-            first, after = self._choice_start[s], self._choice_start[s + 1]
-            return rarest(self._visits[first:after], chance)
-        return int(self._plan[t, s, q])
-
-    def observe(self, t: int, s: int, q: int, a: int, s2: int, q2: int) -> None:
-        choice = int(self._choice_start[s]) + a
-        self._counts.add(np.array([choice], dtype=np.int64), np.array([s2], dtype=np.int64))
-        self._visits[choice] += 1
-        if self._visits[choice] == self._settings.known_after:
-            self._replan(t + 1)
-
-    def policy_table(self) -> NDArray[Any]:
-        table = np.zeros_like(self._plan)
-        self._induct(*self._rows(1, self._settings.caution), lambda t: 0.0, 0, table)
-        return table
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        return {**self._counts.arrays(), "visits": self._visits}
-
-    def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        self._counts.restore(arrays)
-        self._visits[:] = arrays["visits"]
-
-    def _replan(self, t: int) -> None:
-        """The optimistic plan of the steps from t on."""
-        h = self._problem.automaton.horizon
-        rows = self._rows(self._settings.known_after, 0.0)
-        self._induct(*rows, lambda step: 1.0 - _HAIR * (1 + step / h), t, self._plan)
-
-    def _rows(
-        self, known_after: int, caution: float
+    def rows(
+        self, visits: NDArray[np.int64], known_after: int, caution: float
     ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]]:
         """CSR rows over the model's states and one more, outside: where unknown choices and doubts lead."""
-        counts, outside = self._counts, self._problem.n_states
+        counts, outside = self.counts, self.problem.n_states
         choice, target, seen = counts.choice, counts.target, counts.seen
-        trusted = self._visits >= max(known_after, 1)
+        trusted = visits >= max(known_after, 1)
         kept = trusted[choice]
         doubtful = np.arange(counts.n_choices) if caution else np.flatnonzero(~trusted)
-        doubt = np.where(trusted, caution / (self._visits + caution) if caution else 0.0, 1.0)[doubtful]
+        doubt = np.where(trusted, caution / (visits + caution) if caution else 0.0, 1.0)[doubtful]
         rows = np.concatenate([choice[kept], doubtful])
         order = np.argsort(rows, kind="stable")
-        probability = np.concatenate([seen[kept] / (self._visits[choice[kept]] + caution), doubt])[order]
+        probability = np.concatenate([seen[kept] / (visits[choice[kept]] + caution), doubt])[order]
         successor = np.concatenate([target[kept], np.full(len(doubtful), outside)])[order].astype(np.int32)
         length = np.bincount(rows, minlength=counts.n_choices)
         return np.concatenate([[0], np.cumsum(length)]).astype(np.int64), successor, probability
 
-    def _induct(
+    def induct(
         self,
         row_start: NDArray[np.int64],
         target: NDArray[np.int32],
@@ -111,7 +117,7 @@ class ModelBased(Learner):
         """Backward induction to step `first`, the choices into `table`; being outside is worth `outside(t)`."""
         from stltool.kernels import sweep
 
-        problem, automaton = self._problem, self._problem.automaton
+        problem, automaton = self.problem, self.problem.automaton
         S, h = problem.n_states, automaton.horizon
         values, out = np.zeros((S, automaton.n_states)), np.empty((S, automaton.n_states))
         W = np.empty((S + 1, automaton.n_states))
@@ -119,7 +125,7 @@ class ModelBased(Learner):
         for t in range(h - 1, first - 1, -1):
             sweep.gather(values, problem.letter, automaton.delta, 0, S, W)
             W[S] = outside(t)
-            sweep.optimum(self._choice_start, row_start, target, probability, W, True, 0, S, out, table[t])
+            sweep.optimum(problem.first_choice, row_start, target, probability, W, True, 0, S, out, table[t])
             _decide(automaton.verdicts(t), out)
             values, out = out, values
 

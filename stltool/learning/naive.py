@@ -2,41 +2,74 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.learning.counts import Counts
+from stltool.learning.episode import Episode
+from stltool.learning.kept import Kept
 from stltool.learning.learner import Learner
 from stltool.learning.problem import Problem
 from stltool.learning.published import Published
-from stltool.learning.settings import Settings
+from stltool.learning.schedule import Decaying
+from stltool.learning.settings import setting
 from stltool.learning.tables import ClockedTable
 
 
-class FaithfulNaive(Published):
-    """As published: Q(s, q, a) on the surrogate reward, no memory."""
+@dataclass(frozen=True, kw_only=True)
+class PublishedNaive(Published):
+    """Q(s, q, a) on the surrogate reward, one update a step, no memory."""
 
-    replays = False
+    name: ClassVar[str] = "naive"
 
 
-class Naive(Learner):
-    """Corrected: Q_t(s, q, a) on the exact objective, the visited entry only."""
+@dataclass(frozen=True, kw_only=True)
+class Clocked(Decaying):
+    """The settings of a Q-table that carries the clock, on the exact objective."""
 
-    def __init__(self, problem: Problem, settings: Settings, rng: np.random.Generator) -> None:
-        self.table = ClockedTable(problem, settings, count_every_entry=True)
-        self._n_choices = problem.n_choices
+    least_step: float = setting(0.02, "smallest learning rate, α = max(least_step, 1/n)", above=0, most=1)
+    caution: float = setting(0.1, "κ of the judged policy's trust n / (n + κ) in a choice seen n times", least=0)
 
-    def act(self, t: int, s: int, q: int, u: float, chance: float) -> int:
-        if u < self.epsilon:
-            return int(chance * self._n_choices[s])
-        return self.table.best(t, s, q, chance)
+    def table(self, problem: Problem, count_every_entry: bool) -> ClockedTable:
+        return ClockedTable(problem, self.least_step, self.caution, count_every_entry)
 
-    def observe(self, t: int, s: int, q: int, a: int, s2: int, q2: int) -> None:
-        self.table.update(t, s, q, a, s2, q2)
 
-    def policy_table(self) -> NDArray[Any]:
-        return self.table.policy_table()
+@dataclass(frozen=True, kw_only=True)
+class Naive(Clocked, Learner["NaiveRun"]):
+    """Q_t(s, q, a) on the exact objective, the visited entry only."""
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        return self.table.arrays()
+    name: ClassVar[str] = "naive"
+
+    def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> NaiveRun:
+        return NaiveRun(self.table(problem, count_every_entry=True), counts)
+
+    def episode(self, state: NaiveRun, episode: Episode) -> None:
+        epsilon = self.epsilon(episode.number)
+        explore = episode.rng.random((episode.length, 2)).tolist()
+        while episode.verdict is None:
+            t, s, q = episode.t, episode.s, episode.q
+            u, chance = explore[t]
+            a = int(chance * episode.n_choices) if u < epsilon else state.table.best(t, s, q, chance)
+            episode.step(a)
+            state.table.update(t, s, q, a, episode.s, episode.q)
+
+    def policy(self, state: NaiveRun) -> NDArray[Any]:
+        return state.table.policy_table()
+
+    def arrays(self, state: NaiveRun) -> dict[str, Kept]:
+        return state.table.arrays()
+
+    def check(self, state: NaiveRun) -> None:
+        state.table.check()
+        state.table.require_visits(state.counts)
+
+
+@dataclass(frozen=True)
+class NaiveRun:
+    """What a run changes."""
+
+    table: ClockedTable
+    counts: Counts

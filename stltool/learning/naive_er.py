@@ -2,37 +2,96 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.learning.naive import Naive
+from stltool.learning.counts import Counts
+from stltool.learning.episode import Episode
+from stltool.learning.kept import Kept
+from stltool.learning.learner import Learner
+from stltool.learning.naive import Clocked
 from stltool.learning.problem import Problem
-from stltool.learning.published import Published
+from stltool.learning.published import Replaying
 from stltool.learning.replay import ReplayMemory
-from stltool.learning.settings import Settings
+from stltool.learning.settings import setting
+from stltool.learning.tables import ClockedTable
 
 
-class FaithfulNaiveER(Published):
-    """As published: no online update; at steps 0, period, … of the episode draw `batch` with replacement."""
+@dataclass(frozen=True, kw_only=True)
+class PublishedNaiveER(Replaying):
+    """No online update; at steps 0, period, … of the episode draw `batch` with replacement."""
 
-    online = False
+    name: ClassVar[str] = "naive-er"
+    online: ClassVar[bool] = False
 
 
-class NaiveER(Naive):
-    """Corrected: the same memory, its rows with their step, on the exact objective."""
+@dataclass(frozen=True, kw_only=True)
+class NaiveER(Clocked, Learner["ReplayRun"]):
+    """Q_t(s, q, a) on the exact objective, learned from a memory of transitions with their step."""
 
-    def __init__(self, problem: Problem, settings: Settings, rng: np.random.Generator) -> None:
-        super().__init__(problem, settings, rng)
-        self._memory = ReplayMemory(settings.memory, width=6)
-        self._settings, self._rng = settings, rng
+    name: ClassVar[str] = "naive-er"
 
-    def observe(self, t: int, s: int, q: int, a: int, s2: int, q2: int) -> None:
-        self._memory.add(np.array([[t, s, q, a, s2, q2]], dtype=np.int32))
-        if t % self._settings.period == 0:
-            for row in self._memory.rows[self._memory.draw(self._settings.batch, self._rng)]:
-                self.table.update(*row.tolist())
+    memory: int = setting(1000, "transitions that the replay memory holds; the oldest leave first", least=1)
+    period: int = setting(4, "steps between two replays of an episode", least=1)
+    batch: int = setting(64, "transitions drawn, with replacement, at each replay", least=1)
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        return {**super().arrays(), **self._memory.arrays()}
+    def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> ReplayRun:
+        table = self.table(problem, count_every_entry=True)
+        return ReplayRun(problem, table, ReplayMemory(self.memory, width=6), counts)
+
+    def episode(self, state: ReplayRun, episode: Episode) -> None:
+        table, memory = state.table, state.memory
+        epsilon = self.epsilon(episode.number)
+        explore = episode.rng.random((episode.length, 2)).tolist()
+        while episode.verdict is None:
+            t, s, q = episode.t, episode.s, episode.q
+            u, chance = explore[t]
+            a = int(chance * episode.n_choices) if u < epsilon else table.best(t, s, q, chance)
+            episode.step(a)
+            memory.add(np.array([[t, s, q, a, episode.s, episode.q]], dtype=np.int32))
+            if t % self.period == 0:
+                for row in memory.rows[memory.draw(self.batch, episode.rng)]:
+                    table.update(*row.tolist())
+
+    def policy(self, state: ReplayRun) -> NDArray[Any]:
+        return state.table.policy_table()
+
+    def arrays(self, state: ReplayRun) -> dict[str, Kept]:
+        h, S, N = state.problem.shape
+        return {
+            **state.table.arrays(),
+            **state.memory.arrays(np.array([h, S, N, state.problem.most_choices, S, N]) - 1),
+        }
+
+    def check(self, state: ReplayRun) -> None:
+        problem, table, memory = state.problem, state.table, state.memory
+        table.check()
+        t, s, q, a, s2, q2 = memory.checked(int(state.counts.seen.sum())).T
+        if (a >= problem.n_choices[s]).any() or (problem.automaton.delta[problem.letter[s2], q] != q2).any():
+            raise ValueError("the memory holds a step that cannot be taken")
+        if not table.is_open(t, s, q).all():
+            raise ValueError("the memory holds a step from where the task is decided")
+        if int(table.visits.sum(dtype=np.int64)) % self.batch:
+            raise ValueError(f"visits do not add up to batches of {self.batch}")
+        visited = table.visits.max(axis=2) > 0
+        if (visited[_pairs(problem)] & (state.counts.visits == 0)).any():
+            raise ValueError("visits are of choices that were never taken")
+
+
+def _pairs(problem: Problem) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """State and number within it of every choice."""
+    s = np.repeat(np.arange(problem.n_states), problem.n_choices)
+    return s, np.arange(len(s)) - problem.first_choice[s]
+
+
+@dataclass(frozen=True)
+class ReplayRun:
+    """What a run changes."""
+
+    problem: Problem
+    table: ClockedTable
+    memory: ReplayMemory
+    counts: Counts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,3 +37,18 @@ class Problem:
     def choice_type(self) -> IntegerType:
         """As the model's."""
         return integer_type(self.most_choices - 1)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(horizon, model states, automaton states): of a policy's table that depends on the step."""
+        return self.automaton.horizon, self.n_states, self.automaton.n_states
+
+    @functools.cached_property
+    def first_choice(self) -> NDArray[np.int64]:
+        """(n_states + 1,): where each state's choices begin, when all are counted through."""
+        return np.concatenate([[0], np.cumsum(self.n_choices)]).astype(np.int64)
+
+    @functools.cached_property
+    def lists(self) -> tuple[list[int], list[int], list[int]]:
+        """letter, n_choices and first_choice as lists: a step at a time they are faster."""
+        return self.letter.tolist(), self.n_choices.tolist(), self.first_choice[:-1].tolist()

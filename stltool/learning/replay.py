@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.learning.kept import Kept
 from stltool.sizes import require_memory
 
 
@@ -31,6 +32,18 @@ class ReplayMemory:
         """Indices of n rows, uniform with replacement."""
         return rng.integers(self.size, size=n)
 
-    def arrays(self) -> dict[str, NDArray[np.int32] | NDArray[np.int64]]:
-        """Everything, for a checkpoint."""
-        return {"memory": self.rows, "place": self._place}
+    def arrays(self, most: NDArray[np.int64]) -> dict[str, Kept]:
+        """Everything, for a checkpoint; `most` (width,) are the columns' greatest values."""
+        return {
+            "memory": Kept(self.rows, 0, most),
+            "place": Kept(self._place, 0, [len(self.rows) - 1, len(self.rows)]),
+        }
+
+    def checked(self, added: int) -> NDArray[np.int32]:
+        """The rows held (n, width), the newest anywhere; ValueError where `added` rows in all cannot have left them."""
+        following, held = self._place.tolist()
+        if held != min(added, len(self.rows)) or (held < len(self.rows) and following != held):
+            raise ValueError(f"the memory holds {held} rows of {added}, and the next one is {following}")
+        if self.rows[held:].any():
+            raise ValueError("the memory holds rows beyond its end")
+        return self.rows[:held]

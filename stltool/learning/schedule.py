@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
-from stltool.learning.settings import Settings
+from stltool.learning.settings import setting
 
 
-def epsilon(settings: Settings, episode: int) -> float:
-    """The chance of a random action in this episode (counted from 0)."""
-    span = settings.epsilon_start - settings.epsilon_end
-    return settings.epsilon_end + span * math.exp(-episode / settings.decay)
+@dataclass(frozen=True, kw_only=True)
+class Decaying:
+    """The settings of a method that explores with a chance that decays from episode to episode."""
+
+    decay: float = setting(400.0, "n_d of the chance to explore, end + (start − end)·exp(−episode / n_d)", above=0)
+    epsilon_start: float = setting(0.99, "chance to explore in the first episode", least=0, most=1)
+    epsilon_end: float = setting(0.01, "chance to explore in the long run", least=0, most=1)
+
+    def epsilon(self, episode: int) -> float:
+        """The chance to explore in this episode (counted from 0)."""
+        span = self.epsilon_start - self.epsilon_end
+        return self.epsilon_end + span * math.exp(-episode / self.decay)

@@ -1,96 +1,196 @@
-"""The knobs of a learner, checked once."""
+"""Settings as the fields of frozen dataclasses: each declared once, with its range and what it means.
+
+From the declaration come the checks, what `--set NAME=VALUE` accepts, and the tables of `--help` and docs/learning.md.
+A learner's fields are its method's settings; what belongs to a run, whatever its method, is a `Budget`.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
+import typing
+from collections.abc import Mapping
 from dataclasses import dataclass
-from numbers import Integral, Real
-from typing import Any, Literal
+from typing import Any
 
-from stltool.errors import SettingsError, near_misses
+import numpy as np
+
+from stltool.errors import SettingsError
+from stltool.numbers import double, whole
+
+_KINDS: dict[Any, str] = {int: "an integer", float: "a number", str: "a text", bool: "true or false"}
+
+
+def setting(
+    default: Any,
+    text: str,
+    *,
+    least: float = -math.inf,
+    above: float = -math.inf,
+    most: float = math.inf,
+    choices: tuple[str, ...] | None = None,
+) -> Any:
+    """A field of a settings dataclass: `least` ≤ value ≤ `most`, value > `above`; or one of `choices`."""
+    return dataclasses.field(default=default, metadata={"setting": _Declared(text, least, above, most, choices)})
 
 
 @dataclass(frozen=True)
-class Settings:
-    """Defaults are the paper's for smaller scenarios [Wang24, Table I], where it has the knob; `Settings.of` has the
-    corrected methods' own.
+class _Declared:
+    """What `setting` was told."""
 
-    episodes        training episodes
-    evaluate_every  episodes between two exact evaluations of the greedy policy
-    most_steps      end before an episode that could take more environment steps than this in all
-    stop_gap        end as soon as an evaluation is within this of the exact optimum (a known model only)
-    decay           n_d of the exploration schedule ε = end + (start − end)·exp(−episode / n_d)
-    epsilon_start, epsilon_end  its ends
-    memory          transitions that the replay memory holds; the oldest leave first
-    period, batch   naive-er, and faithful methods: every `period`-th step draws `batch` transitions
-    replays         cfer: real transitions replayed after each episode
-    least_step      smallest learning rate of corrected cfer and naive methods, α = max(least_step, 1/n)
-    known_after     model-based: visits after which a choice is planned with as counted, not as paradise
-    caution         corrected methods: κ of the judged policy's trust n / (n + κ) in a choice seen n times
-    alpha, gamma, scale  faithful methods only: learning rate, discount, and the reward's offset under an outer G,
-                    χ − 0.5 ("published", what the authors ran) or χ − 0.9 ("paper", what they print)
-    factual_share   faithful cfer and cfper: share of each batch drawn from factual tuples alone, which a memory of
-                    their own holds (the paper's closing question); None: as published
-    """
+    text: str = ""
+    least: float = -math.inf
+    above: float = -math.inf
+    most: float = math.inf
+    choices: tuple[str, ...] | None = None
 
-    episodes: int = 1000
-    evaluate_every: int = 20
-    most_steps: int | None = None
-    stop_gap: float | None = None
-    decay: float = 400.0
-    epsilon_start: float = 0.99
-    epsilon_end: float = 0.01
-    memory: int = 1000
-    period: int = 4
-    batch: int = 64
-    replays: int = 200
-    least_step: float = 0.02
-    known_after: int = 1
-    caution: float = 0.1
-    alpha: float = 0.01
-    gamma: float = 0.999
-    scale: Literal["published", "paper"] = "published"
-    factual_share: float | None = None
 
-    @classmethod
-    def of(cls, method: str, faithful: bool, **given: Any) -> Settings:
-        """The method's defaults, and what is given by name; SettingsError for names that are no setting."""
-        known = [field.name for field in dataclasses.fields(cls)]
-        for name in given:
-            if name not in known:
-                raise SettingsError(f"there is no setting {name!r}; {near_misses(name, known)}")
-        own = {} if faithful else _OWN.get(method, {})
-        return cls(**{**own, **given})
+@dataclass(frozen=True)
+class Setting:
+    """A setting with all that is known of it. `kind` is int, float, str or bool; None: anything, unchecked."""
+
+    name: str
+    default: Any
+    kind: type | None
+    optional: bool
+    declared: _Declared
+
+    @property
+    def text(self) -> str:
+        """What it means."""
+        return self.declared.text
+
+    @property
+    def range(self) -> str:
+        """What it may be, in words: "an integer from 1"."""
+        declared, ends = self.declared, []
+        if declared.choices is not None:
+            return " or ".join(declared.choices)
+        if declared.above == 0 and math.isinf(declared.most):
+            ends = ["above 0"]
+        elif math.isfinite(declared.least) and math.isfinite(declared.most):
+            ends = [f"from {declared.least:g} to {declared.most:g}"]
+        elif math.isfinite(declared.least):
+            ends = [f"from {declared.least:g}"]
+        else:
+            ends += [f"above {declared.above:g}"] * math.isfinite(declared.above)
+            ends += [f"at most {declared.most:g}"] * math.isfinite(declared.most)
+        words = " ".join([_KINDS.get(self.kind, "any value"), " and ".join(ends)]).strip()
+        return f"{words}, or none" if self.optional else words
+
+    def checked(self, value: Any) -> Any:
+        """The value as a plain int, float, str or bool; SettingsError where it is out of range."""
+        if value is None and self.optional:
+            return None
+        fine, plain = _plain(value, self.kind)
+        declared = self.declared
+        if fine and declared.choices is not None:
+            fine = plain in declared.choices
+        elif fine and self.kind in (int, float):
+            fine = declared.least <= plain <= declared.most and plain > declared.above
+        if not fine:
+            raise SettingsError(f"{self.name} is {value!r}; it must be {self.range}")
+        return plain
+
+    def read(self, text: str) -> Any:
+        """The value that a text spells; SettingsError with the range where it spells none."""
+        if self.optional and text == "none":
+            return None
+        value: Any = text
+        try:
+            if self.kind in (int, float):
+                value = (whole if self.kind is int else double)(text)
+            elif self.kind is bool:
+                value = {"true": True, "false": False}[text]
+        except (ValueError, KeyError):
+            raise SettingsError(f"{self.name} is {text!r}; it must be {self.range}") from None
+        return self.checked(value)
+
+
+def _plain(value: Any, kind: type | None) -> tuple[bool, Any]:
+    """Whether it is of that kind, and the value as Python's own type: numpy's numbers are fine, true is no number."""
+    if kind is int:
+        fine = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        return fine, int(value) if fine else value
+    if kind is float:
+        number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+        fine = number and math.isfinite(value)
+        return fine, float(value) if fine else value
+    return kind is None or isinstance(value, kind), value
+
+
+def settings_of(owner: Any) -> dict[str, Setting]:
+    """The settings of a dataclass or of one of its instances, by name, in their order."""
+    cls = owner if isinstance(owner, type) else type(owner)
+    hints = typing.get_type_hints(cls)
+    found = {}
+    for field in dataclasses.fields(cls):
+        kind, optional = _kind(hints[field.name])
+        default = field.default if field.default is not dataclasses.MISSING else None
+        if field.default_factory is not dataclasses.MISSING:
+            default = field.default_factory()
+        declared = field.metadata.get("setting", _Declared())
+        found[field.name] = Setting(field.name, default, kind, optional, declared)
+    return found
+
+
+def _kind(hint: Any) -> tuple[type | None, bool]:
+    """int, float, str or bool, and whether None is allowed too; None where the annotation is anything else."""
+    arguments = typing.get_args(hint)
+    optional = type(None) in arguments
+    if optional and len(arguments) == 2:
+        hint = next(one for one in arguments if one is not type(None))
+    if typing.get_origin(hint) is typing.Literal:
+        return str, optional
+    return (hint if hint in _KINDS else None), optional
+
+
+def check_settings(owner: Any) -> None:
+    """Check the fields of a frozen dataclass as it is made; numpy's numbers become Python's."""
+    for name, declared in settings_of(owner).items():
+        object.__setattr__(owner, name, declared.checked(getattr(owner, name)))
+
+
+def shown_value(value: Any) -> str:
+    """A setting's value as `--set` reads it."""
+    if isinstance(value, bool) or value is None:
+        return str(value).lower()
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def recorded(owner: Any) -> dict[str, Any]:
+    """All settings with their values, as JSON holds them. SettingsError for a value that JSON cannot hold."""
+    values = {field.name: getattr(owner, field.name) for field in dataclasses.fields(owner)}
+    for name, value in values.items():
+        try:
+            json.dumps(value, allow_nan=False)
+        except (TypeError, ValueError):
+            raise SettingsError(
+                f"{name} of {type(owner).__name__} is {value!r}; a setting is recorded, so it must be a finite number, "
+                "a text, true, false, None, or a list or dict of these"
+            ) from None
+    return values
+
+
+@dataclass(frozen=True, kw_only=True)
+class Budget:
+    """How long a run of any method goes on, and how often its policy is judged."""
+
+    episodes: int = setting(1000, "training episodes", least=1)
+    evaluate_every: int = setting(20, "episodes between two exact evaluations of the learned policy", least=1)
+    most_steps: int | None = setting(
+        None, "end before an episode that could take more environment steps than this in all", least=1
+    )
+    stop_gap: float | None = setting(
+        None, "end as soon as an evaluation is within this of the exact optimum (a known model only)", least=0, most=1
+    )
 
     def __post_init__(self) -> None:
-        for name in ("episodes", "evaluate_every", "memory", "period", "batch", "known_after"):
-            self._require(name, _whole(getattr(self, name)) and getattr(self, name) >= 1, "a whole number from 1")
-        self._require("replays", _whole(self.replays) and self.replays >= 0, "a whole number from 0")
-        self._require("decay", _real(self.decay) and self.decay > 0, "positive")
-        for name in ("epsilon_start", "epsilon_end", "gamma"):
-            self._require(name, _real(getattr(self, name)) and 0 <= getattr(self, name) <= 1, "between 0 and 1")
-        steps = self.most_steps
-        self._require("most_steps", steps is None or (_whole(steps) and steps >= 1), "a whole number from 1")
-        for name in ("stop_gap", "factual_share"):
-            value = getattr(self, name)
-            self._require(name, value is None or (_real(value) and 0 <= value <= 1), "between 0 and 1")
-        self._require("caution", _real(self.caution) and self.caution >= 0, "0 or positive")
-        for name in ("least_step", "alpha"):
-            self._require(name, _real(getattr(self, name)) and 0 < getattr(self, name) <= 1, "above 0 and at most 1")
-        self._require("scale", self.scale in ("published", "paper"), "published or paper")
-
-    def _require(self, name: str, fine: bool, what: str) -> None:
-        if not fine:
-            raise SettingsError(f"{name} is {getattr(self, name)!r}; it must be {what}")
+        check_settings(self)
 
 
-_OWN: dict[str, dict[str, Any]] = {"cfer": {"decay": 50.0, "memory": 100_000, "replays": 600}}
-
-
-def _whole(value: object) -> bool:
-    return not isinstance(value, bool) and isinstance(value, Integral)
-
-
-def _real(value: object) -> bool:
-    return not isinstance(value, bool) and isinstance(value, Real) and math.isfinite(value)
+def split(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Settings by name, as those of a Budget and the rest."""
+    own = settings_of(Budget)
+    return {k: v for k, v in given.items() if k in own}, {k: v for k, v in given.items() if k not in own}

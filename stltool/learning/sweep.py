@@ -27,8 +27,10 @@ import numpy as np
 from stltool.errors import FileError, SettingsError, StlToolError, near_misses
 from stltool.files import require_folder, write_atomically
 from stltool.learning.learn import learn
+from stltool.learning.learner import Learner
+from stltool.learning.methods import make
 from stltool.learning.pool import require_main_process, spread
-from stltool.learning.settings import Settings
+from stltool.learning.settings import Budget, recorded, settings_of, split
 from stltool.logic.formula import horizon
 from stltool.logic.parser import parse
 from stltool.logic.task import Task
@@ -44,9 +46,16 @@ class Method:
     """A learner with settings of its own; `id` names it in tables and folders."""
 
     id: str
-    name: str
-    faithful: bool
+    learner: type[Learner[Any]]
     settings: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        return self.learner.name
+
+    @property
+    def faithful(self) -> bool:
+        return self.learner.published
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,16 +75,15 @@ class Scenario:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One training run, all that a worker needs. Settings: the sweep's, then the scenario's, then the method's."""
+    """One training run, all that a worker needs."""
 
     scenario: str
     method: str
     seed: int
     formula: str
     model: MDP
-    learner: str
-    faithful: bool
-    settings: Mapping[str, Any]
+    learner: Learner[Any]
+    budget: Budget
     version: str
 
     @property
@@ -84,17 +92,16 @@ class Run:
 
     @functools.cached_property
     def key(self) -> str:
-        """A SHA-256 over what the result depends on. Raises SettingsError where a setting is out of range."""
-        settings = dataclasses.asdict(Settings.of(self.learner, self.faithful, **self.settings))
-        content = [FORMAT, self.version, self.formula, self.model.digest(), self.learner, self.faithful, settings]
-        return hashlib.sha256(json.dumps([*content, self.seed], sort_keys=True).encode()).hexdigest()
+        """A SHA-256 over what the result depends on."""
+        learner, budget = self.learner, self.budget
+        content = [FORMAT, self.version, self.formula, self.model.digest(), learner.name, learner.published,
+                   recorded(learner), recorded(budget), self.seed]  # fmt: skip
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     @property
     def work(self) -> float:
-        """What the run costs beside others, very roughly: its steps and the updates of a faithful method."""
-        settings = Settings.of(self.learner, self.faithful, **self.settings)
-        steps = settings.episodes * (horizon(parse(self.formula)) + 2)
-        return steps * (1 + settings.batch / settings.period)
+        """What the run costs beside others, very roughly: its steps."""
+        return float(self.budget.episodes) * (horizon(parse(self.formula)) + 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,13 +166,21 @@ class Sweep:
             seeds=self.seeds if seeds is None else read_seeds(seeds),
         )
 
+    def settled(self, scenario: Scenario, method: Method) -> tuple[Learner[Any], Budget]:
+        """The learner and the budget of a method in a scenario: the sweep's settings, over them the scenario's, over
+        them the method's. Of the first two, each method takes what it has."""
+        shared = {**self.settings, **scenario.settings}
+        budget, _ = split({**shared, **method.settings})
+        own = {name: value for name, value in shared.items() if name in settings_of(method.learner)}
+        return make(method.learner, {**own, **split(method.settings)[1]}), Budget(**budget)
+
     def runs(self) -> list[Run]:
         """The cross product, scenario by scenario."""
         version = metadata.version("stltool")
         return [
             Run(
-                scenario.id, method.id, seed, str(scenario.task.formula), scenario.model, method.name, method.faithful,
-                {**self.settings, **scenario.settings, **method.settings}, version,
+                scenario.id, method.id, seed, str(scenario.task.formula), scenario.model,
+                *self.settled(scenario, method), version,
             )
             for scenario in self.scenarios for method in self.methods for seed in self.seeds
         ]  # fmt: skip
@@ -205,7 +220,8 @@ def run_sweep(
     folder = Path(folder)
     require_folder(folder)
     with _locked(folder):
-        finished, waiting, failures = _plan(sweep, folder)
+        finished, waiting = _plan(sweep, folder)
+        failures: list[Failure] = []
         skipped, steps, done = len(finished), 0, 0
         if waiting and cluster is None:
             from stltool.kernels import warm_up
@@ -231,8 +247,8 @@ def run_sweep(
 
 def finished_runs(sweep: Sweep, folder: str | Path) -> SweepResult:
     """What `folder` has of the sweep; nothing is run."""
-    finished, _, failures = _plan(sweep, Path(folder))
-    return SweepResult(sweep, list(finished.values()), failures, len(finished))
+    finished, _ = _plan(sweep, Path(folder))
+    return SweepResult(sweep, list(finished.values()), [], len(finished))
 
 
 def estimated_seconds(sweep: Sweep, folder: str | Path) -> dict[tuple[str, str], float]:
@@ -243,23 +259,22 @@ def estimated_seconds(sweep: Sweep, folder: str | Path) -> dict[tuple[str, str],
     from stltool.kernels import warm_up
 
     warm_up()
-    _, waiting, _ = _plan(sweep, Path(folder))
+    _, waiting = _plan(sweep, Path(folder))
     seconds = {}
     for run in {(run.scenario, run.method): run for run in waiting}.values():
-        settings = Settings.of(run.learner, run.faithful, **run.settings)
         few = _seconds(run, _PROBE, _PROBE)
         evaluation = max(0.0, _seconds(run, _PROBE, 1) - few) / (_PROBE - 1)
         episode = max(0.0, _seconds(run, 10 * _PROBE, 10 * _PROBE) - few) / (9 * _PROBE)
         start = max(0.0, few - evaluation - _PROBE * episode)
-        evaluations = -(-settings.episodes // settings.evaluate_every)
-        seconds[run.scenario, run.method] = start + settings.episodes * episode + evaluations * evaluation
+        evaluations = -(-run.budget.episodes // run.budget.evaluate_every)
+        seconds[run.scenario, run.method] = start + run.budget.episodes * episode + evaluations * evaluation
     return seconds
 
 
 def _seconds(run: Run, episodes: int, evaluate_every: int) -> float:
     """Wall time of the run with other settings, the better of two; 0 where it fails."""
-    short = {**run.settings, "episodes": episodes, "evaluate_every": evaluate_every}
-    outcomes = [_execute(dataclasses.replace(run, settings=short)) for _ in range(2)]
+    short = dataclasses.replace(run.budget, episodes=episodes, evaluate_every=evaluate_every)
+    outcomes = [_execute(dataclasses.replace(run, budget=short)) for _ in range(2)]
     return min(outcome.seconds if isinstance(outcome, RunResult) else 0.0 for outcome in outcomes)
 
 
@@ -311,7 +326,7 @@ def _execute(run: Run) -> RunResult | str:
         _warm_up_once()
         start = time.perf_counter()
         product = build_product(run.model, parse(run.formula))
-        training = learn(product, run.learner, faithful=run.faithful, seed=run.seed, **run.settings)
+        training = learn(product, run.learner, seed=run.seed, **recorded(run.budget))
     except StlToolError as error:
         return str(error)
     except Exception:  # our own fault: told whole, and the other runs go on
@@ -352,24 +367,20 @@ def _store(folder: Path, run: Run, result: RunResult) -> None:
     write_atomically(place, json.dumps(content, indent=1) + "\n")  # last: where it stands the run is finished
 
 
-def _plan(sweep: Sweep, folder: Path) -> tuple[dict[str, RunResult], list[Run], list[Failure]]:
-    """What is finished, what is to be run, and what cannot be. Seed by seed, the longest first, each seed in its turn:
+def _plan(sweep: Sweep, folder: Path) -> tuple[dict[str, RunResult], list[Run]]:
+    """What is finished, and what is to be run. Seed by seed, the longest first, each seed in its turn:
     there is something of everything soon, and no long run is left for the end.
     """
-    finished, waiting, failures = {}, [], []
+    finished, waiting = {}, []
     for run in sweep.runs():
-        try:
-            found = _stored(folder, run)
-        except SettingsError as error:
-            failures.append(Failure(run.scenario, run.method, run.seed, str(error)))
-            continue
+        found = _stored(folder, run)
         if found is not None:
             finished[run.name] = found
         else:
             waiting.append(run)
     turn = {seed: i for i, seed in enumerate(sweep.seeds)}
     waiting.sort(key=lambda run: (turn[run.seed], -run.work))
-    return finished, waiting, failures
+    return finished, waiting
 
 
 def _stored(folder: Path, run: Run) -> RunResult | None:

@@ -3,7 +3,8 @@
 [sweep]
 name = "small"                   results go to out/small
 seeds = 10                       how many (0 … 9), or a list
-settings = { alpha = 0.01 }      for all runs; fields of stl.Settings
+settings = { episodes = 4000 }   for all runs: of stl.learn (episodes, evaluate_every, most_steps, stop_gap), and of
+                                 methods, each of which takes those that it has
 columns = 4                      panels in a row of the figure
 story = false                    show the surrogate's gap and the encodings' sizes, too
 
@@ -11,7 +12,7 @@ story = false                    show the surrogate's gap and the encodings' siz
 name = "cfer"                    a method of stl.learn
 id = "cfer"                      its name here; default: the method's
 faithful = true
-settings = {}                    over the scenario's, which are over the sweep's
+settings = { batch = 64 }        of this method alone; over the scenario's, which are over the sweep's
 
 [[scenario]]
 id = "P1"
@@ -25,7 +26,6 @@ published = { cfer = 0.826 }     figures to be shown beside, by method id
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
 import tomllib
@@ -36,13 +36,13 @@ from typing import Any
 
 from stltool.errors import SettingsError, StlToolError, near_misses
 from stltool.files import read_text
-from stltool.learning.learn import METHODS
-from stltool.learning.settings import Settings
+from stltool.learning.learner import Learner
+from stltool.learning.methods import class_of, require_setting
+from stltool.learning.settings import Budget, settings_of
 from stltool.learning.sweep import Method, Scenario, Sweep, read_seeds
 from stltool.logic.parser import load_task
 from stltool.models import MDP, load_model
 
-_SETTINGS = tuple(field.name for field in dataclasses.fields(Settings))
 _SWEEP = ("name", "seeds", "settings", "columns", "story")
 _METHOD = ("id", "name", "faithful", "settings")
 _SCENARIO = ("id", "task", "model", "definition", "params", "settings", "published")
@@ -77,13 +77,14 @@ def _sweep(table: dict[str, Any], path: Path) -> Sweep:
     methods = [_method(entry, f"[[method]] {i}") for i, entry in enumerate(_entries(table, "method"), start=1)]
     _different([method.id for method in methods], "method", 'give each an id = "…" of its own')
     models: dict[Path, MDP] = {}
-    ids = [method.id for method in methods]
-    scenarios = [_scenario(entry, i, path, ids, models) for i, entry in enumerate(_entries(table, "scenario"), start=1)]
+    scenarios = [
+        _scenario(entry, i, path, methods, models) for i, entry in enumerate(_entries(table, "scenario"), start=1)
+    ]
     _different([scenario.id for scenario in scenarios], "scenario", "rename one")
     columns = _take(head, "columns", int, where, min(4, math.ceil(math.sqrt(len(scenarios)))))
     if columns < 1:
         raise SettingsError(f"{where}: columns is {columns}; it must be a whole number from 1")
-    settings = _settings(head, where)
+    settings = _settings(head, where, [method.learner for method in methods])
     return Sweep(
         name, tuple(scenarios), tuple(methods), seeds, settings, columns, _take(head, "story", bool, where, False)
     )
@@ -92,14 +93,17 @@ def _sweep(table: dict[str, Any], path: Path) -> Sweep:
 def _method(entry: dict[str, Any], where: str) -> Method:
     _known(entry, _METHOD, where)
     name = _take(entry, "name", str, where)
-    if name not in METHODS:
-        raise SettingsError(f"{where}: there is no method {name!r}; {near_misses(name, METHODS)}")
+    faithful = _take(entry, "faithful", bool, where, False)
+    try:
+        learner = class_of(name, faithful)
+    except SettingsError as error:
+        raise SettingsError(f"{where}: {error}") from None
     given = _id(_take(entry, "id", str, where, name), f"{where} id")
-    return Method(given, name, _take(entry, "faithful", bool, where, False), _settings(entry, where))
+    return Method(given, learner, _settings(entry, where, [learner]))
 
 
 def _scenario(
-    entry: dict[str, Any], number: int, path: Path, methods: Collection[str], models: dict[Path, MDP]
+    entry: dict[str, Any], number: int, path: Path, methods: list[Method], models: dict[Path, MDP]
 ) -> Scenario:
     where = f"[[scenario]] {number}"
     own_id = _id(_take(entry, "id", str, where), f"{where} id")
@@ -107,7 +111,7 @@ def _scenario(
     _known(entry, _SCENARIO, where)
     params = _take(entry, "params", dict, where, {})
     published = _take(entry, "published", dict, where, {})
-    _known(published, methods, f"{where}, published")
+    _known(published, [method.id for method in methods], f"{where}, published")
     for method in published:
         _take(published, method, (int, float), f"{where}, published")
     task_file = path.parent / _take(entry, "task", str, where)
@@ -121,16 +125,34 @@ def _scenario(
             models[model_file].require_points()  # curves are exact
     except StlToolError as error:
         raise type(error)(f"{where}: {error}") from None
-    return Scenario(own_id, task, models[model_file], _settings(entry, where), published)
+    settings = _settings(entry, where, [method.learner for method in methods])
+    return Scenario(own_id, task, models[model_file], settings, published)
 
 
-def _settings(entry: dict[str, Any], where: str) -> dict[str, Any]:
-    """Their names are checked here, their values where a run is planned."""
+def _settings(entry: dict[str, Any], where: str, learners: list[type[Learner[Any]]]) -> dict[str, Any]:
+    """Settings of learning, or of at least one of these learners, each in its range."""
     settings: dict[str, Any] = _take(entry, "settings", dict, where, {})
-    _known(settings, _SETTINGS, f"{where}, settings")
-    for key in settings:
-        _take(settings, key, (int, float, str, bool), f"{where}, settings")
-    return settings
+    checked, budget = {}, settings_of(Budget)
+    for name, given in settings.items():
+        value = float(given) if isinstance(given, Decimal) else given
+        owners = [budget[name]] if name in budget else []
+        owners += [settings_of(cls)[name] for cls in learners if name in settings_of(cls)]
+        try:
+            if not owners:
+                _refuse(name, learners)
+            for owner in owners:
+                checked[name] = owner.checked(value)
+        except SettingsError as error:
+            raise SettingsError(f"{where}, settings: {error}") from None
+    return checked
+
+
+def _refuse(name: str, learners: list[type[Learner[Any]]]) -> None:
+    """SettingsError for a setting that none of them has."""
+    if len({*learners}) == 1:
+        require_setting(learners[0], name)
+    known = {*settings_of(Budget), *(known for cls in learners for known in settings_of(cls))}
+    raise SettingsError(f"none of the sweep's methods has a setting {name!r}; {near_misses(name, known)}")
 
 
 def _entries(table: dict[str, Any], key: str) -> list[dict[str, Any]]:

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from stltool.automata import FALSE, TRUE, UNDECIDED, TaskAutomaton
 from stltool.kernels.tuples import Surrogate
+from stltool.learning.counts import Counts
+from stltool.learning.kept import Kept
 from stltool.learning.problem import Problem
-from stltool.learning.settings import Settings
 from stltool.sizes import require_memory, require_numbered
 
 
@@ -21,7 +22,7 @@ class SurrogateTable:
     the inner formula that q' shows [Wang24, eq. 12 up to e^−50, and Table I].
     """
 
-    def __init__(self, problem: Problem, settings: Settings, outer: str) -> None:
+    def __init__(self, problem: Problem, alpha: float, gamma: float, scale: str, outer: str) -> None:
         automaton = problem.automaton
         shape = (problem.n_states, automaton.n_states, problem.most_choices)
         _require_table(shape)
@@ -29,9 +30,16 @@ class SurrogateTable:
         unavailable = np.arange(shape[2]) >= problem.n_choices[:, None, None]
         self.Q[np.broadcast_to(unavailable, shape)] = -np.inf
         chi = (automaton.verdict_rows[-1] == TRUE).astype(np.float64)
-        offset = 0.5 if settings.scale == "published" else 0.9
+        offset = 0.5 if scale == "published" else 0.9
         self.reward = 2 * chi - 1 if outer == "F" else chi - offset
-        self.kernel = Surrogate(self.Q, self.reward, float(settings.alpha), float(settings.gamma))
+        self.kernel = Surrogate(self.Q, self.reward, alpha, gamma)
+
+    @property
+    def greatest(self) -> float:
+        """What no value can exceed in size: a discounted sum of rewards, rounding allowed for."""
+        discount = self.kernel.gamma
+        bound = float(abs(self.reward).max()) / (1 - discount) if discount < 1 else float(np.finfo(np.float64).max)
+        return min(bound * (1 + 1e-6), float(np.finfo(np.float64).max))
 
     def policy_table(self) -> NDArray[Any]:
         """The greedy policy, uniform over ties: (S, Q, C) weights."""
@@ -50,10 +58,9 @@ class ClockedTable:
     visits  (S, C, E) or, where a transition updates all entries, (S, C): how often each was updated by real steps
     """
 
-    def __init__(self, problem: Problem, settings: Settings, count_every_entry: bool) -> None:
+    def __init__(self, problem: Problem, least_step: float, caution: float, count_every_entry: bool) -> None:
         automaton, n_letters = problem.automaton, problem.automaton.n_letters
-        self._problem, self._least = problem, float(settings.least_step)
-        self._caution = float(settings.caution)
+        self._problem, self._least, self._caution = problem, least_step, caution
         open_ = _open_pairs(automaton)
         self.entries = np.array([len(q) for _, q in open_], dtype=np.int64)
         E = int(self.entries.max())
@@ -122,9 +129,38 @@ class ClockedTable:
             table[t, s, q] = values.argmax(axis=0)
         return table
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
+    def arrays(self) -> dict[str, Kept]:
         """Everything that learning changes."""
-        return {"Q": self.Q, "V": self.V, "visits": self.visits}
+        return {"Q": Kept(self.Q, 0, 1), "V": Kept(self.V, 0, 1), "visits": Kept(self.visits, 0)}
+
+    def check(self) -> None:
+        """ValueError where the arrays contradict each other."""
+        n_choices, E = self._problem.n_choices, self.Q.shape[2]
+        available = np.arange(self.Q.shape[1]) < n_choices[:, None]
+        best = np.where(available[:, :, None], self.Q, 0).max(axis=1)
+        if not np.array_equal(self.V, np.concatenate([best, np.tile([0.0, 1.0], (len(best), 1))], axis=1)):
+            raise ValueError("V is not the best of Q")
+        if self.Q[~available].any() or self.visits[~available].any():
+            raise ValueError("Q or visits have values for choices that do not exist")
+        entries = np.arange(E) < self.entries[self._problem.letter][:, None]
+        per_entry = self.visits if self.visits.ndim == 3 else self.visits[:, :, None]
+        tried = (per_entry > 0) & entries[:, None, :]
+        if self.Q[~tried].any():
+            raise ValueError("Q has values for what was never tried")
+        if self.visits.ndim == 3 and self.visits[~tried].any():
+            raise ValueError("visits are of steps at which the task is decided")
+
+    def require_visits(self, counts: Counts) -> None:
+        """ValueError unless every counted transition was one visit, and there are no others."""
+        per_choice = self.visits.sum(axis=2, dtype=np.int64) if self.visits.ndim == 3 else self.visits
+        s = np.repeat(np.arange(self._problem.n_states), self._problem.n_choices)
+        if not np.array_equal(per_choice[s, np.arange(len(s)) - self._problem.first_choice[s]], counts.visits):
+            raise ValueError("visits are not those that were counted")
+
+    def is_open(self, t: NDArray[Any], s: NDArray[Any], q: NDArray[Any]) -> NDArray[np.bool_]:
+        """Whether there is an entry for each (t, s, q)."""
+        open_: NDArray[np.bool_] = self._index[self._problem.letter[s], t, q] >= 0
+        return open_
 
 
 def _open_pairs(automaton: TaskAutomaton) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:

@@ -18,6 +18,7 @@ from stltool.automata.history import history_states
 from stltool.checking import CheckResult, Estimate, Run, SequentialTest, likely_runs, sample_run, sensitivity
 from stltool.errors import FragmentError, SettingsError
 from stltool.learning import Guarantee, Training
+from stltool.learning.settings import recorded
 from stltool.logic.formula import Comparison, Formula, Label, boolean_value, walk
 from stltool.logic.fragment import check_fragment
 from stltool.numbers import fraction_text
@@ -171,7 +172,9 @@ def training_data(training: Training) -> dict[str, Any]:
         "method": training.method,
         "faithful": training.faithful,
         "seed": training.seed,
-        "settings": dataclasses.asdict(training.settings),
+        "settings": training.settings,
+        "budget": recorded(training.budget),
+        "status": training.status,
         "environment_steps": training.environment_steps,
         "seconds": training.seconds,
         "history": [

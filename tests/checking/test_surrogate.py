@@ -12,9 +12,7 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.checking.surrogate import _discounted, _extreme
 from stltool.errors import FragmentError, SettingsError, SizeError
-from stltool.learning import Settings
 from stltool.learning.problem import Problem
-from stltool.learning.tables import SurrogateTable
 from stltool.logic.fragment import check_fragment
 from stltool.testing import flag_formulas, interval_models, models
 from tests import oracles
@@ -157,8 +155,7 @@ def test_the_optimum_is_that_of_all_stationary_policies(product):
 @settings(max_examples=30)
 def test_neither_scale_nor_outer_operator_moves_the_optimum(product, scale):
     """The learners' rewards, as published and as printed, leave the same choices."""
-    outer = check_fragment(product.formula).outer
-    reward = SurrogateTable(Problem.of(product), Settings(scale=scale), outer).reward
+    reward = stl.PublishedNaive(scale=scale).start(Problem.of(product), None, None).table.reward
     left, _, _ = _discounted(product, GAMMA, 1e-9, None)
     compare(product, left, *policy_iteration(explicit(product), np.tile(reward, product.model.n_states), GAMMA))
 

@@ -74,18 +74,23 @@ def test_a_dry_run_writes_nothing(stltool, sweep_file, tmp_path):
 
 
 def test_failures_are_told_at_the_end(stltool, sweep_file, tmp_path):
-    sweep_file.write_text(TINY.replace("batch = 8", "batch = 0"))
+    sweep_file.write_text(TINY.replace("batch = 8", "most_steps = 1"))
     code, out, err = stltool("sweep", sweep_file, "--workers", 1, "--out", tmp_path / "o")
     assert code == 2
     assert "runs    4 finished, 0 of them before; 4 failed" in out
     assert [line for line in err.splitlines() if line.startswith("error")] == [
-        f"error: {scenario} replay, seeds 0, 1: batch is 0; it must be a whole number from 1" for scenario in "RC"
+        f"error: {scenario} replay, seeds 0, 1: most_steps is 1, and one episode takes 5; allow at least one"
+        for scenario in "RC"
     ]
-    sweep_file.write_text(TINY.replace("evaluate_every = 5", "evaluate_every = 0"))
+    sweep_file.write_text(TINY.replace("evaluate_every = 5", "most_steps = 1"))
     code, out, err = stltool("sweep", sweep_file, "--workers", 1, "--out", tmp_path / "none")
     assert code == 2
     assert "0 finished, 0 of them before; 8 failed" in out
     assert "report" not in out
+    sweep_file.write_text(TINY.replace("batch = 8", "batch = 0"))
+    code, out, err = stltool("sweep", sweep_file, "--workers", 1, "--out", tmp_path / "none")
+    assert (code, out) == (2, "")
+    assert err == f"error: {sweep_file}: [[method]] 2, settings: batch is 0; it must be an integer from 1\n"
 
 
 @pytest.mark.parametrize(
@@ -94,7 +99,7 @@ def test_failures_are_told_at_the_end(stltool, sweep_file, tmp_path):
         (["--only", "P1"], "the sweep has no scenario 'P1'"),
         (["--only", "R,"], "--only R,: write names with commas between"),
         (["--method", "naive-er"], "the sweep has no method 'naive-er'"),
-        (["--seeds", "some"], "--seeds some: write how many, such as 3, or which"),
+        (["--seeds", "some"], "--seeds: 'some' is not an integer; write how many, such as 3"),
         (["--seeds", "0"], "seeds is 0"),
         (["--seeds", "1,1"], "seeds is [1, 1]"),
         (["--workers", "0"], "workers is 0"),

@@ -1,4 +1,5 @@
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -9,20 +10,15 @@ import stltool as stl
 from stltool.automata import UNDECIDED
 from stltool.errors import ModelError, SettingsError
 from stltool.kernels import learning as kernels
-from stltool.learning import Settings
-from stltool.learning.cfer import FaithfulCfer
-from stltool.learning.cfper import FaithfulCfper
-from stltool.learning.model_based import ModelBased
-from stltool.learning.naive import FaithfulNaive
-from stltool.learning.naive_er import FaithfulNaiveER
-from stltool.learning.problem import Problem
+from stltool.learning import LEARNERS, Counts, Episode, Problem
+from stltool.learning.methods import budget_table, class_of, methods_table, settings_table
 from stltool.learning.replay import ReplayMemory
-from stltool.learning.schedule import epsilon
-from stltool.learning.tables import ClockedTable, SurrogateTable
+from stltool.learning.settings import settings_of, shown_value
+from stltool.learning.tables import SurrogateTable
 from stltool.models.environment import Environment, simulator
 from stltool.policy import with_flags
 from tests.checking.test_check import products
-from tests.conftest import FACTORY
+from tests.conftest import FACTORY, ROOT
 
 
 @pytest.fixture(scope="module")
@@ -51,14 +47,26 @@ def test_the_model_based_learner_does_within_a_fiftieth(p1, seed):
     assert run.history[-1].probability >= 0.99 * stl.check(p1).probability
 
 
+def begun(learner, product):
+    """The state of a run that has just begun, and random numbers for an episode of 20 steps."""
+    state = learner.start(Problem.of(product), Counts(product.model.n_choices, product.model.n_states), None)
+    return state, np.random.default_rng(0).random((20, getattr(learner, "batch", 1)))
+
+
 RUNS = [(method, False) for method in ("naive", "naive-er", "cfer", "model-based")]
 RUNS += [(method, True) for method in ("naive", "naive-er", "cfer", "cfper")]
+
+
+def small(method, faithful, **settings):
+    """Of these settings, or of some for short runs, those that the method has."""
+    settings = settings or {"batch": 8, "replays": 20, "memory": 150, "decay": 10}
+    return {name: value for name, value in settings.items() if name in settings_of(class_of(method, faithful))}
 
 
 @pytest.mark.parametrize(("method", "faithful"), RUNS)
 def test_same_seed_same_result(floor5, method, faithful):
     product = stl.build_product(floor5, stl.load_task(FACTORY / "reaching.stl"))
-    settings = {"faithful": faithful, "episodes": 40, "evaluate_every": 10, "decay": 10}
+    settings = {"faithful": faithful, "episodes": 40, "evaluate_every": 10, **small(method, faithful, decay=10)}
     first, again, other = (stl.learn(product, method, seed=seed, **settings) for seed in (3, 3, 4))
     assert first.history == again.history
     assert np.array_equal(first.policy.table, again.policy.table)
@@ -73,7 +81,7 @@ def test_same_seed_same_result(floor5, method, faithful):
 @pytest.mark.parametrize(("method", "faithful"), RUNS)
 def test_whole_episodes_are_single_steps(p1, method, faithful):
     """Compiled episodes in a simulated model, and the same model as a black box: the same bits."""
-    settings = {"faithful": faithful, "episodes": 6, "evaluate_every": 3, "batch": 8, "replays": 20, "memory": 150}
+    settings = {"faithful": faithful, "episodes": 6, "evaluate_every": 3, **small(method, faithful)}
     seeds = np.random.SeedSequence(5).spawn(2)
     black_box = dataclasses.replace(simulator(p1.model, np.random.default_rng(seeds[0])), tables=None)
     whole, stepped = (stl.learn(p1, method, seed=5, environment=e, **settings) for e in (None, black_box))
@@ -84,19 +92,15 @@ def test_whole_episodes_are_single_steps(p1, method, faithful):
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
 def test_a_share_of_each_batch_can_be_factual(p1_flags, share):
-    settings = Settings(factual_share=share, batch=8, memory=500)
-    learner = FaithfulCfer(Problem.of(p1_flags), settings, "G", np.random.default_rng(0))
-    learner.begin_episode(0.5, 20)
+    run, draws = begun(stl.PublishedCfer(factual_share=share, batch=8, memory=500), p1_flags)
     q2 = int(p1_flags.automaton.delta[p1_flags.letter[4], 5])
-    learner.observe(1, 3, 5, 2, 4, q2)
-    assert learner.replay.place.tolist() == [100, 100]
-    assert learner.replay.facts_place[1] == (share > 0)
-    before = learner.table.Q.copy()
-    learner.observe(4, 3, 5, 2, 4, q2)
-    changed = np.argwhere(before != learner.table.Q)
+    run.observe(1, 3, 5, 2, 4, q2, draws)
+    assert run.replay.place.tolist() == [100, 100]
+    assert run.replay.facts_place[1] == (share > 0)
+    before = run.table.Q.copy()
+    run.observe(4, 3, 5, 2, 4, q2, draws)
+    changed = np.argwhere(before != run.table.Q)
     assert ((changed[:, [0, 2]] == [3, 2]).all(), len(changed) > 1) == (True, share < 1)
-    with pytest.raises(SettingsError, match="leave it out"):
-        stl.learn(p1_flags, "naive", faithful=True, factual_share=0.5)
 
 
 def test_every_learner_finds_a_sure_way(patrolling):
@@ -105,7 +109,7 @@ def test_every_learner_finds_a_sure_way(patrolling):
     model = stl.MDP.from_arrays([np.eye(2), go], {"x": [0, 1]}, labels={"A": [0, 1]})
     product = stl.build_product(model, stl.parse("F[0,3) G[0,2) A"))
     for method, faithful in RUNS:
-        run = stl.learn(product, method, faithful=faithful, episodes=200, decay=50)
+        run = stl.learn(product, method, faithful=faithful, episodes=200, **small(method, faithful, decay=50))
         assert run.history[-1].probability == 1.0, (method, faithful)
 
 
@@ -161,8 +165,8 @@ def test_transitions_update_every_pair_they_speak_for(product, seed):
     if product.horizon == 0:
         return
     rng = np.random.default_rng(seed)
-    problem, settings = Problem.of(product), Settings()
-    table = ClockedTable(problem, settings, count_every_entry=False)
+    problem, settings = Problem.of(product), stl.Cfer()
+    table = settings.table(problem, count_every_entry=False)
     automaton, letter, pairs = product.automaton, product.letter, open_pairs(product)
     Q = np.zeros((product.horizon, *product.shape, problem.most_choices))
 
@@ -199,16 +203,16 @@ def test_transitions_update_every_pair_they_speak_for(product, seed):
 
 def test_plans_are_the_checkers(p1):
     """With every frequency right and no caution, the model-based policy is the optimum."""
-    learner = ModelBased(Problem.of(p1), Settings(caution=0), np.random.default_rng(0))
+    learner = stl.ModelBased(caution=0)
+    state, _ = begun(learner, p1)
     model, scale = p1.model, 30_000
     choice = np.repeat(np.arange(model.n_choices), np.diff(model.row_start))
     seen = np.rint(model.probability * scale).astype(np.int64)
-    learner._counts.add(np.repeat(choice, seen), np.repeat(model.target.astype(np.int64), seen))
-    learner._visits[:] = scale
+    state.counts.add(np.repeat(choice, seen), np.repeat(model.target, seen))
     best = stl.check(p1).probability
-    assert stl.check(p1, stl.Policy(p1, learner.policy_table())).probability == pytest.approx(best, abs=1e-9)
-    learner._replan(0)
-    assert stl.check(p1, stl.Policy(p1, learner._plan)).probability == pytest.approx(best, abs=1e-9)
+    assert stl.check(p1, stl.Policy(p1, learner.policy(state))).probability == pytest.approx(best, abs=1e-9)
+    learner.replan(state, state.counts.visits, 0)
+    assert stl.check(p1, stl.Policy(p1, state.plan)).probability == pytest.approx(best, abs=1e-9)
 
 
 def test_optimism_goes_for_what_is_unknown_and_caution_does_not(patrolling):
@@ -218,23 +222,25 @@ def test_optimism_goes_for_what_is_unknown_and_caution_does_not(patrolling):
     rows[0, 0, 1] = rows[1, 0, 2] = rows[2, 0, 2] = 1
     model = stl.MDP.from_arrays(rows, {"x": [0, 1, 2]}, labels={"A": [0, 0, 1]})
     product = stl.build_product(model, stl.parse("F[0,1] A"))
-    learner = ModelBased(Problem.of(product), Settings(known_after=2), np.random.default_rng(0))
+    learner = stl.ModelBased(known_after=2)
+    state, _ = begun(learner, product)
     q = product.enter(0, product.automaton.initial)
     for action, successor, times in ((0, 1, 5), (1, 2, 1), (2, 2, 9)):
-        for _ in range(times):
-            learner.observe(1, 0, q, action, successor, q)
-    assert learner.policy_table()[0, 0, q] == 2
-    learner.begin_episode(0.0, 1)
-    assert learner.act(0, 0, q, 0.0, 0.0) == 2  # known to satisfy: better than the unknown by a hair
-    for _ in range(40):
-        learner.observe(1, 0, q, 2, 1, q)
-    learner.begin_episode(0.0, 1)
-    assert learner.act(0, 0, q, 0.0, 0.0) == 1
-    assert learner.policy_table()[0, 0, q] == 1
+        state.counts.add([action] * times, [successor] * times)  # state 0's choices are the first
+    assert learner.policy(state)[0, 0, q] == 2
+    taken = []
+    environment = Environment(lambda: 0, lambda action: taken.append(action) or action)
+    episode = Episode(Problem.of(product), environment, state.counts, np.random.default_rng(0), 0, 1)
+    learner.episode(state, episode)
+    assert taken == [2]  # known to satisfy: better than the unknown by a hair
+    state.counts.add([2] * 40, [1] * 40)
+    learner.episode(state, Episode(Problem.of(product), environment, state.counts, np.random.default_rng(0), 0, 1))
+    assert taken == [2, 1]
+    assert learner.policy(state)[0, 0, q] == 1
 
 
 def test_values_are_fixed_where_the_verdict_has_fallen(patrolling):
-    table = ClockedTable(Problem.of(patrolling), Settings(), count_every_entry=False)
+    table = stl.Cfer().table(Problem.of(patrolling), count_every_entry=False)
     rng = np.random.default_rng(0)
     rows = np.stack([rng.integers(n, size=300) for n in (18, 9, 18)], axis=1).astype(np.int32)
     np.add.at(table.visits, (rows[:, 0], rows[:, 1]), 1)
@@ -245,48 +251,53 @@ def test_values_are_fixed_where_the_verdict_has_fallen(patrolling):
 
 def test_kernels_equal_their_python_twins(p1_flags, monkeypatch):
     """Every method, its compiled loops replaced by plain Python."""
-    settings = {"episodes": 2, "evaluate_every": 2, "batch": 6, "replays": 10, "memory": 300, "seed": 2}
+    settings = {"episodes": 2, "evaluate_every": 2, "seed": 2}
     runs = [run for run in RUNS if run[0] != "model-based"]
-    fast = [stl.learn(p1_flags, m, faithful=f, **settings).policy.table for m, f in runs]
+    own = {run: small(*run, batch=6, replays=10, memory=300) for run in runs}
+    fast = [stl.learn(p1_flags, m, faithful=f, **settings, **own[m, f]).policy.table for m, f in runs]
     names = [name for name, value in vars(kernels).items() if hasattr(value, "py_func")]
     assert len(names) >= 8
     for name in names:
         monkeypatch.setattr(kernels, name, getattr(kernels, name).py_func)
     for (method, faithful), table in zip(runs, fast, strict=True):
-        slow = stl.learn(p1_flags, method, faithful=faithful, **settings).policy.table
+        slow = stl.learn(p1_flags, method, faithful=faithful, **settings, **own[method, faithful]).policy.table
         assert np.array_equal(slow, table), (method, faithful)
 
 
 # ------------------------------------------------------------------------------------------- as published
 
 
+def surrogate(product, **settings) -> SurrogateTable:
+    return begun(stl.PublishedNaive(**settings), product)[0].table
+
+
 def test_the_published_reward(floor5):
     charging = stl.build_product(floor5, stl.parse("F[0,10) G[0,5) C"), encoding="paper")
-    outer_f = SurrogateTable(Problem.of(charging), Settings(), "F")
+    outer_f = surrogate(charging)
     assert outer_f.reward.tolist() == [-1, -1, -1, -1, -1, 1]
     patrol = stl.build_product(floor5, stl.parse("G[0,10) F[0,2) A"), encoding="paper")
-    assert SurrogateTable(Problem.of(patrol), Settings(), "G").reward.tolist() == [-0.5, 0.5, 0.5]
-    printed = SurrogateTable(Problem.of(patrol), Settings(scale="paper"), "G").reward
+    assert surrogate(patrol).reward.tolist() == [-0.5, 0.5, 0.5]
+    printed = surrogate(patrol, scale="paper").reward
     assert np.allclose(printed, [-0.9, 0.1, 0.1])
 
 
 def test_published_naive_update_by_hand(floor5):
     product = stl.build_product(floor5, stl.parse("G[0,10) F[0,2) A"), encoding="paper")
     run = stl.learn(product, "naive", faithful=True, episodes=1)
-    learner = FaithfulNaive(Problem.of(product), Settings(), "G", np.random.default_rng(0))
-    learner.table.Q[7, 1] = np.arange(9)
-    learner.observe(3, 4, 2, 3, 7, 1)
-    assert learner.table.Q[4, 2, 3] == pytest.approx(0.01 * (0.5 + 0.999 * 8))
-    assert np.count_nonzero(learner.table.Q) == 8 + 1
+    state, draws = begun(stl.PublishedNaive(), product)
+    state.table.Q[7, 1] = np.arange(9)
+    state.observe(3, 4, 2, 3, 7, 1, draws)
+    assert state.table.Q[4, 2, 3] == pytest.approx(0.01 * (0.5 + 0.999 * 8))
+    assert np.count_nonzero(state.table.Q) == 8 + 1
     assert run.environment_steps == 10 + 2
 
 
-@pytest.mark.parametrize("method", [FaithfulCfer, FaithfulCfper])
+@pytest.mark.parametrize("method", [stl.PublishedCfer, stl.PublishedCfper])
 def test_published_cfer_stores_one_tuple_for_every_flag_below_tau(p1_flags, method):
     p1 = p1_flags
-    learner = method(Problem.of(p1), Settings(memory=1000), "G", np.random.default_rng(0))
-    learner.observe(1, 3, 5, 2, 4, int(p1.automaton.delta[p1.letter[4], 5]))
-    replay = learner.replay
+    state, draws = begun(method(memory=1000), p1)
+    state.observe(1, 3, 5, 2, 4, int(p1.automaton.delta[p1.letter[4], 5]), draws)
+    replay = state.replay
     rows = replay.rows[: replay.place[1]]
     assert len(rows) == 100  # flags 0 … 9, twice: the published off-by-one leaves 10 out
     flags = p1.automaton.registers[rows[:, 1]]
@@ -294,30 +305,28 @@ def test_published_cfer_stores_one_tuple_for_every_flag_below_tau(p1_flags, meth
     assert (rows[:, [0, 2, 3]] == [3, 2, 4]).all()
     assert np.array_equal(rows[:, 4], p1.automaton.delta[p1.letter[4], rows[:, 1]])
     distance = np.abs(flags - p1.automaton.registers[5]).sum(axis=1)
-    assert np.allclose(replay.weight[: len(rows)], np.exp(-distance) if method is FaithfulCfper else 1)
+    assert np.allclose(replay.weight[: len(rows)], np.exp(-distance) if method is stl.PublishedCfper else 1)
 
 
 def test_cfper_draws_by_weight(p1_flags):
     """Weights e^-0, e^-1, e^-2 on three tuples: how often each is drawn."""
-    learner = FaithfulCfper(Problem.of(p1_flags), Settings(alpha=1e-9), "G", np.random.default_rng(0))
-    replay, weights = learner.replay, np.exp([0.0, -1.0, -2.0])
+    state, _ = begun(stl.PublishedCfper(alpha=1e-9), p1_flags)
+    replay, weights = state.replay, np.exp([0.0, -1.0, -2.0])
     replay.rows[:3] = [[1, 0, 0, 1, 0], [2, 0, 0, 1, 0], [3, 0, 0, 1, 0]]
     replay.weight[:3], replay.place[:] = weights, 3
-    kernels.replay_batch(learner.table.kernel, replay, np.random.default_rng(1).random(100_000))
-    drawn = learner.table.Q[1:4, 0, 0]
+    kernels.replay_batch(state.table.kernel, replay, np.random.default_rng(1).random(100_000))
+    drawn = state.table.Q[1:4, 0, 0]
     assert np.allclose(drawn / drawn.sum(), weights / weights.sum(), atol=0.005)
 
 
-@pytest.mark.parametrize("method", [FaithfulNaiveER, FaithfulCfer])
+@pytest.mark.parametrize("method", [stl.PublishedNaiveER, stl.PublishedCfer])
 def test_published_replay_draws_at_every_fourth_step_only(p1, method):
-    problem = Problem.of(with_flags(p1))
-    learner = method(problem, Settings(alpha=0.001), "G", np.random.default_rng(0))
-    learner.begin_episode(0.5, 20)
+    state, draws = begun(method(alpha=0.001), with_flags(p1))
     for t, replayed in ((0, True), (1, False), (2, False), (3, False), (4, True)):
-        before = learner.table.Q.copy()
-        learner.observe(t, 3, 5, 2, 4, 6)
-        changed = int((before != learner.table.Q).sum())
-        assert changed >= 1 if replayed else changed == (method is FaithfulCfer)
+        before = state.table.Q.copy()
+        state.observe(t, 3, 5, 2, 4, 6, draws)
+        changed = int((before != state.table.Q).sum())
+        assert changed >= 1 if replayed else changed == (method is stl.PublishedCfer)
 
 
 def test_the_memory_is_first_in_first_out():
@@ -333,9 +342,11 @@ def test_the_memory_is_first_in_first_out():
 
 
 def test_exploration_decays_between_its_ends():
-    settings = Settings()
-    values = [epsilon(settings, episode) for episode in (0, 400, 4000)]
+    values = [stl.Naive().epsilon(episode) for episode in (0, 400, 4000)]
     assert values == pytest.approx([0.99, 0.01 + 0.98 / np.e, 0.01], abs=1e-4)
+
+
+# ------------------------------------------------------------------------------------------- methods and settings
 
 
 @pytest.mark.parametrize(
@@ -343,20 +354,35 @@ def test_exploration_decays_between_its_ends():
     [
         ({"method": "sarsa"}, "there is no method 'sarsa'"),
         ({"method": "cefr"}, "did you mean cfer"),
-        ({"episode": 3}, "no setting 'episode'; did you mean episodes"),
-        ({"episodes": 0}, "episodes is 0; it must be a whole number from 1"),
-        ({"episodes": 2.5}, "episodes is 2.5"),
-        ({"replays": -1}, "replays is -1"),
-        ({"decay": 0}, "decay is 0; it must be positive"),
-        ({"gamma": 1.5}, "gamma is 1.5; it must be between 0 and 1"),
-        ({"alpha": 0}, "alpha is 0"),
-        ({"scale": "both"}, "scale is 'both'; it must be published or paper"),
-        ({"factual_share": 1.5}, "factual_share is 1.5; it must be between 0 and 1"),
+        ({"method": 3}, "method is 3; give a learner, or one of the names cfer, "),
+        ({"method": stl.Cfer}, r"method is the class Cfer; give a learner, Cfer\(…\)"),
+        ({"episode": 3}, "cfer has no setting 'episode'; did you mean episodes"),
+        ({"replay": 3}, "cfer has no setting 'replay'; did you mean replays"),
+        ({"episodes": 0}, "episodes is 0; it must be an integer from 1"),
+        ({"episodes": 2.5}, "episodes is 2.5; it must be an integer from 1"),
+        ({"episodes": True}, "episodes is True; it must be an integer from 1"),
+        ({"evaluate_every": 0}, "evaluate_every is 0"),
+        ({"stop_gap": 2}, "stop_gap is 2; it must be a number from 0 to 1, or none"),
+        ({"most_steps": 3}, "most_steps is 3, and one episode takes 8; allow at least one"),
+        ({"replays": -1}, "replays is -1; it must be an integer from 0"),
+        ({"replays": "50"}, "replays is '50'; it must be an integer from 0"),
+        ({"decay": 0}, "decay is 0; it must be a number above 0"),
+        ({"decay": np.inf}, "decay is inf; it must be a number above 0"),
+        ({"decay": np.nan}, "decay is nan; it must be a number above 0"),
+        ({"method": "naive", "faithful": True, "gamma": 1.5}, "gamma is 1.5; it must be a number from 0 to 1"),
+        ({"method": "naive", "faithful": True, "alpha": 0}, "alpha is 0; it must be a number above 0 and at most 1"),
+        ({"method": "naive", "faithful": True, "scale": "both"}, "scale is 'both'; it must be published or paper"),
+        ({"faithful": True, "factual_share": 1.5}, "factual_share is 1.5; it must be a number from 0 to 1, or none"),
         ({"caution": -1}, "caution is -1"),
-        ({"known_after": 0}, "known_after is 0"),
-        ({"method": "cfper"}, "exists as published only"),
-        ({"method": "model-based", "faithful": True}, "no published method"),
+        ({"method": "model-based", "known_after": 0}, "known_after is 0"),
+        ({"method": "cfper"}, "it exists only as published"),
+        ({"method": "model-based", "faithful": True}, "it is not a published method"),
         ({"resume": True}, "needs the checkpoint"),
+        (
+            {"method": stl.Cfer(), "replays": 3},
+            r"replays: settings are given to the learner itself, as in Cfer\(replays",
+        ),
+        ({"method": stl.Cfer(), "faithful": True}, "faithful=True chooses among names"),
     ],
 )
 def test_impossible_settings_are_refused(patrolling, arguments, says):
@@ -364,6 +390,178 @@ def test_impossible_settings_are_refused(patrolling, arguments, says):
         stl.learn(patrolling, **arguments)
 
 
-def test_a_task_decided_by_the_first_state_leaves_nothing_to_learn(floor5):
-    with pytest.raises(SettingsError, match="nothing to learn"):
-        stl.learn(stl.build_product(floor5, stl.parse("A | B")))
+def test_settings_of_other_methods_are_refused_with_who_has_them(patrolling):
+    """For every method and every setting that it does not have."""
+    names = {name for cls in LEARNERS for name in settings_of(cls)}
+    for cls in LEARNERS:
+        for name in names - set(settings_of(cls)):
+            owners = [other for other in LEARNERS if name in settings_of(other)]
+            with pytest.raises(SettingsError) as caught:
+                stl.learn(patrolling, cls.name, faithful=cls.published, **{name: 1})
+            text = str(caught.value)
+            assert text.startswith(f"{cls.name}{' as published' if cls.published else ''} has no setting {name}; ")
+            assert all(owner.name in text for owner in owners)
+
+
+def test_a_name_and_a_learner_are_the_same(patrolling):
+    named = stl.learn(patrolling, "cfer", episodes=10, replays=7, caution=np.float64(0.5), seed=1)
+    given = stl.learn(patrolling, stl.Cfer(replays=np.int64(7), caution=0.5), episodes=10, seed=1)
+    assert named.learner == given.learner
+    assert np.array_equal(named.policy.table, given.policy.table)
+    assert (given.method, given.faithful, given.settings["replays"]) == ("cfer", False, 7)
+    assert json.loads(json.dumps(given.settings)) == named.settings
+    assert not np.array_equal(named.policy.table, stl.learn(patrolling, episodes=10, replays=8, seed=1).policy.table)
+    published = stl.learn(patrolling, "cfer", faithful=True, episodes=2)
+    assert (published.learner, published.faithful) == (stl.PublishedCfer(), True)
+
+
+def test_methods_are_found_by_their_names():
+    assert {(cls.name, cls.published) for cls in LEARNERS} == {(method, faithful) for method, faithful in RUNS}
+    for cls in LEARNERS:
+        assert class_of(cls.name, cls.published) is cls
+        assert isinstance(hash(cls()), int)
+        for name, declared in settings_of(cls).items():
+            assert declared.text
+            assert (
+                declared.checked(declared.default)
+                == getattr(cls(), name)
+                == declared.read(shown_value(declared.default))
+            )
+
+
+def markdown(rows):
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+@pytest.mark.parametrize("table", [methods_table, settings_table, budget_table])
+def test_the_page_lists_methods_and_settings_as_they_are(table):
+    """docs/learning.md has the tables that the classes give."""
+    page = (ROOT / "docs" / "learning.md").read_text(encoding="utf-8")
+    assert markdown(table()) in page, f"write into docs/learning.md:\n{markdown(table())}"
+
+
+def test_the_help_lists_them_too(stltool):
+    code, out, _ = stltool("learn", "--help")
+    assert code == 0
+    for cls in LEARNERS:
+        assert f"-m {cls.name}{' --faithful' if cls.published else ''}: " in out
+        for name, declared in settings_of(cls).items():
+            assert f"{name}={shown_value(declared.default)}" in out
+            assert declared.text.split(";")[0][:40] in out
+    assert stltool("run", "--help")[1].endswith(out[out.index("Methods, their settings") :])
+
+
+@dataclasses.dataclass(frozen=True)
+class Alternating(stl.Learner):
+    """A learner of a user's own: takes the choices in turn, and keeps the first one that came with luck."""
+
+    turns: int = 2
+    start_with: str = "first"
+
+    def start(self, problem, counts, rng):
+        return {"table": np.zeros(problem.shape, dtype=np.int64), "turn": np.zeros(1)}
+
+    def episode(self, state, episode):
+        while episode.verdict is None:
+            place = episode.t, episode.s, episode.q
+            choice = int(state["turn"][0]) % min(self.turns, episode.n_choices)
+            state["turn"] += 1
+            episode.step(choice)
+            if episode.verdict is not False:
+                state["table"][place] = choice
+
+    def policy(self, state):
+        return state["table"]
+
+
+def test_users_bring_their_own_learners(patrolling, tmp_path):
+    learner = Alternating(turns=9)
+    run = stl.learn(patrolling, learner, episodes=30, evaluate_every=10, seed=2)
+    assert (run.method, run.faithful, run.settings) == ("Alternating", False, {"turns": 9, "start_with": "first"})
+    assert run.counts.seen.sum() == run.environment_steps
+    assert run.history[-1].probability == stl.check(patrolling, run.policy).probability
+    with pytest.raises(SettingsError, match="start_with is 5; it must be a text"):
+        Alternating(start_with=5)
+
+    path = tmp_path / "own.ckpt"
+    stl.learn(patrolling, learner, episodes=11, evaluate_every=10, seed=2, checkpoint=path)
+    resumed = stl.learn(patrolling, learner, episodes=30, evaluate_every=10, seed=2, checkpoint=path, resume=True)
+    assert np.array_equal(resumed.policy.table, run.policy.table)
+    with pytest.raises(SettingsError, match="its turns is 9, here it is 2"):
+        stl.learn(patrolling, Alternating(), episodes=30, evaluate_every=10, seed=2, checkpoint=path, resume=True)
+
+
+def test_what_an_own_learner_does_wrong_is_told(patrolling, tmp_path):
+    class Bare(stl.Learner):
+        start = episode = policy = lambda self, *_: None
+
+    with pytest.raises(SettingsError, match=r"Bare is not a dataclass, .* decorate the class with @dataclass"):
+        stl.learn(patrolling, Bare())
+
+    @dataclasses.dataclass(frozen=True)
+    class Odd(Alternating):
+        choice: object = 0
+        keep: object = None
+
+        def start(self, problem, counts, rng):
+            return super().start(problem, counts, rng) | ({} if self.keep is None else {"kept": np.array([self.keep])})
+
+        def episode(self, state, episode):
+            for _ in range(100):
+                episode.step(self.choice)
+
+    told = {9: r"choice 9 at step 0 in state \d+, which has 9", -1: "choice -1", 0.5: "choice 0.5",
+            0: "choice 0 at step 8 .* an episode has 8 steps"}  # fmt: skip
+    for choice, says in told.items():
+        with pytest.raises(SettingsError, match=says):
+            stl.learn(patrolling, Odd(choice=choice))
+    with pytest.raises(SettingsError, match=r"choice of Odd is array.*; a setting is recorded"):
+        stl.learn(patrolling, Odd(choice=np.zeros(2)))
+    with pytest.raises(SettingsError, match="Odd cannot be checkpointed: its array kept is of <U1"):
+        stl.learn(patrolling, Odd(keep="x", turns=1), episodes=1, checkpoint=tmp_path / "x.ckpt")
+    assert not (tmp_path / "x.ckpt").exists()
+
+    @dataclasses.dataclass(frozen=True)
+    class Closed(Alternating):
+        def start(self, problem, counts, rng):
+            return [problem]
+
+    with pytest.raises(SettingsError, match="Closed cannot be checkpointed: its state is a list; make it a dict"):
+        stl.learn(patrolling, Closed(), episodes=1, checkpoint=tmp_path / "x.ckpt")
+
+
+# --------------------------------------------------------------------------------------- decided at the first state
+
+
+@pytest.mark.parametrize(("method", "faithful"), RUNS)
+@pytest.mark.parametrize(("text", "probability"), [("F[0,3] F[0,2] !A", 1.0), ("G[0,3] F[0,0] A", 0.0), ("A", 0.0)])
+def test_a_task_decided_by_the_first_state_has_its_probability_at_once(floor5, method, faithful, text, probability):
+    product = stl.build_product(floor5, stl.parse(text))
+    run = stl.learn(product, method, faithful=faithful, seed=1, most_steps=10)
+    assert (run.status, run.episodes, run.environment_steps, run.stopped_early) == ("nothing to learn", 0, 0, False)
+    assert [point.probability for point in run.history] == [probability]
+    assert stl.check(product, run.policy).probability == probability
+    assert run.counts.seen.sum() == 0
+
+
+@pytest.mark.parametrize(("method", "faithful"), RUNS)
+def test_some_first_states_decide_and_others_do_not(method, faithful):
+    """Episodes without a step are episodes; half of the runs are decided at once."""
+    rows = np.zeros((2, 3, 3))
+    rows[:, [0, 1, 2], [0, 1, 2]] = 1
+    rows[1, 1] = [0, 0, 1]
+    model = stl.MDP.from_arrays(rows, {"x": [0, 1, 2]}, initial=[0.5, 0.5, 0], labels={"A": [1, 0, 1]})
+    product = stl.build_product(model, stl.parse("F[0,3] F[0,0] A"))
+    run = stl.learn(product, method, faithful=faithful, episodes=60, **small(method, faithful, decay=5))
+    assert (run.status, run.episodes, run.history[-1].probability) == ("complete", 60, 1.0)
+
+
+def test_black_boxes_that_are_decided_at_once(floor5):
+    def unknown(text):
+        model = stl.MDP.black_box(2, 1, lambda rng: Environment(lambda: 1, lambda i: 0), labels={"A": [False, True]})
+        return stl.learn(stl.build_product(model, stl.parse(text)), episodes=5)
+
+    decided = [unknown(text) for text in ("A | !A", "A & !A", "A", "F[0,2] A")]
+    assert [run.history[-1].probability for run in decided] == [1.0, 0.0, None, None]
+    assert [run.status for run in decided] == ["nothing to learn"] * 3 + ["complete"]
+    assert (decided[3].episodes, decided[3].environment_steps) == (5, 0)

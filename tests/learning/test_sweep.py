@@ -9,6 +9,7 @@ from filelock import FileLock
 
 import stltool as stl
 from stltool.errors import FileError, NameLookupError, SettingsError, StlToolError
+from stltool.learning import Budget
 from stltool.learning.sweep import estimated_seconds, finished_runs
 from tests.conftest import FACTORY, ROOT
 
@@ -64,11 +65,13 @@ def test_a_sweep_is_the_product_of_what_its_file_lists(write):
     ]
     by_name = {run.name: run for run in runs}
     text = TINY.replace("episodes = 12", "batch = 9, memory = 7").replace("evaluate_every = 5", "memory = 6, batch = 5")
-    over = {run.name: run.settings for run in stl.load_sweep(write(text)).runs()}
-    assert over["C replay seed 0"] == {"episodes": 10, "memory": 7, "batch": 8}
-    assert over["C naive seed 0"] == {"episodes": 10, "memory": 7, "batch": 9}
-    assert by_name["C replay seed 1"].settings == {"episodes": 12, "evaluate_every": 5, "batch": 8}
-    assert (by_name["R naive seed 0"].faithful, by_name["R replay seed 0"].faithful) == (True, False)
+    over = {run.name: (run.learner, run.budget) for run in stl.load_sweep(write(text)).runs()}
+    budget = Budget(episodes=10)
+    assert over["C replay seed 0"] == (stl.NaiveER(memory=7, batch=8), budget)
+    assert over["R replay seed 0"] == (stl.NaiveER(memory=6, batch=8), budget)
+    assert over["C naive seed 0"] == (stl.PublishedNaive(), budget)  # of the others' settings it has none
+    assert by_name["C replay seed 1"].budget == Budget(episodes=12, evaluate_every=5)
+    assert (by_name["R naive seed 0"].learner.published, by_name["R replay seed 0"].learner.published) == (True, False)
     assert by_name["R naive seed 0"].formula == "F[0,3] F[0,2] A"
     assert sweep.scenarios[0].published == {"naive": 0.5}
 
@@ -81,16 +84,17 @@ def test_the_papers_table_has_all_that_the_paper_has():
     assert all(m.faithful for m in sweep.methods)
     assert (len(sweep.runs()), sweep.columns, text.count("published =")) == (480, 4, 5)
     assert sweep.story
-    settings = {s.id: stl.Settings(**sweep.settings | s.settings) for s in sweep.scenarios}
-    table = {name: (s.decay, s.memory, s.period, s.batch, s.episodes) for name, s in settings.items()}
+    cfper = sweep.methods[3]
+    settings = {s.id: sweep.settled(s, cfper) for s in sweep.scenarios}
+    table = {name: (s.decay, s.memory, s.period, s.batch, b.episodes) for name, (s, b) in settings.items()}
     small, long, large = (400, 1000, 4, 64, 4000), (400, 1000, 4, 64, 10000), (1000, 10000, 4, 256, 10000)
     assert table == {
         **dict.fromkeys(("R1", "R2", "R3", "R4", "C1", "C2", "P1"), small),
         **dict.fromkeys(("C3", "C4"), long),
         **dict.fromkeys(("P2", "P3", "P4"), large),
     }
-    assert all(40 <= s.episodes / s.evaluate_every <= 50 for s in settings.values())
-    assert {(s.alpha, s.gamma, s.epsilon_start, s.epsilon_end, s.scale) for s in settings.values()} == {
+    assert all(40 <= b.episodes / b.evaluate_every <= 50 for _, b in settings.values())
+    assert {(s.alpha, s.gamma, s.epsilon_start, s.epsilon_end, s.scale) for s, _ in settings.values()} == {
         (0.01, 0.999, 0.99, 0.01, "published")
     }
     windows = {s.id: [int(s.task.params[p]) for p in ("T", "tau")] for s in sweep.scenarios}
@@ -112,8 +116,8 @@ def test_runs_are_kept_with_what_learning_gives(write, tmp_path):
     for run in result.runs:
         scenario = next(s for s in sweep.scenarios if s.id == run.scenario)
         method = next(m for m in sweep.methods if m.id == run.method)
-        settings = {**sweep.settings, **scenario.settings, **method.settings}
-        training = stl.learn(scenario.product, method.name, faithful=method.faithful, seed=run.seed, **settings)
+        learner, budget = sweep.settled(scenario, method)
+        training = stl.learn(scenario.product, learner, seed=run.seed, **dataclasses.asdict(budget))
         assert [(p.episode, p.steps, p.probability) for p in training.history] == list(
             zip(run.episode, run.steps, run.probability, strict=True)
         )
@@ -184,11 +188,11 @@ task = "outside.stl"
 id = "nowhere"
 task = "nowhere.stl"
 [[scenario]]
-id = "steep"
+id = "short"
 task = "outside.stl"
-settings = { alpha = 2 }
+settings = { most_steps = 2 }
 """
-    (tmp_path / "outside.stl").write_text(f'model "{FACTORY}/floor-5x5.toml"\nphi := A U[0,3] B\n')
+    (tmp_path / "outside.stl").write_text(f'model "{FACTORY}/floor-5x5.toml"\nphi := (!B) U[0,3] A\n')
     (tmp_path / "nowhere.stl").write_text(f'model "{FACTORY}/floor-5x5.toml"\nphi := F[0,3] F[0,2] AA\n')
     result = stl.run_sweep(stl.load_sweep(write(TINY + bad)), tmp_path / "out", workers=1)
     assert {run.scenario for run in result.runs} == {"R", "C", "outside"}
@@ -197,8 +201,8 @@ settings = { alpha = 2 }
     assert len(told) == len(result.failures) == 2 + 4 + 4
     assert "fragment" in told["outside", "naive", 1]
     assert "no label AA" in told["nowhere", "replay", 0]
-    assert told["steep", "naive", 0] == "alpha is 2; it must be above 0 and at most 1"
-    assert [f.scenario for f in result.failures] == ["outside"] * 2 + ["nowhere"] * 4 + ["steep"] * 4
+    assert "most_steps is 2" in told["short", "replay", 0]
+    assert [f.scenario for f in result.failures] == ["outside"] * 2 + ["nowhere"] * 4 + ["short"] * 4
 
 
 def test_another_version_does_not_answer_for_this_one(write, tmp_path):
@@ -279,9 +283,17 @@ def test_what_is_finished_and_how_long_the_rest_takes(write, tmp_path):
         ("[sweep]", "[swept]", SettingsError, "the file: unknown key swept; did you mean sweep?"),
         ("[sweep]", "[sweep", SettingsError, "not valid TOML"),
         ("evaluate_every = 5", "evaluate = 5", SettingsError,
-         "[sweep], settings: unknown key evaluate; did you mean evaluate_every?"),
+         "[sweep], settings: none of the sweep's methods has a setting 'evaluate'; did you mean evaluate_every?"),
+        ("evaluate_every = 5", "evaluate_every = 0", SettingsError, "[sweep], settings: evaluate_every is 0; it must"),
+        ("evaluate_every = 5", "alpha = 2", SettingsError, "[sweep], settings: alpha is 2; it must be a number"),
+        ("evaluate_every = 5", "replays = 2", SettingsError, "none of the sweep's methods has a setting 'replays'"),
+        ("episodes = 12", "memory = 0", SettingsError, "scenario C, settings: memory is 0; it must be an integer"),
         ("batch = 8", "batch = [8]", SettingsError, "[[method]] 2, settings: batch is [8]"),
+        ("batch = 8", "batch = true", SettingsError, "[[method]] 2, settings: batch is True; it must be an integer"),
+        ("batch = 8", "gamma = 0.9", SettingsError, "[[method]] 2, settings: naive-er has no setting gamma; naive as"),
+        ("batch = 8", "bach = 8", SettingsError, "[[method]] 2, settings: naive-er has no setting 'bach'; did you"),
         ('name = "naive-er"', 'name = "naive_er"', SettingsError, "[[method]] 2: there is no method 'naive_er'"),
+        ('name = "naive-er"', 'name = "cfper"', SettingsError, "[[method]] 2: there is no cfper with faithful=False"),
         ('name = "naive-er"', "", SettingsError, "[[method]] 2 has no name"),
         ('id = "replay"', 'id = "Naive"', SettingsError, "two methods are called Naive"),
         ('id = "replay"', 'id = "a/b"', SettingsError, "[[method]] 2 id is 'a/b'"),

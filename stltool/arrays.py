@@ -1,0 +1,72 @@
+"""Arrays in .npz files of others: every member is measured before it is unpacked, and nothing is unpickled."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.errors import FileError, StlToolError
+
+
+class Members:
+    """The arrays of an open file, by name. What is at fault raises ValueError."""
+
+    def __init__(self, archive: zipfile.ZipFile) -> None:
+        self._archive = archive
+        names = archive.namelist()
+        if len(set(names)) < len(names) or not all(name.endswith(".npy") for name in names):
+            raise ValueError("its members are not arrays, or two have one name")
+        self.names = tuple(name.removesuffix(".npy") for name in names)
+
+    def read(self, name: str, dtype: Any, shape: tuple[int | None, ...], most: int | None = None) -> NDArray[Any]:
+        """The array `name`, unpacked only if it declares that type and shape, and holds `most` entries at most.
+
+        None in a shape stands for any length, so that `most` is needed.
+        """
+        if name not in self.names:
+            raise ValueError(f"it has no array {name}")
+        with self._archive.open(f"{name}.npy") as member:
+            version = np.lib.format.read_magic(member)
+            if version != (1, 0):
+                raise ValueError(f"{name} is in a format of another version")
+            there, fortran, declared = np.lib.format.read_array_header_1_0(member)
+            fits = len(there) == len(shape) and all(n in (None, m) for n, m in zip(shape, there, strict=True))
+            if declared != np.dtype(dtype) or fortran or not fits:
+                wanted = " × ".join("n" if n is None else str(n) for n in shape)
+                raise ValueError(f"{name} is {declared} of shape {there}; it must be {np.dtype(dtype)} of {wanted}")
+            entries = math.prod(there)
+            if most is not None and entries > most:
+                raise ValueError(f"{name} has {entries} entries; there can be {most} at most")
+            size = entries * np.dtype(dtype).itemsize
+            data = member.read(size + 1)
+        if len(data) != size:
+            raise ValueError(f"{name} does not hold as many entries as it declares")
+        return np.frombuffer(data, dtype=dtype).reshape(there).copy()
+
+
+@contextmanager
+def open_arrays(path: Path, what: str) -> Iterator[Members]:
+    """The arrays of a file. Whatever is wrong with it raises ValueError, FileError where it cannot be read.
+
+    A damaged archive fails in many ways (zlib, struct, numpy's header, encryption): all of them are the file's.
+    """
+    try:
+        file = path.open("rb")
+    except FileNotFoundError:
+        raise FileError(f"{path}: there is no such {what}") from None
+    except OSError as error:
+        raise FileError(f"{path}: this {what} cannot be read: {error.strerror}") from None
+    try:
+        with file, zipfile.ZipFile(file) as archive:
+            yield Members(archive)
+    except (StlToolError, ValueError):
+        raise
+    except Exception as error:
+        raise ValueError(f"it is not an archive of arrays ({type(error).__name__})") from error

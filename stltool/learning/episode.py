@@ -1,0 +1,106 @@
+"""One episode, as a learner plays it: the state that it is in, the automaton's state, and `step`.
+
+Every transition is counted before `step` returns. Episodes that run whole in a compiled kernel are `record`ed.
+"""
+
+from __future__ import annotations
+
+import operator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.automata import TRUE, UNDECIDED
+from stltool.errors import SettingsError
+from stltool.learning.counts import Counts
+from stltool.learning.problem import Problem
+from stltool.models.environment import Environment, require_state
+
+
+class Episode:
+    """An episode that has begun, of at most `length` steps.
+
+    number    counted from 0
+    length    the steps there can be; `over` when they are done
+    rng       where a learner's random numbers come from
+    t, s, q   the present step, model state, and automaton state after reading it
+    verdict   whether the task is satisfied; None until the run decides it. Steps may still be taken then, to explore
+    """
+
+    __slots__ = (
+        "_actions", "_counts", "_delta", "_first_choice", "_letter", "_n_choices", "_problem", "_states", "environment",
+        "length", "number", "q", "rng", "s", "t", "verdict",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        problem: Problem,
+        environment: Environment,
+        counts: Counts,
+        rng: np.random.Generator,
+        number: int,
+        length: int,
+    ) -> None:
+        self._problem, self._counts = problem, counts
+        self._letter, self._n_choices, self._first_choice = problem.lists
+        self._delta = problem.automaton.delta
+        self.environment, self.rng, self.number, self.length = environment, rng, number, length
+        self.t, self.s = 0, require_state(environment.reset(), "reset()", problem.n_states, "the model")
+        self.q = int(self._delta[self._letter[self.s], problem.automaton.initial])
+        self.verdict: bool | None = None
+        self._states, self._actions = [self.s], list[int]()
+        self._judge()
+
+    @property
+    def over(self) -> bool:
+        """Whether no step is left."""
+        return self.t >= self.length
+
+    @property
+    def n_choices(self) -> int:
+        """How many choices the present state has."""
+        return self._n_choices[self.s]
+
+    def step(self, choice: int) -> None:
+        """Take a choice (0 … n_choices − 1): t, s, q and verdict change.
+
+        Raises SettingsError where there is no such choice or no step left, ModelError where the environment returns
+        something that is no state.
+        """
+        s = self.s
+        try:
+            a = operator.index(choice)
+        except TypeError:
+            a = -1
+        if not 0 <= a < self._n_choices[s] or self.over:
+            raise SettingsError(
+                f"the learner took choice {choice!r} at step {self.t} in state {s}, which has {self._n_choices[s]} "
+                f"choices, counted from 0; an episode has {self.length} steps"
+            )
+        after = require_state(self.environment.step(a), f"step({a}) in state {s}", len(self._n_choices), "the model")
+        self._counts.add_one(self._first_choice[s] + a, after)
+        self._states.append(after)
+        self._actions.append(a)
+        self.t += 1
+        self.s, self.q = after, int(self._delta[self._letter[after], self.q])
+        if self.verdict is None:
+            self._judge()
+
+    def _judge(self) -> None:
+        automaton = self._problem.automaton
+        if self.t <= automaton.horizon:
+            verdict = automaton.verdicts(self.t)[self.q]
+            if verdict != UNDECIDED:
+                self.verdict = bool(verdict == TRUE)
+
+    def record(self, states: NDArray[np.int32], actions: NDArray[np.int32]) -> None:
+        """Steps that a kernel took in a simulated model: states (n+1,), the present one first, and choices (n,)."""
+        self._counts.add(self._problem.first_choice[states[:-1]] + actions, states[1:])
+        self._states += states[1:].tolist()
+        self._actions += actions.tolist()
+        self.t, self.s = self.t + len(actions), int(states[-1])
+
+    def transitions(self) -> NDArray[np.int32]:
+        """(t, 3): s, a, s' of every step so far."""
+        states = np.array(self._states, dtype=np.int32)
+        return np.stack([states[:-1], np.array(self._actions, dtype=np.int32), states[1:]], axis=1)
