@@ -27,6 +27,7 @@ _BLOCKED, _GRID, _RUN = "#4a4a4a", "#cccccc", "#b2182b"
 _LEFT, _RIGHT, _BOTTOM, _TOP, _LEGEND = 0.55, 0.15, 0.5, 0.15, 1.5  # inches around the floor
 _SMALL = 22.0  # points; a smaller cell has no text, and a legend says what the colours are
 _TEXT = 5.0  # points; smaller text is not read
+_MOST = 100  # ranges that a cell has room for
 _CENTRE = 0.44  # of a cell's height, where its steps stand; its caption is above
 _CAPITALS, _LINE = 0.73, 1.2  # of a font's size: the height of capitals and digits, and from line to line
 
@@ -208,12 +209,12 @@ def visits(path: Sequence[Cell]) -> dict[Cell, list[tuple[int, int]]]:
 def _steps_text(
     ranges: Sequence[tuple[int, int]], wide: float, high: float, largest: float
 ) -> tuple[list[str], float] | None:
-    """The lines and the size of a text that tells the ranges within so many points; None where none is read there."""
+    """The lines and the size of a text with the ranges, within so many points; None where none would be legible."""
     texts = [str(a) if a == b else f"{a}–{b}" for a, b in ranges]
     sizes = np.arange(min(9.0, max(_TEXT, largest)), _TEXT - 0.01, -0.5).tolist()
     for words, size in itertools.chain(((_listed(texts), size) for size in sizes), _shorter(texts, sizes[-1])):
-        lines = _wrapped(words, size, wide)
-        if lines is not None and ((len(lines) - 1) * _LINE + _CAPITALS) * size <= high:
+        lines = _wrapped(words, size, wide, 1 + int((high / size - _CAPITALS) / _LINE))
+        if lines is not None:
             return lines, size
     return None
 
@@ -223,22 +224,22 @@ def _listed(texts: Sequence[str]) -> list[str]:
 
 
 def _shorter(texts: Sequence[str], size: float) -> Iterator[tuple[list[str], float]]:
-    """The first and the last ranges and how many they are; ever fewer of them."""
-    for some in range(len(texts) - 2, 0, -1):
+    """The first ranges, the last one and how many there are; ever fewer of them, then the beginning alone."""
+    for some in range(min(len(texts) - 2, _MOST), 0, -1):
         yield [*_listed(texts[:some]), "…", texts[-1], f"({len(texts)}×)"], size
     yield [f"{texts[0]}, …" if len(texts) > 1 else f"{texts[0].split('–')[0]}–…"], size
     yield [f"{texts[0].split('–')[0]}…"], size
 
 
-def _wrapped(words: Sequence[str], size: float, points: float) -> list[str] | None:
-    """Words in as few lines as they fit in; None where one is too long for a line."""
+def _wrapped(words: Sequence[str], size: float, points: float, most: int) -> list[str] | None:
+    """Words in as few lines as they fit in; None where that is more than `most`, or a word longer than a line."""
     lines = [""]
     for word in words:
-        if text_width(word, size) > points:
-            return None
         longer = f"{lines[-1]} {word}".strip()
         if text_width(longer, size) <= points:
             lines[-1] = longer
-        else:
+        elif len(lines) < most and text_width(word, size) <= points:
             lines.append(word)
+        else:
+            return None
     return lines

@@ -2,6 +2,7 @@
 
 import itertools
 import re
+import time
 from functools import partial
 
 import numpy as np
@@ -215,6 +216,14 @@ def test_a_cell_visited_more_often_than_is_readable_tells_first_last_and_how_oft
     assert (gap, count, tail) == (True, 201, [(400, 400)])
     assert len(head) > 5
     assert head == [(t, t) for t in range(0, 2 * len(head), 2)]
+
+
+def test_a_run_of_100000_steps_is_drawn_at_once():
+    floor = layout(["..", ".."])
+    began = time.perf_counter()
+    picture = Picture(floor_map(floor, [t % 2 for t in range(100_001)]))
+    assert time.perf_counter() - began < 10  # minutes, if every way to shorten it were tried
+    assert told_steps(picture)[0, 1][1:] == ([(100_000, 100_000)], True, 50_001)
 
 
 @pytest.mark.parametrize("width", [30, 90])
