@@ -98,7 +98,10 @@ def flag(value: object, what: str) -> bool:
 
 
 def whole(value: object, what: str, least: int | None = None, most: int | None = None) -> int:
-    """An integer; SettingsError for anything else, or one out of range."""
+    """`value` as an int, which does not wrap as numpy's narrow ones do: callers go on with what this returns.
+
+    SettingsError for anything else than an integer, or one out of range.
+    """
     limits = f" from {least}" if least is not None else ""
     limits += f" up to {most}" if most is not None else ""
     good = isinstance(value, Integral) and not isinstance(value, bool)

@@ -139,7 +139,7 @@ class Policy(Displayed):
 
     def at(self, t: int) -> NDArray[Any]:
         """The table of step t: (S, Q) choices or (S, Q, C) weights."""
-        whole(t, "the policy's step t", 0, None if self.stationary else len(self.table) - 1)
+        t = whole(t, "the policy's step t", 0, None if self.stationary else len(self.table) - 1)
         table: NDArray[Any] = self.table if self.stationary else self.table[t]
         return table
 

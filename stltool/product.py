@@ -139,7 +139,7 @@ class JointProduct(Displayed):
 
 def _place(model: MDP, s: int, memory: str, t: int | None) -> str:
     if t is not None:
-        whole(t, "the step t", 0)
+        t = whole(t, "the step t", 0)
     signals = ", ".join(f"{name} = {values[s]:g}" for name, values in model.signals.items())
     labels = ", ".join(name for name, values in model.labels.items() if values[s])
     step = f"step {t}, " if t is not None else ""

@@ -1,5 +1,6 @@
 """The widths of integers at their borders: what does not fit is wider, or refused, and never wraps."""
 
+import ast
 import math
 import tempfile
 from pathlib import Path
@@ -15,9 +16,10 @@ from stltool.checking.reach import first_steps
 from stltool.errors import SizeError
 from stltool.learning.problem import Problem
 from stltool.learning.tables import ClockedTable
-from stltool.logic.formula import And, Label, Or
+from stltool.logic.formula import Always, And, Eventually, Interval, Label, Or
 from stltool.product import joined
 from stltool.sizes import integer_type, require_numbered
+from tests.conftest import ROOT
 
 MOST = 2**31 - 2
 
@@ -171,3 +173,47 @@ def test_first_steps_of_any_horizon(last):
     assert first.max() == last + 1  # the states that cannot be entered
     assert first.min() == 0
     assert sorted(first.min(axis=1)) == [0, 1, 2, 3]
+
+
+# ------------------------------------------------------------------------------------- integers that a caller brings
+
+
+def test_what_the_doors_make_of_an_integer_is_used():
+    """`whole` returns an int: whoever goes on with what was given goes on with an int8, say."""
+    thrown_away = [
+        f"{path.relative_to(ROOT)}, line {node.lineno}"
+        for path in (ROOT / "stltool").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Call) and ast.unparse(node.value.func) == "whole"
+    ]
+    assert not thrown_away
+
+
+@pytest.fixture(scope="module")
+def product():
+    return stl.build_product(stl.MDP.from_arrays(**line(4)), stl.parse("G[0,4] F[0,2] B"))
+
+
+WINDOW = stl.parse("F[100,120] A")
+TRACE = {"A": np.arange(300) == 210}
+QUESTIONS = {
+    "satisfies": lambda product, n: stl.satisfies(WINDOW, TRACE, n),
+    "robustness": lambda product, n: stl.robustness(WINDOW, TRACE, n),
+    "horizon": lambda product, n: stl.horizon(Always(Interval(n, n), Eventually(Interval(n, n), Label("A")))),
+    "likely_runs": lambda product, n: stl.likely_runs(product, satisfied=True, count=n).runs,
+    "estimate": lambda product, n: (stl.estimate(product, stl.check(product).policy, runs=n, seed=n)).satisfied,
+    "sprt": lambda product, n: stl.sprt(product, stl.check(product).policy, 0.5, most_runs=n, seed=n).runs,
+    "learn": lambda product, n: (
+        stl.learn(product, "cfer", episodes=n, most_steps=n, evaluate_every=n, memory=n, replays=n, seed=n).history
+    ),
+    "black_box": lambda product, n: stl.MDP.black_box(n, n, lambda rng: None).n_choices,
+    "check": lambda product, n: stl.check(stl.build_product(product.model, WINDOW, most_states=n)).probability,
+}
+
+
+@pytest.mark.parametrize("question", QUESTIONS)
+@pytest.mark.parametrize("kind", [np.int8, np.uint8])
+def test_narrow_integers_are_taken_for_what_they_are(product, question, kind):
+    """100 and 120 make 220, which is -36 in int8."""
+    ask = QUESTIONS[question]
+    assert ask(product, kind(100)) == ask(product, 100)

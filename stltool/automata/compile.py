@@ -54,7 +54,7 @@ def compile_automaton(
     """
     phi = bounded_formula_of(phi, "compile_automaton's formula")
     read = atoms_of(phi, encoding)
-    whole(most_states, "most_states", least=1)
+    most_states = whole(most_states, "most_states", least=1)
     if memory_limit is not None:
         require_limit(memory_limit)
     if valuations is None:

@@ -213,7 +213,7 @@ def meaning(
     valuations of another shape.
     """
     phi = bounded_formula_of(phi, "meaning's formula")
-    whole(most_effort, "most_effort", least=0)
+    most_effort = whole(most_effort, "most_effort", least=0)
     if valuations is not None:
         valuations = truth_table(valuations, len(leaves(phi)), "leaves(formula)")
     n = sum(1 for _ in walk(phi))

@@ -132,8 +132,7 @@ def likely_runs(
     """
     require_door("likely_runs", product, policy)
     flag(satisfied, "likely_runs' satisfied")
-    whole(count, "count", least=1)
-    whole(most, "most", least=1)
+    count, most = whole(count, "count", least=1), whole(most, "most", least=1)
     function(progress, "likely_runs' progress")
     if mass is not None:
         mass = float(real(mass, "mass", "0.9"))

@@ -106,7 +106,8 @@ def pareto(
     function(progress, "pareto's progress")
     if len(joint.tasks) != 2:
         raise SettingsError(f"a Pareto front is of two tasks, not of {len(joint.tasks)}; choose two")
-    if whole(points, "points") < 2:
+    points = whole(points, "points")
+    if points < 2:
         raise SettingsError(f"points = {points}: a front needs at least the best of either task, 2 points")
     tolerance = float(real(tolerance, "tolerance", "1e-9"))
     if not 0 < tolerance < 1:

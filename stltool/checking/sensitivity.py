@@ -97,7 +97,7 @@ class Sensitivity(Displayed):
     def ranked(self, count: int | None = None) -> tuple[StateSensitivity, ...]:
         """States that the policy acts in, the largest |derivative| first, then by `steepest`, then in model order."""
         if count is not None:
-            whole(count, "ranked's count", least=0)
+            count = whole(count, "ranked's count", least=0)
         model = self.product.model
         visited = np.flatnonzero(self.visits > 0)
         order = np.lexsort((visited, -self.steepest[visited], -np.abs(self.derivative[visited])))

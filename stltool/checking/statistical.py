@@ -212,6 +212,7 @@ def sprt(
     require_environment(environment, "sprt's environment")
     function(progress, "sprt's progress")
     hypotheses(at_least, indifference, alpha, beta, most_runs)
+    most_runs = int(most_runs)
     assert at_least is not None  # as just checked
     require_seed(seed)
     policy = or_optimal("sprt", product, policy)
@@ -270,6 +271,7 @@ def sprt_from(
     """
     start = time.perf_counter()
     p0, p1 = hypotheses(at_least, indifference, alpha, beta, most_runs)
+    most_runs = int(most_runs)
     per_success = math.log1p(float((p1 - p0) / p0)) if p1 > 0 else -math.inf
     per_failure = math.log1p(float((p0 - p1) / (1 - p0))) if p0 < 1 else math.inf
     accept, reject = math.log(float(beta)), -math.log(float(alpha))
@@ -348,7 +350,7 @@ def runs_needed(epsilon: float | Fraction, confidence: float | Fraction = 0.99, 
     what = (
         f"an interval of ±{float(epsilon):g} at confidence {float(confidence):g} takes up to {enough:.3g} runs; these"
     )
-    _require_runs(enough, "runs", what)
+    _runs(enough, "runs", what)
     tail = _tail(confidence, side)
     while enough - too_few > 1:
         n = (enough + too_few) // 2
@@ -394,9 +396,7 @@ def planned_runs(
         raise SettingsError("runs and epsilon are given; epsilon says how many runs it takes, so give one of the two")
     if epsilon is not None:
         return runs_needed(epsilon, confidence, side)
-    n = RUNS if runs is None else runs
-    _require_runs(n, "runs")
-    return int(n)
+    return RUNS if runs is None else _runs(runs, "runs")
 
 
 def hypotheses(
@@ -408,7 +408,7 @@ def hypotheses(
 ) -> tuple[Fraction, Fraction]:
     """p₀ and p₁ of `sprt` with these settings, as the decimals they were written in; SettingsError where they make
     no sense."""
-    _require_runs(most_runs, "most_runs")
+    _runs(most_runs, "most_runs")
     theta, margin = _decimal(at_least, "at_least", "0.9"), _decimal(indifference, "indifference", "0.01")
     if not 0 < theta < 1:
         raise SettingsError(f"at_least is {at_least}; a probability above 0 and below 1 can be tested")
@@ -441,6 +441,8 @@ def require_confidence(confidence: float | Fraction, side: str = "lower") -> Non
     one_of(side, "side", get_args(Side))
 
 
-def _require_runs(runs: int, name: str, what: str | None = None) -> None:
-    whole(runs, name, least=1)
+def _runs(given: int, name: str, what: str | None = None) -> int:
+    """That many runs, unless they would not end."""
+    runs = whole(given, name, least=1)
     require_time(runs, _RATE, what or f"{runs} runs", "take a wider interval or fewer runs")
+    return runs

@@ -114,7 +114,7 @@ def tradeoff(
     at_least = _bounds(at_least, "at_least", "{'patrol': 0.9}")
     budget = _bounds(budget, "budget", "{'fuel': 12}")
     flag(keep_policy, "tradeoff's keep_policy")
-    whole(most_variables, "most_variables", least=1)
+    most_variables = whole(most_variables, "most_variables", least=1)
     function(progress, "tradeoff's progress")
     criteria = Criteria(joint, tuple(budget))
     goal = joint.task(objective)

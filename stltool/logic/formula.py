@@ -11,6 +11,7 @@ no part in equality.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, Literal, NoReturn, TypeAlias, TypeVar, assert_never
@@ -107,6 +108,9 @@ class Interval:
     b: int | None
 
     def __post_init__(self) -> None:
+        for name, end in (("a", self.a), ("b", self.b)):
+            if end is not None and type(end) is not int:  # numpy's narrow integers wrap in sums
+                object.__setattr__(self, name, operator.index(end))
         if self.a < 0 or (self.b is not None and self.a > self.b):
             raise StlSyntaxError(f"the interval {self} holds no step; write 0 <= a <= b")
 

@@ -75,7 +75,7 @@ def satisfies(phi: Formula | Task, signals: Signals, t: int = 0) -> bool:
     `signals` maps every name of φ to an array of n_steps samples. Raises TraceError when the trace ends before step
     t + horizon(φ), NameLookupError when a name is missing.
     """
-    phi = formula_of(phi, "satisfies' formula")
+    phi, t = formula_of(phi, "satisfies' formula"), whole(t, "satisfies' step t", least=0)
     return _true(phi, _samples(phi, signals, t, "satisfies"), t)
 
 
@@ -85,14 +85,13 @@ def robustness(phi: Formula | Task, signals: Signals, t: int = 0) -> float:
     > 0 implies true, < 0 implies false. A label has margin +inf or -inf; `==` has -|d|, `!=` |d|; errors as
     for `satisfies`.
     """
-    phi = formula_of(phi, "robustness' formula")
+    phi, t = formula_of(phi, "robustness' formula"), whole(t, "robustness' step t", least=0)
     return _margin(phi, _samples(phi, signals, t, "robustness"), t)
 
 
 def _samples(phi: Formula, signals: Signals, t: int, caller: str) -> dict[str, NDArray[np.float64]]:
     """The arrays of the names that φ reads, as floats, each long enough to decide φ at t."""
     mapping(signals, f"{caller}' signals", SIGNALS)
-    whole(t, f"{caller}' step t", least=0)
     needed = t + horizon(phi) + 1
     labels = label_names(phi)
     samples = {}

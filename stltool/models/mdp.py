@@ -147,12 +147,12 @@ class MDP(Displayed):
         return integer_type(self.most_choices - 1)
 
     def state_name(self, s: int) -> str:
-        whole(s, "the model's state s", 0, self.n_states - 1)
+        s = whole(s, "the model's state s", 0, self.n_states - 1)
         return self.state_names[s] if self.state_names is not None else str(s)
 
     def place(self, choice: int) -> str:
         """A choice in the user's names: "state (0,1), action N"."""
-        whole(choice, "the model's choice", 0, self.n_choices - 1)
+        choice = whole(choice, "the model's choice", 0, self.n_choices - 1)
         s = int(np.searchsorted(self.choice_start, choice, side="right")) - 1
         return f"state {self.state_name(s)}, action {self.action_names[self.choice_action[choice]]}"
 
@@ -295,7 +295,7 @@ class MDP(Displayed):
 
         `learn`, `estimate`, `sprt` and `sample_run` answer for it; what needs probabilities raises SettingsError.
         """
-        whole(n_states, "n_states", least=1)
+        n_states = whole(n_states, "n_states", least=1)
         if isinstance(actions, int | np.integer):
             actions = [str(a) for a in range(whole(actions, "actions", least=0))]
         names = tuple(texts(actions, "black_box's actions"))
@@ -305,7 +305,7 @@ class MDP(Displayed):
             raise ModelError(
                 f"environment is {described(environment)}; give a function of a generator that returns one"
             )
-        shape = (int(n_states), len(names))
+        shape = (n_states, len(names))
         _require_numbered(*shape)
         has = np.ones(shape, dtype=np.bool_) if available is None else _booleans(available, "available")
         if has.shape != shape:
