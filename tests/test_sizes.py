@@ -128,7 +128,7 @@ def parts():
 def entries():
     model = stl.MDP.from_arrays(**line(4))
     product = stl.build_product(model, stl.parse("G[0,4] F[0,2] B"))
-    size = ClockedTable(Problem.of(product), stl.Settings.of("cfer", faithful=False), False).Q.shape[2]
+    size = ClockedTable(Problem.of(product), least_step=0.1, caution=0.1, count_every_entry=False).Q.shape[2]
     return size, lambda: stl.learn(product, "cfer", episodes=1, seed=0)
 
 

@@ -157,17 +157,14 @@ def test_tables_of_any_integers(wide, dtype):
 def test_learned_tables(wide):
     n, product, _ = wide
     problem, q = Problem.of(product), product.enter(0, product.automaton.initial)
-    settings = stl.Settings.of("cfer", faithful=False)
-    table = ClockedTable(problem, settings, count_every_entry=False)
+    table = ClockedTable(problem, least_step=0.1, caution=0.1, count_every_entry=False)
     table.visits[0, -1], table.Q[0, -1] = 100, 0.9
     assert table.policy_table()[0, 0, q] == n - 1
     assert table.best(0, 0, q, 0.0) == n - 1
 
-    planned = ModelBased(problem, settings, np.random.default_rng(0))
-    planned.begin_episode(0.0, product.horizon)
-    for _ in range(100):
-        planned.observe(0, 0, q, n - 1, 1, q)
-    assert planned.policy_table()[0, 0, q] == n - 1
+    counts, learner = Counts(product.model.n_choices, 2), ModelBased()
+    counts.add(np.full(100, n - 1), np.ones(100, dtype=np.int64))
+    assert learner.policy(learner.start(problem, counts, np.random.default_rng(0)))[0, 0, q] == n - 1
 
 
 def test_a_policy_from_counts(wide):
@@ -188,7 +185,7 @@ def test_learning_runs(wide, method):
 
 def test_updates_are_counted_beyond_int32(wide):
     _, product, _ = wide
-    table = ClockedTable(Problem.of(product), stl.Settings.of("cfer", faithful=False), count_every_entry=True)
+    table = ClockedTable(Problem.of(product), least_step=0.1, caution=0.1, count_every_entry=True)
     q = product.enter(0, product.automaton.initial)
     table.visits[0, 0] = 2**31 - 1
     table.update(0, 0, q, 0, 1, product.enter(1, q))
