@@ -76,8 +76,7 @@ def learn(
     training.policy.save(out)
     if history is not None:
         write_history(training, history)
-    if tensorboard is not None:
-        write_tensorboard(training, tensorboard)
+    events = write_tensorboard(training, tensorboard) if tensorboard is not None else None
     if as_json:
         print_json({"task": product.task_name, "formula": str(product.formula), **training_data(training)})
         return
@@ -87,4 +86,5 @@ def learn(
         "learned": training_text(training),
         "exact P": f"{exact:.12g}" if exact is not None else unknown,
         "policy": out,
+        **({"events": events} if events is not None else {}),
     })  # fmt: skip

@@ -129,9 +129,12 @@ def test_the_command(stltool, tmp_path):
     from tests.conftest import PATROLLING, SMALL
 
     for _ in range(2):
-        code, _, _ = stltool("learn", PATROLLING, *SMALL, "--episodes", 20, "--out", tmp_path / "p.npz",
+        code, shown, _ = stltool("learn", PATROLLING, *SMALL, "--episodes", 20, "--out", tmp_path / "p.npz",
                              "--tensorboard", tmp_path / "events")  # fmt: skip
         assert code == 0
+        [events] = [line.split(maxsplit=1)[1] for line in shown.splitlines() if line.startswith("events ")]
+        assert Path(events).parent == tmp_path / "events"
+        assert Path(events).is_dir()
     runs = read(tmp_path / "events")
     assert len(runs) == 2
     assert all(name.startswith("patrolling-cfer-seed0-") for name in runs)
