@@ -214,8 +214,8 @@ def build_product(
     require(model, MDP, "build_product's model")
     formula = bounded_formula_of(task, "build_product's task")
     name = task.name if isinstance(task, Task) else "formula"
-    _require_names(label_names(formula), model.labels, model.signals, "label", "compare it with a number")
-    _require_names(variables(formula), model.signals, model.labels, "signal", "use it without comparing")
+    _require_names(label_names(formula), model.labels, model.signals, "label", "compare it with a number", model.notes)
+    _require_names(variables(formula), model.signals, model.labels, "signal", "use it without comparing", model.notes)
     if isinstance(task, Task):
         for own in (*task.params, *task.definitions):
             if own in model.labels or own in model.signals:
@@ -285,6 +285,7 @@ def _require_names(
     other: Mapping[str, NDArray[np.bool_]] | Mapping[str, NDArray[np.float64]],
     kind: str,
     remedy: str,
+    notes: Mapping[str, str],
 ) -> None:
     for name, span in wanted.items():
         if name not in known:
@@ -293,5 +294,6 @@ def _require_names(
                     f"{name} is not a {kind} of the model but a {'signal' if kind == 'label' else 'label'}; {remedy}"
                 )
             else:
-                message = f"the model has no {kind} {name}; {near_misses(name, [*known, *other])}"
+                note = f"; {notes[kind]}" if kind in notes else ""
+                message = f"the model has no {kind} {name}; {near_misses(name, [*known, *other])}{note}"
             raise NameLookupError(span.show(message) if span is not None else message)

@@ -172,7 +172,7 @@ TAKES = {
         ("gamma", "alpha", "beta", "confidence", "tolerance", "indifference", "at_least", "bound", "second"), NUMBERS
     ),
     **{key: {"None", *NUMBERS} for key in ("epsilon", "mass", "memory_limit")},
-    **{key: {"True"} for key in ("maximize", "exact", "keep_policy", "satisfied", "cut", "unbounded")},
+    **{key: {"True"} for key in ("maximize", "exact", "keep_policy", "satisfied", "cut", "unbounded", "normalize")},
     **{key: {"text"} for key in ("text", "name", "objective")},
     **dict.fromkeys(("source", "command", "step"), TEXT),
     **dict.fromkeys(("labels", "params", "budget"), MAPPING),

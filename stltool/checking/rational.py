@@ -24,6 +24,7 @@ from stltool.checking.reach import first_steps
 from stltool.errors import ModelError
 from stltool.models import MDP
 from stltool.models.fractions import LARGEST_SUM, Integers, over_one
+from stltool.models.normalize import HINT, MOST_MISSING
 from stltool.policy import Policy
 from stltool.product import Product
 from stltool.sizes import Numbers, require_memory, require_time
@@ -67,6 +68,7 @@ def require_exact(model: MDP) -> None:
     raise ModelError(
         f"{where}: the probabilities sum to 1 {sign} {float(abs(total - 1)):.3g}, so there is no exact answer; give "
         'them as fractions, such as "1/3", or as decimals that sum to 1'
+        + (f"; {HINT}" if abs(total - 1) <= MOST_MISSING else "")
     )
 
 

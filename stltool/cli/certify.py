@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Params, TaskName
+from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, TaskName
 from stltool.cli.steps import load_product
 from stltool.errors import RefusedError, SettingsError
 from stltool.numbers import bound_texts, long_numbers
@@ -25,6 +25,7 @@ def certify(
         Path | None, typer.Option("--policy", help="policy file or Q-table that the certificate must be of")
     ] = None,
     model: Model = None,
+    normalize: Normalize = False,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
@@ -50,7 +51,7 @@ def certify(
             error(str(refusal))
         raise typer.Exit(1) from None
     if task is not None:
-        product = load_product(task, model, param, name, encoding)
+        product = load_product(task, model, param, name, encoding, normalize=normalize)
         require_certificate_of(file, product, stl.load_policy(policy, product) if policy is not None else None)
         nominal = product.model.intervals is not None
         proved |= {"task": product.task_name, "encoding": product.automaton.encoding, "nominal": nominal}

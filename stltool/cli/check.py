@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Params, PolicyFile, TaskFile, TaskName
+from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, PolicyFile, TaskFile, TaskName
 from stltool.cli.steps import NATURES, judge_by, make_product, read_probability
 from stltool.errors import SettingsError
 from stltool.numbers import bound_texts, fraction_text
@@ -46,6 +46,7 @@ def check(
         typer.Option("--nature", help="where probabilities are intervals: against (default), with, or nominal"),
     ] = None,
     model: Model = None,
+    normalize: Normalize = False,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
@@ -69,7 +70,9 @@ def check(
             raise SettingsError(f"--save-policy {save_policy} would replace the policy that is checked; name another")
     if certificate is not None:
         require_certificate_file(certificate)
-    product = make_product(task, model, param, name, encoding, as_json, learning=False, exact=exact)
+    product = make_product(
+        task, model, param, name, encoding, as_json, learning=False, exact=exact, normalize=normalize
+    )
     uncertain = product.model.intervals is not None
     product, judge = judge_by(product, nature)
     robust = uncertain and nature != "nominal"
@@ -102,6 +105,8 @@ def check(
         print_json(data)
     else:
         print_facts({"task": f"{product.task_name} := {product.formula}"})
+        if data["initial_states"] > 1:
+            print_facts({"starts in": data["initial"]})
         if uncertain:
             print_facts({"nature": NATURES[data["nature"]]})
         print_checks([check_data(optimum), data] if chosen is not None else [data])

@@ -7,7 +7,18 @@ from typing import Annotated, Any
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Nominal, Params, PolicyFile, Seed, TaskFile, TaskName
+from stltool.cli.options import (
+    AsJson,
+    Encoding,
+    Model,
+    Nominal,
+    Normalize,
+    Params,
+    PolicyFile,
+    Seed,
+    TaskFile,
+    TaskName,
+)
 from stltool.cli.steps import make_product, read_probability
 from stltool.errors import SettingsError
 
@@ -45,6 +56,7 @@ def estimate(
     seed: Seed = 0,
     nominal: Nominal = False,
     model: Model = None,
+    normalize: Normalize = False,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
@@ -72,7 +84,9 @@ def estimate(
         planned_runs(**fixed)
     else:
         hypotheses(bound, **sequential)
-    product = make_product(task, model, param, name, encoding, as_json, learning=False, rollouts=True, nominal=nominal)
+    product = make_product(
+        task, model, param, name, encoding, as_json, learning=False, rollouts=True, nominal=nominal, normalize=normalize
+    )
     if product.model.blackbox is not None:
         if policy is None:
             raise SettingsError(

@@ -6,7 +6,7 @@ from decimal import Decimal
 from typing import Any
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Params, Step, TaskName, TaskOrFormula
+from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, Step, TaskName, TaskOrFormula
 from stltool.cli.steps import load_task_or_formula, task_model, warnings_shown
 
 
@@ -14,6 +14,7 @@ from stltool.cli.steps import load_task_or_formula, task_model, warnings_shown
 def explain(
     task: TaskOrFormula,
     model: Model = None,
+    normalize: Normalize = False,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
@@ -29,7 +30,7 @@ def explain(
     from stltool.reporting.terminal import print_facts, print_json, print_table, print_tree
 
     loaded = load_task_or_formula(task, param, name, step)
-    world = task_model(loaded, model) if model is not None or loaded.model is not None else None
+    world = task_model(loaded, model, normalize) if model is not None or loaded.model is not None else None
     with warnings_shown():
         facts = stl.explain(loaded, model=world, encoding=encoding)  # type: ignore[arg-type]  # checked there, with a message
     if as_json:
@@ -49,6 +50,8 @@ def explain(
         )
         print_table(trace["steps"])
         print(f"the encoding says {trace['encoding_says']}, the formula is {trace['formula_is']}")
+    for note in facts.get("model_notes", []):
+        print(f"\nnote: {note}")
     for advice in facts.get("warnings", []) + facts["ambiguities"]:
         print(f"\nwarning: {advice}")
 
@@ -72,6 +75,9 @@ def _shown(facts: dict[str, Any]) -> dict[str, Any]:
             size = shown[key]
             large = isinstance(size, int) and size >= 10**9
             shown[key] = "no such encoding" if size is None else f"{Decimal(size):.3g}" if large else size
+    if "initial" in shown:
+        shown["starts in"] = shown.pop("initial")
+        del shown["initial states"]
     shown["params"] = ", ".join(f"{key} = {value}" for key, value in facts["params"].items()) or "none"
     for key in ("fragment", "automaton"):
         for detail, value in facts.get(key, {}).items():

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Params, TaskFile, TaskName
+from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, TaskFile, TaskName
 from stltool.cli.steps import bind, compile_task, read_params, task_model
 from stltool.errors import SettingsError
 
@@ -19,6 +19,7 @@ def export(
     to: Annotated[str, typer.Option("--to", help="dot: the task's automaton for Graphviz")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="file to write; default: print it")] = None,
     model: Model = None,
+    normalize: Normalize = False,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
@@ -34,7 +35,7 @@ def export(
         raise SettingsError(f"--to {to}: there is no such format; known: dot")
     loaded = stl.load_task(task, read_params(param), name)
     if model is not None or loaded.model is not None:
-        automaton = bind(loaded, task_model(loaded, model), encoding).automaton
+        automaton = bind(loaded, task_model(loaded, model, normalize), encoding).automaton
     else:
         automaton = compile_task(loaded, encoding)
     text = to_dot(automaton)

@@ -20,6 +20,7 @@ from stltool.cli.options import (
     Model,
     MostSteps,
     Nominal,
+    Normalize,
     Params,
     Resume,
     Seed,
@@ -45,6 +46,7 @@ def learn(
     setting: Set = None,
     nominal: Nominal = False,
     model: Model = None,
+    normalize: Normalize = False,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
@@ -66,7 +68,7 @@ def learn(
     if tensorboard is not None:
         require_tensorboard(tensorboard)
     learner = read_learner(method, faithful, setting)
-    product = make_product(task, model, param, name, encoding, as_json, nominal=nominal)
+    product = make_product(task, model, param, name, encoding, as_json, nominal=nominal, normalize=normalize)
     with resumable(checkpoint), progress_bar(f"learning ({method})", quiet=as_json) as bar:
         training = stl.learn(
             product, learner, episodes=episodes, evaluate_every=evaluate_every, most_steps=most_steps,

@@ -12,6 +12,10 @@ Model = Annotated[Path | None, typer.Option("--model", help="model file; default
 Nominal = Annotated[
     bool, typer.Option("--nominal", help="where probabilities are intervals: take the nominal ones inside them")
 ]
+Normalize = Annotated[
+    bool,
+    typer.Option("--normalize", help="rescale probabilities that miss a sum of 1 by rounding alone; told on stderr"),
+]
 TaskOrFormula = Annotated[
     str, typer.Argument(metavar="TASK|FORMULA", help="task file (.stl), or a formula in quotes", show_default=False)
 ]

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Params, TaskFile
+from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, TaskFile
 from stltool.cli.steps import make_joint_product
 from stltool.errors import SettingsError
 
@@ -20,6 +20,7 @@ def pareto(
     points: Annotated[int, typer.Option("--points", help="backward inductions to take at most")] = 100,
     plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="draw the front (.svg or .png)")] = None,
     model: Model = None,
+    normalize: Normalize = False,
     param: Params = None,
     encoding: Encoding = "exact",
     as_json: AsJson = False,
@@ -37,7 +38,7 @@ def pareto(
         )
     if plot is not None:
         require_picture(plot)
-    joint = make_joint_product(task, names, model, param, encoding, as_json)
+    joint = make_joint_product(task, names, model, param, encoding, as_json, normalize=normalize)
     with progress_bar("finding corners", quiet=as_json) as bar:
         front = stl.pareto(joint, points=points, progress=bar)
     if plot is not None:

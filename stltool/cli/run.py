@@ -22,6 +22,7 @@ from stltool.cli.options import (
     Model,
     MostSteps,
     Nominal,
+    Normalize,
     Params,
     Resume,
     Seed,
@@ -39,6 +40,7 @@ def run(
     task: TaskFile,
     nominal: Nominal = False,
     model: Model = None,
+    normalize: Normalize = False,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
@@ -73,7 +75,16 @@ def run(
     planned_runs(rollouts or None, confidence=confidence, side="lower")
     learner = read_learner(method, faithful, setting)
     product = make_product(
-        task, model, param, name, encoding, as_json, rollouts=rollouts > 0, nominal=nominal, guarantees=True
+        task,
+        model,
+        param,
+        name,
+        encoding,
+        as_json,
+        rollouts=rollouts > 0,
+        nominal=nominal,
+        guarantees=True,
+        normalize=normalize,
     )
     folder = out if out is not None else Path("out") / product.task_name
     require_folder(folder)
@@ -106,6 +117,7 @@ def run(
     print_facts({
         "task": f"{product.task_name} := {product.formula}",
         "product": f"{product.shape[0]} model states × {product.shape[1]} automaton states, horizon {product.horizon}",
+        **({"starts in": data["initial"]} if data["initial_states"] > 1 else {}),
         "learned": training_text(training),
     })  # fmt: skip
     if known:

@@ -48,24 +48,31 @@ def make_product(
     nominal: bool = False,
     guarantees: bool = False,
     exact: bool = False,
+    normalize: bool = False,
 ) -> Product:
     """The product of a task file and its model, with the kernels loaded that the command needs."""
     from stltool import kernels
     from stltool.reporting.terminal import kernels_ready
 
-    product = load_product(task, model, param, name, encoding, nominal)
+    product = load_product(task, model, param, name, encoding, nominal, normalize)
     with kernels_ready(quiet):
         kernels.warm_up(learning, rollouts, guarantees or product.model.intervals is not None, exact)
     return product
 
 
 def load_product(
-    task: Path, model: Path | None, param: list[str] | None, name: str | None, encoding: str, nominal: bool = False
+    task: Path,
+    model: Path | None,
+    param: list[str] | None,
+    name: str | None,
+    encoding: str,
+    nominal: bool = False,
+    normalize: bool = False,
 ) -> Product:
     import stltool as stl
 
     loaded = stl.load_task(task, read_params(param), name)
-    world = task_model(loaded, model)
+    world = task_model(loaded, model, normalize)
     if nominal and world.intervals is None:
         raise SettingsError("--nominal: the model's probabilities are no intervals; leave --nominal out")
     return bind(loaded, world.nominal() if nominal else world, encoding)
@@ -103,7 +110,13 @@ def load_task_or_formula(text: str, params: list[str] | None, name: str | None, 
 
 
 def make_joint_product(
-    task: Path, names: list[str], model: Path | None, param: list[str] | None, encoding: str, quiet: bool
+    task: Path,
+    names: list[str],
+    model: Path | None,
+    param: list[str] | None,
+    encoding: str,
+    quiet: bool,
+    normalize: bool = False,
 ) -> JointProduct:
     """The definitions `names` of one task file, remembered together."""
     import stltool as stl
@@ -112,8 +125,9 @@ def make_joint_product(
 
     params = read_params(param)
     loaded = [stl.load_task(task, params, name) for name in names]
+    world = task_model(loaded[0], model, normalize)
     with warnings_shown():
-        joint = stl.build_joint_product(task_model(loaded[0], model), loaded, encoding)  # type: ignore[arg-type]
+        joint = stl.build_joint_product(world, loaded, encoding)  # type: ignore[arg-type]
     with kernels_ready(quiet):
         kernels.warm_up(learning=False)
     return joint
@@ -137,13 +151,18 @@ def judge_by(product: Product, nature: str | None) -> tuple[Product, Callable[..
     return product, partial(stl.robust_check, nature=nature or "against")  # type: ignore[arg-type]  # checked above
 
 
-def task_model(task: Task, model: Path | None) -> MDP:
+def task_model(task: Task, model: Path | None, normalize: bool = False) -> MDP:
+    """The model given, or the task file's; what `normalize` changed is told on stderr."""
     import stltool as stl
+    from stltool.reporting.terminal import note
 
     path = model if model is not None else task.model
     if path is None:
         raise SettingsError(f'{task.path}: no model; add a line such as model "floor.toml", or give --model FILE')
-    return stl.load_model(path)
+    loaded = stl.load_model(path, normalize)
+    if "normalize" in loaded.notes:
+        note(f"{path}: {loaded.notes['normalize']}")
+    return loaded
 
 
 def bind(task: Task, model: MDP, encoding: str) -> Product:

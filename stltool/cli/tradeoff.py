@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Params, TaskFile
+from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, TaskFile
 from stltool.cli.steps import make_joint_product
 from stltool.errors import SettingsError
 from stltool.numbers import NumberError, number_text, read
@@ -29,6 +29,7 @@ def tradeoff(
         Path | None, typer.Option("--save-policy", metavar="FILE", help="write the policy (.npz)")
     ] = None,
     model: Model = None,
+    normalize: Normalize = False,
     param: Params = None,
     encoding: Encoding = "exact",
     as_json: AsJson = False,
@@ -44,7 +45,7 @@ def tradeoff(
     if save_policy is not None:
         require_policy_file(save_policy)
     names = list(dict.fromkeys([objective, *at_least]))
-    joint = make_joint_product(task, names, model, param, encoding, as_json)
+    joint = make_joint_product(task, names, model, param, encoding, as_json, normalize=normalize)
     with progress_bar("checking what is possible", quiet=as_json) as bar:
         result = stl.tradeoff(
             joint, objective, at_least=at_least, budget=budgets, keep_policy=save_policy is not None, progress=bar

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Nominal, Params, PolicyFile, TaskFile, TaskName
+from stltool.cli.options import AsJson, Encoding, Model, Nominal, Normalize, Params, PolicyFile, TaskFile, TaskName
 from stltool.cli.steps import make_product
 from stltool.errors import SettingsError
 
@@ -28,6 +28,7 @@ def why(
     states: Annotated[int, typer.Option("--states", metavar="N", help="sensitive states to print")] = 5,
     nominal: Nominal = False,
     model: Model = None,
+    normalize: Normalize = False,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
@@ -44,7 +45,9 @@ def why(
         raise SettingsError(f"-k {count}: ask for 1 run or more")
     if states < 0:
         raise SettingsError(f"--states {states}: ask for 0 states or more")
-    product = make_product(task, model, param, name, encoding, as_json, learning=False, nominal=nominal)
+    product = make_product(
+        task, model, param, name, encoding, as_json, learning=False, nominal=nominal, normalize=normalize
+    )
     given = stl.load_policy(policy, product) if policy is not None else None
     if given is None:
         with progress_bar("checking", quiet=as_json) as bar:

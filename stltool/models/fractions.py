@@ -14,9 +14,11 @@ from fractions import Fraction
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from stltool.numbers import shortest
+from stltool.errors import ModelError
+from stltool.numbers import NumberError, exact, shortest
+from stltool.sizes import require_memory
 
 Integers: TypeAlias = NDArray[Any]
 """int64 where numbers and their denominator are below 2^62, else Python integers in an object array."""
@@ -52,17 +54,73 @@ def over_one(values: Iterable[Fraction]) -> tuple[Integers, int]:
     """Fractions as integers over their least common denominator."""
     known = list(values)
     denominator = math.lcm(*{value.denominator for value in known})
+    require_memory(
+        len(known) * max(denominator.bit_length() // 8, 8),
+        f"{len(known)} probabilities over their common denominator of {denominator.bit_length()} bits",
+        "round them to decimals of fewer digits",
+    )
     found = [value.numerator * (denominator // value.denominator) for value in known]
     whole = all(abs(number) < LARGEST_SUM for number in (denominator, *found))  # so that rows can be summed
     return np.array(found, dtype=np.int64 if whole else object), denominator
 
 
-def of_doubles(values: NDArray[np.float64], row_start: NDArray[np.int64]) -> tuple[Integers, int]:
-    """Doubles as integers over one denominator: shortest decimals where every row of them sums to 1, else binary."""
+def doubles_of(numerator: Integers, denominator: int) -> NDArray[np.float64]:
+    """The doubles nearest to numerator / denominator."""
+    unique, which = np.unique(numerator, return_inverse=True)
+    return np.array([int(n) / denominator for n in unique])[which]
+
+
+def of_doubles(
+    values: NDArray[np.float64], row_start: NDArray[np.int64], decimals: bool = False
+) -> tuple[Integers, int]:
+    """Doubles as integers over one denominator: shortest decimals where every row of them sums to 1, else binary.
+
+    `decimals` takes shortest decimals whatever they sum to.
+    """
     unique, which = np.unique(values, return_inverse=True)
-    for exact in (shortest, Fraction):
-        shares, denominator = over_one(exact(value) for value in unique.tolist())
+    for read in (shortest, Fraction):
+        shares, denominator = over_one(read(value) for value in unique.tolist())
         numerator = shares[which]
-        if (np.add.reduceat(numerator, row_start[:-1]) == denominator).all():
+        if decimals or (np.add.reduceat(numerator, row_start[:-1]) == denominator).all():
             break
     return numerator, denominator
+
+
+def parsed(array: NDArray[Any]) -> NDArray[np.object_]:
+    """Fractions from numbers and texts, element by element."""
+    parsed: NDArray[np.object_] = np.frompyfunc(exact, 1, 1)(array)
+    return parsed
+
+
+def nearest(array: Any) -> Any:
+    """An array or sparse matrix of numbers in doubles. Raises TypeError for anything else, texts included.
+
+    Shorter floats are read as their shortest decimals: 0.1 in 32 bits is no double's 0.10000000149.
+    """
+    if array.dtype.kind not in "biuf":
+        raise TypeError
+    doubles = array.astype(np.float64)
+    if array.dtype.kind == "f" and array.dtype.itemsize < 8:
+        short, long = (m.data if hasattr(m, "data") and hasattr(m, "indptr") else m for m in (array, doubles))
+        values, which = np.unique(short, return_inverse=True)
+        long[...] = np.array([float(str(value)) for value in values])[which].reshape(long.shape)
+    return doubles
+
+
+def floats(values: ArrayLike, what: str) -> NDArray[np.float64]:
+    """Doubles of their own: of numbers, or of texts and Fractions, whose nearest doubles they are."""
+    try:
+        array = np.asarray(values)
+        doubles: NDArray[np.float64] = (parsed(array) if array.dtype.kind in "OU" else nearest(array)).astype(
+            np.float64
+        )
+    except NumberError as error:
+        raise ModelError(f"{what} does not hold numbers: {error}") from None
+    except (TypeError, ValueError, OverflowError):
+        raise ModelError(f"{what} does not hold numbers") from None
+    if array.dtype.kind in "iu" and array.dtype.itemsize == 8:
+        large = array[(array > 2**53) | (array < -(2**53))].tolist()
+        wrong = next((value for value in large if int(float(value)) != value), None)
+        if wrong is not None:
+            raise ModelError(f"{what} holds {wrong}, which is not a double; give floats")
+    return doubles

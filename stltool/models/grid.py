@@ -9,6 +9,10 @@
     moves = "king"           stay and eight directions; "cross": stay and four
     success = "93/100"       the move is the action's
     slip = "7/300"           each of three others: stay, and the two neighbouring directions
+    start = [1, 0]           [column, row] of the first cell, from the bottom left, where the map marks none with S
+    normalize = true         rescale success and slip where they miss a sum of 1 by rounding alone
+
+Several S mean that a run starts in each of these cells with the same probability.
 
 Noise that is known only roughly is written as intervals, `success = [0.9, 0.95]` or `"[9/10, 19/20]"`, and the model
 is one for `robust_check`: at every step nature picks each outcome's probability in its interval, so that they sum to 1.
@@ -20,7 +24,9 @@ Numbers are decimals or fractions in quotes, and mean exactly that: rows are sum
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -28,9 +34,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.errors import ModelError, near_misses
-from stltool.models.fractions import Fractions
+from stltool.models.fractions import Fractions, over_one
 from stltool.models.intervals import Intervals
 from stltool.models.mdp import MDP, GridLayout
+from stltool.models.normalize import HINT, MOST_MISSING, rescale
+from stltool.models.toml import Faults
 from stltool.numbers import NumberError, exact, number_text
 from stltool.sizes import require_numbered
 
@@ -51,24 +59,32 @@ MOVES = {
     "king": ("stay", "N", "S", "W", "E", "NW", "SW", "NE", "SE"),
     "cross": ("stay", "N", "S", "W", "E"),
 }
-_KEYS = ("kind", "map", "cell", "moves", "success", "slip", "start", "name")
+_KEYS = ("kind", "map", "cell", "moves", "success", "slip", "start", "normalize", "name")
+_NO_CELL = re.compile(r"[^#.A-Za-z]")
 
 
-def grid_from_table(table: Mapping[str, Any], default_name: str = "grid") -> MDP:
-    """A grid world from the keys of its file."""
+def grid_from_table(table: Mapping[str, Any], default_name: str = "grid", normalize: bool = False) -> MDP:
+    """A grid world from the keys of its file. Raises ModelFaults with all that is wrong."""
+    faults = Faults()
     if table.get("kind") != "grid":
-        raise ModelError(f'kind is {table.get("kind")!r}; write kind = "grid"')
+        faults.add("kind", f'kind is {table.get("kind")!r}; write kind = "grid"')
     for key in table:
         if key not in _KEYS:
-            raise ModelError(f"unknown key {key}; {near_misses(key, _KEYS)}")
-    cells = _read_map(table.get("map"))
+            faults.add(key, f"unknown key {key}; {near_misses(key, _KEYS)}")
+    cells = _read_map(table.get("map"), faults)
     moves = table.get("moves", "king")
     if not isinstance(moves, str) or moves not in MOVES:
-        raise ModelError(f"moves is {moves!r}; choose one of {', '.join(MOVES)}")
-    success, slip, uncertain = _noise(table)
-    cell = _fraction(table, "cell", Fraction(1))
-    if not Fraction(1, 10**100) <= cell <= 10**100:
-        raise ModelError(f"cell is {number_text(cell)}; the side of a cell is positive, between 1e-100 and 1e100")
+        faults.add("moves", f"moves is {moves!r}; choose one of {', '.join(MOVES)}")
+    noise = _noise(table, normalize or table.get("normalize") is True, faults)
+    cell = faults.reading("cell", _cell, table)
+    if not isinstance(table.get("name", ""), str):
+        faults.add("name", f"name is {table['name']!r}; write a text in quotes")
+    first = faults.reading("start", _start, table.get("start"), cells) if cells is not None else None
+    faults.refuse()
+    assert cells is not None
+    assert noise is not None
+    assert cell is not None
+    assert first is not None
 
     height, width = cells.shape
     line, column = np.nonzero(cells != "#")  # states in reading order, from the top left
@@ -77,9 +93,12 @@ def grid_from_table(table: Mapping[str, Any], default_name: str = "grid") -> MDP
     index[row, column] = np.arange(len(row))
     letters = sorted(set("".join(cells.ravel())) - set("#.S"))
     names = tuple(f"({c},{r})" for c, r in zip(column.tolist(), row.tolist(), strict=True))
-    choice_start, row_start, target, least, most, whole = _transitions(index, row, column, MOVES[moves], success, slip)
-    first = _start(table.get("start"), cells, index, row, column)
-    starts = int(first.sum())
+    choice_start, row_start, target, least, most, whole = _transitions(
+        index, row, column, MOVES[moves], noise.success, noise.slip
+    )
+    weights = first[line, column]
+    starts = int(weights.sum())
+    uncertain = noise.uncertain
     return MDP(
         choice_start=choice_start,
         choice_action=np.tile(np.arange(len(MOVES[moves]), dtype=np.int32), len(row)),
@@ -87,42 +106,70 @@ def grid_from_table(table: Mapping[str, Any], default_name: str = "grid") -> MDP
         target=target,
         # of the ends before they are cut to 1, so that the nominal model has one noise everywhere
         probability=Intervals(least / whole, most / whole).nominal(row_start) if uncertain else least / whole,
-        initial=first / starts,
+        initial=weights / starts,
         signals={"x": _centres(column, cell), "y": _centres(row, cell)},
         labels={letter: cells[line, column] == letter for letter in letters},
         action_names=MOVES[moves],
         state_names=names,
         layout=GridLayout(width, height, column, row),
         name=str(table.get("name", default_name)),
-        fractions=None if uncertain else Fractions(least, whole, first, starts),
+        fractions=None if uncertain else Fractions(least, whole, weights, starts),
         intervals=Intervals(least / whole, np.minimum(most, whole) / whole) if uncertain else None,
+        notes=noise.notes,
     )
 
 
 _Ends: TypeAlias = tuple[Fraction, Fraction]
 
 
-def _noise(table: Mapping[str, Any]) -> tuple[_Ends, _Ends, bool]:
+@dataclass(frozen=True)
+class _Noise:
     """Lower and upper end of success and of slip, and whether an interval was written."""
-    success = _ends(table, "success", (Fraction(1), Fraction(1)))
-    slip = _ends(table, "slip", ((1 - success[1]) / 3, (1 - success[0]) / 3))
+
+    success: _Ends
+    slip: _Ends
+    uncertain: bool
+    notes: Mapping[str, str]
+
+
+def _noise(table: Mapping[str, Any], normalize: bool, faults: Faults) -> _Noise | None:
+    """None where it is faulty."""
+    success = faults.reading("success", _ends, table, "success", (Fraction(1), Fraction(1)))
+    slip = faults.reading("slip", _ends, table, "slip", None)
+    if success is None or (slip is None and "slip" in table):
+        return None
+    slip = slip if slip is not None else ((1 - success[1]) / 3, (1 - success[0]) / 3)
     uncertain = any(_is_interval(table.get(key)) for key in ("success", "slip"))
-    for key, (lower, upper) in (("success", success), ("slip", slip)):
-        if lower < 0 or upper > 1:
-            wrong = lower if lower < 0 else upper
-            raise ModelError(f"{key} is {number_text(wrong)}; a probability lies between 0 and 1")
-        if lower > upper:
-            raise ModelError(f"{key} is {_interval_text((lower, upper))}; the lower end comes first")
+    place = "slip" if "slip" in table else "success"
     least, most = success[0] + 3 * slip[0], success[1] + 3 * slip[1]
-    if not uncertain and least != 1:
-        shown = [number_text(value) for value in (success[0], slip[0], least)]
-        raise ModelError("success {} and three times slip {} sum to {}, not 1".format(*shown))
-    if not least <= 1 <= most:
-        raise ModelError(
-            f"success {_interval_text(success)} and three times slip {_interval_text(slip)} sum to "
-            f"{number_text(least)} … {number_text(most)}, and never to 1; widen one of them"
+    notes = {}
+    if not uncertain and normalize:
+        row = [success[0], slip[0], slip[0], slip[0]]
+        scaled = faults.reading(
+            place, rescale, over_one(row), np.array([0, 4]), lambda _: "success and three times slip"
         )
-    return success, slip, uncertain
+        if scaled is None:
+            return None
+        (numerator, one), done = scaled
+        success, slip = ((share, share) for share in (Fraction(int(numerator[k]), one) for k in (0, 1)))
+        notes["normalize"] = str(done)
+    elif not uncertain and least != 1:
+        shown = [number_text(value) for value in (success[0], slip[0], least)]
+        hint = f"; {HINT}" if abs(least - 1) <= MOST_MISSING else ""
+        faults.add(place, "success {} and three times slip {} sum to {}, not 1{}".format(*shown, hint))
+    elif not least <= 1 <= most:
+        faults.add(
+            place,
+            f"success {_interval_text(success)} and three times slip {_interval_text(slip)} sum to "
+            f"{number_text(least)} … {number_text(most)}, and never to 1; widen one of them",
+        )
+    denominator = math.lcm(*(end.denominator for end in (*success, *slip)))
+    if denominator >= 2**53:
+        written = ["–".join(dict.fromkeys(map(number_text, ends))) for ends in (success, slip)]
+        faults.add(
+            place, f"success {written[0]} and slip {written[1]} have no common denominator below 2^53; round them"
+        )
+    return _Noise(success, slip, uncertain, notes)
 
 
 def _interval_text(ends: _Ends) -> str:
@@ -133,21 +180,24 @@ def _is_interval(value: object) -> bool:
     return isinstance(value, list) or (isinstance(value, str) and value.strip().startswith("["))
 
 
-def _ends(table: Mapping[str, Any], key: str, default: _Ends) -> _Ends:
+def _ends(table: Mapping[str, Any], key: str, default: _Ends | None) -> _Ends | None:
     """A probability, or an interval of two: `[0.9, 0.95]`, `["9/10", "19/20"]` or `"[9/10, 19/20]"`."""
     value = table.get(key)
     if value is None:
         return default
-    if not _is_interval(value):
-        number = _fraction(table, key, default[0])
-        return number, number
-    parts = value if isinstance(value, list) else value.strip().removeprefix("[").removesuffix("]").split(",")
-    if len(parts) != 2 or (isinstance(value, str) and not value.strip().endswith("]")):
-        shown = f"[{', '.join(map(str, value))}]" if isinstance(value, list) else repr(value)
-        raise ModelError(f'{key} is {shown}; write an interval as [0.9, 0.95] or ["9/10", "19/20"]')
-    lower, upper = (
-        _fraction({key: part.strip() if isinstance(part, str) else part}, key, Fraction(0)) for part in parts
-    )
+    if _is_interval(value):
+        parts = value if isinstance(value, list) else value.strip().removeprefix("[").removesuffix("]").split(",")
+        if len(parts) != 2 or (isinstance(value, str) and not value.strip().endswith("]")):
+            shown = f"[{', '.join(map(str, value))}]" if isinstance(value, list) else repr(value)
+            raise ModelError(f'{key} is {shown}; write an interval as [0.9, 0.95] or ["9/10", "19/20"]')
+        lower, upper = (_fraction(key, part) for part in parts)
+    else:
+        lower = upper = _fraction(key, value)
+    if lower < 0 or upper > 1:
+        wrong = lower if lower < 0 else upper
+        raise ModelError(f"{key} is {number_text(wrong)}; a probability lies between 0 and 1")
+    if lower > upper:
+        raise ModelError(f"{key} is {_interval_text((lower, upper))}; the lower end comes first")
     return lower, upper
 
 
@@ -170,11 +220,6 @@ def _transitions(
     n_states, n_moves = len(row), len(moves)
     require_numbered(n_states, "free cells", "make the cells larger, or the map smaller")
     denominator = math.lcm(*(end.denominator for end in (*success, *slip)))
-    if denominator >= 2**53:
-        written = ["–".join(dict.fromkeys(map(number_text, ends))) for ends in (success, slip)]
-        raise ModelError(
-            f"success {written[0]} and slip {written[1]} have no common denominator below 2^53; round them"
-        )
     circle = [name for name in _COMPASS if name in moves]
     entries: list[tuple[NDArray[np.int64], NDArray[np.int64], _Ends]] = []
     states = np.arange(n_states)
@@ -220,52 +265,48 @@ def _move(
     return np.where(reached >= 0, reached, np.arange(len(row)))
 
 
-def _read_map(text: object) -> NDArray[np.str_]:
+def _read_map(text: object, faults: Faults) -> NDArray[np.str_] | None:
+    """The cells, lines from the top; None where the map is faulty."""
     if not isinstance(text, str) or not text.strip():
-        raise ModelError("the grid has no map; write map = '''…''' with one line a row")
-    lines = [line.strip() for line in text.strip("\n").splitlines()]
-    lines = [line for line in lines if line]
-    for number, line in enumerate(lines, start=1):
-        if len(line) != len(lines[0]):
-            raise ModelError(f"map line {number} ({line!r}) has {len(line)} cells, the first line has {len(lines[0])}")
-        for column, character in enumerate(line, start=1):
-            if character not in "#." and not (character.isascii() and character.isalpha()):
-                raise ModelError(
-                    f"map line {number}, cell {column}: {character!r} is no cell; use # (blocked), . (free), "
-                    "S (start) or a letter (label)"
-                )
-    cells = np.array([list(line) for line in lines])
-    if (cells == "#").all():
-        raise ModelError("every cell of the map is blocked")
-    return cells
+        faults.add("map", "the grid has no map; write map = '''…''' with one line a row")
+        return None
+    before = faults.count
+    rows: list[str] = []
+    for number, line in enumerate(text.splitlines()):
+        row, indent = line.strip(), len(line) - len(line.lstrip())
+        for found in _NO_CELL.finditer(row):
+            faults.add(
+                "map",
+                f"{found.group()!r} is not a cell; use # (blocked), . (free), S (start) or a letter (label)",
+                (number, indent + found.start()),
+            )
+        if row and rows and len(row) != len(rows[0]):
+            faults.add("map", f"this row has {len(row)} cells, the first has {len(rows[0])}", (number, indent))
+        rows += [row] if row else []
+    if set("".join(rows)) == {"#"}:
+        faults.add("map", "every cell of the map is blocked")
+    return np.array([list(row) for row in rows]) if faults.count == before else None
 
 
-def _start(
-    given: object,
-    cells: NDArray[np.str_],
-    index: NDArray[np.int64],
-    row: NDArray[np.int64],
-    column: NDArray[np.int64],
-) -> NDArray[np.int64]:
-    """The first states' weights: the key `start`, or the S cells (several: uniform)."""
-    marked = cells[index.shape[0] - 1 - row, column] == "S"
+def _start(given: object, cells: NDArray[np.str_]) -> NDArray[np.int64]:
+    """The weight of each cell as the first one, in the shape of `cells`: the key `start`, or the S cells, all alike."""
+    marked: NDArray[np.int64] = (cells == "S").astype(np.int64)
+    height, width = cells.shape
     if given is None:
         if not marked.any():
             raise ModelError(
                 "the map has no start; mark a cell S, or write start = [column, row] (from the bottom left)"
             )
-        weights: NDArray[np.int64] = marked.astype(np.int64)
-        return weights
+        return marked
     if marked.any():
         raise ModelError("the map marks a start S and the key start gives one; keep one of them")
     if not (isinstance(given, list) and len(given) == 2 and all(type(n) is int for n in given)):
         raise ModelError(f"start is {given!r}; write start = [column, row], counted from 0 at the bottom left")
     c, r = given
-    if not (0 <= r < index.shape[0] and 0 <= c < index.shape[1]) or index[r, c] < 0:
-        raise ModelError(f"start = [{c}, {r}] is blocked or off the map of {index.shape[1]} × {index.shape[0]} cells")
-    point = np.zeros(len(row), dtype=np.int64)
-    point[index[r, c]] = 1
-    return point
+    if not (0 <= r < height and 0 <= c < width) or cells[height - 1 - r, c] == "#":
+        raise ModelError(f"start = [{c}, {r}] is blocked or off the map of {width} × {height} cells")
+    marked[height - 1 - r, c] = 1
+    return marked
 
 
 def _centres(position: NDArray[np.int64], cell: Fraction) -> NDArray[np.float64]:
@@ -274,8 +315,15 @@ def _centres(position: NDArray[np.int64], cell: Fraction) -> NDArray[np.float64]
     return values[position]
 
 
-def _fraction(table: Mapping[str, Any], key: str, default: Fraction) -> Fraction:
+def _cell(table: Mapping[str, Any]) -> Fraction:
+    cell = _fraction("cell", table.get("cell", 1))
+    if not Fraction(1, 10**100) <= cell <= 10**100:
+        raise ModelError(f"cell is {number_text(cell)}; the side of a cell is positive, between 1e-100 and 1e100")
+    return cell
+
+
+def _fraction(key: str, value: object) -> Fraction:
     try:
-        return exact(table.get(key, default))
+        return exact(value)
     except NumberError as error:
         raise ModelError(f'{key}: {error}; write a number, or a fraction in quotes such as "7/300"') from None

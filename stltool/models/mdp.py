@@ -17,12 +17,22 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stltool.arguments import described, mapping, require, texts, whole
+from stltool.arguments import described, flag, mapping, require, texts, whole
 from stltool.display import Card, Displayed, counted, listed
 from stltool.errors import ModelError, SettingsError, near_misses
-from stltool.models.fractions import Fractions, Integers, of_doubles, over_one
+from stltool.models.fractions import (
+    Fractions,
+    Integers,
+    doubles_of,
+    floats,
+    nearest,
+    of_doubles,
+    over_one,
+    parsed,
+)
 from stltool.models.intervals import Intervals
-from stltool.numbers import NumberError, exact
+from stltool.models.normalize import HINT, MOST_MISSING, rescale
+from stltool.numbers import NumberError, exact, number_text
 from stltool.sizes import IntegerType, integer_type, require_numbered
 
 if TYPE_CHECKING:
@@ -33,6 +43,8 @@ if TYPE_CHECKING:
 Floats: TypeAlias = NDArray[np.float64]
 
 _SHOWN = 4  # initial states in a short description
+_NAMED = 8  # initial states that are told
+_SHORT = 12  # characters of a number that is told whole
 _ROW_TOLERANCE = 1e-9  # how far a row of doubles may sum from 1
 
 
@@ -63,6 +75,8 @@ class MDP(Displayed):
     blackbox      where the probabilities are unknown: what makes the environment that stands for them, from a generator
                   and the steps of an episode (None: not known). There are then no rows: `row_start` and `initial` are
                   zero, `target` and `probability` empty; `learn`, `estimate` and `sprt` answer for the model
+    notes         what is worth telling of how the model was read, by subject: "normalize", or what a file beside it is
+                  missing for ("label", "signal")
     Raises ModelError, naming state and action, when a row is no distribution, a state has no action, a value is not
     finite, or a shape does not fit.
     """
@@ -82,6 +96,7 @@ class MDP(Displayed):
     fractions: Fractions | None = None
     intervals: Intervals | None = None
     blackbox: Callable[[np.random.Generator, int | None], Resettable] | None = None
+    notes: Mapping[str, str] = field(default_factory=dict)
     _digest: list[str] = field(default_factory=list, repr=False)
     _exact: list[Fractions] = field(default_factory=list, repr=False)
 
@@ -101,10 +116,6 @@ class MDP(Displayed):
         if self.blackbox is None:
             counts.append(counted(self.n_transitions, "transition"))
         known = "a black box" if self.blackbox is not None else "intervals" if self.intervals is not None else None
-        first = np.flatnonzero(self.initial).tolist()
-        starts = [
-            self.state_name(s) + (f" ({self.initial[s]:.4g})" if len(first) > 1 else "") for s in first[: _SHOWN + 1]
-        ]
         return Card(
             f"MDP {self.name}: {', '.join(counts)}",
             [
@@ -113,7 +124,7 @@ class MDP(Displayed):
                     "labels": listed(f"{x} ({counted(int(v.sum()), 'state')})" for x, v in self.labels.items()),
                 },
                 {
-                    "starts in": listed(starts, _SHOWN) if self.blackbox is None else "an unknown state",
+                    "starts in": self._starts(_SHOWN),
                     "actions": listed(self.action_names, 9),
                     "probabilities": known,
                 },
@@ -155,6 +166,27 @@ class MDP(Displayed):
         choice = whole(choice, "the model's choice", 0, self.n_choices - 1)
         s = int(np.searchsorted(self.choice_start, choice, side="right")) - 1
         return f"state {self.state_name(s)}, action {self.action_names[self.choice_action[choice]]}"
+
+    def initial_text(self) -> str:
+        """The states that runs start in, with their probabilities where there are several; of many the first."""
+        return self._starts(_NAMED)
+
+    def _starts(self, most: int) -> str:
+        if self.blackbox is not None:
+            return "an unknown state"
+        states = np.flatnonzero(self.initial).tolist()
+        if len(states) == 1:
+            return self.state_name(states[0])
+        shown = [(self.state_name(s), self._share_text(s)) for s in states[:most]]
+        more = f", and {len(states) - len(shown)} more" if len(states) > len(shown) else ""
+        if len(set(self.initial[states].tolist())) == 1:
+            names = ", ".join(name for name, _ in shown)
+            return f"{len(states)} states with probability {shown[0][1]} each: {names}{more}"
+        return f"{len(states)} states: {', '.join(f'{name} with probability {share}' for name, share in shown)}{more}"
+
+    def _share_text(self, s: int) -> str:
+        text = number_text(self.fractions.initial_share(s)) if self.fractions is not None else ""
+        return text if 0 < len(text) <= _SHORT else f"{self.initial[s]:.6g}"
 
     def matrix(self) -> csr_array:
         """The transition probabilities as a scipy CSR array (n_choices, n_states), sharing memory."""
@@ -236,17 +268,25 @@ class MDP(Displayed):
         action_names: Sequence[str] | None = None,
         state_names: Sequence[str] | None = None,
         name: str = "model",
+        *,
+        normalize: bool = False,
     ) -> MDP:
         """An MDP from one transition matrix per action.
 
         transitions   array (A, S, S), or a list of A matrices (S, S), dense or scipy sparse; row s of matrix a is the
                       distribution over successors. A row of zeros says that action a is not available in state s.
-                      Entries may be Fractions or texts such as "2/5", which are kept exactly.
+                      Entries may be Fractions or texts such as "2/5", which are kept exactly. Floats of less than 64
+                      bits mean their shortest decimals.
         signals       name → (S,) finite reals;  labels  name → (S,) Booleans
         initial       a state's index or name, or a distribution (S,)
+        normalize     rescale rows, and the initial distribution, that miss 1 by at most 1/1000, so that they sum to 1
+                      exactly (models/normalize.py); `notes` tells what that changed
         """
+        normalize = flag(normalize, "normalize")
         given = _given(transitions, "transitions")
-        return cls._of_rows(_by_state(given), given, None, signals, initial, labels, action_names, state_names, name)
+        return cls._of_rows(
+            _by_state(given), given, None, signals, initial, labels, action_names, state_names, name, normalize
+        )
 
     @classmethod
     def from_intervals(
@@ -337,6 +377,7 @@ class MDP(Displayed):
         action_names: Sequence[str] | None,
         state_names: Sequence[str] | None,
         name: str,
+        normalize: bool = False,
     ) -> MDP:
         """From rows (S·A, S), the actions of a state one after another; empty rows are unavailable actions.
 
@@ -355,17 +396,29 @@ class MDP(Displayed):
         per_state = available.reshape(n_states, n_actions).sum(axis=1)
         row_start = rows.indptr.astype(np.int64)
         start, exact_start = _initial(initial, n_states, given_names)
-        fractions = None
-        if intervals is None and (exact_start is not None or any(m.dtype == object for m in given)):
+        probability = rows.data.astype(np.float64) if intervals is None else intervals.nominal(row_start)
+        fractions, notes = None, {}
+        normalize = normalize and _are_positive(probability) and _are_positive(start[start != 0])  # else refused below
+        if intervals is None and (normalize or exact_start is not None or any(m.dtype == object for m in given)):
             state = np.arange(n_states * n_actions)[available] // n_actions
-            begin = over_one(exact_start) if exact_start is not None else of_doubles(start, np.array([0, n_states]))
-            fractions = Fractions(*_exact_entries(rows, state, action, given), *begin)
+            one_row = np.array([0, n_states])
+            begin = over_one(exact_start) if exact_start is not None else of_doubles(start, one_row, normalize)
+            shares = _exact_entries(rows, state, action, given, normalize)
+            if normalize:
+                known = given_names if given_names is not None else range(n_states)
+                shares, done = rescale(
+                    shares, row_start, lambda c: f"state {known[state[c]]}, action {names[action[c]]}"
+                )
+                begin, started = rescale(begin, one_row, lambda _: "the initial distribution")
+                probability, start = doubles_of(*shares), doubles_of(*begin)
+                notes["normalize"] = str(done + started)
+            fractions = Fractions(*shares, *begin)
         return cls(
             choice_start=np.concatenate([[0], np.cumsum(per_state)]).astype(np.int64),
             choice_action=action,
             row_start=row_start,
             target=rows.indices.astype(np.int32),
-            probability=rows.data.astype(np.float64) if intervals is None else intervals.nominal(row_start),
+            probability=probability,
             initial=start,
             fractions=fractions,
             intervals=intervals,
@@ -373,6 +426,7 @@ class MDP(Displayed):
             action_names=names,
             state_names=given_names,
             name=_name(name),
+            notes=notes,
         )
 
 
@@ -384,7 +438,7 @@ def _columns(signals: object, labels: object, optional: bool = False) -> dict[st
     numbers = mapping(signals, "the model's signals", "{'x': [0.0, 0.5]}", optional=optional)
     truths = mapping(labels, "the model's labels", "{'A': [True, False]}", optional=True)
     return {
-        "signals": {key: _floats(numbers[key], f"signal {key}") for key in numbers},
+        "signals": {key: floats(numbers[key], f"signal {key}") for key in numbers},
         "labels": {key: _booleans(truths[key], key) for key in truths},
     }
 
@@ -399,15 +453,17 @@ def _name(given: object) -> str:
 
 
 def _exact_entries(
-    rows: csr_array, state: NDArray[np.int64], action: NDArray[np.int32], given: list[Any]
+    rows: csr_array, state: NDArray[np.int64], action: NDArray[np.int32], given: list[Any], decimals: bool
 ) -> tuple[Integers, int]:
-    """The rows' entries as integers over one denominator: as given in fractions, or what the doubles mean."""
+    """The rows' entries as integers over one denominator: as given in fractions, or as `of_doubles` takes doubles."""
+    if not any(m.dtype == object for m in given):
+        return of_doubles(rows.data, rows.indptr, decimals)
     as_fractions = np.array([m.dtype == object for m in given])[action]
     length = np.diff(rows.indptr)
     shares = np.empty(rows.nnz, dtype=object)
     if not as_fractions.all():
         doubles = rows[~as_fractions]
-        numerator, denominator = of_doubles(doubles.data, doubles.indptr)
+        numerator, denominator = of_doubles(doubles.data, doubles.indptr, decimals)
         shares[~np.repeat(as_fractions, length)] = [Fraction(int(n), denominator) for n in numerator]
     entries = np.flatnonzero(np.repeat(as_fractions, length))
     s, a = np.repeat(state, length)[entries], np.repeat(action, length)[entries]
@@ -481,9 +537,9 @@ def _matrix(matrix: Any, action: int, what: str) -> Any:
         if np.iscomplexobj(matrix):
             raise TypeError
         if issparse(matrix):
-            return _nearest(matrix)
+            return nearest(matrix)
         array = np.asarray(matrix)
-        array = _parsed(array) if array.dtype.kind in "OU" else _nearest(array)
+        array = parsed(array) if array.dtype.kind in "OU" else nearest(array)
         array.astype(np.float64)  # what no double is near to is found here
     except NumberError as error:
         raise ModelError(f"{what} of action {action} are not numbers: {error}") from None
@@ -494,34 +550,8 @@ def _matrix(matrix: Any, action: int, what: str) -> Any:
     return array
 
 
-def _parsed(array: NDArray[Any]) -> NDArray[np.object_]:
-    """Fractions from numbers and texts, element by element."""
-    parsed: NDArray[np.object_] = np.frompyfunc(exact, 1, 1)(array)
-    return parsed
-
-
-def _nearest(array: Any) -> Any:
-    """An array or sparse matrix of numbers in doubles. Raises TypeError for anything else, texts included."""
-    if array.dtype.kind not in "biuf":
-        raise TypeError
-    return array.astype(np.float64)
-
-
-def _floats(values: ArrayLike, what: str) -> Floats:
-    """Doubles of their own: of numbers, or of texts and Fractions, whose nearest doubles they are."""
-    try:
-        array = np.asarray(values)
-        doubles: Floats = (_parsed(array) if array.dtype.kind in "OU" else _nearest(array)).astype(np.float64)
-    except NumberError as error:
-        raise ModelError(f"{what} does not hold numbers: {error}") from None
-    except (TypeError, ValueError, OverflowError):
-        raise ModelError(f"{what} does not hold numbers") from None
-    if array.dtype.kind in "iu" and array.dtype.itemsize == 8:
-        large = array[(array > 2**53) | (array < -(2**53))].tolist()
-        wrong = next((value for value in large if int(float(value)) != value), None)
-        if wrong is not None:
-            raise ModelError(f"{what} holds {wrong}, which is not a double; give floats")
-    return doubles
+def _are_positive(values: Floats) -> bool:
+    return bool(((values > 0) & (values <= 2)).all())
 
 
 def _booleans(values: ArrayLike, name: str) -> NDArray[np.bool_]:
@@ -557,7 +587,7 @@ def _initial(
             return np.array(shares, dtype=np.float64), shares
         except (NumberError, OverflowError) as error:
             raise ModelError(f"the initial distribution does not hold numbers: {error}") from None
-    return _floats(array, "the initial distribution"), None
+    return floats(array, "the initial distribution"), None
 
 
 def _require_numbered(n_states: int, n_actions: int) -> None:
@@ -603,7 +633,7 @@ def _validate_distribution(initial: Floats, n_states: int) -> None:
     if not np.isfinite(initial).all() or (initial < 0).any():
         raise ModelError("the initial distribution has values that are no probabilities")
     if abs(initial.sum() - 1) > _ROW_TOLERANCE:
-        raise ModelError(f"the initial distribution sums to {initial.sum():.12g}, not 1")
+        raise ModelError(f"the initial distribution sums to {initial.sum():.12g}, not 1{_hint(initial.sum())}")
 
 
 def _validate_rows(m: MDP) -> None:
@@ -623,4 +653,10 @@ def _validate_rows(m: MDP) -> None:
     sums = np.add.reduceat(m.probability, m.row_start[:-1])
     wrong = np.flatnonzero(np.abs(sums - 1) > _ROW_TOLERANCE)
     if wrong.size:
-        raise ModelError(f"{m.place(wrong[0])}: the probabilities sum to {sums[wrong[0]]:.12g}, not 1")
+        more = f" (and those of {len(wrong) - 1} more rows)" if len(wrong) > 1 else ""
+        total = sums[wrong[0]]
+        raise ModelError(f"{m.place(wrong[0])}: the probabilities sum to {total:.12g}, not 1{more}{_hint(total)}")
+
+
+def _hint(total: float) -> str:
+    return f"; {HINT}" if abs(total - 1) <= MOST_MISSING else ""

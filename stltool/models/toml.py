@@ -1,23 +1,74 @@
-"""Model files in TOML: read with decimals kept, and the lines at fault found again."""
+"""Model files in TOML: read with decimals kept, and everything that is wrong in one told at once, with its line."""
 
 from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from stltool.errors import ModelError
+from stltool.errors import MOST_FAULTS, ModelError, all_told
 from stltool.files import read_text
+from stltool.source import Source, Span
+
+_NAME = r"""(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')"""
+_KEY = rf"{_NAME}(?:\s*\.\s*{_NAME})*"
+_LINE = re.compile(rf"\s*(?:\[\s*(?P<table>{_KEY})\s*\]\s*(?:#.*)?$|(?P<key>{_KEY})\s*=\s*(?P<value>.*))")
+_T = TypeVar("_T")
 
 
-class Fault(ModelError):
-    """What is wrong at one place of a file: a key, or a key of a table."""
+@dataclass(frozen=True)
+class Fault:
+    """What is wrong with a key, or a key of a table; `cell` is a place in its text of several lines: (line, column)."""
 
-    def __init__(self, place: tuple[str, ...], message: str) -> None:
-        super().__init__(message)
-        self.place = place
+    place: tuple[str, ...]
+    message: str
+    cell: tuple[int, int] | None = None
+
+    def __str__(self) -> str:
+        if self.cell is None:
+            return self.message
+        return f"{self.place[-1]} line {self.cell[0] + 1}, column {self.cell[1] + 1}: {self.message}"
+
+
+class ModelFaults(ModelError):
+    """All that is wrong with a model file's table; `faults` are the first of `count`."""
+
+    def __init__(self, faults: list[Fault], count: int) -> None:
+        super().__init__(all_told([str(fault) for fault in faults], count))
+        self.faults, self.count = faults, count
+
+
+@dataclass
+class Faults:
+    """What is wrong with a table, collected."""
+
+    found: list[Fault] = field(default_factory=list)  # of each key the first that a message would tell
+    count: int = 0
+    by_key: dict[str, int] = field(default_factory=dict)
+
+    def add(self, place: str | tuple[str, ...], message: str, cell: tuple[int, int] | None = None) -> None:
+        place = (place,) if isinstance(place, str) else place
+        self.count += 1
+        self.by_key[place[0]] = self.by_key.get(place[0], 0) + 1
+        if self.by_key[place[0]] <= MOST_FAULTS:
+            self.found.append(Fault(place, message, cell))
+
+    def reading(self, place: str | tuple[str, ...], read: Callable[..., _T], *arguments: Any) -> _T | None:
+        """What `read` returns; None where it finds a fault, which is noted."""
+        try:
+            return read(*arguments)
+        except ModelError as error:
+            self.add(place, str(error))
+            return None
+
+    def refuse(self) -> None:
+        """ModelFaults where there are any."""
+        if self.found:
+            raise ModelFaults(self.found, self.count)
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:
@@ -29,15 +80,62 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
         raise ModelError(f"{path}: not valid TOML: {error}") from None
 
 
-def line_of(text: str, *place: str) -> str:
-    """ ", line N" for a key, or a table's key, where it stands on a line of its own; else nothing."""
-    table = ""
-    for number, line in enumerate(text.splitlines(), start=1):
-        found = re.match(r"""\s*(?:\[\s*(?P<table>[^\[\]]+?)\s*\]\s*(?:#.*)?$|["']?(?P<key>[^"'=]+?)["']?\s*=)""", line)
-        if found is None:
-            continue
-        if found["table"] is not None:
-            table = found["table"].strip("\"'")
-        if place == ((table,) if found["table"] is not None else (table, found["key"]) if table else (found["key"],)):
-            return f", line {number}"
-    return ""
+def located(path: Path, text: str, error: ModelFaults) -> ModelError:
+    """The faults with the lines of the file that they stand on, in their order."""
+    lines, source = _Lines(text), Source(str(path), text)
+
+    def told(fault: Fault) -> str:
+        start, line = lines.start(fault), lines.of(fault.place)
+        if start is not None:
+            return Span(source, start, start + 1).show(fault.message)
+        return f"{path}, line {line}: {fault}" if line is not None else f"{path}: {fault}"
+
+    ordered = sorted(error.faults, key=lambda fault: (lines.of(fault.place) or 0, fault.cell or ()))
+    return ModelError(all_told([told(fault) for fault in ordered[:MOST_FAULTS]], error.count))
+
+
+class _Lines:
+    """Where the keys of a TOML text stand: those that begin a line of their own."""
+
+    def __init__(self, text: str) -> None:
+        self.texts = text.split("\n")
+        self.known: dict[tuple[str, ...], int] = {}
+        self.first: dict[tuple[str, ...], int] = {}  # the line on which the text of several lines begins
+        table: tuple[str, ...] = ()
+        inside = ""  # the quotes that end the text of several lines that a line belongs to
+        for number, line in enumerate(self.texts, start=1):
+            if inside:
+                inside = "" if inside in line else inside
+                continue
+            found = _LINE.match(line)
+            if found is None:
+                continue
+            if found["table"] is not None:
+                table = _parts(found["table"])
+                self.known.setdefault(table, number)
+                continue
+            key = (*table, *_parts(found["key"]))
+            self.known.setdefault(key, number)
+            quotes = found["value"][:3]
+            if quotes in ("'''", '"""') and quotes not in (rest := found["value"][3:]):
+                inside = quotes
+                self.first[key] = number + (not rest.strip("\r"))  # a line end right behind the quotes is dropped
+
+    def of(self, place: tuple[str, ...]) -> int | None:
+        """The line of a key, or of the table that it is in."""
+        return next((self.known[place[:n]] for n in range(len(place), 0, -1) if place[:n] in self.known), None)
+
+    def start(self, fault: Fault) -> int | None:
+        """Where the character is that a fault speaks of, in a text of several lines."""
+        if fault.cell is None or fault.place not in self.first:
+            return None
+        row, column = fault.cell
+        number = self.first[fault.place] + row - 1
+        start = sum(len(line) + 1 for line in self.texts[:number]) + column
+        if number == self.known[fault.place] - 1:  # behind the quotes
+            start += max(self.texts[number].find(quotes) for quotes in ("'''", '"""')) + 3
+        return start
+
+
+def _parts(key: str) -> tuple[str, ...]:
+    return tuple(part.strip("\"'") for part in re.findall(_NAME, key))

@@ -44,6 +44,9 @@ def product_data(product: Product) -> dict[str, Any]:
         "model": model.name,
         "model_digest": model.digest(),
         "automaton_digest": automaton.digest(),
+        "model_notes": list(model.notes.values()),
+        "initial": model.initial_text(),
+        "initial_states": int(np.count_nonzero(model.initial)),
         "states": model.n_states,
         "actions": list(model.action_names),
         "transitions": model.n_transitions if model.blackbox is None else None,  # unknown

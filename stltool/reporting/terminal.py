@@ -256,6 +256,11 @@ def error(message: str) -> None:
     Console(stderr=True, soft_wrap=True, highlight=False, markup=False).print(f"error: {message}")
 
 
+def note(message: str) -> None:
+    """What was done on request, on stderr, where it does not mix with results."""
+    print(f"note: {message}", file=sys.stderr)
+
+
 def warn(message: str) -> None:
     """What the user should know of, on stderr, where it does not mix with results."""
     print(f"warning: {message}", file=sys.stderr)

@@ -143,7 +143,7 @@ START = 'kind = "gymnasium"\nid = "FrozenLake-v1"\n'
         ('kind = "gymnasium"\nid = "FrozenLake-v7"', "line 2: id is 'FrozenLake-v7': .*; did you mean"),
         ('kind = "gymnasium"\nid = "os:FrozenLake-v1"', "line 2: id is .*: a file cannot have a module imported"),
         ('kind = "gymnasium"\nid = ""', "line 2: id is ''"),
-        ('kind = "gymnasium"\nid = "CartPole-v1"', "lake.toml: CartPole-v1: its observations are Box"),
+        ('kind = "gymnasium"\nid = "CartPole-v1"', "lake.toml, line 2: CartPole-v1: its observations are Box"),
         (START + "labls = {}", "line 3: unknown key labls; did you mean labels"),
         (START + "table = 1", 'line 3: table is 1; write true, false or "auto"'),
         (START + 'ends = "both"', 'line 3: ends is .both.; write "merged" or "apart"'),
@@ -171,6 +171,43 @@ def test_files_that_say_something_else(tmp_path, text, says):
         model_of(tmp_path, text)
 
 
+def test_all_faults_are_told_at_once(tmp_path):
+    text = """\
+kind = "gymnasium"
+id = "FrozenLake-v1"
+tabel = true
+ends = "both"
+actions = 3
+
+[options]
+map_name = "4x4"
+is_slippery = true
+
+[labels]
+goal = [16]
+hole = "water"
+
+[signals]
+x = [1, 2]
+"y z" = ["1_0", 2]
+"""
+    with pytest.raises(ModelError) as caught:
+        model_of(tmp_path, text)
+    lines = str(caught.value).split("\n")
+    assert [line.partition("lake.toml")[2].partition(": ")[::2] for line in lines[:-1]] == [
+        (", line 3", "unknown key tabel; did you mean table or labels?"),
+        (", line 4", "ends is 'both'; write \"merged\" or \"apart\""),
+        (", line 5", "actions is 3; write a list of names, such as [\"left\", \"right\"]"),
+        (", line 12", "label goal: 16 is no observation of FrozenLake-v1, which has Discrete(16)"),
+        (", line 13", "label hole is 'water'; give a function of an observation, the observations where it holds, or "
+                      "16 Booleans"),
+        (", line 16", "signal x has shape (2,); one number for each of 16 states"),
+        (", line 17", "signal y z does not hold numbers: '1_0' is not a number; write it without underscores; give 16 "
+                      "of them in the order of the states, or a function of an observation"),
+    ]  # fmt: skip
+    assert lines[-1] == "7 errors"
+
+
 def test_grids_keep_their_lines_too(tmp_path):
-    with pytest.raises(ModelError, match="lake.toml: unknown key mapp; did you mean map"):
+    with pytest.raises(ModelError, match="lake.toml, line 2: unknown key mapp; did you mean map"):
         model_of(tmp_path, 'kind = "grid"\nmapp = "S"')

@@ -1,12 +1,13 @@
 """PRISM's explicit files: what they mean, and what is refused."""
 
+import time
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
 import stltool as stl
-from stltool.errors import FileError, ModelError
+from stltool.errors import FileError, ModelError, NameLookupError
 from tests import oracles
 
 TRA = "3 4 6\n0 0 1 2/5 go\n0 0 2 3/5 go\n0 1 0 1 wait\n1 0 1 0.25\n1 0 2 0.75\n2 0 2 1\n"
@@ -75,21 +76,24 @@ def test_rounded_decimals_load_with_a_defect(tmp_path):
     [
         ({"tra": "mdp\n0 0 0 1\n"}, r"m.tra, line 1: 'mdp': write \"states choices transitions\""),
         ({"tra": ""}, r"m.tra, line 1: '': write"),
-        ({"tra": "3 4 6\n0 0 1 2:5\n"}, r"line 2: '0 0 1 2:5': write .state choice successor probability \[action\]"),
+        (
+            {"tra": "3 4 6\n0 0 1 2:5\n"},
+            r"line 2: '0 0 1 2:5': '2:5' is not a number; write .state choice successor probability \[action\]",
+        ),
         ({"tra": "2 2\n0 1 2 3 4\n"}, r"line 2: .*write \"state successor probability\""),
         ({"tra": "1 1 1\n0 0 1 1\n"}, r"line 2: '0 0 1 1': states are 0 … 0 by the first line"),
-        ({"tra": "1 1 1\n0 0 0 6/5\n"}, r"line 2: .*6/5 is no probability"),
+        ({"tra": "1 1 1\n0 0 0 6/5\n"}, r"line 2: .*6/5 is not a probability"),
         ({"tra": "1 1 1\n0 0 0 1/0\n"}, r"line 2: .*a decimal or a fraction such as 2/5"),
-        ({"tra": "1 1 2\n0 0 0 1/2\n0 0 0 1/2\n"}, r"line 3: .*this successor of state 0, choice 0 stands twice"),
+        ({"tra": "1 1 2\n0 0 0 1/2\n0 0 0 1/2\n"}, r"line 3: .*this successor of the choice stands twice"),
         ({"tra": "1 1 2\n0 0 0 1\n"}, "1 transitions, and the first line says 2; is the file cut off"),
         ({"tra": "1 2 1\n0 0 0 1\n"}, "1 choices, and the first line says 2"),
         (
             {"tra": "2 2 3\n0 0 0 1/2 a\n0 0 1 1/2 b\n1 0 1 1\n"},
-            "line 3: .*choice 0 of state 0 has the action a in an earlier line",
+            "line 3: .*this choice has the action a in line 2",
         ),
         ({"tra": "2 1 1\n0 0 0 1\n", "lab": None, "sta": None}, "state 1 has no action; give it one that stays"),
         ({"tra": "1 1 1\n0 0 0 0\n"}, "state 0, choice 0: the probabilities sum to 0, not 1"),
-        ({"tra": "1 1 1\n0 0 0 1/2\n", "lab": None, "sta": None}, "m.tra: state 0, action 0: .* sum to 0.5, not 1"),
+        ({"tra": "1 1 1\n0 0 0 1/2\n", "lab": None}, "m.tra, line 2: state 0, choice 0: .* sum to 0.5, not 1"),
         ({"lab": "init: 0\n"}, r'm.lab, line 1: .*write 0="init" 1="deadlock"'),
         ({"lab": '0="init" 1="init"\n'}, "line 1: .*two labels have one name"),
         ({"lab": '0="init" 1="A" 1="B"\n'}, "line 1: .*two labels have one name, or one number"),
@@ -110,6 +114,63 @@ def test_rounded_decimals_load_with_a_defect(tmp_path):
 def test_bad_files_are_refused_with_the_line(tmp_path, files, says):
     with pytest.raises(ModelError, match=says):
         stl.load_model(write(tmp_path, **files))
+
+
+def test_all_faults_of_the_three_files_are_told_at_once(tmp_path):
+    path = write(
+        tmp_path,
+        tra="3 4 7\n0 0 1 2:5 go\n0 0 2 3/5 go\n0 0 2 2/5 go\n0 1 0 0.9 wait\n1 0 9 0.25\n1 0 1 7/5\n2 0 2 0.5\n",
+        lab='0="init" 1="done"\n0: 0\n2: 7\n1_0: 1\n',
+        sta="(x,up)\n0:(0,true)\n0:(1,true)\n1:(one,true)\n",
+    )
+    with pytest.raises(ModelError) as caught:
+        stl.load_model(path)
+    told = str(caught.value).replace(str(path.with_suffix("")), "M").splitlines()
+    form = 'write "state choice successor probability [action]" with a decimal or a fraction such as 2/5, or [0.6,0.9]'
+    assert told == [
+        f"M.tra, line 2: '0 0 1 2:5 go': '2:5' is not a number; {form}",
+        "M.tra, line 4: '0 0 2 2/5 go': this successor of the choice stands twice; add the two up",
+        "M.tra, line 6: '1 0 9 0.25': states are 0 … 2 by the first line",
+        "M.tra, line 7: '1 0 1 7/5': 7/5 is not a probability",
+        "M.lab, line 3: '2: 7': write \"state: number number …\", states 0 … 2, numbers of the first line",
+        "M.lab, line 4: '1_0: 1': write \"state: number number …\", states 0 … 2, numbers of the first line",
+        "M.sta, line 3: '0:(1,true)': state 0 stands twice",
+        "M.sta, line 4: '1:(one,true)': 'one' is not a number; write \"state:(x,up)\" with numbers, true or false",
+        "M.tra, line 5: state 0, choice 1: the probabilities sum to 0.9, not 1",
+        "M.tra, line 8: state 2, choice 0: the probabilities sum to 0.5, not 1",
+        "10 errors",
+    ]
+
+
+def test_many_faults_are_counted_in_linear_time(tmp_path):
+    n = 100_000
+    path = write(tmp_path, tra=f"1 1 {n}\n" + "0 0 x 1\n" * n, lab=None, sta=None)
+    started = time.perf_counter()
+    with pytest.raises(ModelError, match=r"(.*\n){20}100000 errors; the first 20 are shown$"):
+        stl.load_model(path)
+    assert time.perf_counter() - started < 20  # seconds
+
+
+def test_a_missing_label_file_is_told_where_a_label_is_missed(tmp_path, stltool):
+    path = write(tmp_path, lab=None, sta=None)
+    model = stl.load_model(path)
+    assert model.notes == {
+        "label": "there is no m.lab beside m.tra: the model has no labels, and runs start in state 0",
+        "signal": "there is no m.sta beside m.tra: the model has no signals, and its states no names but their numbers",
+    }
+    with pytest.raises(
+        NameLookupError, match="the model has no label done; .*; there is no m.lab beside m.tra: the mod"
+    ):
+        stl.build_product(model, stl.parse("F[0,2] done"))
+    with pytest.raises(NameLookupError, match="the model has no signal x; .*; there is no m.sta beside m.tra"):
+        stl.build_product(model, stl.parse("F[0,2] x > 0"))
+    assert stl.load_model(write(tmp_path)).notes == {}
+    write(tmp_path, lab=None)
+    (tmp_path / "t.stl").write_text('model "m.tra"\nt := F[0,2] x > 0\n')
+    code, out, _ = stltool("explain", tmp_path / "t.stl")
+    assert code == 0
+    assert "note: there is no m.lab beside m.tra: the model has no labels, and runs start in state 0" in out
+    assert "m.sta" not in out
 
 
 def test_missing_and_enormous_files(tmp_path):

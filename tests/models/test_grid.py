@@ -1,5 +1,6 @@
 """Grid worlds against the motion model written out by hand (docs/reproduction.md)."""
 
+import time
 from fractions import Fraction
 
 import numpy as np
@@ -80,8 +81,8 @@ def test_without_noise_every_move_succeeds():
         ({"kind": "maze"}, "kind is 'maze'; write kind = \"grid\""),
         ({"sucess": 1}, "unknown key sucess; did you mean success"),
         ({"map": ""}, "the grid has no map"),
-        ({"map": "A.\nS"}, r"map line 2 \('S'\) has 1 cells, the first line has 2"),
-        ({"map": "A?\nS."}, "map line 1, cell 2: '\\?' is no cell"),
+        ({"map": "A.\nS"}, "map line 2, column 1: this row has 1 cells, the first has 2"),
+        ({"map": "A?\nS."}, "map line 1, column 2: '\\?' is not a cell"),
         ({"map": "##\n##"}, "every cell of the map is blocked"),
         ({"map": "A.\n.#"}, "the map has no start"),
         ({"start": [0, 0]}, "keep one of them"),
@@ -108,6 +109,89 @@ def test_bad_grids_are_refused(changes, says):
         grid_from_table(table(**changes))
 
 
+FAULTY = """\
+# a floor
+kind = "grid"
+map = '''
+  BB?C
+  BB.C.
+
+  #é.A
+'''
+moves = "knight"
+success = 1.2  # too much
+slip = "often"
+cell = 0
+slpi = 3
+"""
+
+
+def test_all_faults_of_a_file_are_told_at_once(tmp_path):
+    path = tmp_path / "floor.toml"
+    path.write_text(FAULTY, encoding="utf-8")
+    with pytest.raises(ModelError) as caught:
+        stl.load_model(path)
+    assert (
+        str(caught.value).replace(str(path), "F")
+        == """\
+F, line 4, column 5: '?' is not a cell; use # (blocked), . (free), S (start) or a letter (label)
+      BB?C
+        ^
+F, line 5, column 3: this row has 5 cells, the first has 4
+      BB.C.
+      ^
+F, line 7, column 4: 'é' is not a cell; use # (blocked), . (free), S (start) or a letter (label)
+      #é.A
+       ^
+F, line 9: moves is 'knight'; choose one of king, cross
+F, line 10: success is 1.2; a probability lies between 0 and 1
+F, line 11: slip: 'often' is not a number; write a number, or a fraction in quotes such as "7/300"
+F, line 12: cell is 0; the side of a cell is positive, between 1e-100 and 1e100
+F, line 13: unknown key slpi; did you mean slip?
+8 errors"""
+    )
+
+
+@pytest.mark.parametrize("quotes", ["'''", '"""'])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_maps_are_pointed_at_however_they_are_written(tmp_path, quotes, end):
+    path = tmp_path / "floor.toml"
+    for before, line, column in (("", 2, 10), (end, 3, 1)):
+        lines = ['kind = "grid"', f"map = {quotes}{before}?S", "..", f"{quotes}  # map = '''", "[x]"]
+        path.write_bytes(end.join(lines).encode())
+        with pytest.raises(ModelError) as caught:
+            stl.load_model(path)
+        assert f"line {line}, column {column}: '?' is not a cell" in str(caught.value)
+        assert f"line {line + 3}: unknown key x" in str(caught.value)
+    path.write_text('kind = "grid"\nmap = "?S\\n.."\n')
+    with pytest.raises(ModelError, match=r"floor.toml, line 2: map line 1, column 1: '\?' is not a cell"):
+        stl.load_model(path)
+
+
+def test_many_faults_are_counted_in_linear_time(tmp_path):
+    path = tmp_path / "floor.toml"
+    rows = "\n".join("?" * 300 for _ in range(1000))
+    path.write_text(f"kind = \"grid\"\nmap = '''\n{rows}\n'''\n" + "\n".join(f"k{i} = 1" for i in range(3000)))
+    started = time.perf_counter()
+    with pytest.raises(ModelError) as caught:
+        stl.load_model(path)
+    assert time.perf_counter() - started < 20  # seconds; a quadratic reader takes many minutes
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 3 * 20 + 1
+    assert lines[-1] == "303000 errors; the first 20 are shown"
+
+
+def test_several_starts_are_uniform_and_told():
+    model = grid_from_table(table(map="S.\n.S"))
+    assert model.initial_text() == "2 states with probability 0.5 each: (0,1), (1,0)"
+    assert (
+        grid_from_table(table(map="SSS")).initial_text().startswith("3 states with probability 1/3 each: (0,0), (1,0)")
+    )
+    assert grid_from_table(table()).initial_text() == "(0,0)"
+    many = grid_from_table(table(map="S" * 12)).initial_text()
+    assert many == f"12 states with probability 1/12 each: {', '.join(f'({i},0)' for i in range(8))}, and 4 more"
+
+
 def test_bad_files_are_named(tmp_path):
     path = tmp_path / "floor.toml"
     with pytest.raises(FileError, match="no such model file"):
@@ -116,7 +200,7 @@ def test_bad_files_are_named(tmp_path):
     with pytest.raises(ModelError, match=r"floor.toml: not valid TOML: .*line 1"):
         stl.load_model(path)
     path.write_text('kind = "grid"\nmap = "A"\nmove = "king"')
-    with pytest.raises(ModelError, match="floor.toml: unknown key move; did you mean moves"):
+    with pytest.raises(ModelError, match="floor.toml, line 3: unknown key move; did you mean moves"):
         stl.load_model(path)
 
 

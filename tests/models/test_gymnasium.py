@@ -3,6 +3,7 @@
 import math
 import sys
 from fractions import Fraction
+from unittest import mock
 
 import gymnasium
 import numpy as np
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.errors import MissingExtraError, ModelError, SettingsError
 from stltool.models.environment import simulator
+from stltool.models.gymnasium import replay
 from tests.models.gymnasium_envs import Listed, Scripted
 
 LAKE = {"goal": {15}, "hole": {5, 7, 11, 12}}
@@ -81,6 +83,122 @@ def test_taxi_serves_all_whose_shortest_way_is_short_enough():
         assert stl.check(stl.build_product(model, stl.parse(f"F[0,{h}] done"))).probability == pytest.approx(near)
 
 
+# ------------------------------------------------------------------------------- tables that are not the dynamics
+
+
+class Otherwise(Listed):
+    """Lists P, and does what `turn` makes of its outcomes: (times it was asked, state, action, outcome) → outcome."""
+
+    def __init__(self, P, turn, **named):
+        super().__init__(P, **named)
+        self.turn, self.asked = turn, 0
+
+    def step(self, action):
+        before, self.asked = self.s, self.asked + 1
+        s2, reward, terminated, truncated, info = super().step(action)
+        self.s, reward, terminated = self.turn(self.asked, before, action, (s2, reward, terminated))
+        return self.s, reward, terminated, truncated, info
+
+
+COIN = {s: {a: [(0.5, 0, 0.0, False), (0.5, 1, 1.0, False)] for a in (0, 1)} for s in (0, 1, 2)}
+"""Three states, of which the last is never reached."""
+
+
+@pytest.mark.parametrize(
+    ("turn", "says"),
+    [
+        (lambda n, s, a, o: (2, *o[1:]) if (s, a) == (1, 1) else o, "action 1 in state 1 led to state 2 with reward"),
+        (lambda n, s, a, o: (2, *o[1:]) if n == 700 else o, "led to state 2 with reward"),
+        (lambda n, s, a, o: (7, *o[1:]) if n == 3 else o, "led to state 7 with reward"),
+        (lambda n, s, a, o: (o[0], 1.0 - o[1], o[2]), "action . in state 0 led to state . with reward"),
+        (lambda n, s, a, o: (o[0], o[1], n == 50), "terminated=True, which P.*does not list; use table=False"),
+        (
+            lambda n, s, a, o: (n % 8 == 0, float(n % 8 == 0), False),
+            "likeliest outcome of P.s..a. came .* times, and by",
+        ),
+        (lambda n, s, a, o: 1 / 0, r"step\(.\) raised ZeroDivisionError: division by zero; mend the environment"),
+    ],
+)
+def test_a_table_that_is_not_what_the_environment_does_is_refused(turn, says):
+    for table in ("auto", True):
+        with pytest.raises(ModelError, match=says):
+            stl.from_gymnasium(Otherwise(COIN, turn), table=table)
+    assert stl.from_gymnasium(Otherwise(COIN, turn), table=False).blackbox is not None
+    assert stl.from_gymnasium(Otherwise(COIN, lambda n, s, a, o: o)).blackbox is None
+
+
+def test_starts_that_the_distribution_does_not_list_are_refused():
+    env = Listed(COIN, first=(0.5, 0.5))
+    env.initial_state_distrib = np.array([0.5, 0.0, 0.5])
+    with pytest.raises(
+        ModelError, match=r"reset\(\) started in state 1, to which initial_state_distrib gives no probab"
+    ):
+        stl.from_gymnasium(env)
+
+
+def test_rewards_of_reward_wrappers_are_not_held_against_the_table():
+    env = gymnasium.wrappers.TransformReward(Listed(COIN), lambda reward: reward - 7)
+    assert stl.from_gymnasium(env).blackbox is None
+
+
+def test_what_is_shown_to_people_is_not_shown_while_a_table_is_tried():
+    class Shown(Listed):
+        metadata = {"render_modes": ["human"]}  # noqa: RUF012
+        render_mode = "human"
+
+        def step(self, action):
+            assert self.render_mode is None
+            return super().step(action)
+
+    env = Shown(COIN)
+    assert stl.from_gymnasium(env).blackbox is None
+    assert env.render_mode == "human"
+
+
+@pytest.mark.parametrize("table", ["auto", True])
+def test_fickle_passengers_are_refused_by_name(table):
+    env = gymnasium.make(newest("Taxi"), fickle_passenger=True)
+    with pytest.raises(
+        ModelError, match="with fickle_passenger=True the passenger may change .*; leave the option out"
+    ):
+        stl.from_gymnasium(env, table=table)
+    assert stl.from_gymnasium(env, table=False).blackbox is not None
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_fickle_passengers_are_found_without_their_name(monkeypatch, seed):
+    """The replay alone finds what few episodes do, whatever its random numbers are."""
+    generator = np.random.default_rng
+    monkeypatch.setattr("stltool.models.gymnasium.table.require_listed", lambda *_: None)
+    monkeypatch.setattr(np.random, "default_rng", lambda _: generator(seed))
+    with pytest.raises(ModelError, match="its transition table is not what it does: action .* does not list"):
+        stl.from_gymnasium(gymnasium.make(newest("Taxi"), fickle_passenger=True))
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("Taxi", {"is_rainy": True}), ("CliffWalkingSlippery", {}), ("FrozenLake8x8", {"success_rate": 0.7}),
+        ("FrozenLake", {"is_slippery": False}),
+    ],
+)  # fmt: skip
+def test_tables_of_known_environments_are_what_they_do(name, options):
+    assert stl.from_gymnasium(gymnasium.make(newest(name), **options), table=True).blackbox is None
+
+
+def test_thirds_of_the_lake_are_thirds_on_request():
+    exact = lake(normalize=True)
+    assert exact.exact().denominator == 3
+    assert "rescaled" in exact.notes["normalize"]
+    product = stl.build_product(exact, stl.parse("!hole U[0,9] goal"))
+    found = stl.check(product, exact=True)
+    assert found.fraction.denominator % 3 == 0
+    doubles = stl.check(stl.build_product(lake(), stl.parse("!hole U[0,9] goal")))
+    assert doubles.lower <= found.fraction <= doubles.upper
+    with pytest.raises(ModelError, match=r"so there is no exact answer; .*normalize=True"):
+        stl.check(stl.build_product(lake(), stl.parse("!hole U[0,9] goal")), exact=True)
+
+
 @st.composite
 def tables(draw):
     """A toy-text table over 2 to 4 states with outcomes in quarters."""
@@ -108,9 +226,14 @@ def test_tables_mean_what_their_episodes_do(P):
                     going_on.add(s2)
                     todo.append(s2)
     env = Listed(P)
+
+    def read(env, **options):
+        with mock.patch.object(replay, "_STEPS", 100):  # a replay for each of the examples
+            return stl.from_gymnasium(env, **options)
+
     if going_on & ended:
         with pytest.raises(ModelError, match="both with terminated=True and before the end, .* use ends='apart'"):
-            stl.from_gymnasium(env)
+            read(env)
     last = len(P) - 1
 
     def value(s, end, t):
@@ -121,7 +244,7 @@ def test_tables_mean_what_their_episodes_do(P):
         return max(sum(Fraction(p) * value(s2, e, t + 1) for p, s2, _, e in P[s][a]) for a in P[s])
 
     for ends in ["apart"] if going_on & ended else ["apart", "merged"]:
-        product = stl.build_product(stl.from_gymnasium(env, {"last": {last}}, ends=ends), stl.parse("F[0,5] last"))
+        product = stl.build_product(read(env, labels={"last": {last}}, ends=ends), stl.parse("F[0,5] last"))
         assert stl.check(product).probability == pytest.approx(float(value(0, False, 0)), abs=1e-14)
 
 
@@ -522,10 +645,9 @@ def test_runs_at_the_same_time_need_an_environment_each():
         first.step(0)
 
 
-def test_without_gymnasium_it_says_what_to_install(monkeypatch):
+def test_without_gymnasium_it_says_what_to_install(monkeypatch, floor5):
     monkeypatch.setitem(sys.modules, "gymnasium", None)
-    model = stl.MDP.from_arrays([[[1]]], {})
-    for ask in (lambda: stl.from_gymnasium(None), lambda: stl.to_gymnasium(model)):
+    for ask in (lambda: stl.from_gymnasium(None), lambda: stl.to_gymnasium(floor5)):
         with pytest.raises(MissingExtraError, match=r"pip install 'stltool\[gymnasium\]'"):
             ask()
 
@@ -582,7 +704,7 @@ def test_signals_are_numbers_of_each_state():
     assert (model.signals["sum"].tolist(), model.signals["x"].tolist()) == ([0, 1, 1, 2], [0, 1, 2, 3.5])
     assert model.labels["B"].tolist() == [False, True, True, False]
     for wrong in ("1234", {0, 1, 2, 3}, {0: 1}, ["a"] * 4, [1j] * 4, lambda o: "x"):
-        with pytest.raises(ModelError, match="signal x does not hold numbers; give 4 of them"):
+        with pytest.raises(ModelError, match="signal x does not hold numbers.*; give 4 of them"):
             stl.from_gymnasium(env, signals={"x": wrong})
     with pytest.raises(ModelError, match=r"signal x has shape \(3,\); one number for each of 4 states"):
         stl.from_gymnasium(env, signals={"x": [1, 2, 3]})

@@ -232,7 +232,7 @@ def test_a_file_with_intervals(tmp_path):
     path.write_text('kind = "grid"\nmap = "S."\nsuccess = [0.9, 0.95]\nslip = "[0.01, 0.04]"')
     assert rows(stl.load_model(path))["(0,0)", "E"] == {"(1,0)": (0.9, 0.95), "(0,0)": (0.03, 0.12)}
     path.write_text('kind = "grid"\nmap = "S."\nsuccess = [0.9, 0.8]')
-    with pytest.raises(ModelError, match="floor.toml: success is .* the lower end comes first"):
+    with pytest.raises(ModelError, match="floor.toml, line 3: success is .* the lower end comes first"):
         stl.load_model(path)
 
 
@@ -257,12 +257,12 @@ def test_transition_files_with_intervals(tmp_path):
 @pytest.mark.parametrize(
     ("share", "says"),
     [
-        ("[0.9,0.6]", r"line 2: .*\[0.9,0.6\] is no probability"),
-        ("[-1,1]", r"line 2: .*\[-1,1\] is no probability"),
+        ("[0.9,0.6]", r"line 2: .*\[0.9,0.6\] is not a probability"),
+        ("[-1,1]", r"line 2: .*\[-1,1\] is not a probability"),
         ("[0.6;0.9]", r"line 2: .*with a decimal or a fraction such as 2/5, or \[0.6,0.9\]"),
         ("[0.6,0.9", r"line 2: .*or \[0.6,0.9\]"),
         ("[0.6,0.7,0.8]", r"line 2: .*or \[0.6,0.9\]"),
-        ("[0.6,0.9]", "m.tra: state 0, action 0: the upper ends sum to 0.9, less than 1"),
+        ("[0.6,0.9]", "m.tra, line 2: state 0, choice 0: the upper ends sum to 0.9, less than 1"),
     ],
 )
 def test_bad_intervals_in_transition_files(tmp_path, share, says):

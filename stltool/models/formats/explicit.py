@@ -15,94 +15,153 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
-from typing import NoReturn, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.errors import ModelError
+from stltool.errors import MOST_FAULTS, ModelError, all_told
 from stltool.files import read_text
-from stltool.models.fractions import Fractions, over_one
+from stltool.models.fractions import Fractions, Integers, doubles_of, over_one
 from stltool.models.intervals import Intervals
 from stltool.models.mdp import MDP
-from stltool.numbers import double, index, read
+from stltool.models.normalize import HINT, MOST_MISSING, rescale
+from stltool.numbers import NumberError, double, index, read
 from stltool.sizes import require_memory, require_numbered
 
 _BYTES_A_LINE = 400  # of Python objects while a file is read
+_SHOWN = 80  # characters of a line that a message repeats
+_TOLERANCE = 1e-9  # how far a row of doubles may sum from 1
 _TRUTH = {"true": 1.0, "false": 0.0}
 _LABEL = re.compile(r'(\d{1,9})="([^"]*)"', re.ASCII)
 
+_Ends: TypeAlias = tuple[Fraction, Fraction]
 
-def load_explicit(path: str | Path) -> MDP:
-    """Read `path` (.tra) and the .lab and .sta files of the same name. Raises FileError, ModelError."""
+
+def load_explicit(path: str | Path, normalize: bool = False) -> MDP:
+    """Read `path` (.tra) and the .lab and .sta files of the same name.
+
+    `normalize` rescales rows that miss 1 by at most 1/1000 (models/normalize.py). Raises FileError, and ModelError with
+    all that is wrong in the three files, by lines.
+    """
     path = Path(path)
-    n_states, rows, uncertain = _transitions(path)
-    choice_start, row_start = [0], [0]
-    action_names: dict[str, int] = {}
-    choice_action: list[int] = []
-    target: list[int] = []
-    shares: list[_Ends] = []
-    for s in range(n_states):
-        taken: set[str] = set()
-        for number, (action, row) in sorted(rows.get(s, {}).items()):
-            name = action or str(number)
-            if name in taken:  # PRISM lets one action offer several choices; here each has its own name
-                name = next(new for i in itertools.count(2) if (new := f"{name}#{i}") not in taken)
-            taken.add(name)
-            choice_action.append(action_names.setdefault(name, len(action_names)))
-            for successor in sorted(row):
-                target.append(successor)
-                shares.append(row[successor])
-            row_start.append(len(target))
-        choice_start.append(len(choice_action))
-    lower, upper = (np.array([float(share[end]) for share in shares]) for end in (0, 1))
-    intervals = Intervals(lower, upper) if uncertain else None
-    labels = _labels(path.with_suffix(".lab"), n_states)
-    initial = _initial(labels.get("init"), path)
-    first = (np.arange(n_states) == initial).astype(np.int64)
-    names, signals = _variables(path.with_suffix(".sta"), n_states)
+    faults = _Faults()
+    table = _transitions(path, faults)
+    if table is None:
+        raise faults.error()
+    arrays = _Arrays.of(table)
+    before = faults.count
+    labels = _labels(path.with_suffix(".lab"), table.n_states, faults)
+    first = _initial(labels.get("init"), path, table.n_states, faults if faults.count == before else _Faults())
+    names, signals = _variables(path.with_suffix(".sta"), table.n_states, faults)
     both = sorted(set(signals) & set(labels))
     if both:
-        raise ModelError(
-            f"{path.with_suffix('.lab')}: the label {both[0]} is a variable of the .sta file too; rename it"
-        )
+        faults.add(f"{path.with_suffix('.lab')}: the label {both[0]} is a variable of the .sta file too; rename it")
+    arrays.require_distributions(path, normalize, faults)
+    if faults.count:
+        raise faults.error()
+    lower, upper = (np.array([float(share[end]) for share in arrays.shares]) for end in (0, 1))
+    intervals = Intervals(lower, upper) if table.uncertain else None
+    notes = _missing_files(path)
+    exact: tuple[Integers, int] | None = None
+    row_start = np.array(arrays.row_start, dtype=np.int64)
+    if intervals is None:
+        exact = over_one(share for share, _ in arrays.shares)
+        if normalize:
+            exact, done = rescale(exact, row_start, arrays.place)
+            lower, notes["normalize"] = doubles_of(*exact), str(done)
     try:
         return MDP(
-            choice_start=np.array(choice_start, dtype=np.int64),
-            choice_action=np.array(choice_action, dtype=np.int32),
-            row_start=np.array(row_start, dtype=np.int64),
-            target=np.array(target, dtype=np.int32),
-            probability=intervals.nominal(np.array(row_start)) if intervals is not None else lower,
+            choice_start=np.array(arrays.choice_start, dtype=np.int64),
+            choice_action=np.array(arrays.choice_action, dtype=np.int32),
+            row_start=row_start,
+            target=np.array(arrays.target, dtype=np.int32),
+            probability=intervals.nominal(row_start) if intervals is not None else lower,
             initial=first.astype(np.float64),
             signals=signals,
             labels=labels,
-            action_names=tuple(action_names),
+            action_names=tuple(arrays.action_names),
             state_names=names,
             name=path.stem,
-            fractions=Fractions(*over_one(share for share, _ in shares), first, 1) if not uncertain else None,
+            fractions=Fractions(*exact, first, 1) if exact is not None else None,
             intervals=intervals,
+            notes=notes,
         )
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
 
 
-_Ends: TypeAlias = tuple[Fraction, Fraction]
-_Rows: TypeAlias = dict[int, dict[int, tuple[str, dict[int, _Ends]]]]
-"""state → choice number in the file → (action, successor → lower and upper end of its probability)"""
+def _missing_files(path: Path) -> dict[str, str]:
+    """What is worth telling where labels or variables are in no file: as the notes of the model."""
+    without = {
+        "label": (".lab", "the model has no labels, and runs start in state 0"),
+        "signal": (".sta", "the model has no signals, and its states no names but their numbers"),
+    }
+    return {
+        kind: f"there is no {path.with_suffix(ending).name} beside {path.name}: {so}"
+        for kind, (ending, so) in without.items()
+        if not path.with_suffix(ending).exists()
+    }
 
 
-def _transitions(path: Path) -> tuple[int, _Rows, bool]:
-    """The number of states, their rows, and whether an interval was written."""
+class _Faults:
+    """What is wrong with the files, in their order: the first messages, and the number of all."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+        self.count = 0
+
+    def add(self, message: str) -> None:
+        self.count += 1
+        if len(self.told) < MOST_FAULTS:
+            self.told.append(message)
+
+    def line(self, path: Path, number: int, line: str, remedy: str) -> None:
+        shown = line if len(line) <= _SHOWN else line[: _SHOWN - 3] + "…"
+        self.add(f"{path}, line {number}: {shown!r}: {remedy}")
+
+    def error(self) -> ModelError:
+        return ModelError(all_told(self.told, self.count))
+
+
+# ------------------------------------------------------------------------------------------------------ transitions
+
+
+@dataclass
+class _Choice:
+    """A choice as the file has it: its action, its first line, and each successor with the ends of its probability."""
+
+    action: str
+    line: int
+    row: dict[int, _Ends] = field(default_factory=dict)
+    faulty: bool = False
+
+
+@dataclass
+class _Table:
+    """n_states, and state → choice number in the file → choice; `uncertain` where an interval was written, `garbled`
+    where lines are missing, or do not tell which choice they belong to."""
+
+    n_states: int
+    rows: dict[int, dict[int, _Choice]] = field(default_factory=dict)
+    uncertain: bool = False
+    garbled: bool = False
+
+
+def _transitions(path: Path, faults: _Faults) -> _Table | None:
+    """None where the first line does not say how many states there are."""
     lines = _lines(path, "transition file")
     number, header = next(lines, (1, ""))
     try:
         counts = [index(word) for word in header.split()]
-        if len(counts) not in (2, 3) or min(counts) < 0:
-            raise ValueError
-    except ValueError:
-        _fail(path, number, header, 'write "states choices transitions", as PRISM exports it')
+    except NumberError:
+        counts = []
+    if len(counts) not in (2, 3):
+        faults.line(path, number, header, 'write "states choices transitions", as PRISM exports it')
+        return None
     n_states, n_transitions = counts[0], counts[-1]
     require_memory(
         _BYTES_A_LINE * max(n_transitions, n_states),
@@ -110,140 +169,222 @@ def _transitions(path: Path) -> tuple[int, _Rows, bool]:
         "check the file's first line",
     )
     require_numbered(n_states, "states", "give a part of the model")
-    chain = len(counts) == 2
-    rows: _Rows = {}
+    table, chain = _Table(n_states), len(counts) == 2
     known: dict[str, _Ends] = {}
     found = 0
     for number, line in lines:
-        words = line.split()
-        if chain:
-            words.insert(1, "0")
-        try:
-            s, choice, successor = (index(word) for word in words[:3])
-            text = words[3]
-            if len(words) > (4 if chain else 5):
-                raise ValueError
-            share = known[text] if text in known else known.setdefault(text, _parse_ends(text))
-        except (ValueError, IndexError):
-            form = "state successor probability" if chain else "state choice successor probability [action]"
-            _fail(path, number, line, f'write "{form}" with a decimal or a fraction such as 2/5, or [0.6,0.9]')
-        if not (0 <= s < n_states and 0 <= successor < n_states):
-            _fail(path, number, line, f"states are 0 … {n_states - 1} by the first line")
-        if not 0 <= share[0] <= share[1] <= 1:
-            _fail(path, number, line, f"{text} is no probability")
-        action, row = rows.setdefault(s, {}).setdefault(choice, (words[4] if len(words) > 4 else "", {}))
-        if len(words) > 4 and words[4] != action:
-            _fail(
-                path,
-                number,
-                line,
-                f"choice {choice} of state {s} has the action {action or '(none)'} in an earlier line",
-            )
-        if successor in row:
-            _fail(path, number, line, f"this successor of state {s}, choice {choice} stands twice; add the two up")
         found += 1
-        if share[1]:
-            row[successor] = share
+        wrong = _transition(table, number, line.split(), chain, known)
+        if wrong:
+            faults.line(path, number, line, wrong)
     if found != n_transitions:
-        raise ModelError(f"{path}: {found} transitions, and the first line says {n_transitions}; is the file cut off?")
-    if not chain and sum(map(len, rows.values())) != counts[1]:
-        raise ModelError(f"{path}: {sum(map(len, rows.values()))} choices, and the first line says {counts[1]}")
-    _require_rows(path, rows)
-    return n_states, rows, any(text.startswith("[") for text in known)
+        faults.add(f"{path}: {found} transitions, and the first line says {n_transitions}; is the file cut off?")
+        table.garbled = True
+    n_choices = sum(map(len, table.rows.values()))
+    if not chain and not table.garbled and n_choices != counts[1]:
+        faults.add(f"{path}: {n_choices} choices, and the first line says {counts[1]}")
+    return table
+
+
+def _transition(table: _Table, number: int, words: list[str], chain: bool, known: dict[str, _Ends]) -> str:
+    """Take a line into the table; what is wrong with it, or "". `known` are the probabilities read so far."""
+    if chain:
+        words.insert(1, "0")
+    form = "state successor probability" if chain else "state choice successor probability [action]"
+    try:
+        s, choice = index(words[0]), index(words[1])
+    except (NumberError, IndexError):
+        table.garbled = True
+        return f'write "{form}" with a decimal or a fraction such as 2/5, or [0.6,0.9]'
+    if not 0 <= s < table.n_states:
+        table.garbled = True
+        return f"states are 0 … {table.n_states - 1} by the first line"
+    action = words[4] if len(words) > 4 else ""
+    entry = table.rows.setdefault(s, {}).setdefault(choice, _Choice(action, number))
+    wrong = _outcome(table, entry, words, action, form, known)
+    entry.faulty |= bool(wrong)
+    return wrong or ""
+
+
+def _outcome(
+    table: _Table, choice: _Choice, words: list[str], action: str, form: str, known: dict[str, _Ends]
+) -> str | None:
+    """Add a successor to its choice; what is wrong with it."""
+    try:
+        successor, text = index(words[2]), words[3]
+        if len(words) > (5 if "choice" in form else 4):
+            return f'write "{form}"'
+        share = known[text] if text in known else known.setdefault(text, _parse_ends(text))
+    except IndexError:
+        return f'write "{form}"'
+    except NumberError as error:
+        return f'{error}; write "{form}" with a decimal or a fraction such as 2/5, or [0.6,0.9]'
+    table.uncertain |= text.startswith("[")
+    if successor >= table.n_states:
+        return f"states are 0 … {table.n_states - 1} by the first line"
+    if not 0 <= share[0] <= share[1] <= 1:
+        return f"{text} is not a probability"
+    if action and action != choice.action:
+        return f"this choice has the action {choice.action or '(none)'} in line {choice.line}"
+    if successor in choice.row:
+        return "this successor of the choice stands twice; add the two up"
+    if share[1]:
+        choice.row[successor] = share
+    return None
 
 
 def _parse_ends(text: str) -> _Ends:
-    """A probability, or [lower,upper]. Raises ValueError for anything else."""
-    if text.startswith("[") and text.endswith("]"):
-        lower, upper = (read(end) for end in text[1:-1].split(","))
-        return lower, upper
-    share = read(text)
-    return share, share
+    """A probability, or [lower,upper]. Raises NumberError for anything else."""
+    if not (text.startswith("[") and text.endswith("]")):
+        share = read(text)
+        return share, share
+    ends = text[1:-1].split(",")
+    if len(ends) != 2:
+        raise NumberError(f"{text!r} is not an interval")
+    return read(ends[0]), read(ends[1])
 
 
-def _require_rows(path: Path, rows: _Rows) -> None:
-    """A choice whose probabilities are all zero would vanish unseen."""
-    for s, choices in rows.items():
-        for choice, (_, row) in choices.items():
-            if not row:
-                raise ModelError(f"{path}: state {s}, choice {choice}: the probabilities sum to 0, not 1")
+@dataclass
+class _Arrays:
+    """The model's arrays as lists; `lines` (n_choices,) says where each choice begins in the file."""
+
+    table: _Table
+    choice_start: list[int] = field(default_factory=lambda: [0])
+    row_start: list[int] = field(default_factory=lambda: [0])
+    choice_action: list[int] = field(default_factory=list)
+    target: list[int] = field(default_factory=list)
+    shares: list[_Ends] = field(default_factory=list)
+    action_names: dict[str, int] = field(default_factory=dict)
+    choices: list[tuple[int, int, _Choice]] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, table: _Table) -> _Arrays:
+        made = cls(table)
+        for s in range(table.n_states):
+            taken: set[str] = set()
+            for number, choice in sorted(table.rows.get(s, {}).items()):
+                name = choice.action or str(number)
+                if name in taken:  # PRISM lets one action offer several choices; here each has its own name
+                    name = next(new for i in itertools.count(2) if (new := f"{name}#{i}") not in taken)
+                taken.add(name)
+                made.choice_action.append(made.action_names.setdefault(name, len(made.action_names)))
+                for successor in sorted(choice.row):
+                    made.target.append(successor)
+                    made.shares.append(choice.row[successor])
+                made.row_start.append(len(made.target))
+                made.choices.append((s, number, choice))
+            made.choice_start.append(len(made.choice_action))
+        return made
+
+    def place(self, c: int) -> str:
+        s, number, choice = self.choices[c]
+        return f"line {choice.line}: state {s}, choice {number}"
+
+    def require_distributions(self, path: Path, normalize: bool, faults: _Faults) -> None:
+        """Every state has a choice, every choice a distribution; rows that the file has wrong lines of apart."""
+        if self.table.garbled:
+            return
+        for s in np.flatnonzero(np.diff(self.choice_start) == 0).tolist():
+            faults.add(f"{path}: state {s} has no action; give it one that stays (probability 1 to itself)")
+        for c, (_, _, choice) in enumerate(self.choices):
+            if not choice.faulty and (wrong := _sum_fault(choice.row, normalize)):
+                faults.add(f"{path}, {self.place(c)}: {wrong}")
 
 
-def _labels(path: Path, n_states: int) -> dict[str, NDArray[np.bool_]]:
+def _sum_fault(row: dict[int, _Ends], normalize: bool) -> str:
+    """What is wrong with the sums of a row, or ""."""
+    lower, upper = (sum(float(ends[k]) for ends in row.values()) for k in (0, 1))
+    if not row:
+        return "the probabilities sum to 0, not 1"
+    if lower - 1 > _TOLERANCE and lower != upper:
+        return f"the lower ends sum to {lower:.12g}, more than 1; lower one of them"
+    if 1 - upper > _TOLERANCE and lower != upper:
+        return f"the upper ends sum to {upper:.12g}, less than 1; raise one of them"
+    missing = abs(lower - 1)
+    if lower == upper and missing > (MOST_MISSING if normalize else _TOLERANCE):
+        return f"the probabilities sum to {lower:.12g}, not 1" + (f"; {HINT}" if missing <= MOST_MISSING else "")
+    return ""
+
+
+# ------------------------------------------------------------------------------------------------ labels, variables
+
+
+def _labels(path: Path, n_states: int, faults: _Faults) -> dict[str, NDArray[np.bool_]]:
     if not path.exists():
         return {}
     lines = _lines(path, "label file")
     number, header = next(lines, (1, ""))
-    names = {int(key): name for key, name in _LABEL.findall(header)}
-    if not names or _LABEL.sub("", header).strip():
-        _fail(path, number, header, 'write 0="init" 1="deadlock" 2="done" …')
+    found = _LABEL.findall(header)
+    names = {int(key): name for key, name in found}
     labels = {name: np.zeros(n_states, dtype=np.bool_) for name in names.values()}
-    if len(labels) < len(_LABEL.findall(header)):
-        _fail(path, number, header, "two labels have one name, or one number")
+    if not names or _LABEL.sub("", header).strip():
+        faults.line(path, number, header, 'write 0="init" 1="deadlock" 2="done" …')
+        return {}
+    if len(labels) < len(found):
+        faults.line(path, number, header, "two labels have one name, or one number")
+        return {}
     if "init" not in labels:
-        _fail(path, number, header, 'mark the state that runs start in: 0="init", and a line "state: 0"')
+        faults.line(path, number, header, 'mark the state that runs start in: 0="init", and a line "state: 0"')
+    form = f'write "state: number number …", states 0 … {n_states - 1}, numbers of the first line'
     for number, line in lines:
         state, colon, numbers = line.partition(":")
         try:
             s, which = index(state.strip()), [index(word) for word in numbers.split()]
-            if not colon or not 0 <= s < n_states or any(i not in names for i in which):
-                raise ValueError
-        except ValueError:
-            _fail(
-                path,
-                number,
-                line,
-                f'write "state: number number …", states 0 … {n_states - 1}, numbers of the first line',
-            )
+        except NumberError:
+            s, which = n_states, []
+        if not colon or s >= n_states or any(i not in names for i in which):
+            faults.line(path, number, line, form)
+            continue
         for i in which:
             labels[names[i]][s] = True
     return labels
 
 
-def _initial(marked: NDArray[np.bool_] | None, path: Path) -> int:
-    if marked is None:
-        return 0
-    states = np.flatnonzero(marked)
+def _initial(marked: NDArray[np.bool_] | None, path: Path, n_states: int, faults: _Faults) -> NDArray[np.int64]:
+    """The weights of the first state; without labels it is state 0."""
+    first = np.zeros(n_states, dtype=np.int64)
+    states = np.flatnonzero(marked) if marked is not None else np.zeros(1, dtype=np.int64)
     if len(states) != 1:
-        raise ModelError(
-            f'{path.with_suffix(".lab")}: "init" marks {len(states)} states; mark the one that runs start in'
-        )
-    return int(states[0])
+        faults.add(f'{path.with_suffix(".lab")}: "init" marks {len(states)} states; mark the one that runs start in')
+    first[states[:1]] = 1
+    return first
 
 
-def _variables(path: Path, n_states: int) -> tuple[list[str] | None, dict[str, NDArray[np.float64]]]:
+def _variables(path: Path, n_states: int, faults: _Faults) -> tuple[list[str] | None, dict[str, NDArray[np.float64]]]:
     """State names and signals of a .sta file; none without one."""
     if not path.exists():
         return None, {}
     lines = _lines(path, "states file")
     number, header = next(lines, (1, ""))
     variables = [name.strip() for name in header.strip("() ").split(",")]
-    if (
-        not header.startswith("(")
-        or not header.endswith(")")
-        or not all(variables)
-        or len(set(variables)) < len(variables)
-    ):
-        _fail(path, number, header, "write the variables' names, such as (x,y)")
+    bracketed = header.startswith("(") and header.endswith(")")
+    if not bracketed or not all(variables) or len(set(variables)) < len(variables):
+        faults.line(path, number, header, "write the variables' names, such as (x,y)")
+        return None, {}
     names = [""] * n_states
     values = np.full((len(variables), n_states), np.nan)
+    form = f'write "state:({",".join(variables)})" with numbers, true or false'
+    before = faults.count
     for number, line in lines:
         state, _, tuple_text = line.partition(":")
         words = [word.strip() for word in tuple_text.strip("() ").split(",")]
         try:
             s = index(state.strip())
             column = [_TRUTH[word] if word in _TRUTH else double(word) for word in words]
-            if not 0 <= s < n_states or len(column) != len(variables):
-                raise ValueError
-        except ValueError:
-            _fail(path, number, line, f'write "state:({",".join(variables)})" with numbers, true or false')
-        if names[s]:
-            _fail(path, number, line, f"state {s} stands twice")
-        names[s] = ", ".join(f"{name}={word}" for name, word in zip(variables, words, strict=True))
-        values[:, s] = column
+        except NumberError as error:
+            faults.line(path, number, line, f"{error}; {form}")
+            continue
+        if s >= n_states or len(column) != len(variables):
+            faults.line(path, number, line, f"{form}; states are 0 … {n_states - 1}")
+        elif names[s]:
+            faults.line(path, number, line, f"state {s} stands twice")
+        else:
+            names[s] = ", ".join(f"{name}={word}" for name, word in zip(variables, words, strict=True))
+            values[:, s] = column
     missing = np.flatnonzero(np.isnan(values[0]))
-    if missing.size:
-        raise ModelError(f"{path}: state {missing[0]} is missing")
+    if missing.size and faults.count == before:
+        more = f", and {missing.size - 1} more" if missing.size > 1 else ""
+        faults.add(f"{path}: state {missing[0]} is missing{more}")
     return names, dict(zip(variables, values, strict=True))
 
 
@@ -251,8 +392,3 @@ def _lines(path: Path, what: str) -> Iterator[tuple[int, str]]:
     for number, line in enumerate(read_text(path, what).splitlines(), start=1):
         if line.strip():
             yield number, line.strip()
-
-
-def _fail(path: Path, number: int, line: str, remedy: str) -> NoReturn:
-    shown = line if len(line) <= 80 else line[:77] + "…"
-    raise ModelError(f"{path}, line {number}: {shown!r}: {remedy}")

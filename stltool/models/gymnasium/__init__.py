@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.arguments import described, mapping, one_of, texts
+from stltool.arguments import described, flag, mapping, one_of, texts
 from stltool.arguments import require as require_kind
 from stltool.errors import ModelError, SettingsError
 from stltool.extras import require
@@ -58,6 +58,7 @@ def from_gymnasium(
     ends: Literal["merged", "apart"] = "merged",
     name: str | None = None,
     action_names: Sequence[str] | None = None,
+    normalize: bool = False,
 ) -> MDP:
     """The MDP of a Gymnasium environment, S its observations, A its actions, in the order of its spaces.
 
@@ -68,15 +69,19 @@ def from_gymnasium(
     ends       "merged": runs end in states where none goes on, else a ModelError; "apart": 2·S states, S + s for runs
                that have ended at observation s
     action_names   A names (default: the numbers of the actions)
+    normalize  rescale rows of the table that miss a sum of 1 by at most 1/1000, so that they sum to 1 exactly: thirds
+               given as 0.333… become 1/3 (models/normalize.py); `notes` of the model tells what that changed
 
     An observation is a whole number for `Discrete` (from its `start`), a tuple of all components in their order for
     `Tuple` and `MultiDiscrete`. A black box shares `env`: one run at a time. Raises ModelError, naming the space or the
-    row, where environment, labels or signals do not fit, or where `table=True` and there is none.
+    row, where environment, labels or signals do not fit, where `table=True` and there is none, or where the environment
+    does what its table does not list: it is reset and stepped some hundred times to see that.
     """
     require_gymnasium()
     if not isinstance(table, bool) and not (isinstance(table, str) and table == "auto"):
         raise SettingsError(f'table is {described(table)}; choose "auto", True or False')
     one_of(ends, "ends", ("merged", "apart"))
+    normalize = flag(normalize, "normalize")
     labels = mapping(labels, "from_gymnasium's labels", "{'goal': {15}}", optional=True)
     signals = mapping(signals, "from_gymnasium's signals", "{'x': [0.0, 0.5]}", optional=True)
     require_kind(name, str, "from_gymnasium's name", optional=True)
@@ -106,8 +111,8 @@ def from_gymnasium(
     if table is True and missing:
         raise ModelError(f"{missing}; use table=False: learn and estimate need no table")
     if table is not False and not missing:
-        matrices, initial = read_table(env, title, observations.n_states, n_actions, apart)
-        return MDP.from_arrays(matrices, initial=initial, action_names=action_names, **facts)
+        matrices, initial = read_table(env, title, observations, n_actions, apart, normalize)
+        return MDP.from_arrays(matrices, initial=initial, action_names=action_names, normalize=normalize, **facts)
     shared = Shared(env, title, observations, first_action, apart)
 
     def episodes(rng: np.random.Generator, steps: int | None) -> Environment:

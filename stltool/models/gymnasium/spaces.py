@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stltool.arguments import described
 from stltool.errors import ModelError
+from stltool.models.fractions import floats
 
 LabelGiven: TypeAlias = Callable[[Any], bool] | Iterable[Any]
 SignalGiven: TypeAlias = Callable[[Any], float] | ArrayLike
@@ -139,13 +140,12 @@ class Observations:
         """(S,) reals from a function, or from S reals."""
         values = [given(self.observation(s)) for s in range(self.n_states)] if callable(given) else given
         try:
-            if isinstance(values, str | bytes | set | frozenset | Mapping) or np.iscomplexobj(values):
-                raise TypeError
-            column = np.array(values, dtype=np.float64)
-        except (TypeError, ValueError):
+            if isinstance(values, str | bytes | set | frozenset | Mapping):
+                raise ModelError(f"signal {name} does not hold numbers")
+            column = floats(values, f"signal {name}")
+        except ModelError as error:
             raise ModelError(
-                f"signal {name} does not hold numbers; give {self.n_states} of them in the order of the states, or a "
-                "function of an observation"
+                f"{error}; give {self.n_states} of them in the order of the states, or a function of an observation"
             ) from None
         if column.shape != (self.n_states,):
             raise ModelError(f"signal {name} has shape {column.shape}; one number for each of {self.n_states} states")

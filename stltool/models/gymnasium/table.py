@@ -9,15 +9,15 @@ from __future__ import annotations
 import itertools
 import math
 import operator
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.errors import ModelError
+from stltool.models.gymnasium.replay import Outcome, require_listed, require_replays
 from stltool.models.gymnasium.spaces import Observations
-
-_Outcome: TypeAlias = tuple[float, int, bool]
+from stltool.models.normalize import HINT, MOST_MISSING
 
 _RESETS = 100  # that must agree before a first state counts as the only one
 # wrappers that leave observations, actions and dynamics as they are; a table has no time limit
@@ -48,24 +48,30 @@ def without_table(env: Any, title: str, observations: Observations, first_action
 
 
 def read_table(
-    env: Any, title: str, n_states: int, n_actions: int, apart: bool
+    env: Any, title: str, observations: Observations, n_actions: int, apart: bool, normalize: bool
 ) -> tuple[list[Any], NDArray[np.float64]]:
-    """A matrix per action, and the distribution of the first state; with `apart` over 2·S states, S + s ended in s."""
+    """A matrix per action, and the distribution of the first state; with `apart` over 2·S states, S + s ended in s.
+
+    The environment is replayed for some hundred steps (replay.py). `normalize` lets rows miss 1 by up to 1/1000.
+    """
     from scipy.sparse import coo_array
 
-    P = env.unwrapped.P
-    rows: list[list[list[_Outcome]]] = [[[] for _ in range(n_actions)] for _ in range(n_states)]
+    require_listed(env, title)
+    P, n_states = env.unwrapped.P, observations.n_states
+    rows: list[list[list[Outcome]]] = [[[] for _ in range(n_actions)] for _ in range(n_states)]
     for s in range(n_states):
         for a in range(n_actions):
             outcomes = [_outcome(outcome, title, s, a, n_states) for outcome in P[s][a]]
-            total = math.fsum(p for p, _, _ in outcomes)
-            if abs(total - 1) > 1e-9:
+            total = math.fsum(p for p, _, _, _ in outcomes)
+            if abs(total - 1) > (MOST_MISSING if normalize else 1e-9):
+                hint = f"; {HINT}" if abs(total - 1) <= MOST_MISSING else ""
                 raise ModelError(
                     f"{title}: the probabilities of P[{s}][{a}] sum to {total:.12g}, not 1; mend the table, or use "
-                    "table=False"
+                    f"table=False{hint}"
                 )
             rows[s][a] = [outcome for outcome in outcomes if outcome[0] > 0]
     initial = _initial(env, title, n_states)
+    require_replays(env, title, rows, initial)
     if apart:
         ends, ended, size = set(range(n_states, 2 * n_states)), n_states, 2 * n_states
         initial = np.concatenate([initial, np.zeros(n_states)])
@@ -75,7 +81,7 @@ def read_table(
     for a in range(n_actions):
         entries = [
             (s, s2 + (ended if terminated else 0), p)
-            for s in range(n_states) if s not in ends for p, s2, terminated in rows[s][a]
+            for s in range(n_states) if s not in ends for p, s2, _, terminated in rows[s][a]
         ]  # fmt: skip
         entries += [(s, s, 1.0) for s in ends]
         source, target, share = zip(*entries, strict=True)
@@ -83,9 +89,9 @@ def read_table(
     return matrices, initial
 
 
-def _outcome(outcome: Any, title: str, s: int, a: int, n_states: int) -> _Outcome:
+def _outcome(outcome: Any, title: str, s: int, a: int, n_states: int) -> Outcome:
     try:
-        p, s2, _, terminated = outcome
+        p, s2, reward, terminated = outcome
         p, s2 = float(p), operator.index(s2)
         if not (0 <= p <= 1 + 1e-9 and 0 <= s2 < n_states and isinstance(terminated, bool | np.bool_)):
             raise ValueError
@@ -94,7 +100,7 @@ def _outcome(outcome: Any, title: str, s: int, a: int, n_states: int) -> _Outcom
             f"{title}: P[{s}][{a}] holds {outcome!r}, which is no (probability, next state 0 … {n_states - 1}, reward, "
             "terminated); mend the table, or use table=False"
         ) from None
-    return p, s2, bool(terminated)
+    return p, s2, reward, bool(terminated)
 
 
 def _initial(env: Any, title: str, n_states: int) -> NDArray[np.float64]:
@@ -112,18 +118,18 @@ def _initial(env: Any, title: str, n_states: int) -> NDArray[np.float64]:
     return point
 
 
-def _ends(rows: list[list[list[_Outcome]]], first: list[int], title: str) -> set[int]:
+def _ends(rows: list[list[list[Outcome]]], first: list[int], title: str) -> set[int]:
     """The states in which runs end, where they stay. ModelError where a run can be in one both before and at its end:
     no MDP over these states does that."""
     going_on, todo = set(first), list(first)
     while todo:
-        for _, s2, terminated in itertools.chain.from_iterable(rows[todo.pop()]):
+        for _, s2, _, terminated in itertools.chain.from_iterable(rows[todo.pop()]):
             if not terminated and s2 not in going_on:
                 going_on.add(s2)
                 todo.append(s2)
     ends = set()
     for s, outcomes in enumerate(map(itertools.chain.from_iterable, rows)):
-        entered = {s2 for _, s2, terminated in outcomes if terminated}
+        entered = {s2 for _, s2, _, terminated in outcomes if terminated}
         both = entered & going_on
         if both and s in going_on:
             raise ModelError(

@@ -1,0 +1,195 @@
+"""Does an environment do what its table lists? Two thousand seeded steps of it, held against P.
+
+Actions are chosen so that the walk goes, by the table, to the nearest pair of state and action that it has not tried.
+Each episode's start must have a positive probability, each step must be an outcome of P[s][a]: its successor, with its
+reward and its `terminated`. And outcomes must be as frequent as listed: with p_t the probability of the likeliest
+(successor, terminated) of the t-th row, and X_t = 1 where that one came, else 0, Σ (X_t − p_t) is a martingale under P
+however actions are chosen, so by the inequality of Azuma and Hoeffding
+
+    |Σ (X_t − p_t)| > √(n/2 · ln(2/δ))     with probability at most δ = 10⁻⁹.
+
+What the walk does not meet is believed, and so is what differs in frequency alone by less than this shows.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections import deque
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.errors import ModelError
+
+Outcome: TypeAlias = tuple[float, int, float, bool]
+"""(probability, successor, reward, terminated)"""
+
+Rows: TypeAlias = Sequence[Sequence[Sequence[Outcome]]]
+
+_STEPS, _EPISODE = 2000, 50  # in all, and of one episode at most
+_LOOK = 200  # states searched for an untried pair
+_DELTA = 1e-9
+_REMEDY = "use table=False (in a model file: table = false), a black box, or mend the table"
+# options of known environments that their tables leave out
+_NOT_LISTED = {"fickle_passenger": "the passenger may change the destination on the way"}
+
+
+def require_listed(env: Any, title: str) -> None:
+    """ModelError where an environment has an option that its table is known to leave out."""
+    inner = env.unwrapped
+    for option, what in _NOT_LISTED.items():
+        if getattr(inner, option, False):
+            raise ModelError(
+                f"{title}: with {option}=True {what}, which its transition table does not list; leave the option out, "
+                "or use table=False (in a model file: table = false), a black box"
+            )
+
+
+def require_replays(env: Any, title: str, rows: Rows, initial: NDArray[np.float64]) -> None:
+    """ModelError, naming state, action and what was seen, where the environment does what the table does not list."""
+    rng = np.random.default_rng(0)
+    walk = _Walk(title, rows, initial, rng, _keeps_rewards(env))
+    with _unseen(env) as stepped:
+        state, left = -1, 0
+        for _ in range(_STEPS):
+            if not left:
+                state, left = walk.start(_call(stepped.reset, title, "reset", seed=int(rng.integers(2**31)))), _EPISODE
+            action = walk.choose(state)
+            answer = _call(stepped.step, title, f"step({action})", action)
+            state, over = walk.step(state, action, answer)
+            left = 0 if over else left - 1
+    walk.require_frequencies()
+
+
+def _keeps_rewards(env: Any) -> bool:
+    """Whether no wrapper changes rewards."""
+    while env is not env.unwrapped:
+        if any(base.__name__ == "RewardWrapper" for base in type(env).__mro__):
+            return False
+        env = env.env
+    return True
+
+
+@contextmanager
+def _unseen(env: Any) -> Iterator[Any]:
+    """The environment, without the pictures that it would show to people at every step."""
+    inner = env.unwrapped
+    if getattr(inner, "render_mode", None) != "human" and "HumanRendering" not in _wrappers(env):
+        yield env
+        return
+    mode = getattr(inner, "render_mode", None)
+    inner.render_mode = None
+    try:
+        yield inner
+    finally:
+        inner.render_mode = mode
+
+
+def _wrappers(env: Any) -> list[str]:
+    names = []
+    while env is not env.unwrapped:
+        names.append(type(env).__name__)
+        env = env.env
+    return names
+
+
+def _call(method: Any, title: str, call: str, *arguments: Any, **named: Any) -> Any:
+    try:
+        return method(*arguments, **named)
+    except Exception as error:  # whatever goes wrong in there is the environment's
+        raise ModelError(f"{title}: {call} raised {type(error).__name__}: {error}; mend the environment") from error
+
+
+@dataclass(eq=False)
+class _Walk:
+    """What has been tried, and what came of it."""
+
+    title: str
+    rows: Rows
+    initial: NDArray[np.float64]
+    rng: np.random.Generator
+    rewards: bool
+
+    def __post_init__(self) -> None:
+        self.untried: dict[int, list[int]] = {}
+        self.came = self.expected = 0.0
+        self.steps = 0
+
+    def start(self, answer: Any) -> int:
+        try:
+            state = operator.index(answer[0])
+            known = 0 <= state < len(self.rows)
+        except (TypeError, LookupError):
+            state, known = -1, False
+        if not known or not self.initial[state] > 0:
+            seen = f"state {state}" if known else repr(answer)
+            raise ModelError(
+                f"{self.title}: reset() started in {seen}, to which initial_state_distrib gives no probability; mend "
+                "that, or use table=False"
+            )
+        return state
+
+    def choose(self, state: int) -> int:
+        """The first action on the way to the nearest pair that has not been tried, by the table."""
+        queue, seen = deque([(state, -1)]), {state}
+        while queue and len(seen) < _LOOK:
+            s, first = queue.popleft()
+            untried = self.actions(s)
+            if untried:
+                return first if first >= 0 else untried[int(self.rng.integers(len(untried)))]
+            for a, outcomes in enumerate(self.rows[s]):
+                for _, s2, _, terminated in outcomes:
+                    if s2 not in seen and not terminated:
+                        seen.add(s2)
+                        queue.append((s2, a if first < 0 else first))
+        return int(self.rng.integers(len(self.rows[state])))
+
+    def actions(self, state: int) -> list[int]:
+        """Those that have not been tried in a state."""
+        return self.untried.setdefault(state, list(range(len(self.rows[state]))))
+
+    def step(self, state: int, action: int, answer: Any) -> tuple[int, bool]:
+        """The state after a step, and whether the episode is over; checked against the table."""
+        if action in self.actions(state):
+            self.actions(state).remove(action)
+        try:
+            observation, reward, terminated, truncated, _ = answer
+            s2, terminated = operator.index(observation), bool(terminated)
+        except (TypeError, ValueError):
+            raise ModelError(f"{self.title}: step({action}) returned {answer!r}; mend the environment") from None
+        outcomes = self.rows[state][action]
+        fits = [p for p, to, _, ends in outcomes if (to, ends) == (s2, terminated)]
+        worth = [r for _, to, r, ends in outcomes if (to, ends) == (s2, terminated)]
+        if not fits or (self.rewards and not any(_same(reward, one) for one in worth)):
+            raise ModelError(
+                f"{self.title}: its transition table is not what it does: action {action} in state {state} led to "
+                f"state {s2} with reward {reward} and terminated={terminated}, which P[{state}][{action}] does not "
+                f"list; {_REMEDY}"
+            )
+        share: dict[tuple[int, bool], float] = {}
+        for p, to, _, ends in outcomes:
+            share[to, ends] = share.get((to, ends), 0.0) + p
+        likeliest = max(share, key=lambda one: share[one])
+        self.came += likeliest == (s2, terminated)
+        self.expected += share[likeliest]
+        self.steps += 1
+        return s2, terminated or bool(truncated)
+
+    def require_frequencies(self) -> None:
+        if abs(self.came - self.expected) > math.sqrt(self.steps / 2 * math.log(2 / _DELTA)):
+            raise ModelError(
+                f"{self.title}: its transition table is not what it does: in {self.steps} steps the likeliest outcome "
+                f"of P[s][a] came {self.came:.0f} times, and by the table {self.expected:.0f} are expected; {_REMEDY}"
+            )
+
+
+def _same(one: Any, other: Any) -> bool:
+    try:
+        return math.isclose(float(one), float(other), rel_tol=1e-9, abs_tol=1e-12)
+    except (TypeError, ValueError):
+        return bool(one == other)
