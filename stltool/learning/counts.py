@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stltool.display import Card, Displayed, counted
 from stltool.errors import SettingsError
 
 _WAITING = 1 << 16  # transitions that wait to be counted together
 _MOST = np.iinfo(np.int64).max
 
 
-class Counts:
+class Counts(Displayed):
     """Sparse counts of (choice, successor); a choice is a model state with one of its available actions.
 
     `choice`, `target` and `seen` are the rows, sorted by choice, then target; reading them counts what waits.
@@ -32,6 +33,13 @@ class Counts:
         self._waiting: list[NDArray[np.int64]] = []
         self._n_waiting = 0
         self._single: list[int] = []
+
+    def _card(self) -> Card:
+        visits = self.visits
+        return Card(
+            f"Counts: {counted(int(visits.sum()), 'transition')} of {counted(self.n_choices, 'choice')}",
+            [{"states": self.n_states, "choices never tried": int((visits == 0).sum())}],
+        )
 
     def add(self, choice: ArrayLike, target: ArrayLike) -> None:
         """Count transitions: choices (n,) and their successors (n,).

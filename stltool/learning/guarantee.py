@@ -37,24 +37,26 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arguments import function, one_of, require, whole
 from stltool.automata import FALSE
 from stltool.checking import robust_check
 from stltool.checking.backward import Progress
 from stltool.checking.statistical import require_confidence
+from stltool.display import Card, Displayed, counted
 from stltool.errors import SettingsError
 from stltool.learning.confidence import Floats, Whole, entry_interval, unseen_mass
 from stltool.learning.counts import Counts
 from stltool.models import MDP, Intervals
 from stltool.numbers import exact, floor_text
-from stltool.policy import Policy
+from stltool.policy import Policy, require_door
 from stltool.product import Product, with_outcome
 from stltool.sizes import require_memory
 
 Support: TypeAlias = Literal["unknown", "known"]
 
 
-@dataclass(frozen=True, eq=False)
-class Guarantee:
+@dataclass(frozen=True, eq=False, repr=False)
+class Guarantee(Displayed):
     """A lower bound on a policy's probability, from transitions seen.
 
     lower        with `confidence` the probability is at least this; rounded down
@@ -72,6 +74,21 @@ class Guarantee:
     never_tried: int
     policy: Policy
     seconds: float = 0.0
+
+    def _card(self) -> Card:
+        home = self.policy.home
+        task = f"{home.task_name} := {home.formula}" if isinstance(home, Product) else None
+        return Card(
+            f"Guarantee: P >= {floor_text(self.lower)} with confidence {100 * self.confidence:.12g} %",
+            [
+                {
+                    "from": counted(self.transitions, "transition"),
+                    "successors": self.support,
+                    "never tried": f"{self.never_tried} of {counted(self.choices, 'choice')}",
+                },
+                {"task": task, "policy": self.policy.kind},
+            ],
+        )
 
     @property
     def statement(self) -> str:
@@ -112,9 +129,11 @@ def guarantee(
     SizeError before allocating what would not fit.
     """
     began = time.perf_counter()
+    require_door("guarantee", product, policy)
+    require(counts, Counts, "guarantee's counts")
     require_confidence(confidence)
-    if support not in get_args(Support):
-        raise SettingsError(f"support is {support!r}; choose unknown or known")
+    one_of(support, "support", get_args(Support))
+    function(progress, "guarantee's progress")
     model = product.model
     if (counts.n_choices, counts.n_states) != (model.n_choices, model.n_states):
         raise SettingsError(
@@ -159,8 +178,7 @@ def _initial(model: MDP, start: int | None) -> Floats:
                 "every run starts"
             )
         return model.initial
-    if not isinstance(start, int | np.integer) or not 0 <= start < model.n_states:
-        raise SettingsError(f"start is {start!r}; a state's index is needed, 0 … {model.n_states - 1}")
+    whole(start, "start", 0, model.n_states - 1)
     point: Floats = (np.arange(model.n_states) == start).astype(np.float64)
     return point
 

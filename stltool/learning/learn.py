@@ -11,8 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arguments import described, flag, function, real
+from stltool.arguments import path as path_of
 from stltool.automata import TRUE, UNDECIDED
 from stltool.checking import check
+from stltool.display import Card, Displayed, counted, probability_text
 from stltool.errors import SettingsError
 from stltool.files import require_folder, require_replaceable
 from stltool.learning.checkpoint import kept_arrays, load_checkpoint, require_generators, save_checkpoint
@@ -23,20 +26,21 @@ from stltool.learning.methods import METHODS, class_of, make, require_setting
 from stltool.learning.problem import Problem
 from stltool.learning.settings import Budget, recorded
 from stltool.learning.trainer import Point, Progress, Status, Trainer
-from stltool.models.environment import Environment, Resettable, simulator
-from stltool.policy import Policy, with_flags
+from stltool.models.environment import Environment, Resettable, require_environment, simulator
+from stltool.policy import Policy, require_door, with_flags
 from stltool.product import Product
 from stltool.randomness import Purpose, generator, require_seed
 from stltool.sizes import require_time
 
+_SHOWN = 10  # points of the learning curve in a notebook
 _RATE = 1e6  # environment steps a second, roughly
 
 Shown = Callable[[int, int, int, float | None], None]
 """Called once an episode with (episode, episodes, environment steps, exact probability so far or None)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Training:
+@dataclass(frozen=True, eq=False, repr=False)
+class Training(Displayed):
     """A finished run: the policy at the end, the exact learning curve that led there, the transitions it saw.
 
     learner    the method with the settings that were used; budget: those that belong to the run
@@ -53,6 +57,24 @@ class Training:
     counts: Counts
     seconds: float
     status: Status = "complete"
+
+    def _card(self) -> Card:
+        home = self.policy.home
+        assert isinstance(home, Product)  # learners know no joint products
+        last = self.history[-1].probability
+        step = -(-len(self.history) // _SHOWN)
+        points = self.history[::-step][::-1]
+        rows = [(point.episode, point.steps, _shown(point.probability)) for point in points]
+        published = " as published" if self.faithful else ""
+        return Card(
+            f"Training: {self.method}{published}, {counted(self.episodes, 'episode')}, "
+            f"{counted(self.environment_steps, 'environment step')}, {self.status}",
+            [
+                {"P of the policy": _shown(last), "seed": self.seed, "seconds": f"{self.seconds:.3g}"},
+                {"task": f"{home.task_name} := {home.formula}", "model": home.model.name},
+            ],
+            (("episode", "environment steps", "P of the policy"), rows),
+        )
 
     @property
     def method(self) -> str:
@@ -81,6 +103,10 @@ class Training:
     @property
     def environment_steps(self) -> int:
         return self.history[-1].steps
+
+
+def _shown(probability: float | None) -> str:
+    return probability_text(probability) if probability is not None else "unknown: the model is a black box"
 
 
 def learn(
@@ -120,6 +146,15 @@ def learn(
     Raises SettingsError for what does not fit together, ModelError where the environment returns no state, FileError
     where the checkpoint cannot be written; all but the second before the first episode.
     """
+    require_door("learn", product)
+    flag(faithful, "learn's faithful")
+    flag(resume, "learn's resume")
+    require_environment(environment, "learn's environment")
+    function(progress, "learn's progress")
+    if checkpoint is not None:
+        checkpoint = path_of(checkpoint, "learn's checkpoint")
+    if real(checkpoint_every, "checkpoint_every", "30") < 0:
+        raise SettingsError(f"checkpoint_every is {checkpoint_every}; give seconds from 0")
     learner = _learner(method, faithful, settings)
     budget = Budget(episodes=episodes, evaluate_every=evaluate_every, most_steps=most_steps, stop_gap=stop_gap)
     seed = require_seed(seed)
@@ -168,7 +203,7 @@ def _learner(method: str | Learner[Any], faithful: bool, settings: dict[str, Any
     if isinstance(method, type) and issubclass(method, Learner):
         raise SettingsError(f"method is the class {method.__name__}; give a learner, {method.__name__}(…)")
     if not isinstance(method, Learner):
-        raise SettingsError(f"method is {method!r}; give a learner, or one of the names {', '.join(METHODS)}")
+        raise SettingsError(f"method is {described(method)}; give a learner, or one of the names {', '.join(METHODS)}")
     require_learner(method)
     if faithful:
         raise SettingsError("faithful=True chooses among names; a learner is what its class is: leave it out")

@@ -19,6 +19,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.display import Card
 from stltool.errors import SettingsError
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
@@ -47,6 +48,10 @@ class Learner(ABC, Generic[State]):
 
     def __post_init__(self) -> None:
         check_settings(self)
+
+    def _repr_html_(self) -> str:
+        settings = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
+        return Card(f"{type(self).__name__}: {summary(type(self))}", [settings]).html()
 
     @abstractmethod
     def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> State:

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from stltool.arguments import described
 from stltool.errors import SettingsError
 from stltool.numbers import double, whole
 
@@ -90,7 +91,7 @@ class Setting:
         elif fine and self.kind in (int, float):
             fine = declared.least <= plain <= declared.most and plain > declared.above
         if not fine:
-            raise SettingsError(f"{self.name} is {value!r}; it must be {self.range}")
+            raise SettingsError(f"{self.name} is {described(value)}; it must be {self.range}")
         return plain
 
     def read(self, text: str) -> Any:
@@ -167,8 +168,8 @@ def recorded(owner: Any) -> dict[str, Any]:
             json.dumps(value, allow_nan=False)
         except (TypeError, ValueError):
             raise SettingsError(
-                f"{name} of {type(owner).__name__} is {value!r}; a setting is recorded, so it must be a finite number, "
-                "a text, true, false, None, or a list or dict of these"
+                f"{name} of {type(owner).__name__} is {described(value)}; a setting is recorded, so it must be a "
+                "finite number, a text, true, false, None, or a list or dict of these"
             ) from None
     return values
 

@@ -24,6 +24,9 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from stltool.arguments import described, function, require, texts, whole
+from stltool.arguments import path as path_of
+from stltool.display import Card, Displayed, counted, listed, probability_text
 from stltool.errors import FileError, SettingsError, StlToolError, near_misses
 from stltool.files import require_folder, write_atomically
 from stltool.learning.learn import learn
@@ -38,6 +41,7 @@ from stltool.models import MDP
 from stltool.product import Product, build_product
 
 FORMAT = "stltool-run-1"
+_SHOWN = 10  # rows of results in a notebook
 _PROBE = 10  # episodes that an estimate of time is made from
 
 
@@ -58,8 +62,8 @@ class Method:
         return self.learner.published
 
 
-@dataclass(frozen=True, eq=False)
-class Scenario:
+@dataclass(frozen=True, eq=False, repr=False)
+class Scenario(Displayed):
     """A task on a model, with settings; `published` are figures by method id, to be shown beside the sweep's."""
 
     id: str
@@ -67,6 +71,11 @@ class Scenario:
     model: MDP
     settings: Mapping[str, Any]
     published: Mapping[str, float]
+
+    def _card(self) -> Card:
+        return Card(
+            f"Scenario {self.id}: {self.task}", [{"model": self.model.name, "published": self.published or None}]
+        )
 
     @functools.cached_property
     def product(self) -> Product:
@@ -136,8 +145,8 @@ class SweepProgress(NamedTuple):
     share: float
 
 
-@dataclass(frozen=True, eq=False)
-class Sweep:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sweep(Displayed):
     """Scenarios × methods × seeds.
 
     columns  panels in a row of the figure
@@ -152,6 +161,16 @@ class Sweep:
     columns: int
     story: bool
 
+    def _card(self) -> Card:
+        parts = ((self.scenarios, "scenario"), (self.methods, "method"), (self.seeds, "seed"))
+        return Card(
+            f"Sweep {self.name}: {' x '.join(counted(len(part), what) for part, what in parts)}",
+            [
+                {"scenarios": listed((scenario.id for scenario in self.scenarios), 12)},
+                {"methods": listed(method.id for method in self.methods)},
+            ],
+        )
+
     def select(
         self,
         scenarios: Sequence[str] | None = None,
@@ -159,6 +178,8 @@ class Sweep:
         seeds: int | Sequence[int] | None = None,
     ) -> Sweep:
         """A part of the sweep, in its order; `seeds` as in the file: a number, or which, also such as it has not."""
+        scenarios = texts(scenarios, "select's scenarios") if scenarios is not None else None
+        methods = texts(methods, "select's methods") if methods is not None else None
         return dataclasses.replace(
             self,
             scenarios=_chosen(self.scenarios, scenarios, "scenario"),
@@ -186,14 +207,29 @@ class Sweep:
         ]  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class SweepResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class SweepResult(Displayed):
     """What is finished of a sweep, in its order, and what failed; `skipped` runs were finished before."""
 
     sweep: Sweep
     runs: list[RunResult]
     failures: list[Failure]
     skipped: int
+
+    def _card(self) -> Card:
+        ends: dict[tuple[str, str], list[float]] = {}
+        for run in self.runs:
+            ends.setdefault((run.scenario, run.method), []).append(run.probability[-1])
+        rows = [(*key, len(found), *map(probability_text, (min(found), max(found)))) for key, found in ends.items()]
+        return Card(
+            f"SweepResult: {counted(len(self.runs), 'run')} finished, {len(self.failures)} failed",
+            [
+                {"sweep": self.sweep.name, "finished before": self.skipped},
+                {"first failure": self.failures[0].message if self.failures else None},
+            ],
+            (("scenario", "method", "runs", "least P at the end", "greatest"), rows[:_SHOWN]),
+            more=max(0, len(rows) - _SHOWN),
+        )
 
 
 def run_sweep(
@@ -213,11 +249,12 @@ def run_sweep(
     Raises SettingsError where workers or cluster cannot be had, FileError where another sweep uses the folder. What
     fails within a run is among the result's failures, and the others go on. Interrupted, it loses the runs under way.
     """
-    workers = (os.cpu_count() or 1) if workers is None else workers
-    if workers < 1:
-        raise SettingsError(f"workers is {workers}; it must be a whole number from 1")
+    require(sweep, Sweep, "run_sweep's sweep")
+    folder = path_of(folder, "run_sweep's folder")
+    require(cluster, str, "run_sweep's cluster", "write the scheduler's address in quotes", optional=True)
+    function(progress, "run_sweep's progress")
+    workers = whole(workers, "workers", least=1) if workers is not None else os.cpu_count() or 1
     require_main_process()
-    folder = Path(folder)
     require_folder(folder)
     with _locked(folder):
         finished, waiting = _plan(sweep, folder)
@@ -281,9 +318,9 @@ def _seconds(run: Run, episodes: int, evaluate_every: int) -> float:
 def read_seeds(given: Any) -> tuple[int, ...]:
     """Seeds as a number of them (3: 0, 1, 2) or as a list of different whole numbers from 0."""
     seeds = list(range(given)) if type(given) is int else given
-    whole = isinstance(seeds, list | tuple) and all(type(seed) is int and seed >= 0 for seed in seeds)
-    if not whole or not seeds or len(set(seeds)) < len(seeds):
-        raise SettingsError(f"seeds is {given!r}; write how many, or a list of different whole numbers from 0")
+    fine = isinstance(seeds, list | tuple) and all(type(seed) is int and seed >= 0 for seed in seeds)
+    if not fine or not seeds or len(set(seeds)) < len(seeds):
+        raise SettingsError(f"seeds is {described(given)}; write how many, or a list of different integers from 0")
     return tuple(seeds)
 
 

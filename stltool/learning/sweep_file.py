@@ -34,6 +34,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
+from stltool.arguments import path as path_of
 from stltool.errors import SettingsError, StlToolError, near_misses
 from stltool.files import read_text
 from stltool.learning.learner import Learner
@@ -52,7 +53,7 @@ _MISSING = object()
 
 def load_sweep(path: str | Path) -> Sweep:
     """Read a sweep's file, its tasks and models. Raises a StlToolError that names file, place and key."""
-    path = Path(path)
+    path = path_of(path, "load_sweep's path")
     try:
         table = tomllib.loads(read_text(path, "sweep file"), parse_float=Decimal)
     except (ValueError, RecursionError) as error:

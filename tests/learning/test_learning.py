@@ -515,7 +515,7 @@ def test_what_an_own_learner_does_wrong_is_told(patrolling, tmp_path):
     for choice, says in told.items():
         with pytest.raises(SettingsError, match=says):
             stl.learn(patrolling, Odd(choice=choice))
-    with pytest.raises(SettingsError, match=r"choice of Odd is array.*; a setting is recorded"):
+    with pytest.raises(SettingsError, match=r"choice of Odd is an array of shape \(2,\); a setting is recorded"):
         stl.learn(patrolling, Odd(choice=np.zeros(2)))
     with pytest.raises(SettingsError, match="Odd cannot be checkpointed: its array kept is of <U1"):
         stl.learn(patrolling, Odd(keep="x", turns=1), episodes=1, checkpoint=tmp_path / "x.ckpt")
