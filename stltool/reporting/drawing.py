@@ -119,6 +119,14 @@ def shown(text: str, longest: int = 60) -> str:
     return f" {text}" if text.startswith("_") else text  # which legends leave out
 
 
+def fitted(text: str, size: float, points: float) -> str:
+    """As much of a name as fits into so many points."""
+    text = shown(text)
+    while text_width(text, size) > points and len(text) > 1:
+        text = shown(text, len(text) - 1)
+    return text
+
+
 def alone(values: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which values (n,) have no number beside them, so that a line through them has no length."""
     drawn = np.isfinite(np.concatenate([[np.nan], values, [np.nan]]))

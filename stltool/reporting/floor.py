@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path
 
-from stltool.reporting.drawing import INK, drawing, shown, svg, text_width
+from stltool.reporting.drawing import INK, drawing, fitted, shown, svg, text_width
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -139,11 +139,9 @@ def _draw_captions(sheet: _Sheet, captions: dict[Cell, str], moves: Sequence[tup
     passed = {(max(c, d), max(r, q)) for (c, r), (d, q) in moves if abs(c - d) == abs(r - q) == 1}
     for (column, row), text in captions.items():
         right = (column, row + 1) in passed and (column + 1, row + 1) not in passed
-        text = shown(text)
-        while text_width(text, size) > 0.86 * sheet.points and len(text) > 1:
-            text = shown(text, len(text) - 1)
         x, y = column + (0.93 if right else 0.07), row + 0.94 - _CAPITALS * size / sheet.points
-        sheet.write(x, y, text, size, "caption", ha="right" if right else "left", color=INK, zorder=4)
+        told = fitted(text, size, 0.86 * sheet.points)
+        sheet.write(x, y, told, size, "caption", ha="right" if right else "left", color=INK, zorder=4)
 
 
 def _draw_moves(sheet: _Sheet, moves: Sequence[tuple[Cell, Cell]]) -> None:

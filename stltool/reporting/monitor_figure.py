@@ -32,7 +32,7 @@ from stltool.logic.formula import (
 from stltool.logic.task import Task
 from stltool.monitoring.offline import MonitorResult, monitor
 from stltool.numbers import shortest
-from stltool.reporting.drawing import INK, alone, drawing, picture, shown
+from stltool.reporting.drawing import INK, alone, drawing, fitted, picture, shown, text_width
 from stltool.reporting.monitoring import both, robustness_text, true_ranges
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ HOLDS, VIOLATED, UNJUDGED = "#0072b2", "#d55e00", "#cccccc"  # Okabe and Ito's b
 _PREDICATES = ("#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a7000", "#7f7f7f")
 _LABEL, _SMALL, _TINT = "#5f7f9f", 8, 0.11
 _LARGEST = 1e100  # what is beyond is drawn there: matplotlib computes with differences
+_TALL = 88  # points of a panel, along which a signal's name is written
 _LONGEST = 120  # characters of a formula in the title; half of it in a legend
 
 
@@ -169,7 +170,8 @@ def _signal_panel(
             axes.axhline(level, color=colours[node], linestyle="--", linewidth=1.0, gid="threshold")
     if len(comparisons) > PREDICATES:
         axes.plot([], [], linestyle="", label=f"and {len(comparisons) - PREDICATES} more")
-    axes.set_ylabel(shown(name, _LONGEST // 4), fontsize=9)
+    size = 9 if text_width(name, 9) <= _TALL else 7.5
+    axes.set_ylabel(fitted(name, size, _TALL), fontsize=size)
     axes.grid(axis="x", alpha=0.25)
 
 

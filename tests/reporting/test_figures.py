@@ -251,6 +251,18 @@ def test_a_monitored_trace():
     assert not [(texts[i].text, texts[j].text) for i, j in overlapping([text.box for text in texts])]
 
 
+def test_long_names_of_signals_stay_beside_their_panels():
+    names = ["temperature_of_the_coolant", "x" * 60, "y"]
+    signals = {name: np.arange(4.0) for name in names}
+    task = stl.Task("formula", stl.parse(" & ".join(f"{name} > 1" for name in names)))
+    picture = Picture(monitored(stl.monitor(task, signals), signals, task, "svg"))
+    texts = picture.texts()
+    assert not [(texts[i].text, texts[j].text) for i, j in overlapping([text.box for text in texts])]
+    written = [text.text for text in texts]
+    assert names[2] in written
+    assert any(names[0].startswith(text.removesuffix("…")) for text in written if len(text) > 15)
+
+
 def steps_of(panel, name):
     """The steps that the bars of a name cover."""
     found = []
