@@ -41,6 +41,7 @@ from stltool.logic.formula import (
     refuse_operand,
 )
 from stltool.logic.task import Task
+from stltool.numbers import exact, shortest
 
 if TYPE_CHECKING:
     Operand: TypeAlias = "Expression | int | float | Fraction | Decimal"
@@ -212,7 +213,7 @@ def _term(value: object, sign: str) -> Term:
         )
     number = real(value, f"an operand of {sign}")
     if not isinstance(value, Integral | Fraction | Decimal | float):  # a shorter float of numpy's: its own decimal
-        number = Fraction(str(value))
+        number = exact(value)
     return _number(Fraction(int(value)) if isinstance(value, Integral) else number)
 
 
@@ -223,8 +224,8 @@ def _number(value: float | Fraction) -> Term:
     if isinstance(value, float):
         return Number(abs(value))  # no negative zero
     double = float(value)
-    if Fraction(repr(double)) == value:
+    if shortest(double) == value:
         return Number(double)
-    if value.denominator == 1 or Fraction(repr(float(value.numerator))) != value.numerator:
+    if value.denominator == 1 or shortest(float(value.numerator)) != value.numerator:
         raise SettingsError(f"{described(value)} cannot be written exactly; the nearest number that can is {double!r}")
     return Arithmetic("/", _number(Fraction(value.numerator)), _number(Fraction(value.denominator)))

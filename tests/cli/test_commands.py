@@ -408,3 +408,20 @@ def test_the_installed_command(tmp_path):
     assert json.loads(done.stdout)["optimum"] == pytest.approx(0.737948, abs=5e-7)
     help_text = subprocess.run([sys.executable, "-m", "stltool", "--help"], capture_output=True, text=True).stdout
     assert all(command in help_text for command in ("run", "check", "learn", "explain", "report"))
+
+
+def test_several_first_states_are_told_with_their_weights(stltool, tmp_path):
+    task = FACTORY / "docks.stl"
+    told = "2 states with probability 0.5 each: (0,0), (3,0)"
+    for arguments in (["check", task], ["explain", task], ["run", task, "-e", "2", "--out", tmp_path]):
+        code, out, _ = stltool(*arguments)
+        assert code == 0
+        assert re.search(rf"starts in +{re.escape(told)}", out), arguments
+    assert f"Runs start in {told}." in (tmp_path / "report.html").read_text(encoding="utf-8")
+    code, out, _ = stltool("check", task, "--json")
+    data = json.loads(out)
+    assert (data["initial"], data["initial_states"], data["model_notes"]) == (told, 2, [])
+    code, out, _ = stltool("check", PATROLLING, *SMALL)
+    assert "starts in" not in out
+    code, out, _ = stltool("explain", PATROLLING, *SMALL)
+    assert re.search(r"starts in +\(1,0\)\n", out)
