@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
@@ -81,6 +81,14 @@ def require_replaceable(path: Path) -> None:
     """FileError where something else than a regular file has that name: a folder, a pipe, a device."""
     if path.exists() and not path.is_file():
         raise FileError(f"{path}: cannot be written: it is not a regular file; name another")
+
+
+def require_own(path: str | Path, what: str, known: Callable[[Path], bool]) -> None:
+    """FileError where a file is there, not empty, and not a `what` ("policy") as `known` judges: it would be lost."""
+    path = Path(path)
+    require_replaceable(path)
+    if path.exists() and path.stat().st_size > 0 and not known(path):
+        raise FileError(f"{path}: this file does not contain a {what}, and would be lost; name another file")
 
 
 def require_folder(path: str | Path) -> None:

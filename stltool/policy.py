@@ -30,7 +30,7 @@ from stltool.arguments import require, whole
 from stltool.automata import Encoding
 from stltool.display import Card, Displayed
 from stltool.errors import InexactEncodingWarning, PolicyError, near_misses
-from stltool.files import read_bytes, read_text, require_folder, require_replaceable, write_atomically
+from stltool.files import read_bytes, read_text, require_folder, require_own, require_replaceable, write_atomically
 from stltool.numbers import double
 from stltool.product import JointProduct, Product, build_joint_product, build_product, joined
 
@@ -229,9 +229,20 @@ def require_policy_file(path: str | Path) -> None:
     """An error, before the work, where a policy could not be saved after it."""
     path = Path(path)
     require_replaceable(path)
-    if path.suffix.lower() != ".npz":  # so that no other file is lost
+    if path.suffix.lower() != ".npz":
         raise PolicyError(f"{path}: a policy is saved as .npz; name it so")
+    require_own(path, "policy", _is_policy)
     require_folder(path.parent)
+
+
+def _is_policy(path: Path) -> bool:
+    """Whether a file is a policy of ours, of this version or another."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            found = json.loads(archive["header"].tobytes().decode("utf-8"))["format"]
+        return bool(found.rpartition("-")[0] == FORMAT.rpartition("-")[0])
+    except Exception:  # other files, and damaged ones, fail in many ways
+        return False
 
 
 def silence(product: Product, s: int, q: int, t: int) -> PolicyError:

@@ -157,7 +157,7 @@ def test_damaged_archives_are_refused(patrolling, tmp_path):
 
 def test_links_are_followed_and_devices_left_alone(patrolling, tmp_path):
     policy = stl.check(patrolling).policy
-    (tmp_path / "real.npz").write_bytes(b"old")
+    (tmp_path / "real.npz").touch()
     (tmp_path / "link.npz").symlink_to(tmp_path / "real.npz")
     policy.save(tmp_path / "link.npz")
     assert (tmp_path / "link.npz").is_symlink()
@@ -165,6 +165,26 @@ def test_links_are_followed_and_devices_left_alone(patrolling, tmp_path):
     os.mkfifo(tmp_path / "pipe.npz")
     with pytest.raises(FileError, match="not a regular file"):
         policy.save(tmp_path / "pipe.npz")
+
+
+def test_a_policy_replaces_no_other_file(patrolling, tmp_path):
+    path = tmp_path / "data.npz"
+    policy = stl.check(patrolling).policy
+    for write in (
+        lambda: np.savez(path, x=np.arange(3)),
+        lambda: np.savez(path, header=np.frombuffer(b'{"format": "another-1"}', dtype=np.uint8)),
+        lambda: path.write_bytes(b"old"),
+    ):
+        write()
+        before = path.read_bytes()
+        with pytest.raises(FileError, match=r"data.npz: this file does not contain a policy, and would be lost"):
+            policy.save(path)
+        assert path.read_bytes() == before
+    path.unlink()
+    policy.save(path)
+    older = path.read_bytes()
+    policy.save(path)  # a policy is replaced
+    assert path.read_bytes() == older
 
 
 def test_signals_that_do_not_tell_states_apart(tmp_path):

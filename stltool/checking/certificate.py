@@ -32,7 +32,7 @@ from stltool.checking.check import CheckResult
 from stltool.checking.rational import follower, weights
 from stltool.checking.reach import first_steps, policy_layers
 from stltool.errors import CertificateError, FileError, RefusedError, SettingsError
-from stltool.files import atomic_file, require_folder, require_replaceable
+from stltool.files import atomic_file, require_folder, require_own
 from stltool.models import MDP
 from stltool.models.fractions import LARGEST_SUM, Integers
 from stltool.numbers import long_numbers
@@ -110,16 +110,16 @@ def certify(path: str | Path, progress: Progress | None = None) -> dict[str, Any
 def require_certificate_file(path: str | Path) -> Path:
     """The path where a certificate may be written; FileError where that would lose a file that is none."""
     path = Path(path)
-    require_replaceable(path)
+    require_own(path, "certificate", _is_certificate)
     require_folder(path.resolve().parent)
-    if path.exists() and path.stat().st_size > 0:
-        try:
-            known = next(lines(str(path)), {}).get("format") == FORMAT
-        except (Refused, *DAMAGE):
-            known = False
-        if not known:
-            raise FileError(f"{path}: holds something else than a certificate, which would be lost; name another file")
     return path
+
+
+def _is_certificate(path: Path) -> bool:
+    try:
+        return bool(next(lines(str(path)), {}).get("format") == FORMAT)
+    except (Refused, *DAMAGE):
+        return False
 
 
 @long_numbers()

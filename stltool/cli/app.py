@@ -2,35 +2,61 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import typer
-from typer.models import OptionInfo
+from typer.models import OptionInfo, ParameterInfo
 
 from stltool import numbers
+from stltool.cli.roles import Parameter, Reads, Writes, require_apart
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _Number = TypeVar("_Number", int, float)
 
 
 class _App(typer.Typer):
-    """Numbers of options are read as all others are (stltool/numbers.py): `--runs 1_0` is refused."""
+    """What holds of all commands: numbers of options are read as all others are (stltool/numbers.py: `--runs 1_0` is
+    refused), and results never replace inputs (roles.py).
+    """
 
     def command(self, *arguments: Any, **named: Any) -> Callable[[_Command], _Command]:
         register = super().command(*arguments, **named)
 
         def registered(function: _Command) -> _Command:
             hints: dict[str, Any] = get_type_hints(function, include_extras=True)
-            for hint in hints.values():
-                kind, *option = get_args(hint)[:2] or (None,)
+            files = {}
+            for name, hint in hints.items():
+                kind, *option = get_args(hint) or (None,)
                 if option and isinstance(option[0], OptionInfo):
                     parsers = [_PARSERS[one] for one in (kind, *get_args(kind)) if one in _PARSERS]
                     option[0].parser = parsers[0] if parsers else None
+                roles = tuple(role for role in option if isinstance(role, Reads | Writes))
+                if roles:
+                    files[name] = Parameter(_shown(name, option[0]), roles)
             function.__annotations__ = hints
-            return register(function)
+
+            @functools.wraps(function)
+            def command(**given: Any) -> Any:
+                require_apart(files, given)
+                return function(**given)
+
+            command.files = files  # type: ignore[attr-defined]  # for tests over all commands
+            register(command)
+            return function
 
         return registered
+
+
+def _shown(name: str, declared: ParameterInfo) -> str:
+    """A parameter as it is written on the command line: --out, TASK."""
+    spelled = (
+        declared.default,
+        *(declared.param_decls or ()),
+    )  # in annotations the first stands as the default
+    long = (text for text in spelled if isinstance(text, str) and text.startswith("--"))
+    return next(long, declared.metavar or name.upper())
 
 
 def integer(text: int | str) -> int:

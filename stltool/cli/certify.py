@@ -10,6 +10,7 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, TaskName
+from stltool.cli.roles import Reads, task_files
 from stltool.cli.steps import load_product
 from stltool.errors import RefusedError, SettingsError
 from stltool.numbers import bound_texts, long_numbers
@@ -17,12 +18,20 @@ from stltool.numbers import bound_texts, long_numbers
 
 @app.command()
 def certify(
-    file: Annotated[Path, typer.Argument(help="certificate that check --certificate wrote", show_default=False)],
+    file: Annotated[
+        Path,
+        typer.Argument(help="certificate that check --certificate wrote", show_default=False),
+        Reads("certificate"),
+    ],
     task: Annotated[
-        Path | None, typer.Argument(help="task file (.stl) that the certificate must be of", show_default=False)
+        Path | None,
+        typer.Argument(help="task file (.stl) that the certificate must be of", show_default=False),
+        Reads("task file", task_files),
     ] = None,
     policy: Annotated[
-        Path | None, typer.Option("--policy", help="policy file or Q-table that the certificate must be of")
+        Path | None,
+        typer.Option("--policy", help="policy file or Q-table that the certificate must be of"),
+        Reads("policy"),
     ] = None,
     model: Model = None,
     normalize: Normalize = False,

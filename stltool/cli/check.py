@@ -10,6 +10,7 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, PolicyFile, TaskFile, TaskName
+from stltool.cli.roles import Writes
 from stltool.cli.steps import NATURES, judge_by, make_product, read_probability
 from stltool.errors import SettingsError
 from stltool.numbers import bound_texts, fraction_text
@@ -35,11 +36,12 @@ def check(
         str | None, typer.Option("--at-most", metavar="P", help="exit code 1 unless the probability is at most P")
     ] = None,
     save_policy: Annotated[
-        Path | None, typer.Option("--save-policy", metavar="FILE", help="write the optimal policy (.npz)")
+        Path | None, typer.Option("--save-policy", metavar="FILE", help="write the optimal policy (.npz)"), Writes()
     ] = None,
     certificate: Annotated[
         Path | None,
         typer.Option("--certificate", metavar="FILE", help="write what proves bounds; packed where it ends in .gz"),
+        Writes(),
     ] = None,
     nature: Annotated[
         str | None,
@@ -66,8 +68,6 @@ def check(
     ]
     if save_policy is not None:
         require_policy_file(save_policy)
-        if policy is not None and policy.resolve() == save_policy.resolve():
-            raise SettingsError(f"--save-policy {save_policy} would replace the policy that is checked; name another")
     if certificate is not None:
         require_certificate_file(certificate)
     product = make_product(

@@ -9,6 +9,7 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, TaskFile, TaskName
+from stltool.cli.roles import Writes
 from stltool.cli.steps import bind, compile_task, read_params, task_model
 from stltool.errors import SettingsError
 
@@ -17,7 +18,7 @@ from stltool.errors import SettingsError
 def export(
     task: TaskFile,
     to: Annotated[str, typer.Option("--to", help="dot: the task's automaton for Graphviz")],
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="file to write; default: print it")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="file to write; default: print it"), Writes()] = None,
     model: Model = None,
     normalize: Normalize = False,
     param: Params = None,
@@ -28,11 +29,16 @@ def export(
     """The task's automaton in another format: states say what they remember, edges which labels take them."""
     import stltool as stl
     from stltool.automata.graph import to_dot
-    from stltool.files import write_atomically
+    from stltool.files import require_folder, require_replaceable, write_atomically
     from stltool.reporting.terminal import print_json, print_text
 
     if to != "dot":
         raise SettingsError(f"--to {to}: there is no such format; known: dot")
+    if out is not None:
+        if out.suffix.lower() not in (".dot", ".gv"):  # so that no other file is lost
+            raise SettingsError(f"--out {out}: a text for Graphviz is written as .dot or .gv; name one of them")
+        require_replaceable(out)
+        require_folder(out.parent)
     loaded = stl.load_task(task, read_params(param), name)
     if model is not None or loaded.model is not None:
         automaton = bind(loaded, task_model(loaded, model, normalize), encoding).automaton

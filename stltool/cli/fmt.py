@@ -10,12 +10,15 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import AsJson
+from stltool.cli.roles import Reads
 from stltool.errors import StlToolError
 
 
 @app.command()
 def fmt(
-    files: Annotated[list[Path], typer.Argument(help="task files; - for standard input", show_default=False)],
+    files: Annotated[
+        list[Path], typer.Argument(help="task files; - for standard input", show_default=False), Reads("task file")
+    ],
     check: Annotated[
         bool, typer.Option("--check", help="write nothing; exit code 1 if a file is not in its canonical layout")
     ] = False,

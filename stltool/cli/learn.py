@@ -29,13 +29,14 @@ from stltool.cli.options import (
     TaskFile,
     TaskName,
 )
+from stltool.cli.roles import Writes
 from stltool.cli.steps import LearnerCommand, make_product, read_learner, resumable, training_text
 
 
 @app.command(cls=LearnerCommand)
 def learn(
     task: TaskFile,
-    out: Annotated[Path, typer.Option("--out", "-o", help="policy file to write (.npz)", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", "-o", help="policy file to write (.npz)", show_default=False), Writes()],
     method: Method = "cfer",
     faithful: Faithful = False,
     episodes: Episodes = 1000,
@@ -53,18 +54,23 @@ def learn(
     checkpoint: Checkpoint = None,
     resume: Resume = False,
     checkpoint_every: CheckpointEvery = 30.0,
-    history: Annotated[Path | None, typer.Option("--history", help="learning curve to write (.csv)")] = None,
-    tensorboard: Annotated[Path | None, typer.Option("--tensorboard", help="folder for TensorBoard events")] = None,
+    history: Annotated[Path | None, typer.Option("--history", help="learning curve to write (.csv)"), Writes()] = None,
+    tensorboard: Annotated[
+        Path | None, typer.Option("--tensorboard", help="folder for TensorBoard events"), Writes()
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Learn a policy without knowing the probabilities, and save it."""
     import stltool as stl
     from stltool.policy import require_policy_file
     from stltool.reporting import training_data, write_history
+    from stltool.reporting.curves import require_history_file
     from stltool.reporting.tensorboard import require_tensorboard, write_tensorboard
     from stltool.reporting.terminal import print_facts, print_json, progress_bar
 
     require_policy_file(out)
+    if history is not None:
+        require_history_file(history)
     if tensorboard is not None:
         require_tensorboard(tensorboard)
     learner = read_learner(method, faithful, setting)

@@ -9,6 +9,7 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import AsJson, Params, Step, TaskName, TaskOrFormula
+from stltool.cli.roles import Reads, Writes
 from stltool.cli.steps import load_task_or_formula
 from stltool.errors import SettingsError
 
@@ -19,7 +20,9 @@ _ENDS = ("error", "cut", "hold")
 def monitor(
     task: TaskOrFormula,
     trace: Annotated[
-        Path, typer.Argument(metavar="TRACE", help="trace file: .csv, .tsv, .npz, .parquet", show_default=False)
+        Path,
+        typer.Argument(metavar="TRACE", help="trace file: .csv, .tsv, .npz, .parquet", show_default=False),
+        Reads("trace"),
     ],
     end: Annotated[
         str,
@@ -38,7 +41,9 @@ def monitor(
     ] = None,
     steps: Annotated[bool, typer.Option("--steps", help="list every judged step")] = False,
     plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="FILE", help="draw the trace with its verdicts (.png, .svg, .pdf)")
+        Path | None,
+        typer.Option("--plot", metavar="FILE", help="draw the trace with its verdicts (.png, .svg, .pdf)"),
+        Writes(),
     ] = None,
     param: Params = None,
     name: TaskName = None,

@@ -7,8 +7,14 @@ from typing import Annotated
 
 import typer
 
-TaskFile = Annotated[Path, typer.Argument(help="task file (.stl)", show_default=False)]
-Model = Annotated[Path | None, typer.Option("--model", help="model file; default: the task file's model line")]
+from stltool.cli.roles import Reads, Writes, model_files, task_files
+
+TaskFile = Annotated[Path, typer.Argument(help="task file (.stl)", show_default=False), Reads("task file", task_files)]
+Model = Annotated[
+    Path | None,
+    typer.Option("--model", help="model file; default: the task file's model line"),
+    Reads("model file", model_files),
+]
 Nominal = Annotated[
     bool, typer.Option("--nominal", help="where probabilities are intervals: take the nominal ones inside them")
 ]
@@ -17,13 +23,17 @@ Normalize = Annotated[
     typer.Option("--normalize", help="rescale probabilities that miss a sum of 1 by rounding alone; told on stderr"),
 ]
 TaskOrFormula = Annotated[
-    str, typer.Argument(metavar="TASK|FORMULA", help="task file (.stl), or a formula in quotes", show_default=False)
+    str,
+    typer.Argument(metavar="TASK|FORMULA", help="task file (.stl), or a formula in quotes", show_default=False),
+    Reads("task file", task_files),
 ]
 Step = Annotated[
     str | None, typer.Option("--step", metavar="TIME", help="how long a step takes, where a formula's bounds are times")
 ]
 PolicyFile = Annotated[
-    Path | None, typer.Option("--policy", help="policy file (.npz) or Q-table (.csv); default: the best of all")
+    Path | None,
+    typer.Option("--policy", help="policy file (.npz) or Q-table (.csv); default: the best of all"),
+    Reads("policy"),
 ]
 Params = Annotated[
     list[str] | None, typer.Option("--param", "-p", metavar="NAME=VALUE", help="override a param of the file")
@@ -46,7 +56,9 @@ StopGap = Annotated[
     float | None, typer.Option("--stop-gap", help="end when an evaluation is within this of the exact optimum")
 ]
 Checkpoint = Annotated[
-    Path | None, typer.Option("--checkpoint", help="a file that holds the run, to resume it after an interrupt")
+    Path | None,
+    typer.Option("--checkpoint", help="a file that holds the run, to resume it after an interrupt"),
+    Writes(),
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="continue from the checkpoint, if there is one")]
 CheckpointEvery = Annotated[float, typer.Option("--checkpoint-every", help="seconds between checkpoints")]

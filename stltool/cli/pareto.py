@@ -9,6 +9,7 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, TaskFile
+from stltool.cli.roles import Writes
 from stltool.cli.steps import make_joint_product
 from stltool.errors import SettingsError
 
@@ -18,7 +19,9 @@ def pareto(
     task: TaskFile,
     tasks: Annotated[str, typer.Option("--tasks", metavar="NAME,NAME", help="two definitions of the task file")],
     points: Annotated[int, typer.Option("--points", help="backward inductions to take at most")] = 100,
-    plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="draw the front (.svg or .png)")] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="draw the front (.svg or .png)"), Writes()
+    ] = None,
     model: Model = None,
     normalize: Normalize = False,
     param: Params = None,

@@ -9,11 +9,17 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import AsJson
+from stltool.cli.roles import Reads, Writes, beside
 
 
 @app.command()
 def report(
-    data: Annotated[list[Path], typer.Argument(help="report.json files of earlier runs", show_default=False)],
+    data: Annotated[
+        list[Path],
+        typer.Argument(help="report.json files of earlier runs", show_default=False),
+        Reads("report"),
+        Writes(beside(".html")),
+    ],
     as_json: AsJson = False,
 ) -> None:
     """Make the HTML page of a report again from its JSON, beside it."""

@@ -31,6 +31,7 @@ from stltool.cli.options import (
     TaskFile,
     TaskName,
 )
+from stltool.cli.roles import Writes, task_folder, within
 from stltool.cli.steps import LearnerCommand, guarantees_of, make_product, read_learner, resumable, training_text
 from stltool.errors import SettingsError
 
@@ -56,7 +57,11 @@ def run(
     rollouts: Annotated[
         int, typer.Option("--rollouts", help="fresh runs that the learned policy is judged by; 0: none")
     ] = 10_000,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="folder for the results; default: out/NAME")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="folder for the results; default: out/NAME"),
+        Writes(within("policy.npz", "report.html", "report.json"), task_folder),
+    ] = None,
     checkpoint: Checkpoint = None,
     resume: Resume = False,
     checkpoint_every: CheckpointEvery = 30.0,

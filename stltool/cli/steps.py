@@ -262,7 +262,7 @@ class LearnerCommand(TyperCommand):
         from stltool.learning.methods import methods_text
 
         super().format_help(ctx, formatter)
-        typer.echo(f"\n{methods_text()}")
+        print(f"\n{methods_text()}")
 
 
 def guarantees_of(

@@ -11,13 +11,18 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import AsJson
+from stltool.cli.roles import Reads, Writes, sweep_files, sweep_folder, within
 from stltool.errors import SettingsError
 from stltool.numbers import NumberError, whole
+
+_RESULTS = ("report.html", "report.json", "table.csv", "curves.csv", "figure.svg", "figure.png")
 
 
 @app.command()
 def sweep(
-    file: Annotated[Path, typer.Argument(help="sweep file (.toml)", show_default=False)],
+    file: Annotated[
+        Path, typer.Argument(help="sweep file (.toml)", show_default=False), Reads("sweep file", sweep_files)
+    ],
     only: Annotated[str | None, typer.Option("--only", metavar="ID,ID", help="run these scenarios alone")] = None,
     method: Annotated[
         str | None, typer.Option("--method", "-m", metavar="ID,ID", help="run these methods alone")
@@ -32,7 +37,11 @@ def sweep(
     cluster: Annotated[
         str | None, typer.Option("--cluster", metavar="ADDRESS", help="a dask scheduler whose workers do the runs")
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="folder for the results; default: out/NAME")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="folder for the results; default: out/NAME"),
+        Writes(within(*_RESULTS), sweep_folder),
+    ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="list what would be run, and about how long")] = False,
     as_json: AsJson = False,
 ) -> None:

@@ -54,4 +54,11 @@ def _load_toml(path: Path, normalize: bool) -> MDP:
         raise ModelError(f"{path}: {error}") from None
 
 
+def companions(path: Path) -> list[Path]:
+    """The files that are read with a model file, beside it, where they are there."""
+    beside = (path.with_suffix(ending) for ending in _BESIDE.get(path.suffix.lower(), ()))
+    return [other for other in beside if other.exists()]
+
+
+_BESIDE = {".tra": (".lab", ".sta")}
 _LOADERS: dict[str, Callable[[Path, bool], MDP]] = {".toml": _load_toml, ".tra": load_explicit}

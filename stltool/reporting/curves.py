@@ -10,15 +10,27 @@ from typing import Any
 
 import numpy as np
 
-from stltool.files import write_atomically
+from stltool.files import require_folder, require_own, write_atomically
 from stltool.learning import Training
+
+_HISTORY = ("episode", "steps", "probability")
 
 
 def write_history(training: Training, path: str | Path) -> None:
     """The exact learning curve as CSV: episode, steps, probability. Doubles are written so that they read back."""
-    write_csv(
-        path, ("episode", "steps", "probability"), ((p.episode, p.steps, p.probability) for p in training.history)
-    )
+    require_history_file(path)
+    write_csv(path, _HISTORY, ((p.episode, p.steps, p.probability) for p in training.history))
+
+
+def require_history_file(path: str | Path) -> None:
+    """An error, before the work, where a learning curve could not be written after it."""
+    require_own(path, "learning curve", _is_history)
+    require_folder(Path(path).parent)
+
+
+def _is_history(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.readline(100).strip() == ",".join(_HISTORY).encode()
 
 
 def write_csv(path: str | Path, heading: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
-from stltool.errors import SettingsError
+from stltool.extras import require
 from stltool.files import require_folder, write_atomically
 from stltool.learning import Training
 from stltool.learning.trainer import Point
@@ -23,12 +23,7 @@ _UNSAFE = re.compile(r"[^\w.+-]+", re.ASCII)
 
 def require_tensorboard(folder: str | Path) -> None:
     """An error, before the work, where TensorBoard is not installed or its folder could not be written."""
-    try:
-        import tensorboard  # noqa: F401
-    except ImportError:
-        raise SettingsError(
-            "TensorBoard is not installed; pip install 'stltool[tensorboard]', or write --history FILE.csv"
-        ) from None
+    require("tensorboard", "a learning curve in TensorBoard", "write --history FILE.csv")
     require_folder(folder)
 
 

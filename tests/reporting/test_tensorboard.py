@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import stltool as stl
-from stltool.errors import FileError, SettingsError
+from stltool.errors import FileError, MissingExtraError
 from stltool.learning.trainer import Point
 from stltool.reporting.tensorboard import require_tensorboard, write_tensorboard
 
@@ -121,7 +121,7 @@ def test_a_disk_that_gets_full_leaves_no_half_file(training, tmp_path, monkeypat
 
 def test_without_tensorboard_its_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "tensorboard", None)
-    with pytest.raises(SettingsError, match=r"pip install 'stltool\[tensorboard\]'"):
+    with pytest.raises(MissingExtraError, match=r"pip install 'stltool\[tensorboard\]'"):
         require_tensorboard(tmp_path)
 
 

@@ -1,0 +1,167 @@
+"""What a command does with the files that its parameters name: read them, or write them.
+
+Each parameter that names a file says so in its annotation, beside its help. Before a command begins, what it would
+write is compared with all that it reads, and with the rest of what it writes: a result never replaces an input.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stltool.errors import SettingsError, StlToolError
+
+Given = Mapping[str, Any]
+"""The command's arguments, by parameter."""
+
+
+def _itself(path: Path) -> Iterable[Path]:
+    return [path]
+
+
+@dataclass(frozen=True)
+class Reads:
+    """The parameter names a file that is read, the command's `what`; `files` are all that are read for it."""
+
+    what: str
+    files: Callable[[Path], Iterable[Path]] = _itself
+
+
+@dataclass(frozen=True)
+class Writes:
+    """The parameter names a file that is written, or a folder; `files` are all that are written there.
+
+    `default` is what is taken where the option is not given; None where nothing is written then.
+    """
+
+    files: Callable[[Path], Iterable[Path]] = _itself
+    default: Callable[[Given], Path | None] = lambda given: None
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter that names files: its name in messages, and what is done with them."""
+
+    shown: str
+    roles: tuple[Reads | Writes, ...]
+
+
+def require_apart(parameters: Mapping[str, Parameter], given: Given) -> None:
+    """SettingsError where a command would write what it reads, or two results to one file; links are followed."""
+    written = list(_written(parameters, given))
+    if not written:
+        return
+    read = list(_read(parameters, given))
+    for number, (option, path) in enumerate(written):
+        for what, source in read:
+            if _same(path, source):
+                named = what if str(path) == str(source) else f"{what}, {source}"
+                raise SettingsError(f"{option}: {path} would replace {named}; name another")
+        for other, twin in written[:number]:
+            if _same(path, twin):
+                both = f"{other} and {option} would both" if other != option else f"{option} would twice"
+                raise SettingsError(f"{both} write {path}; name a file for each")
+
+
+def _written(parameters: Mapping[str, Parameter], given: Given) -> Iterable[tuple[str, Path]]:
+    for name, parameter in parameters.items():
+        for role in parameter.roles:
+            if isinstance(role, Writes):
+                for path in _paths(given.get(name)) or filter(None, [role.default(given)]):
+                    yield from ((parameter.shown, file) for file in role.files(path))
+
+
+def _read(parameters: Mapping[str, Parameter], given: Given) -> Iterable[tuple[str, Path]]:
+    for name, parameter in parameters.items():
+        for role in parameter.roles:
+            if isinstance(role, Reads):
+                for path in _paths(given.get(name)):
+                    for file in role.files(path):
+                        yield f"the {role.what}" if file == path else f"a file that {parameter.shown} needs", file
+
+
+def _paths(value: Any) -> list[Path]:
+    """One path, several, or none."""
+    values = value if isinstance(value, list) else [] if value is None else [value]
+    return [Path(one) for one in values]
+
+
+def _same(path: Path, other: Path) -> bool:
+    try:
+        if path.samefile(other):
+            return True
+    except (OSError, ValueError):  # one of them is not there, or is no path
+        pass
+    try:
+        return path.resolve() == other.resolve()
+    except (OSError, RuntimeError, ValueError):  # a link to itself, a formula that is too long for a path
+        return False
+
+
+# ------------------------------------------------------------------------------------------------ what is read for it
+
+
+def model_files(path: Path) -> Iterable[Path]:
+    """A model file, and those that stand beside it."""
+    from stltool.models.load import companions
+
+    return [path, *companions(path)]
+
+
+def task_files(path: Path) -> Iterable[Path]:
+    """A task file, and those of its model. Of a text that is no file, or none that can be read, nothing more."""
+    import stltool as stl
+
+    try:
+        model = stl.load_task(path, unbounded=True).model if path.is_file() else None
+    except (StlToolError, OSError, ValueError):
+        model = None
+    return [path, *(model_files(model) if model is not None else ())]
+
+
+def sweep_files(path: Path) -> Iterable[Path]:
+    """A sweep's file, its tasks and their models."""
+    yield path
+    try:
+        scenarios = tomllib.loads(path.read_text(encoding="utf-8")).get("scenario", [])
+    except (OSError, ValueError, RecursionError):
+        return
+    for scenario in scenarios if isinstance(scenarios, list) else []:
+        for key, files in (("task", task_files), ("model", model_files)):
+            if isinstance(scenario, dict) and isinstance(named := scenario.get(key), str):
+                yield from files(path.parent / named)
+
+
+# ----------------------------------------------------------------------------------------------------- what is written
+
+
+def within(*names: str) -> Callable[[Path], Iterable[Path]]:
+    """Files of a folder."""
+    return lambda folder: [folder / name for name in names]
+
+
+def task_folder(given: Given) -> Path | None:
+    """`run`'s folder without --out: out/NAME, the task's."""
+    import stltool as stl
+
+    try:
+        return Path("out") / stl.load_task(given["task"], task=given["name"]).name
+    except StlToolError:
+        return None
+
+
+def sweep_folder(given: Given) -> Path | None:
+    """`sweep`'s folder without --out: out/NAME, the sweep's."""
+    try:
+        table = tomllib.loads(given["file"].read_text(encoding="utf-8"))
+        return Path("out", str(table["sweep"].get("name", given["file"].stem)))
+    except (OSError, ValueError, RecursionError, LookupError, AttributeError, TypeError):
+        return None
+
+
+def beside(ending: str) -> Callable[[Path], Iterable[Path]]:
+    """The file of the same name with another ending."""
+    return lambda path: [path.with_suffix(ending)]

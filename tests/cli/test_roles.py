@@ -1,0 +1,202 @@
+"""No command writes over what it reads, or two results into one file: over all commands and pairs of parameters."""
+
+import itertools
+import os
+import re
+import shutil
+import typing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stltool.cli import app
+from stltool.cli.roles import Reads, Writes
+from tests.cli.every import CASES, make_inputs
+
+# what a parameter of that role may name, in the folder that make_inputs fills, and what is read with it
+SAMPLES = {
+    "task file": ["patrolling.stl", "floor-5x5.toml"], "model file": ["model.tra", "model.lab", "model.sta"],
+    "policy": ["policy.npz"], "trace": ["trace.csv"], "certificate": ["certificate.jsonl"],
+    "sweep file": ["sweep.toml", "patrolling.stl", "floor-5x5.toml"], "report": ["report.json"],
+}  # fmt: skip
+COMMANDS = {command.name or command.callback.__name__: command.callback for command in app.registered_commands}
+
+
+def roles(name, kind):
+    """(parameter, its spelling, role) of a command."""
+    return [
+        (parameter, files.shown, role)
+        for parameter, files in COMMANDS[name].files.items()
+        for role in files.roles
+        if isinstance(role, kind)
+    ]
+
+
+def is_read(name):
+    return {parameter for parameter, _, _ in roles(name, Reads)}
+
+
+PAIRS = [
+    pytest.param(name, shown, role, sample, id=f"{name} {shown} {read.what} {sample}")
+    for name in COMMANDS
+    for parameter, shown, role in roles(name, Writes)
+    for _, _, read in roles(name, Reads)
+    for sample in SAMPLES[read.what]
+    if parameter not in is_read(name)  # of report: below
+]
+TWO = [
+    pytest.param(name, one, file, other, twin, id=f"{name} {one} {other}")
+    for name in COMMANDS
+    for (_, one, role), (_, other, another) in itertools.combinations(roles(name, Writes), 2)
+    for file in role.files(Path("result"))
+    for twin in another.files(Path("result"))
+]
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    made = tmp_path_factory.mktemp("inputs")
+    make_inputs(made)
+    (made / "model.tra").write_text("1 1 1\n0 0 0 1\n")
+    (made / "model.lab").write_text('0="init"\n0: 0\n')
+    (made / "model.sta").write_text("(x)\n0:(1)\n")
+    return made
+
+
+@pytest.fixture
+def folder(inputs, tmp_path, monkeypatch):
+    shutil.copytree(inputs, tmp_path / "here")
+    monkeypatch.chdir(tmp_path / "here")
+    return tmp_path / "here"
+
+
+def arguments(name, **values):
+    """The command's case with these options, and with every file that it can read."""
+    given = [name, *CASES[name]]
+    if "task" in COMMANDS[name].files and name != "certify":
+        given[1:3] = ["patrolling.stl", "trace.csv"] if name == "monitor" else ["patrolling.stl", given[2]]
+    options = {shown: SAMPLES[role.what][0] for _, shown, role in roles(name, Reads) if shown.startswith("--")}
+    for shown, value in {**options, **values}.items():
+        if shown in given:
+            given[given.index(shown) + 1] = value
+        else:
+            given += [shown, value]
+    return given
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_every_parameter_that_names_a_file_says_what_is_done_with_it():
+    for command in COMMANDS.values():
+        hints = typing.get_type_hints(command, include_extras=True)
+        assert {parameter for parameter, hint in hints.items() if "pathlib.Path" in str(hint)} <= set(command.files)
+    assert {role.what for name in COMMANDS for _, _, role in roles(name, Reads)} == set(SAMPLES)
+    assert len(PAIRS) > 50
+
+
+@pytest.mark.parametrize(("name", "shown", "role", "sample"), PAIRS)
+def test_no_result_replaces_what_is_read(stltool, folder, name, shown, role, sample):
+    """Named as it is, or through a link of either kind; where a folder is named, as any file that is written there."""
+    before = contents(folder)
+
+    def refused(value):
+        code, out, err = stltool(*arguments(name, **{shown: value}))
+        assert (code, out) == (2, ""), err
+        assert f"{shown}: " in err
+        assert "would replace" in err
+
+    if role.files(Path("named")) == [Path("named")]:
+        refused(sample)
+    for output in role.files(folder / "result"):
+        output.parent.mkdir(exist_ok=True)
+        for link in (os.symlink, os.link):
+            link(folder / sample, output)
+            refused("result")
+            output.unlink()
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize(("name", "one", "file", "other", "twin"), TWO)
+def test_no_two_results_go_into_one_file(stltool, folder, name, one, file, other, twin):
+    """Of a folder any file that is written there."""
+    before = contents(folder)
+    values = {one: "result" if len(file.parts) == 2 else str(twin), other: str(file)}
+    code, out, err = stltool(*arguments(name, **values))
+    assert (code, out) == (2, "")
+    assert re.search(rf"({one} and {other}|{other} and {one}) would both write {file}", err)
+    assert contents(folder) == before
+
+
+def test_a_page_does_not_replace_the_data_that_it_is_made_from(stltool, folder):
+    shutil.copy("report.json", "data.html")
+    os.symlink("report.json", "same.html")
+    before = contents(folder)
+    for given, says in (
+        (["data.html"], "data.html would replace the report; name another"),
+        (["report.json", "same.html"], "same.html would replace the report, report.json"),
+        (["report.json", "./report.json"], "DATA would twice write report.html"),
+    ):
+        code, out, err = stltool("report", *given)
+        assert (code, out) == (2, "")
+        assert says in err
+    assert contents(folder) == before
+
+
+def test_results_go_into_a_folder_of_their_own_by_default(stltool, folder):
+    """Where no option names a folder, its files are known before the work, too."""
+    (folder / "out" / "patrolling").mkdir(parents=True)
+    shutil.copy("floor-5x5.toml", "out/patrolling/policy.npz")
+    code, _, err = stltool("run", "patrolling.stl", "--model", "out/patrolling/policy.npz")
+    assert (code, "policy.npz would replace the model file; name another" in err) == (2, True)
+    (folder / "out" / "sweep").mkdir()
+    shutil.copy("sweep.toml", "out/sweep/report.json")
+    code, _, err = stltool("sweep", "out/sweep/report.json")
+    assert (code, "no such" in err) == (2, True)  # paths in it are relative to it
+    text = Path("sweep.toml").read_text().replace("[sweep]", "[sweep]\nname = 'sweep'")
+    Path("out/sweep/report.json").write_text(text.replace("patrolling.stl", "../../patrolling.stl"))
+    code, _, err = stltool("sweep", "out/sweep/report.json")
+    assert (code, "report.json would replace the sweep file; name another" in err) == (2, True)
+
+
+@pytest.mark.parametrize("name", [name for name in COMMANDS if roles(name, Writes)])
+def test_every_file_that_a_command_writes_is_known_before(stltool, folder, name):
+    extra = {"check": ["--save-policy", "p.npz", "--certificate", "c.jsonl"], "tradeoff": ["--save-policy", "p.npz"],
+             "pareto": ["--plot", "f.svg"], "monitor": ["--plot", "f.svg"], "export": ["--out", "a.dot"],
+             "learn": ["--checkpoint", "c.npz", "--history", "h.csv"]}  # fmt: skip
+    given = [*CASES[name], *extra.get(name, [])]
+    before = contents(folder)
+    assert stltool(name, *given)[0] == 0
+    declared = set()
+    for parameter, shown, role in roles(name, Writes):
+        if parameter in is_read(name):
+            declared |= set(role.files(folder / given[0]))
+        elif shown in given:
+            declared |= set(role.files(folder / given[given.index(shown) + 1]))
+    written = {path for path, content in contents(folder).items() if before.get(path) != content}
+    kept = {path for path in written if "runs" in path.parts or path.name == "sweep.lock"}  # of a sweep, to go on
+    assert written - kept <= declared
+    assert {path for path in declared if path not in written and path.name != "report.html"} == set()
+
+
+@pytest.mark.parametrize(
+    ("name", "option", "file", "says"),
+    [
+        ("learn", "--out", "data.npz", "data.npz: this file does not contain a policy, and would be lost"),
+        ("check", "--save-policy", "data.npz", "does not contain a policy"),
+        ("tradeoff", "--save-policy", "data.npz", "does not contain a policy"),
+        ("check", "--certificate", "trace.csv", "does not contain a certificate"),
+        ("learn", "--history", "trace.csv", "does not contain a learning curve"),
+        ("export", "--out", "trace.csv", "a text for Graphviz is written as .dot or .gv"),
+        ("learn", "--out", "trace.csv", "a policy is saved as .npz"),
+    ],
+)
+def test_files_of_another_kind_are_not_lost(stltool, folder, name, option, file, says):
+    np.savez(folder / "data.npz", x=np.arange(3))
+    before = contents(folder)
+    code, out, err = stltool(*arguments(name, **{option: file}))
+    assert (code, out) == (2, "")
+    assert says in err
+    assert contents(folder) == before
