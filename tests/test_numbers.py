@@ -235,7 +235,7 @@ def test_doors_of_doubles_accept_the_same_texts_with_one_value(tmp_path_factory,
             assert refused(door, text, folder), name
         else:
             assert door(text, folder) == float(value), name
-    if value is not None and text[0] not in "+-" and "/" not in text:
+    if value is not None and text[0] not in "+-" and "/" not in text and abs(value) < Fraction(np.finfo(float).max):
         assert in_a_literal(text) == numbers.shortest(float(value))
 
 
@@ -310,7 +310,7 @@ def test_the_limit_excludes_and_is_told(text):
         (b"1", "b'1' is not a number"),
         (math.inf, "'inf' is not a finite number"),
         (10**4000, "an integer of 13288 bits is out of range"),
-        (None, "'None' is not a number"),
+        (None, "None is not a number"),
     ],
 )
 def test_what_is_wrong_is_told(value, says):
