@@ -337,7 +337,8 @@ def _bracket_hint(source: Source, tokens: Sequence[Token], i: int, accepted: set
     if opened < 0 or (_all_closed(tokens, i) and not (kind == "RSQB" and tokens[opened].type == "LPAR")):
         return "", False
     place = _span(source, tokens[opened])
-    interval = opened > 0 and tokens[opened - 1].type in _TEMPORAL and {"RSQB", "_DOTS"} & accepted
+    behind = opened > 0 and tokens[opened - 1].type in _TEMPORAL
+    interval = behind and (tokens[opened].type == "LSQB" or {"RSQB", "_DOTS"} & accepted)
     where = f"line {place.line}, column {place.column}"
     told = f"the {'interval' if interval else _BRACKETS[tokens[opened].type]} opened at {where} is not closed"
     closers = [closer for name, closer in (("RSQB", "]"), ("RPAR", ")")) if name in accepted]

@@ -37,7 +37,7 @@ from stltool.errors import ModelError, near_misses
 from stltool.models.fractions import Fractions, over_one
 from stltool.models.intervals import Intervals
 from stltool.models.mdp import MDP, GridLayout
-from stltool.models.normalize import HINT, MOST_MISSING, rescale
+from stltool.models.normalize import HINT, MOST_MISSING, NOTHING, rescale
 from stltool.models.toml import Faults
 from stltool.numbers import NumberError, exact, number_text
 from stltool.sizes import require_numbered
@@ -143,6 +143,8 @@ def _noise(table: Mapping[str, Any], normalize: bool, faults: Faults) -> _Noise 
     place = "slip" if "slip" in table else "success"
     least, most = success[0] + 3 * slip[0], success[1] + 3 * slip[1]
     notes = {}
+    if uncertain and normalize:
+        notes["normalize"] = NOTHING.format("intervals")
     if not uncertain and normalize:
         row = [success[0], slip[0], slip[0], slip[0]]
         scaled = faults.reading(

@@ -35,6 +35,9 @@ _LARGEST_DENOMINATOR = 1000
 _DIGITS, _LEAST_DIGITS = 18, 6  # decimals, and significant digits of the smallest entry
 
 
+NOTHING = "normalize changed nothing: the model's probabilities are {}"  # intervals, unknown
+
+
 @dataclass(frozen=True)
 class Rescaled:
     """What was done to a model: how many of its rows were rescaled, and by how much an entry changed at most."""

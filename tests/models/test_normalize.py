@@ -184,6 +184,16 @@ def test_grid_files(tmp_path):
         )
 
 
+def test_intervals_and_black_boxes_have_nothing_to_rescale(tmp_path):
+    grid = write(tmp_path, "g.toml", 'kind = "grid"\nmap = "S."\nsuccess = [0.9, 0.95]\n')
+    rows = write(tmp_path, "i.tra", "1 1 1\n0 0 0 [0.5,1]\n")
+    lake = write(tmp_path, "l.toml", 'kind = "gymnasium"\nid = "FrozenLake-v1"\ntable = false\n')
+    for path, what in ((grid, "intervals"), (rows, "intervals"), (lake, "unknown")):
+        note = stl.load_model(path, normalize=True).notes["normalize"]
+        assert note == f"normalize changed nothing: the model's probabilities are {what}"
+        assert "normalize" not in stl.load_model(path).notes
+
+
 def test_transition_files(tmp_path):
     tra = "3 3 5\n0 0 0 0.333333\n0 0 1 0.333333\n0 0 2 0.333333\n1 0 1 1\n2 0 2 1\n"
     path = write(tmp_path, "m.tra", tra)

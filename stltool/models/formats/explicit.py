@@ -28,7 +28,7 @@ from stltool.files import read_text
 from stltool.models.fractions import Fractions, Integers, doubles_of, over_one
 from stltool.models.intervals import Intervals
 from stltool.models.mdp import MDP
-from stltool.models.normalize import HINT, MOST_MISSING, rescale
+from stltool.models.normalize import HINT, MOST_MISSING, NOTHING, rescale
 from stltool.numbers import NumberError, double, index, read
 from stltool.sizes import require_memory, require_numbered
 
@@ -68,6 +68,8 @@ def load_explicit(path: str | Path, normalize: bool = False) -> MDP:
     notes = _missing_files(path)
     exact: tuple[Integers, int] | None = None
     row_start = np.array(arrays.row_start, dtype=np.int64)
+    if intervals is not None and normalize:
+        notes["normalize"] = NOTHING.format("intervals")
     if intervals is None:
         exact = over_one(share for share, _ in arrays.shares)
         if normalize:

@@ -38,6 +38,7 @@ from stltool.models.gymnasium.spaces import (
 )
 from stltool.models.gymnasium.table import read_table, without_table
 from stltool.models.mdp import MDP
+from stltool.models.normalize import NOTHING
 from stltool.sizes import require_memory
 
 if TYPE_CHECKING:
@@ -120,7 +121,7 @@ def from_gymnasium(
         return Environment(adapter.reset, adapter.step, rng)
 
     model = MDP.black_box(size, list(action_names), lambda rng: episodes(rng, None), **facts)
-    return replace(model, blackbox=episodes)
+    return replace(model, blackbox=episodes, notes={"normalize": NOTHING.format("unknown")} if normalize else {})
 
 
 def _twice(column: NDArray[Any], apart: bool) -> NDArray[Any]:
