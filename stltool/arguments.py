@@ -19,6 +19,7 @@ from typing import Any, cast
 
 from stltool.errors import ArgumentError, SettingsError
 
+LARGEST = 2**63 - 1
 _LONGEST = 40  # characters of a value in a message
 
 _WORDS = {"str": "text", "Iterable": "a list", "Mapping": "a mapping"}
@@ -100,14 +101,15 @@ def flag(value: object, what: str) -> bool:
 def whole(value: object, what: str, least: int | None = None, most: int | None = None) -> int:
     """`value` as an int, which does not wrap as numpy's narrow ones do: callers go on with what this returns.
 
-    SettingsError for anything else than an integer, or one out of range.
+    SettingsError for anything else than an integer, or one out of range, which 64 bits bound.
     """
-    limits = f" from {least}" if least is not None else ""
-    limits += f" up to {most}" if most is not None else ""
     good = isinstance(value, Integral) and not isinstance(value, bool)
-    if not good or (least is not None and value < least) or (most is not None and value > most):  # type: ignore[operator]
+    number = int(value) if good else 0  # type: ignore[call-overload]
+    if not good or not (-LARGEST if least is None else least) <= number <= (LARGEST if most is None else most):
+        limits = f" from {least}" if least is not None else ""
+        limits += f" up to {most}" if most is not None else " below 2^63" if number > LARGEST else ""
         raise SettingsError(f"{what} is {described(value)}; it must be an integer{limits}")
-    return int(value)  # type: ignore[call-overload, no-any-return]
+    return number
 
 
 def real(value: object, what: str, example: str = "0.5") -> float | Fraction:
@@ -175,7 +177,10 @@ def described(value: object) -> str:
     if isinstance(value, PurePath):
         return f"the path {str(value)!r}"
     if isinstance(value, Real | Decimal | complex):
-        text = str(value)
+        try:
+            text = str(value)
+        except ValueError:  # Python writes no integer of more than some thousand digits
+            return "a number of thousands of digits"
         return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
     if isinstance(value, type):
         return f"the class {value.__name__}"

@@ -94,7 +94,7 @@ MORE = {
     "a black box": ("stl.MDP.black_box(2, 2, lambda rng: None)", "a black box"),
     "a robust check": ("stl.robust_check(stl.build_product(blurred, stl.parse('F[0,3] A')))", "nature against"),
     "an exact check": ("stl.check(product, exact=True)", "7/8"),
-    "a policy's check": ("stl.check(product, training.policy)", "the policy"),
+    "a policy's check": ("stl.check(product, training.policy)", "of the policy"),
     "a likely run": ("stl.likely_runs(product).runs[0]", "violated"),
     "an expression": ("2 * stl.signal('x') + 1", "2 * x + 1"),
     "verdicts alone": ("stl.monitor(stl.parse('x < 0.5'), signals, semantics='boolean')", "traces with a violation"),

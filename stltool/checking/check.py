@@ -73,7 +73,11 @@ class CheckResult(Displayed):
         return True if upper <= bound else False if lower > bound else None
 
     def _card(self) -> Card:
-        asked = {"maximum": "maximum over all policies", "minimum": "minimum over all policies", "policy": "the policy"}
+        asked = {
+            "maximum": "maximum over all policies",
+            "minimum": "minimum over all policies",
+            "policy": "of the policy",
+        }
         nature = f", nature {self.nature}" if self.nature is not None else ""
         exact = self.fraction is not None and self.fraction.denominator < _LONG
         return Card(

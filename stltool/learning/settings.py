@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from stltool.arguments import described
+from stltool.arguments import LARGEST, described
 from stltool.errors import SettingsError
 from stltool.numbers import double, whole
 
@@ -112,12 +112,15 @@ class Setting:
 def _plain(value: Any, kind: type | None) -> tuple[bool, Any]:
     """Whether it is of that kind, and the value as Python's own type: numpy's numbers are fine, true is no number."""
     if kind is int:
-        fine = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        fine = isinstance(value, int | np.integer) and not isinstance(value, bool) and abs(int(value)) <= LARGEST
         return fine, int(value) if fine else value
     if kind is float:
-        number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-        fine = number and math.isfinite(value)
-        return fine, float(value) if fine else value
+        try:
+            plain = float(value) if isinstance(value, int | float | np.integer | np.floating) else math.nan
+        except OverflowError:  # an integer beyond all doubles
+            plain = math.nan
+        fine = math.isfinite(plain) and not isinstance(value, bool)
+        return fine, plain if fine else value
     return kind is None or isinstance(value, kind), value
 
 

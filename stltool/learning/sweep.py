@@ -41,6 +41,7 @@ from stltool.models import MDP
 from stltool.product import Product, build_product
 
 FORMAT = "stltool-run-1"
+_MOST_SEEDS = 1_000_000
 _SHOWN = 10  # rows of results in a notebook
 _PROBE = 10  # episodes that an estimate of time is made from
 
@@ -317,6 +318,8 @@ def _seconds(run: Run, episodes: int, evaluate_every: int) -> float:
 
 def read_seeds(given: Any) -> tuple[int, ...]:
     """Seeds as a number of them (3: 0, 1, 2) or as a list of different whole numbers from 0."""
+    if type(given) is int and given > _MOST_SEEDS:
+        raise SettingsError(f"seeds is {described(given)}; write how many, up to {_MOST_SEEDS}")
     seeds = list(range(given)) if type(given) is int else given
     fine = isinstance(seeds, list | tuple) and all(type(seed) is int and seed >= 0 for seed in seeds)
     if not fine or not seeds or len(set(seeds)) < len(seeds):

@@ -33,7 +33,7 @@ from stltool.models.fractions import (
 from stltool.models.intervals import Intervals
 from stltool.models.normalize import HINT, MOST_MISSING, rescale
 from stltool.numbers import NumberError, exact, number_text
-from stltool.sizes import IntegerType, integer_type, require_numbered
+from stltool.sizes import IntegerType, integer_type, require_memory, require_numbered
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -337,8 +337,11 @@ class MDP(Displayed):
         """
         n_states = whole(n_states, "n_states", least=1)
         if isinstance(actions, int | np.integer):
-            actions = [str(a) for a in range(whole(actions, "actions", least=0))]
+            n_actions = whole(actions, "actions", least=0)
+            _require_room(n_states, n_actions)
+            actions = [str(a) for a in range(n_actions)]
         names = tuple(texts(actions, "black_box's actions"))
+        _require_room(n_states, len(names))
         if not names:
             raise ModelError("the model has no action; give their number or their names")
         if not callable(environment):
@@ -431,6 +434,12 @@ class MDP(Displayed):
 
 
 # ------------------------------------------------------------------------------------------- checks on the way in
+
+
+def _require_room(n_states: int, n_actions: int) -> None:
+    """SizeError, before anything is allocated, where a black box of that size would not fit."""
+    what = f"a black box of {n_states} states with {n_actions} actions"
+    require_memory(n_states * (40 + 20 * n_actions) + 100 * n_actions, what, "count fewer states and actions")
 
 
 def _columns(signals: object, labels: object, optional: bool = False) -> dict[str, Any]:
@@ -576,7 +585,7 @@ def _initial(
         raise ModelError(f"the initial state is {initial}; give its index, its name, or a distribution (S,)")
     if isinstance(initial, int | np.integer):
         if not 0 <= initial < n_states:
-            raise ModelError(f"the initial state {initial} is not one of 0 … {n_states - 1}")
+            raise ModelError(f"the initial state {described(initial)} is not one of 0 … {n_states - 1}")
         point = np.zeros(n_states)
         point[initial] = 1.0
         return point, None
