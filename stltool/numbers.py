@@ -91,15 +91,21 @@ def whole(text: str) -> int:
 def index(text: str) -> int:
     """The number of a state, a line or the like: digits alone. Raises NumberError where the text is none."""
     if not (text.isascii() and text.isdigit()) or len(text) > _LONGEST_INDEX:
-        raise NumberError(f"{shown(text)} does not number anything; write digits alone")
+        raise NumberError(f"{shown(text)} is not an index; write digits alone")
     return int(text)
 
 
 def double(text: str) -> float:
     """The double nearest to a number, however many digits it has. Raises NumberError where it has none."""
-    bare = text.strip()
     try:
-        value = float(bare) if _DECIMAL.fullmatch(bare) else float(read(text))
+        # what float reads in ASCII without underscores, to a finite number, is a decimal
+        value = float(text) if text.isascii() and "_" not in text else math.nan
+    except ValueError:
+        value = math.nan
+    if math.isfinite(value):
+        return value
+    try:
+        value = math.inf if _DECIMAL.fullmatch(text.strip()) else float(read(text))
     except OverflowError:  # of a fraction
         value = math.inf
     if math.isinf(value):

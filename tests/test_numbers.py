@@ -18,6 +18,7 @@ from stltool.errors import SettingsError, StlToolError
 from stltool.logic.quantities import duration, quantity
 from stltool.models.grid import grid_from_table
 from stltool.numbers import MOST_DIGITS, NumberError
+from tests.conftest import PATROLLING
 
 DIGITS = st.text("0123456789", min_size=1, max_size=6)
 DECIMALS = st.builds(
@@ -260,9 +261,31 @@ def test_integers_of_options_and_settings(text):
 @pytest.mark.parametrize("option", ["--runs", "--seed", "--confidence"])
 @pytest.mark.parametrize("text", ["1_0", "٣", "0x10"])
 def test_options_of_every_command_are_read_so(stltool, option, text):
-    code, _, err = stltool("estimate", "examples/factory/patrolling.stl", option, text)
+    code, _, err = stltool("estimate", PATROLLING, option, text)
     assert code == 2
     assert "is not a" in err
+
+
+def test_numbers_of_toml_keep_their_digits(tmp_path):
+    digits = "0.12345678901234567890123"
+    (tmp_path / "t.stl").write_text('model "g.toml"\nparam c = 1, k = 1\nr := F[0,3] (x > c) & k * x > 0\n')
+    (tmp_path / "g.toml").write_text('kind = "grid"\nmap = "S."\nsuccess = 0.93\ncell = 0.1\n')
+    model = stl.load_model(tmp_path / "g.toml")
+    assert model.signals["x"].tolist() == [0.05, 0.15]
+    assert model.exact().denominator == 300
+    sweep = f"""
+        [sweep]
+        seeds = 1
+        [[method]]
+        name = "cfer"
+        [[scenario]]
+        id = "a"
+        task = "t.stl"
+        params = {{ c = {digits}, k = "1/3" }}
+    """
+    (tmp_path / "s.toml").write_text(sweep)
+    params = stl.load_sweep(tmp_path / "s.toml").scenarios[0].task.params
+    assert params == {"c": Fraction(digits), "k": Fraction(1, 3)}
 
 
 # ------------------------------------------------------------------------------------------------- limits, printing

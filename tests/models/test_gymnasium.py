@@ -127,6 +127,37 @@ def test_a_table_that_is_not_what_the_environment_does_is_refused(turn, says):
     assert stl.from_gymnasium(Otherwise(COIN, lambda n, s, a, o: o)).blackbox is None
 
 
+@pytest.mark.parametrize(
+    ("reset", "step", "says"),
+    [
+        (lambda env: env.s, None, r"reset.seed=….* returned int \d, not .observation, info.; it follows the older gym"),
+        (
+            lambda env: ("x", {}),
+            None,
+            "reset.. started in .'x', .*, to which initial_state_distrib gives no probability",
+        ),
+        (
+            None,
+            lambda env: (env.s, 0.0, False, {}),
+            "returned 4 values, not .observation, reward, terminated, truncated",
+        ),
+        (None, lambda env: ("x", 0.0, False, False, {}), "returned the observation 'x', which is not in its space"),
+    ],
+)
+def test_answers_that_are_none_are_told_while_a_table_is_tried(reset, step, says):
+    class Odd(Listed):
+        def reset(self, **named):
+            answer = super().reset(**named)
+            return reset(self) if reset else answer
+
+        def step(self, action):
+            answer = super().step(action)
+            return step(self) if step else answer
+
+    with pytest.raises(ModelError, match=says):
+        stl.from_gymnasium(Odd(COIN))
+
+
 def test_starts_that_the_distribution_does_not_list_are_refused():
     env = Listed(COIN, first=(0.5, 0.5))
     env.initial_state_distrib = np.array([0.5, 0.0, 0.5])

@@ -50,7 +50,7 @@ class Episodes:
     def reset(self) -> int:
         answer = self._call("reset(seed=…)", self._env.reset, seed=int(self._rng.integers(_SEEDS)))
         if not (isinstance(answer, tuple) and len(answer) == 2):
-            raise self._old_api("reset(seed=…)", answer, "(observation, info)")
+            raise old_api(self._title, "reset(seed=…)", answer, "(observation, info)")
         self._shared.running = self
         self._t, self._terminated, self._truncated = 0, False, False
         self._state = self._read(answer[0], "reset(seed=…)")
@@ -71,7 +71,7 @@ class Episodes:
         call = f"step({self._shared.first_action + action})"
         answer = self._call(call, self._env.step, self._shared.first_action + action)
         if not (isinstance(answer, tuple) and len(answer) == 5):
-            raise self._old_api(call, answer, "(observation, reward, terminated, truncated, info)")
+            raise old_api(self._title, call, answer, "(observation, reward, terminated, truncated, info)")
         self._state = self._read(answer[0], call)
         if not all(isinstance(flag, bool | np.bool_) for flag in answer[2:4]):
             raise ModelError(
@@ -113,13 +113,6 @@ class Episodes:
             )
         one.add(s)
 
-    def _old_api(self, call: str, answer: object, needed: str) -> ModelError:
-        shown = f"{len(answer)} values" if isinstance(answer, tuple) else f"{type(answer).__name__} {answer!r}"
-        return ModelError(
-            f"{self._title}: {call} returned {shown}, not {needed}; it follows the older gym API, "
-            "so bring it to gymnasium's"
-        )
-
     def _too_short(self, length: int) -> ModelError:
         needed, option = ("more", "…") if self._steps is None else (str(self._steps), str(self._steps))
         return ModelError(
@@ -127,3 +120,11 @@ class Episodes:
             f"{needed}; make it with gymnasium.make(…, max_episode_steps={option}), in a model file under [options], "
             "or shorten the task's windows"
         )
+
+
+def old_api(title: str, call: str, answer: object, needed: str) -> ModelError:
+    """For an environment whose `reset` or `step` answers as those of the older gym package did."""
+    shown = f"{len(answer)} values" if isinstance(answer, tuple) else f"{type(answer).__name__} {answer!r}"
+    return ModelError(
+        f"{title}: {call} returned {shown}, not {needed}; it follows the older gym API, so bring it to gymnasium's"
+    )

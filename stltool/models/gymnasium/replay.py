@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.errors import ModelError
+from stltool.models.gymnasium.episodes import old_api
 
 Outcome: TypeAlias = tuple[float, int, float, bool]
 """(probability, successor, reward, terminated)"""
@@ -121,6 +122,8 @@ class _Walk:
         self.steps = 0
 
     def start(self, answer: Any) -> int:
+        if not (isinstance(answer, tuple) and len(answer) == 2):
+            raise old_api(self.title, "reset(seed=…)", answer, "(observation, info)")
         try:
             state = operator.index(answer[0])
             known = 0 <= state < len(self.rows)
@@ -157,11 +160,17 @@ class _Walk:
         """The state after a step, and whether the episode is over; checked against the table."""
         if action in self.actions(state):
             self.actions(state).remove(action)
+        if not (isinstance(answer, tuple) and len(answer) == 5):
+            form = "(observation, reward, terminated, truncated, info)"
+            raise old_api(self.title, f"step({action})", answer, form)
+        observation, reward, terminated, truncated, _ = answer
         try:
-            observation, reward, terminated, truncated, _ = answer
             s2, terminated = operator.index(observation), bool(terminated)
-        except (TypeError, ValueError):
-            raise ModelError(f"{self.title}: step({action}) returned {answer!r}; mend the environment") from None
+        except TypeError:
+            raise ModelError(
+                f"{self.title}: step({action}) returned the observation {observation!r}, which is not in its space; "
+                "mend the environment"
+            ) from None
         outcomes = self.rows[state][action]
         fits = [p for p, to, _, ends in outcomes if (to, ends) == (s2, terminated)]
         worth = [r for _, to, r, ends in outcomes if (to, ends) == (s2, terminated)]
