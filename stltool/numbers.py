@@ -97,15 +97,16 @@ def index(text: str) -> int:
 
 def double(text: str) -> float:
     """The double nearest to a number, however many digits it has. Raises NumberError where it has none."""
+    bare = text.strip()
     try:
         # what float reads in ASCII without underscores, to a finite number, is a decimal
-        value = float(text) if text.isascii() and "_" not in text else math.nan
+        value = float(bare) if bare.isascii() and "_" not in bare else math.nan
     except ValueError:
         value = math.nan
     if math.isfinite(value):
         return value
     try:
-        value = math.inf if _DECIMAL.fullmatch(text.strip()) else float(read(text))
+        value = math.inf if _DECIMAL.fullmatch(bare) else float(read(bare))
     except OverflowError:  # of a fraction
         value = math.inf
     if math.isinf(value):
