@@ -83,12 +83,9 @@ class Picture:
             element.tag = element.tag.removeprefix(SVG)
         self.defined = {e.get("id"): e for e in self.root.iter() if e.get("id")}
         found = [axes for axes in with_class(self.root, "axes") if next(with_class(axes, "xtick"), None) is not None]
-        scales = {axis: [scale(axes, axis, shift) for axes in found] for axis in "xy"}
-        shared = {axis: next((known for known in scales[axis] if known is not None), None) for axis in "xy"}
-        self.panels = [
-            Panel(self, axes, *(own or shared[axis] for axis, own in zip("xy", both, strict=True)))
-            for axes, both in zip(found, zip(scales["x"], scales["y"], strict=True), strict=True)
-        ]
+        xs, ys = ([scale(axes, axis, shift) for axes in found] for axis in "xy")
+        xs, ys = filled(xs[::-1])[::-1], filled(ys)  # shared with the panel below, or with the one to the left
+        self.panels = [Panel(self, *own) for own in zip(found, xs, ys, strict=True)]
 
     @property
     def panel(self):
@@ -132,6 +129,12 @@ def scale(axes, axis, shift):
         low, high = math.log10(low), math.log10(high)
         return lambda at: 10 ** (low + (np.asarray(at) - a) * (high - low) / (b - a))
     return lambda at: low + (np.asarray(at) - a) * (high - low) / (b - a)
+
+
+def filled(scales):
+    """None replaced by what stands before it, at the beginning by what comes first."""
+    last = next(known for known in scales if known is not None)
+    return [last := known or last for known in scales]
 
 
 def with_class(element, name):

@@ -175,8 +175,8 @@ def swept(scenarios, methods, seed=0, columns=2):
 
 @pytest.mark.parametrize(
     ("scenarios", "methods", "columns"),
-    [(["R1"], ["naive"], 1), (["R1", "C1", "P1"], ["naive", "cfer", "cfper"], 2), (["a", "b"], list("abcdefghi"), 4),
-     (["x"], ["optimum", "_m", "$a$", "n" * 99], 1)],
+    [(["R1"], ["naive"], 1), (["R1", "C1", "P1", "P2"], ["naive", "cfer", "cfper"], 2),
+     (["a", "b"], list("abcdefghi"), 4), (["x"], ["optimum", "_m", "$a$", "n" * 99], 1)],
 )  # fmt: skip
 def test_each_panel_has_the_medians_and_quartiles_of_its_scenario(scenarios, methods, columns):
     data = swept(scenarios, methods, columns=columns)

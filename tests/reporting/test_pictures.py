@@ -9,6 +9,7 @@ import shlex
 
 import pytest
 
+import stltool as stl
 from stltool.reporting import load_report
 from tests.conftest import ROOT
 from tests.reporting.svg import Picture, same_picture
@@ -67,3 +68,21 @@ def test_the_committed_pictures_of_the_demo(pictures, demo, monkeypatch, name):
 def test_the_committed_floor_has_the_demos_run(demo):
     data = load_report(demo / "patrolling" / "report.json")
     require_run(Floor(committed("floor")), data["floor"], data["run"]["states"])
+
+
+def test_the_committed_sweep_has_the_papers_scenarios_and_their_optima():
+    """Its curves take minutes; which panels it has and where their optima are takes none."""
+    sweep = stl.load_sweep(ROOT / "examples" / "paper" / "table.toml")
+    picture = Picture(committed("sweep"))
+    titles = [text.text.partition(":")[0] for text in picture.texts() if ", T = " in text.text]
+    assert titles == [scenario.id for scenario in sweep.scenarios]
+    assert {text.text for text in picture.texts("legend")} == {*(method.id for method in sweep.methods), "optimum"}
+    for panel, scenario in zip(picture.panels, sweep.scenarios, strict=True):
+        best = stl.check(scenario.product, keep_policy=False).probability
+        assert panel.levels("optimum") == pytest.approx([best], abs=2e-3)
+        episodes = {**sweep.settings, **scenario.settings}["episodes"]
+        steps = episodes * (scenario.product.horizon + 2)  # published episodes go on to the end
+        for i in range(len(sweep.methods)):
+            [median] = panel.shapes(f"median-{i}")
+            assert len(median) > 10
+            assert median[-1, 0] == pytest.approx(steps, rel=0.02)
