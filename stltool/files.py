@@ -91,6 +91,13 @@ def require_own(path: str | Path, what: str, known: Callable[[Path], bool]) -> N
         raise FileError(f"{path}: this file does not contain a {what}, and would be lost; name another file")
 
 
+def require_output(path: str | Path) -> None:
+    """FileError before the work, where a result file could not be written after it; makes nothing."""
+    path = Path(path).resolve()  # through a link, to what it names
+    require_replaceable(path)
+    require_folder(path.parent)
+
+
 def require_folder(path: str | Path) -> None:
     """FileError before the work, where a folder for its results could not be made or written after it.
 

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import sys
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NoReturn
 
 from stltool import streams
@@ -28,7 +30,8 @@ def main() -> None:
     streams.prepare()
     try:
         try:
-            app()
+            with _heard_of():
+                app()
         finally:
             sys.stdout.flush()  # what cannot be written fails here, not when Python has ended
     except StlToolError as fault:
@@ -40,6 +43,18 @@ def main() -> None:
     except Exception:  # our own fault: shown whole, and not mistaken for exit code 1, "does not hold"
         traceback.print_exc()
         _end("this is a fault of stltool, not of your input; please report it with the lines above", 3)
+
+
+@contextmanager
+def _heard_of() -> Iterator[None]:
+    """In a log, where nobody watches, a command that takes long says so every ten seconds, whatever it is doing."""
+    if sys.stderr.isatty():
+        yield
+        return
+    from stltool.reporting.log import LOG
+
+    with LOG.stage(" ".join(["stltool", *sys.argv[1:2]])):
+        yield
 
 
 def _end(message: str, code: int) -> NoReturn:

@@ -30,7 +30,15 @@ from stltool.cli.options import (
     TaskName,
 )
 from stltool.cli.roles import Writes
-from stltool.cli.steps import LearnerCommand, make_product, read_learner, resumable, training_text
+from stltool.cli.steps import (
+    LearnerCommand,
+    make_product,
+    read_learner,
+    require_run_file,
+    resumable,
+    train,
+    training_text,
+)
 
 
 @app.command(cls=LearnerCommand)
@@ -61,25 +69,24 @@ def learn(
     as_json: AsJson = False,
 ) -> None:
     """Learn a policy without knowing the probabilities, and save it."""
-    import stltool as stl
     from stltool.policy import require_policy_file
     from stltool.reporting import training_data, write_history
     from stltool.reporting.curves import require_history_file
     from stltool.reporting.tensorboard import require_tensorboard, write_tensorboard
-    from stltool.reporting.terminal import print_facts, print_json, progress_bar
+    from stltool.reporting.terminal import print_facts, print_json
 
     require_policy_file(out)
+    require_run_file(checkpoint, resume)
     if history is not None:
         require_history_file(history)
     if tensorboard is not None:
         require_tensorboard(tensorboard)
     learner = read_learner(method, faithful, setting)
     product = make_product(task, model, param, name, encoding, as_json, nominal=nominal, normalize=normalize)
-    with resumable(checkpoint), progress_bar(f"learning ({method})", quiet=as_json) as bar:
-        training = stl.learn(
-            product, learner, episodes=episodes, evaluate_every=evaluate_every, most_steps=most_steps,
+    with resumable(checkpoint):
+        training = train(
+            product, learner, as_json, episodes=episodes, evaluate_every=evaluate_every, most_steps=most_steps,
             stop_gap=stop_gap, seed=seed, checkpoint=checkpoint, resume=resume, checkpoint_every=checkpoint_every,
-            progress=bar,
         )  # fmt: skip
     training.policy.save(out)
     if history is not None:

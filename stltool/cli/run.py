@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -32,7 +30,17 @@ from stltool.cli.options import (
     TaskName,
 )
 from stltool.cli.roles import Writes, task_folder, within
-from stltool.cli.steps import LearnerCommand, guarantees_of, make_product, read_learner, resumable, training_text
+from stltool.cli.steps import (
+    LearnerCommand,
+    guarantees_of,
+    make_product,
+    read_learner,
+    require_run_file,
+    resumable,
+    this_command,
+    train,
+    training_text,
+)
 from stltool.errors import SettingsError
 
 
@@ -96,26 +104,25 @@ def run(
     known = product.model.blackbox is None
     if not known and not rollouts:
         raise SettingsError("--rollouts 0: a black box's policy is judged by fresh runs alone; ask for some")
-    checks = []
-    if known:
-        with progress_bar("checking the optimum", quiet=as_json) as bar:
-            checks.append(stl.check(product, progress=bar))
-    with resumable(checkpoint), progress_bar(f"learning ({method})", quiet=as_json) as bar:
-        training = stl.learn(
-            product, learner, episodes=episodes, evaluate_every=evaluate_every, most_steps=most_steps,
+    require_run_file(checkpoint, resume)
+    with resumable(checkpoint):
+        checks = []
+        if known:
+            with progress_bar("checking the optimum", quiet=as_json) as bar:
+                checks.append(stl.check(product, progress=bar))
+        training = train(
+            product, learner, as_json, episodes=episodes, evaluate_every=evaluate_every, most_steps=most_steps,
             stop_gap=stop_gap, seed=seed, checkpoint=checkpoint, resume=resume, checkpoint_every=checkpoint_every,
-            progress=bar,
         )  # fmt: skip
-    if known:
-        checks.append(stl.check(product, training.policy))
-    guarantees = guarantees_of(product, training, confidence, rollouts, as_json)
-    command = "stltool " + shlex.join(sys.argv[1:])
-    data = report_data(
-        checks, training, source=read_text(task, "task file"), command=command, seed=seed, guarantees=guarantees,
-        product=product,
-    )  # fmt: skip
-    training.policy.save(folder / "policy.npz")
-    write_report(data, folder / "report.html")
+        if known:
+            checks.append(stl.check(product, training.policy))
+        guarantees = guarantees_of(product, training, confidence, rollouts, as_json)
+        data = report_data(
+            checks, training, source=read_text(task, "task file"), command=this_command(), seed=seed,
+            guarantees=guarantees, product=product,
+        )  # fmt: skip
+        training.policy.save(folder / "policy.npz")
+        write_report(data, folder / "report.html")
     if as_json:
         print_json(data)
         return

@@ -237,6 +237,11 @@ def training_text(training: Training) -> str:
     return f"{method}, {episodes} episodes, {steps} environment steps, {training.seconds:.1f} s{ended}"
 
 
+def this_command(*more: str) -> str:
+    """The command line that was given, as a shell takes it, and more options."""
+    return shlex.join(["stltool", *sys.argv[1:], *more])
+
+
 @contextmanager
 def resumable(checkpoint: Path | None) -> Iterator[None]:
     """On Ctrl-C say what is kept, and the command that continues; exit code 130."""
@@ -250,9 +255,27 @@ def resumable(checkpoint: Path | None) -> Iterator[None]:
         elif not checkpoint.exists():
             error("interrupted before the first episode was over; there is nothing to resume")
         else:
-            again = sys.argv[1:] if "--resume" in sys.argv else [*sys.argv[1:], "--resume"]
-            error(f"interrupted; the run is kept in {checkpoint}; resume it with\n{shlex.join(['stltool', *again])}")
+            more = [] if "--resume" in sys.argv else ["--resume"]
+            error(f"interrupted; the run is kept in {checkpoint}; resume it with\n{this_command(*more)}")
         raise typer.Exit(130) from None
+
+
+def require_run_file(checkpoint: Path | None, resume: bool) -> None:
+    """As learning.checkpoint.require_checkpoint, in the words of the options."""
+    from stltool.learning.checkpoint import require_checkpoint
+
+    if resume and checkpoint is None:
+        raise SettingsError("--resume needs the file to continue from; give --checkpoint FILE")
+    require_checkpoint(checkpoint, resume)
+
+
+def train(product: Product, learner: Learner[Any], quiet: bool, **arguments: Any) -> Training:
+    """`learn`, with its progress shown."""
+    import stltool as stl
+    from stltool.reporting.terminal import progress_bar
+
+    with progress_bar(f"learning ({learner.name})", quiet=quiet) as bar:
+        return stl.learn(product, learner, progress=bar, **arguments)
 
 
 class LearnerCommand(TyperCommand):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +10,7 @@ import typer
 from stltool.cli.app import app
 from stltool.cli.options import AsJson
 from stltool.cli.roles import Reads, Writes, sweep_files, sweep_folder, within
+from stltool.cli.steps import this_command
 from stltool.errors import SettingsError
 from stltool.numbers import NumberError, whole
 
@@ -68,13 +67,12 @@ def sweep(
             result = stl.run_sweep(part, folder, workers=workers, cluster=cluster, progress=bar)
     except KeyboardInterrupt:
         kept = len(finished_runs(part, folder).runs)
-        error(f"interrupted; {kept} of {len(part.runs())} runs are finished and kept: the same command goes on there")
+        error(f"interrupted; {kept} of {len(part.runs())} runs are finished and kept; continue with\n{this_command()}")
         raise typer.Exit(130) from None
     # the report is of all that the folder has of the sweep, whatever part of it was asked for now
     shown = whole.select(seeds=sorted({*whole.seeds, *part.seeds}))
     known = finished_runs(shown, folder)
-    command = "stltool " + shlex.join(sys.argv[1:])
-    data = sweep_data(stl.SweepResult(shown, known.runs, result.failures, result.skipped), command)
+    data = sweep_data(stl.SweepResult(shown, known.runs, result.failures, result.skipped), this_command())
     paths = write_sweep(data, folder) if known.runs else []
     if as_json:
         print_json(data)

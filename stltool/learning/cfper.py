@@ -13,7 +13,7 @@ from stltool.learning.published import Counterfactual
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedCfper(Counterfactual):
-    """cfer with tuples drawn by weight; f̃ are a tuple's flags, f those of the transition it was made from."""
+    """cfer with tuples drawn by weight exp(−d), d the distance of their flags from the factual ones."""
 
     name: ClassVar[str] = "cfper"
     weighted: ClassVar[bool] = True

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from stltool.arrays import Members, open_arrays
 from stltool.errors import SettingsError
-from stltool.files import write_atomically
+from stltool.files import require_output, write_atomically
 from stltool.learning.kept import Kept
 from stltool.learning.trainer import Point, Progress, Status, Trainer
 
@@ -99,6 +99,18 @@ def load_checkpoint(
             f"{path} is not a checkpoint, or a damaged one: {error}; delete it and start again"
         ) from error
     return progress
+
+
+def require_checkpoint(path: str | Path | None, resume: bool) -> None:
+    """An error, before the work, where a checkpoint could not be written, or would replace a run that was not asked for
+    again."""
+    if path is None:
+        if resume:
+            raise SettingsError("resume=True needs the checkpoint to go on from; give checkpoint=FILE")
+        return
+    require_output(path)
+    if Path(path).exists() and not resume:
+        raise SettingsError(f"{path} exists; resume it (resume=True, --resume), or delete it to begin again")
 
 
 def require_generators(generators: Sequence[np.random.Generator]) -> None:

@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.arguments import function, one_of, require, whole
-from stltool.automata import FALSE
+from stltool.automata import FALSE, TRUE
 from stltool.checking import robust_check
 from stltool.checking.backward import Progress
 from stltool.checking.statistical import require_confidence
@@ -155,7 +155,7 @@ def guarantee(
         assert result.policy is not None
         policy = Policy(product, result.policy.table[:, :-1, :-1])
     return Guarantee(
-        lower=result.lower,
+        lower=max(result.lower, _decided(product, initial)),
         confidence=float(confidence),
         support=support,
         transitions=int(visits.sum()),
@@ -181,6 +181,16 @@ def _initial(model: MDP, start: int | None) -> Floats:
     whole(start, "start", 0, model.n_states - 1)
     point: Floats = (np.arange(model.n_states) == start).astype(np.float64)
     return point
+
+
+def _decided(product: Product, initial: Floats) -> float:
+    """What the first state alone guarantees: the probability that it satisfies the task, rounded down."""
+    states = np.flatnonzero(initial)
+    satisfied = product.first_verdicts(states) == TRUE
+    if satisfied.all():
+        return 1.0
+    share = math.fsum(initial[states[satisfied]]) / math.fsum(initial[states])
+    return math.nextafter(share * (1 - 4 * np.finfo(np.float64).eps), 0)
 
 
 def _of_intervals(

@@ -17,8 +17,13 @@ from stltool.automata import TRUE, UNDECIDED
 from stltool.checking import check
 from stltool.display import Card, Displayed, counted, probability_text
 from stltool.errors import SettingsError
-from stltool.files import require_folder, require_replaceable
-from stltool.learning.checkpoint import kept_arrays, load_checkpoint, require_generators, save_checkpoint
+from stltool.learning.checkpoint import (
+    kept_arrays,
+    load_checkpoint,
+    require_checkpoint,
+    require_generators,
+    save_checkpoint,
+)
 from stltool.learning.counts import Counts
 from stltool.learning.interrupt import Interrupt, interruptible
 from stltool.learning.learner import Learner, require_learner
@@ -165,8 +170,7 @@ def learn(
     home = with_flags(product) if learner.published and decided is None else product
     length = product.horizon + 2 if learner.published else product.horizon
     _require_length(budget, length)
-    if checkpoint is None and resume:
-        raise SettingsError("resume=True needs the checkpoint to go on from; give checkpoint=FILE")
+    require_checkpoint(checkpoint, resume)
     world = _environment(product, environment, rng_of_environment, length)
     judge = _Judge(home, product, budget)
     counts = Counts(product.model.n_choices, product.model.n_states)
@@ -180,7 +184,7 @@ def learn(
         if checkpoint is not None:
             what = _identity(product, learner, budget, seed)
             kept = _Checkpoint(Path(checkpoint), what, trainer, checkpoint_every, interrupt)
-            so_far, save = kept.begin(resume), kept.save
+            so_far, save = kept.begin(), kept.save
         if decided is not None and so_far.status is None:
             so_far = Progress(status="nothing to learn", history=[Point(0, 0, decided.value, time.time())])
             if save is not None:
@@ -240,12 +244,9 @@ class _Decided:
 
 def _decided(product: Product, known_start: bool) -> _Decided | None:
     """Whether every run is decided at its first state; None where one is not."""
-    model, automaton = product.model, product.automaton
-    states = np.arange(model.n_states)
-    known_start = known_start and model.blackbox is None
-    if known_start:
-        states = np.flatnonzero(model.initial)
-    verdicts = automaton.verdicts(0)[automaton.delta[product.letter[states], automaton.initial]]
+    known_start = known_start and product.model.blackbox is None
+    states = np.flatnonzero(product.model.initial) if known_start else np.arange(product.model.n_states)
+    verdicts = product.first_verdicts(states)
     if (verdicts == UNDECIDED).any():
         return None
     if known_start:
@@ -292,21 +293,17 @@ class _Checkpoint:
                 "a run is resumed to the same bits only where the environment's random numbers are known; "
                 "give an Environment with its generator, or leave checkpoint out"
             )
-        require_replaceable(path)
-        require_folder(path.resolve().parent)
         self._path, self._what, self._trainer, self._every, self._interrupt = path, what, trainer, every, interrupt
         self._generators = [trainer.rng, trainer.environment.generator]
         require_generators(self._generators)
         kept_arrays(trainer)
         self._last = time.monotonic()
 
-    def begin(self, resume: bool) -> Progress:
+    def begin(self) -> Progress:
         """How far the run is."""
         path = self._path
         if not path.exists():
             return Progress()
-        if not resume:
-            raise SettingsError(f"{path} exists; resume it (--resume), or delete it to begin anew")
         return load_checkpoint(path, self._what, self._trainer, self._generators)
 
     def save(self, now: Progress) -> None:

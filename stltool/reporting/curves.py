@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,18 @@ import numpy as np
 
 from stltool.files import require_folder, require_own, write_atomically
 from stltool.learning import Training
+from stltool.learning.settings import recorded
 
-_HISTORY = ("episode", "steps", "probability")
+_HISTORY = ("episode", "steps", "probability", "method", "faithful", "seed", "settings")
 
 
 def write_history(training: Training, path: str | Path) -> None:
-    """The exact learning curve as CSV: episode, steps, probability. Doubles are written so that they read back."""
+    """The exact learning curve as CSV: episode, steps, probability, and in every row the method, whether as published,
+    the seed, and all settings as JSON. Doubles are written so that they read back."""
     require_history_file(path)
-    write_csv(path, _HISTORY, ((p.episode, p.steps, p.probability) for p in training.history))
+    settings = json.dumps({**recorded(training.budget), **training.settings})
+    run = (training.method, training.faithful, training.seed, settings)
+    write_csv(path, _HISTORY, ((p.episode, p.steps, p.probability, *run) for p in training.history))
 
 
 def require_history_file(path: str | Path) -> None:

@@ -12,7 +12,8 @@ import numpy as np
 
 from stltool.checking import check
 from stltool.files import write_atomically
-from stltool.learning.sweep import Failure, Method, RunResult, Scenario, SweepResult
+from stltool.learning.settings import recorded
+from stltool.learning.sweep import Failure, Method, RunResult, Scenario, Sweep, SweepResult
 from stltool.reporting.curves import quartile_curves, write_csv
 from stltool.reporting.data import SWEEP_FORMAT
 from stltool.reporting.story import story_sections
@@ -47,7 +48,7 @@ def sweep_data(
         "methods": [_method_data(method) for method in methods],
         "scenarios": described,
         "results": [
-            _result_data(scenario, method, found[scenario.id, method.id], shown["optimum"])
+            _result_data(sweep, scenario, method, found[scenario.id, method.id], shown["optimum"])
             for scenario, shown in zip(scenarios, described, strict=True)
             for method in methods
             if (scenario.id, method.id) in found
@@ -82,8 +83,11 @@ def _scenario_data(scenario: Scenario) -> dict[str, Any]:
     }
 
 
-def _result_data(scenario: Scenario, method: Method, runs: list[RunResult], optimum: float) -> dict[str, Any]:
-    """One scenario with one method, over its seeds."""
+def _result_data(
+    sweep: Sweep, scenario: Scenario, method: Method, runs: list[RunResult], optimum: float
+) -> dict[str, Any]:
+    """One scenario with one method, over its seeds; `settings` are all that the runs had, `budget` the runs' own."""
+    learner, budget = sweep.settled(scenario, method)
     final = np.array([run.probability[-1] for run in runs])
     q1, median, q3 = np.quantile(final, [0.25, 0.5, 0.75]).tolist()
     curve = quartile_curves([(run.steps, run.probability) for run in runs])
@@ -91,6 +95,8 @@ def _result_data(scenario: Scenario, method: Method, runs: list[RunResult], opti
     return {
         "scenario": scenario.id,
         "method": method.id,
+        "settings": recorded(learner),
+        "budget": recorded(budget),
         "seeds": [run.seed for run in runs],
         "median": median,
         "q1": q1,

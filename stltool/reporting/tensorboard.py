@@ -84,7 +84,7 @@ def _descriptions(data: Mapping[str, Any], task: str, times: list[float]) -> Ite
     from tensorboard.plugins.hparams.summary_v2 import hparams_pb
     from tensorboard.plugins.text.summary_v2 import text_pb
 
-    named = {key: data[key] for key in ("method", "faithful", "seed")} | data["settings"]
+    named = {key: data[key] for key in ("method", "faithful", "seed")} | data["budget"] | data["settings"]
     plain = {key: value if isinstance(value, bool | int | float | str) else str(value) for key, value in named.items()}
     yield text_pb("task", f"    {task}")  # indented: as it stands, not Markdown
     yield hparams_pb(plain, trial_id=f"{data['method']}-{data['seed']}-{times[-1]}", start_time_secs=times[0])

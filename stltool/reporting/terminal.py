@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from datetime import timedelta
 from typing import Any
 
@@ -18,6 +17,7 @@ from rich.text import Text
 from stltool.kernels.jit import compiling
 from stltool.learning.sweep import SweepProgress
 from stltool.numbers import bound_texts, probability_text
+from stltool.reporting.log import LOG, Stage
 from stltool.reporting.runs import trace_text, verdict_text
 from stltool.streams import printable
 
@@ -28,30 +28,44 @@ Advance = Callable[..., None]
 
 @contextmanager
 def progress_bar(title: str, quiet: bool = False) -> Iterator[Advance | None]:
-    """A bar on stderr; in a log, where nobody watches, a line at every tenth. `quiet` shows nothing."""
+    """A bar on a terminal; in a log, where nobody watches, a line at every tenth and at least every ten seconds.
+
+    `quiet` shows no bar, and in a log only what takes longer than that.
+    """
     console = Console(stderr=True)
-    if quiet:
+    if not console.is_terminal:
+        with LOG.stage(title) as stage:
+            yield _to_log(stage, quiet)
+    elif quiet:
         yield None
-    elif console.is_terminal:
+    else:
         note = TextColumn("{task.fields[note]}")
         columns = (TextColumn(title), BarColumn(), MofNCompleteColumn(), note, TimeRemainingColumn())
         with Progress(*columns, console=console, transient=True) as progress:
             bar = progress.add_task(title, total=None, note="")
 
             def advance(done: int, total: int, steps: int = 0, probability: float | None = None) -> None:
-                progress.update(bar, completed=done, total=total, note=_note(steps, probability))
+                progress.update(bar, completed=done, total=total, note=", ".join(_notes(steps, probability)))
 
             yield advance
-    else:
-        shown = 0
 
-        def log(done: int, total: int, steps: int = 0, probability: float | None = None) -> None:
-            nonlocal shown
-            if total >= 100 and done * 10 // total > shown:
-                shown = done * 10 // total
-                console.print(f"{title}: {done} of {total}  {_note(steps, probability)}", highlight=False)
 
-        yield log
+def _to_log(stage: Stage, quiet: bool) -> Advance:
+    tenths = 0
+
+    def advance(done: int, total: int, steps: int = 0, probability: float | None = None) -> None:
+        nonlocal tenths
+        stage.note = ", ".join([f"{done} of {total}", *_notes(steps, probability)])
+        if not quiet and total >= 100 and done * 10 // total > tenths:
+            tenths = done * 10 // total
+            LOG.say(f"{stage.title}: {stage.note}")
+
+    return advance
+
+
+def _notes(steps: int, probability: float | None) -> list[str]:
+    told = [f"{steps} steps"] if steps else []
+    return told + ([] if probability is None else [f"exact P {probability_text(probability)}"])
 
 
 @contextmanager
@@ -65,9 +79,19 @@ def sweep_bar(quiet: bool = False) -> Iterator[Callable[[SweepProgress], None] |
         left = timedelta(seconds=round(passed * (1 - state.share) / state.share)) if state.share else "?"
         return f"{state.done} of {state.total} runs, {state.steps / passed:.3g} steps/s, about {left} left"
 
-    if quiet:
+    if not console.is_terminal:
+        with LOG.stage("sweep") as stage:
+            stage.note = "no run is finished yet"
+
+            def log(state: SweepProgress) -> None:
+                stage.note = told(state)
+                if not quiet and state.done * 10 // state.total > (state.done - 1) * 10 // state.total:
+                    LOG.say(f"sweep: {stage.note}")
+
+            yield log
+    elif quiet:
         yield None
-    elif console.is_terminal:
+    else:
         columns = (TextColumn("sweep"), BarColumn(), TextColumn("{task.fields[note]}"))
         with Progress(*columns, console=console, transient=True) as progress:
             bar = progress.add_task("sweep", total=1.0, note="starting")
@@ -76,18 +100,6 @@ def sweep_bar(quiet: bool = False) -> Iterator[Callable[[SweepProgress], None] |
                 progress.update(bar, completed=state.share, note=told(state))
 
             yield advance
-    else:
-
-        def log(state: SweepProgress) -> None:
-            if state.done * 10 // state.total > (state.done - 1) * 10 // state.total:
-                console.print(f"sweep: {told(state)}")
-
-        yield log
-
-
-def _note(steps: int, probability: float | None) -> str:
-    told = [f"{steps} steps"] if steps else []
-    return ", ".join(told + ([] if probability is None else [f"exact P {probability_text(probability)}"]))
 
 
 @contextmanager
@@ -99,39 +111,34 @@ def kernels_ready(quiet: bool = False) -> Iterator[None]:
     def tell(kept: bool) -> None:
         after = "once for this version" if kept else "in every run: set NUMBA_CACHE_DIR to a folder you can write to"
         message = f"compiling the numerical kernels, some seconds, {after}"
+        if quiet:
+            return
         if console.is_terminal:
             status.update(message)
             status.start()
         else:
-            console.print(message)
+            LOG.say(message)
 
-    if quiet:
+    with ExitStack() as stack:
+        if not console.is_terminal:
+            stack.enter_context(LOG.stage("loading the numerical kernels"))
+        stack.callback(status.stop)
+        stack.enter_context(compiling(tell))
         yield
-    else:
-        try:
-            with compiling(tell):
-                yield
-        finally:
-            status.stop()
 
 
 @contextmanager
 def working(title: str, quiet: bool = False) -> Iterator[None]:
     """Tell on stderr what goes on: while it does, or in a log, where nobody watches, once it takes long."""
     console = Console(stderr=True, soft_wrap=True, highlight=False)
-    if quiet:
+    if not console.is_terminal:
+        with LOG.stage(title, patience=None if quiet else _PATIENCE):
+            yield
+    elif quiet:
         yield
-    elif console.is_terminal:
+    else:
         with console.status(title):
             yield
-    else:
-        late = threading.Timer(_PATIENCE, console.print, [f"{title} …"])
-        late.daemon = True
-        late.start()
-        try:
-            yield
-        finally:
-            late.cancel()
 
 
 def print_checks(checks: list[dict[str, Any]]) -> None:

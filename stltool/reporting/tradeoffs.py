@@ -9,7 +9,7 @@ from typing import Any
 
 from stltool.checking import Front, Tradeoff
 from stltool.errors import SettingsError
-from stltool.files import require_folder, require_replaceable, write_atomically
+from stltool.files import require_output, write_atomically
 from stltool.product import JointProduct
 
 _PICTURES = (".svg", ".png")
@@ -78,8 +78,7 @@ def require_picture(path: str | Path, endings: Sequence[str] = _PICTURES) -> Non
     if path.suffix.lower() not in endings:
         named = f"{', '.join(endings[:-1])} or {endings[-1]}"
         raise SettingsError(f"{path}: a picture is written as {named}; name one of them")
-    require_replaceable(path)
-    require_folder(path.parent)
+    require_output(path)
 
 
 def write_front_picture(front: Front, path: str | Path) -> None:

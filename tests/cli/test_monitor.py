@@ -264,24 +264,6 @@ def test_what_takes_long_is_told(stltool, log, monkeypatch):
     assert "reading" not in out
 
 
-def test_what_does_not_take_long_is_not_told(monkeypatch):
-    class Timer:
-        def __init__(self, seconds, _tell, words):
-            told.append((seconds, words))
-
-        def start(self):
-            told.append("start")
-
-        def cancel(self):
-            told.append("cancel")
-
-    told = []
-    monkeypatch.setattr(terminal.threading, "Timer", Timer)
-    with pytest.raises(ZeroDivisionError), terminal.working("counting"):
-        _ = 1 / 0
-    assert told == [(2.0, ["counting …"]), "start", "cancel"]
-
-
 def test_help_has_an_example(stltool):
     _, out, _ = stltool("monitor", "--help")
     shown = " ".join(re.sub(r"[│\n]", " ", out).split())

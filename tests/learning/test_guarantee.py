@@ -419,3 +419,17 @@ def test_the_outcome_decides_what_is_undecided(phi, verdict, data):
         assert judged == (before or (verdict == TRUE, states.index(5)))
     else:
         assert judged == product.automaton.judge(product.letter[states].tolist())
+
+
+@pytest.mark.parametrize("support", ["known", "unknown"])
+@pytest.mark.parametrize(("text", "share"), [("F[0,2] !A", 0.5), ("A | !A", 1.0), ("F[0,1] (A & !A)", 0.0), ("A", 0.5)])
+def test_what_the_first_state_decides_needs_no_data(support, text, share):
+    """Half of the runs begin in A; nothing was ever tried."""
+    model = stl.MDP.from_arrays([np.eye(2)], {"x": [0, 1]}, initial=[0.5, 0.5], labels={"A": [1, 0]})
+    product = stl.build_product(model, stl.parse(text))
+    counts = Counts(2, 2)
+    policy = stl.learn(product, episodes=1).policy
+    for chosen in (policy, None):
+        found = stl.guarantee(product, chosen, counts, support=support).lower
+        assert share - 1e-12 <= found <= share
+        assert found == share or 0 < share < 1

@@ -239,7 +239,7 @@ def test_parts_of_a_sweep(write):
     with pytest.raises(SettingsError, match="no method 'naive-er'"):
         sweep.select(methods=["naive-er"])
     for seeds in (0, -1, [], [1, 1], [True], [-1], [0.5]):
-        with pytest.raises(SettingsError, match="different whole numbers from 0"):
+        with pytest.raises(SettingsError, match="different integers from 0"):
             sweep.select(seeds=seeds)
 
 

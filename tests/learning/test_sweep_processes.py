@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -119,7 +120,8 @@ def test_an_interrupt_says_how_to_go_on(sweep_file, undisturbed, tmp_path):
         _, err = client.communicate(timeout=60)
     kept = files(tmp_path)
     assert client.returncode == 130
-    assert f"interrupted; {len(kept)} of 7 runs are finished and kept: the same command goes on there" in err
+    command = shlex.join(["stltool", "sweep", str(sweep_file), "--out", str(tmp_path), "--workers", "2"])
+    assert f"interrupted; {len(kept)} of 7 runs are finished and kept; continue with\n{command}\n" in err
     assert "Traceback" not in err
     assert 1 <= len(kept) < 7
     result = stl.run_sweep(stl.load_sweep(sweep_file), tmp_path, workers=1)

@@ -210,10 +210,13 @@ def test_the_figure_has_a_panel_a_scenario(result, tmp_path):
 def test_a_history_as_csv_reads_back(patrolling, tmp_path):
     training = stl.learn(patrolling, "cfer", episodes=7, evaluate_every=3, seed=1)
     write_history(training, tmp_path / "history.csv")
-    text = (tmp_path / "history.csv").read_text()
-    assert text.startswith("episode,steps,probability\n3,")
-    rows = [line.split(",") for line in text.splitlines()[1:]]
-    assert [(int(e), int(s), float(p)) for e, s, p in rows] == [
+    with (tmp_path / "history.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(int(row["episode"]), int(row["steps"]), float(row["probability"])) for row in rows] == [
         (p.episode, p.steps, p.probability) for p in training.history
     ]
     assert len(rows) == 3
+    for row in rows:  # each says what run it is of
+        assert (row["method"], row["faithful"], row["seed"]) == ("cfer", "False", "1")
+        used = {"episodes": 7, "evaluate_every": 3, "most_steps": None, "stop_gap": None, **training.settings}
+        assert json.loads(row["settings"]) == used

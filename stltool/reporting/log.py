@@ -1,0 +1,101 @@
+"""Progress where nobody watches a terminal: lines on stderr, one at least every ten seconds, whatever goes on.
+
+What runs is a stack of stages; the innermost tells its title and how far it is. A thread speaks when nothing was said
+for `EVERY` seconds, so a single step that takes an hour is heard of, too.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+
+from rich.console import Console
+
+EVERY = 10.0  # seconds
+
+
+@dataclass
+class Stage:
+    """What is going on: since when, and how far it is. The first line is due after `patience` seconds."""
+
+    title: str
+    began: float
+    patience: float
+    note: str = ""
+
+
+class Log:
+    """`write` prints a line, `clock` tells seconds; without `watched`, nothing is said unless `beat` is called."""
+
+    def __init__(
+        self,
+        write: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+        watched: bool = True,
+    ) -> None:
+        self._write, self._clock, self._watched = write, clock, watched
+        self._stages: list[Stage] = []
+        self._last = clock()
+        self._lock = threading.RLock()
+        self._changed = threading.Event()
+
+    @contextmanager
+    def stage(self, title: str, patience: float | None = None) -> Iterator[Stage]:
+        """Something that may take long. `patience` where its first line is to come earlier than usual."""
+        with self._lock:
+            stage = Stage(title, self._clock(), EVERY if patience is None else patience)
+            if not self._stages:
+                self._last = stage.began
+            self._stages.append(stage)
+            if self._watched and len(self._stages) == 1:
+                threading.Thread(target=self._watch, daemon=True).start()
+        self._changed.set()  # its first line may be due before others are
+        try:
+            yield stage
+        finally:
+            with self._lock:
+                self._stages.remove(stage)
+            self._changed.set()
+
+    def say(self, line: str) -> None:
+        """A line of its own; the next one is due `EVERY` seconds later."""
+        with self._lock:
+            self._last = self._clock()
+            self._write(line)
+
+    def beat(self) -> float:
+        """Speak if a line is due; seconds until the next one is, infinite when nothing goes on."""
+        with self._lock:
+            if not self._stages:
+                return float("inf")
+            stage, now = self._stages[-1], self._clock()
+            due = max(self._last, stage.began) + stage.patience
+            due = min(due, self._last + EVERY)
+            if now < due:
+                return due - now
+            passed = now - stage.began
+            told = [stage.note] * bool(stage.note) + [f"{passed:.0f} s so far"] * (passed >= EVERY or bool(stage.note))
+            self.say(f"{stage.title}: {', '.join(told)}" if told else f"{stage.title} …")
+            stage.patience = EVERY
+            return EVERY
+
+    def _watch(self) -> None:
+        """The thread, for as long as there is a stage."""
+        with suppress(OSError, ValueError):  # stderr is gone: nobody to speak to
+            while True:
+                self._changed.clear()
+                wait = self.beat()
+                if wait == float("inf"):
+                    return
+                self._changed.wait(wait)
+
+
+def _print(line: str) -> None:
+    Console(stderr=True, soft_wrap=True, highlight=False, markup=False).print(line)
+
+
+LOG = Log(_print)
+"""Of this process."""

@@ -1,0 +1,98 @@
+"""Ctrl-C while learning: what was asked to be kept is kept, and the printed command continues to the same bits."""
+
+import json
+import shlex
+import signal
+
+import numpy as np
+import pytest
+
+import stltool as stl
+from tests.conftest import PATROLLING, SMALL
+
+
+@pytest.fixture
+def interrupted(monkeypatch):
+    """SIGINT comes in the middle of the fifth episode; `interrupted()` makes the next run an undisturbed one."""
+    usual, episodes = stl.Cfer.episode, []
+
+    def episode(self, state, one):
+        episodes.append(one)
+        if len(episodes) == 5:
+            signal.raise_signal(signal.SIGINT)
+        usual(self, state, one)
+
+    monkeypatch.setattr(stl.Cfer, "episode", episode)
+    previous = signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of shells ignore it
+    yield lambda: monkeypatch.setattr(stl.Cfer, "episode", usual)
+    signal.signal(signal.SIGINT, previous)
+
+
+def learning(tmp_path, name, *more):
+    out = ["--out", tmp_path / f"{name}.npz", "--history", tmp_path / f"{name}.csv"]
+    return ["learn", PATROLLING, *SMALL, "--episodes", 40, "--seed", 3, *out, *more]
+
+
+def test_learning_is_kept_and_goes_on_by_the_printed_command(stltool, tmp_path, interrupted):
+    arguments = learning(tmp_path, "cut one", "--checkpoint", tmp_path / "a run.ckpt")
+    code, out, err = stltool(*arguments)
+    again = shlex.join(["stltool", *map(str, arguments), "--resume"])
+    assert (code, out) == (130, "")
+    assert err == f"error: interrupted; the run is kept in {tmp_path / 'a run.ckpt'}; resume it with\n{again}\n"
+    assert not (tmp_path / "cut one.npz").exists()
+    interrupted()
+    code, out, _ = stltool(*shlex.split(again)[1:])
+    assert (code, "40 episodes" in out) == (0, True)
+    assert stltool(*learning(tmp_path, "whole"))[0] == 0
+    with np.load(tmp_path / "cut one.npz") as cut, np.load(tmp_path / "whole.npz") as whole:
+        assert np.array_equal(cut["table"], whole["table"])
+    assert (tmp_path / "cut one.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
+
+
+def test_the_main_job_is_kept_and_goes_on(stltool, tmp_path, interrupted):
+    def running(name, *more):
+        return ["run", PATROLLING, *SMALL, "-e", 40, "-s", 3, "--rollouts", 50, "-o", tmp_path / name, "--json", *more]
+
+    code, out, err = stltool(*running("cut", "--checkpoint", tmp_path / "run.ckpt"))
+    assert (code, out, len(err.splitlines())) == (130, "", 2)
+    assert not (tmp_path / "cut").exists()
+    interrupted()
+    cut = json.loads(stltool(*shlex.split(err.splitlines()[1])[1:])[1])
+    whole = json.loads(stltool(*running("whole"))[1])
+    for training in (cut["training"], whole["training"]):
+        training.pop("seconds")
+        for point in training["history"]:
+            point.pop("time", None)
+    assert cut["training"] == whole["training"]
+    assert [row["lower"] for row in cut["guarantees"]] == [row["lower"] for row in whole["guarantees"]]
+    assert cut["checks"][1]["probability"] == whole["checks"][1]["probability"]
+
+
+def test_without_a_checkpoint_it_says_how_to_have_one(stltool, tmp_path, interrupted):
+    code, out, err = stltool(*learning(tmp_path, "lost"))
+    assert (code, out) == (130, "")
+    assert err == "error: interrupted, and nothing is kept; with --checkpoint FILE a run can be resumed\n"
+
+
+@pytest.mark.parametrize("command", ["learn", "run"])
+def test_targets_are_tried_before_the_work(stltool, tmp_path, monkeypatch, command):
+    monkeypatch.setattr(stl.Cfer, "episode", lambda *_: pytest.fail("it began to learn"))
+    (tmp_path / "file").write_text("")
+    (tmp_path / "old.ckpt").write_text("")
+    out = tmp_path / ("p.npz" if command == "learn" else "out")
+    cases = [
+        (["--checkpoint", tmp_path / "file" / "x"], "is no folder to write in"),
+        (["--checkpoint", tmp_path], "it is not a regular file"),
+        (["--checkpoint", tmp_path / "old.ckpt"], "exists; resume it"),
+        (["--resume"], "--resume needs the file to continue from; give --checkpoint FILE"),
+    ]
+    if command == "learn":
+        cases += [
+            (["--history", tmp_path / "file" / "x.csv"], "is no folder to write in"),
+            (["--history", tmp_path], "it is not a regular file"),
+            (["--tensorboard", tmp_path / "file"], "is no folder to write in"),
+        ]
+    for options, says in cases:
+        code, shown, err = stltool(command, PATROLLING, *SMALL, "--out", out, *options)
+        assert (code, shown, says in err) == (2, "", True), (options, err)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "old.ckpt"]
