@@ -18,8 +18,8 @@ import time
 import stltool as stl
 from stltool.automata.compile import all_valuations, atoms_of
 from stltool.automata.history import history_states
-from stltool.automata.residuals import Residuals
-from stltool.automata.windows import Explosion, explore
+from stltool.automata.machines import Exploration
+from stltool.automata.residuals import Progress, Residuals
 from stltool.errors import FragmentError, SizeError
 
 BUDGET = 20_000  # progression states tried
@@ -73,11 +73,8 @@ def progression(phi: stl.Formula) -> str:
     atoms = atoms_of(phi)
     table = Residuals(atoms)
     letters = [tuple(row) for row in all_valuations(len(atoms)).tolist()]
-    try:
-        states, _ = explore(table.residual(phi), letters, table.progress, BUDGET)
-    except Explosion:
-        return f"> {BUDGET}"
-    return str(len(states))
+    search = Exploration(table.residual(phi), Progress(table, letters))
+    return str(len(search.states)) if search.grow(BUDGET) else f"> {BUDGET}"
 
 
 def number(n: float) -> str:

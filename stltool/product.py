@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from stltool.arguments import flag, mapping, require, whole
 from stltool.automata import Encoding, JointAutomaton, TaskAutomaton, compile_automaton, join_automata
+from stltool.automata.automaton import StateNames
 from stltool.automata.compile import MOST_STATES, atoms_of
-from stltool.automata.reach import reachable
+from stltool.automata.reach import reachable_pairs
 from stltool.display import Card, Displayed, counted
 from stltool.errors import NameLookupError, SettingsError, near_misses
 from stltool.logic.formula import Composable, Formula, bounded_formula_of, label_names, variables
@@ -161,32 +162,25 @@ def joined(task: Product, memory: Product | JointProduct) -> tuple[Product, NDAr
     """
     pairs, letter = np.unique(np.stack([task.letter, memory.letter], axis=1), axis=0, return_inverse=True)
     left, right = task.automaton, memory.automaton
-    width = right.n_states
-
-    def after(codes: NDArray[np.int64]) -> NDArray[np.int64]:
-        q, m = np.divmod(codes, width)
-        codes = left.delta[pairs[:, 0]][:, q].astype(np.int64) * width
-        codes += right.delta[pairs[:, 1]][:, m]
-        return codes
 
     def guard(n_states: int) -> None:
         require_memory(
             8 * n_states * (len(pairs) + 10),
-            f"joining {left.n_states} task states with {width} states that the policy remembers",
+            f"joining {left.n_states} task states with {right.n_states} states that the policy remembers",
             "check the policy with its own encoding",
         )
 
-    start = left.initial * width + right.initial
-    known, delta = reachable(start, after, guard)
-    q, m = np.divmod(known, width)
+    q, m, delta = reachable_pairs(
+        left.delta[pairs[:, 0]], right.delta[pairs[:, 1]], (left.initial, right.initial), guard
+    )
     automaton = replace(
         left,
         valuations=np.empty((0, len(left.atoms)), dtype=np.bool_),
         letter_of=np.empty(0, dtype=np.int32),
         delta=delta,
-        initial=int(np.searchsorted(known, start)),
+        initial=int(np.flatnonzero((q == left.initial) & (m == right.initial))[0]),
         verdict_rows=np.ascontiguousarray(left.verdict_rows[:, q]),
-        state_names=tuple(f"{left.describe(i)} | {right.describe(j)}" for i, j in zip(q, m, strict=True)),
+        state_names=StateNames(len(q), lambda i: f"{left.describe(int(q[i]))} | {right.describe(int(m[i]))}"),
         registers=np.empty((0, 0), dtype=np.int32),
         register_names=(),
     )

@@ -307,3 +307,18 @@ def judged_to_the_end(phi, trace: dict, end: str, steps) -> list[tuple[bool | No
             margins.append(None)
     truths = [None if v == 0 else v > 0 for v in extremum(phi, truth, n, end, steps)]
     return list(zip(truths, margins, strict=True))
+
+
+def moore_partition(delta, outputs) -> list[int]:
+    """Classes of states by output, then by their successors' classes, until nothing changes; numbered as they come."""
+
+    def numbered(keys):
+        known = {}
+        return [known.setdefault(key, len(known)) for key in keys]
+
+    classes = numbered(tuple(o) if isinstance(o, list) else o for o in outputs)
+    while True:
+        finer = numbered((c, *(classes[row[q]] for row in delta)) for q, c in enumerate(classes))
+        if finer == classes:
+            return classes
+        classes = finer

@@ -10,8 +10,9 @@ verdict along s₀ s₁ … s_h equals the truth of the formula at 0 on that tra
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,24 @@ class Part:
     method: str
     explored: int
     states: int
+
+
+class StateNames(Sequence[str]):
+    """What each of n states remembers, put into words when it is asked for."""
+
+    def __init__(self, n: int, name: Callable[[int], str]) -> None:
+        self._n, self._name = n, name
+
+    def __len__(self) -> int:
+        return self._n
+
+    @overload
+    def __getitem__(self, q: int) -> str: ...
+    @overload
+    def __getitem__(self, q: slice) -> tuple[str, ...]: ...
+    def __getitem__(self, q: int | slice) -> str | tuple[str, ...]:
+        found = range(self._n)[q]
+        return tuple(map(self._name, found)) if isinstance(found, range) else self._name(found)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,7 +92,7 @@ class TaskAutomaton(Displayed):
     horizon: int
     verdict_starts: NDArray[np.int64]
     verdict_rows: NDArray[np.int8]
-    state_names: tuple[str, ...]
+    state_names: Sequence[str]
     parts: tuple[Part, ...]
     registers: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 0), dtype=np.int32))
     register_names: tuple[str, ...] = ()
@@ -115,16 +134,6 @@ class TaskAutomaton(Displayed):
                 return verdict == TRUE, t
         return None
 
-    def live(self) -> NDArray[np.bool_]:
-        """(h, n_states): whether a run can be in q after step t with nothing decided so far."""
-        live = np.zeros((self.horizon, self.n_states), dtype=np.bool_)
-        reached = self.delta[:, self.initial]
-        for t in range(self.horizon):
-            live[t, reached] = True
-            live[t] &= self.verdicts(t) == UNDECIDED
-            reached = self.delta[:, live[t]]
-        return live
-
     def with_outcome(self, verdict: int) -> TaskAutomaton:
         """One more letter, the last: it ends every run, in one more state, the last, with `verdict` from step 0 on."""
         delta = np.full((self.n_letters + 1, self.n_states + 1), self.n_states, dtype=np.int32)
@@ -134,7 +143,7 @@ class TaskAutomaton(Displayed):
             self,
             delta=delta,
             verdict_rows=np.concatenate([self.verdict_rows, decided], axis=1),
-            state_names=(*self.state_names, "the outcome"),
+            state_names=StateNames(self.n_states + 1, _WithOutcome(self.state_names)),
             registers=np.empty((0, 0), dtype=np.int32),
             register_names=(),
         )
@@ -155,3 +164,13 @@ class TaskAutomaton(Displayed):
         for array in (self.valuations, self.letter_of, self.delta, self.verdict_starts, self.verdict_rows):
             sha.update(str(array.shape).encode() + np.ascontiguousarray(array).tobytes())
         return sha.hexdigest()
+
+
+class _WithOutcome:
+    """Names of states, and of one more."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = names
+
+    def __call__(self, q: int) -> str:
+        return self._names[q] if q < len(self._names) else "the outcome"

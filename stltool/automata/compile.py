@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import warnings
@@ -72,7 +73,7 @@ def compile_automaton(
         return flag_automaton(phi, fragment, valuations, "paper", memory_limit)
     if encoding == "history":
         return history_automaton(phi, read, valuations, memory_limit)
-    return _exact(phi, valuations, most_states)
+    return _exact(phi, valuations, most_states, memory_limit)
 
 
 def truth_table(valuations: object, columns: int, meaning: str) -> NDArray[np.bool_]:
@@ -88,22 +89,26 @@ def truth_table(valuations: object, columns: int, meaning: str) -> NDArray[np.bo
     )
 
 
-def _exact(phi: Formula, valuations: NDArray[np.bool_], most_states: int) -> TaskAutomaton:
+def _exact(phi: Formula, valuations: NDArray[np.bool_], most_states: int, memory_limit: int | None) -> TaskAutomaton:
     """The window automaton; the flags where they are exact and smaller."""
     table = Residuals(atoms(phi))
     root = table.residual(phi)
     flags = _exact_flags(phi)
+    found: TaskAutomaton | SizeError
     try:
-        automaton = window_automaton(phi, table, root, valuations, most_states)
-        if flags is None or automaton.n_states <= math.prod(part.tau + 1 for part in flags.parts):
-            return automaton
-    except SizeError:
-        if flags is None or math.prod(part.tau + 1 for part in flags.parts) > most_states:
-            raise
-    known: list[dict[Formula, bool]] = [dict(zip(table.atoms, row, strict=True)) for row in valuations.tolist()]
-    truth = np.array([[boolean_value(part.psi, row.get) for part in flags.parts] for row in known], dtype=np.bool_)
-    flagged = flag_automaton(phi, flags, truth, "exact")
-    return dataclasses.replace(flagged, atoms=table.atoms, valuations=valuations)
+        found = window_automaton(phi, table, root, valuations, most_states, memory_limit)
+        size = found.n_states
+    except SizeError as refusal:
+        found, size = refusal, most_states + 1
+    if flags is not None and math.prod(part.tau + 1 for part in flags.parts) < size:
+        known: list[dict[Formula, bool]] = [dict(zip(table.atoms, row, strict=True)) for row in valuations.tolist()]
+        truth = np.array([[boolean_value(part.psi, row.get) for part in flags.parts] for row in known], dtype=np.bool_)
+        with contextlib.suppress(SizeError):  # the first refusal names the ways out
+            flagged = flag_automaton(phi, flags, truth, "exact", memory_limit)
+            return dataclasses.replace(flagged, atoms=table.atoms, valuations=valuations)
+    if isinstance(found, SizeError):
+        raise found
+    return found
 
 
 def _exact_flags(phi: Formula) -> Fragment | None:

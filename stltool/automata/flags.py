@@ -17,7 +17,7 @@ from decimal import Decimal
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, TaskAutomaton
+from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, StateNames, TaskAutomaton
 from stltool.logic.formula import Formula
 from stltool.logic.fragment import Fragment
 from stltool.logic.fragment import Part as FragmentPart
@@ -70,7 +70,7 @@ def flag_automaton(
         horizon=fragment.T + max(taus) - 2,
         verdict_starts=np.array(starts, dtype=np.int64),
         verdict_rows=np.array(rows, dtype=np.int8),
-        state_names=_names(fragment, flags),
+        state_names=StateNames(n_states, _Names(fragment)),
         parts=tuple(
             Part(part.formula, part.psi, part.tau - 1, "flag", part.tau + 1, part.tau + 1) for part in fragment.parts
         ),
@@ -79,10 +79,18 @@ def flag_automaton(
     )
 
 
-def _names(fragment: Fragment, flags: NDArray[np.int32]) -> tuple[str, ...]:
-    """Every flag vector in words."""
-    words = [[_flag_text(part, f) for f in range(part.tau + 1)] for part in fragment.parts]
-    return tuple("; ".join(word[f] for word, f in zip(words, vector, strict=True)) for vector in flags.T.tolist())
+class _Names:
+    """A flag vector in words."""
+
+    def __init__(self, fragment: Fragment) -> None:
+        self._parts = fragment.parts
+
+    def __call__(self, q: int) -> str:
+        words: list[str] = []
+        for part in reversed(self._parts):
+            q, flag = divmod(q, part.tau + 1)
+            words.append(_flag_text(part, flag))
+        return "; ".join(reversed(words))
 
 
 def _flag_text(part: FragmentPart, flag: int) -> str:

@@ -28,7 +28,7 @@ def to_graph(automaton: TaskAutomaton) -> networkx.DiGraph:
     edge_text = lru_cache(maxsize=None)(lambda letters: str(condition(automaton, letters)))
     for q in range(automaton.n_states):
         graph.add_node(
-            q, name=automaton.state_names[q], verdicts=verdict_text(automaton, q), initial=q == automaton.initial
+            q, name=automaton.describe(q), verdicts=verdict_text(automaton, q), initial=q == automaton.initial
         )
     for q in range(automaton.n_states):
         targets: dict[int, list[int]] = {}

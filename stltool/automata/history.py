@@ -15,7 +15,7 @@ from typing import TypeAlias, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, TaskAutomaton
+from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, StateNames, TaskAutomaton
 from stltool.logic.formula import (
     Always,
     And,
@@ -102,7 +102,7 @@ def history_automaton(
         horizon=horizon(phi),
         verdict_starts=np.array(list(at), dtype=np.int64),
         verdict_rows=np.array(list(at.values()), dtype=np.int8),
-        state_names=_names(atoms, valuations, depth),
+        state_names=StateNames(n_states, _Names(atoms, valuations)),
         parts=(Part(phi, inner, depth - 1, "history", n_states, n_states),),
     )
 
@@ -167,18 +167,22 @@ def _any(values: Iterable[_Truth]) -> _Truth:
     return result
 
 
-def _names(atoms: tuple[Formula, ...], valuations: _Truth, depth: int) -> tuple[str, ...]:
+class _Names:
     """The last letters, newest first, by the atoms that held."""
-    words = [
-        "{" + ", ".join(str(atom) for atom, holds in zip(atoms, row, strict=True) if holds) + "}"
-        for row in valuations.tolist()
-    ]
-    names, level = ["at the start"], [""]
-    for length in range(1, depth + 1):
-        level = [
-            word + (f" after {before}" if before and length <= _LONGEST_NAME else " after …" if before else "")
-            for before in level
-            for word in words
+
+    def __init__(self, atoms: tuple[Formula, ...], valuations: _Truth) -> None:
+        self._words = [
+            "{" + ", ".join(str(atom) for atom, holds in zip(atoms, row, strict=True) if holds) + "}"
+            for row in valuations.tolist()
         ]
-        names += level
-    return tuple(names)
+
+    def __call__(self, q: int) -> str:
+        n, length = len(self._words), 0
+        while q >= n**length:  # q less the number of shorter histories: its letters are digits, the newest the lowest
+            q -= n**length
+            length += 1
+        if not length:
+            return "at the start"
+        if length > _LONGEST_NAME:
+            return f"{self._words[q % n]} after …"
+        return " after ".join(self._words[q // n**i % n] for i in range(length))

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from stltool.automata.automaton import TRUE, UNDECIDED, TaskAutomaton
 from stltool.display import Card, Displayed, counted
-from stltool.errors import SizeError
 from stltool.sizes import require_memory, require_numbered
 
 DECIDED = -1
 _LAYER_BYTES = 1000  # of a layer, however small
+_LARGEST_CODE = 2**62
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,13 @@ class JointAutomaton(Displayed):
 
     @cached_property
     def delta(self) -> NDArray[np.int32]:
-        """(n_letters, n_states) int32"""
+        """(n_letters, n_states) int32. Raises SizeError where it would not fit: layers that repeat are in it again."""
+        n_letters = len(self.start.delta)
+        require_memory(
+            8 * n_letters * self.n_states,
+            f"the table of a joint automaton of {self.n_states} states over {n_letters} letters",
+            "shorten the windows",
+        )
         into = [*self.offsets[:-1], self.offsets[-2]]
         parts = [layer.delta + first for layer, first in zip((self.start, *self.layers), into, strict=True)]
         return np.concatenate(parts, axis=1).astype(np.int32)
@@ -114,33 +120,59 @@ def join_automata(
     Raises SizeError before a layer is made that would not fit.
     """
     horizon = max(automaton.horizon for automaton in automata)
-    sizes = [automaton.n_states + 1 for automaton in automata]
-    what = f"remembering {' × '.join(str(size - 1) for size in sizes)} automaton states over {horizon} steps"
+    what = f"remembering {' × '.join(str(automaton.n_states) for automaton in automata)} automaton states over {horizon} steps"
     remedy = "shorten the windows, or trade fewer tasks off"
-    strides = np.cumprod([1, *sizes[:-1]], dtype=object)
-    if int(strides[-1]) * sizes[-1] >= 2**62:
-        raise SizeError(f"{what} is too much to number; {remedy}")
     require_memory(horizon * _LAYER_BYTES, what, remedy, memory_limit)
     taken, n_states = 0, 1
     states = np.array([[automaton.initial for automaton in automata]], dtype=np.int32)
-    layers = []
+    changes = {t for automaton in automata for t in automaton.verdict_starts.tolist()}
+    layers: list[Layer] = []
     for t in range(horizon + 1):
-        cells = len(letters) * len(states)
-        taken += cells * (4 + len(automata)) + _LAYER_BYTES
-        require_memory(taken + 40 * cells, what, remedy, memory_limit)
-        codes = np.zeros((len(letters), len(states)), dtype=np.int64)
-        holds = np.empty((len(automata), *codes.shape), dtype=np.bool_)
-        for i, automaton in enumerate(automata):
-            still = states[:, i] != DECIDED
-            after = automaton.delta[letters[:, i]][:, np.maximum(states[:, i], 0)]
-            verdict = automaton.verdicts(t)[after]
-            holds[i] = still & (verdict == TRUE)
-            codes += int(strides[i]) * np.where(still & (verdict == UNDECIDED), after + 1, 0).astype(np.int64)
-        known, delta = np.unique(codes, return_inverse=True)
-        layers.append(Layer(states, delta.reshape(codes.shape).astype(np.int32), holds))
-        states = np.stack(np.unravel_index(known, sizes[::-1])[::-1], axis=1).astype(np.int32) - 1
+        if layers and t not in changes and np.array_equal(states, layers[-1].states):
+            layers.append(layers[-1])  # and so on, until a verdict changes
+        else:
+            cells = len(letters) * len(states)
+            taken += cells * (4 + len(automata)) + _LAYER_BYTES
+            require_memory(taken + (40 + 8 * len(automata)) * cells, what, remedy, memory_limit)
+            layer, states = _read(automata, letters, states, t)
+            layers.append(layer)
         n_states += len(states)
         require_numbered(n_states, f"states of the joint automaton over {t} steps", remedy)
     nowhere = np.zeros((len(letters), len(states)), dtype=np.int32)
     last = Layer(states, nowhere, np.zeros((len(automata), *nowhere.shape), dtype=np.bool_))
     return JointAutomaton(tuple(automata), layers[0], (*layers[1:], last))
+
+
+def _read(
+    automata: Sequence[TaskAutomaton], letters: NDArray[np.int32], states: NDArray[np.int32], t: int
+) -> tuple[Layer, NDArray[np.int32]]:
+    """The layer with these states, from which step t is read, and the next layer's states."""
+    after = np.empty((len(automata), len(letters), len(states)), dtype=np.int32)
+    holds = np.empty(after.shape, dtype=np.bool_)
+    for i, automaton in enumerate(automata):
+        still = states[:, i] != DECIDED
+        after[i] = automaton.delta[letters[:, i]][:, np.maximum(states[:, i], 0)]
+        verdict = automaton.verdicts(t)[after[i]]
+        holds[i] = still & (verdict == TRUE)
+        after[i][~still | (verdict != UNDECIDED)] = DECIDED
+    columns = after.reshape(len(automata), -1)
+    first, number = _distinct(columns, [automaton.n_states + 1 for automaton in automata])
+    layer = Layer(states, number.reshape(holds.shape[1:]).astype(np.int32), holds)
+    return layer, np.ascontiguousarray(columns[:, first].T)
+
+
+def _distinct(columns: NDArray[np.int32], sizes: Sequence[int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Where each distinct column (N,) of automaton states stands first, and which of them each column is.
+
+    In lexicographic order, the last automaton first. Column codes are whole numbers below the product of `sizes`, and
+    ranks among those that occur wherever that would be too large a number.
+    """
+    codes, width = np.zeros(columns.shape[1], dtype=np.int64), 1
+    for states, size in zip(columns[::-1], sizes[::-1], strict=True):
+        if width * size > _LARGEST_CODE:
+            known, codes = np.unique(codes, return_inverse=True)
+            width = len(known)
+        codes = codes * size + (states + 1)
+        width *= size
+    _, first, number = np.unique(codes, return_index=True, return_inverse=True)
+    return first, number

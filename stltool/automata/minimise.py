@@ -14,6 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.automata.rows import distinct_rows
+
 _WORTH_A_ROUND = 1.5  # times as many classes as before, or whole rounds have become too dear
 
 
@@ -24,9 +26,9 @@ def coarsest_partition(delta: NDArray[np.int32], outputs: NDArray[np.int8]) -> N
     """
     rows = np.atleast_2d(outputs)
     classes = np.zeros(delta.shape[1], dtype=np.int64)
-    for row in np.unique(rows, axis=0):
+    for row in rows[distinct_rows(rows)[0]]:
         classes = _refine(classes, row.astype(np.int64) - int(row.min()))
-    distinct = np.unique(delta, axis=0)
+    distinct = delta[distinct_rows(delta)[0]]
     n_classes = int(classes.max()) + 1
     while True:
         before = classes

@@ -1,30 +1,42 @@
-"""Which combinations of several machines' states a run can be in, found breadth first on whole-number codes."""
+"""Which pairs of two machines' states a run can be in when both read the same letters."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.sizes import require_numbered
 
-Codes: TypeAlias = NDArray[np.int64]
+_CELLS = 1 << 20  # successors computed at a time
 
 
-def reachable(
-    start: int, after: Callable[[Codes], Codes], guard: Callable[[int], None]
-) -> tuple[Codes, NDArray[np.int32]]:
-    """The codes reachable from `start`, ascending, and delta (n_letters, n_codes) over their places.
+def reachable_pairs(
+    left: NDArray[np.int32], right: NDArray[np.int32], start: tuple[int, int], guard: Callable[[int], None]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
+    """The pairs reachable from `start`, in lexicographic order: p (n,), q (n,) and delta (n_letters, n) over them.
 
-    `after` maps codes (n,) to their successors (n_letters, n). `guard` is told how many are known after each step and
-    raises where they become too many. Raises SizeError where they are more than int32 can number.
+    `left` and `right` are (n_letters, n_states). `guard` is told how many are known after each step and raises where
+    they become too many. Raises SizeError where they are more than int32 can number.
     """
-    known = frontier = np.array([start], dtype=np.int64)
-    while frontier.size:
-        frontier = np.setdiff1d(after(frontier).ravel(), known)
-        known = np.union1d(known, frontier)
+    n_letters, width = right.shape
+    after_left = np.ascontiguousarray(left.T).astype(np.int64) * width
+    after_right = np.ascontiguousarray(right.T)
+    begin = start[0] * width + start[1]
+    known, waiting = {begin}, [begin]
+    batch = max(1, _CELLS // n_letters)
+    while waiting:
+        p, q = np.divmod(np.array(waiting[-batch:], dtype=np.int64), width)
+        del waiting[-batch:]
+        found = set((after_left[p] + after_right[q]).ravel().tolist()) - known
+        known |= found
+        waiting += found
         guard(len(known))
         require_numbered(len(known), "combinations of automaton states", "shorten the windows")
-    return known, np.searchsorted(known, after(known)).astype(np.int32)
+    codes = np.sort(np.fromiter(known, dtype=np.int64, count=len(known)))
+    p, q = np.divmod(codes, width)
+    delta = np.empty((n_letters, len(codes)), dtype=np.int32)
+    for row, a, b in zip(delta, left, right, strict=True):
+        row[:] = np.searchsorted(codes, a[p].astype(np.int64) * width + b[q])
+    return p, q, delta

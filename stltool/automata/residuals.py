@@ -15,7 +15,7 @@ is sound, not complete: states it fails to merge are merged by minimisation. Res
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import TypeAlias, assert_never
+from typing import TypeAlias, TypeVar, assert_never
 
 from stltool.logic.formula import (
     Always,
@@ -35,7 +35,10 @@ from stltool.logic.formula import (
 
 Residual: TypeAlias = int
 Letter: TypeAlias = tuple[bool, ...]
+ByLetter: TypeAlias = tuple[Residual, ...]
+"""One residual per letter."""
 _Key: TypeAlias = tuple[object, ...]
+_Made = TypeVar("_Made")
 
 FALSE: Residual = 0
 TRUE: Residual = 1
@@ -50,7 +53,6 @@ class Residuals:
         self._nodes: list[tuple] = [("false",), ("true",)]  # type: ignore[type-arg]
         self._ids: dict[_Key, Residual] = {("false",): FALSE, ("true",): TRUE}
         self._implied: dict[tuple[Residual, Residual], bool] = {}
-        self._progressed: dict[tuple[Residual, Letter], Residual] = {}
         self._horizons: dict[Residual, int] = {}
         self._negations: dict[Residual, Residual] = {}
 
@@ -144,50 +146,60 @@ class Residuals:
     def _combine(
         self, kind: str, parts: Iterable[Residual], neutral: Residual, absorbing: Residual, op: str
     ) -> Residual:
+        nodes = self._nodes
         flat: set[Residual] = set()
         for part in parts:
             if part == absorbing:
                 return absorbing
-            node = self._nodes[part]
-            flat.update(node[1] if node[0] == kind else (part,))
+            node = nodes[part]
+            if node[0] == kind:
+                flat.update(node[1])
+            else:
+                flat.add(part)
         flat.discard(neutral)
         if len(flat) > 1:
             flat = self._joined(flat, op)
             flat = self._without_implied(flat, weaker=kind == "and")
-        if len(flat) > 1 and any(self.negation(x) in flat for x in flat if self._nodes[x][0] == "atom"):
-            return absorbing
+        if len(flat) > 1:
+            for x in flat:
+                if nodes[x][0] == "atom" and self.negation(x) in flat:
+                    return absorbing
         if not flat:
             return neutral
         return flat.pop() if len(flat) == 1 else self._node(kind, tuple(sorted(flat)))
 
     def _joined(self, parts: set[Residual], op: str) -> set[Residual]:
         """Windows of one operand that overlap or touch become one: G over ∧, F over ∨."""
-        windows: dict[Residual, list[tuple[int, int]]] = {}
-        for x in parts:
-            node = self._nodes[x]
-            if node[0] == op:
-                windows.setdefault(node[3], []).append((node[1], node[2]))
-        for operand, spans in windows.items():
-            if len(spans) > 1:
-                parts = {x for x in parts if self._nodes[x][0] != op or self._nodes[x][3] != operand}
-                spans.sort()
-                a, b = spans[0]
-                for c, d in spans[1:]:
-                    if c <= b + 1:
-                        b = max(b, d)
-                    else:
-                        parts.add(self._node(op, a, b, operand))
-                        a, b = c, d
-                parts.add(self._node(op, a, b, operand))
-        return parts
+        nodes = self._nodes
+        windows = [x for x in parts if nodes[x][0] == op]
+        if len(windows) < 2 or len({nodes[x][3] for x in windows}) == len(windows):
+            return parts
+        joined = parts.difference(windows)
+        spans: dict[Residual, list[tuple[int, int]]] = {}
+        for _, a, b, operand in map(nodes.__getitem__, windows):
+            spans.setdefault(operand, []).append((a, b))
+        for operand, of_one in spans.items():
+            of_one.sort()
+            a, b = of_one[0]
+            for c, d in of_one[1:]:
+                if c <= b + 1:
+                    b = max(b, d)
+                else:
+                    joined.add(self._node(op, a, b, operand))
+                    a, b = c, d
+            joined.add(self._node(op, a, b, operand))
+        return joined
 
     def _without_implied(self, parts: set[Residual], weaker: bool) -> set[Residual]:
+        implies = self.implies
         kept: list[Residual] = []
         for x in sorted(parts):
-            if any(self.implies(y, x) if weaker else self.implies(x, y) for y in kept):
-                continue
-            kept = [y for y in kept if not (self.implies(x, y) if weaker else self.implies(y, x))]
-            kept.append(x)
+            for y in kept:
+                if implies(y, x) if weaker else implies(x, y):
+                    break
+            else:
+                kept = [y for y in kept if not (implies(x, y) if weaker else implies(y, x))]
+                kept.append(x)
         return set(kept)
 
     def eventually(self, a: int, b: int, x: Residual) -> Residual:
@@ -283,58 +295,18 @@ class Residuals:
         below = node[1] if node[0] in ("and", "or") else node[3:]
         return frozenset().union(*(self.atoms_in(part) for part in below))
 
-    def progress(self, x: Residual, letter: Letter) -> Residual:
-        """x after reading a letter."""
-        if x <= TRUE:
-            return x
-        key = (x, letter)
-        known = self._progressed.get(key)
-        if known is None:
-            known = self._progressed[key] = self._progress(x, letter)
-        return known
-
-    def _progress(self, x: Residual, letter: Letter) -> Residual:
-        match self._nodes[x]:
-            case ("atom", index, positive):
-                return TRUE if letter[index] == positive else FALSE
-            case ("and", parts):
-                return self.conj(self.progress(part, letter) for part in parts)
-            case ("or", parts):
-                return self.disj(self.progress(part, letter) for part in parts)
-            case ("F", 0, b, y):
-                later = self.eventually(0, b - 1, y) if b else FALSE
-                return self.disj((self.progress(y, letter), later))
-            case ("G", 0, b, y):
-                later = self.always(0, b - 1, y) if b else TRUE
-                return self.conj((self.progress(y, letter), later))
-            case ("F", a, b, y):
-                return self.eventually(a - 1, b - 1, y)
-            case ("G", a, b, y):
-                return self.always(a - 1, b - 1, y)
-            case ("U", a, b, y, z):
-                later = self.until(max(a - 1, 0), b - 1, y, z) if b else FALSE
-                stay = self.conj((self.progress(y, letter), later))
-                return stay if a else self.disj((self.progress(z, letter), stay))
-            case ("R", a, b, y, z):
-                later = self.release(max(a - 1, 0), b - 1, y, z) if b else TRUE
-                stay = self.disj((self.progress(y, letter), later))
-                return stay if a else self.conj((self.progress(z, letter), stay))
-            case other:
-                raise AssertionError(other)
-
     def implies(self, x: Residual, y: Residual) -> bool:
         """Whether x ⇒ y can be seen from the structure. Sound; False may mean "not seen"."""
+        known = self._implied.get((x, y))
+        if known is None:
+            known = self._implied[x, y] = self._implies(x, y)
+        return known
+
+    def _implies(self, x: Residual, y: Residual) -> bool:
         if x in (y, FALSE) or y == TRUE:
             return True
         if x == TRUE or y == FALSE:
             return False
-        key = (x, y)
-        known = self._implied.get(key)
-        if known is None:
-            known = self._implied[key] = self._implies(x, y)
-        return known
-
-    def _implies(self, x: Residual, y: Residual) -> bool:
         left, right = self._nodes[x], self._nodes[y]
         if left[0] == "or":
             return all(self.implies(part, y) for part in left[1])
@@ -371,6 +343,10 @@ class Residuals:
             return True
         return bool(left[0] == "R" and left[1] == 0 and self.implies(left[4], y))
 
+    def forget(self) -> None:
+        """Drop what only speeds up making more residuals."""
+        self._implied.clear()
+
     # ------------------------------------------------------------------------------------------ text
 
     def formula(self, x: Residual) -> Formula:
@@ -396,3 +372,59 @@ class Residuals:
                 return Not(Until(Interval(a, b), self.formula(self.negation(y)), self.formula(self.negation(z))))
             case other:
                 raise AssertionError(other)
+
+
+class Progress:
+    """What residuals become by reading a letter, all letters at once."""
+
+    def __init__(self, table: Residuals, letters: Sequence[Letter]) -> None:
+        """`letters`: truth values of the table's atoms."""
+        self._table, self._letters = table, letters
+        self._known: dict[Residual, ByLetter] = {}
+
+    def __call__(self, x: Residual) -> ByLetter:
+        """progress(x, letter) for every letter."""
+        known = self._known.get(x)
+        if known is None:
+            known = self._known[x] = self._progress(x)
+        return known
+
+    def _progress(self, x: Residual) -> ByLetter:
+        table = self._table
+        match table.node(x):
+            case ("false",) | ("true",):
+                return self._always(x)
+            case ("atom", index, positive):
+                return tuple(TRUE if letter[index] == positive else FALSE for letter in self._letters)
+            case ("and", parts):
+                return by_letter(table.conj, *map(self, parts))
+            case ("or", parts):
+                return by_letter(table.disj, *map(self, parts))
+            case ("F", 0, b, y):
+                return by_letter(table.disj, self(y), self._always(table.eventually(0, b - 1, y) if b else FALSE))
+            case ("G", 0, b, y):
+                return by_letter(table.conj, self(y), self._always(table.always(0, b - 1, y) if b else TRUE))
+            case ("F", a, b, y):
+                return self._always(table.eventually(a - 1, b - 1, y))
+            case ("G", a, b, y):
+                return self._always(table.always(a - 1, b - 1, y))
+            case ("U", a, b, y, z):
+                later = table.until(max(a - 1, 0), b - 1, y, z) if b else FALSE
+                stay = by_letter(table.conj, self(y), self._always(later))
+                return stay if a else by_letter(table.disj, self(z), stay)
+            case ("R", a, b, y, z):
+                later = table.release(max(a - 1, 0), b - 1, y, z) if b else TRUE
+                stay = by_letter(table.disj, self(y), self._always(later))
+                return stay if a else by_letter(table.conj, self(z), stay)
+            case other:
+                raise AssertionError(other)
+
+    def _always(self, x: Residual) -> ByLetter:
+        return (x,) * len(self._letters)
+
+
+def by_letter(make: Callable[[ByLetter], _Made], *columns: ByLetter) -> tuple[_Made, ...]:
+    """`make` of what stands under each letter, made once where letters agree."""
+    rows = list(zip(*columns, strict=True))
+    made = {row: make(row) for row in dict.fromkeys(rows)}
+    return tuple([made[row] for row in rows])

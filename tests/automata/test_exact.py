@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.automata import UNDECIDED
 from stltool.automata.compile import atoms_of
-from stltool.automata.residuals import FALSE, TRUE, Residuals
+from stltool.automata.residuals import FALSE, TRUE, Progress, Residuals
 from stltool.errors import SizeError
 from stltool.logic.formula import Always, And, Eventually, Interval, Label, Not, Or, Until, atoms, temporal_depth
 from stltool.testing import flag_formulas, formulas, traces
@@ -173,19 +173,6 @@ def test_valuations_that_nothing_tells_apart_share_a_letter():
     assert len(np.unique(automaton.delta, axis=0)) == automaton.n_letters
 
 
-def test_live_states_are_those_that_some_undecided_run_visits():
-    automaton = stl.compile_automaton(stl.parse("G[0,5] (F[0,3] a & G[0,1] b)"))
-    live = automaton.live()
-    rng = np.random.default_rng(0)
-    for _ in range(200):
-        q = automaton.initial
-        for t in range(automaton.horizon):
-            q = int(automaton.delta[rng.integers(automaton.n_letters), q])
-            if automaton.verdicts(t)[q] != UNDECIDED:
-                break
-            assert live[t, q]
-
-
 # ------------------------------------------------------------------------------------------- residuals
 
 
@@ -201,8 +188,11 @@ def test_progress_keeps_the_meaning(phi, data):
     assert stl.satisfies(table.formula(x), trace) == expected
     assert stl.satisfies(table.formula(table.negation(x)), trace) != expected
     letter = tuple(stl.satisfies(atom, trace) for atom in table.atoms)
+    opposite = tuple(not value for value in letter)
+    progressed, other = Progress(table, [letter, opposite])(x)
     rest = {name: values[1:] for name, values in trace.items()}
-    assert stl.satisfies(table.formula(table.progress(x, letter)), rest) == expected
+    assert stl.satisfies(table.formula(progressed), rest) == expected
+    assert Progress(table, [opposite])(x) == (other,)
 
 
 def related_formulas():

@@ -1,0 +1,363 @@
+"""One part's machine: what must be remembered to judge a watch, an until or a single start.
+
+A watch G[a,b] φ needs no clock for its outer window: which starts count is said by verdict_t. Its state holds the
+starts that are still pending, each with its age and residual, oldest first. Three ways to hold them, the smallest is
+taken:
+
+    oldest   drop a start whose debt an older one's implies: the older is judged first, and one violation decides
+    each     keep every pending start: needs no waiting for a window that begins late
+    single   no starts but the first, the outer window inside the residual: when pending sets explode
+
+Every machine is minimised.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Generic, Literal, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.automata.automaton import Part
+from stltool.automata.minimise import coarsest_partition, quotient
+from stltool.automata.residuals import FALSE as NO
+from stltool.automata.residuals import TRUE as YES
+from stltool.automata.residuals import ByLetter, Letter, Progress, Residual, Residuals, by_letter
+from stltool.errors import SizeError
+
+Method: TypeAlias = Literal["oldest", "each", "single", "until"]
+_State: TypeAlias = tuple[str, int, tuple[int, ...], tuple[Residual, ...]]
+"""Kind; steps to wait for the window; ages and residuals of the pending starts, oldest first."""
+_T = TypeVar("_T")
+
+# outcomes of a machine's state, beside the verdict's clock
+OPEN, BAD, GOOD = 0, 1, 2
+
+_FIRST_BUDGET = 3000  # states that each method may explore before the others have had their turn
+_LONGEST_EACH = 500  # pending starts a state of method "each" may hold
+_WORTH_TRYING = 8  # times the best size so far
+_DEAR = 10 * _FIRST_BUDGET  # from here on only what is smaller
+_HARDLY_WORSE = 1.001  # times the least size to be expected
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """A part's machine, state 0 first.
+
+    delta    (n_own, n_states) int32: over the letters that it tells apart
+    reads    (n_letters,): which of them it reads for each letter
+    outcome  (n_states,) int8: from step `first` on, a BAD state says that the part fails, until step `last`; GOOD that
+             it holds
+    name     a state in words
+    """
+
+    part: Part
+    delta: NDArray[np.int32]
+    reads: NDArray[np.int64]
+    outcome: NDArray[np.int8]
+    name: Callable[[int], str]
+    first: int
+    last: int
+    good_at_end: bool
+
+    @property
+    def n_states(self) -> int:
+        return int(self.delta.shape[1])
+
+
+def machine_of(table: Residuals, x: Residual, letters: Sequence[Letter], most_states: int, flipped: bool) -> Machine:
+    """The smallest machine found for a part: all methods on a small budget, then on a larger one.
+
+    `flipped` where ¬φ is judged instead of φ: names and formulas are told of φ.
+    """
+    success = table.node(x)[0] == "F"
+    watched = table.negation(x) if success else x
+    # a part reads its own atoms only: letters that agree on them are explored once
+    own = sorted(table.atoms_in(x))
+    projected = [tuple(value and i in own for i, value in enumerate(letter)) for letter in letters]
+    distinct = sorted(set(projected))
+    number = {letter: i for i, letter in enumerate(distinct)}
+    reads = np.array([number[letter] for letter in projected], dtype=np.int64)
+    after = Progress(table, distinct)
+    searches = []
+    for method in _methods(table, watched, success):
+        negated = success and method != "single"
+        searches.append(_Search(table, watched if negated else x, method, after, negated))
+    for budget in sorted({min(most_states, size) for size in (_FIRST_BUDGET, _DEAR, most_states)}):
+        found: list[Machine] = []
+        for search in searches:
+            room = min([budget, *(max(m.n_states, min(_WORTH_TRYING * m.n_states, _DEAR)) + 16 for m in found)])
+            if search.method == "single" and found and found[0].n_states <= _HARDLY_WORSE * search.delay:
+                continue
+            # a debt can stay open to its last step, each step a state of its own
+            if search.grow(room, search.delay):
+                found.append(search.machine(reads, flipped))
+        if found:
+            return min(found, key=lambda machine: machine.n_states)
+    raise _too_large(table, x, most_states)
+
+
+def _methods(table: Residuals, watched: Residual, success: bool) -> list[Method]:
+    kind, *operands = table.node(watched)
+    if kind in ("U", "R") and all(table.horizon(y) == 0 for y in operands[2:]):
+        return ["until"]
+    if kind == "G" and operands[0] > 0 and not success and table.horizon(operands[2]) <= _LONGEST_EACH:
+        return ["oldest", "each", "single"]
+    return ["oldest", "single"] if kind in ("G", "atom") else ["single"]
+
+
+def _owed(table: Residuals, x: Residual, method: Method) -> Residual:
+    """What every start owes: φ of a watch over G[a,b] φ; a single start owes everything; an until its right side."""
+    node = table.node(x)
+    if method == "until":
+        return int(node[4])
+    return int(node[3]) if method != "single" and node[0] == "G" else x
+
+
+def _too_large(table: Residuals, x: Residual, most_states: int) -> SizeError:
+    phi = table.formula(x)
+    return SizeError(
+        f"the automaton of {phi} grows over {most_states} states; shorten its inner windows, coarsen the time step, "
+        "split it into tasks, or raise most_states"
+    )
+
+
+# --------------------------------------------------------------------------------------------------- exploring
+
+
+class Exploration(Generic[_T]):
+    """The states that letters lead to from `start`, in the order found; `successors` gives one per letter.
+
+    The order is breadth first, letters in their order: however states are merged, each class is first met by the
+    same shortest word, so the numbers of a minimised machine do not depend on how it was found.
+    """
+
+    def __init__(self, start: _T, successors: Callable[[_T], Sequence[_T]]) -> None:
+        self.states = [start]
+        self._successors = successors
+        self._number = {start: 0}
+        self._rows = array("i")
+        self._done = 0
+        self._layer_end = 1  # states before it are found by at most so many letters
+        self._depth = 0
+
+    def grow(self, most: int, longest: int = 0) -> bool:
+        """Go on until all states are found; False where they are more than `most`.
+
+        `longest`: some word of so many letters leads to a new state with each of them.
+        """
+        states, number, successors, rows = self.states, self._number, self._successors, self._rows
+        while self._done < len(states):
+            if self._done == self._layer_end:
+                self._layer_end, self._depth = len(states), self._depth + 1
+            if len(states) + max(0, longest - self._depth - 1) > most:
+                return False
+            for after in successors(states[self._done]):
+                q = number.setdefault(after, len(states))
+                if q == len(states):
+                    states.append(after)
+                rows.append(q)
+            self._done += 1
+        return len(states) <= most
+
+    @property
+    def delta(self) -> NDArray[np.int32]:
+        """(n_letters, n_states)"""
+        rows = np.frombuffer(self._rows, dtype=np.int32).reshape(len(self.states), -1)
+        return np.array(rows.T, order="C")
+
+
+class _Search:
+    """One method's machine of x, found state by state; of what a watch over ¬φ does not violate where `negated`."""
+
+    def __init__(self, table: Residuals, x: Residual, method: Method, after: Progress, negated: bool) -> None:
+        self.table, self.x, self.method, self.negated = table, x, method, negated
+        self.owed = _owed(table, x, method)
+        self.delay = table.horizon(self.owed)
+        node = table.node(x)
+        self.window = node[1:3] if method == "until" or (method != "single" and node[0] == "G") else (0, 0)
+        start = _of_kind("begins" if method == "single" else "runs")
+        if self.window[0] and method in ("oldest", "until"):
+            start = _of_kind("waits", self.window[0])
+        if method == "single":
+            successors = _single(after, self.owed)
+        elif method == "until":
+            successors = _until(table, x, after)
+        else:
+            successors = _watch(table, self.owed, self.delay, method, after)
+        self._found = Exploration(start, successors)
+        self.grow = self._found.grow
+
+    def machine(self, reads: NDArray[np.int64], flipped: bool) -> Machine:
+        """What was found, minimised."""
+        table, x, method, owed = self.table, self.x, self.method, self.owed
+        states, delta = self._found.states, self._found.delta
+        outcome = np.array([{"bad": BAD, "good": GOOD}.get(state[0], OPEN) for state in states], dtype=np.int8)
+        if self.negated:  # a violated ¬φ is a success; it is never forgotten
+            outcome = np.where(outcome == BAD, GOOD, OPEN).astype(np.int8)
+        small, representative = quotient(delta, coarsest_partition(delta, outcome))
+        turned = self.negated != flipped
+        (a, b), delay = self.window, self.delay
+        return Machine(
+            part=Part(
+                formula=table.formula(table.negation(x) if turned else x),
+                owed=table.formula(table.negation(owed) if turned else owed),
+                delay=delay,
+                method=method,
+                explored=len(states),
+                states=small.shape[1],
+            ),
+            delta=small,
+            reads=reads,
+            outcome=outcome[representative],
+            name=_Names(table, [states[i] for i in representative.tolist()], owed, method, turned),
+            first=a + delay if method not in ("single", "until") else 0,
+            last=b + delay if method != "single" else table.horizon(x),
+            good_at_end=not self.negated and not (method == "until" and table.node(x)[0] == "U"),
+        )
+
+
+def _of_kind(kind: str, waits: int = 0) -> _State:
+    return (kind, waits, (), ())
+
+
+def _next_wait(state: _State) -> _State:
+    return _of_kind("waits", state[1] - 1) if state[1] > 1 else _of_kind("runs")
+
+
+def _watch(
+    table: Residuals, owed: Residual, delay: int, method: Method, after: Progress
+) -> Callable[[_State], Sequence[_State]]:
+    """One letter for a watch: pending starts progress, a new one begins, the one of age D is judged."""
+    oldest = method == "oldest"
+    begun, implies = after(owed), table.implies
+
+    def successors(state: _State) -> Sequence[_State]:
+        kind, _, ages, residuals = state
+        if kind == "waits":
+            return (_next_wait(state),) * len(begun)
+        if kind == "bad" and oldest:
+            return (state,) * len(begun)
+        older = (*[age + 1 for age in ages], 0)
+        judged = older[0] == delay
+
+        def settle(left: ByLetter) -> _State:
+            bad = judged and left[0] == NO
+            if bad and oldest:
+                return _of_kind("bad")
+            kept_ages: list[int] = []
+            kept: list[Residual] = []
+            for i in range(judged, len(left)):
+                x = left[i]
+                if x == YES:
+                    continue
+                if oldest:
+                    for y in kept:
+                        if implies(y, x):
+                            break
+                    else:
+                        kept_ages.append(older[i])
+                        kept.append(x)
+                else:
+                    kept_ages.append(older[i])
+                    kept.append(x)
+            return ("bad" if bad else "runs", 0, tuple(kept_ages), tuple(kept))
+
+        return by_letter(settle, *map(after, residuals), begun)
+
+    return successors
+
+
+def _until(table: Residuals, x: Residual, after: Progress) -> Callable[[_State], Sequence[_State]]:
+    """One letter for φ U[a,b] ψ or φ R[a,b] ψ over atoms: after a steps only the verdict's clock counts."""
+    kind, _, _, left, right = table.node(x)
+    # U ends well when ψ holds and badly when φ fails first; R ends badly when ψ fails and well when φ holds first
+    ends, ended, breaks, broken = (YES, "good", NO, "bad") if kind == "U" else (NO, "bad", YES, "good")
+
+    def successors(state: _State) -> Sequence[_State]:
+        def step(now: ByLetter) -> _State:
+            if state[0] in ("bad", "good"):
+                return state
+            if state[0] == "runs" and now[1] == ends:
+                return _of_kind(ended)
+            if now[0] == breaks:
+                return _of_kind(broken)
+            return _next_wait(state) if state[0] == "waits" else state
+
+        return by_letter(step, after(left), after(right))
+
+    return successors
+
+
+def _single(after: Progress, owed: Residual) -> Callable[[_State], Sequence[_State]]:
+    """One letter for the only start: its residual progresses until it is true or false."""
+    ends = {(YES,): _of_kind("good"), (NO,): _of_kind("bad")}
+
+    def successors(state: _State) -> Sequence[_State]:
+        x = owed if state[0] == "begins" else YES if state[0] == "good" else NO if state[0] == "bad" else state[3][0]
+        return [ends.get(x) or ("runs", 0, (0,), x) for x in zip(after(x))]
+
+    return successors
+
+
+# --------------------------------------------------------------------------------------------------- names
+
+
+class _Names:
+    """What a state remembers, told of φ where ¬φ is watched: a debt of ¬φ is a start at which φ is still possible.
+
+    A name speaks of starts, never of the verdict: which starts count is the verdict's clock to say.
+    """
+
+    def __init__(
+        self, table: Residuals, states: Sequence[_State], owed: Residual, method: Method, negated: bool
+    ) -> None:
+        self._table, self._owed, self._method, self._negated = table, owed, method, negated
+        # of the pending starts a name needs the first, and how many there are
+        self._states = [(kind, waits, ages[:1], xs[:1], len(xs)) for kind, waits, ages, xs in states]
+
+    def __call__(self, q: int) -> str:
+        table, owed, method, negated = self._table, self._owed, self._method, self._negated
+        kind, waits, ages, residuals, n_pending = self._states[q]
+        if method == "oldest" and table.horizon(owed) == 0 and kind not in ("waits", "begins"):
+            # F[a,b] ψ or G[a,b] ψ with ψ of one state: what counts is whether ψ has occurred, or failed, in the window
+            psi = table.formula(table.negation(owed) if negated else owed)
+            if negated:
+                return f"{psi} seen" if kind == "bad" else f"{psi} not seen yet"
+            return f"{psi} has failed" if kind == "bad" else f"{psi} so far"
+        if kind == "waits":
+            return f"{_steps(waits)} before the window"
+        if kind == "begins":
+            return "at the start"
+        if kind in ("good", "bad"):
+            ended = "succeeded" if (kind == "good") != negated else "failed"
+            if method in ("single", "until"):
+                return ended
+            return (
+                f"a start has {ended}" if method == "oldest" else f"the start {_steps(table.horizon(owed))} ago {ended}"
+            )
+        if not n_pending:
+            return "nothing pending"
+        text = self._pending(ages[0], residuals[0])
+        return text if n_pending == 1 else f"{text} (and {n_pending - 1} later)"
+
+    def _pending(self, age: int, x: Residual) -> str:
+        """A pending start."""
+        table, owed, negated = self._table, self._owed, self._negated
+        kind, *rest = table.node(x)
+        # an F[0,D] ψ that was owed, alone or as an alternative, and is open still: ψ has not been seen since the start
+        alternatives = table.node(owed)[1] if table.node(owed)[0] == "or" else (owed,)
+        if kind == "F" and self._method != "single":
+            node = table.node(rest[2])
+            since_the_start = ("F", 0, rest[1] + age + 1, rest[2]) in map(table.node, alternatives)
+            if since_the_start and rest[0] == 0 and node[0] == "atom":
+                return f"{table.atoms[node[1]]} {'not seen ' if node[2] else ''}for {_steps(age + 1)}"
+        left = table.formula(table.negation(x) if negated else x)
+        return f"{'possible' if negated else 'due'} since {_steps(age)}: {left}"
+
+
+def _steps(n: int) -> str:
+    return f"{n} step{'' if n == 1 else 's'}"

@@ -1,0 +1,22 @@
+"""Distinct rows of a table of integers, however wide: np.unique(axis=0) makes a type of one field per column."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def distinct_rows(table: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The place of each distinct row (its first), and for each row the number of its equal among them.
+
+    Distinct rows are in lexicographic order; negative numbers come last.
+    """
+    keys = np.ascontiguousarray(table.astype(table.dtype.newbyteorder(">")))  # as bytes in the order of their numbers
+    places: dict[bytes, int] = {}
+    equal = [places.setdefault(row.tobytes(), i) for i, row in enumerate(keys)]
+    first = np.array([places[key] for key in sorted(places)], dtype=np.int64)
+    number = np.empty(len(table), dtype=np.int64)
+    number[first] = np.arange(len(first))
+    return first, number[equal]
