@@ -132,7 +132,7 @@ def _breaks(delta: NDArray[np.int32]) -> float:
     """
     steps = np.diff(delta, axis=1)
     breaks = np.count_nonzero((steps != 0) & (steps != 1)) / len(delta)
-    return (1 + breaks) / delta.shape[1]
+    return float((1 + breaks) / delta.shape[1])
 
 
 def _conjunction(machines: Sequence[Machine], index: NDArray[np.int64], t: int, horizon: int) -> NDArray[np.int8]:
