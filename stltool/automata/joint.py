@@ -120,7 +120,8 @@ def join_automata(
     Raises SizeError before a layer is made that would not fit.
     """
     horizon = max(automaton.horizon for automaton in automata)
-    what = f"remembering {' × '.join(str(automaton.n_states) for automaton in automata)} automaton states over {horizon} steps"
+    sizes = " × ".join(str(automaton.n_states) for automaton in automata)
+    what = f"remembering {sizes} automaton states over {horizon} steps"
     remedy = "shorten the windows, or trade fewer tasks off"
     require_memory(horizon * _LAYER_BYTES, what, remedy, memory_limit)
     taken, n_states = 0, 1
