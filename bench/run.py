@@ -14,6 +14,7 @@ import monitors
 import parsing
 import rigour
 import spine
+import windows
 
 versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("stltool", "numpy", "numba", "scipy"))
 lines = [
@@ -47,6 +48,12 @@ lines = [
     "`*`: the flags are not the formula there. What each column counts: bench/automata.py.",
     "",
     *automata.table(),
+    "",
+    "## Automata: long windows, CPU seconds to compile them, beside an older commit",
+    "",
+    "What each column counts: bench/windows.py.",
+    "",
+    *windows.table(),
 ]
 text = "\n".join(lines) + "\n"
 print(text)

@@ -4,9 +4,8 @@
 
 First whole rounds (Moore), vectorised, for as long as each finds many new classes. A counter of length τ splits one
 class in each of its τ rounds: from there on only states with a successor in a renumbered class are looked at again. The
-largest piece of a class keeps its number, so a state is renumbered at most log₂ n times: O(|Λ| n log n) in all.
-
-Source: J. Jacobs and T. Wißmann, Fast coalgebraic bisimilarity minimization, POPL 2023 (the second part).
+largest piece of a class keeps its number, so a state is renumbered at most log₂ n times, and in all at most
+|Λ| n log₂ n states are looked at again. Source: [Jacobs23].
 """
 
 from __future__ import annotations

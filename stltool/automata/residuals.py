@@ -343,10 +343,6 @@ class Residuals:
             return True
         return bool(left[0] == "R" and left[1] == 0 and self.implies(left[4], y))
 
-    def forget(self) -> None:
-        """Drop what only speeds up making more residuals."""
-        self._implied.clear()
-
     # ------------------------------------------------------------------------------------------ text
 
     def formula(self, x: Residual) -> Formula:

@@ -49,7 +49,6 @@ def window_automaton(
     node = table.node(judged)
     parts = list(node[1]) if node[0] == "and" else [judged]
     machines = [machine_of(table, part, letters, most_states, flipped) for part in parts]
-    table.forget()
     horizon = formula_horizon(phi)
     deltas, letter_of = _read_together(machines)
     index, delta = _reachable(machines, deltas, most_states, limit, phi)
@@ -114,13 +113,14 @@ def _reachable(
             allowed,
         )
 
-    order = sorted(range(len(machines)), key=lambda j: _breaks(deltas[j]))
+    # the machine numbered innermost comes last: long counters are walked through once
+    order = sorted(reversed(range(len(machines))), key=lambda j: -_breaks(deltas[j]))
     delta = deltas[order[0]]
     guard(delta.shape[1])
     index = [np.arange(delta.shape[1])]
     for j in order[1:]:
-        last, known, delta = reachable_pairs(deltas[j], delta, (0, 0), guard)
-        index = [*(states[known] for states in index), last]
+        known, inner, delta = reachable_pairs(delta, deltas[j], (0, 0), guard)
+        index = [*(states[known] for states in index), inner]
     return np.stack([states for _, states in sorted(zip(order, index, strict=True), key=lambda pair: pair[0])]), delta
 
 

@@ -1,5 +1,6 @@
 """Long windows and large products: time and memory linear in the result, or a refusal at once."""
 
+import pickle
 import time
 import tracemalloc
 
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.automata import UNDECIDED
+from stltool.automata.joint import _distinct
 from stltool.automata.machines import Exploration
 from stltool.automata.minimise import coarsest_partition
 from stltool.automata.reach import reachable_pairs
@@ -240,6 +242,7 @@ def test_states_are_named_when_asked():
     assert len(set(names)) > 10
     with pytest.raises(IndexError):
         names[len(names)]
+    assert pickle.loads(pickle.dumps(automaton)).state_names[5] == names[5]  # as processes of a user's own do
 
 
 def test_neighbours_move_together():
@@ -301,10 +304,16 @@ def test_layers_that_repeat_are_made_once():
         assert joint.layers[t].states[column].tolist() == expected
 
 
+def test_joint_states_are_told_apart_where_codes_would_wrap():
+    """Five automata of 2^16 states: in 64 bits the last one's state would be multiplied by 0."""
+    columns = np.array([[7, 7, 7]] * 4 + [[5, 3, 5]], dtype=np.int32)
+    first, number = _distinct(columns, [2**16] * 5)
+    assert first.tolist() == [1, 0]
+    assert number.tolist() == [1, 0, 1]
+
+
 @given(seed=st.integers(0, 10**6), largest=st.sampled_from([30, 200, 2**62]))
 def test_joint_states_are_numbered_as_rows(seed, largest):
-    from stltool.automata.joint import _distinct
-
     rng = np.random.default_rng(seed)
     sizes = rng.integers(2, 6, size=4).tolist()
     columns = np.stack([rng.integers(-1, size - 1, size=12) for size in sizes]).astype(np.int32)
