@@ -114,14 +114,14 @@ def _reachable(
         )
 
     # the machine numbered innermost comes last: long counters are walked through once
-    order = sorted(reversed(range(len(machines))), key=lambda j: -_breaks(deltas[j]))
+    order = sorted(range(len(machines)), key=lambda j: (-_breaks(deltas[j]), -j))
     delta = deltas[order[0]]
     guard(delta.shape[1])
     index = [np.arange(delta.shape[1])]
     for j in order[1:]:
         known, inner, delta = reachable_pairs(delta, deltas[j], (0, 0), guard)
         index = [*(states[known] for states in index), inner]
-    return np.stack([states for _, states in sorted(zip(order, index, strict=True), key=lambda pair: pair[0])]), delta
+    return np.stack(index)[np.argsort(order)], delta
 
 
 def _breaks(delta: NDArray[np.int32]) -> float:
