@@ -153,5 +153,5 @@ def _advance(character: str) -> float:
 def _any_glyph() -> Iterator[None]:
     """Without the warning that the font lacks a letter: who shows the SVG has another font."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
         yield
