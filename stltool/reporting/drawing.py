@@ -121,10 +121,9 @@ def shown(text: str, longest: int = 60) -> str:
 
 def fitted(text: str, size: float, points: float) -> str:
     """As much of a name as fits into so many points."""
-    text = shown(text)
-    while text_width(text, size) > points and len(text) > 1:
-        text = shown(text, len(text) - 1)
-    return text
+    whole = shown(text)
+    lengths = (shown(whole, longest) for longest in range(len(whole), 0, -1))
+    return next((cut for cut in lengths if text_width(cut, size) <= points), "…")
 
 
 def alone(values: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -142,11 +141,11 @@ def text_width(text: str, size: float) -> float:
 def _advance(character: str) -> float:
     """How far a character moves those after it, in units of the font's size."""
     with drawing(), _any_glyph():
-        beside, alone = (
+        between, without = (
             TextPath((0, 0), text, size=100, prop=FontProperties()).get_extents().width
             for text in (f"o{character}o", "oo")
         )
-    return float(beside - alone) / 100
+    return float(between - without) / 100
 
 
 @contextmanager

@@ -256,7 +256,9 @@ def test_axes_are_numbered():
     assert [t.text for t in wide.texts("xtick")][:3] == ["0", "2", "4"]
 
 
-@pytest.mark.parametrize("name", ["$x$", "a $\\frac$", "<b>", "\x01\x00", "\ud800", "x" * 5000, "充电", "_under"])
+@pytest.mark.parametrize(
+    "name", ["$x$", "a $\\frac$", "<b>", "\x01\x00", "\ud800", "x" * 5000, "充电", "_under", "_" * 99]
+)
 def test_any_name_of_a_label_can_be_drawn(name):
     floor = layout(["..", ".."], {name: [0]}, [])
     picture = Picture(floor_map(floor))
