@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from stltool.automata.automaton import UNDECIDED, TaskAutomaton
 from stltool.errors import SizeError
 
-_MOST_VISITED = 300_000
+_MOST_VISITED = 500_000
 
 
 def disagreement(
@@ -20,39 +20,38 @@ def disagreement(
 
     `left_letters` and `right_letters` (n_symbols,) give each automaton's letter for a symbol (a valuation, say).
     """
-    # breadth first over (state of each, verdict of each so far); UNDECIDED until the first decision
-    start = (left.initial, right.initial, UNDECIDED, UNDECIDED)
-    came_from: dict[tuple[int, tuple[int, ...]], tuple[tuple[int, ...], int]] = {}
-    frontier: list[tuple[int, int, int, int]] = [start]
+    # breadth first over (state of each, verdict of each so far; UNDECIDED until the first decision), as codes
+    n_symbols, width = len(left_letters), right.n_states
+    shape = (left.n_states, width, 3, 3)
+    codes = np.ravel_multi_index(([left.initial], [right.initial], [0], [0]), shape)
+    layers: list[
+        NDArray[np.int64]
+    ] = []  # of each code of a layer: its place in the one before · n_symbols + the symbol
+    visited = 0
     for t in range(max(left.horizon, right.horizon) + 1):
-        verdicts = (left.verdicts(min(t, left.horizon)), right.verdicts(min(t, right.horizon)))
-        following: dict[tuple[int, int, int, int], None] = {}
-        for state in frontier:
-            for symbol, (a, b) in enumerate(zip(left_letters.tolist(), right_letters.tolist(), strict=True)):
-                p, q = int(left.delta[a, state[0]]), int(right.delta[b, state[1]])
-                v = state[2] if state[2] != UNDECIDED else int(verdicts[0][p])
-                w = state[3] if state[3] != UNDECIDED else int(verdicts[1][q])
-                after = (p, q, v, w)
-                if (t, after) in came_from:
-                    continue
-                came_from[(t, after)] = (state, symbol)
-                if len(came_from) > _MOST_VISITED:
-                    raise SizeError(f"no trace looked for: over {_MOST_VISITED} pairs of states to search")
-                if UNDECIDED not in (v, w):
-                    if v != w:
-                        return _path(came_from, t, after)
-                    continue
-                following[after] = None
-        frontier = list(following)
+        p, q, v, w = np.unravel_index(codes, shape)
+        after_p, after_q = left.delta[left_letters][:, p].T, right.delta[right_letters][:, q].T  # (n_codes, n_symbols)
+        found_v, found_w = left.verdicts(min(t, left.horizon))[after_p], right.verdicts(min(t, right.horizon))[after_q]
+        v, w = (np.where(was[:, None] != 0, was[:, None], now - UNDECIDED) for was, now in ((v, found_v), (w, found_w)))
+        after = np.ravel_multi_index((after_p, after_q, v, w), shape).ravel()
+        _, came_from = np.unique(after, return_index=True)
+        came_from.sort()  # in the order in which they were found
+        visited += len(came_from)
+        if visited > _MOST_VISITED:
+            raise SizeError(f"no trace looked for: over {_MOST_VISITED} pairs of states to search")
+        v, w = v.ravel()[came_from], w.ravel()[came_from]
+        different = np.flatnonzero((v != 0) & (w != 0) & (v != w))
+        if different.size:
+            return _path([*layers, came_from], int(different[0]), n_symbols)
+        open_still = (v == 0) | (w == 0)
+        layers.append(came_from[open_still])
+        codes = after[came_from[open_still]]
     return None
 
 
-def _path(
-    came_from: dict[tuple[int, tuple[int, ...]], tuple[tuple[int, ...], int]], t: int, state: tuple[int, ...]
-) -> list[int]:
+def _path(layers: list[NDArray[np.int64]], place: int, n_symbols: int) -> list[int]:
     symbols = []
-    while t >= 0:
-        state, symbol = came_from[(t, state)]
+    for came_from in reversed(layers):
+        place, symbol = divmod(int(came_from[place]), n_symbols)
         symbols.append(symbol)
-        t -= 1
     return symbols[::-1]

@@ -233,7 +233,7 @@ def _watch(
 ) -> Callable[[_State], Sequence[_State]]:
     """One letter for a watch: pending starts progress, a new one begins, the one of age D is judged."""
     oldest = method == "oldest"
-    begun, implies = after(owed), table.implies
+    begun, implied = after(owed), table.implied
 
     def successors(state: _State) -> Sequence[_State]:
         kind, _, ages, residuals = state
@@ -256,7 +256,7 @@ def _watch(
                     continue
                 if oldest:
                     for y in kept:
-                        if implies(y, x):
+                        if implied[y, x]:
                             break
                     else:
                         kept_ages.append(older[i])

@@ -44,6 +44,17 @@ FALSE: Residual = 0
 TRUE: Residual = 1
 
 
+class _Implied(dict[tuple[Residual, Residual], bool]):
+    """Whether x ⇒ y, found when it is first asked; loops ask it millions of times, so without a call."""
+
+    def __init__(self, find: Callable[[Residual, Residual], bool]) -> None:
+        self._find = find
+
+    def __missing__(self, pair: tuple[Residual, Residual]) -> bool:
+        found = self[pair] = self._find(*pair)
+        return found
+
+
 class Residuals:
     """A table of residuals over given atoms: those of one formula, say."""
 
@@ -52,7 +63,7 @@ class Residuals:
         self._atom_index = {psi: i for i, psi in enumerate(self.atoms)}
         self._nodes: list[tuple] = [("false",), ("true",)]  # type: ignore[type-arg]
         self._ids: dict[_Key, Residual] = {("false",): FALSE, ("true",): TRUE}
-        self._implied: dict[tuple[Residual, Residual], bool] = {}
+        self.implied = _Implied(self._implies)
         self._horizons: dict[Residual, int] = {}
         self._negations: dict[Residual, Residual] = {}
 
@@ -191,14 +202,14 @@ class Residuals:
         return joined
 
     def _without_implied(self, parts: set[Residual], weaker: bool) -> set[Residual]:
-        implies = self.implies
+        implied = self.implied
         kept: list[Residual] = []
         for x in sorted(parts):
             for y in kept:
-                if implies(y, x) if weaker else implies(x, y):
+                if implied[y, x] if weaker else implied[x, y]:
                     break
             else:
-                kept = [y for y in kept if not (implies(x, y) if weaker else implies(y, x))]
+                kept = [y for y in kept if not (implied[x, y] if weaker else implied[y, x])]
                 kept.append(x)
         return set(kept)
 
@@ -297,10 +308,7 @@ class Residuals:
 
     def implies(self, x: Residual, y: Residual) -> bool:
         """Whether x ⇒ y can be seen from the structure. Sound; False may mean "not seen"."""
-        known = self._implied.get((x, y))
-        if known is None:
-            known = self._implied[x, y] = self._implies(x, y)
-        return known
+        return self.implied[x, y]
 
     def _implies(self, x: Residual, y: Residual) -> bool:
         if x in (y, FALSE) or y == TRUE:
