@@ -27,6 +27,7 @@ from stltool.automata.residuals import FALSE as NO
 from stltool.automata.residuals import TRUE as YES
 from stltool.automata.residuals import ByLetter, Letter, Progress, Residual, Residuals, by_letter
 from stltool.errors import SizeError
+from stltool.sizes import require_memory
 
 Method: TypeAlias = Literal["oldest", "each", "single", "until"]
 _State: TypeAlias = tuple[str, int, tuple[int, ...], tuple[Residual, ...]]
@@ -41,6 +42,7 @@ _LONGEST_EACH = 500  # pending starts a state of method "each" may hold
 _WORTH_TRYING = 8  # times the best size so far
 _DEAR = 10 * _FIRST_BUDGET  # from here on only what is smaller
 _HARDLY_WORSE = 1.001  # times the least size to be expected
+_STATE_BYTES = 1000  # of a state while it is explored, its successors apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +70,13 @@ class Machine:
         return int(self.delta.shape[1])
 
 
-def machine_of(table: Residuals, x: Residual, letters: Sequence[Letter], most_states: int, flipped: bool) -> Machine:
+def machine_of(
+    table: Residuals, x: Residual, letters: Sequence[Letter], most_states: int, allowed: int, flipped: bool
+) -> Machine:
     """The smallest machine found for a part: all methods on a small budget, then on a larger one.
 
-    `flipped` where ¬φ is judged instead of φ: names and formulas are told of φ.
+    `flipped` where ¬φ is judged instead of φ: names and formulas are told of φ. Raises SizeError where it grows over
+    `most_states`, or over what fits into `allowed` bytes.
     """
     success = table.node(x)[0] == "F"
     watched = table.negation(x) if success else x
@@ -86,7 +91,9 @@ def machine_of(table: Residuals, x: Residual, letters: Sequence[Letter], most_st
     for method in _methods(table, watched, success):
         negated = success and method != "single"
         searches.append(_Search(table, watched if negated else x, method, after, negated))
-    for budget in sorted({min(most_states, size) for size in (_FIRST_BUDGET, _DEAR, most_states)}):
+    fitting = allowed // (_STATE_BYTES + 4 * len(distinct))
+    most = min(most_states, fitting)
+    for budget in sorted({min(most, size) for size in (_FIRST_BUDGET, _DEAR, most)}):
         found: list[Machine] = []
         for search in searches:
             room = min([budget, *(max(m.n_states, min(_WORTH_TRYING * m.n_states, _DEAR)) + 16 for m in found)])
@@ -97,7 +104,18 @@ def machine_of(table: Residuals, x: Residual, letters: Sequence[Letter], most_st
                 found.append(search.machine(reads, flipped))
         if found:
             return min(found, key=lambda machine: machine.n_states)
-    raise _too_large(table, x, most_states)
+    phi = table.formula(x)
+    if fitting < most_states:
+        require_memory(
+            (fitting + 1) * (_STATE_BYTES + 4 * len(distinct)),
+            f"the automaton of {phi}, over {fitting} states and {len(distinct)} letters,",
+            "shorten its inner windows, or compile it for a model that realises few letters",
+            allowed,
+        )
+    raise SizeError(
+        f"the automaton of {phi} grows over {most_states} states; shorten its inner windows, coarsen the time step, "
+        "split it into tasks, or raise most_states"
+    )
 
 
 def _methods(table: Residuals, watched: Residual, success: bool) -> list[Method]:
@@ -115,14 +133,6 @@ def _owed(table: Residuals, x: Residual, method: Method) -> Residual:
     if method == "until":
         return int(node[4])
     return int(node[3]) if method != "single" and node[0] == "G" else x
-
-
-def _too_large(table: Residuals, x: Residual, most_states: int) -> SizeError:
-    phi = table.formula(x)
-    return SizeError(
-        f"the automaton of {phi} grows over {most_states} states; shorten its inner windows, coarsen the time step, "
-        "split it into tasks, or raise most_states"
-    )
 
 
 # --------------------------------------------------------------------------------------------------- exploring

@@ -48,10 +48,11 @@ def window_automaton(
     judged = table.negation(root) if flipped else root
     node = table.node(judged)
     parts = list(node[1]) if node[0] == "and" else [judged]
-    machines = [machine_of(table, part, letters, most_states, flipped) for part in parts]
+    allowed = memory_limit(limit)
+    machines = [machine_of(table, part, letters, most_states, allowed, flipped) for part in parts]
     horizon = formula_horizon(phi)
     deltas, letter_of = _read_together(machines)
-    index, delta = _reachable(machines, deltas, most_states, limit, phi)
+    index, delta = _reachable(machines, deltas, most_states, allowed, phi)
     changes = sorted({0, *(t for m in machines for t in (m.first, m.last, m.last + 1) if t < horizon), horizon})
     rows = np.array([_conjunction(machines, index, t, horizon) for t in changes], dtype=np.int8)
     if flipped:
@@ -91,13 +92,12 @@ def _read_together(machines: Sequence[Machine]) -> tuple[list[NDArray[np.int32]]
 
 
 def _reachable(
-    machines: Sequence[Machine], deltas: Sequence[NDArray[np.int32]], most_states: int, limit: int | None, phi: Formula
+    machines: Sequence[Machine], deltas: Sequence[NDArray[np.int32]], most_states: int, allowed: int, phi: Formula
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """index (n_machines, n_states): the machines' states in each reachable combination; delta over them.
 
     Machine by machine: what is reachable of the first few is a projection of what is reachable of all, never more.
     """
-    allowed = memory_limit(limit)
 
     def guard(n_states: int) -> None:
         if n_states > most_states:
@@ -108,7 +108,7 @@ def _reachable(
             )
         require_memory(
             16 * n_states * len(delta),
-            f"the automaton of {phi}, over {n_states} states and {len(delta)} letters",
+            f"the automaton of {phi}, over {n_states} states and {len(delta)} letters,",
             "shorten the windows, or compile it for a model that realises few letters",
             allowed,
         )

@@ -77,11 +77,18 @@ def test_what_explodes_is_refused_soon(text, message):
     assert cpu_seconds(refused) < 6
 
 
-def test_many_letters_are_refused_before_they_take_memory():
-    phi = stl.parse("G[0,30] (F[0,30] a & F[0,30] b)")
-    assert stl.compile_automaton(phi, memory_limit=200_000).n_states == 962
-    with pytest.raises(SizeError, match=r"over \d+ states and 4 letters would take .* realises few letters"):
-        stl.compile_automaton(phi, memory_limit=20_000)
+@pytest.mark.parametrize(
+    ("text", "states", "enough", "message"),
+    [
+        ("G[0,30] (F[0,30] a & F[0,30] b)", 962, 200_000, r"over 6\d\d states and 4 letters, would take"),
+        ("F[0,9] (a & F[0,9] (b & F[0,9] c))", 441, 600_000, "over 38 states and 8 letters, would take"),
+    ],
+)
+def test_what_takes_too_much_memory_is_refused_before(text, states, enough, message):
+    phi = stl.parse(text)
+    assert stl.compile_automaton(phi, memory_limit=enough).n_states == states
+    with pytest.raises(SizeError, match=message + ".* compile it for a model that realises few letters"):
+        stl.compile_automaton(phi, memory_limit=40_000)
 
 
 @pytest.mark.parametrize(
