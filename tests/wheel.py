@@ -1,0 +1,112 @@
+"""A plain `pip install` of the built wheel does what README shows: `python tests/wheel.py`, some minutes.
+
+The wheel goes, without extras, into a fresh environment in a temporary folder. From another folder, which has a copy of
+examples/, every command of README's table is run there as it stands, its placeholders filled in, with each of its
+programs; and what needs an extra says so. A row that names something new fails until it is told here what to fill in.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+MOST_MEGABYTES = 600
+FACTORY = "examples/factory/"
+# the text of a row → what is filled in, longest first; later rows use what earlier ones write
+FILLED = {
+    "pareto TASK --tasks A,B": f"pareto {FACTORY}tradeoff.stl --tasks charging,patrolling --plot front.svg",
+    "--nature against": f"--model {FACTORY}floor-5x5-uncertain.toml --nature against",
+    '--require "B>=0.9" --budget "cost<=12"': '--require "patrolling>=0.5" --budget "C<=3"',
+    "tradeoff TASK": f"tradeoff {FACTORY}tradeoff.stl",
+    "--objective A": "--objective charging",
+    "monitor TASK|FORMULA TRACE": 'monitor "F[0,5] battery > -1" examples/monitor/shift.csv --plot log.png',
+    "explain TASK|FORMULA": 'explain "G[0,9] (a -> F[0,5] b)"',
+    "--certificate FILE": "--certificate best.jsonl.gz",
+    "certify FILE [TASK]": f"certify best.jsonl.gz {FACTORY}patrolling.stl",
+    "--policy FILE": "--policy out/patrolling/policy.npz",
+    "--out FILE": "--out learned.npz --checkpoint run.npz --history run.csv",
+    "sweep FILE": "sweep examples/paper/small.toml --workers 2",
+    "fmt FILE...": f"fmt {FACTORY}patrolling.stl {FACTORY}charging.stl",
+    "REPORT.json": "out/patrolling/report.json",
+    "TASK": f"{FACTORY}patrolling.stl",
+}
+# what needs an extra, and its package
+EXTRAS = {
+    f"learn {FACTORY}patrolling.stl --out l.npz --tensorboard events": "tensorboard",
+    "check examples/frozenlake/crossing.stl": "gymnasium",
+    'monitor "F[0,5] x > 0" trace.parquet': "parquet",
+    "sweep examples/paper/small.toml --out none --cluster tcp://localhost:1": "cluster",
+}
+UNFILLED = re.compile(r"\b[A-Z]{4,}\b|\bFILE\b|\.\.\.|\|")
+
+
+def commands(readme: str) -> list[str]:
+    """The commands of README's table, those that its descriptions name included, filled in."""
+    table = re.search(r"## The command line\n\n```\n(.*?)```", readme, flags=re.DOTALL)
+    assert table, "README has no table of commands"
+    found = []
+    for row in table[1].splitlines():
+        command, _, rest = row.partition("  ")
+        found += [command] * command.startswith("stltool ")
+        found += re.findall(r"stltool \w+(?: \[?[A-Z.]+\]?)*", rest)
+    for i, command in enumerate(found):
+        for text, value in FILLED.items():
+            command = re.sub(re.escape(text) + r"(?![\w.|])", lambda _, value=value: value, command)
+        assert not UNFILLED.search(command), f"what is to be filled in here? {command}"
+        found[i] = command
+    return found
+
+
+def main() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory() as temporary:
+        work = Path(temporary)
+        run = [sys.executable, "-m", "build", "--wheel", "--outdir", work / "dist", ROOT]
+        subprocess.run(run, check=True, stdout=subprocess.DEVNULL)
+        subprocess.run([sys.executable, "-m", "venv", work / "fresh"], check=True)
+        scripts = work / "fresh" / ("Scripts" if sys.platform == "win32" else "bin")
+        python = scripts / "python"
+        pip = [python, "-m", "pip", "--disable-pip-version-check", "--quiet"]
+        before = megabytes(work / "fresh")
+        subprocess.run([*pip, "install", *(work / "dist").glob("*.whl")], check=True)
+        size = megabytes(work / "fresh") - before
+        print(f"wheel: {size:.0f} MB installed")
+        assert size <= MOST_MEGABYTES, f"a plain install takes {size:.0f} MB, over {MOST_MEGABYTES}"
+        folder = work / "elsewhere"
+        shutil.copytree(ROOT / "examples", folder / "examples")
+        (folder / "trace.parquet").touch()
+
+        used = set()
+        for command in commands(readme):
+            call(scripts, folder, command)
+            used.add(command.split()[1])
+        code = "from stltool.cli import app; print(*(c.callback.__name__ for c in app.registered_commands))"
+        listed = subprocess.run([python, "-c", code], cwd=folder, check=True, capture_output=True, text=True)
+        assert used == set(listed.stdout.split()), "README's table and the commands differ"
+        for command, extra in EXTRAS.items():
+            call(scripts, folder, f"stltool {command}", code=2, says=f"pip install 'stltool[{extra}]'")
+        for code in [*re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL), "import stltool.testing"]:
+            subprocess.run([python, "-c", code], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    print(f"wheel: {len(used)} commands of README and its programs work from another folder, without extras")
+
+
+def call(scripts: Path, folder: Path, command: str, code: int = 0, says: str = "") -> None:
+    program, *arguments = shlex.split(command)
+    done = subprocess.run([scripts / program, *arguments], cwd=folder, capture_output=True, text=True)
+    if done.returncode != code or says not in done.stderr:
+        raise SystemExit(f"wheel: exit code {done.returncode} of {command}\n{done.stdout}{done.stderr}")
+    print(f"wheel: {command}")
+
+
+def megabytes(folder: Path) -> float:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 2**20
+
+
+if __name__ == "__main__":
+    main()
