@@ -17,7 +17,7 @@ from os import PathLike
 from pathlib import Path, PurePath
 from typing import Any, cast
 
-from stltool.errors import ArgumentError, SettingsError
+from stltool.errors import ArgumentError, SettingsError, named
 
 LARGEST = 2**63 - 1
 _LONGEST = 40  # characters of a value in a message
@@ -108,7 +108,7 @@ def whole(value: object, what: str, least: int | None = None, most: int | None =
     if not good or not (-LARGEST if least is None else least) <= number <= (LARGEST if most is None else most):
         limits = f" from {least}" if least is not None else ""
         limits += f" up to {most}" if most is not None else " below 2^63" if number > LARGEST else ""
-        raise SettingsError(f"{what} is {described(value)}; it must be an integer{limits}")
+        raise SettingsError(f"{_subject(what)} is {described(value)}; it must be an integer{limits}")
     return number
 
 
@@ -122,13 +122,16 @@ def real(value: object, what: str, example: str = "0.5") -> float | Fraction:
         except (OverflowError, ValueError):  # an infinite decimal, an integer beyond all doubles
             pass
     unquoted = ", without quotes" if isinstance(value, str) else ""
-    raise SettingsError(f"{what} is {described(value)}; a finite number is needed, such as {example}{unquoted}")
+    raise SettingsError(
+        f"{_subject(what)} is {described(value)}; a finite number is needed, such as {example}{unquoted}"
+    )
 
 
 def one_of(value: object, what: str, known: Sequence[str]) -> str:
     """One of these words; SettingsError names them."""
     if not isinstance(value, str) or value not in known:
-        raise SettingsError(f"{what} is {described(value)}; choose {', '.join(known[:-1])} or {known[-1]}")
+        choices = f"{', '.join(known[:-1])} or {known[-1]}"
+        raise SettingsError(f"{_subject(what)} is {described(value)}; choose {choices}")
     return value
 
 
@@ -166,6 +169,11 @@ def texts(value: object, what: str) -> list[str]:
         if not isinstance(name, str | Integral):
             raise ArgumentError(f"one of {what} is {described(name)}, not text; write it in quotes")
     return [str(name) for name in names]
+
+
+def _subject(what: str) -> str:
+    """An argument by its name, marked as such, or in words ("the policy's step t")."""
+    return named(what) if what.isidentifier() else what
 
 
 def described(value: object) -> str:

@@ -7,13 +7,38 @@ The command line prints the message and leaves with exit code 2; nobody sees a t
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 
 MOST_FAULTS = 20  # of a text that are told
 
 
 class StlToolError(Exception):
-    """The user's input is at fault. `str(error)` is the whole message, ready to print."""
+    """The user's input is at fault. `str(error)` is the whole message, ready to print.
+
+    Arguments that it names (`named`) are spelled as Python spells them; `reworded` spells them as others do.
+    """
+
+    def __init__(self, message: object = "") -> None:
+        self._marked = str(message)
+        super().__init__(_NAMED.sub(r"\2", self._marked))
+
+
+_NAMED = re.compile("\x02(\\w+)\x1f([^\x03]*)\x03")
+
+
+def reworded(error: StlToolError, spell: Callable[[str, str], str]) -> str:
+    """An error's message with `spell(argument, text)` in the place of every text that names an argument."""
+    return _NAMED.sub(lambda found: spell(found[1], found[2]), error._marked)
+
+
+def named(argument: str, text: str | None = None) -> str:
+    """An argument of a public function in a message: its name, or `text`, such as "resume=True".
+
+    A text that is more than that ("use keep_policy=False, or ") is advice; it is not shown to those who cannot follow
+    it, for they have no such option.
+    """
+    return f"\x02{argument}\x1f{argument if text is None else text}\x03"
 
 
 class ArgumentError(StlToolError, TypeError):

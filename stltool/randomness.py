@@ -14,7 +14,7 @@ from enum import IntEnum, unique
 import numpy as np
 
 from stltool.arguments import described
-from stltool.errors import SettingsError
+from stltool.errors import SettingsError, named
 
 _MOST_BITS = 128
 
@@ -46,5 +46,5 @@ def generator(seed: int, purpose: Purpose, *part: int) -> np.random.Generator:
 def require_seed(seed: int) -> int:
     """The seed as a Python int; SettingsError where it is none. NumPy's integers are fine, Booleans are not."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed < 1 << _MOST_BITS:
-        raise SettingsError(f"seed is {described(seed)}; give an integer from 0 (below 2^{_MOST_BITS})")
+        raise SettingsError(f"{named('seed')} is {described(seed)}; give an integer from 0 (below 2^{_MOST_BITS})")
     return int(seed)

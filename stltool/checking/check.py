@@ -21,7 +21,7 @@ from stltool.checking.fixed import FixedPoint, fixed_point
 from stltool.checking.rational import exact_probability, require_exact
 from stltool.checking.reach import policy_layers
 from stltool.display import Card, Displayed
-from stltool.errors import PolicyError, SettingsError
+from stltool.errors import PolicyError, SettingsError, named
 from stltool.numbers import round_down, round_up
 from stltool.policy import Policy, require_door
 from stltool.product import Product
@@ -150,7 +150,7 @@ def require_sweeps(product: Product, keep_policy: bool, rate: float, memory_limi
     require_memory(
         product.check_bytes(keep_policy),
         f"checking {states}" + (", the policy's table included" if keep_policy else ""),
-        "use keep_policy=False, or shorten the windows" if keep_policy else "shorten the windows",
+        named("keep_policy", "use keep_policy=False, or ") * keep_policy + "shorten the windows",
         memory_limit,
     )
 
@@ -163,7 +163,7 @@ def or_optimal(caller: str, product: Product, policy: Policy | None, memory_limi
     if product.model.blackbox is not None:
         raise SettingsError(
             f"{product.model.name} is a black box, whose optimal policy is not known; give {caller} a policy, such as "
-            "stl.learn(product).policy"
+            f"{named('learn', 'stl.learn(product).policy')}"
         )
     best = check(product, memory_limit=memory_limit).policy
     assert best is not None  # checks keep it

@@ -40,7 +40,7 @@ from stltool.checking.check import or_optimal
 from stltool.checking.sampling import Run
 from stltool.checking.unfold import Unfolding
 from stltool.display import Card, Displayed, counted, probability_text
-from stltool.errors import SettingsError
+from stltool.errors import SettingsError, named
 from stltool.policy import Policy, require_door
 from stltool.product import Product
 
@@ -137,7 +137,9 @@ def likely_runs(
     if mass is not None:
         mass = float(real(mass, "mass", "0.9"))
         if not 0 < mass <= 1:
-            raise SettingsError(f"mass is {mass}; it is a share of the probability, above 0 and at most 1, such as 0.9")
+            raise SettingsError(
+                f"{named('mass')} is {mass}; it is a share of the probability, above 0 and at most 1, such as 0.9"
+            )
     product, policy = or_optimal("likely_runs", product, policy, memory_limit).on(product)
     unfolding = Unfolding(product, policy, memory_limit, progress)
     wanted = TRUE if satisfied else FALSE
@@ -147,8 +149,10 @@ def likely_runs(
     goal = math.inf if mass is None else mass * probability * (1 - _ROUNDING)
     below = probability == 0 and bool(np.isfinite(best[0]).any())  # there are runs, but their sum underflows
     if below and mass is not None:
-        raise SettingsError(f"mass {mass:g}: the runs have less than 1e-300 together, too little to tell shares; "
-                            "ask for a count of runs")  # fmt: skip
+        raise SettingsError(
+            f"{named('mass')} {mass:g}: the runs have less than 1e-300 together, too little to tell shares; ask for a "
+            "count of runs"
+        )
     # Of all sets of n runs the n most probable have the largest mass. So the first n that reach the goal are a
     # smallest set: if n − 1 runs reached it, the n − 1 most probable would.
     runs: list[LikelyRun] = []

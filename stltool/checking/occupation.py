@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from stltool.checking.backward import Floats
 from stltool.checking.weighted import Choices, Criteria, Weights
-from stltool.errors import SizeError, SolverError
+from stltool.errors import SizeError, SolverError, named
 from stltool.sizes import require_memory
 
 if TYPE_CHECKING:
@@ -84,8 +84,8 @@ def programme(criteria: Criteria, most_variables: int = MOST_VARIABLES) -> Progr
     what = f"a linear programme of {n_variables} variables, {n_rows} rows and up to {nonzeros} non-zeros"
     if n_variables > most_variables:
         raise SizeError(
-            f"{what} is over the limit of {most_variables} variables; shorten the windows, coarsen the grid or the "
-            "time step, or raise most_variables"
+            f"{what} is over the limit of {most_variables} variables; shorten the windows, or coarsen the grid or the "
+            f"time step{named('most_variables', ', or raise most_variables')}"
         )
     require_memory(_BYTES * nonzeros, what, "shorten the windows, or coarsen the grid or the time step")
 

@@ -22,7 +22,7 @@ from stltool.arguments import function, real, require, whole
 from stltool.checking.backward import Progress
 from stltool.checking.weighted import Criteria, Figure, best, probability
 from stltool.display import Card, Displayed, counted, probability_text
-from stltool.errors import SettingsError
+from stltool.errors import SettingsError, named
 from stltool.numbers import round_up
 from stltool.product import JointProduct
 
@@ -108,10 +108,10 @@ def pareto(
         raise SettingsError(f"a Pareto front is of two tasks, not of {len(joint.tasks)}; choose two")
     points = whole(points, "points")
     if points < 2:
-        raise SettingsError(f"points = {points}: a front needs at least the best of either task, 2 points")
+        raise SettingsError(f"{named('points')} is {points}; a front needs at least the best of either task, 2 points")
     tolerance = float(real(tolerance, "tolerance", "1e-9"))
     if not 0 < tolerance < 1:
-        raise SettingsError(f"tolerance = {tolerance}: a number between 0 and 1 is needed")
+        raise SettingsError(f"{named('tolerance')} is {tolerance}; a number between 0 and 1 is needed")
     criteria = Criteria(joint)
     found: list[Corner] = []
 

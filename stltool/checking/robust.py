@@ -53,7 +53,7 @@ from stltool.checking.backward import (
 )
 from stltool.checking.bounds import compounded, defect, enclose
 from stltool.checking.check import CheckResult, require_sweeps, undefined
-from stltool.errors import SettingsError
+from stltool.errors import SettingsError, named
 from stltool.models import Intervals
 from stltool.policy import Policy, require_door
 from stltool.product import Product
@@ -98,7 +98,8 @@ def robust_check(
     if intervals is None:
         product.model.require_points()
         raise SettingsError(
-            "the model has no intervals; use stl.check, or give them with MDP.from_intervals or success = [lo, hi]"
+            f"the model has no intervals; use {named('check', 'stl.check')}, or give them with MDP.from_intervals or "
+            "success = [lo, hi]"
         )
     longest = int(np.diff(product.model.row_start).max())
     if longest > _LONGEST_ROW:

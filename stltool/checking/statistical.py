@@ -35,7 +35,7 @@ from stltool.checking.backward import Progress
 from stltool.checking.check import or_optimal
 from stltool.checking.rollouts import Rollouts, Verdicts
 from stltool.display import Card, Displayed
-from stltool.errors import SettingsError
+from stltool.errors import SettingsError, named
 from stltool.models.environment import Resettable, require_environment
 from stltool.numbers import ceiling_text, exact, floor_text
 from stltool.policy import Policy, require_door
@@ -337,7 +337,7 @@ def okamoto_runs(epsilon: float | Fraction, confidence: float | Fraction = 0.99,
     """⌈ln(1/tail) / 2ε²⌉ with tail δ/2, or δ for one side: Okamoto's (Chernoff's, Hoeffding's) number of runs."""
     require_confidence(confidence, side)
     if not _SHARPEST <= _decimal(epsilon, "epsilon", "0.01") < Fraction(1, 2):
-        raise SettingsError(f"epsilon is {epsilon}; a half-width lies between 1e-9 and 0.5, such as 0.01")
+        raise SettingsError(f"{named('epsilon')} is {epsilon}; a half-width lies between 1e-9 and 0.5, such as 0.01")
     return math.ceil(-math.log(_tail(confidence, side)) / (2 * float(epsilon) ** 2))
 
 
@@ -393,7 +393,10 @@ def planned_runs(
     """How many runs `estimate` makes with these settings; SettingsError or SizeError where they make no sense."""
     require_confidence(confidence, side)
     if runs is not None and epsilon is not None:
-        raise SettingsError("runs and epsilon are given; epsilon says how many runs it takes, so give one of the two")
+        raise SettingsError(
+            f"{named('runs')} and {named('epsilon')} are given; epsilon says how many runs it takes, so give one "
+            "of the two"
+        )
     if epsilon is not None:
         return runs_needed(epsilon, confidence, side)
     return RUNS if runs is None else _runs(runs, "runs")
@@ -411,9 +414,11 @@ def hypotheses(
     _runs(most_runs, "most_runs")
     theta, margin = _decimal(at_least, "at_least", "0.9"), _decimal(indifference, "indifference", "0.01")
     if not 0 < theta < 1:
-        raise SettingsError(f"at_least is {at_least}; a probability above 0 and below 1 can be tested")
+        raise SettingsError(f"{named('at_least')} is {at_least}; a probability above 0 and below 1 can be tested")
     if margin <= 0:
-        raise SettingsError(f"indifference is {indifference}; above 0 is needed: runs tell no equal numbers apart")
+        raise SettingsError(
+            f"{named('indifference')} is {indifference}; above 0 is needed: runs tell no equal numbers apart"
+        )
     p0, p1 = theta + margin, theta - margin
     if p0 > 1 or p1 < 0:
         raise SettingsError(
@@ -423,9 +428,14 @@ def hypotheses(
     errors = _decimal(alpha, "alpha", "0.01"), _decimal(beta, "beta", "0.01")
     for value, name in zip(errors, ("alpha", "beta"), strict=True):
         if not 0 < value < 1:
-            raise SettingsError(f"{name} is {float(value)}; an error probability lies between 0 and 1, exclusive")
+            raise SettingsError(
+                f"{named(name)} is {float(value)}; an error probability lies between 0 and 1, exclusive"
+            )
     if sum(errors) >= 1:
-        raise SettingsError(f"alpha + beta is {float(sum(errors)):g}; below 1 is needed, else a coin would do as well")
+        raise SettingsError(
+            f"{named('alpha')} + {named('beta')} is {float(sum(errors)):g}; below 1 is needed, else a coin would do as "
+            "well"
+        )
     return p0, p1
 
 
@@ -437,7 +447,7 @@ def _decimal(value: object, name: str, example: str = "0.99") -> Fraction:
 def require_confidence(confidence: float | Fraction, side: str = "lower") -> None:
     """SettingsError unless 0 < confidence < 1 and there is such a side."""
     if not 0 < _decimal(confidence, "confidence") < 1:
-        raise SettingsError(f"confidence is {confidence}; it lies between 0 and 1, exclusive, such as 0.99")
+        raise SettingsError(f"{named('confidence')} is {confidence}; it lies between 0 and 1, exclusive, such as 0.99")
     one_of(side, "side", get_args(Side))
 
 

@@ -42,7 +42,7 @@ from stltool.checking.backward import Floats, Progress, sweeper
 from stltool.checking.bounds import model_defects
 from stltool.checking.check import CheckResult, check
 from stltool.display import Card, Displayed
-from stltool.errors import SettingsError
+from stltool.errors import SettingsError, named
 from stltool.logic.fragment import check_fragment
 from stltool.policy import Policy, require_door, with_flags
 from stltool.product import Product, build_product, joined
@@ -130,7 +130,7 @@ def surrogate_optimum(
     gamma, tolerance = float(real(gamma, "gamma", "0.999")), float(real(tolerance, "tolerance", "1e-9"))
     for value, name in ((gamma, "gamma"), (tolerance, "tolerance")):
         if not 0 < value < 1:
-            raise SettingsError(f"{name} is {value!r}; it must be between 0 and 1, both excluded")
+            raise SettingsError(f"{named(name)} is {value!r}; it must be between 0 and 1, both excluded")
     function(progress, "surrogate_optimum's progress")
     check_fragment(product.formula)
     home = replace(with_flags(product), task_name=product.task_name)

@@ -26,7 +26,7 @@ from stltool.checking.backward import Progress
 from stltool.checking.occupation import MOST_VARIABLES, Programme, Solution, policy_of, programme, solve
 from stltool.checking.weighted import Choices, Criteria, Figure, Weights, best, cost, of_policy, probability
 from stltool.display import Card, Displayed, counted, probability_text
-from stltool.errors import InfeasibleError, SettingsError, SolverError
+from stltool.errors import InfeasibleError, SettingsError, SolverError, named
 from stltool.numbers import number_text, round_up
 from stltool.policy import Policy
 from stltool.product import JointProduct
@@ -130,7 +130,7 @@ def tradeoff(
         require_memory(
             4 * 8 * math.prod(joint.shape) * most_choices,
             f"a policy over {joint.shape[0]} model states × {joint.shape[1]} joint automaton states",
-            "use keep_policy=False, or shorten the windows",
+            named("keep_policy", "use keep_policy=False, or ") + "shorten the windows",
         )
     both = sorted(set(joint.names) & set(budget))
     if both:

@@ -11,6 +11,8 @@ from typer.models import OptionInfo, ParameterInfo
 
 from stltool import numbers
 from stltool.cli.roles import Parameter, Reads, Writes, require_apart
+from stltool.cli.words import Named, Spelled, spelling
+from stltool.errors import StlToolError, reworded
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _Number = TypeVar("_Number", int, float)
@@ -18,7 +20,7 @@ _Number = TypeVar("_Number", int, float)
 
 class _App(typer.Typer):
     """What holds of all commands: numbers of options are read as all others are (stltool/numbers.py: `--runs 1_0` is
-    refused), and results never replace inputs (roles.py).
+    refused), results never replace inputs (roles.py), and messages speak of options (words.py).
     """
 
     def command(self, *arguments: Any, **named: Any) -> Callable[[_Command], _Command]:
@@ -26,21 +28,30 @@ class _App(typer.Typer):
 
         def registered(function: _Command) -> _Command:
             hints: dict[str, Any] = get_type_hints(function, include_extras=True)
-            files = {}
+            files: dict[str, Parameter] = {}
+            options: dict[str, Spelled] = {}
             for name, hint in hints.items():
                 kind, *option = get_args(hint) or (None,)
-                if option and isinstance(option[0], OptionInfo):
+                if not option:
+                    continue
+                shown = _shown(name, option[0])
+                if isinstance(option[0], OptionInfo):
                     parsers = [_PARSERS[one] for one in (kind, *get_args(kind)) if one in _PARSERS]
                     option[0].parser = parsers[0] if parsers else None
-                roles = tuple(role for role in option if isinstance(role, Reads | Writes))
-                if roles:
-                    files[name] = Parameter(_shown(name, option[0]), roles)
+                    own = next((one for one in option if isinstance(one, Named)), Named(name))
+                    options[own.argument] = Spelled(shown, kind is bool, own.advice)
+                if roles := tuple(role for role in option if isinstance(role, Reads | Writes)):
+                    files[name] = Parameter(shown, roles)
             function.__annotations__ = hints
 
             @functools.wraps(function)
             def command(**given: Any) -> Any:
-                require_apart(files, given)
-                return function(**given)
+                try:
+                    require_apart(files, given)
+                    return function(**given)
+                except StlToolError as fault:
+                    fault.args = (reworded(fault, spelling(options)),)
+                    raise
 
             command.files = files  # type: ignore[attr-defined]  # for tests over all commands
             register(command)

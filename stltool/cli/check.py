@@ -12,6 +12,7 @@ from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, PolicyFile, TaskFile, TaskName
 from stltool.cli.roles import Writes
 from stltool.cli.steps import NATURES, judge_by, make_product, read_probability
+from stltool.cli.words import Named
 from stltool.errors import SettingsError
 from stltool.numbers import bound_texts, fraction_text
 
@@ -36,7 +37,10 @@ def check(
         str | None, typer.Option("--at-most", metavar="P", help="exit code 1 unless the probability is at most P")
     ] = None,
     save_policy: Annotated[
-        Path | None, typer.Option("--save-policy", metavar="FILE", help="write the optimal policy (.npz)"), Writes()
+        Path | None,
+        typer.Option("--save-policy", metavar="FILE", help="write the optimal policy (.npz)"),
+        Writes(),
+        Named("keep_policy", "leave --save-policy and --certificate out, or "),
     ] = None,
     certificate: Annotated[
         Path | None,

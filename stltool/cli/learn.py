@@ -34,7 +34,6 @@ from stltool.cli.steps import (
     LearnerCommand,
     make_product,
     read_learner,
-    require_run_file,
     resumable,
     train,
     training_text,
@@ -69,6 +68,7 @@ def learn(
     as_json: AsJson = False,
 ) -> None:
     """Learn a policy without knowing the probabilities, and save it."""
+    from stltool.learning.checkpoint import require_checkpoint
     from stltool.policy import require_policy_file
     from stltool.reporting import training_data, write_history
     from stltool.reporting.curves import require_history_file
@@ -76,7 +76,7 @@ def learn(
     from stltool.reporting.terminal import print_facts, print_json
 
     require_policy_file(out)
-    require_run_file(checkpoint, resume)
+    require_checkpoint(checkpoint, resume)
     if history is not None:
         require_history_file(history)
     if tensorboard is not None:

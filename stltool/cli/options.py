@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.roles import Reads, Writes, model_files, task_files
+from stltool.cli.words import Named
 
 TaskFile = Annotated[Path, typer.Argument(help="task file (.stl)", show_default=False), Reads("task file", task_files)]
 Model = Annotated[
@@ -16,7 +17,9 @@ Model = Annotated[
     Reads("model file", model_files),
 ]
 Nominal = Annotated[
-    bool, typer.Option("--nominal", help="where probabilities are intervals: take the nominal ones inside them")
+    bool,
+    typer.Option("--nominal", help="where probabilities are intervals: take the nominal ones inside them"),
+    Named("nominal", " (--nominal)"),
 ]
 Normalize = Annotated[
     bool,

@@ -35,12 +35,12 @@ from stltool.cli.steps import (
     guarantees_of,
     make_product,
     read_learner,
-    require_run_file,
     resumable,
     this_command,
     train,
     training_text,
 )
+from stltool.cli.words import Named
 from stltool.errors import SettingsError
 
 
@@ -63,7 +63,9 @@ def run(
     setting: Set = None,
     confidence: Annotated[float, typer.Option("--confidence", help="of the guarantees from data")] = 0.99,
     rollouts: Annotated[
-        int, typer.Option("--rollouts", help="fresh runs that the learned policy is judged by; 0: none")
+        int,
+        typer.Option("--rollouts", help="fresh runs that the learned policy is judged by; 0: none"),
+        Named("runs"),
     ] = 10_000,
     out: Annotated[
         Path | None,
@@ -82,6 +84,7 @@ def run(
     import stltool as stl
     from stltool.checking.statistical import planned_runs
     from stltool.files import read_text, require_folder
+    from stltool.learning.checkpoint import require_checkpoint
     from stltool.reporting import guarantee_rows, report_data, write_report
     from stltool.reporting.terminal import print_checks, print_facts, print_json, print_table, progress_bar
 
@@ -104,7 +107,7 @@ def run(
     known = product.model.blackbox is None
     if not known and not rollouts:
         raise SettingsError("--rollouts 0: a black box's policy is judged by fresh runs alone; ask for some")
-    require_run_file(checkpoint, resume)
+    require_checkpoint(checkpoint, resume)
     with resumable(checkpoint):
         checks = []
         if known:

@@ -260,15 +260,6 @@ def resumable(checkpoint: Path | None) -> Iterator[None]:
         raise typer.Exit(130) from None
 
 
-def require_run_file(checkpoint: Path | None, resume: bool) -> None:
-    """As learning.checkpoint.require_checkpoint, in the words of the options."""
-    from stltool.learning.checkpoint import require_checkpoint
-
-    if resume and checkpoint is None:
-        raise SettingsError("--resume needs the file to continue from; give --checkpoint FILE")
-    require_checkpoint(checkpoint, resume)
-
-
 def train(product: Product, learner: Learner[Any], quiet: bool, **arguments: Any) -> Training:
     """`learn`, with its progress shown."""
     import stltool as stl

@@ -12,6 +12,7 @@ from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, TaskFile
 from stltool.cli.roles import Writes
 from stltool.cli.steps import make_joint_product
+from stltool.cli.words import Named
 from stltool.errors import SettingsError
 from stltool.numbers import NumberError, number_text, read
 
@@ -27,7 +28,10 @@ def tradeoff(
         list[str] | None, typer.Option("--budget", metavar="SIGNAL<=B", help="a signal's or label's most expected sum")
     ] = None,
     save_policy: Annotated[
-        Path | None, typer.Option("--save-policy", metavar="FILE", help="write the policy (.npz)"), Writes()
+        Path | None,
+        typer.Option("--save-policy", metavar="FILE", help="write the policy (.npz)"),
+        Writes(),
+        Named("keep_policy", "leave --save-policy out, or "),
     ] = None,
     model: Model = None,
     normalize: Normalize = False,

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from stltool.arguments import whole
 from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Nominal, Normalize, Params, PolicyFile, TaskFile, TaskName
 from stltool.cli.steps import make_product
@@ -41,10 +42,8 @@ def why(
 
     if minimize and policy is not None:
         raise SettingsError("--minimize asks for the worst of all policies, --policy for a given one; keep one of them")
-    if count < 1:
-        raise SettingsError(f"-k {count}: ask for 1 run or more")
-    if states < 0:
-        raise SettingsError(f"--states {states}: ask for 0 states or more")
+    whole(count, "--count", least=1)
+    whole(states, "--states", least=0)
     product = make_product(
         task, model, param, name, encoding, as_json, learning=False, nominal=nominal, normalize=normalize
     )

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.arrays import Members, open_arrays
-from stltool.errors import SettingsError
+from stltool.errors import SettingsError, named
 from stltool.files import require_output, write_atomically
 from stltool.learning.kept import Kept
 from stltool.learning.trainer import Point, Progress, Status, Trainer
@@ -106,11 +106,14 @@ def require_checkpoint(path: str | Path | None, resume: bool) -> None:
     again."""
     if path is None:
         if resume:
-            raise SettingsError("resume=True needs the checkpoint to go on from; give checkpoint=FILE")
+            raise SettingsError(
+                f"{named('resume', 'resume=True')} needs the checkpoint to continue from; give "
+                f"{named('checkpoint', 'checkpoint=FILE')}"
+            )
         return
     require_output(path)
     if Path(path).exists() and not resume:
-        raise SettingsError(f"{path} exists; resume it (resume=True, --resume), or delete it to begin again")
+        raise SettingsError(f"{path} exists; resume it ({named('resume', 'resume=True')}), or delete it to begin again")
 
 
 def require_generators(generators: Sequence[np.random.Generator]) -> None:
@@ -178,7 +181,7 @@ def _require_same(path: Path, header: dict[str, Any], what: Mapping[str, Any]) -
 def _require_length(path: Path, header: dict[str, Any], trainer: Trainer) -> None:
     episode, steps, episodes = _index(header, "episode"), _index(header, "steps"), trainer.budget.episodes
     if episode > episodes:
-        raise SettingsError(f"{path} is {episode} episodes old already; episodes is {episodes}, give more")
+        raise SettingsError(f"{path} is {episode} episodes old already; {named('episodes')} is {episodes}, give more")
     if steps > episode * trainer.length:
         raise ValueError(f"{episode} episodes cannot take {steps} steps")
 

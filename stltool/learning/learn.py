@@ -16,7 +16,7 @@ from stltool.arguments import path as path_of
 from stltool.automata import TRUE, UNDECIDED
 from stltool.checking import check
 from stltool.display import Card, Displayed, counted, probability_text
-from stltool.errors import SettingsError
+from stltool.errors import SettingsError, named
 from stltool.learning.checkpoint import (
     kept_arrays,
     load_checkpoint,
@@ -159,7 +159,7 @@ def learn(
     if checkpoint is not None:
         checkpoint = path_of(checkpoint, "learn's checkpoint")
     if real(checkpoint_every, "checkpoint_every", "30") < 0:
-        raise SettingsError(f"checkpoint_every is {checkpoint_every}; give seconds from 0")
+        raise SettingsError(f"{named('checkpoint_every')} is {checkpoint_every}; give seconds from 0")
     learner = _learner(method, faithful, settings)
     budget = Budget(episodes=episodes, evaluate_every=evaluate_every, most_steps=most_steps, stop_gap=stop_gap)
     seed = require_seed(seed)
@@ -222,7 +222,9 @@ def _learner(method: str | Learner[Any], faithful: bool, settings: dict[str, Any
 
 def _require_length(budget: Budget, length: int) -> None:
     if budget.most_steps is not None and budget.most_steps < length:
-        raise SettingsError(f"most_steps is {budget.most_steps}, and one episode takes {length}; allow at least one")
+        raise SettingsError(
+            f"{named('most_steps')} is {budget.most_steps}, and one episode takes {length}; allow at least one"
+        )
     require_time(
         float(budget.episodes) * length, _RATE, f"{budget.episodes} episodes of {length} steps",
         "shorten the windows or take fewer episodes",
@@ -261,7 +263,10 @@ class _Judge:
     def __init__(self, home: Product, product: Product, budget: Budget) -> None:
         self.known = product.model.blackbox is None
         if not self.known and budget.stop_gap is not None:
-            raise SettingsError("stop_gap needs the exact optimum, and the model is a black box; set episodes instead")
+            raise SettingsError(
+                f"{named('stop_gap')} needs the exact optimum, and the model is a black box; set {named('episodes')} "
+                "instead"
+            )
         self._home, self._product = home, home if home.automaton.exact else product
         self._gap = budget.stop_gap
         self._best = check(product, keep_policy=False).probability if budget.stop_gap is not None else 0.0
@@ -291,7 +296,7 @@ class _Checkpoint:
         if trainer.environment.generator is None:
             raise SettingsError(
                 "a run is resumed to the same bits only where the environment's random numbers are known; "
-                "give an Environment with its generator, or leave checkpoint out"
+                f"give an Environment with its generator, or leave {named('checkpoint')} out"
             )
         self._path, self._what, self._trainer, self._every, self._interrupt = path, what, trainer, every, interrupt
         self._generators = [trainer.rng, trainer.environment.generator]

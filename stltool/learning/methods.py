@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Mapping
 from typing import Any
 
-from stltool.errors import SettingsError, near_misses
+from stltool.errors import SettingsError, named, near_misses
 from stltool.learning.cfer import Cfer, PublishedCfer
 from stltool.learning.cfper import PublishedCfper
 from stltool.learning.learner import Learner, summary
@@ -27,8 +27,9 @@ def class_of(method: str, faithful: bool) -> type[Learner[Any]]:
     if method not in METHODS:
         raise SettingsError(f"there is no method {method!r}; {near_misses(method, METHODS)}")
     if (method, faithful) not in _BY_NAME:
-        instead = "it is not a published method; leave faithful out" if faithful else "it exists only as published"
-        raise SettingsError(f"there is no {method} with faithful={faithful}: {instead}")
+        if faithful:
+            raise SettingsError(f"{method} is not a published method; leave {named('faithful')} out")
+        raise SettingsError(f"{method} exists only as published; give {named('faithful', 'faithful=True')}, too")
     return _BY_NAME[method, faithful]
 
 

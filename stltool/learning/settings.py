@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from stltool.arguments import LARGEST, described
-from stltool.errors import SettingsError
+from stltool.errors import SettingsError, named
 from stltool.numbers import double, whole
 
 _KINDS: dict[Any, str] = {int: "an integer", float: "a number", str: "a text", bool: "true or false"}
@@ -91,7 +91,7 @@ class Setting:
         elif fine and self.kind in (int, float):
             fine = declared.least <= plain <= declared.most and plain > declared.above
         if not fine:
-            raise SettingsError(f"{self.name} is {described(value)}; it must be {self.range}")
+            raise SettingsError(f"{named(self.name)} is {described(value)}; it must be {self.range}")
         return plain
 
     def read(self, text: str) -> Any:
@@ -105,7 +105,7 @@ class Setting:
             elif self.kind is bool:
                 value = {"true": True, "false": False}[text]
         except (ValueError, KeyError):
-            raise SettingsError(f"{self.name} is {text!r}; it must be {self.range}") from None
+            raise SettingsError(f"{named(self.name)} is {text!r}; it must be {self.range}") from None
         return self.checked(value)
 
 

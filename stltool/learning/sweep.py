@@ -27,7 +27,7 @@ import numpy as np
 from stltool.arguments import described, function, require, texts, whole
 from stltool.arguments import path as path_of
 from stltool.display import Card, Displayed, counted, listed, probability_text
-from stltool.errors import FileError, SettingsError, StlToolError, near_misses
+from stltool.errors import FileError, SettingsError, StlToolError, named, near_misses
 from stltool.files import require_folder, write_atomically
 from stltool.learning.learn import learn
 from stltool.learning.learner import Learner
@@ -319,11 +319,13 @@ def _seconds(run: Run, episodes: int, evaluate_every: int) -> float:
 def read_seeds(given: Any) -> tuple[int, ...]:
     """Seeds as a number of them (3: 0, 1, 2) or as a list of different whole numbers from 0."""
     if type(given) is int and given > _MOST_SEEDS:
-        raise SettingsError(f"seeds is {described(given)}; write how many, up to {_MOST_SEEDS}")
+        raise SettingsError(f"{named('seeds')} is {described(given)}; write how many, up to {_MOST_SEEDS}")
     seeds = list(range(given)) if type(given) is int else given
     fine = isinstance(seeds, list | tuple) and all(type(seed) is int and seed >= 0 for seed in seeds)
     if not fine or not seeds or len(set(seeds)) < len(seeds):
-        raise SettingsError(f"seeds is {described(given)}; write how many, or a list of different integers from 0")
+        raise SettingsError(
+            f"{named('seeds')} is {described(given)}; write how many, or a list of different integers from 0"
+        )
     return tuple(seeds)
 
 

@@ -371,7 +371,7 @@ def _horizon(phi: Formula) -> int:
             if interval.b is None:
                 message = (
                     f"{_OPERATOR_WORDS[type(phi)]} has no interval with an end, so no horizon: write one, such as "
-                    f"[{interval.a},{interval.a + 10}]; only monitors judge it, with end cut or hold (--end cut)"
+                    f"[{interval.a},{interval.a + 10}]; only monitors judge it, with end cut or hold"
                 )
                 raise StlSyntaxError(phi.span.show(message) if phi.span is not None else message)
             return interval.b + below

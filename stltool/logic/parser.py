@@ -9,7 +9,7 @@ from typing import cast
 
 from stltool.arguments import described, flag, mapping, require
 from stltool.arguments import path as path_of
-from stltool.errors import SettingsError, StlSyntaxError, near_misses
+from stltool.errors import SettingsError, StlSyntaxError, named, near_misses
 from stltool.files import read_text
 from stltool.logic.builder import FORMULAS, Builder
 from stltool.logic.formula import Formula
@@ -168,5 +168,8 @@ def _step(step: str | Duration | None) -> Duration | None:
     except NumberError:
         value = None
     if step is not None and (not isinstance(value, Duration) or value.seconds <= 0):
-        raise SettingsError(f"step {described(step)} is no positive time with a unit; write for example step='0.1s'")
+        raise SettingsError(
+            f"{named('step')} {described(step)} is no positive time with a unit; write for example "
+            f"{named('step', 'step=0.1s')}"
+        )
     return value

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stltool.arguments import described, flag, mapping, require, texts, whole
 from stltool.display import Card, Displayed, counted, listed
-from stltool.errors import ModelError, SettingsError, near_misses
+from stltool.errors import ModelError, SettingsError, named, near_misses
 from stltool.models.fractions import (
     Fractions,
     Integers,
@@ -199,13 +199,13 @@ class MDP(Displayed):
         """SettingsError where the probabilities are intervals or unknown: for all that needs one distribution."""
         if self.blackbox is not None:
             raise SettingsError(
-                f"the probabilities of {self.name} are unknown: it is a black box; use stl.learn and stl.estimate "
-                "(stltool learn, stltool estimate), or give a model with probabilities"
+                f"the probabilities of {self.name} are unknown: it is a black box; use {named('learn', 'stl.learn')} "
+                f"and {named('estimate', 'stl.estimate')}, or give a model with probabilities"
             )
         if self.intervals is not None:
             raise SettingsError(
-                "the model's probabilities are intervals; use stl.robust_check (stltool check), or the ordinary model "
-                "inside them, model.nominal() (--nominal; stltool check --nature nominal)"
+                f"the model's probabilities are intervals; use {named('check', 'stl.robust_check')}, or the ordinary "
+                f"model inside them{named('nominal', ': model.nominal()')}"
             )
 
     def nominal(self) -> MDP:

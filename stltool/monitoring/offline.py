@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stltool.arguments import mapping, one_of
 from stltool.display import Card, Displayed, counted
-from stltool.errors import SettingsError, TraceError
+from stltool.errors import SettingsError, TraceError, named
 from stltool.logic import semantics as oracle
 from stltool.logic.formula import Always, Eventually, Formula, Until, children, formula_of, horizon, is_temporal
 from stltool.logic.task import Task
@@ -34,6 +34,8 @@ Semantics = Literal["both", "boolean", "robustness"]
 
 _MARGINS = 1 << 14  # samples a block: the buffers of a few values stay in the second cache
 _TRUTH = 1 << 17
+
+_CUT, _HOLD = named("end", 'end="cut"'), named("end", 'end="hold"')
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -146,8 +148,7 @@ def decided_steps(traces: Traces, end: End) -> int:
     if traces.n_steps <= h:
         raise TraceError(
             f"the traces have {traces.n_steps} samples; this formula needs {h + 1} (its horizon is {h}): give longer "
-            'ones, or end="cut" (--end cut) to cut windows at the end of the trace, or end="hold" (--end hold) to hold '
-            "the last sample"
+            f"ones, or {_CUT} to cut windows at the end of the trace, or {_HOLD} to hold the last sample"
         )
     return traces.n_steps - h
 

@@ -465,7 +465,7 @@ def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
         lambda: stl.surrogate_optimum(product),
         lambda: stl.to_gymnasium(product.model),
     ):
-        with pytest.raises(SettingsError, match=r"are intervals; use stl.robust_check .* model.nominal\(\)"):
+        with pytest.raises(SettingsError, match=r"are intervals; use stl.robust_check, .*: model.nominal\(\)"):
             ask()
     assert list(tmp_path.iterdir()) == []
 

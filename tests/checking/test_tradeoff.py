@@ -491,7 +491,7 @@ def test_bad_tasks_and_fronts(floor5, shift):
         stl.pareto(stl.build_joint_product(floor5, [charging]))
     for options, says in (
         ({"points": 1}, "at least the best of either"),
-        ({"tolerance": 0}, "tolerance = 0"),
+        ({"tolerance": 0}, "tolerance is 0.0"),
         ({"tolerance": float("nan")}, "tolerance is nan; a finite number"),
     ):
         with pytest.raises(SettingsError, match=says):

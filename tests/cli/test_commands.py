@@ -375,7 +375,7 @@ def test_other_bad_input_ends_with_code_2(stltool, tmp_path):
             ["learn", PATROLLING, "-o", "p.npz", "--set", "replays=2.5"],
             "replays is '2.5'; it must be an integer",
         ),
-        (["learn", PATROLLING, "-o", "p.npz", "--most-steps", "3"], "most_steps is 3, and one episode takes 18"),
+        (["learn", PATROLLING, "-o", "p.npz", "--most-steps", "3"], "--most-steps is 3, and one episode takes 18"),
         (["run", PATROLLING, "--set", "decay=abc"], "--set decay is 'abc'; it must be a number above 0"),
         (["run", PATROLLING, "--seed", "-1"], "seed is -1; give an integer from 0"),
         (["run", PATROLLING, "--set", "memory=99999999999999"], "a replay memory of 99999999999999 transitions"),

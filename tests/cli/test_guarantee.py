@@ -78,7 +78,7 @@ def test_without_rollouts_the_data_alone_tells(run):
     [
         ("--confidence", "1", "confidence is 1.0"),
         ("--confidence", "-0.5", "confidence is -0.5"),
-        ("--rollouts", "-3", "runs is -3"),
+        ("--rollouts", "-3", "--rollouts is -3"),
     ],
 )
 def test_bad_options_are_told_before_the_work(run, tmp_path, option, value, says):

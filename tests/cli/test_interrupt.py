@@ -84,7 +84,7 @@ def test_targets_are_tried_before_the_work(stltool, tmp_path, monkeypatch, comma
         (["--checkpoint", tmp_path / "file" / "x"], "is no folder to write in"),
         (["--checkpoint", tmp_path], "it is not a regular file"),
         (["--checkpoint", tmp_path / "old.ckpt"], "exists; resume it"),
-        (["--resume"], "--resume needs the file to continue from; give --checkpoint FILE"),
+        (["--resume"], "--resume needs the checkpoint to continue from; give --checkpoint FILE"),
     ]
     if command == "learn":
         cases += [

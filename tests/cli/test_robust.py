@@ -75,8 +75,14 @@ def test_bad_natures_and_wrong_commands_end_with_a_message(stltool, tmp_path):
     for arguments, says in (
         (["check", UNCERTAIN, "--nature", "kind"], "--nature kind: choose against, with, nominal"),
         (["check", FACTORY / "patrolling.stl", "--nature", "with"], "no intervals; leave --nature out"),
-        (["learn", UNCERTAIN, "--out", tmp_path / "p.npz"], "probabilities are intervals; use stl.robust_check"),
-        (["run", UNCERTAIN, "--out", tmp_path / "run"], "probabilities are intervals; use stl.robust_check"),
+        (
+            ["learn", UNCERTAIN, "--out", tmp_path / "p.npz"],
+            "probabilities are intervals; use stltool check, or the ordinary model inside them (--nominal)",
+        ),
+        (
+            ["run", UNCERTAIN, "--out", tmp_path / "run"],
+            "probabilities are intervals; use stltool check, or the ordinary model inside them (--nominal)",
+        ),
     ):
         code, out, err = stltool(*arguments)
         assert (code, out) == (2, "")

@@ -95,13 +95,13 @@ def test_bad_input_ends_with_code_2(stltool, tmp_path):
     silent = tmp_path / "silent.npz"
     stl.Policy(product, np.full(product.shape, -1)).save(silent)
     cases = [
-        (["-k", 0], "-k 0: ask for 1 run or more"),
+        (["-k", 0], "--count is 0; it must be an integer from 1"),
         (["-k", "few"], "Invalid value"),
         (["--mass", 0], "mass is 0.0; it is a share of the probability"),
         (["--mass", 1.01], "mass is 1.01"),
         (["--mass", "nan"], "'nan' is not a finite number"),
         (["--mass", 0.5, "--most", 0], "most is 0"),
-        (["--states", -1], "--states -1: ask for 0 states or more"),
+        (["--states", -1], "--states is -1; it must be an integer from 0"),
         (["--minimize", "--policy", silent], "keep one of them"),
         (["--policy", silent], "the policy says nothing about step 0, state (1,0)"),
         (["--policy", tmp_path / "none.npz"], "there is no such policy file"),

@@ -111,7 +111,7 @@ def kept(patrolling, tmp_path):
         ({"seed": 9}, "its seed is 3, here it is 9"),
         ({"replays": 5}, "its replays is 20, here it is 5"),
         ({"episodes": 3}, "4 episodes old already; episodes is 3"),
-        ({"resume": False}, r"exists; resume it \(resume=True, --resume\), or delete it"),
+        ({"resume": False}, r"exists; resume it \(resume=True\), or delete it"),
     ],
 )
 def test_a_checkpoint_of_another_run_is_refused(patrolling, kept, change, says):

@@ -375,8 +375,8 @@ def test_exploration_decays_between_its_ends():
         ({"faithful": True, "factual_share": 1.5}, "factual_share is 1.5; it must be a number from 0 to 1, or none"),
         ({"caution": -1}, "caution is -1"),
         ({"method": "model-based", "known_after": 0}, "known_after is 0"),
-        ({"method": "cfper"}, "it exists only as published"),
-        ({"method": "model-based", "faithful": True}, "it is not a published method"),
+        ({"method": "cfper"}, "cfper exists only as published; give faithful=True, too"),
+        ({"method": "model-based", "faithful": True}, "model-based is not a published method; leave faithful out"),
         ({"resume": True}, "needs the checkpoint"),
         (
             {"method": stl.Cfer(), "replays": 3},
