@@ -270,6 +270,88 @@ def test_arrays_that_contradict_each_other(small_product, tmp_path, method, name
         stl.learn(small_product, method, checkpoint=path, resume=True, **settings)
 
 
+@pytest.fixture
+def uneven():
+    """Three states with one, two and three choices, which lead to the first two only."""
+    rows = [[[1, 0, 0]], [[1, 0, 0], [0, 1, 0]], [[1, 0, 0], [0, 1, 0], [0.5, 0.5, 0]]]
+    transitions = np.zeros((3, 3, 3))
+    for s, choices in enumerate(rows):
+        transitions[: len(choices), s] = choices
+    model = stl.MDP.from_arrays(transitions, {"x": [0, 1, 2]}, initial=[0.2, 0.4, 0.4], labels={"A": [0, 1, 0]})
+    assert np.diff(model.choice_start).tolist() == [1, 2, 3]
+    return stl.build_product(model, stl.parse("G[0,3] F[0,3] A"))
+
+
+def strange_choice(columns):
+    """The first transition of the memory is made one of state 0 with its second choice, which it does not have."""
+
+    def change(arrays, name):
+        arrays[name][0, columns] = 0, 1
+
+    return change
+
+
+def strange_memory(arrays, name):
+    """The automaton arrives elsewhere, in a state that there is."""
+    q = arrays[name][:, -1]
+    q[0] = (q[0] + 1) % (q.max() + 1)
+
+
+def strange_successor(arrays, name):
+    arrays[name][0, 2] = 2
+
+
+def no_weight(arrays, name):
+    arrays[name][0] = 0
+
+
+def beyond_the_end(arrays, name):
+    arrays[name][-1, 0] = 1
+
+
+def impossible_successor(arrays, name):
+    """As often seen, but to a state that no choice leads to."""
+    arrays["counts codes"][-1] += 2 - arrays["counts codes"][-1] % 3
+
+
+def out_of_order(arrays, name):
+    for one in ("counts codes", "counts seen"):
+        arrays[one][:2] = arrays[one][1::-1]
+
+
+@pytest.mark.parametrize(
+    ("learner", "name", "change", "says"),
+    [
+        (stl.PublishedNaiveER(memory=90), "learner rows", strange_memory, "a step that the automaton does not take"),
+        (stl.PublishedCfper(memory=900), "learner rows", strange_memory, "a step that the automaton does not take"),
+        (
+            stl.PublishedNaiveER(memory=90),
+            "learner rows",
+            strange_choice([0, 2]),
+            "a choice that its state does not have",
+        ),
+        (stl.PublishedNaiveER(memory=90), "learner rows", beyond_the_end, "transitions, and the next one is"),
+        (stl.PublishedCfper(memory=900), "learner weight", no_weight, "weight does not fit"),
+        (stl.NaiveER(memory=90), "learner memory", strange_choice([1, 3]), "a step that cannot be taken"),
+        (stl.NaiveER(memory=90), "learner memory", strange_memory, "a step that cannot be taken"),
+        (stl.NaiveER(memory=90), "learner memory", beyond_the_end, "rows beyond its end"),
+        (stl.Cfer(memory=90), "learner memory", strange_choice([0, 1]), "a choice that its state does not have"),
+        (stl.Cfer(memory=90), "learner memory", strange_successor, "transitions that were never counted"),
+        (stl.Cfer(memory=90), "learner memory", beyond_the_end, "rows beyond its end"),
+        (stl.ModelBased(), "", impossible_successor, "a transition was counted that the model does not have"),
+        (stl.ModelBased(), "", out_of_order, "out of range or out of order"),
+    ],
+)
+def test_rows_that_no_run_can_have(uneven, tmp_path, learner, name, change, says):
+    path, settings = tmp_path / "run.ckpt", {"seed": 1, "episodes": 3, "checkpoint": tmp_path / "run.ckpt"}
+    stl.learn(uneven, learner, **settings)
+    header, arrays = unpacked(path)
+    change(arrays, name)
+    path.write_bytes(packed(header, arrays))
+    with pytest.raises(SettingsError, match=says):
+        stl.learn(uneven, learner, resume=True, **settings)
+
+
 def test_a_checkpoint_changed_within_its_ranges_has_another_digest(small_product, tmp_path):
     path, settings = tmp_path / "run.ckpt", {"seed": 3, "episodes": 6, "replays": 20}
     stl.learn(small_product, checkpoint=path, **settings)
