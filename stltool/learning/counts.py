@@ -50,8 +50,12 @@ class Counts(Displayed):
         targets = _indices("target", target, self.n_states)
         if len(choices) != len(targets):
             raise SettingsError(f"{len(choices)} choices with {len(targets)} targets; give one target for each choice")
-        self._waiting.append(choices * self.n_states + targets)
-        self._n_waiting += len(choices)
+        self.add_known(choices, targets)
+
+    def add_known(self, choice: NDArray[np.int64], target: NDArray[Any]) -> None:
+        """The same where they are known to be in range."""
+        self._waiting.append(choice * self.n_states + target)
+        self._n_waiting += len(choice)
         if self._n_waiting > _WAITING:
             self._settle()
 

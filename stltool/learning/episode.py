@@ -6,6 +6,7 @@ Every transition is counted before `step` returns. Episodes that run whole in a 
 from __future__ import annotations
 
 import operator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +49,8 @@ class Episode:
         self.t, self.s = 0, require_state(environment.reset(), "reset()", problem.n_states, "the model")
         self.q = int(self._delta[self._letter[self.s], problem.automaton.initial])
         self.verdict: bool | None = None
-        self._states, self._actions = [self.s], list[int]()
+        self._states: Any = [self.s]  # lists, or the arrays that were recorded
+        self._actions: Any = []
         self._judge()
 
     @property
@@ -94,11 +96,10 @@ class Episode:
                 self.verdict = bool(verdict == TRUE)
 
     def record(self, states: NDArray[np.int32], actions: NDArray[np.int32]) -> None:
-        """Steps that a kernel took in a simulated model: states (n+1,), the present one first, and choices (n,)."""
-        self._counts.add(self._problem.first_choice[states[:-1]] + actions, states[1:])
-        self._states += states[1:].tolist()
-        self._actions += actions.tolist()
-        self.t, self.s = self.t + len(actions), int(states[-1])
+        """All steps of an episode that a kernel took: states (n+1,) and choices (n,). No verdict is kept of them."""
+        self._counts.add_known(self._problem.first_choice[states[:-1]] + actions, states[1:])
+        self._states, self._actions = states, actions
+        self.t, self.s = len(actions), int(states[-1])
 
     def transitions(self) -> NDArray[np.int32]:
         """(t, 3): s, a, s' of every step so far."""
