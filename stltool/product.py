@@ -61,12 +61,6 @@ class Product(Displayed):
         """The automaton state after reading model state s in q."""
         return int(self.automaton.delta[self.letter[s], q])
 
-    def first_verdicts(self, states: NDArray[np.int64]) -> NDArray[np.int8]:
-        """The verdicts once the first of these model states has been read (n,): TRUE, FALSE or UNDECIDED of each."""
-        automaton = self.automaton
-        verdicts: NDArray[np.int8] = automaton.verdicts(0)[automaton.delta[self.letter[states], automaton.initial]]
-        return verdicts
-
     def describe(self, index: int, t: int | None = None) -> str:
         """A product state's index, told in the user's names: state, signals, labels, what is remembered."""
         s, q = divmod(whole(index, "a product state's index", 0, self.n_states - 1), self.automaton.n_states)
@@ -87,6 +81,13 @@ class Product(Displayed):
         flag(keep_policy, "check_bytes' keep_policy")
         layers, table = 3 * 8 * self.n_states, np.dtype(self.model.choice_type).itemsize * self.n_states
         return layers + (table * self.horizon if keep_policy else table)
+
+
+def first_verdicts(product: Product, states: NDArray[np.int64]) -> NDArray[np.int8]:
+    """The verdicts once the first of these model states has been read (n,): TRUE, FALSE or UNDECIDED of each."""
+    automaton = product.automaton
+    verdicts: NDArray[np.int8] = automaton.verdicts(0)[automaton.delta[product.letter[states], automaton.initial]]
+    return verdicts
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -49,7 +49,7 @@ from stltool.learning.counts import Counts
 from stltool.models import MDP, Intervals
 from stltool.numbers import exact, floor_text
 from stltool.policy import Policy, require_door
-from stltool.product import Product, with_outcome
+from stltool.product import Product, first_verdicts, with_outcome
 from stltool.sizes import require_memory
 
 Support: TypeAlias = Literal["unknown", "known"]
@@ -186,7 +186,7 @@ def _initial(model: MDP, start: int | None) -> Floats:
 def _decided(product: Product, initial: Floats) -> float:
     """What the first state alone guarantees: the probability that it satisfies the task, rounded down."""
     states = np.flatnonzero(initial)
-    satisfied = product.first_verdicts(states) == TRUE
+    satisfied = first_verdicts(product, states) == TRUE
     if satisfied.all():
         return 1.0
     share = math.fsum(initial[states[satisfied]]) / math.fsum(initial[states])

@@ -33,7 +33,7 @@ from stltool.learning.settings import Budget, recorded
 from stltool.learning.trainer import Point, Progress, Status, Trainer
 from stltool.models.environment import Environment, Resettable, require_environment, simulator
 from stltool.policy import Policy, require_door, with_flags
-from stltool.product import Product
+from stltool.product import Product, first_verdicts
 from stltool.randomness import Purpose, generator, require_seed
 from stltool.sizes import require_time
 
@@ -248,7 +248,7 @@ def _decided(product: Product, known_start: bool) -> _Decided | None:
     """Whether every run is decided at its first state; None where one is not."""
     known_start = known_start and product.model.blackbox is None
     states = np.flatnonzero(product.model.initial) if known_start else np.arange(product.model.n_states)
-    verdicts = product.first_verdicts(states)
+    verdicts = first_verdicts(product, states)
     if (verdicts == UNDECIDED).any():
         return None
     if known_start:
