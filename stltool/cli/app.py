@@ -20,11 +20,12 @@ _Number = TypeVar("_Number", int, float)
 
 class _App(typer.Typer):
     """What holds of all commands: numbers of options are read as all others are (stltool/numbers.py: `--runs 1_0` is
-    refused), results never replace inputs (roles.py), and messages speak of options (words.py).
+    refused), results never replace inputs (roles.py), messages speak of options (words.py), and --help ends with an
+    example.
     """
 
-    def command(self, *arguments: Any, **named: Any) -> Callable[[_Command], _Command]:
-        register = super().command(*arguments, **named)
+    def command(self, example: str, **named: Any) -> Callable[[_Command], _Command]:  # type: ignore[override]
+        register = super().command(epilog=f"Example: {example}", **named)
 
         def registered(function: _Command) -> _Command:
             hints: dict[str, Any] = get_type_hints(function, include_extras=True)

@@ -16,7 +16,7 @@ from stltool.errors import RefusedError, SettingsError
 from stltool.numbers import bound_texts, long_numbers
 
 
-@app.command()
+@app.command("stltool certify certificate.jsonl patrolling.stl")
 def certify(
     file: Annotated[
         Path,

@@ -24,7 +24,7 @@ _VERDICTS = {
 }
 
 
-@app.command()
+@app.command("stltool check patrolling.stl -p T=20 --at-least 0.95")
 def check(
     task: TaskFile,
     policy: PolicyFile = None,

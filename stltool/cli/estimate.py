@@ -23,7 +23,7 @@ from stltool.cli.steps import make_product, read_probability
 from stltool.errors import SettingsError
 
 
-@app.command()
+@app.command("stltool estimate patrolling.stl --policy policy.npz --epsilon 0.01")
 def estimate(
     task: TaskFile,
     policy: PolicyFile = None,

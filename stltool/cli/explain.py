@@ -10,7 +10,7 @@ from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, Step
 from stltool.cli.steps import load_task_or_formula, task_model, warnings_shown
 
 
-@app.command()
+@app.command('stltool explain "G[0,9] (request -> F[0,5] grant)"')
 def explain(
     task: TaskOrFormula,
     model: Model = None,

@@ -14,7 +14,7 @@ from stltool.cli.steps import bind, compile_task, read_params, task_model
 from stltool.errors import SettingsError
 
 
-@app.command()
+@app.command("stltool export patrolling.stl --to dot --out patrolling.dot")
 def export(
     task: TaskFile,
     to: Annotated[str, typer.Option("--to", help="dot: the task's automaton for Graphviz")],

@@ -14,7 +14,7 @@ from stltool.cli.roles import Reads
 from stltool.errors import StlToolError
 
 
-@app.command()
+@app.command("stltool fmt --check patrolling.stl")
 def fmt(
     files: Annotated[
         list[Path], typer.Argument(help="task files; - for standard input", show_default=False), Reads("task file")

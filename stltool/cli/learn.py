@@ -40,7 +40,7 @@ from stltool.cli.steps import (
 )
 
 
-@app.command(cls=LearnerCommand)
+@app.command("stltool learn patrolling.stl --episodes 2000 --out policy.npz", cls=LearnerCommand)
 def learn(
     task: TaskFile,
     out: Annotated[Path, typer.Option("--out", "-o", help="policy file to write (.npz)", show_default=False), Writes()],

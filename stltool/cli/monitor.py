@@ -16,7 +16,7 @@ from stltool.errors import SettingsError
 _ENDS = ("error", "cut", "hold")
 
 
-@app.command()
+@app.command('stltool monitor "G[0,20] battery > 0.2" log.csv --plot log.png')
 def monitor(
     task: TaskOrFormula,
     trace: Annotated[
@@ -51,8 +51,6 @@ def monitor(
     as_json: AsJson = False,
 ) -> None:
     """Judge a recorded trace: at which steps the task holds and by how much. Exit code 1 where any is violated.
-
-    stltool monitor "G[0,20] battery > 0.2" log.csv --plot log.png
 
     TASK is a task file where there is one of that name or the name ends in .stl, else it is read as a formula. Names in
     it are columns of the trace.

@@ -14,7 +14,7 @@ from stltool.cli.steps import make_joint_product
 from stltool.errors import SettingsError
 
 
-@app.command()
+@app.command("stltool pareto tradeoff.stl --tasks charging,patrolling --plot front.svg")
 def pareto(
     task: TaskFile,
     tasks: Annotated[str, typer.Option("--tasks", metavar="NAME,NAME", help="two definitions of the task file")],

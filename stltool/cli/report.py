@@ -12,7 +12,7 @@ from stltool.cli.options import AsJson
 from stltool.cli.roles import Reads, Writes, beside
 
 
-@app.command()
+@app.command("stltool report out/first/report.json")
 def report(
     data: Annotated[
         list[Path],

@@ -44,7 +44,7 @@ from stltool.cli.words import Named
 from stltool.errors import SettingsError
 
 
-@app.command(cls=LearnerCommand)
+@app.command("stltool run patrolling.stl --episodes 1000 --out out/first", cls=LearnerCommand)
 def run(
     task: TaskFile,
     nominal: Nominal = False,

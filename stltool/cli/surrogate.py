@@ -11,7 +11,7 @@ from stltool.cli.options import AsJson, Model, Nominal, Normalize, Params, TaskF
 from stltool.cli.steps import make_product
 
 
-@app.command()
+@app.command("stltool surrogate patrolling.stl -p T=20")
 def surrogate(
     task: TaskFile,
     gamma: Annotated[float, typer.Option("--gamma", help="discount of the published runs; the paper prints 0.9999")] = (

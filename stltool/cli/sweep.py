@@ -17,7 +17,7 @@ from stltool.numbers import NumberError, whole
 _RESULTS = ("report.html", "report.json", "table.csv", "curves.csv", "figure.svg", "figure.png")
 
 
-@app.command()
+@app.command("stltool sweep sweep.toml --workers 2 --dry-run")
 def sweep(
     file: Annotated[
         Path, typer.Argument(help="sweep file (.toml)", show_default=False), Reads("sweep file", sweep_files)

@@ -17,7 +17,7 @@ from stltool.errors import SettingsError
 from stltool.numbers import NumberError, number_text, read
 
 
-@app.command()
+@app.command('stltool tradeoff tradeoff.stl --objective charging --require "patrolling>=0.9" --budget "C<=3"')
 def tradeoff(
     task: TaskFile,
     objective: Annotated[str, typer.Option("--objective", metavar="NAME", help="the definition to maximise")],

@@ -13,7 +13,7 @@ from stltool.cli.steps import make_product
 from stltool.errors import SettingsError
 
 
-@app.command()
+@app.command("stltool why patrolling.stl --policy policy.npz")
 def why(
     task: TaskFile,
     policy: PolicyFile = None,
