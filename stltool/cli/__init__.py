@@ -51,7 +51,7 @@ def _heard_of() -> Iterator[None]:
     if sys.stderr.isatty():
         yield
         return
-    from stltool.reporting.log import LOG
+    from stltool.log import LOG
 
     with LOG.stage(" ".join(["stltool", *sys.argv[1:2]])):
         yield

@@ -16,8 +16,8 @@ from rich.text import Text
 
 from stltool.kernels.jit import compiling
 from stltool.learning.sweep import SweepProgress
+from stltool.log import LOG, Stage
 from stltool.numbers import bound_texts, probability_text
-from stltool.reporting.log import LOG, Stage
 from stltool.reporting.runs import trace_text, verdict_text
 from stltool.streams import printable
 

@@ -101,6 +101,23 @@ def test_columns_are_measured_as_they_are_printed(printed):
     assert rows[0].index("0.999") + len("0.999  ") == heading.index("P, ties at random")
 
 
+LIGHT = """
+import sys
+from stltool.cli import main
+sys.argv = ["stltool", *sys.argv[1:]]
+try:
+    main()
+finally:
+    assert not {"numpy", "numba", "scipy", "matplotlib"} & set(sys.modules)
+"""
+
+
+@pytest.mark.parametrize("arguments", [["--version"], ["--help"], ["check", "--help"]])
+def test_what_computes_nothing_loads_nothing_heavy(arguments):
+    done = subprocess.run([sys.executable, "-c", LIGHT, *arguments], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_stand_ins():
     shown = "τ × Φ₁ ≤ 1 → … ─│└ “é” 漢"
     assert shown.encode("ascii", errors="stltool").decode() == 'tau x Phi\\u2081 <= 1 -> ... -|+ "\\xe9" \\u6f22'

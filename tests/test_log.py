@@ -7,8 +7,9 @@ import time
 
 import pytest
 
-from stltool.reporting import log, terminal
-from stltool.reporting.log import EVERY, Log
+from stltool import log
+from stltool.log import EVERY, Log
+from stltool.reporting import terminal
 
 
 class Clock:
