@@ -15,8 +15,7 @@ from stltool.learning.learner import Learner
 from stltool.learning.naive import Clocked
 from stltool.learning.problem import Problem
 from stltool.learning.published import Replaying
-from stltool.learning.replay import ReplayMemory
-from stltool.learning.settings import setting
+from stltool.learning.replay import Batches, ReplayMemory
 from stltool.learning.tables import ClockedTable
 
 
@@ -29,14 +28,10 @@ class PublishedNaiveER(Replaying):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NaiveER(Clocked, Learner["ReplayRun"]):
+class NaiveER(Batches, Clocked, Learner["ReplayRun"]):
     """Q_t(s, q, a) on the exact objective, learned from a memory of transitions with their step."""
 
     name: ClassVar[str] = "naive-er"
-
-    memory: int = setting(1000, "transitions that the replay memory holds; the oldest leave first", least=1)
-    period: int = setting(4, "steps between two replays of an episode", least=1)
-    batch: int = setting(64, "transitions drawn, with replacement, at each replay", least=1)
 
     def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> ReplayRun:
         table = self.table(problem, count_every_entry=True)

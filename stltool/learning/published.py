@@ -19,6 +19,7 @@ from stltool.learning.episode import Episode
 from stltool.learning.kept import Kept
 from stltool.learning.learner import Learner
 from stltool.learning.problem import Problem
+from stltool.learning.replay import Batches
 from stltool.learning.schedule import Decaying
 from stltool.learning.settings import setting
 from stltool.learning.tables import SurrogateTable
@@ -74,12 +75,8 @@ class Published(Decaying, Learner["PublishedRun"]):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Replaying(Published):
+class Replaying(Batches, Published):
     """A published method with a replay memory."""
-
-    memory: int = setting(1000, "transitions that the replay memory holds; the oldest leave first", least=1)
-    period: int = setting(4, "steps between two replays of an episode", least=1)
-    batch: int = setting(64, "transitions drawn, with replacement, at each replay", least=1)
 
     def _draws(self, episode: Episode) -> NDArray[np.float64]:
         return episode.rng.random((-(-episode.length // self.period), self.batch))

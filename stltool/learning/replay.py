@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.learning.kept import Kept
+from stltool.learning.settings import setting
 from stltool.sizes import require_memory
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batches:
+    """The settings of a method that replays batches from a memory."""
+
+    memory: int = setting(1000, "transitions that the replay memory holds; the oldest leave first", least=1)
+    period: int = setting(4, "steps between two replays of an episode", least=1)
+    batch: int = setting(64, "transitions drawn, with replacement, at each replay", least=1)
 
 
 class ReplayMemory:
