@@ -14,8 +14,8 @@ from stltool.models.environment import simulator
 from stltool.randomness import Purpose, generator
 from tests.conftest import ROOT
 
-# searches that are always the same: their numbers are no data
-FIXED = {"automata/samples.py", "logic/feasible.py"}
+# searches and trials that are always the same: their numbers are not data
+FIXED = {"automata/samples.py", "logic/feasible.py", "models/gymnasium/replay.py"}
 
 
 def test_streams_differ_in_purpose_part_and_seed():
@@ -56,7 +56,7 @@ def test_what_one_seed_is_used_for_shares_nothing(patrolling, black_box, monkeyp
         return generator(seed, purpose, *part)
 
     policy = stl.learn(patrolling, episodes=2, seed=7).policy
-    for module in ("learning.learn", "checking.rollouts"):
+    for module in ("learning.learn", "checking.rollouts", "checking.sampling"):
         monkeypatch.setattr(sys.modules[f"stltool.{module}"], "generator", recording)
     assert np.array_equal(stl.learn(patrolling, episodes=2, seed=7).policy.table, policy.table)
     unknown = stl.learn(black_box, episodes=2, seed=7).policy
@@ -67,6 +67,7 @@ def test_what_one_seed_is_used_for_shares_nothing(patrolling, black_box, monkeyp
         lambda: stl.sprt(patrolling, policy, 0.5, seed=7),
         lambda: stl.estimate(black_box, unknown, runs=3, seed=7),
         lambda: stl.sprt(black_box, unknown, 0.5, seed=7),
+        lambda: stl.sample_run(patrolling, policy, seed=7),
     ):
         asked.clear()
         use()
