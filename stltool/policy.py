@@ -1,7 +1,8 @@
 """A policy over a product: which available action to take at (t, s, q), saved and loaded without pickle.
 
-The table counts the *choices* of a state: entry i is its i-th available action (in a grid world simply the i-th
-action). Four forms, told apart by dtype and shape, with S model states, Q automaton states, C choices at most:
+Choices are numbers within their state: i is its i-th available action (in a grid world simply the i-th action). What
+`check` finds is kept by step and only where it matters (`Choices`); what others give is a dense table, whose form its
+dtype and shape tell, with S model states, Q automaton states, C choices at most:
 
     (S, Q) integers    stationary              (h, S, Q) integers    one table a step
     (S, Q, C) float64  stationary mixture      (h, S, Q, C) float64  mixture a step
@@ -17,24 +18,29 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import warnings
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from stltool.arguments import path as path_of
 from stltool.arguments import require, whole
 from stltool.automata import Encoding
+from stltool.choices import Choices, Form, Table, Through
 from stltool.display import Card, Displayed
 from stltool.errors import InexactEncodingWarning, PolicyError, near_misses
 from stltool.files import read_bytes, read_text, require_folder, require_own, require_replaceable, write_atomically
 from stltool.numbers import double
 from stltool.product import JointProduct, Product, build_joint_product, build_product, joined
+from stltool.sizes import require_memory
 
-FORMAT = "stltool-policy-1"
+FORMAT = "stltool-policy-2"
+_PARTS = {"first": np.int64, "last": np.int64, "start": np.int64, "keys": np.int64, "bits": np.uint64, "choice": None}
+"""What a file holds of `Choices`, and its type; choices are of the smallest unsigned one."""
 _SIGNAL_TOLERANCE = 1e-6  # published tables print few digits
 
 
@@ -83,29 +89,37 @@ class Binding:
 
 
 class Policy(Displayed):
-    """See the module's text. Raises PolicyError when the table does not fit the product.
+    """See the module's text. Raises PolicyError when the table, or what stands for one, does not fit the product.
 
     `home` is the product whose automaton states the table speaks of. A policy of the same task and model can be checked
     on a product with another encoding, one of a joint product on that of each of its tasks: `on` translates it.
     """
 
-    def __init__(self, product: Product | JointProduct, table: NDArray[Any]) -> None:
+    def __init__(self, product: Product | JointProduct, table: NDArray[Any] | Form) -> None:
         require(product, (Product, JointProduct), "Policy's product")
         self.home = product
         self.binding = Binding.of(product)
+        if isinstance(table, Table | Choices | Through):
+            self.form: Form = table
+            return
         try:
             given = np.asarray(table)
         except ValueError:
             raise PolicyError(
                 "the policy's table is not an array: its rows have unequal lengths; give one row for each state"
             ) from None
-        self.table = _checked(product, given)
+        self.form = Table(_checked(product, given))
 
     def _card(self) -> Card:
-        home, silent = self.home, int((self.table < 0).sum())
+        home, form = self.home, self.form
+        silent = int((form.table < 0).sum()) if isinstance(form, Table) else 0
+        if isinstance(form, Choices):
+            held = f"{len(form.choice)} choices that matter, in {len(form.first)} layers"
+        else:
+            held = f"a table of {' x '.join(map(str, self._shape()))}"
         task = f"{home.task_name} := {home.formula}" if isinstance(home, Product) else "; ".join(self.binding.tasks)
         return Card(
-            f"Policy: {self.kind}, a table of {' x '.join(map(str, self.table.shape))}",
+            f"Policy: {self.kind}, {held}",
             [
                 {"task": task},
                 {"model": home.model.name, "encoding": self.binding.encoding, "entries without action": silent or None},
@@ -119,17 +133,15 @@ class Policy(Displayed):
         if self.binding.automaton_digest == product.automaton.digest():
             return product, self
         both, memory = joined(product, self.home)
-        axis = 1 if self.stationary else 2
-        table = self.table if self.stationary else self.table[: both.horizon]
-        return both, Policy(both, np.take(table, memory, axis=axis))
+        return both, Policy(both, Through(self.form, memory))
 
     @property
     def deterministic(self) -> bool:
-        return bool(self.table.dtype.kind == "i")
+        return self.form.deterministic
 
     @property
     def stationary(self) -> bool:
-        return self.table.ndim == (2 if self.deterministic else 3)
+        return self.form.stationary
 
     @property
     def kind(self) -> str:
@@ -137,18 +149,59 @@ class Policy(Displayed):
         time = "stationary" if self.stationary and not isinstance(self.home, JointProduct) else "time-dependent"
         return f"{time}, {'deterministic' if self.deterministic else 'mixed'}"
 
-    def at(self, t: int) -> NDArray[Any]:
-        """The table of step t: (S, Q) choices or (S, Q, C) weights."""
-        t = whole(t, "the policy's step t", 0, None if self.stationary else len(self.table) - 1)
-        table: NDArray[Any] = self.table if self.stationary else self.table[t]
-        return table
+    def at(self, t: int, s: ArrayLike, q: ArrayLike) -> NDArray[Any]:
+        """What it does in pairs of model states s and automaton states q at step t.
+
+        s, q (n,) integers. Returns (n,) int64 choices, negative where it says nothing; of a mixture (n, C) weights.
+        """
+        t = whole(t, "the policy's step t", 0, None if self.stationary else self.home.horizon - 1)
+        places = []
+        for given, what, n in zip((s, q), ("model states", "automaton states"), self.home.shape, strict=True):
+            array = np.atleast_1d(np.asarray(given))
+            if array.ndim != 1 or array.dtype.kind not in "iu" or (array < 0).any() or (array >= n).any():
+                raise PolicyError(
+                    f"the policy is asked about {what} that are not integers from 0 to {n - 1}; give a number or a list"
+                )
+            places.append(array.astype(np.int64))
+        if len(places[0]) != len(places[1]) and 1 not in map(len, places):
+            raise PolicyError(
+                f"the policy is asked about {len(places[0])} model states and {len(places[1])} automaton states; give "
+                "pairs of them"
+            )
+        return self.form.at(t, *np.broadcast_arrays(*places))
+
+    def row(self, t: int) -> NDArray[Any]:
+        """Step t as a dense table: (S, Q) choices or (S, Q, C) weights."""
+        t = whole(t, "the policy's step t", 0, None if self.stationary else self.home.horizon - 1)
+        return self.form.row(t)
+
+    @property
+    def table(self) -> NDArray[Any]:
+        """The whole policy as a dense table (see the module's text), made when asked for.
+
+        Raises SizeError before it takes memory that is not there.
+        """
+        if isinstance(self.form, Table):
+            return self.form.table
+        if self.stationary:
+            return self.form.row(0)
+        shape = self._shape()
+        what = f"a dense table of {' x '.join(map(str, shape))}"
+        require_memory(8 * math.prod(shape), what, "ask for pieces of it with at or row")
+        rows = [self.form.row(t) for t in range(self.home.horizon)]
+        return np.stack(rows) if rows else np.zeros(shape, dtype=self.home.model.choice_type)
+
+    def _shape(self) -> tuple[int, ...]:
+        steps = () if self.stationary else (self.home.horizon,)
+        return (*steps, *self.home.shape, *(() if self.deterministic else (self.home.model.most_choices,)))
 
     def save(self, path: str | Path) -> None:
         """Write the policy as .npz with a JSON header, the old file or the new one."""
         require_policy_file(path_of(path, "save's path"))
         header = json.dumps({"format": FORMAT, **asdict(self.binding)})
         buffer = io.BytesIO()
-        np.savez_compressed(buffer, header=np.frombuffer(header.encode("utf-8"), dtype=np.uint8), table=self.table)
+        arrays: dict[str, Any] = _arrays(self.form) if isinstance(self.form, Choices) else {"table": self.table}
+        np.savez_compressed(buffer, header=np.frombuffer(header.encode("utf-8"), dtype=np.uint8), **arrays)
         write_atomically(path, buffer.getvalue())
 
     @classmethod
@@ -160,7 +213,9 @@ class Policy(Displayed):
         try:
             with np.load(io.BytesIO(data), allow_pickle=False) as archive:
                 header = json.loads(archive["header"].tobytes().decode("utf-8"))
-                table = archive["table"]
+                table = {name: archive[name] for name in archive.files if name != "header"}
+                if set(table) not in ({"table"}, set(_PARTS)):
+                    raise ValueError
             if header.pop("format") != FORMAT:
                 raise ValueError
             header["action_names"] = tuple(header["action_names"])
@@ -181,7 +236,7 @@ class Policy(Displayed):
                 f"({binding.automaton_digest[:12]}, here {home.automaton.digest()[:12]}); learn it again"
             )
         try:
-            return cls(home, table)
+            return cls(home, table["table"] if "table" in table else _choices(home, table))
         except PolicyError as error:
             raise PolicyError(f"{path}: {error}") from None
 
@@ -331,6 +386,46 @@ def _checked(product: Product | JointProduct, table: NDArray[Any]) -> NDArray[An
             f"of {product.describe(where[-2] * base[1] + where[-1])}"
         )
     return np.ascontiguousarray(table, dtype=np.float64)
+
+
+def _arrays(choices: Choices) -> dict[str, NDArray[Any]]:
+    return {name: getattr(choices, name) for name in _PARTS}
+
+
+def _choices(product: Product | JointProduct, arrays: dict[str, NDArray[Any]]) -> Choices:
+    """Choices by step from a file's arrays; PolicyError unless they fit together and the product."""
+    n_choices, (n_states, n_memories), h = np.diff(product.model.choice_start), product.shape, product.horizon
+    n_words = -(-n_memories // 64)
+    for name, kind in _PARTS.items():
+        found = arrays[name]
+        right = found.dtype == kind if kind is not None else found.dtype.kind == "u"
+        if found.ndim != 1 or not right:
+            raise PolicyError(f"the policy's {name} are of type {found.dtype} and shape {found.shape}; save it again")
+    first, last, start, keys, bits, choice = (arrays[name] for name in _PARTS)
+    fits = (
+        len(first) == len(last) == len(start) - 1
+        and len(keys) == len(bits) == start[-1]
+        and start[0] == 0
+        and (np.diff(start) >= 0).all()
+        and (first <= last).all()
+        and (first[1:] > last[:-1]).all()
+        and (first >= 0).all()
+        and (last < h).all()
+        and (keys >= 0).all()
+        and (keys < n_states * n_words).all()
+        and len(choice) == int(np.bitwise_count(bits).sum(dtype=np.int64))
+    )
+    if fits:
+        inner = np.ones(len(keys), dtype=np.bool_)
+        inner[start[:-1][np.diff(start) > 0]] = False  # a layer's first key may be any
+        states, width = np.divmod(keys, n_words)
+        room = np.minimum(n_memories - 64 * width, 64)
+        beyond = np.where(room < 64, bits >> (room % 64).astype(np.uint64), 0)
+        of_choice = np.repeat(n_choices[states], np.bitwise_count(bits))
+        fits = bool((np.diff(keys, prepend=-1)[inner] > 0).all() and not beyond.any() and (choice < of_choice).all())
+    if not fits:
+        raise PolicyError("the policy's choices do not fit together, or not its task and model; save it again")
+    return Choices((n_states, n_memories), h, first, last, start, keys, bits, choice)
 
 
 def _read_q_table(path: str | Path) -> tuple[list[str], tuple[NDArray[np.float64], NDArray[np.float64]]]:

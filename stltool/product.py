@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.arguments import flag, mapping, require, whole
+from stltool.arguments import mapping, require, whole
 from stltool.automata import Encoding, JointAutomaton, TaskAutomaton, compile_automaton, join_automata
 from stltool.automata.automaton import StateNames
 from stltool.automata.compile import MOST_STATES, atoms_of
@@ -75,12 +75,6 @@ class Product(Displayed):
                 {"model": model.name, "horizon": self.horizon, "encoding": automaton.encoding},
             ],
         )
-
-    def check_bytes(self, keep_policy: bool = True) -> int:
-        """Bytes that one check takes: three layers of values, and an action per step and product state."""
-        flag(keep_policy, "check_bytes' keep_policy")
-        layers, table = 3 * 8 * self.n_states, np.dtype(self.model.choice_type).itemsize * self.n_states
-        return layers + (table * self.horizon if keep_policy else table)
 
 
 def first_verdicts(product: Product, states: NDArray[np.int64]) -> NDArray[np.int8]:
@@ -225,19 +219,18 @@ def build_product(
                     f"{'label' if own in model.labels else 'signal'} of that name; rename the one in the task"
                 )
     atoms = atoms_of(formula, encoding)
+    require_memory(
+        model.n_states * (len(atoms) + 8),
+        f"reading {len(atoms)} predicates in {model.n_states} states",
+        "coarsen the grid",
+        memory_limit,
+    )
     values = np.empty((model.n_states, len(atoms)), dtype=np.bool_)
     for i, psi in enumerate(atoms):
         values[:, i] = truth(psi, model.signals, model.labels, model.n_states)
     valuations, which = np.unique(values, axis=0, return_inverse=True)
     automaton = compile_automaton(formula, encoding, valuations, memory_limit, most_states)
-    product = Product(model, automaton, automaton.letter_of[which.ravel()], name)
-    require_memory(
-        product.check_bytes(keep_policy=False),
-        f"checking {model.n_states} model states × {automaton.n_states} automaton states",
-        "shorten the inner windows, or coarsen the grid or the time step",
-        memory_limit,
-    )
-    return product
+    return Product(model, automaton, automaton.letter_of[which.ravel()], name)
 
 
 def build_joint_product(

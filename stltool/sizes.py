@@ -19,6 +19,7 @@ _MOST_DAYS = 7
 _MOST_NUMBERED = 2**31 - 2  # so that one more, and the number of all, are int32 too
 
 IntegerType: TypeAlias = type[np.int16] | type[np.int32] | type[np.int64]
+UnsignedType: TypeAlias = type[np.uint8] | type[np.uint16] | type[np.uint32]
 Numbers: TypeAlias = NDArray[np.signedinteger[Any]]
 """Integers of a type that holds them."""
 
@@ -29,6 +30,11 @@ def integer_type(largest: int) -> IntegerType:
         if largest <= np.iinfo(candidate).max:
             return candidate
     return np.int64
+
+
+def unsigned_type(largest: int) -> UnsignedType:
+    """The smallest type for numbers from 0 to `largest`."""
+    return np.uint8 if largest < 2**8 else np.uint16 if largest < 2**16 else np.uint32
 
 
 def require_numbered(n: int, what: str, remedy: str) -> None:

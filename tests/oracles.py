@@ -85,9 +85,10 @@ def robust_policy_value(product: stl.Product, policy: stl.Policy, nature_minimiz
         if len(history) == length:
             return Fraction(holds(model, phi, history))
         s, total = history[-1], Fraction(0)
-        entry = policy.at(len(history) - 1)[s, q]
+        entry = policy.row(len(history) - 1)[s, q]
+        sure = 1 if policy.deterministic else sum(map(Fraction, entry.tolist()))  # in proportion to the doubles given
         for i, (targets, corners) in enumerate(rows[s]):
-            weight = Fraction(int(i == entry)) if policy.deterministic else Fraction(float(entry[i]))
+            weight = Fraction(int(i == entry)) if policy.deterministic else Fraction(float(entry[i])) / sure
             if weight:
                 after = [value((*history, s2), product.enter(s2, q)) for s2 in targets]
                 total += weight * nature(sum(p * v for p, v in zip(c, after, strict=True)) for c in corners)
@@ -146,11 +147,12 @@ def policy_value(product: stl.Product, policy: stl.Policy) -> Fraction:
             return Fraction(holds(model, phi, history))
         s, t = history[-1], len(history) - 1
         rows = choices(model, s)
-        entry = policy.at(t)[s, q]
+        entry = policy.row(t)[s, q]
         if policy.deterministic:
             weights = [Fraction(int(i == entry)) for i in range(len(rows))]
         else:
             weights = [Fraction(float(w)) for w in entry[: len(rows)]]
+            weights = [w / sum(weights) for w in weights]  # in proportion to the doubles given
         return sum(
             (
                 w * p * value((*history, s2), product.enter(s2, q))
@@ -185,9 +187,9 @@ def layered_value(product: stl.Product, policy: stl.Policy | None = None, maximi
             if policy is None:
                 layer[s][q] = max(options) if maximize else min(options)
             elif policy.deterministic:
-                layer[s][q] = options[policy.at(t)[s, q]]
+                layer[s][q] = options[policy.row(t)[s, q]]
             else:
-                weights = [Fraction(float(w)) for w in policy.at(t)[s, q]]
+                weights = [Fraction(float(w)) for w in policy.row(t)[s, q]]
                 layer[s][q] = sum(w * o for w, o in zip(weights, options, strict=False)) / sum(weights)
         values = layer
     return sum((p * values[s][product.enter(s, automaton.initial)] for s, p in initial(model)), Fraction(0))

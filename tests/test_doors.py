@@ -25,7 +25,7 @@ RESULTS = {
 
 # called from within, or in inner loops with indices of their own
 INNER = {
-    "Product.enter", "Sweep.settled", "TaskAutomaton.letters_at", "TaskAutomaton.verdicts",
+    "Product.enter", "Product.first_verdicts", "Sweep.settled", "TaskAutomaton.letters_at", "TaskAutomaton.verdicts",
     "TaskAutomaton.with_outcome",
 }  # fmt: skip
 
@@ -157,11 +157,11 @@ CALLS = {
     "build_product": lambda w: {"model": w.model, "task": w.formula},
     "build_joint_product": lambda w: {"model": w.model, "tasks": [w.task]},
     "Product.describe": lambda w: {"self": w.product, "index": 0},
-    "Product.check_bytes": lambda w: {"self": w.product},
     "JointProduct.describe": lambda w: {"self": w.joint, "index": 0},
     "JointProduct.task": lambda w: {"self": w.joint, "name": "one"},
     "Policy": lambda w: {"product": w.product, "table": np.zeros(w.product.shape, dtype=int)},
-    "Policy.at": lambda w: {"self": w.policy, "t": 0},
+    "Policy.at": lambda w: {"self": w.policy, "t": 0, "s": [0, 1], "q": 0},
+    "Policy.row": lambda w: {"self": w.policy, "t": 0},
     "Policy.on": lambda w: {"self": w.policy, "product": w.product},
     "Policy.save": lambda w: {"self": w.policy, "path": "saved.npz"},
     "Policy.load": lambda w: {"path": "policy.npz", "product": w.product},
@@ -239,7 +239,9 @@ TAKES = {
     "sample": {"dict"},
     "signals": {"dict"},
     "training": {"None", "Training"},
+    "threads": {"None", "int"},
     "valuations": {"None"},
+    "values": {"None"},
 }  # fmt: skip
 OWN = {
     "parse_task": {"task": TEXT, "path": {"None", *PATHS}},
@@ -257,6 +259,7 @@ OWN = {
     "build_joint_product": {"tasks": {"dict", *LISTS}},
     "Product.describe": {"t": {"None", "int"}},
     "JointProduct.describe": {"t": {"None", "int"}},
+    "Policy.at": {"s": {"int", *LISTS}, "q": {"int", *LISTS}},
     "Policy": {"product": {"Product", "JointProduct"}},
     "Sensitivity.ranked": {"count": {"None", "int"}},
     "tradeoff": {"at_least": MAPPING},

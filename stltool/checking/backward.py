@@ -84,9 +84,9 @@ def sweep_of(
         if policy is None:
             sweeper.optimum(W, maximize, out, tables[t % len(tables)])
         elif policy.deterministic:
-            sweeper.policy(W, policy.at(t), out)
+            sweeper.policy(W, policy.row(t), out)
         else:
-            sweeper.mixture(W, policy.at(t), out)
+            sweeper.mixture(W, policy.row(t), out)
 
     return sweep
 

@@ -74,13 +74,16 @@ def enclose(
 ) -> tuple[float, float]:
     """(lower, upper) around the exact value, within [0, 1]; `missing` is the defects' sum along a path."""
     lower, upper = around(value, n_roundings, missing, underflow)
-    return min(max(0.0, round_down(lower)), 1.0), max(min(1.0, round_up(upper)), 0.0)
+    none, all_of_it = Fraction(0), Fraction(1)  # cut first: what is known of nothing is beyond the doubles
+    return round_down(min(max(none, lower), all_of_it)), round_up(max(min(all_of_it, upper), none))
 
 
 def around(
     value: float, n_roundings: int, missing: Fraction = Fraction(0), underflow: bool = True
 ) -> tuple[Fraction, Fraction]:
     """The same for any sum of nonnegative terms, in fractions and not cut to [0, 1]."""
+    if 2 * n_roundings * _U > 1:  # nothing is known of it
+        return -_ANYTHING, _ANYTHING
     gamma = n_roundings * _U / (1 - n_roundings * _U)
     slack = n_roundings * _UNDERFLOW if underflow else Fraction(0)
     return (Fraction(value) - slack) / (1 + gamma) - missing, (Fraction(value) + slack) / (1 - gamma) + missing

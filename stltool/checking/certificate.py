@@ -154,7 +154,7 @@ def require_certificate_of(path: str | Path, product: Product, policy: Policy | 
     if policy is not None:
         for layer in itertools.takewhile(lambda item: "t" in item, items):
             s, q = np.divmod(np.array(layer["at"], dtype=np.int64), product.automaton.n_states)
-            if layer["choice"] != _listed(product.model, policy.at(layer["t"]), s, q):
+            if layer["choice"] != _listed(product.model, policy.row(layer["t"]), s, q):
                 raise CertificateError(f"{path}: this certificate is of another policy (step {layer['t']} differs)")
 
 
@@ -230,7 +230,7 @@ def _layers(
             for values in (high, low)
         )
         highs, lows = highs + np.maximum(lack, 0) * one, lows + np.minimum(lack, 0) * one
-        chosen, shared = follower(model, policy.at(t))
+        chosen, shared = follower(model, policy.row(t))
         if claim == "maximum":
             high, low = np.maximum.reduceat(highs, model.choice_start[:-1], axis=0) * shared, chosen(lows)
         elif claim == "minimum":
@@ -252,7 +252,7 @@ def _layers(
             "at": (s * automaton.n_states + q).tolist(),
             "lower": low[s, q].tolist(),
             "upper": high[s, q].tolist(),
-            "choice": _listed(model, policy.at(t), s, q),
+            "choice": _listed(model, policy.row(t), s, q),
         }
     entry = automaton.delta[product.letter, automaton.initial]
     start = np.flatnonzero(model.initial)

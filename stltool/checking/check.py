@@ -8,26 +8,45 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Literal
+from functools import cached_property
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
-from stltool.arguments import flag, function, one_of, real
-from stltool.checking.backward import BACKENDS, Backend, Floats, Progress, Values, induct, sweep_of, sweeper
+from stltool.arguments import flag, function, one_of, real, whole
+from stltool.automata import FALSE, TRUE
 from stltool.checking.bounds import can_underflow, compounded, defect, enclose, model_defects, roundings
 from stltool.checking.fixed import FixedPoint, fixed_point
+from stltool.checking.induction import (
+    EVERYTHING,
+    Arithmetic,
+    Budget,
+    Doubles,
+    Engine,
+    Fixed,
+    Following,
+    Game,
+    Layers,
+    Progress,
+    Silent,
+    Solution,
+    layers_of,
+    solve,
+)
 from stltool.checking.rational import exact_probability, require_exact
-from stltool.checking.reach import policy_layers
+from stltool.choices import Form, Table, own_table
 from stltool.display import Card, Displayed
 from stltool.errors import PolicyError, SettingsError, named
 from stltool.numbers import round_down, round_up
 from stltool.policy import Policy, require_door
 from stltool.product import Product
-from stltool.sizes import Numbers, require_memory, require_time
+from stltool.sizes import UnsignedType
 
-_RATE = 1e9  # multiply-adds a second, roughly, on one core
+Floats: TypeAlias = NDArray[np.float64]
+
 _LONG = 10**30  # denominators that a short description leaves out
 _NAMED = 3  # silent places in a message
 _SHARP = 1e-9  # the relative width below which a fixed-point enclosure is not swept again in doubles
@@ -43,8 +62,12 @@ class CheckResult(Displayed):
     nature        where the probabilities are intervals: whether they fall "against" or "with" what is asked for
     fraction      the exact value where it was asked for; lower and upper are then the doubles next to it
     arithmetic    "double" | "fixed" (int64, rounded up) | "rational": what the enclosure rests on
-    status        "complete": all `sweeps` = horizon steps were swept; nothing was truncated
-    seconds       wall time of the sweeps
+    certain       whether 0 or 1 follows from the model's graph alone: no policy (or every, or the one asked about) can
+    engine        what computed: "nodes" (pairs in numpy), "words" (sets as bits), "tiles" (these, eight numbers a time)
+    sweeps        steps back that were computed; those left out repeat others to the bit
+    values        (n_states,) the value of beginning in each state, where asked for
+    status        "complete": nothing was truncated
+    seconds       wall time
     """
 
     product: Product
@@ -59,6 +82,9 @@ class CheckResult(Displayed):
     arithmetic: Literal["double", "fixed", "rational"] = "double"
     status: str = "complete"
     nature: Literal["against", "with"] | None = None
+    certain: bool = False
+    engine: str = ""
+    values: Floats | None = None
 
     def at_least(self, bound: float | Fraction) -> bool | None:
         """Whether the exact value is at least `bound`; None where the bound lies inside the enclosure."""
@@ -97,62 +123,59 @@ def check(
     exact: bool = False,
     keep_policy: bool = True,
     arithmetic: Literal["auto", "double", "fixed"] = "auto",
-    backend: Backend = "numba",
+    values: Literal["all"] | None = None,
+    engine: Engine = "auto",
+    threads: int | None = None,
     memory_limit: int | None = None,
     progress: Progress | None = None,
 ) -> CheckResult:
     """The probability that the task holds: under `policy`, or the maximum (minimum) over all policies.
 
     `exact=True` adds the fraction itself. `arithmetic="auto"` takes fixed point where its enclosure is the narrower
-    one, doubles elsewhere. `keep_policy=False` saves the memory of the optimal policy's table. Raises PolicyError when
-    the policy belongs to another task or model, or says nothing about a state it reaches; ModelError when an exact
-    answer is asked of rows that do not sum to 1; SizeError before allocating what would not fit.
+    one, doubles elsewhere. `keep_policy=False` leaves the optimal policy out. `values="all"` adds the value of
+    beginning in each of the model's states. `engine` and `threads` (default: all cores) change no bit of the result.
+
+    Raises PolicyError when the policy belongs to another task or model, or says nothing about a state it reaches;
+    ModelError when an exact answer is asked of rows that do not sum to 1; SizeError before allocating what would not
+    fit.
     """
     start = time.perf_counter()
     require_door("check", product, policy)
     for switch, name in ((maximize, "maximize"), (exact, "exact"), (keep_policy, "keep_policy")):
         flag(switch, f"check's {name}")
-    one_of(backend, "backend", BACKENDS)
+    one_of(engine, "engine", get_args(Engine))
     one_of(arithmetic, "arithmetic", ("auto", "double", "fixed"))
+    threads = whole(threads, "check's threads", 1) if threads is not None else None
+    if values is not None:
+        one_of(values, "values", ("all",))
     function(progress, "check's progress")
+    product.model.require_points()
     if exact:
         require_exact(product.model)
     question: Literal["maximum", "minimum", "policy"]
     question = "policy" if policy is not None else "maximum" if maximize else "minimum"
-    kept = policy is None and keep_policy
-    judge, rebased = policy.on(product) if policy is not None else (product, None)
-    require_sweeps(judge, kept, _RATE, memory_limit)
-    tables = np.zeros((product.horizon if kept else 1, *product.shape), dtype=product.model.choice_type)
-    sweeps = _Sweeps(judge, rebased, maximize, tables, backend, progress)
-    used: Literal["double", "fixed", "rational"]
+    judge, judged = policy.on(product) if policy is not None else (product, None)
+    keep = product.model.unsigned_choice_type if policy is None and keep_policy else None
+    budget = Budget(f"checking {product.n_states} product states", memory_limit, progress)
+    asked = _Question(judge, judged, maximize, keep, values is not None, engine, threads, budget)
     fraction = None
-    if exact:
-        if rebased is not None:
-            sweeps.enclosed("double")  # finds where the policy says nothing
-        choices = tables if kept else None
-        fraction = exact_probability(judge, rebased, maximize, choices, memory_limit=memory_limit, progress=progress)
-        value, lower, upper, used = float(fraction), round_down(fraction), round_up(fraction), "rational"
-    else:
-        value, lower, upper, used = sweeps.enclosed(arithmetic)
-    if kept:
-        policy = Policy(product, tables)
-    seconds = time.perf_counter() - start
+    used: Literal["double", "fixed", "rational"]
+    try:
+        if exact:
+            fraction, found = exact_probability(asked.layers, judge.model, maximize, keep, memory_limit=memory_limit)
+            value, lower, upper, used = float(fraction), round_down(fraction), round_up(fraction), "rational"
+        else:
+            value, lower, upper, used, found = asked.enclosed(arithmetic)
+    except Silent:
+        assert judged is not None
+        raise undefined(judge, judged) from None
+    if found.choices is not None:
+        policy = Policy(product, found.choices)
     return CheckResult(
-        product, question, value, lower, upper, policy, product.horizon, seconds, fraction=fraction, arithmetic=used
-    )
-
-
-def require_sweeps(product: Product, keep_policy: bool, rate: float, memory_limit: int | None) -> None:
-    """SizeError where sweeps at `rate` multiply-adds a second would not end, or what they hold would not fit."""
-    states = f"{product.n_states} product states over {product.horizon} steps"
-    nonzeros = product.model.n_transitions * product.automaton.n_states
-    require_time(product.horizon * nonzeros, rate, f"sweeping {states}", "shorten the windows")
-    require_memory(
-        product.check_bytes(keep_policy),
-        f"checking {states}" + (", the policy's table included" if keep_policy else ""),
-        named("keep_policy", "use keep_policy=False, or ") * keep_policy + "shorten the windows",
-        memory_limit,
-    )
+        product, question, value, lower, upper, policy, found.swept, time.perf_counter() - start,
+        fraction=fraction, arithmetic=used, certain=asked.certain(found), engine=found.engine,
+        values=asked.of_states(found) if values is not None else None,
+    )  # fmt: skip
 
 
 def or_optimal(caller: str, product: Product, policy: Policy | None, memory_limit: int | None = None) -> Policy:
@@ -170,33 +193,75 @@ def or_optimal(caller: str, product: Product, policy: Policy | None, memory_limi
     return best
 
 
-@dataclass(frozen=True, eq=False)
-class _Sweeps:
-    """One question about one product, answered in fixed point or in doubles."""
+class _Question:
+    """One question about one product: a policy's value, or the optimum, in fixed point or in doubles."""
 
-    product: Product
-    policy: Policy | None
-    maximize: bool
-    tables: Numbers
-    backend: Backend
-    progress: Progress | None
+    def __init__(
+        self,
+        product: Product,
+        policy: Policy | None,
+        maximize: bool,
+        keep: UnsignedType | None,
+        everywhere: bool,
+        engine: Engine,
+        threads: int | None,
+        budget: Budget,
+    ) -> None:
+        self.product, self.policy, self.maximize, self.keep = product, policy, maximize, keep
+        self._made = (Game.of(product, everywhere), engine, threads, budget)
 
-    def enclosed(self, arithmetic: str) -> tuple[float, float, float, Literal["double", "fixed"]]:
-        """(value, lower, upper, the arithmetic it took)"""
+    @cached_property
+    def layers(self) -> Layers[Any, Any]:
+        game, engine, threads, budget = self._made
+        allowed = EVERYTHING if self.policy is None else Following(self.policy.form)
+        goal = TRUE if self.maximize else FALSE
+        return layers_of(game, goal, allowed, engine=engine, keep=self.keep, threads=threads, budget=budget)
+
+    def enclosed(self, arithmetic: str) -> tuple[float, float, float, Literal["double", "fixed"], Solution]:
+        """(value, lower, upper, the arithmetic it took, the solution)"""
         scale = None
         if arithmetic != "double" and (self.policy is None or self.policy.deterministic):
             scale = fixed_point(self.product.model)
         if scale is not None and (arithmetic == "fixed" or self._narrower(scale)):
-            fixed = scale.enclose(self.product.model, self.product.horizon, self._entry_values(scale))
+            found = self._solved(Fixed(scale.numerator, scale.denominator, scale.one, self.maximize))
+            fixed = scale.enclose(self.product.model, self.product.horizon, found.entry[self._starts()])
             # a small probability keeps more of its digits in doubles
-            if arithmetic == "fixed" or fixed[2] - fixed[1] <= _SHARP * fixed[2]:
-                return *fixed, "fixed"
+            if arithmetic == "fixed" or self.certain(found) or fixed[2] - fixed[1] <= _SHARP * fixed[2]:
+                return *self._surely(found, fixed), "fixed", self._unscaled(found, scale.one)
         elif arithmetic == "fixed":
             raise SettingsError(
                 "fixed point needs probabilities that share a small denominator, and a policy that does not mix; "
                 "use arithmetic='auto'"
             )
-        return *self._in_doubles(), "double"
+        found = self._solved(Doubles(self.product.model.probability, self.maximize))
+        return *self._surely(found, self._in_doubles(found)), "double", found
+
+    def certain(self, found: Solution) -> bool:
+        """Whether P is 0 or 1 by the model's graph alone."""
+        starts = self._starts()
+        values = found.entry[starts] != 0
+        return bool(found.certain[starts].all() and (values.all() or not values.any()))
+
+    def of_states(self, found: Solution) -> Floats:
+        """(n_states,) where runs may begin everywhere."""
+        return found.entry.astype(np.float64)
+
+    def _solved(self, arithmetic: Arithmetic) -> Solution:
+        return solve(self.layers, arithmetic, self.maximize, self.keep)
+
+    def _starts(self) -> NDArray[np.int64]:
+        """Where the model's initial states are among those that runs may begin in."""
+        return np.searchsorted(self._made[0].first, np.flatnonzero(self.product.model.initial))
+
+    def _surely(self, found: Solution, bounds: tuple[float, float, float]) -> tuple[float, float, float]:
+        if not self.certain(found):
+            return bounds
+        value = float(found.entry[self._starts()[0]] != 0)
+        return value, value, value
+
+    @staticmethod
+    def _unscaled(found: Solution, one: int) -> Solution:
+        return replace(found, entry=np.array([float(Fraction(int(u), one)) for u in found.entry.tolist()]))
 
     def _narrower(self, scale: FixedPoint) -> bool:
         h = self.product.horizon
@@ -205,21 +270,12 @@ class _Sweeps:
     def _row_length(self) -> int:
         return int(np.diff(self.product.model.row_start).max())
 
-    def _entry_values(self, scale: FixedPoint | None) -> Values:
-        swept = sweeper(self.product, self.backend, scale)
-        sweep = sweep_of(swept, self.policy, self.maximize, self.tables)
-        entry = induct(self.product, swept, sweep, self.progress)
-        if self.policy is not None and (np.isnan(entry) | (entry < 0)).any():
-            raise undefined(self.product, self.policy)
-        return entry
-
-    def _in_doubles(self) -> tuple[float, float, float]:
+    def _in_doubles(self, found: Solution) -> tuple[float, float, float]:
         model, h = self.product.model, self.product.horizon
-        entry = self._entry_values(None)
-        value = math.fsum(model.initial[np.flatnonzero(model.initial)] * entry)
+        value = math.fsum(model.initial[np.flatnonzero(model.initial)] * found.entry[self._starts()])
         mixed, weight_defect, smallest = 0, Fraction(0), least_positive(model.probability, model.initial)
         if self.policy is not None and not self.policy.deterministic:
-            weights = _distinct_mixtures(self.policy.table)
+            weights = _distinct_mixtures(own_table(self.policy.form))
             mixed, weight_defect = weights.shape[1], defect(weights.tolist())
             smallest = min(smallest, least_positive(weights))
         row_defect, start_defect = model_defects(model)
@@ -246,18 +302,47 @@ def least_positive(*arrays: Floats) -> float:
 
 
 def undefined(product: Product, policy: Policy) -> PolicyError:
-    """Where the policy says nothing (its NaN reached the start): the places it can reach, then how many it cannot."""
-    places: dict[tuple[int, int], int] = {}  # (s, q) → the first step it is reached at
-    for t, layer in enumerate(policy_layers(product, policy)):
-        reached = np.unpackbits(layer, count=product.n_states).reshape(product.shape).astype(np.bool_)
-        for s, q in np.argwhere(reached & (policy.at(t) < 0)).tolist():
-            places.setdefault((s, q), t)
-    silent = policy.table < 0
-    others = int((silent if policy.stationary else silent.any(axis=0)).sum()) - len(places)
-    named = list(places.items())[:_NAMED]
-    shown = " | ".join(product.describe(s * product.automaton.n_states + q, t) for (s, q), t in named)
+    """Where the policy says nothing: the places it can reach, then how many it cannot."""
+    places = silent_places(product, policy)
+    form = policy.form
+    others = 0
+    if isinstance(form, Table):
+        silent = form.table < 0
+        others = int((silent if form.stationary else silent.any(axis=0)).sum()) - len(places)
+    first = list(places.items())[:_NAMED]
+    shown = " | ".join(product.describe(s * product.automaton.n_states + q, t) for (s, q), t in first)
     more = f" | and {len(places) - _NAMED} more" if len(places) > _NAMED else ""
     unreached = f" ({others} others it cannot reach)" if others else ""
     return PolicyError(
         f"the policy says nothing about {shown}{more}, which it can reach{unreached}; add an action there"
     )
+
+
+def silent_places(product: Product, policy: Policy) -> dict[tuple[int, int], int]:
+    """The pairs (s, q) that a policy reaches and is silent about, with the first step it does."""
+    lenient = _Lenient(policy.form)
+    layers = layers_of(Game.of(product), TRUE, lenient, engine="nodes")
+    for first, _, codes in layers.reached:
+        s, q = np.divmod(codes, product.automaton.n_states)
+        lenient.choices(layers.game, first, s, q)  # of the last layer too
+    return dict(sorted(lenient.places.items(), key=lambda place: (place[1], place[0])))
+
+
+class _Lenient(Following):
+    """Where the policy is silent, its runs end, and the place is noted."""
+
+    def __init__(self, form: Form) -> None:
+        super().__init__(form)
+        self._lenient_form = form
+        self.places: dict[tuple[int, int], int] = {}
+
+    def choices(
+        self, game: Game, t: int, s: NDArray[np.int64], q: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats | None]:
+        taken = self._lenient_form.at(t, s, q)
+        if self.mixed:
+            return super().choices(game, t, s, q)
+        for place in zip(s[taken < 0].tolist(), q[taken < 0].tolist(), strict=True):
+            self.places[place] = min(t, self.places.get(place, t))
+        owner = np.flatnonzero(taken >= 0)
+        return owner, game.rows.choice_start[s[owner]] + taken[owner], None

@@ -12,45 +12,59 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata import FALSE, TRUE, UNDECIDED
-from stltool.checking.backward import Progress, over_ranges
-from stltool.checking.reach import first_steps
+from stltool.checking.induction import Digits, Integers, Layers, Solution, solve
 from stltool.errors import ModelError
 from stltool.models import MDP
-from stltool.models.fractions import LARGEST_SUM, Integers, over_one
+from stltool.models.fractions import Integers as Numerators
+from stltool.models.fractions import over_one
 from stltool.models.normalize import HINT, MOST_MISSING
-from stltool.policy import Policy
-from stltool.product import Product
-from stltool.sizes import Numbers, require_memory, require_time
+from stltool.sizes import require_memory, require_time
 
-_KERNEL_BELOW = 2**40
-_KERNEL_RATE, _PYTHON_RATE = 5e8, 1e7  # digits' and Python integers' multiply-adds a second, roughly
+_DIGITS_BELOW = 2**40
+_DIGITS_RATE, _PYTHON_RATE = 5e8, 1e7  # digits' and Python integers' multiply-adds a second, roughly
 
 
 def exact_probability(
-    product: Product,
-    policy: Policy | None,
+    layers: Layers[Any, Any],
+    model: MDP,
     maximize: bool,
-    tables: Numbers | None = None,
+    keep: type[np.unsignedinteger] | None = None,
     *,
-    in_kernel: bool = True,
+    in_digits: bool = True,
     memory_limit: int | None = None,
-    progress: Progress | None = None,
-) -> Fraction:
-    """P as a fraction: under `policy`, or the optimum, whose choices go to `tables` (h, S, Q) where it is given.
+) -> tuple[Fraction, Solution]:
+    """P as a fraction, over the layers of a question (checking/check.py), and the solution it is from.
 
-    Raises ModelError where the model's rows do not sum to 1 exactly, SizeError before a sweep that would not fit.
+    Raises ModelError where the model's rows do not sum to 1 exactly, SizeError before it takes what is not there.
     """
-    require_exact(product.model)
-    if in_kernel and product.model.exact().denominator < _KERNEL_BELOW and (policy is None or policy.deterministic):
-        return _in_digits(product, policy, maximize, tables, memory_limit, progress)
-    return _in_python(product, policy, maximize, tables, memory_limit, progress)
+    require_exact(model)
+    exact, h = model.exact(), layers.game.horizon
+    D = exact.denominator
+    arithmetic: Digits | Integers
+    if in_digits and D < _DIGITS_BELOW and not layers.allowed.mixed:
+        arithmetic, rate = Digits(exact.numerator.astype(np.int64), D, maximize), _DIGITS_RATE
+        words = h * math.log2(max(D, 2)) / arithmetic.bits + 2
+    else:
+        arithmetic, rate = Integers(exact.numerator, D, maximize), _PYTHON_RATE
+        words = h * math.log2(max(D, 2)) / 64 + 4
+    widest, pairs = layers.size()
+    what = f"exact arithmetic on {pairs} pairs over {h} steps"
+    remedy = "shorten the windows, round the probabilities to fewer digits, or take the enclosure without --exact"
+    require_memory(24 * words * widest, what, remedy, memory_limit)
+    require_time(pairs * layers.game.widest * (1 + words / 2), rate, what, remedy)
+    found = solve(layers, arithmetic, maximize, keep)
+    entries = [arithmetic.number(value) for value in found.entry]
+    shares = (exact.initial_share(s) for s in layers.game.first.tolist())
+    total = sum((share * value for share, value in zip(shares, entries, strict=True)), Fraction(0))
+    values = np.array([float(Fraction(value, arithmetic.one)) for value in entries])
+    return total / arithmetic.one, replace(found, entry=values)
 
 
 def require_exact(model: MDP) -> None:
@@ -72,95 +86,7 @@ def require_exact(model: MDP) -> None:
     )
 
 
-def _in_digits(
-    product: Product,
-    policy: Policy | None,
-    maximize: bool,
-    tables: Numbers | None,
-    memory_limit: int | None,
-    progress: Progress | None,
-) -> Fraction:
-    from stltool.kernels import rational
-
-    model, automaton, h = product.model, product.automaton, product.horizon
-    exact = model.exact()
-    D = exact.denominator
-    bits = LARGEST_SUM.bit_length() - 1 - D.bit_length()
-    most = int(h * math.log2(D) / bits) + 2
-    _require(product, 16 * most * product.n_states, most / 2, _KERNEL_RATE, memory_limit)
-    first = first_steps(product)
-    numerator = exact.numerator.astype(np.int64)
-    run = over_ranges(product, work=product.n_states * most)
-    anything = np.full(product.shape, -1, dtype=model.choice_type)
-    best = np.zeros(product.shape, dtype=model.choice_type)
-    values = np.zeros((*product.shape, 1), dtype=np.int64)
-    values[:, automaton.verdicts(h) == TRUE] = 1
-    one = 1
-    for t in range(h - 1, -1, -1):
-        one *= D
-        verdicts = automaton.verdicts(t)
-        digits = _digits(one, bits)
-        out = np.zeros((*product.shape, len(digits)), dtype=np.int64)
-        out[:, verdicts == TRUE] = digits
-        wanted = (first <= t) & (verdicts == UNDECIDED)
-        chosen = anything if policy is None else policy.at(t)
-        before = (model.choice_start, model.row_start, model.target, numerator, product.letter, automaton.delta)
-        table = best if tables is None else tables[t]
-        run(rational.optimum, (*before, values, chosen, maximize, wanted, bits), (out, table))
-        values = out
-        if progress is not None:
-            progress(h - t, h)
-    total = sum((exact.initial_share(s) * _number(values[s, q], bits) for s, q in _entries(product)), Fraction(0))
-    return total / one
-
-
-def _in_python(
-    product: Product,
-    policy: Policy | None,
-    maximize: bool,
-    tables: Numbers | None,
-    memory_limit: int | None,
-    progress: Progress | None,
-) -> Fraction:
-    model, automaton, h = product.model, product.automaton, product.horizon
-    exact = model.exact()
-    words = h * math.log2(max(exact.denominator, 2)) / 64 + 4
-    _require(product, 8 * words * (product.n_states + model.n_transitions), 1 + words / 8, _PYTHON_RATE, memory_limit)
-    numerator = exact.numerator.astype(object)[:, None]
-    n_choices = np.diff(model.choice_start)
-    after = automaton.delta[product.letter]  # (S, Q)
-    values: Integers = np.zeros(product.shape, dtype=object)
-    values[:, automaton.verdicts(h) == TRUE] = 1
-    one = 1
-    for t in range(h - 1, -1, -1):
-        W = values[model.target[:, None], after[model.target]]
-        per_choice = np.add.reduceat(numerator * W, model.row_start[:-1], axis=0)
-        factor = exact.denominator
-        if policy is None:
-            values = per_choice[model.choice_start[:-1]]
-            best = np.zeros(product.shape, dtype=model.choice_type)
-            for i in range(1, int(n_choices.max())):
-                there = np.flatnonzero(n_choices > i)
-                option = per_choice[model.choice_start[there] + i]
-                better = option > values[there] if maximize else option < values[there]
-                values[there] = np.where(better, option, values[there])
-                best[there] = np.where(better, i, best[there])
-            if tables is not None:
-                tables[t] = best
-        else:
-            chosen, shared = follower(model, policy.at(t))
-            values, factor = chosen(per_choice), factor * shared
-        one *= factor
-        verdicts = automaton.verdicts(t)
-        values[:, verdicts == TRUE] = one
-        values[:, verdicts == FALSE] = 0
-        if progress is not None:
-            progress(h - t, h)
-    total = sum((exact.initial_share(s) * values[s, q] for s, q in _entries(product)), Fraction(0))
-    return total / one
-
-
-def follower(model: MDP, table: NDArray[Any]) -> tuple[Callable[[Integers], Integers], int]:
+def follower(model: MDP, table: NDArray[Any]) -> tuple[Callable[[Numerators], Numerators], int]:
     """What a policy's table of one step makes of values (n_choices, Q): (S, Q), times the second result."""
     if table.dtype.kind == "i":
         chosen = model.choice_start[:-1, None] + np.maximum(table, 0)
@@ -168,8 +94,8 @@ def follower(model: MDP, table: NDArray[Any]) -> tuple[Callable[[Integers], Inte
     weight, shared = weights(table)
     n_choices = np.diff(model.choice_start)
 
-    def mix(per_choice: Integers) -> Integers:
-        values: Integers = np.zeros(table.shape[:2], dtype=object)
+    def mix(per_choice: Numerators) -> Numerators:
+        values: Numerators = np.zeros(table.shape[:2], dtype=object)
         for i in range(table.shape[2]):
             there = np.flatnonzero(n_choices > i)
             values[there] += weight[there, :, i] * per_choice[model.choice_start[there] + i]
@@ -178,7 +104,7 @@ def follower(model: MDP, table: NDArray[Any]) -> tuple[Callable[[Integers], Inte
     return mix, shared
 
 
-def weights(table: NDArray[np.float64]) -> tuple[Integers, int]:
+def weights(table: NDArray[np.float64]) -> tuple[Numerators, int]:
     """A mixture's weights (S, Q, C), each row scaled to sum to 1, as integers over one denominator."""
     rows, which = np.unique(table.reshape(-1, table.shape[-1]), axis=0, return_inverse=True)
     shares = []
@@ -187,28 +113,3 @@ def weights(table: NDArray[np.float64]) -> tuple[Integers, int]:
         shares += [Fraction(weight) / total for weight in row]
     numerator, denominator = over_one(shares)
     return numerator.astype(object).reshape(rows.shape)[which.ravel()].reshape(table.shape), denominator
-
-
-def _entries(product: Product) -> list[tuple[int, int]]:
-    """The initial product states."""
-    return [(int(s), product.enter(int(s), product.automaton.initial)) for s in np.flatnonzero(product.model.initial)]
-
-
-def _require(product: Product, needed: float, words: float, rate: float, memory_limit: int | None) -> None:
-    h, nonzeros = product.horizon, product.model.n_transitions * product.automaton.n_states
-    what = f"exact arithmetic on {product.n_states} product states over {h} steps"
-    remedy = "shorten the windows, round the probabilities to fewer digits, or take the enclosure without --exact"
-    require_memory(needed, what, remedy, memory_limit)
-    require_time(h * nonzeros * words, rate, what, remedy)
-
-
-def _digits(value: int, bits: int) -> list[int]:
-    digits: list[int] = []
-    while value or not digits:
-        digits.append(value & ((1 << bits) - 1))
-        value >>= bits
-    return digits
-
-
-def _number(digits: NDArray[np.int64], bits: int) -> int:
-    return sum(digit << (bits * i) for i, digit in enumerate(digits.tolist()))

@@ -46,7 +46,7 @@ def policy_layers(product: Product, policy: Policy) -> list[NDArray[np.uint8]]:
         now[:, automaton.verdicts(t) != UNDECIDED] = False
         layers.append(np.packbits(now))
         s, q = np.nonzero(now)
-        table = policy.at(t)[s, q]
+        table = policy.row(t)[s, q]
         if policy.deterministic:
             choice, q = (model.choice_start[s] + table)[table >= 0], q[table >= 0]
         else:

@@ -37,22 +37,14 @@ from fractions import Fraction
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from stltool.arguments import flag, function, one_of
-from stltool.checking.backward import (
-    BACKENDS,
-    Backend,
-    Floats,
-    NumbaSweeper,
-    NumpySweeper,
-    Progress,
-    Sweeper,
-    induct,
-    sweep_of,
-)
+from stltool.arguments import flag, function, one_of, whole
+from stltool.automata import FALSE, TRUE
 from stltool.checking.bounds import compounded, defect, enclose
-from stltool.checking.check import CheckResult, require_sweeps, undefined
+from stltool.checking.check import CheckResult, Floats, undefined
+from stltool.checking.induction import EVERYTHING, Budget, Engine, Following, Game, Progress, Silent, layers_of, solve
+from stltool.checking.induction import Nature as NaturesChoice
+from stltool.choices import own_table
 from stltool.errors import SettingsError, named
 from stltool.models import Intervals
 from stltool.policy import Policy, require_door
@@ -60,7 +52,6 @@ from stltool.product import Product
 
 Nature = Literal["against", "with"]
 
-_RATE = 1e8  # entries sorted and added a second, roughly, on one core
 _LONGEST_ROW = 2**20
 _U = Fraction(1, 2**53)
 
@@ -72,7 +63,8 @@ def robust_check(
     maximize: bool = True,
     nature: Nature = "against",
     keep_policy: bool = True,
-    backend: Backend = "numba",
+    engine: Engine = "auto",
+    threads: int | None = None,
     memory_limit: int | None = None,
     progress: Progress | None = None,
 ) -> CheckResult:
@@ -82,7 +74,7 @@ def robust_check(
                        False, "against": min–max                                     False, "with": min–min
     policy             None: the optimum over all policies. Given: its least probability where nature is against a
                        maximum or with a minimum, else its greatest; nature sees which choice a mixture has taken
-    keep_policy        False saves the memory of the optimal policy's table; `backend` as in `check`
+    keep_policy        False leaves the optimal policy out; `engine` and `threads` as in `check`
 
     Raises SettingsError for a model without intervals, PolicyError when the policy belongs to another task or model or
     says nothing about a state it may reach, SizeError before allocating what would not fit.
@@ -92,7 +84,8 @@ def robust_check(
     flag(maximize, "robust_check's maximize")
     flag(keep_policy, "robust_check's keep_policy")
     one_of(nature, "nature", get_args(Nature))
-    one_of(backend, "backend", BACKENDS)
+    one_of(engine, "engine", get_args(Engine))
+    threads = whole(threads, "robust_check's threads", 1) if threads is not None else None
     function(progress, "robust_check's progress")
     intervals = product.model.intervals
     if intervals is None:
@@ -104,32 +97,43 @@ def robust_check(
     longest = int(np.diff(product.model.row_start).max())
     if longest > _LONGEST_ROW:
         raise SettingsError(f"a row has {longest} entries; robust checks take up to {_LONGEST_ROW}")
-    judge, rebased = policy.on(product) if policy is not None else (product, None)
-    kept = policy is None and keep_policy
-    require_sweeps(judge, kept, _RATE, memory_limit)
-    minimal = maximize == (nature == "against")
-    swept = robust_sweeper(judge, intervals, minimal, backend)
+    judge, judged = policy.on(product) if policy is not None else (product, None)
+    keep = product.model.unsigned_choice_type if policy is None and keep_policy else None
     question: Literal["maximum", "minimum", "policy"]
-    question = "policy" if rebased is not None else "maximum" if maximize else "minimum"
-    tables = np.zeros((product.horizon if kept else 1, *product.shape), dtype=product.model.choice_type)
-    entry = induct(judge, swept, sweep_of(swept, rebased, maximize, tables), progress)
-    if rebased is not None and np.isnan(entry).any():
-        raise undefined(judge, rebased)
-    value = math.fsum(product.model.initial[np.flatnonzero(product.model.initial)] * entry)
+    question = "policy" if judged is not None else "maximum" if maximize else "minimum"
+    ends = (intervals.lower, intervals.upper - intervals.lower, _budget(product, intervals))
+    arithmetic = NaturesChoice(*ends, minimal=maximize == (nature == "against"), maximize=maximize)
+    allowed = EVERYTHING if judged is None else Following(judged.form)
+    budget = Budget(f"checking {product.n_states} product states", memory_limit, progress)
+    try:
+        goal = TRUE if maximize else FALSE
+        layers = layers_of(Game.of(judge), goal, allowed, engine=engine, keep=keep, threads=threads, budget=budget)
+        found = solve(layers, arithmetic, maximize, keep)
+    except Silent:
+        assert judged is not None
+        raise undefined(judge, judged) from None
+    value = math.fsum(product.model.initial[np.flatnonzero(product.model.initial)] * found.entry)
     weight_defect, mixed = Fraction(0), 0
-    if rebased is not None and not rebased.deterministic:
-        mixed = rebased.table.shape[-1]
-        weight_defect = defect(np.unique(rebased.table.reshape(-1, mixed), axis=0).tolist())
+    if judged is not None and not judged.deterministic:
+        weights = own_table(judged.form)
+        mixed = weights.shape[-1]
+        weight_defect = defect(np.unique(weights.reshape(-1, mixed), axis=0).tolist())
     initial_defect = defect([product.model.initial])
     a_sweep = (8 * longest + 2 * mixed) * _U + 2 * _defect(product) + 2 * weight_defect
     growth = product.horizon * weight_defect + initial_defect  # what defects of weights make of earlier errors
     slack = compounded(product.horizon * a_sweep + initial_defect, growth)
     lower, upper = enclose(value, 3, slack, underflow=False)  # the initial sum's; a first sweep's slack is larger
-    if kept:
-        policy = Policy(product, tables)
-    seconds = time.perf_counter() - start
     value = min(max(value, 0.0), 1.0)
-    return CheckResult(product, question, value, lower, upper, policy, product.horizon, seconds, nature=nature)
+    certain = bool(found.certain.all()) and value in (0.0, 1.0)
+    if certain:  # whatever nature does: no rounding decides it
+        lower = upper = value
+    if found.choices is not None:
+        policy = Policy(product, found.choices)
+    seconds = time.perf_counter() - start
+    return CheckResult(
+        product, question, value, lower, upper, policy, found.swept, seconds, nature=nature, certain=certain,
+        engine=found.engine,
+    )  # fmt: skip
 
 
 def _defect(product: Product) -> Fraction:
@@ -151,44 +155,3 @@ def _budget(product: Product, intervals: Intervals) -> Floats:
     missing = 1 - np.add.reduceat(intervals.lower, product.model.row_start[:-1])
     budget: Floats = np.maximum(missing, 0.0)
     return budget
-
-
-def robust_sweeper(product: Product, intervals: Intervals, minimal: bool, backend: Backend) -> Sweeper:
-    """The plain sweep's arithmetic with nature's choice in the place of the probabilities."""
-    return (_NumbaSweeper if backend == "numba" else _NumpySweeper)(product, intervals, minimal)
-
-
-class _NumbaSweeper(NumbaSweeper):
-    def __init__(self, product: Product, intervals: Intervals, minimal: bool) -> None:
-        from stltool.kernels import robust
-
-        super().__init__(product)
-        self._kernels, self._mixture = robust, robust.mixture
-        self._shares = (intervals.lower, intervals.upper - intervals.lower, _budget(product, intervals), minimal)
-
-
-class _NumpySweeper(NumpySweeper):
-    def __init__(self, product: Product, intervals: Intervals, minimal: bool) -> None:
-        super().__init__(product)
-        self._matrix = _Nature(product, intervals, minimal)
-
-
-class _Nature:
-    """The numpy twin's matrix: `self @ W` (n_choices, Q), choice by choice and entry by entry."""
-
-    def __init__(self, product: Product, intervals: Intervals, minimal: bool) -> None:
-        self._model, self._intervals, self._minimal = product.model, intervals, minimal
-        self._budget = _budget(product, intervals)
-
-    def __matmul__(self, W: Floats) -> Floats:
-        out = np.zeros((self._model.n_choices, W.shape[1]))
-        for c, (a, b) in enumerate(itertools.pairwise(self._model.row_start.tolist())):
-            values = W[self._model.target[a:b]]
-            order: NDArray[np.int64] = np.argsort(values if self._minimal else -values, axis=0, kind="stable")
-            lower, width = self._intervals.lower[a:b], (self._intervals.upper - self._intervals.lower)[a:b]
-            left = np.full(W.shape[1], self._budget[c])
-            for k in order:
-                take = np.minimum(width[k], left)
-                left -= take
-                out[c] += (lower[k] + take) * np.take_along_axis(values, k[None], axis=0)[0]
-        return np.where(out > 1, 1.0, out)

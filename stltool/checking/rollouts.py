@@ -116,7 +116,7 @@ class Rollouts:
 
 
 def _choice(product: Product, policy: Policy, s: int, q: int, t: int, rng: np.random.Generator) -> int:
-    entry = policy.at(t)[s, q]
+    entry = policy.row(t)[s, q]
     if not policy.deterministic:
         return int(rng.choice(len(entry), p=entry / entry.sum()))
     if entry < 0:
@@ -144,11 +144,11 @@ def follow(product: Product, policy: Policy, sums: NDArray[np.float64], runs: in
     while len(s):
         choice = np.empty(len(s), dtype=model.choice_type)
         if policy.deterministic:
-            silent = rollout.pick(policy.at(t), s, q, choice)
+            silent = rollout.pick(policy.row(t), s, q, choice)
             if silent >= 0:
                 raise silence(product, int(s[silent]), int(q[silent]), t)
         else:
-            rollout.mix(policy.at(t), draw(number), s, q, choice)
+            rollout.mix(policy.row(t), draw(number), s, q, choice)
         t, steps = t + 1, steps + len(s)
         live = rollout.move(
             model.choice_start, model.row_start, model.target, sums, product.letter, automaton.delta,

@@ -55,7 +55,7 @@ def sample_run(product: Product, policy: Policy | None = None, seed: int = 0) ->
     states, actions, memory = [s], [], [automaton.describe(q)]
     t = 0
     while automaton.verdicts(t)[q] == UNDECIDED:
-        table = policy.at(t)[s, q]
+        table = policy.row(t)[s, q]
         if policy.deterministic and table < 0:
             raise silence(product, s, q, t)
         i = int(table) if policy.deterministic else int(rng.choice(len(table), p=table / table.sum()))

@@ -76,7 +76,7 @@ class Unfolding:
         for t in range(product.horizon):
             self.bytes += 24 * len(self.layers[-1]) + _LAYER_BYTES
             nodes = self.undecided(t)
-            if policy.deterministic and (policy.at(t)[self._split(t, nodes)] < 0).any():
+            if policy.deterministic and (policy.row(t)[self._split(t, nodes)] < 0).any():
                 raise undefined(product, policy)
             reached = np.zeros(product.n_states, dtype=np.bool_)
             reached[self._expand(t, nodes)[-1]] = True
@@ -126,7 +126,7 @@ class Unfolding:
         """For every edge: which of `nodes` it leaves, choice, entry, weight, and the product state it leads to."""
         model, automaton = self.product.model, self.product.automaton
         s, q = self._split(t, nodes)
-        table = self.policy.at(t)[s, q]
+        table = self.policy.row(t)[s, q]
         if self.policy.deterministic:
             pick, i = np.arange(len(nodes)), table.astype(np.int64)
             weight = np.ones(len(nodes))

@@ -74,9 +74,7 @@ def check(
         require_policy_file(save_policy)
     if certificate is not None:
         require_certificate_file(certificate)
-    product = make_product(
-        task, model, param, name, encoding, as_json, learning=False, exact=exact, normalize=normalize
-    )
+    product = make_product(task, model, param, name, encoding, as_json, learning=False, normalize=normalize)
     uncertain = product.model.intervals is not None
     product, judge = judge_by(product, nature)
     robust = uncertain and nature != "nominal"

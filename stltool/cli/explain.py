@@ -58,7 +58,6 @@ def explain(
 
 def _shown(facts: dict[str, Any]) -> dict[str, Any]:
     """The facts of one line each, in words."""
-    from stltool.sizes import bytes_text
 
     shown = {
         key.replace("_", " "): value
@@ -82,7 +81,6 @@ def _shown(facts: dict[str, Any]) -> dict[str, Any]:
     for key in ("fragment", "automaton"):
         for detail, value in facts.get(key, {}).items():
             shown[f"{key} {detail}".replace("_", " ")] = ", ".join(value) if isinstance(value, list) else value
-    if "check_bytes" in facts:
-        shown["check bytes"] = bytes_text(facts["check_bytes"])
+    if "actions" in facts:
         shown["actions"] = ", ".join(facts["actions"])
     return shown

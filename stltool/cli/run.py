@@ -99,7 +99,6 @@ def run(
         as_json,
         rollouts=rollouts > 0,
         nominal=nominal,
-        guarantees=True,
         normalize=normalize,
     )
     folder = out if out is not None else Path("out") / product.task_name

@@ -46,8 +46,6 @@ def make_product(
     learning: bool = True,
     rollouts: bool = False,
     nominal: bool = False,
-    guarantees: bool = False,
-    exact: bool = False,
     normalize: bool = False,
 ) -> Product:
     """The product of a task file and its model, with the kernels loaded that the command needs."""
@@ -56,7 +54,7 @@ def make_product(
 
     product = load_product(task, model, param, name, encoding, nominal, normalize)
     with kernels_ready(quiet):
-        kernels.warm_up(learning, rollouts, guarantees or product.model.intervals is not None, exact)
+        kernels.warm_up(learning, rollouts)
     return product
 
 
@@ -120,17 +118,12 @@ def make_joint_product(
 ) -> JointProduct:
     """The definitions `names` of one task file, remembered together."""
     import stltool as stl
-    from stltool import kernels
-    from stltool.reporting.terminal import kernels_ready
 
     params = read_params(param)
     loaded = [stl.load_task(task, params, name) for name in names]
     world = task_model(loaded[0], model, normalize)
     with warnings_shown():
-        joint = stl.build_joint_product(world, loaded, encoding)  # type: ignore[arg-type]
-    with kernels_ready(quiet):
-        kernels.warm_up(learning=False)
-    return joint
+        return stl.build_joint_product(world, loaded, encoding)  # type: ignore[arg-type]
 
 
 def judge_by(product: Product, nature: str | None) -> tuple[Product, Callable[..., CheckResult]]:

@@ -9,20 +9,11 @@ from stltool.kernels import jit  # first, so that it sees the sources before the
 __all__ = ["jit", "warm_up"]
 
 
-def warm_up(learning: bool = True, rollouts: bool = False, intervals: bool = False, exact: bool = False) -> None:
-    """Load the kernels of checking, and those asked for; the first call on a machine compiles them, some seconds."""
-    from stltool.kernels import fixed, sweep
+def warm_up(learning: bool = True, rollouts: bool = False) -> None:
+    """Load the kernels asked for; the first call on a machine compiles them, some seconds.
 
-    sweep.warm_up()
-    fixed.warm_up()
-    if intervals:
-        from stltool.kernels import robust
-
-        robust.warm_up()
-    if exact:
-        from stltool.kernels import rational
-
-        rational.warm_up()
+    Those of checking are loaded when an induction is large enough to want them.
+    """
     if learning:
         from stltool.kernels import learning as learners
 

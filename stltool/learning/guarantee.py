@@ -178,7 +178,7 @@ def _initial(model: MDP, start: int | None) -> Floats:
                 "every run starts"
             )
         return model.initial
-    whole(start, "start", 0, model.n_states - 1)
+    start = whole(start, "start", 0, model.n_states - 1)
     point: Floats = (np.arange(model.n_states) == start).astype(np.float64)
     return point
 

@@ -33,7 +33,7 @@ from stltool.models.fractions import (
 from stltool.models.intervals import Intervals
 from stltool.models.normalize import HINT, MOST_MISSING, rescale
 from stltool.numbers import NumberError, exact, number_text
-from stltool.sizes import IntegerType, integer_type, require_memory, require_numbered
+from stltool.sizes import IntegerType, UnsignedType, integer_type, require_memory, require_numbered, unsigned_type
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -156,6 +156,11 @@ class MDP(Displayed):
     def choice_type(self) -> IntegerType:
         """The type of a table of choices: of numbers within their state, negative where there is none."""
         return integer_type(self.most_choices - 1)
+
+    @property
+    def unsigned_choice_type(self) -> UnsignedType:
+        """The type of choices that are all there."""
+        return unsigned_type(self.most_choices - 1)
 
     def state_name(self, s: int) -> str:
         s = whole(s, "the model's state s", 0, self.n_states - 1)

@@ -135,7 +135,7 @@ def _automaton_data(task: Task, model: MDP | None, encoding: Encoding) -> dict[s
     if model is not None:
         product = build_product(model, task, encoding)
         automaton = product.automaton
-        facts |= product_data(product) | {"check_bytes": product.check_bytes()}
+        facts |= product_data(product)
     else:
         automaton = compile_automaton(task.formula, encoding)
         facts["automaton_states"] = automaton.n_states

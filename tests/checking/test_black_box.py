@@ -7,7 +7,6 @@ import pytest
 
 import stltool as stl
 from stltool.checking import require_certificate_of
-from stltool.checking.backward import sweeper
 from stltool.errors import ModelError, PolicyError, SettingsError
 from stltool.models.environment import Environment, cumulated, simulator
 
@@ -123,13 +122,12 @@ def test_what_needs_probabilities_refuses_black_boxes(known, unknown, tmp_path):
     for ask in (
         lambda: stl.check(unknown),
         lambda: stl.check(unknown, policy),
-        lambda: stl.check(unknown, backend="numpy"),
+        lambda: stl.check(unknown, engine="nodes"),
         lambda: stl.check(unknown, exact=True),
         lambda: stl.robust_check(unknown),
         lambda: model.matrix(),
         lambda: model.exact(),
         lambda: model.nominal().require_points(),
-        lambda: sweeper(unknown, "numba"),
         lambda: stl.likely_runs(unknown, policy),
         lambda: stl.sensitivity(unknown, policy),
         lambda: stl.pareto(joint),

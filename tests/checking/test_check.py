@@ -1,5 +1,6 @@
 """`check` against the enumeration of all history-dependent policies, its laws, and the numpy twin."""
 
+import dataclasses
 from fractions import Fraction
 
 import numpy as np
@@ -71,8 +72,7 @@ def random_policy(product, rng, timed, mixed):
 def test_a_policys_value_equals_the_tree_of_its_runs(product, seed, timed, mixed):
     policy = random_policy(product, np.random.default_rng(seed), timed, mixed)
     result = stl.check(product, policy)
-    exact = oracles.policy_value(product, policy)
-    close(result, min(exact, Fraction(1)))  # weights of a mixture are doubles: their exact sum can exceed 1
+    close(result, oracles.policy_value(product, policy))
     assert result.probability <= stl.check(product).upper + 1e-15
     assert result.probability >= stl.check(product, maximize=False).lower - 1e-15
 
@@ -86,20 +86,20 @@ def test_the_optimal_policy_attains_the_optimum(product):
 
 
 @given(products(max_states=4, max_actions=3), st.integers(0, 2**32 - 1))
-def test_numba_and_numpy_agree(product, seed):
+def test_engines_agree(product, seed):
     rng = np.random.default_rng(seed)
     policies = [None] + [random_policy(product, rng, timed, mixed) for timed in (0, 1) for mixed in (0, 1)]
     for policy in policies:
-        fast, slow = (stl.check(product, policy, backend=backend) for backend in ("numba", "numpy"))
-        assert fast.probability == pytest.approx(slow.probability, abs=1e-13)
+        one, other = (stl.check(product, policy, engine=engine) for engine in ("nodes", "words"))
+        assert (one.probability, one.lower, one.upper) == (other.probability, other.lower, other.upper)
 
 
 def test_threads_change_nothing(floor10, monkeypatch):
     task = stl.load_task(ROOT / "examples/factory/patrolling.stl")
     product = stl.build_product(floor10, task)
-    alone = stl.check(product)
-    monkeypatch.setattr("stltool.checking.backward._WORTH_THREADS", 1)
-    together = stl.check(product)
+    alone = stl.check(product, engine="words", threads=1)
+    monkeypatch.setattr("stltool.checking.induction.words._WORTH_WORDS", 1)
+    together = stl.check(product, engine="words", threads=4)
     assert together.probability == alone.probability
     assert np.array_equal(together.policy.table, alone.policy.table)
 
@@ -158,7 +158,7 @@ def test_a_stationary_policy_can_be_strictly_worse():
     product = stl.build_product(model, stl.parse("F[0,3] goal"))
     best = stl.check(product)
     assert best.probability == pytest.approx(1 - 0.7 * 0.7 * 0.5)
-    assert [int(best.policy.at(t)[0, 0]) for t in range(3)] == [0, 0, 1]
+    assert [int(best.policy.row(t)[0, 0]) for t in range(3)] == [0, 0, 1]
     stationary = [
         stl.check(product, stl.Policy(product, np.full(product.shape, choice))).probability for choice in (0, 1)
     ]
@@ -197,14 +197,23 @@ def test_silent_places_are_told_apart(patrolling):
     assert "others it cannot reach" in message
 
 
-def test_an_enormous_horizon_is_refused_before_memory_is_taken(floor5):
-    product = stl.build_product(floor5, stl.parse("G[0,10^8) F[0,10) A"))
-    with pytest.raises(SizeError, match=r"198 product states over 100000008 steps.*keep_policy=False"):
-        stl.check(product)
-    product = stl.build_product(floor5, stl.parse("G[0,10^15) F[0,10) A"))
-    for options in ({}, {"keep_policy": False}):
-        with pytest.raises(SizeError, match=r"over 1000000000000008 steps would take about .* days"):
-            stl.check(product, **options)
+def test_an_enormous_horizon_is_no_more_than_the_steps_until_all_repeat(floor5):
+    """The enclosure still counts a rounding for each step: at some length nothing is left of it."""
+    for horizon, widest in ((10**8, 1e-6), (10**15, 1)):
+        product = stl.build_product(floor5, stl.parse(f"G[0,{horizon}) F[0,10) A"))
+        for engine in ("nodes", "words"):
+            result = stl.check(product, engine=engine)
+            assert result.sweeps < 10_000
+            assert 0 <= result.lower <= result.probability <= result.upper <= 1
+            assert result.upper - result.lower <= widest
+            assert stl.check(product, result.policy, engine=engine).probability == result.probability
+
+
+def test_what_would_not_fit_is_refused_before_memory_is_taken(floor5):
+    product = stl.build_product(floor5, stl.parse("G[0,50) F[0,10) A"))
+    for engine in ("nodes", "words"):
+        with pytest.raises(SizeError, match=r"checking 198 product states.* would take .* of memory; 1 kB may be used"):
+            stl.check(product, engine=engine, memory_limit=1000)
     with pytest.raises(SizeError, match="would take"):
         stl.build_product(floor5, stl.parse("G[0,5) F[0,5) A"), memory_limit=100)
 
@@ -256,10 +265,44 @@ def test_a_probability_below_the_doubles_is_not_zero():
     assert 0 < result.upper < 1e-199
 
 
-def test_progress_counts_the_sweeps(patrolling):
+@pytest.mark.parametrize("engine", ["nodes", "words"])
+def test_progress_counts_steps_forward_and_back(patrolling, engine):
     calls = []
-    stl.check(patrolling, progress=lambda done, total: calls.append((done, total)))
-    assert calls == [(t + 1, 8) for t in range(8)]
+    stl.check(patrolling, engine=engine, progress=lambda done, total: calls.append((done, total)))
+    assert calls == [(t, 16) for t in [*range(8), *range(9, 17)]]
+
+
+def test_what_the_graph_decides_is_certain(floor5, floor10):
+    """No rounding decides 0 and 1: models whose rows do not sum to 1 in doubles have certain answers too."""
+    for model in (floor5, floor10):
+        unreachable = stl.check(stl.build_product(model, stl.parse("F[0,2] C")))
+        assert (unreachable.certain, unreachable.lower, unreachable.upper) == (True, 0, 0)
+        standing = stl.check(stl.build_product(model, stl.parse("G[0,9] !C")))
+        assert (standing.certain, standing.lower, standing.upper) == (True, 1, 1)
+        likely = stl.check(stl.build_product(model, stl.parse("F[0,30] C")))
+        assert not likely.certain
+        never = stl.check(stl.build_product(model, stl.parse("F[0,30] C")), maximize=False)
+        assert (never.certain, never.probability) == (True, 0)
+    thirds = stl.MDP.from_arrays([[[1 / 3, 1 / 3, 1 / 3], [0, 1, 0], [0, 0, 1]]], {}, labels={"a": [0, 1, 1]})
+    surely = stl.check(stl.build_product(thirds, stl.parse("G[1,1] a -> G[2,3] a")))
+    assert (surely.certain, surely.lower, surely.upper) == (True, 1, 1)
+    mixed = stl.MDP.from_arrays([[[1, 0], [0, 1]]], {}, initial=[0.25, 0.75], labels={"a": [1, 0]})
+    halves = stl.check(stl.build_product(mixed, stl.parse("F[0,3] a")))
+    assert (halves.certain, halves.probability) == (False, 0.25)
+
+
+@pytest.mark.parametrize("engine", ["nodes", "words"])
+@pytest.mark.parametrize("options", [{}, {"arithmetic": "double"}, {"exact": True}, {"maximize": False}], ids=str)
+def test_values_of_all_states_are_those_of_beginning_there(floor5, engine, options):
+    product = stl.build_product(floor5, stl.parse("F[0,6] C & G[0,3] !B"))
+    found = stl.check(product, values="all", engine=engine, **options)
+    assert found.probability == stl.check(product, **options).probability
+    for s in range(floor5.n_states):
+        one = (np.arange(floor5.n_states) == s).astype(np.int64)
+        exact = dataclasses.replace(floor5.fractions, initial=one, initial_denominator=1)
+        there = dataclasses.replace(floor5, initial=one.astype(float), fractions=exact, _digest=[], _exact=[])
+        alone = stl.build_product(there, product.formula)
+        assert found.values[s] == pytest.approx(stl.check(alone, **options).probability, abs=1e-14)
 
 
 def test_sampled_runs_are_runs_of_the_policy(patrolling):

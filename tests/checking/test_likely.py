@@ -21,7 +21,7 @@ ALL = 10**6
 
 def weights(product, policy, s, q, t):
     """(action name, weight, row) of every choice that the policy takes, in fractions."""
-    model, entry = product.model, policy.at(t)[s, q]
+    model, entry = product.model, policy.row(t)[s, q]
     for i, row in enumerate(oracles.choices(model, s)):
         w = Fraction(int(i == entry)) if policy.deterministic else Fraction(float(entry[i]))
         if w:

@@ -31,7 +31,7 @@ def value(product, policy, probability):
         if verdict != UNDECIDED:
             return p * (verdict == TRUE)
         visits[s] += p
-        entry, total = policy.at(t)[s, q], Fraction(0)
+        entry, total = policy.row(t)[s, q], Fraction(0)
         for i in range(model.choice_start[s + 1] - model.choice_start[s]):
             w = Fraction(int(i == entry)) if policy.deterministic else Fraction(float(entry[i]))
             c = model.choice_start[s] + i

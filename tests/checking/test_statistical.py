@@ -105,7 +105,7 @@ def test_each_run_is_the_simulators_with_the_same_numbers(patrolling):
         s, t = slow.reset(), 0
         q = patrolling.enter(s, automaton.initial)
         while automaton.verdicts(t)[q] < 0:
-            s = slow.step(int(policy.at(t)[s, q]))
+            s = slow.step(int(policy.row(t)[s, q]))
             q, t = patrolling.enter(s, q), t + 1
         assert (automaton.verdicts(t)[q], t) == (verdicts[k], len(drawn[k]) - 1)
     assert steps == sum(map(len, drawn.values())) - runs

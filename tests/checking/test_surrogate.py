@@ -319,7 +319,7 @@ def test_ties_are_told(reading, p):
     assert result.greatest.probability == result.optimum.probability == 1
     assert result.least.probability == pytest.approx(p)
     assert result.at_random.probability == pytest.approx((1 + p) / 2)
-    assert (result.policy.at(0)[0] == 0.5).all()
+    assert (result.policy.row(0)[0] == 0.5).all()
 
 
 def test_flags_that_are_not_the_formula_are_judged_by_the_formula(floor5):

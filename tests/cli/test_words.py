@@ -109,7 +109,7 @@ def test_advice_is_given_in_options(stltool, folder, monkeypatch, command, says)
 @pytest.mark.parametrize(
     ("command", "says"),
     [
-        (["check", "--save-policy", "p.npz"], "leave --save-policy and --certificate out, or shorten the windows"),
+        (["check", "--save-policy", "p.npz"], "40 kB may be used; shorten the windows, or coarsen the grid"),
         (["tradeoff", "--save-policy", "p.npz"], "leave --save-policy out, or shorten the windows"),
         (["why"], "of memory; 40 kB may be used; shorten the windows"),
     ],

@@ -118,7 +118,7 @@ def robust_value(product, rows, policy=None):
         for i, (targets, corners) in enumerate(rows[first:last]):
             weight = Fraction(1)
             if policy is not None:
-                entry = policy.at(t)[s, q]
+                entry = policy.row(t)[s, q]
                 weight = Fraction(int(i == entry)) if policy.deterministic else Fraction(float(entry[i]))
             if weight:
                 after = [value(t + 1, s2, product.enter(s2, q) if s2 is not None else q) for s2 in targets]
@@ -305,7 +305,8 @@ def test_policies_of_every_kind_are_judged(patrolling, flagged):
     assert stl.guarantee(patrolling, mixed, counts, support="known").lower == pytest.approx(one.lower, abs=1e-12)
     with_flags = stl.check(flagged).policy  # remembers another way: judged on the join
     assert stl.guarantee(patrolling, with_flags, counts, support="known").lower == pytest.approx(one.lower, rel=0.2)
-    stationary = stl.Policy(patrolling, best.table[0])
+    somewhen = (best.table != 0).argmax(axis=0)  # a step at which the choice matters
+    stationary = stl.Policy(patrolling, np.take_along_axis(best.table, somewhen[None], axis=0)[0])
     assert stl.guarantee(patrolling, stationary, counts).lower < stl.check(patrolling, stationary).upper
     joint = stl.build_joint_product(patrolling.model, {"a": patrolling.formula, "b": stl.parse("F[0,3] B")})
     table = np.zeros(joint.shape, dtype=int)

@@ -1,0 +1,14 @@
+"""The one backward induction (induct.py): engines that say where to compute, arithmetics that say how."""
+
+from stltool.checking.induction.allowed import EVERYTHING, Allowed, Following, Silent
+from stltool.checking.induction.arithmetic import Arithmetic, Digits, Doubles, Fixed, Integers, Nature, Values
+from stltool.checking.induction.edges import OPEN, REST, SURE, Edges
+from stltool.checking.induction.graph import Game
+from stltool.checking.induction.induct import Engine, Solution, induct, layers_of, solve
+from stltool.checking.induction.layers import Budget, Layers, Progress, Stretch
+
+__all__ = [
+    "EVERYTHING", "OPEN", "REST", "SURE", "Allowed", "Arithmetic", "Budget", "Digits", "Doubles", "Edges", "Engine",
+    "Fixed", "Following", "Game", "Integers", "Layers", "Nature", "Progress", "Silent", "Solution", "Stretch", "Values",
+    "induct", "layers_of", "solve",
+]  # fmt: skip

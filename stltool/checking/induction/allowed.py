@@ -1,0 +1,100 @@
+"""Which choices count in a pair (s, q) after step t: all of them, a policy's, or a set of one's own."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.checking.induction.graph import I64, U64, Game
+from stltool.choices import Choices, Form
+
+if TYPE_CHECKING:
+    from stltool.checking.induction.words import Graph, Sets
+
+
+class Allowed:
+    """All choices. Subclasses allow fewer.
+
+    everything   whether all choices count everywhere
+    mixed        whether chance picks among those allowed (a mixed policy); otherwise whoever optimises does
+    """
+
+    everything = True
+    mixed = False
+
+    def choices(self, game: Game, t: int, s: I64, q: I64) -> tuple[I64, I64, NDArray[np.float64] | None]:
+        """The choices of pairs (s, q): which pair each belongs to (ascending), its number in the model, its weight."""
+        start = game.rows.choice_start
+        count = start[s + 1] - start[s]
+        owner = np.repeat(np.arange(len(s)), count)
+        offset = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+        return owner, start[s][owner] + offset, None
+
+    def weights(self, t: int, s: I64, q: I64, number: I64) -> NDArray[np.float64]:
+        """Of a mixture: the probability of each choice, by its number within its state."""
+        raise NotImplementedError
+
+    def masks(self, t: int, graph: Graph, sets: Sets) -> tuple[I64, U64]:
+        """For word j of a layer, the automaton states in which choice i of its state counts: words[first[j] + i]."""
+        return np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.uint64)
+
+    def first_alike(self, t: int) -> int:
+        """The first step from which on, to step t, the same choices count."""
+        return 0
+
+    def last_alike(self, t: int) -> int:
+        """The last step to which, from step t on, the same choices count."""
+        return 2**62
+
+
+EVERYTHING = Allowed()
+
+
+class Following(Allowed):
+    """The choices that a policy takes. Raises `Silent` where a pair that is reached has none."""
+
+    everything = False
+
+    def __init__(self, form: Form) -> None:
+        self._form, self.mixed = form, not form.deterministic
+
+    def choices(self, game: Game, t: int, s: I64, q: I64) -> tuple[I64, I64, NDArray[np.float64] | None]:
+        taken, start = self._form.at(t, s, q), game.rows.choice_start[s]
+        if self.mixed:
+            owner, number = np.nonzero(taken)
+            return owner, start[owner] + number, taken[owner, number]
+        if (taken < 0).any():
+            raise Silent
+        return np.arange(len(s)), start + taken, None
+
+    def weights(self, t: int, s: I64, q: I64, number: I64) -> NDArray[np.float64]:
+        taken = self._form.at(t, s, q)
+        weight: NDArray[np.float64] = taken[np.arange(len(s)), number]
+        return weight
+
+    def masks(self, t: int, graph: Graph, sets: Sets) -> tuple[I64, U64]:
+        from stltool.kernels import words
+
+        form, layer = self._form, (sets.states, sets.start, sets.word, sets.bits, graph.states, graph.choice_start)
+        if isinstance(form, Choices):
+            part = form.layer(t)
+            listed = (form.n_words, form.keys[part], form.bits[part], form.rank[part], form.choice)
+            first, masks, silent = words.choice_masks(*layer, *listed)
+        else:
+            kernel = words.mixture_masks if self.mixed else words.table_masks
+            first, masks, silent = kernel(*layer, form.row(t))
+        if silent:
+            raise Silent
+        return first, masks
+
+    def first_alike(self, t: int) -> int:
+        return self._form.alike(t)[0]
+
+    def last_alike(self, t: int) -> int:
+        return self._form.alike(t)[1]
+
+
+class Silent(Exception):
+    """A policy has no choice somewhere it can be: whoever asked finds out where, and says so."""

@@ -1,0 +1,263 @@
+"""What a layer's numbers are, and how a step back is made of them: an arithmetic, which answers with any engine.
+
+    V_t(i) = opt or Σ_j weight_j ·  over choices j of pair i of   Σ_k share_k · V_{t+1}(child_k)
+
+A layer is an array (n + 2, …): slot REST the value of what is not listed, SURE of what is sure, then the open pairs.
+"""
+
+from __future__ import annotations
+
+import itertools
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.checking.induction.edges import Edges
+from stltool.checking.induction.tiled import Tiles
+from stltool.checking.induction.words import Words
+from stltool.models.fractions import LARGEST_SUM, over_one
+
+Values = NDArray[Any]
+
+
+class Arithmetic(ABC):
+    """One way to compute.
+
+    repeats   whether equal values under equal edges give equal values again, whatever the step: then the induction may
+              stop early
+    """
+
+    repeats = True
+
+    def tiles(self, engine: Words) -> Tiles | None:
+        """The same by tiles of eight automaton states, where there is such a way."""
+        return None
+
+    @abstractmethod
+    def ends(self, t: int) -> tuple[Any, Any]:
+        """The values after step t of what is not listed, and of what is sure."""
+
+    @abstractmethod
+    def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
+        """(m, …): the value of every choice of step t."""
+
+    def start(self, t: int) -> Values:
+        """The layer after step t where no pair is open."""
+        return np.array(self.ends(t))
+
+    def back(
+        self, t: int, edges: Edges, ahead: Values, maximize: bool, keep: bool
+    ) -> tuple[Values, NDArray[np.int64] | None]:
+        """The values of the pairs of step t, and, where asked for, the number among its choices of each one's first
+        best."""
+        values, choice = select(self.sums(t, edges, ahead), edges, maximize, keep)
+        return self.settled(values), choice
+
+    def settled(self, values: Values) -> Values:
+        """Of the best sums: the values in the layer's own unit."""
+        return values
+
+    def layer(self, t: int, values: Sequence[Values]) -> Values:
+        """The layer of step t, of the values of its open pairs in parts; called after `back` for each of them."""
+        return np.concatenate([self.start(t), *values])
+
+
+def select(sums: Values, edges: Edges, maximize: bool, keep: bool) -> tuple[Values, NDArray[np.int64] | None]:
+    """The best of each pair's choices, the first of equals; or their mixture, where choices have weights."""
+    if edges.weight is not None:
+        return np.add.reduceat(edges.weight * sums, edges.choices[:-1]), None
+    count = np.diff(edges.choices)
+    if len(sums) == len(count):
+        return sums, np.zeros(len(count), dtype=np.int64) if keep else None
+    best = (np.maximum if maximize else np.minimum).reduceat(sums, edges.choices[:-1])
+    if not keep:
+        return best, None
+    attained = np.flatnonzero(sums == np.repeat(best, count))
+    return best, attained[np.searchsorted(attained, edges.choices[:-1])] - edges.choices[:-1]
+
+
+def row_sums(terms: Values, start: NDArray[np.int64]) -> Values:
+    """Σ terms[start[j]:start[j+1]] for every j, added one after another from the first, as kernels do: so the engines
+    agree to the last bit."""
+    length = np.diff(start)
+    order = np.argsort(-length, kind="stable")
+    sums = terms[start[:-1]]
+    longest = int(length.max(initial=0))
+    still = np.searchsorted(-length[order], -np.arange(min(longest, _LONG)))  # how many rows have more than k terms
+    for k in range(1, min(longest, _LONG)):
+        rows = order[: still[k]]
+        sums[rows] += terms[start[rows] + k]
+    for j in order[: np.searchsorted(-length[order], -_LONG)].tolist():
+        sums[j] = np.cumsum(terms[start[j] : start[j + 1]])[-1]
+    return sums
+
+
+_LONG = 64  # terms; longer rows are added one by one
+
+
+class Doubles(Arithmetic):
+    """Probabilities in doubles; `probability` (n_transitions,)."""
+
+    def __init__(self, probability: NDArray[np.float64], maximize: bool) -> None:
+        self.probability, self._ends = probability, (0.0, 1.0) if maximize else (1.0, 0.0)
+
+    def ends(self, t: int) -> tuple[float, float]:
+        return self._ends
+
+    def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
+        return row_sums(self.probability[edges.entry] * ahead[edges.child], edges.start)
+
+    def tiles(self, engine: Words) -> Tiles:
+        return Tiles(engine, self.probability, 1, 1.0, self._ends == (0.0, 1.0))
+
+
+class Fixed(Arithmetic):
+    """Integers in units of 1/one, every step rounded up (checking/fixed.py); numerator (n_transitions,) int64."""
+
+    def __init__(self, numerator: NDArray[np.int64], denominator: int, one: int, maximize: bool) -> None:
+        self.numerator, self.denominator, self.one, self._maximize = numerator, denominator, one, maximize
+
+    def ends(self, t: int) -> tuple[int, int]:
+        return (0, self.one) if self._maximize else (self.one, 0)
+
+    def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
+        return np.add.reduceat(self.numerator[edges.entry] * ahead[edges.child], edges.start[:-1])
+
+    def settled(self, values: Values) -> Values:
+        return -((-values) // self.denominator)
+
+    def tiles(self, engine: Words) -> Tiles:
+        return Tiles(engine, self.numerator, self.denominator, self.one, self._maximize)
+
+
+class Integers(Arithmetic):
+    """N_t = V_t · D^(h−t) in Python's integers, without any division (checking/rational.py).
+
+    one   what stands for 1 in the last layer that was made. The weights of a mixture, in proportion to the doubles
+          given, enter as integers over a denominator of their own, step by step
+    """
+
+    repeats = False
+
+    def __init__(self, numerator: Values, denominator: int, maximize: bool) -> None:
+        self.numerator, self.denominator, self._maximize = numerator.astype(object), denominator, maximize
+        self.one, self._made = 1, -1
+
+    def ends(self, t: int) -> tuple[int, int]:
+        return (0, self.one) if self._maximize else (self.one, 0)
+
+    def start(self, t: int) -> Values:
+        return np.array(self.ends(t), dtype=object)
+
+    def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
+        return np.add.reduceat(self.numerator[edges.entry] * ahead[edges.child], edges.start[:-1])
+
+    def back(
+        self, t: int, edges: Edges, ahead: Values, maximize: bool, keep: bool
+    ) -> tuple[Values, NDArray[np.int64] | None]:
+        shared = 1
+        if edges.weight is not None:
+            shares, shared = whole_weights(edges.weight, edges.choices)
+            edges = replace(edges, weight=shares)
+        if self._made != t:
+            self.one, self._made = self.one * self.denominator * shared, t
+        return super().back(t, edges, ahead, maximize, keep)
+
+    def number(self, value: Any) -> int:
+        """One value as an integer in units of 1/one."""
+        return int(value)
+
+
+def whole_weights(weight: NDArray[np.float64], start: NDArray[np.int64]) -> tuple[Values, int]:
+    """Mixtures' weights, each scaled to sum to 1 exactly, as integers over one denominator."""
+    known: dict[tuple[float, ...], list[Fraction]] = {}
+    shares: list[Fraction] = []
+    listed = weight.tolist()
+    for a, b in itertools.pairwise(start.tolist()):
+        row = tuple(listed[a:b])
+        if row not in known:
+            total = sum(map(Fraction, row))
+            known[row] = [Fraction(share) / total for share in row]
+        shares += known[row]
+    numerator, denominator = over_one(shares)
+    return numerator.astype(object), denominator
+
+
+class Digits(Arithmetic):
+    """The same in digits of a fixed width, for D < 2^40 and policies that do not mix (kernels/edges.py)."""
+
+    repeats = False
+
+    def __init__(self, numerator: NDArray[np.int64], denominator: int, maximize: bool) -> None:
+        self.numerator, self.denominator, self._maximize = numerator, denominator, maximize
+        self.bits = LARGEST_SUM.bit_length() - 1 - denominator.bit_length()
+        self.one, self._made = 1, -1
+
+    def ends(self, t: int) -> tuple[Values, Values]:
+        one = np.array(self._digits(self.one), dtype=np.int64)
+        return (np.zeros_like(one), one) if self._maximize else (one, np.zeros_like(one))
+
+    def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
+        raise NotImplementedError  # choices are compared digit by digit, as they are added up
+
+    def back(
+        self, t: int, edges: Edges, ahead: Values, maximize: bool, keep: bool
+    ) -> tuple[Values, NDArray[np.int64] | None]:
+        from stltool.kernels import edges as kernels
+
+        if self._made != t:
+            self.one, self._made = self.one * self.denominator, t
+        out = np.zeros((len(edges), len(self._digits(self.one))), dtype=np.int64)
+        best = np.zeros(len(edges), dtype=np.int64)
+        kernels.digits(
+            edges.choices, edges.start, edges.entry, edges.child, self.numerator, ahead, self.bits, maximize,
+            0, len(edges), out, best,
+        )  # fmt: skip
+        return out, best
+
+    def number(self, value: Values) -> int:
+        """One value as an integer in units of 1/one."""
+        return sum(digit << (self.bits * i) for i, digit in enumerate(value.tolist()))
+
+    def _digits(self, value: int) -> list[int]:
+        digits: list[int] = []
+        while value or not digits:
+            digits.append(value & ((1 << self.bits) - 1))
+            value >>= self.bits
+        return digits
+
+
+class Nature(Arithmetic):
+    """Where probabilities are intervals: nature picks each row's distribution within them (checking/robust.py).
+
+    lower, width (n_transitions,); `minimal`: whether nature minimises; `maximize` whose goals the layers have.
+    """
+
+    def __init__(
+        self,
+        lower: NDArray[np.float64],
+        width: NDArray[np.float64],
+        budget: NDArray[np.float64],
+        minimal: bool,
+        maximize: bool,
+    ) -> None:
+        self._rows, self._minimal = (lower, width, budget), minimal
+        self._ends = (0.0, 1.0) if maximize else (1.0, 0.0)
+
+    def ends(self, t: int) -> tuple[float, float]:
+        return self._ends
+
+    def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
+        from stltool.kernels import edges as kernels
+
+        out = np.empty(len(edges.choice))
+        kernels.nature(
+            edges.start, edges.entry, edges.child, *self._rows, edges.choice, self._minimal, ahead,
+            0, len(edges.choice), out,
+        )  # fmt: skip
+        return out

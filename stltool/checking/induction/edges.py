@@ -1,0 +1,34 @@
+"""One step of an induction written out: from the open pairs of a layer along their choices to the layer ahead."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+REST, SURE, OPEN = 0, 1, 2
+"""Slots of a layer's values: what is not listed, what is sure, and from OPEN on the open pairs in order."""
+
+
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """n pairs with m choices in all and e edges; pairs in order of (s, q), choices and entries in the model's.
+
+    choices  (n+1,) int64: pair i has the choices choices[i] … choices[i+1]−1 of this list
+    choice   (m,) int64: their numbers in the model
+    weight   (m,) the policy's probability of each, or None where one of them is taken
+    start    (m+1,) int64: choice j has the edges start[j] … start[j+1]−1
+    entry    (e,) int64: the model's row entry
+    child    (e,) int64: the slot ahead that it leads to
+    """
+
+    choices: NDArray[np.int64]
+    choice: NDArray[np.int64]
+    weight: NDArray[np.float64] | None
+    start: NDArray[np.int64]
+    entry: NDArray[np.int64]
+    child: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.choices) - 1

@@ -1,0 +1,158 @@
+"""One backward induction for every question: an engine says where to compute, an arithmetic how.
+
+    V_t(s,q) = 1 / 0                                            if verdict_t(q) is true / false
+             = opt_c Σ_s' P(s'|c) · V_{t+1}(s', δ(L(s'), q))     otherwise
+    P(Φ)     = Σ_s ι(s) V_0(s, δ(L(s), q₀))                      after h steps: no stopping rule, no truncation
+
+(semantics.md §3.) The engine: lists of pairs in numpy while few pairs are reached (nodes.py), words of bits beyond
+(words.py); on these, doubles and fixed point take eight automaton states at a time (tiled.py).
+
+**Stopping early.** Let steps u … t have the same open and sure pairs, verdicts (of the steps after them) and choices
+that count. V_t is a function f of V_{t+1}, one that is the same for all of them, down to every rounding. So if
+V_t = V_{t+1} bit for bit, then V_{t−1} = f(V_t) = f(V_{t+1}) = V_t, and so on down to u, the choices too. Nothing is
+truncated: these are the numbers that h steps give, and an enclosure that counts the roundings of h steps holds for
+them.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.automata import FALSE, TRUE
+from stltool.checking.induction.allowed import EVERYTHING, Allowed
+from stltool.checking.induction.arithmetic import Arithmetic, Values
+from stltool.checking.induction.edges import OPEN
+from stltool.checking.induction.graph import Game
+from stltool.checking.induction.layers import Budget, Layers
+from stltool.checking.induction.nodes import Nodes, TooMany
+from stltool.checking.induction.words import Words
+from stltool.choices import Choices, Listed
+
+Engine: TypeAlias = Literal["auto", "nodes", "words"]
+FEW, FEW_LOADED = 100_000, 3_000  # pairs, all steps together, that numpy takes on: before and after numba is loaded
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """entry    the value at each of the game's first states, in order
+    certain  (k,) whether each is certain: 0 or 1, without any rounding
+    choices  the first best choice by step (None where not kept)
+    engine   "nodes" | "words" | "tiles"
+    swept    steps back that were computed; the others repeat
+    """
+
+    entry: Values
+    certain: NDArray[np.bool_]
+    choices: Choices | None
+    engine: str
+    swept: int
+
+
+def layers_of(
+    game: Game,
+    goal: int,
+    allowed: Allowed = EVERYTHING,
+    *,
+    engine: Engine = "auto",
+    live: bool = True,
+    sure: bool = True,
+    keep: type[np.unsignedinteger] | None = None,
+    threads: int | None = None,
+    budget: Budget | None = None,
+) -> Layers[Any, Any]:
+    """What is reached and open, by the engine asked for: `auto` takes the one that suits.
+
+    Their results are the same to the bit, so what suits may be a matter of what is loaded already: numba takes a while.
+    """
+    if engine != "words":
+        few = None if engine == "nodes" else FEW_LOADED if "numba" in sys.modules else FEW
+        nodes = Nodes(game, goal, allowed, live, sure, budget, few)
+        try:
+            nodes.reached  # noqa: B018 - found here, so that too many are too many here
+        except TooMany:
+            pass
+        else:
+            return nodes
+    return Words(game, goal, allowed, live, sure, budget, keep, threads)
+
+
+def induct(
+    game: Game,
+    arithmetic: Arithmetic,
+    maximize: bool = True,
+    allowed: Allowed = EVERYTHING,
+    *,
+    engine: Engine = "auto",
+    keep: type[np.unsignedinteger] | None = None,
+    threads: int | None = None,
+    budget: Budget | None = None,
+) -> Solution:
+    """Solve a game. `keep` is the type of the choices that are kept, or None."""
+    goal = TRUE if maximize else FALSE
+    layers = layers_of(game, goal, allowed, engine=engine, keep=keep, threads=threads, budget=budget)
+    return solve(layers, arithmetic, maximize, keep)
+
+
+def solve(
+    layers: Layers[Any, Any],
+    arithmetic: Arithmetic,
+    maximize: bool,
+    keep: type[np.unsignedinteger] | None = None,
+) -> Solution:
+    """Back over the layers, which were made for the same choices to be kept."""
+    game, allowed, h = layers.game, layers.allowed, layers.game.horizon
+    tiles = arithmetic.tiles(layers) if isinstance(layers, Words) and not allowed.mixed else None
+    ahead, values = layers.nothing(), arithmetic.start(h) if tiles is None else tiles.start()
+    found: list[Listed] = []
+    swept = 0
+    for first, last, layer in layers.backwards():
+        t = last
+        while t >= first:
+            if tiles is None:
+                new, choice = _back(layers, arithmetic, t, layer, ahead, values, maximize, keep)
+            else:
+                new, choice = tiles.back(t, layer, ahead, values, keep is not None)
+            swept += 1
+            until = t
+            if layer is ahead and (tiles is not None or arithmetic.repeats) and np.array_equal(new, values):
+                until = max(first, game.first_alike(t + 1) - 1, allowed.first_alike(t))
+            if keep is not None and choice is not None:
+                found.append(layers.listed(until, t, layer, choice))
+            ahead, values, t = layer, new, until - 1
+            layers.budget.tell(until, h, back=True)
+    slots = layers.first_slots(ahead)
+    by_slot = values if tiles is None else tiles.values(ahead, values)
+    choices = None
+    if keep is not None:
+        shape = (len(game.rows.choice_start) - 1, game.automaton.n_states)
+        choices = Choices.of(shape, h, found[::-1], keep)
+    name = "nodes" if isinstance(layers, Nodes) else "words" if tiles is None else "tiles"
+    return Solution(by_slot[slots], slots < OPEN, choices, name, swept)
+
+
+def _back(
+    layers: Layers[Any, Any],
+    arithmetic: Arithmetic,
+    t: int,
+    here: Any,
+    ahead: Any,
+    values: Values,
+    maximize: bool,
+    keep: type[np.unsignedinteger] | None,
+) -> tuple[Values, Values | None]:
+    """The values of step t by slots, and the choices of its open pairs."""
+    values_found, choices = [], []
+    for lo, hi in layers.parts(here):
+        edges = layers.edges(here, ahead, t, lo, hi)
+        if len(edges):
+            found, choice = arithmetic.back(t, edges, values, maximize, keep is not None)
+            values_found.append(found)
+            if choice is not None:
+                choices.append(choice)
+    by_slot = arithmetic.layer(t, values_found)
+    return by_slot, np.concatenate(choices).astype(keep) if choices else np.empty(0, dtype=keep)

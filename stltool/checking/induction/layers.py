@@ -1,0 +1,195 @@
+"""Where a backward induction has to compute at all: by step, what runs reach, and what is certain there.
+
+Three sets of pairs (s, q) after step t, each exact:
+
+    reached   F_t    forward from the first pairs, undecided only, along the choices that count
+    sure      O_t    backwards over F_t: some choice leads to goals and sure pairs only
+    open      A_t    some choice can lead to a goal, but no choice makes it sure
+
+With true verdicts as goals the values of open pairs are strictly between 0 and 1, of sure ones 1, of all others 0; with
+false verdicts sure ones are 0 and others 1: what a minimum wants. No rounding decides which. Where `sure` pairs are not
+asked for they are open; where not even `live` ones are, everything reached is.
+
+Steps at which nothing changes share a layer, a *stretch*:
+
+    F_{t+1} = Φ(F_t) under the verdicts of t+1: if it equals F_t, it stays so until verdicts or choices change
+    (A, O)_t = Ψ(F_t, (A, O)_{t+1}) under the verdicts of t+1: if it equals that of t+1, all earlier ones do, as long as
+    F, verdicts and choices are the same
+
+so `F[0,1000000] goal` takes as many layers as it takes to reach the goal.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
+
+from numpy.typing import NDArray
+
+from stltool.checking.induction.allowed import Allowed
+from stltool.checking.induction.edges import Edges
+from stltool.checking.induction.graph import I64, Game
+from stltool.choices import Listed
+from stltool.sizes import memory_limit, require_memory, require_time
+
+Progress: TypeAlias = Callable[[int, int], None]
+"""Called with (steps done, steps in all)."""
+
+Reached = TypeVar("Reached")
+Settled = TypeVar("Settled")
+
+
+class Budget:
+    """What an induction may take, and whom it tells how far it is.
+
+    limit     bytes (default: four fifths of what is free)
+    progress  called with (steps done, steps in all): once forward, once back
+    Raises SizeError before memory is taken that is not there, or a week has gone.
+    """
+
+    def __init__(self, what: str, limit: int | None = None, progress: Progress | None = None) -> None:
+        self._what, self._limit, self._progress, self._taken = what, memory_limit(limit), progress, 0
+
+    def take(self, n: int, t: int, h: int) -> None:
+        """n bytes more, at step t of h."""
+        self.need(n, t, h)
+        self._taken += n
+
+    def need(self, n: int, t: int, h: int) -> None:
+        """n bytes more for a while."""
+        what = f"{self._what}: {t + 1} of {h} steps" if t else self._what
+        require_memory(self._taken + n, what, _SMALLER, self._limit)
+
+    def require_time(self, work: float, h: int) -> None:
+        """Multiply-adds to come, as far as they can be told."""
+        require_time(work, _RATE, f"{self._what} over {h} steps", _SMALLER)
+
+    def tell(self, t: int, h: int, back: bool = False) -> None:
+        if self._progress is not None:
+            self._progress(h + (h - t) if back else t, 2 * h)
+
+
+_RATE = 1e9  # multiply-adds a second, roughly, on one core
+_SETTLED = 1024  # steps
+_SMALLER = "shorten the windows, or coarsen the grid or the time step"
+
+
+class Stretch(NamedTuple):
+    """Steps first … last, which share a layer."""
+
+    first: int
+    last: int
+    layer: Any
+
+
+class Layers(ABC, Generic[Reached, Settled]):
+    """The layers of one question; engines say how sets are held (nodes.py, words.py).
+
+    goal      the verdict that counts           live, sure    which pairs are told apart (see the module's text)
+    """
+
+    def __init__(self, game: Game, goal: int, allowed: Allowed, live: bool, sure: bool, budget: Budget) -> None:
+        self.game, self.goal, self.allowed, self.live, self.sure = game, goal, allowed, live, sure
+        self.budget = budget
+
+    @cached_property
+    def reached(self) -> list[Stretch]:
+        """F by stretches, from step 0 to the last at which a run can be undecided."""
+        return self._reach()
+
+    def size(self) -> tuple[int, int]:
+        """Pairs of the largest layer, and of all steps together, at most."""
+        counts = [(self._count(layer), last + 1 - first) for first, last, layer in self.reached]
+        return max((n for n, _ in counts), default=0), sum(n * steps for n, steps in counts)
+
+    def backwards(self) -> Iterator[Stretch]:
+        """What is open or sure, by stretches from the last step to step 0; a layer ahead is not needed again."""
+        ahead = self.nothing()
+        for first, last, layer in reversed(self.reached):
+            t = last
+            while t >= first:
+                here = self._settled(layer, ahead, t)
+                until = t
+                if self._same_settled(here, ahead):
+                    until = max(first, self.game.first_alike(t + 1) - 1, self.allowed.first_alike(t))
+                yield Stretch(until, t, here)
+                ahead, t = here, until - 1
+
+    def _reach(self) -> list[Stretch]:
+        game, h = self.game, self.game.horizon
+        layer, first, t = self._initial(), 0, 0
+        found: list[Stretch] = []
+        while not self._empty(layer):
+            self.budget.tell(t, h)
+            if t >= _SETTLED and t & (t - 1) == 0:  # now and then: most repeat before
+                self.budget.require_time((h - t) * self._work(layer), h)
+            if t == h - 1:  # every verdict has fallen after the next
+                found.append(Stretch(first, t, layer))
+                break
+            after = self._after(layer, t)
+            if self._same_reached(layer, after):
+                t = min(game.last_alike(t + 1), self.allowed.last_alike(t) + 1, h - 1)
+                continue
+            found.append(Stretch(first, t, layer))
+            self.budget.take(self._bytes(after), t, h)
+            layer, first, t = after, t + 1, t + 1
+        return found
+
+    @abstractmethod
+    def nothing(self) -> Settled:
+        """The layer of the last step, after which every verdict has fallen."""
+
+    @abstractmethod
+    def edges(self, here: Settled, ahead: Settled, t: int, lo: int, hi: int) -> Edges:
+        """Of the open pairs in a range of step t, along the choices that count."""
+
+    @abstractmethod
+    def parts(self, layer: Settled) -> list[tuple[int, int]]:
+        """The open pairs in ranges for `edges`, so that no one takes much memory."""
+
+    @abstractmethod
+    def listed(self, first: int, last: int, layer: Settled, choice: NDArray[Any]) -> Listed:
+        """Steps first … last of a policy: the first choice that makes sure pairs so, and those of open pairs."""
+
+    @abstractmethod
+    def n_open(self, layer: Settled) -> int: ...
+
+    @abstractmethod
+    def pairs(self, layer: Settled) -> tuple[I64, I64]:
+        """(s, q) of the open pairs, in order."""
+
+    @abstractmethod
+    def first_slots(self, layer: Settled) -> I64:
+        """The slot of each of the game's first pairs at step 0."""
+
+    @abstractmethod
+    def _initial(self) -> Reached: ...
+
+    @abstractmethod
+    def _after(self, layer: Reached, t: int) -> Reached: ...
+
+    @abstractmethod
+    def _settled(self, layer: Reached, ahead: Settled, t: int) -> Settled: ...
+
+    @abstractmethod
+    def _count(self, layer: Reached) -> int:
+        """How many pairs it has."""
+
+    @abstractmethod
+    def _bytes(self, layer: Reached) -> int:
+        """What it takes in memory, and what is needed once beside it."""
+
+    @abstractmethod
+    def _work(self, layer: Reached) -> int:
+        """Multiply-adds of a step back, roughly and at most."""
+
+    @abstractmethod
+    def _empty(self, layer: Reached) -> bool: ...
+
+    @abstractmethod
+    def _same_reached(self, one: Reached, other: Reached) -> bool: ...
+
+    @abstractmethod
+    def _same_settled(self, one: Settled, other: Settled) -> bool: ...

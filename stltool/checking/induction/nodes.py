@@ -1,0 +1,200 @@
+"""Layers as lists of pairs, in numpy: for small products, and the slow twin of words.py. It compiles nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.automata import UNDECIDED
+from stltool.checking.induction.allowed import Allowed
+from stltool.checking.induction.edges import OPEN, REST, SURE, Edges
+from stltool.checking.induction.graph import I64, Game
+from stltool.checking.induction.layers import Budget, Layers
+from stltool.choices import Listed, listed
+
+_KEPT = 2_000_000  # edges that are kept from pass to pass
+_PART = 100_000  # pairs whose edges are made at a time, where they are not kept
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """Pairs by their code s·|Q| + q, ascending.
+
+    open         (n,) codes           edges  of them, where they are kept
+    sure         (m,) codes, and the number in its state of the first choice that makes each so: sure_choice (m,)
+    listed, slot all of them, and the slot of each
+    """
+
+    open: I64
+    sure: I64
+    sure_choice: I64
+    edges: Edges | None
+    listed: I64
+    slot: I64
+
+
+class Nodes(Layers[I64, Settled]):
+    """See layers.py. `count` is the number of pairs reached, `most` what it may be (TooMany beyond)."""
+
+    def __init__(
+        self,
+        game: Game,
+        goal: int,
+        allowed: Allowed,
+        live: bool = True,
+        sure: bool = True,
+        budget: Budget | None = None,
+        most: int | None = None,
+    ) -> None:
+        super().__init__(game, goal, allowed, live, sure, budget or Budget("pairs that are reached"))
+        self.most, self.count = most, 0
+        self._kept = 0
+
+    def nothing(self) -> Settled:
+        none = np.empty(0, dtype=np.int64)
+        return Settled(none, none, none, None, none, none)
+
+    def n_open(self, layer: Settled) -> int:
+        return len(layer.open)
+
+    def pairs(self, layer: Settled) -> tuple[I64, I64]:
+        return self._split(layer.open)
+
+    def parts(self, layer: Settled) -> list[tuple[int, int]]:
+        n = len(layer.open)
+        if layer.edges is not None or self.allowed.mixed:  # mixtures are over one denominator a step
+            return [(0, n)]
+        return [(lo, min(lo + _PART, n)) for lo in range(0, n, _PART)]
+
+    def listed(self, first: int, last: int, layer: Settled, choice: NDArray[Any]) -> Listed:
+        codes = np.concatenate([layer.open, layer.sure])
+        order = np.argsort(codes)
+        chosen = np.concatenate([choice, layer.sure_choice.astype(choice.dtype)])[order]
+        return listed(first, last, -(-self.game.automaton.n_states // 64), *self._split(codes[order]), chosen)
+
+    def sure_pairs(self, layer: Settled) -> tuple[I64, I64, I64]:
+        """(s, q, choice) of the sure pairs, in order."""
+        return *self._split(layer.sure), layer.sure_choice
+
+    def first_slots(self, layer: Settled) -> I64:
+        game = self.game
+        return self._slots(game.first * game.automaton.n_states + game.entry, layer, 0)
+
+    def edges(self, here: Settled, ahead: Settled, t: int, lo: int, hi: int) -> Edges:
+        if here.edges is not None and lo == 0 and hi == len(here.open):
+            return here.edges
+        edges, child = self._fan(here.open[lo:hi], t)
+        return Edges(*edges, self._slots(child, ahead, t + 1))
+
+    def _initial(self) -> I64:
+        game = self.game
+        undecided = game.automaton.verdicts(0)[game.entry] == UNDECIDED
+        codes: I64 = (game.first * game.automaton.n_states + game.entry)[undecided]
+        return codes
+
+    def _after(self, layer: I64, t: int) -> I64:
+        self.budget.need(40 * len(layer) * self.game.widest, t, self.game.horizon)
+        child = np.unique(self._fan(layer, t)[1])
+        undecided = self.game.automaton.verdicts(t + 1)[child % self.game.automaton.n_states] == UNDECIDED
+        after: I64 = child[undecided]
+        self.count += len(after)
+        if self.most is not None and self.count > self.most:
+            raise TooMany
+        return after
+
+    def _settled(self, layer: I64, ahead: Settled, t: int) -> Settled:
+        fan, child = self._fan(layer, t)
+        choices, choice, _, start, _ = fan
+        slot = self._slots(child, ahead, t + 1)
+        live, sure = np.ones(len(layer), dtype=np.bool_), np.zeros(len(layer), dtype=np.bool_)
+        makes_sure = np.logical_and.reduceat(slot == SURE, start[:-1])
+        if self.live:
+            possible = np.logical_or.reduceat(slot != REST, start[:-1])
+            live = np.logical_or.reduceat(possible, choices[:-1])
+        if self.sure:
+            some_or_all = np.logical_and if self.allowed.mixed else np.logical_or
+            sure = some_or_all.reduceat(makes_sure, choices[:-1])
+        between = live & ~sure
+        first = np.flatnonzero(makes_sure)
+        owner = np.searchsorted(choices, first, side="right") - 1
+        _, which = np.unique(owner, return_index=True)
+        number = np.zeros(len(layer), dtype=np.int64)
+        number[owner[which]] = choice[first[which]] - self.game.rows.choice_start[self._split(layer)[0]][owner[which]]
+        edges = None
+        if self._kept + len(child) <= _KEPT:
+            self._kept += len(child)
+            edges = _only(Edges(*fan, slot), between)
+        listed, codes = layer[live], layer[between]
+        position = np.full(len(layer), SURE, dtype=np.int64)
+        position[between] = OPEN + np.arange(len(codes))
+        return Settled(codes, layer[sure], number[sure], edges, listed, position[live])
+
+    def _fan(self, codes: I64, t: int) -> tuple[tuple[I64, I64, NDArray[np.float64] | None, I64, I64], I64]:
+        """The edges of pairs without their slots, and the codes of the pairs they lead to."""
+        game, rows = self.game, self.game.rows
+        s, q = self._split(codes)
+        owner, choice, weight = self.allowed.choices(game, t, s, q)
+        length = rows.row_start[choice + 1] - rows.row_start[choice]
+        start = np.concatenate([[0], np.cumsum(length)])
+        which = np.repeat(np.arange(len(choice)), length)
+        entry = np.arange(len(which)) + (rows.row_start[choice] - start[:-1])[which]
+        target = rows.target[entry]
+        after = game.automaton.delta[game.letter[target], q[owner[which]]]
+        choices = np.searchsorted(owner, np.arange(len(codes) + 1))
+        return (choices, choice, weight, start, entry), target.astype(np.int64) * game.automaton.n_states + after
+
+    def _slots(self, codes: I64, layer: Settled, t: int) -> I64:
+        """The slots of pairs after step t, where `layer` is what is listed then."""
+        verdicts = self.game.automaton.verdicts(t)[codes % self.game.automaton.n_states]
+        slots = np.where(verdicts == self.goal, SURE, REST)
+        if len(layer.listed):
+            place = np.minimum(np.searchsorted(layer.listed, codes), len(layer.listed) - 1)
+            there = (layer.listed[place] == codes) & (verdicts == UNDECIDED)
+            slots[there] = layer.slot[place[there]]
+        return slots
+
+    def _split(self, codes: I64) -> tuple[I64, I64]:
+        s, q = np.divmod(codes, self.game.automaton.n_states)
+        return s, q
+
+    def _count(self, layer: I64) -> int:
+        return len(layer)
+
+    def _bytes(self, layer: I64) -> int:
+        return 8 * len(layer)
+
+    def _work(self, layer: I64) -> int:
+        return len(layer) * self.game.widest
+
+    def _empty(self, layer: I64) -> bool:
+        return not len(layer)
+
+    def _same_reached(self, one: I64, other: I64) -> bool:
+        return np.array_equal(one, other)
+
+    def _same_settled(self, one: Settled, other: Settled) -> bool:
+        return np.array_equal(one.open, other.open) and np.array_equal(one.sure, other.sure)
+
+
+class TooMany(Exception):
+    """More pairs are reached than was allowed: for whoever has another engine."""
+
+
+def _only(edges: Edges, pairs: NDArray[np.bool_]) -> Edges:
+    """The edges of some of the pairs."""
+    if pairs.all():
+        return edges
+    of_choice = np.repeat(pairs, np.diff(edges.choices))
+    of_edge = np.repeat(of_choice, np.diff(edges.start))
+
+    def starts(start: I64, kept: NDArray[np.bool_]) -> I64:
+        return np.concatenate([[0], np.cumsum(np.diff(start)[kept])])
+
+    weight = None if edges.weight is None else edges.weight[of_choice]
+    return Edges(
+        starts(edges.choices, pairs), edges.choice[of_choice], weight, starts(edges.start, of_choice),
+        edges.entry[of_edge], edges.child[of_edge],
+    )  # fmt: skip

@@ -1,0 +1,90 @@
+"""Numbers by tiles (kernels/tiles.py): doubles and fixed point on words, the optimum or a policy that does not mix."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.automata import FALSE, TRUE, UNDECIDED
+from stltool.checking.induction.edges import REST
+from stltool.checking.induction.words import Layer, Scratch, Words, lanes_of
+
+Values: TypeAlias = NDArray[Any]
+
+
+class Tiles:
+    """The steps back of one question; `share` (n_transitions,) and `denominator` as in kernels/tiles.py, `one` is 1."""
+
+    def __init__(self, engine: Words, share: NDArray[Any], denominator: int, one: float | int, maximize: bool) -> None:
+        from stltool.kernels import tiles
+
+        self._engine, self._denominator, self._maximize = engine, denominator, maximize
+        self.share = share[engine.graph.entry]
+        self.dtype = share.dtype.type
+        self.one = self.dtype(one)
+        zero = self.dtype(0)
+        sure = self.one if engine.goal == TRUE else zero
+        self.ends = (self.one - sure, sure)
+        worst = np.iinfo(np.int64).max if self.dtype is np.int64 else np.inf  # of sums, before they are divided
+        self._worst = self.dtype(-1) if maximize else self.dtype(worst)
+        delta, moves = engine.game.automaton.delta, engine.moves
+        padded = np.zeros((len(delta), 64 * moves.n_words), dtype=np.int32)
+        padded[:, : delta.shape[1]] = delta
+        self._delta = padded.ravel()
+        self._maps = tiles.tile_maps(delta, moves.n_words)
+        self._decided: dict[int, Values] = {}
+        self._spare: Values = np.empty(0, dtype=self.dtype)
+
+    def start(self) -> Values:
+        return np.empty(0, dtype=self.dtype)
+
+    def back(self, t: int, here: Layer, ahead: Layer, values: Values, keep: bool) -> tuple[Values, NDArray[Any] | None]:
+        """The tiles of step t, and their choices where they are kept."""
+        from stltool.kernels import tiles
+
+        engine, graph, moves = self._engine, self._engine.graph, self._engine.moves
+        sets, slot = here.open_sets, engine.crew.turn(ahead)
+        masks = engine.allowed.masks(t, graph, sets)
+        decided, undecided = self._row(t + 1), moves.where(t + 1, UNDECIDED)
+        out = np.empty(8 * here.n_tiles, dtype=self.dtype)
+        best = np.empty(8 * here.n_tiles if keep else 0, dtype=engine.choices or np.uint8)
+        rest, sure = self.ends
+
+        def part(scratch: Scratch, lo: int, hi: int) -> None:
+            n = scratch.unite(sets, lo, hi)
+            scratch.blocks(n, self.dtype)
+            tiles.gather(
+                scratch.found, n, scratch.rows, scratch.groups, scratch.block, scratch.W, slot, ahead.start,
+                ahead.word, ahead.open, ahead.sure, ahead.tiles, values, decided, undecided, graph.letter, self._delta,
+                *self._maps, moves.n_words, moves.width, moves.shift,
+            )  # fmt: skip
+            tiles.sweep(
+                here.states, here.start, here.word, here.open, here.sure, here.tiles, lo, hi, scratch.slot,
+                scratch.block, scratch.W, graph.near_start, graph.near, graph.choice_start, graph.row_start,
+                graph.position, self.share, self._denominator, self._maximize, not engine.allowed.everything, *masks,
+                self._worst, sure, rest, moves.n_words, keep, out, best,
+            )  # fmt: skip
+            scratch.forget(n)
+
+        engine.crew.share(part, sets)
+        return out, best if keep else None
+
+    def values(self, layer: Layer, values: Values) -> Values:
+        """The layer's values by slots, as an arithmetic has them."""
+        return np.concatenate([np.array(self.ends, dtype=self.dtype), values[lanes_of(layer, layer.open)]])
+
+    def _row(self, t: int) -> Values:
+        """Its value for each automaton state that is not listed after step t, with room on both sides."""
+        from stltool.kernels import tiles
+
+        automaton = self._engine.game.automaton
+        i = int(np.searchsorted(automaton.verdict_starts, t, side="right"))
+        if i not in self._decided:
+            row = np.full(2 * tiles.PAD + 64 * self._engine.moves.n_words, self.ends[REST], dtype=self.dtype)
+            verdicts = automaton.verdicts(t)
+            inner = row[tiles.PAD : tiles.PAD + len(verdicts)]
+            inner[verdicts == TRUE], inner[verdicts == FALSE] = self.one, 0
+            self._decided[i] = row
+        return self._decided[i]

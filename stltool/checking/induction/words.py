@@ -1,0 +1,455 @@
+"""Layers as bits of 64-bit words (kernels/words.py): for large products. States are shared out to threads."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.automata import UNDECIDED, TaskAutomaton
+from stltool.checking.induction.allowed import Allowed
+from stltool.checking.induction.edges import REST, SURE, Edges
+from stltool.checking.induction.graph import I32, I64, U64, Game
+from stltool.checking.induction.layers import Budget, Layers
+from stltool.choices import Listed
+
+_MOST_WORDS = 2**17  # in a range of states: 64 MB of next values
+_PART = 4_000_000  # edges that are made at a time
+_WORTH_WORDS = 2**13  # below, starting threads costs more than they save
+
+
+@dataclass(frozen=True, eq=False)
+class Graph:
+    """The part of a model that runs up to the horizon can be in, its states numbered anew, in order.
+
+    states       (n,) int32: their numbers in the model         first  (k,) int32: the first ones
+    choice_start, row_start, target  as an MDP's; target −1 where a run is not that long
+    choice, entry  int64: the model's numbers of its choices and row entries
+    near_start, near, position   neighbours (kernels/words.py)  letter (n,) int32
+    """
+
+    states: I32
+    first: I32
+    choice_start: I64
+    row_start: I64
+    target: I32
+    choice: I64
+    entry: I64
+    near_start: I64
+    near: I32
+    position: I32
+    letter: I32
+
+    @classmethod
+    def of(cls, game: Game) -> Graph:
+        from stltool.kernels import words
+
+        rows, starts = game.rows, game.first.astype(np.int32)
+        structure = (rows.choice_start, rows.row_start, rows.target)
+        states = words.reachable_states(*structure, starts, game.horizon)
+        if len(states) == len(rows.choice_start) - 1:
+            part = (*structure, np.arange(len(rows.row_start) - 1), np.arange(len(rows.target)))
+        else:
+            part = words.submodel(*structure, states)
+        where = np.searchsorted(states, starts).astype(np.int32)
+        return cls(states, where, *part, *words.neighbours(*part[:3]), game.letter[states])
+
+
+@dataclass(frozen=True, eq=False)
+class Sets:
+    """One layer: sets of automaton states by model state (kernels/words.py)."""
+
+    states: I32
+    start: I64
+    word: I32
+    bits: U64
+
+    def copy(self) -> Sets:
+        return Sets(self.states.copy(), self.start.copy(), self.word.copy(), self.bits.copy())
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """What is open or sure after a step; `tiles` (n+1,) numbers the tiles of eight automaton states that hold any.
+
+    sure_choice   the first choice that makes each sure pair so, in order (None where choices are not kept)
+    """
+
+    states: I32
+    start: I64
+    word: I32
+    open: U64
+    sure: U64
+    tiles: I64
+    sure_choice: NDArray[np.unsignedinteger] | None
+
+    @property
+    def n_tiles(self) -> int:
+        return int(self.tiles[-1])
+
+    @property
+    def open_sets(self) -> Sets:
+        return Sets(self.states, self.start, self.word, self.open)
+
+
+class Moves:
+    """δ and the verdicts of an automaton as rows of words."""
+
+    def __init__(self, automaton: TaskAutomaton) -> None:
+        from stltool.kernels import words
+
+        self.automaton = automaton
+        self.n_words = -(-automaton.n_states // 64)
+        self.shift = 3  # groups of eight words, what `Lanes` take at once, or of more, so that 64 bits tell them apart
+        while self.n_words + 2 > 64 << self.shift:
+            self.shift += 1
+        self.width = -(-(self.n_words + 2) >> self.shift) << self.shift
+        self.pieces = words.pieces(automaton.delta, self.n_words)
+        self._rows: dict[tuple[int, int], U64] = {}
+
+    def where(self, t: int, verdict: int) -> U64:
+        """The row of states that have this verdict after step t."""
+        automaton = self.automaton
+        i = int(np.searchsorted(automaton.verdict_starts, t, side="right")) - 1
+        if (i, verdict) not in self._rows:
+            bits = np.zeros(64 * self.width, dtype=np.bool_)
+            bits[64 : 64 + automaton.n_states] = automaton.verdict_rows[i] == verdict
+            self._rows[i, verdict] = np.packbits(bits, bitorder="little").view(np.uint64)
+        return self._rows[i, verdict]
+
+
+class Words(Layers[Sets, Layer]):
+    """See layers.py. `choices` is the type of choices that are kept, or None."""
+
+    def __init__(
+        self,
+        game: Game,
+        goal: int,
+        allowed: Allowed,
+        live: bool = True,
+        sure: bool = True,
+        budget: Budget | None = None,
+        choices: type[np.unsignedinteger] | None = None,
+        threads: int | None = None,
+    ) -> None:
+        from stltool.kernels import words
+
+        super().__init__(game, goal, allowed, live, sure, budget or Budget("pairs that are reached"))
+        self.budget.take(8 * len(game.rows.target) + 60 * len(game.rows.choice_start), 0, game.horizon)
+        self.graph, self.moves, self.choices = Graph.of(game), Moves(game.automaton), choices
+        self.mode = words.PLAIN if allowed.everything else words.MIXED if allowed.mixed else words.RESTRICTED
+        self.crew = Crew(self, threads)
+        n = len(self.graph.states)
+        self._states, self._start = np.empty(n, dtype=np.int32), np.empty(n + 1, dtype=np.int64)
+        self._word, self._bits = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint64)
+
+    # --------------------------------------------------------------------------------------------- forward
+
+    def _initial(self) -> Sets:
+        graph, q = self.graph, self.game.entry
+        undecided = self.game.automaton.verdicts(0)[q] == UNDECIDED
+        states, q = graph.first[undecided], q[undecided]
+        bits = np.uint64(1) << (q % 64).astype(np.uint64)
+        return Sets(states, np.arange(len(states) + 1, dtype=np.int64), (q // 64).astype(np.int32), bits)
+
+    def _after(self, layer: Sets, t: int) -> Sets:
+        from stltool.kernels import words
+
+        graph, moves, scratch = self.graph, self.moves, self.crew.first
+        if self.allowed.everything:
+            n = scratch.unite(layer, 0, len(layer.states))
+        else:
+            n = scratch.unite_allowed(layer, self.allowed.masks(t, graph, layer))
+        found = words.ascending(scratch.found, n, scratch.slot)
+        if len(self._word) < n * moves.n_words:
+            self._word = np.empty(n * moves.n_words, dtype=np.int32)
+            self._bits = np.empty(n * moves.n_words, dtype=np.uint64)
+        k = words.push(
+            found, scratch.slot, scratch.rows, scratch.groups, graph.letter, *moves.pieces,
+            moves.where(t + 1, UNDECIDED), moves.n_words, moves.width, moves.shift, self._states, self._start,
+            self._word, self._bits,
+        )  # fmt: skip
+        scratch.forget(n)
+        m = int(self._start[k])
+        after = Sets(self._states[:k], self._start[: k + 1], self._word[:m], self._bits[:m])
+        return layer if self._same_reached(layer, after) else after.copy()
+
+    def _count(self, layer: Sets) -> int:
+        return int(np.bitwise_count(layer.bits).sum(dtype=np.int64))
+
+    def _bytes(self, layer: Sets) -> int:
+        return 12 * (len(layer.states) + len(layer.word))
+
+    def _work(self, layer: Sets) -> int:
+        return 64 * len(layer.word) * self.game.widest
+
+    def _empty(self, layer: Sets) -> bool:
+        return not len(layer.states)
+
+    def _same_reached(self, one: Sets, other: Sets) -> bool:
+        return one is other or (
+            np.array_equal(one.states, other.states)
+            and np.array_equal(one.start, other.start)
+            and np.array_equal(one.word, other.word)
+            and np.array_equal(one.bits, other.bits)
+        )
+
+    # -------------------------------------------------------------------------------------------- backward
+
+    def nothing(self) -> Layer:
+        words, places = np.empty(0, dtype=np.uint64), np.zeros(1, dtype=np.int64)
+        chosen = None if self.choices is None else np.empty(0, dtype=self.choices)
+        return Layer(np.empty(0, dtype=np.int32), places, np.empty(0, dtype=np.int32), words, words, places, chosen)
+
+    def _settled(self, layer: Sets, ahead: Layer, t: int) -> Layer:
+        from stltool.kernels import words
+
+        graph, moves, width, keep = self.graph, self.moves, self.moves.width, self.choices is not None
+        masks, goal = self.allowed.masks(t, graph, layer), moves.where(t + 1, self.goal)
+        slot = self.crew.turn(ahead)
+
+        def part(scratch: Scratch, lo: int, hi: int) -> tuple[NDArray[Any], ...]:
+            n = scratch.unite(layer, lo, hi, sets=True)
+            words.pull(
+                scratch.found, n, scratch.rows, scratch.groups, slot, ahead.start, ahead.word, ahead.open, ahead.sure,
+                goal, graph.letter, *moves.pieces, moves.n_words, width, moves.shift, scratch.possible, scratch.certain,
+                scratch.somewhere,
+            )  # fmt: skip
+            k = int(layer.start[hi] - layer.start[lo])
+            states, word = np.empty(hi - lo, dtype=np.int32), np.empty(k, dtype=np.int32)
+            start, tiles = np.empty((2, hi - lo + 1), dtype=np.int64)
+            between, sure = np.empty((2, k), dtype=np.uint64)
+            chosen = np.empty(64 * k if keep else 0, dtype=self.choices or np.uint8)
+            m, n_sure = words.decide(
+                layer.states, layer.start, layer.word, layer.bits, lo, hi, scratch.slot, graph.choice_start,
+                graph.row_start, graph.position, graph.near_start, graph.near, width, scratch.possible,
+                scratch.certain, scratch.somewhere, self.mode, *masks, self.live, self.sure, keep, states, start, word,
+                between, sure, tiles, chosen,
+            )  # fmt: skip
+            scratch.forget(n)
+            k = int(start[m])
+            return (
+                states[:m], np.diff(start[: m + 1]), word[:k], between[:k], sure[:k], np.diff(tiles[: m + 1]),
+                chosen[:n_sure],
+            )  # fmt: skip
+
+        parts = self.crew.share(part, layer)
+        states, n_words, word, between, sure, n_tiles, chosen = (
+            np.concatenate(arrays) for arrays in zip(*parts, strict=True)
+        )
+        start, tiles = (np.concatenate([[0], np.cumsum(counts)]) for counts in (n_words, n_tiles))
+        return Layer(states, start, word, between, sure, tiles, chosen if keep else None)
+
+    def _same_settled(self, one: Layer, other: Layer) -> bool:
+        return (
+            np.array_equal(one.states, other.states)
+            and np.array_equal(one.start, other.start)
+            and np.array_equal(one.word, other.word)
+            and np.array_equal(one.open, other.open)
+            and np.array_equal(one.sure, other.sure)
+        )
+
+    # --------------------------------------------------------------------------------------------- numbers
+
+    def n_open(self, layer: Layer) -> int:
+        return int(np.bitwise_count(layer.open).sum(dtype=np.int64))
+
+    def parts(self, layer: Layer) -> list[tuple[int, int]]:
+        graph, n = self.graph, len(layer.states)
+        if self.allowed.mixed:  # mixtures are over one denominator a step
+            return [(0, n)]
+        per_word = np.bitwise_count(layer.open).astype(np.int64)
+        rows = graph.row_start[graph.choice_start]
+        per_state = np.add.reduceat(np.append(per_word, 0), layer.start[:-1]) if n else per_word
+        total = np.cumsum(per_state * (rows[layer.states + 1] - rows[layer.states]))
+        cuts = np.unique(np.searchsorted(total, np.arange(_PART, total[-1] if n else 0, _PART)))
+        return [(lo, hi) for lo, hi in itertools.pairwise([0, *cuts.tolist(), n]) if hi > lo]
+
+    def listed(self, first: int, last: int, layer: Layer, choice: NDArray[Any]) -> Listed:
+        """`choice`: of open pairs, or by the layer's tiles."""
+        from stltool.kernels import words
+
+        assert layer.sure_choice is not None
+        both = layer.open | layer.sure
+        chosen = np.empty(int(np.bitwise_count(both).sum(dtype=np.int64)), dtype=self.choices)
+        by_tile = len(choice) == 8 * layer.n_tiles
+        words.merge_choices(layer.open, layer.sure, by_tile, choice, layer.sure_choice, chosen)
+        keys = np.repeat(self.graph.states[layer.states].astype(np.int64), np.diff(layer.start)) * self.moves.n_words
+        return Listed(first, last, keys + layer.word, both, chosen)
+
+    def pairs(self, layer: Layer) -> tuple[I64, I64]:
+        return self._pairs(layer, layer.open)
+
+    def sure_pairs(self, layer: Layer) -> tuple[I64, I64, I64]:
+        """(s, q, choice) of the sure pairs, in order; choices are 0 where they are not kept."""
+        s, q = self._pairs(layer, layer.sure)
+        return (
+            s,
+            q,
+            np.zeros(len(s), dtype=np.int64) if layer.sure_choice is None else layer.sure_choice.astype(np.int64),
+        )
+
+    def _pairs(self, layer: Layer, sets: U64) -> tuple[I64, I64]:
+        where, bit = np.nonzero(np.unpackbits(sets.view(np.uint8), bitorder="little").reshape(-1, 64))
+        owner = np.repeat(self.graph.states[layer.states], np.diff(layer.start))
+        return owner[where].astype(np.int64), 64 * layer.word[where].astype(np.int64) + bit
+
+    def first_slots(self, layer: Layer) -> I64:
+        graph, q = self.graph, self.game.entry
+        verdicts = self.game.automaton.verdicts(0)[q]
+        slots = np.where(verdicts == self.goal, SURE, REST)
+        codes = graph.states[layer.states].astype(np.int64)
+        owner = np.repeat(codes, np.diff(layer.start)) * self.moves.n_words + layer.word
+        wanted = self.game.first * self.moves.n_words + q // 64
+        if len(owner):
+            place = np.minimum(np.searchsorted(owner, wanted), len(owner) - 1)
+            there = (owner[place] == wanted) & (verdicts == UNDECIDED)
+            bit = np.uint64(1) << (q % 64).astype(np.uint64)
+            rank = rank_of(layer)
+            is_open, is_sure = (there & ((sets[place] & bit) != 0) for sets in (layer.open, layer.sure))
+            below = np.bitwise_count(layer.open[place] & (bit - np.uint64(1))).astype(np.int64)
+            slots = np.where(is_open, 2 + rank[place] + below, np.where(is_sure, SURE, slots))
+        return slots
+
+    def edges(self, here: Layer, ahead: Layer, t: int, lo: int, hi: int) -> Edges:
+        """lo and hi count the layer's states."""
+        from stltool.kernels import words
+
+        graph, moves = self.graph, self.moves
+        masks = self.allowed.masks(t, graph, here.open_sets)
+        which = (here.states, here.start, here.word, here.open, lo, hi, graph.choice_start, graph.row_start)
+        n, m, e = words.count_edges(*which, self.mode, *masks)
+        choices, choice = np.empty(n + 1, dtype=np.int64), np.empty(m, dtype=np.int64)
+        start, entry, child = np.empty(m + 1, dtype=np.int64), *np.empty((2, e), dtype=np.int64)
+        words.list_edges(
+            *which, graph.target, self.mode, *masks, self.crew.turn(ahead), ahead.start, ahead.word, ahead.open,
+            ahead.sure, rank_of(ahead), moves.where(t + 1, UNDECIDED), moves.where(t + 1, self.goal), graph.letter,
+            self.game.automaton.delta, graph.entry, graph.choice, choices, choice, start, entry, child,
+        )  # fmt: skip
+        weight = None
+        if self.allowed.mixed:
+            s, q = self.pairs(here)
+            first = int(np.bitwise_count(here.open[: here.start[lo]]).sum(dtype=np.int64))
+            owner = np.repeat(np.arange(first, first + n), np.diff(choices))
+            number = choice - self.game.rows.choice_start[s[owner]]
+            weight = self.allowed.weights(t, s[owner], q[owner], number)
+        return Edges(choices, choice, weight, start, entry, child)
+
+
+def rank_of(layer: Layer) -> I64:
+    """(words,) the number of open pairs before each word."""
+    counts = np.bitwise_count(layer.open)
+    return np.cumsum(counts, dtype=np.int64) - counts
+
+
+def lanes_of(layer: Layer, sets: U64) -> NDArray[np.bool_]:
+    """(8 · n_tiles,) whether each lane of the layer's tiles is in `sets`, words of the layer."""
+    listed = (layer.open | layer.sure).view(np.uint8) != 0
+    return np.unpackbits(sets.view(np.uint8)[listed], bitorder="little").astype(np.bool_)
+
+
+class Scratch:
+    """Buffers of one thread: fresh memory is slow, so it is used again."""
+
+    def __init__(self, engine: Words) -> None:
+        self._graph, self._moves = engine.graph, engine.moves
+        n = len(self._graph.states)
+        self.slot, self.found = np.full(n, -1, dtype=np.int32), np.empty(n, dtype=np.int32)
+        self.rows = self.possible = self.certain = np.empty(0, dtype=np.uint64)
+        self.groups, self.somewhere = np.empty(n, dtype=np.uint64), np.empty(n, dtype=np.bool_)
+        self.block = np.empty(0, dtype=np.int32)
+        self.W: NDArray[Any] = np.empty(0)
+
+    def unite(self, layer: Sets, lo: int, hi: int, sets: bool = False) -> int:
+        """The rows that the layer's states lo … hi−1 lead to, and room for what is computed of them."""
+        from stltool.kernels import words
+
+        graph, width = self._graph, self._moves.width
+        n = self._room(layer.states[lo:hi])
+        if sets and len(self.possible) < n * width:
+            self.possible, self.certain = np.empty(n * width, dtype=np.uint64), np.empty(n * width, dtype=np.uint64)
+        found: int = words.unite(
+            layer.states, layer.start, layer.word, layer.bits, lo, hi, graph.near_start, graph.near,
+            self.slot, self.found, self.rows, self.groups, width, self._moves.shift,
+        )  # fmt: skip
+        return found
+
+    def unite_allowed(self, layer: Sets, masks: tuple[I64, U64]) -> int:
+        """The rows that the layer's states lead to by the choices allowed."""
+        from stltool.kernels import words
+
+        graph = self._graph
+        self._room(layer.states)
+        found: int = words.unite_allowed(
+            layer.states, layer.start, layer.word, layer.bits, *masks, graph.choice_start, graph.row_start,
+            graph.target, self.slot, self.found, self.rows, self.groups, self._moves.width, self._moves.shift,
+        )  # fmt: skip
+        return found
+
+    def blocks(self, n: int, dtype: type[np.generic]) -> None:
+        """Number the blocks of W that n rows need, and make room for them."""
+        from stltool.kernels import tiles
+
+        moves = self._moves
+        if len(self.block) < n * moves.n_words:
+            self.block = np.empty(n * moves.n_words, dtype=np.int32)
+        needed = 64 * tiles.blocks(n, self.rows, self.groups, moves.n_words, moves.width, moves.shift, self.block)
+        if self.W.dtype != dtype or len(self.W) < needed:
+            self.W = np.empty(needed + needed // 4, dtype=dtype)
+
+    def forget(self, n: int) -> None:
+        from stltool.kernels import words
+
+        words.forget(self.slot, self.found, n)
+
+    def _room(self, states: I32) -> int:
+        graph = self._graph
+        n = min(int((graph.near_start[states + 1] - graph.near_start[states]).sum()), len(self.slot))
+        if len(self.rows) < n * self._moves.width:
+            self.rows = np.empty(n * self._moves.width, dtype=np.uint64)
+        return n
+
+
+class Crew:
+    """Threads that share a layer's states out, each with buffers of its own."""
+
+    def __init__(self, engine: Words, threads: int | None) -> None:
+        self._engine, self.threads = engine, threads or os.cpu_count() or 1
+        self._slot = np.full(len(engine.graph.states), -1, dtype=np.int32)
+        self._ahead = np.empty(0, dtype=np.int32)
+        self.first = Scratch(engine)
+        self._idle, self._pool = [self.first], None if self.threads == 1 else ThreadPoolExecutor(self.threads)
+
+    def turn(self, ahead: Layer) -> I32:
+        """(n,) the position of each state in the layer ahead, −1 where it is not listed."""
+        if self._ahead is not ahead.states:
+            self._slot[self._ahead] = -1
+            self._slot[ahead.states] = np.arange(len(ahead.states), dtype=np.int32)
+            self._ahead = ahead.states
+        return self._slot
+
+    def share(self, part: Callable[[Scratch, int, int], Any], layer: Sets | Layer) -> list[Any]:
+        """part(scratch, lo, hi) over ranges of the layer's states, in order."""
+        total, n = int(layer.start[-1]), len(layer.states)
+        wanted = min(2 * self.threads, total // _WORTH_WORDS) if self.threads > 1 else 1
+        cuts = np.searchsorted(layer.start, np.linspace(0, total, max(wanted, -(-total // _MOST_WORDS), 1) + 1))
+        ranges = [(lo, hi) for lo, hi in itertools.pairwise([0, *cuts[1:-1].tolist(), n]) if hi > lo]
+        if self._pool is None or len(ranges) <= 1:
+            return [part(self.first, lo, hi) for lo, hi in ranges or [(0, n)]]
+        while len(self._idle) < self.threads:
+            self._idle.append(Scratch(self._engine))
+
+        def task(lo: int, hi: int) -> Any:
+            scratch = self._idle.pop()
+            try:
+                return part(scratch, lo, hi)
+            finally:
+                self._idle.append(scratch)
+
+        return [future.result() for future in [self._pool.submit(task, lo, hi) for lo, hi in ranges]]

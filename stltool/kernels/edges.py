@@ -1,0 +1,83 @@
+"""One step back over edges (checking/induction/edges.py), where numbers are more than one machine word or want sorting.
+
+n open pairs with choices[i] … choices[i+1]−1, choice j with edges start[j] … start[j+1]−1, each of the model's entry[k]
+and the slot child[k] ahead. `best` gets the number of each pair's first best choice.
+
+    digits   exact integers, `bits` bits a digit, least first, over the denominator D^k:  Σ n_k · V[child], one factor
+             D more than the layer ahead; Σ n = D and D · 2^bits ≤ 2^62, so sums of digits fit and carries run once
+    nature   opt { Σ_k p_k · V[child_k] : lower_k ≤ p_k ≤ lower_k + width_k, Σ_k p_k = 1 }, the budget 1 − Σ lower
+             handed out in the order of V, ascending where nature minimises; equal values go by the entry's number
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.kernels.jit import kernel
+
+F64: TypeAlias = NDArray[np.float64]
+I64: TypeAlias = NDArray[np.int64]
+
+
+@kernel
+def digits(
+    choices: I64, start: I64, entry: I64, child: I64, numerator: I64, ahead: I64, bits: int, maximize: bool,
+    lo: int, hi: int, out: I64, best: I64,
+) -> None:  # fmt: skip
+    n_in, n_out, mask = ahead.shape[1], out.shape[1], (1 << bits) - 1
+    total = np.empty(n_out, dtype=np.int64)
+    for i in range(lo, hi):
+        for j in range(choices[i], choices[i + 1]):
+            total[:] = 0
+            for k in range(start[j], start[j + 1]):
+                n, value = numerator[entry[k]], ahead[child[k]]
+                for d in range(n_in):
+                    total[d] += n * value[d]
+            carry = np.int64(0)
+            for d in range(n_out):
+                carry += total[d]
+                total[d] = carry & mask
+                carry >>= bits
+            better = j == choices[i]
+            if not better:
+                for d in range(n_out - 1, -1, -1):
+                    if total[d] != out[i, d]:
+                        better = (total[d] > out[i, d]) == maximize
+                        break
+            if better:
+                best[i] = j - choices[i]
+                for d in range(n_out):
+                    out[i, d] = total[d]
+
+
+@kernel
+def nature(
+    start: I64, entry: I64, child: I64, lower: F64, width: F64, budget: F64, choice: I64, ascending: bool, ahead: F64,
+    lo: int, hi: int, out: F64,
+) -> None:  # fmt: skip
+    """out[j]: the value of choice j; choice[j] is its number in the model, which budget (n_choices,) is by."""
+    longest = 1
+    for j in range(lo, hi):
+        longest = max(longest, start[j + 1] - start[j])
+    key, order = np.empty(longest), np.empty(longest, dtype=np.int64)
+    for j in range(lo, hi):
+        first, n = start[j], start[j + 1] - start[j]
+        for i in range(n):
+            w = ahead[child[first + i]]
+            key[i] = w if ascending else -w
+            k = i - 1
+            while k >= 0 and key[order[k]] > key[i]:
+                order[k + 1] = order[k]
+                k -= 1
+            order[k + 1] = i
+        left, total = budget[choice[j]], 0.0
+        for i in range(n):
+            k = order[i]
+            e = entry[first + k]
+            take = min(width[e], left)
+            left -= take
+            total += (lower[e] + take) * abs(key[k])
+        out[j] = 1.0 if total > 1.0 else total
