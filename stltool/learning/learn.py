@@ -27,7 +27,7 @@ from stltool.learning.checkpoint import (
 from stltool.learning.counts import Counts
 from stltool.learning.interrupt import Interrupt, interruptible
 from stltool.learning.learner import Learner, require_learner
-from stltool.learning.methods import METHODS, class_of, make, require_setting
+from stltool.learning.methods import METHODS, class_of, make
 from stltool.learning.problem import Problem
 from stltool.learning.settings import Budget, recorded
 from stltool.learning.trainer import Point, Progress, Status, Trainer
@@ -200,10 +200,7 @@ def learn(
 def _learner(method: str | Learner[Any], faithful: bool, settings: dict[str, Any]) -> Learner[Any]:
     """The learner that is asked for, by name or as it is."""
     if isinstance(method, str):
-        cls = class_of(method, faithful)
-        for name in settings:
-            require_setting(cls, name)
-        return make(cls, settings)
+        return make(class_of(method, faithful), settings)
     if isinstance(method, type) and issubclass(method, Learner):
         raise SettingsError(f"method is the class {method.__name__}; give a learner, {method.__name__}(…)")
     if not isinstance(method, Learner):

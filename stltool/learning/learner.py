@@ -98,4 +98,4 @@ def rarest(visits: NDArray[Any], chance: float) -> int:
 
 def summary(cls: type[Learner[Any]]) -> str:
     """The method in a line: the first of its class's documentation."""
-    return (cls.__doc__ or "").strip().splitlines()[0]
+    return next(iter((cls.__doc__ or "").strip().splitlines()), "")

@@ -18,6 +18,10 @@ from stltool.learning.settings import Budget, settings_of, shown_value
 LEARNERS: tuple[type[Learner[Any]], ...] = (
     Cfer, ModelBased, Naive, NaiveER, PublishedNaive, PublishedNaiveER, PublishedCfer, PublishedCfper,
 )  # fmt: skip
+for _cls in LEARNERS:  # help(stl.Cfer) lists its settings
+    _cls.__doc__ = f"{summary(_cls)}\n\n" + "\n".join(
+        f"{name} = {shown_value(one.default)}: {one.text} ({one.range})" for name, one in settings_of(_cls).items()
+    )
 METHODS = tuple(dict.fromkeys(cls.name for cls in LEARNERS))
 _BY_NAME = {(cls.name, cls.published): cls for cls in LEARNERS}
 

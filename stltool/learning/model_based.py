@@ -71,7 +71,7 @@ class ModelBased(Learner["Planner"]):
         return table
 
     def arrays(self, state: Planner) -> dict[str, Kept]:
-        return {}  # all that is learned is in the counts; the plan is made anew when an episode begins
+        return {}  # all that is learned is in the counts; every episode begins with a new plan
 
 
 class Planner:

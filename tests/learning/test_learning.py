@@ -422,6 +422,7 @@ def test_methods_are_found_by_their_names():
         assert isinstance(hash(cls()), int)
         for name, declared in settings_of(cls).items():
             assert declared.text
+            assert f"{name} = {shown_value(declared.default)}: {declared.text} ({declared.range})" in cls.__doc__
             assert (
                 declared.checked(declared.default)
                 == getattr(cls(), name)
