@@ -21,8 +21,8 @@ from tests.learning.test_sweep import files
 # runs long enough to be killed in, whatever their speed: evaluations cost milliseconds each
 LONG = f"""
 [sweep]
-seeds = 7
-settings = {{ episodes = 30, evaluate_every = 1 }}
+seeds = 6
+settings = {{ episodes = 15, evaluate_every = 1 }}
 [[method]]
 name = "cfer"
 faithful = true
@@ -109,7 +109,7 @@ def test_killed_at_any_moment_nothing_finished_is_lost(sweep_file, undisturbed, 
         children(client)[0].kill()  # a worker, in the middle of a run
         out, err = client.communicate(timeout=60)
     assert client.returncode == 0, err
-    assert json.loads(out)["runs"] == {"finished": 7, "failed": 0, "all": 7}
+    assert json.loads(out)["runs"] == {"finished": 6, "failed": 0, "all": 6}
     assert files(tmp_path) == undisturbed
 
 
@@ -121,11 +121,11 @@ def test_an_interrupt_says_how_to_go_on(sweep_file, undisturbed, tmp_path):
     kept = files(tmp_path)
     assert client.returncode == 130
     command = shlex.join(["stltool", "sweep", str(sweep_file), "--out", str(tmp_path), "--workers", "2"])
-    assert f"interrupted; {len(kept)} of 7 runs are finished and kept; continue with\n{command}\n" in err
+    assert f"interrupted; {len(kept)} of 6 runs are finished and kept; continue with\n{command}\n" in err
     assert "Traceback" not in err
-    assert 1 <= len(kept) < 7
+    assert 1 <= len(kept) < 6
     result = stl.run_sweep(stl.load_sweep(sweep_file), tmp_path, workers=1)
-    assert (len(result.runs), result.skipped) == (7, len(kept))
+    assert (len(result.runs), result.skipped) == (6, len(kept))
     assert files(tmp_path) == undisturbed
 
 
