@@ -1,42 +1,43 @@
 """Shortest sums of products against all sets of cubes."""
 
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from stltool.automata.cover import literals, shortest_cover
 
-CODES = range(8)
+
+def holds(n, cube, code):
+    return all((code >> i & 1) != negated for i, negated in literals(n, cube))
 
 
-def holds(cube, code):
-    return all((code >> i & 1) != negated for i, negated in literals(3, cube))
+def length(n, cubes):
+    return sum(1 + len(literals(n, cube)) for cube in cubes)
 
 
-def length(cubes):
-    return sum(1 + len(literals(3, cube)) for cube in cubes)
-
-
-def shortest(wanted, allowed):
+def shortest(n, wanted, allowed):
     """The least length of cubes within `allowed` that cover `wanted`: a shortest path over what is covered."""
-    cubes = [(value, free) for free in CODES for value in CODES if not value & free]
-    inside = [(cube, {code for code in CODES if holds(cube, code)}) for cube in cubes]
+    codes = range(1 << n)
+    cubes = [(value, free) for free in codes for value in codes if not value & free]
     least = {frozenset(): 0}
-    for cube, covered in inside:
+    for cube in cubes:
+        covered = {code for code in codes if holds(n, cube, code)}
         if covered <= allowed:
             for found, cost in list(least.items()):
-                both = found | covered
-                least[both] = min(least.get(both, 10**6), cost + length([cube]))
-    return min(cost for found, cost in least.items() if wanted <= found)
+                both = found | (covered & wanted)
+                least[both] = min(least.get(both, 10**6), cost + length(n, [cube]))
+    return least[frozenset(wanted)]
 
 
-@given(st.sets(st.integers(0, 7), min_size=1), st.sets(st.integers(0, 7)))
-def test_the_cover_holds_where_it_must_and_is_the_shortest(wanted, spare):
+@given(st.sets(st.integers(0, 7), min_size=1), st.sets(st.integers(0, 7)), st.just(3))
+@example({0, 1, 5, 8, 11, 12}, {2, 3, 7, 14}, 4)  # as few cubes can have more literals
+@example({2, 5, 7, 9, 10, 14}, {0, 12, 13, 15}, 4)
+def test_the_cover_holds_where_it_must_and_is_the_shortest(wanted, spare, n):
     spare -= wanted
-    cubes = shortest_cover(3, wanted, spare)
-    found = {code for code in CODES if any(holds(cube, code) for cube in cubes)}
+    cubes = shortest_cover(n, wanted, spare)
+    found = {code for code in range(1 << n) if any(holds(n, cube, code) for cube in cubes)}
     assert wanted <= found <= wanted | spare
-    assert length(cubes) == shortest(wanted, wanted | spare)
-    assert shortest_cover(3, sorted(wanted, reverse=True), spare) == cubes
+    assert length(n, cubes) == shortest(n, wanted, wanted | spare)
+    assert shortest_cover(n, sorted(wanted, reverse=True), spare) == cubes
 
 
 def test_covers_in_order():

@@ -240,6 +240,35 @@ def test_processes_of_this_machine(sweep_file, tmp_path, program):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+ASLEEP = """
+import os, sys, time
+from stltool.learning.pool import spread
+
+def work(item):
+    open(f"{sys.argv[1]}/{item}", "w").close()
+    time.sleep(60)
+
+if __name__ == "__main__":
+    list(spread(work, ["one", "two"], 2))
+"""
+
+
+def test_workers_end_with_who_asked(tmp_path):
+    """At once, in the middle of work that would go on for long."""
+    script = tmp_path / "script.py"
+    script.write_text(ASLEEP)
+    (tmp_path / "begun").mkdir()
+    with running(script, tmp_path / "begun") as process:
+        while len(list((tmp_path / "begun").iterdir())) < 2:
+            assert process.poll() is None, process.communicate()
+            time.sleep(0.005)
+        workers = children(process)
+        process.kill()
+        process.wait()
+        assert len(workers) == 2
+        assert psutil.wait_procs(workers, timeout=20)[1] == []
+
+
 def test_what_is_given_up_ends_at_once():
     """Closing the iterator ends processes in the middle of their work, and waits for none of it."""
     before = set(psutil.Process().children())
