@@ -184,7 +184,7 @@ def test_doubles_mean_the_same_beside_fractions():
 def test_what_would_not_fit_is_refused_first(floor5):
     product = stl.build_product(floor5, stl.parse("G[0,900] F[0,50] A"))
     with pytest.raises(SizeError, match=r"exact arithmetic on .* over 950 steps would take"):
-        stl.check(product, exact=True, keep_policy=False, memory_limit=2_500_000)
+        stl.check(product, exact=True, keep_policy=False, memory_limit=1_500_000)
 
 
 def test_unknown_settings_are_named(patrolling):
