@@ -14,8 +14,8 @@ from stltool.checking.induction.arithmetic import Digits, Doubles, Fixed, Intege
 from stltool.checking.induction.edges import OPEN, REST, SURE
 from stltool.checking.induction.graph import Game
 from stltool.checking.induction.induct import induct, layers_of
-from stltool.checking.induction.layers import Stretch
 from stltool.checking.induction.nodes import Nodes
+from stltool.checking.induction.reached import Reached, Stretch
 from stltool.checking.induction.words import Words
 from stltool.choices import Table, Through
 from tests import dense
@@ -301,3 +301,29 @@ def test_sums_of_rows_are_added_one_after_another():
         terms = rng.random(start[-1])
         one_by_one = [np.cumsum(terms[a:b])[-1] for a, b in itertools.pairwise(start)]
         assert np.array_equal(row_sums(terms, start), one_by_one)
+
+
+@pytest.mark.parametrize("most", [0, 1, 7, 10, 35, 100, 10**6])
+@pytest.mark.parametrize("n", [0, 1, 2, 3, 8, 31])
+def test_layers_that_were_not_kept_are_made_again(n, most):
+    """Layers are their own numbers here, of five bytes each; stretches of one to three steps."""
+    found, first = Reached(lambda layer, t: layer + 1, most), 0
+    wanted = []
+    for i in range(n):
+        last = first + i % 3
+        found.add(first, last, i, 5)
+        wanted.append(Stretch(first, last, i))
+        assert found.bytes <= max(most, 5)
+        first = last + 1
+    assert list(found) == wanted
+    assert list(reversed(found)) == wanted[::-1]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_little_room_for_layers_changes_nothing(engine, monkeypatch):
+    product = wide_product(1)
+    wanted = induct(Game.of(product), Doubles(product.model.probability, True), engine=engine, keep=np.uint8)
+    monkeypatch.setattr("stltool.checking.induction.layers._SHARE", 0)
+    found = induct(Game.of(product), Doubles(product.model.probability, True), engine=engine, keep=np.uint8)
+    assert np.array_equal(found.entry, wanted.entry)
+    assert np.array_equal(found.choices.choice, wanted.choices.choice)

@@ -5,7 +5,8 @@ from stltool.checking.induction.arithmetic import Arithmetic, Digits, Doubles, F
 from stltool.checking.induction.edges import OPEN, REST, SURE, Edges
 from stltool.checking.induction.graph import Game
 from stltool.checking.induction.induct import Engine, Solution, induct, layers_of, solve
-from stltool.checking.induction.layers import Budget, Layers, Progress, Stretch
+from stltool.checking.induction.layers import Budget, Layers, Progress
+from stltool.checking.induction.reached import Stretch
 
 __all__ = [
     "EVERYTHING", "OPEN", "REST", "SURE", "Allowed", "Arithmetic", "Budget", "Digits", "Doubles", "Edges", "Engine",

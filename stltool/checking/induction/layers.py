@@ -24,20 +24,21 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from numpy.typing import NDArray
 
 from stltool.checking.induction.allowed import Allowed
 from stltool.checking.induction.edges import Edges
 from stltool.checking.induction.graph import I64, Game
+from stltool.checking.induction.reached import Reached, Stretch
 from stltool.choices import Listed
 from stltool.sizes import memory_limit, require_memory, require_time
 
 Progress: TypeAlias = Callable[[int, int], None]
 """Called with (steps done, steps in all)."""
 
-Reached = TypeVar("Reached")
+FLayer = TypeVar("FLayer")
 Settled = TypeVar("Settled")
 
 
@@ -52,13 +53,17 @@ class Budget:
     def __init__(self, what: str, limit: int | None = None, progress: Progress | None = None) -> None:
         self._what, self._limit, self._progress, self._taken = what, memory_limit(limit), progress, 0
 
+    def share(self) -> float:
+        """Bytes that layers may take which are kept from the pass forward to the pass back."""
+        return _SHARE * self._limit
+
     def take(self, n: int, t: int, h: int) -> None:
-        """n bytes more, at step t of h."""
+        """n bytes for good, at step t of h."""
         self.need(n, t, h)
         self._taken += n
 
     def need(self, n: int, t: int, h: int) -> None:
-        """n bytes more for a while."""
+        """n bytes for a while."""
         what = f"{self._what}: {t + 1} of {h} steps" if t else self._what
         require_memory(self._taken + n, what, _SMALLER, self._limit)
 
@@ -73,18 +78,11 @@ class Budget:
 
 _RATE = 1e9  # multiply-adds a second, roughly, on one core
 _SETTLED = 1024  # steps
+_SHARE = 0.25
 _SMALLER = "shorten the windows, or coarsen the grid or the time step"
 
 
-class Stretch(NamedTuple):
-    """Steps first … last, which share a layer."""
-
-    first: int
-    last: int
-    layer: Any
-
-
-class Layers(ABC, Generic[Reached, Settled]):
+class Layers(ABC, Generic[FLayer, Settled]):
     """The layers of one question; engines say how sets are held (nodes.py, words.py).
 
     goal      the verdict that counts           live, sure    which pairs are told apart (see the module's text)
@@ -93,16 +91,17 @@ class Layers(ABC, Generic[Reached, Settled]):
     def __init__(self, game: Game, goal: int, allowed: Allowed, live: bool, sure: bool, budget: Budget) -> None:
         self.game, self.goal, self.allowed, self.live, self.sure = game, goal, allowed, live, sure
         self.budget = budget
+        self._widest = self._in_all = 0
 
     @cached_property
-    def reached(self) -> list[Stretch]:
+    def reached(self) -> Reached:
         """F by stretches, from step 0 to the last at which a run can be undecided."""
         return self._reach()
 
     def size(self) -> tuple[int, int]:
-        """Pairs of the largest layer, and of all steps together, at most."""
-        counts = [(self._count(layer), last + 1 - first) for first, last, layer in self.reached]
-        return max((n for n, _ in counts), default=0), sum(n * steps for n, steps in counts)
+        """Pairs of the largest layer, and of all steps together."""
+        assert self.reached is not None  # which counts them
+        return self._widest, self._in_all
 
     def backwards(self) -> Iterator[Stretch]:
         """What is open or sure, by stretches from the last step to step 0; a layer ahead is not needed again."""
@@ -117,25 +116,30 @@ class Layers(ABC, Generic[Reached, Settled]):
                 yield Stretch(until, t, here)
                 ahead, t = here, until - 1
 
-    def _reach(self) -> list[Stretch]:
+    def _reach(self) -> Reached:
         game, h = self.game, self.game.horizon
         layer, first, t = self._initial(), 0, 0
-        found: list[Stretch] = []
+        found = Reached(self._after, self.budget.share())
         while not self._empty(layer):
             self.budget.tell(t, h)
             if t >= _SETTLED and t & (t - 1) == 0:  # now and then: most repeat before
                 self.budget.require_time((h - t) * self._work(layer), h)
             if t == h - 1:  # every verdict has fallen after the next
-                found.append(Stretch(first, t, layer))
+                self._add(found, first, t, layer)
                 break
             after = self._after(layer, t)
             if self._same_reached(layer, after):
                 t = min(game.last_alike(t + 1), self.allowed.last_alike(t) + 1, h - 1)
                 continue
-            found.append(Stretch(first, t, layer))
-            self.budget.take(self._bytes(after), t, h)
+            self._add(found, first, t, layer)
             layer, first, t = after, t + 1, t + 1
         return found
+
+    def _add(self, found: Reached, first: int, last: int, layer: FLayer) -> None:
+        n = self._count(layer)
+        self._widest, self._in_all = max(self._widest, n), self._in_all + n * (last + 1 - first)
+        self.budget.need(found.bytes + self._bytes(layer), last, self.game.horizon)
+        found.add(first, last, layer, self._bytes(layer))
 
     @abstractmethod
     def nothing(self) -> Settled:
@@ -165,31 +169,31 @@ class Layers(ABC, Generic[Reached, Settled]):
         """The slot of each of the game's first pairs at step 0."""
 
     @abstractmethod
-    def _initial(self) -> Reached: ...
+    def _initial(self) -> FLayer: ...
 
     @abstractmethod
-    def _after(self, layer: Reached, t: int) -> Reached: ...
+    def _after(self, layer: FLayer, t: int) -> FLayer: ...
 
     @abstractmethod
-    def _settled(self, layer: Reached, ahead: Settled, t: int) -> Settled: ...
+    def _settled(self, layer: FLayer, ahead: Settled, t: int) -> Settled: ...
 
     @abstractmethod
-    def _count(self, layer: Reached) -> int:
+    def _count(self, layer: FLayer) -> int:
         """How many pairs it has."""
 
     @abstractmethod
-    def _bytes(self, layer: Reached) -> int:
+    def _bytes(self, layer: FLayer) -> int:
         """What it takes in memory, and what is needed once beside it."""
 
     @abstractmethod
-    def _work(self, layer: Reached) -> int:
+    def _work(self, layer: FLayer) -> int:
         """Multiply-adds of a step back, roughly and at most."""
 
     @abstractmethod
-    def _empty(self, layer: Reached) -> bool: ...
+    def _empty(self, layer: FLayer) -> bool: ...
 
     @abstractmethod
-    def _same_reached(self, one: Reached, other: Reached) -> bool: ...
+    def _same_reached(self, one: FLayer, other: FLayer) -> bool: ...
 
     @abstractmethod
     def _same_settled(self, one: Settled, other: Settled) -> bool: ...

@@ -13,6 +13,7 @@ from stltool.checking.induction.allowed import Allowed
 from stltool.checking.induction.edges import OPEN, REST, SURE, Edges
 from stltool.checking.induction.graph import I64, Game
 from stltool.checking.induction.layers import Budget, Layers
+from stltool.checking.induction.reached import Reached
 from stltool.choices import Listed, listed
 
 _KEPT = 2_000_000  # edges that are kept from pass to pass
@@ -100,9 +101,6 @@ class Nodes(Layers[I64, Settled]):
         child = np.unique(self._fan(layer, t)[1])
         undecided = self.game.automaton.verdicts(t + 1)[child % self.game.automaton.n_states] == UNDECIDED
         after: I64 = child[undecided]
-        self.count += len(after)
-        if self.most is not None and self.count > self.most:
-            raise TooMany
         return after
 
     def _settled(self, layer: I64, ahead: Settled, t: int) -> Settled:
@@ -159,6 +157,12 @@ class Nodes(Layers[I64, Settled]):
     def _split(self, codes: I64) -> tuple[I64, I64]:
         s, q = np.divmod(codes, self.game.automaton.n_states)
         return s, q
+
+    def _add(self, found: Reached, first: int, last: int, layer: I64) -> None:
+        super()._add(found, first, last, layer)
+        self.count += len(layer)
+        if self.most is not None and self.count > self.most:
+            raise TooMany
 
     def _count(self, layer: I64) -> int:
         return len(layer)
