@@ -65,8 +65,11 @@ class _Worker(Generic[_Item, _Result]):
 
     def __init__(self) -> None:
         self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_prepare)
-        with _for_children():
-            self.started = self._pool.submit(os.getpid)  # the process starts here
+        try:
+            with _for_children():
+                self.started = self._pool.submit(os.getpid)  # the process starts here
+        except OSError as error:
+            raise SettingsError(f"a worker process did not start: {error.strerror}; take fewer workers") from None
 
     def submit(self, work: Callable[[_Item], _Result], item: _Item) -> Future[_Result]:
         """The work's future, whose exception is a BrokenExecutor where the process has died."""

@@ -1,6 +1,7 @@
 """Sweeps in several processes: the same bytes, whoever is killed."""
 
 import contextlib
+import errno
 import json
 import os
 import shlex
@@ -8,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
 
 import psutil
 import pytest
@@ -279,6 +281,15 @@ def test_what_is_given_up_ends_at_once():
     outcomes.close()
     assert time.perf_counter() - start < 10
     assert not any("spawn_main" in " ".join(child.cmdline()) for child in psutil.Process().children())
+
+
+def test_a_process_that_cannot_start_is_told(monkeypatch):
+    def no_more(*_):
+        raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(ProcessPoolExecutor, "submit", no_more)
+    with pytest.raises(SettingsError, match="did not start: Resource temporarily unavailable; take fewer workers"):
+        list(pool.spread(str, [1, 2], 2))
 
 
 def test_clusters_that_do_not_answer(sweep_file, tmp_path, monkeypatch):
