@@ -10,15 +10,16 @@ Choices are numbers within their state: i is its i-th available action.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.display import Card, Displayed
-from stltool.sizes import IntegerType, integer_type
+from stltool.sizes import IntegerType
 
 I64: TypeAlias = NDArray[np.int64]
 Indices: TypeAlias = NDArray[np.signedinteger[Any]]
@@ -121,54 +122,32 @@ class Listed(NamedTuple):
     choice: NDArray[np.unsignedinteger]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
 class Choices(Displayed):
     """Choices by step, where they matter: layers one after another, each of a stretch of steps.
 
     A layer lists words of 64 automaton states by their key s·n_words + word, ascending; the set bits of a word are the
     automaton states that have a choice of their own, and choices stand in order of (key, bit). Wherever else a run can
-    be, every choice is as good as any other: the first one, 0.
+    be, every choice is as good as any other: the first one, 0. Arrays may be views of a file.
 
-    shape    (S, Q)                               horizon  steps in all
-    first, last (k,) int64: the steps of each layer, ascending, without overlap
-    start    (k+1,) int64: a layer's words are keys[start[i]] … keys[start[i+1]−1]
-    keys, bits  (n,)                              choice   (set bits of all layers,)
+    shape   (S, Q)          horizon  steps in all
+    layers  in ascending order of their steps, which do not overlap
+    kind    the type of a table of such choices
     """
-
-    shape: tuple[int, int]
-    horizon: int
-    first: I64
-    last: I64
-    start: I64
-    keys: I64
-    bits: NDArray[np.uint64]
-    choice: NDArray[np.unsignedinteger]
-    rank: I64 = field(init=False)
 
     deterministic = True
     stationary = False
 
+    def __init__(
+        self, shape: tuple[int, int], horizon: int, layers: Sequence[Listed], kind: IntegerType = np.int16
+    ) -> None:
+        self.shape, self.horizon, self.layers, self.kind = shape, horizon, tuple(layers), kind
+        self._first = np.array([layer.first for layer in layers], dtype=np.int64)
+        self._last = np.array([layer.last for layer in layers], dtype=np.int64)
+        self._rank: tuple[int, I64] = (-1, np.empty(0, dtype=np.int64))
+
     def _card(self) -> Card:
-        return Card(f"Choices: {len(self.choice)} that matter, in {len(self.first)} layers of {self.horizon} steps")
-
-    def __post_init__(self) -> None:
-        counts = np.bitwise_count(self.bits)
-        object.__setattr__(self, "rank", np.cumsum(counts, dtype=np.int64) - counts)
-
-    @classmethod
-    def of(cls, shape: tuple[int, int], horizon: int, layers: Sequence[Listed], kind: type[Any]) -> Choices:
-        """From layers in ascending order of steps; `kind` is the type of choices."""
-        first, last = (np.array([layer[i] for layer in layers], dtype=np.int64) for i in (0, 1))
-        start = np.concatenate([[0], np.cumsum([len(layer.keys) for layer in layers])]).astype(np.int64)
-        keys = np.concatenate([np.empty(0, dtype=np.int64), *(layer.keys for layer in layers)])
-        bits = np.concatenate([np.empty(0, dtype=np.uint64), *(layer.bits for layer in layers)])
-        choice = np.concatenate([np.empty(0, dtype=kind), *(layer.choice for layer in layers)])
-        return cls(shape, horizon, first, last, start, keys, bits, choice)
-
-    @property
-    def kind(self) -> IntegerType:
-        """The type of a table of such choices."""
-        return integer_type(int(self.choice.max(initial=0)))
+        n = sum(len(layer.choice) for layer in self.layers)
+        return Card(f"Choices: {n} that matter, in {len(self.layers)} layers of {self.horizon} steps")
 
     @property
     def n_words(self) -> int:
@@ -176,26 +155,53 @@ class Choices(Displayed):
 
     @property
     def nbytes(self) -> int:
-        return sum(array.nbytes for array in (self.first, self.last, self.start, self.keys, self.bits, self.choice))
+        return sum(layer.keys.nbytes + layer.bits.nbytes + layer.choice.nbytes for layer in self.layers)
 
-    def layer(self, t: int) -> slice:
-        """Where the words of step t are; empty where none is listed."""
-        i = int(np.searchsorted(self.first, t, side="right")) - 1
-        if i < 0 or t > self.last[i]:
-            return slice(0, 0)
-        return slice(int(self.start[i]), int(self.start[i + 1]))
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """As in files: first, last (k,) of each layer, start (k+1,) of its words, and keys, bits, choice of all."""
+        kind = self.layers[0].choice.dtype if self.layers else np.dtype(np.uint8)
+        start = np.cumsum([0, *(len(layer.keys) for layer in self.layers)], dtype=np.int64)
+        keys = [np.empty(0, dtype=np.int64), *(layer.keys for layer in self.layers)]
+        bits = [np.empty(0, dtype=np.uint64), *(layer.bits for layer in self.layers)]
+        choice = [np.empty(0, dtype=kind), *(layer.choice for layer in self.layers)]
+        joined = {"keys": np.concatenate(keys), "bits": np.concatenate(bits), "choice": np.concatenate(choice)}
+        return {"first": self._first, "last": self._last, "start": start, **joined}
+
+    @classmethod
+    def of_arrays(
+        cls, shape: tuple[int, int], horizon: int, arrays: Mapping[str, NDArray[Any]], kind: IntegerType
+    ) -> Choices:
+        """What `arrays` gave."""
+        first, last, start = (arrays[name].tolist() for name in ("first", "last", "start"))
+        counts = np.cumsum(np.bitwise_count(arrays["bits"]), dtype=np.int64)
+        ends = [int(counts[n - 1]) if n else 0 for n in start]
+        layers = [
+            Listed(first[i], last[i], arrays["keys"][a:b], arrays["bits"][a:b], arrays["choice"][ends[i] : ends[i + 1]])
+            for i, (a, b) in enumerate(itertools.pairwise(start))
+        ]
+        return cls(shape, horizon, layers, kind)
+
+    def words(self, t: int) -> tuple[I64, NDArray[np.uint64], I64, NDArray[np.unsignedinteger]]:
+        """keys, bits, the number of choices before each word, and choices of step t; empty where none is listed."""
+        i = int(np.searchsorted(self._first, t, side="right")) - 1
+        if i < 0 or t > self._last[i]:
+            return _NO_KEYS, _NO_BITS, _NO_KEYS, _NO_CHOICES
+        layer = self.layers[i]
+        if self._rank[0] != i:
+            counts = np.bitwise_count(layer.bits)
+            self._rank = (i, np.cumsum(counts, dtype=np.int64) - counts)
+        return layer.keys, layer.bits, self._rank[1], layer.choice
 
     def alike(self, t: int) -> tuple[int, int]:
-        i = int(np.searchsorted(self.first, t, side="right")) - 1
-        if i >= 0 and t <= self.last[i]:
-            return int(self.first[i]), int(self.last[i])
-        before = int(self.last[i]) + 1 if i >= 0 else 0
-        after = int(self.first[i + 1]) - 1 if i + 1 < len(self.first) else self.horizon - 1
+        i = int(np.searchsorted(self._first, t, side="right")) - 1
+        if i >= 0 and t <= self._last[i]:
+            return int(self._first[i]), int(self._last[i])
+        before = int(self._last[i]) + 1 if i >= 0 else 0
+        after = int(self._first[i + 1]) - 1 if i + 1 < len(self._first) else self.horizon - 1
         return before, after
 
     def at(self, t: int, s: Indices, q: Indices) -> I64:
-        part = self.layer(t)
-        keys, bits = self.keys[part], self.bits[part]
+        keys, bits, rank, choice = self.words(t)
         found = np.zeros(len(s), dtype=np.int64)
         if len(keys):
             wanted = np.asarray(s, dtype=np.int64) * self.n_words + np.asarray(q) // 64
@@ -203,22 +209,22 @@ class Choices(Displayed):
             bit = np.uint64(1) << (np.asarray(q) % 64).astype(np.uint64)
             there = (keys[place] == wanted) & (bits[place] & bit != 0)
             place, bit = place[there], bit[there]
-            rank = self.rank[part][place] + np.bitwise_count(bits[place] & (bit - np.uint64(1)))
-            found[there] = self.choice[rank]
+            found[there] = choice[rank[place] + np.bitwise_count(bits[place] & (bit - np.uint64(1)))]
         return found
 
     def row(self, t: int) -> NDArray[Any]:
         table = np.zeros((self.shape[0], 64 * self.n_words), dtype=self.kind)
-        part = self.layer(t)
-        keys, bits = self.keys[part], self.bits[part]
+        keys, bits, _, choice = self.words(t)
         if len(keys):
             set_bits = np.unpackbits(bits.view(np.uint8), bitorder="little").astype(np.bool_).reshape(-1, 64)
-            first = int(self.rank[part][0])
-            rows = table.reshape(-1, 64)
             block = np.zeros(set_bits.shape, dtype=table.dtype)
-            block[set_bits] = self.choice[first : first + int(np.bitwise_count(bits).sum(dtype=np.int64))]
-            rows[keys] = block
+            block[set_bits] = choice
+            table.reshape(-1, 64)[keys] = block
         return table[:, : self.shape[1]]
+
+
+_NO_KEYS, _NO_BITS = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.uint64)
+_NO_CHOICES = np.empty(0, dtype=np.uint8)
 
 
 def listed(first: int, last: int, n_words: int, s: I64, q: I64, choice: NDArray[np.unsignedinteger]) -> Listed:

@@ -114,7 +114,7 @@ class Policy(Displayed):
         home, form = self.home, self.form
         silent = int((form.table < 0).sum()) if isinstance(form, Table) else 0
         if isinstance(form, Choices):
-            held = f"{len(form.choice)} choices that matter, in {len(form.first)} layers"
+            held = repr(form).removeprefix("Choices: ")
         else:
             held = f"a table of {' x '.join(map(str, self._shape()))}"
         task = f"{home.task_name} := {home.formula}" if isinstance(home, Product) else "; ".join(self.binding.tasks)
@@ -200,7 +200,7 @@ class Policy(Displayed):
         require_policy_file(path_of(path, "save's path"))
         header = json.dumps({"format": FORMAT, **asdict(self.binding)})
         buffer = io.BytesIO()
-        arrays: dict[str, Any] = _arrays(self.form) if isinstance(self.form, Choices) else {"table": self.table}
+        arrays: dict[str, Any] = self.form.arrays() if isinstance(self.form, Choices) else {"table": self.table}
         np.savez_compressed(buffer, header=np.frombuffer(header.encode("utf-8"), dtype=np.uint8), **arrays)
         write_atomically(path, buffer.getvalue())
 
@@ -388,10 +388,6 @@ def _checked(product: Product | JointProduct, table: NDArray[Any]) -> NDArray[An
     return np.ascontiguousarray(table, dtype=np.float64)
 
 
-def _arrays(choices: Choices) -> dict[str, NDArray[Any]]:
-    return {name: getattr(choices, name) for name in _PARTS}
-
-
 def _choices(product: Product | JointProduct, arrays: dict[str, NDArray[Any]]) -> Choices:
     """Choices by step from a file's arrays; PolicyError unless they fit together and the product."""
     n_choices, (n_states, n_memories), h = np.diff(product.model.choice_start), product.shape, product.horizon
@@ -425,7 +421,7 @@ def _choices(product: Product | JointProduct, arrays: dict[str, NDArray[Any]]) -
         fits = bool((np.diff(keys, prepend=-1)[inner] > 0).all() and not beyond.any() and (choice < of_choice).all())
     if not fits:
         raise PolicyError("the policy's choices do not fit together, or not its task and model; save it again")
-    return Choices((n_states, n_memories), h, first, last, start, keys, bits, choice)
+    return Choices.of_arrays((n_states, n_memories), h, arrays, product.model.choice_type)
 
 
 def _read_q_table(path: str | Path) -> tuple[list[str], tuple[NDArray[np.float64], NDArray[np.float64]]]:

@@ -211,8 +211,8 @@ def test_engines_agree_to_the_bit_and_so_do_any_number_of_threads(seed, maximize
         other = induct(Game.of(product), arithmetic, maximize, engine="words", keep=np.uint8, threads=threads)
         assert np.array_equal(one.entry, other.entry)
         assert one.swept == other.swept
-        for name in ("first", "last", "start", "keys", "bits", "choice"):
-            assert np.array_equal(getattr(one.choices, name), getattr(other.choices, name)), name
+        for (name, mine), theirs in zip(one.choices.arrays().items(), other.choices.arrays().values(), strict=True):
+            assert np.array_equal(mine, theirs), name
 
 
 def test_ranges_of_states_are_put_together_in_order(monkeypatch):
@@ -224,7 +224,7 @@ def test_ranges_of_states_are_put_together_in_order(monkeypatch):
         monkeypatch.setattr(f"stltool.checking.induction.words.{name}", 5)
     parts = induct(Game.of(product), arithmetic, engine="words", keep=np.uint8, threads=3)
     assert np.array_equal(whole.entry, parts.entry)
-    assert np.array_equal(whole.choices.choice, parts.choices.choice)
+    assert np.array_equal(whole.choices.arrays()["choice"], parts.choices.arrays()["choice"])
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -326,4 +326,4 @@ def test_little_room_for_layers_changes_nothing(engine, monkeypatch):
     monkeypatch.setattr("stltool.checking.induction.layers._SHARE", 0)
     found = induct(Game.of(product), Doubles(product.model.probability, True), engine=engine, keep=np.uint8)
     assert np.array_equal(found.entry, wanted.entry)
-    assert np.array_equal(found.choices.choice, wanted.choices.choice)
+    assert np.array_equal(found.choices.arrays()["choice"], wanted.choices.arrays()["choice"])

@@ -79,9 +79,7 @@ class Following(Allowed):
 
         form, layer = self._form, (sets.states, sets.start, sets.word, sets.bits, graph.states, graph.choice_start)
         if isinstance(form, Choices):
-            part = form.layer(t)
-            listed = (form.n_words, form.keys[part], form.bits[part], form.rank[part], form.choice)
-            first, masks, silent = words.choice_masks(*layer, *listed)
+            first, masks, silent = words.choice_masks(*layer, form.n_words, *form.words(t))
         else:
             kernel = words.mixture_masks if self.mixed else words.table_masks
             first, masks, silent = kernel(*layer, form.row(t))

@@ -32,6 +32,7 @@ from stltool.checking.induction.layers import Budget, Layers
 from stltool.checking.induction.nodes import Nodes, TooMany
 from stltool.checking.induction.words import Words
 from stltool.choices import Choices, Listed
+from stltool.sizes import integer_type
 
 Engine: TypeAlias = Literal["auto", "nodes", "words"]
 FEW, FEW_LOADED = 100_000, 3_000  # pairs, all steps together, that numpy takes on: before and after numba is loaded
@@ -130,7 +131,8 @@ def solve(
     choices = None
     if keep is not None:
         shape = (len(game.rows.choice_start) - 1, game.automaton.n_states)
-        choices = Choices.of(shape, h, found[::-1], keep)
+        most = int(np.diff(game.rows.choice_start).max())
+        choices = Choices(shape, h, found[::-1], integer_type(most - 1))
     name = "nodes" if isinstance(layers, Nodes) else "words" if tiles is None else "tiles"
     return Solution(by_slot[slots], slots < OPEN, choices, name, swept)
 
