@@ -4,7 +4,7 @@
              = opt_c Σ_s' P(s'|c) · V_{t+1}(s', δ(L(s'), q))     otherwise
     P(Φ)     = Σ_s ι(s) V_0(s, δ(L(s), q₀))                      after h steps: no stopping rule, no truncation
 
-(semantics.md §3.) The engine: lists of pairs in numpy while few pairs are reached (nodes.py), words of bits beyond
+(docs/semantics.md §3.) The engine: lists of pairs in numpy while few pairs are reached (nodes.py), words of bits beyond
 (words.py); on these, doubles and fixed point take eight automaton states at a time (tiled.py).
 
 **Stopping early.** Let steps u … t have the same open and sure pairs, verdicts (of the steps after them) and choices
