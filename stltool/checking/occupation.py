@@ -14,15 +14,17 @@ such a policy. Source: [Altman99], over a finite horizon.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.checking.backward import Floats
 from stltool.checking.weighted import Choices, Criteria, Weights
+from stltool.display import counted
 from stltool.errors import SizeError, SolverError, named
 from stltool.sizes import require_memory
 
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
 
 MOST_VARIABLES = 500_000  # some minutes
 
-_BYTES = 200  # a non-zero, in our matrices, scipy's and the solver's
+_BYTES = 200  # a non-zero, in our matrices, cvxpy's and the solver's
 _TOLERANCE = 1e-9  # of the solver, on rows and on reduced costs
 _NOISE = 1e-9  # a choice's share of its place, below which it is the solver's rounding
 
@@ -132,7 +134,7 @@ def solve(lp: Programme, objective: int, bounds: Mapping[int, float], most_itera
     Raises SolverError, with the solver's status, where it ends without an optimum. Simplex is slow to tell that there
     is none: ask for bounds that can be met, or limit its iterations.
     """
-    from scipy.optimize import linprog
+    import cvxpy as cp
 
     constrained = list(bounds)
     if lp.flow.shape[1] == 0:  # decided by the first state
@@ -140,22 +142,31 @@ def solve(lp: Programme, objective: int, bounds: Mapping[int, float], most_itera
     rows = lp.reward[constrained]
     scale = np.maximum(abs(rows).max(axis=1).toarray().ravel(), 1e-300)  # costs come in any unit
     needed = np.array([bounds[i] - lp.constant[i] for i in constrained])
-    options = {"primal_feasibility_tolerance": _TOLERANCE, "dual_feasibility_tolerance": _TOLERANCE}
+    x = cp.Variable(lp.flow.shape[1], nonneg=True)
+    requirements = [lp.flow @ x == lp.inflow]
+    if constrained:
+        requirements.append(rows.multiply(1 / scale[:, None]).tocsr() @ x >= needed / scale)
+    problem = cp.Problem(cp.Maximize(lp.reward[[objective]].toarray()[0] @ x), requirements)
+    options: dict[str, Any] = {"method": "highs-ds"}  # of SciPy's own HiGHS, which prints nothing
+    options |= {"primal_feasibility_tolerance": _TOLERANCE, "dual_feasibility_tolerance": _TOLERANCE}
     if most_iterations is not None:
         options["maxiter"] = most_iterations
-    ended = linprog(  # a minimiser: the criterion and its bounds with their signs changed
-        -lp.reward[[objective]].toarray()[0],
-        A_ub=-rows.multiply(1 / scale[:, None]).tocsr(), b_ub=-needed / scale,
-        A_eq=lp.flow, b_eq=lp.inflow,
-        method="highs-ds", options=options,
-    )  # fmt: skip
-    if ended.status != 0:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that a result is inaccurate: it is refused below
+            problem.solve(solver=cp.SCIPY, scipy_options=options)  # type: ignore[no-untyped-call]
+        status = problem.status
+    except cp.SolverError:
+        status = cp.SOLVER_ERROR
+    if status != cp.OPTIMAL:
+        limit = f" within {counted(most_iterations, 'iteration')}" if most_iterations is not None else ""
         raise SolverError(
-            f"the linear programme of {lp.flow.shape[1]} variables and {lp.flow.shape[0]} rows: HiGHS ended with "
-            f"{ended.message!r}; shorten the windows, scale costs nearer to 1, or move the bounds a little away from "
+            f"the linear programme of {lp.flow.shape[1]} variables and {lp.flow.shape[0]} rows: HiGHS found no optimum"
+            f"{limit} ({status}); shorten the windows, scale costs nearer to 1, or move the bounds a little away from "
             "what is possible"
         )
-    return Solution(np.maximum(ended.x, 0), np.maximum(-ended.ineqlin.marginals, 0) / scale)
+    duals = np.array(requirements[1].dual_value) if constrained else np.empty(0)
+    return Solution(np.maximum(np.array(x.value), 0), np.maximum(duals, 0) / scale)
 
 
 def policy_of(lp: Programme, x: Floats, otherwise: Choices) -> Weights:

@@ -519,11 +519,9 @@ def test_sizes_are_refused_before_memory_is_taken(floor5):
 
 def test_a_solver_that_gives_up_is_named(shift):
     lp = programme(Criteria(shift))
-    with pytest.raises(
-        SolverError, match=r"programme of \d+ variables and \d+ rows: HiGHS ended with 'Iteration limit"
-    ):
+    with pytest.raises(SolverError, match=r"programme of \d+ variables and \d+ rows: HiGHS found no optimum within 1 "):
         solve(lp, 0, {1: 0.1}, most_iterations=1)
-    with pytest.raises(SolverError, match=r"HiGHS ended with 'The problem is infeasible.*; shorten the windows"):
+    with pytest.raises(SolverError, match=r"HiGHS found no optimum \(infeasible\); shorten the windows"):
         solve(lp, 0, {1: 1.5})
 
 
