@@ -68,33 +68,34 @@ def test_a_cut_run_resumes_to_the_same_bits(patrolling, tmp_path, method, faithf
     assert longer.history == stl.learn(patrolling, method, **{**settings, "episodes": 16}).history
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_a_killed_process_resumes_to_the_same_bits(tmp_path, seed):
-    rng = np.random.default_rng(seed)
-
-    def command(name):
-        return [
-            sys.executable, "-m", "stltool", "learn", str(FACTORY / "patrolling.stl"), "-p", "T=6", "-p", "tau=6",
-            "--episodes", "500", "--set", "replays=100", "--seed", "4", "--resume", "--checkpoint-every", "0.02",
-            "--checkpoint", str(tmp_path / f"{name}.ckpt"), "--out", str(tmp_path / f"{name}.npz"),
-            "--history", str(tmp_path / f"{name}.csv"),
-        ]  # fmt: skip
-
-    subprocess.run(command("whole"), check=True, capture_output=True)
-    killed = 0
-    for _ in range(3):
-        with subprocess.Popen(command("cut"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+def test_a_killed_process_resumes_to_the_same_bits(tmp_path):
+    """Two processes are killed at some moment after their first checkpoint; this one finishes their work."""
+    path, rng, killed = tmp_path / "cut.ckpt", np.random.default_rng(0), 0
+    command = [
+        sys.executable, "-m", "stltool", "learn", str(FACTORY / "patrolling.stl"), "-p", "T=6", "-p", "tau=6",
+        "--episodes", "1500", "--set", "replays=300", "--seed", "4", "--resume", "--checkpoint-every", "0.02",
+        "--checkpoint", str(path), "--out", str(tmp_path / "cut.npz"),
+    ]  # fmt: skip
+    for _ in range(2):
+        before = path.read_bytes() if path.exists() else b""
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
             began = time.monotonic()
-            while not (tmp_path / "cut.ckpt").exists() and process.poll() is None and time.monotonic() - began < 60:
+            while time.monotonic() - began < 60 and process.poll() is None:
+                if path.exists() and path.read_bytes() != before:
+                    break
                 time.sleep(0.01)
-            time.sleep(rng.uniform(0, 0.5))
+            time.sleep(rng.uniform(0, 0.1))
             process.send_signal(signal.SIGKILL)
         killed += process.returncode == -signal.SIGKILL
-    assert killed
-    subprocess.run(command("cut"), check=True, capture_output=True)
-    assert (tmp_path / "cut.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
-    with np.load(tmp_path / "cut.npz") as cut, np.load(tmp_path / "whole.npz") as whole:
-        assert np.array_equal(cut["table"], whole["table"])
+    assert killed  # a slow machine may let one of them finish
+    task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 6, "tau": 6})
+    product = stl.build_product(stl.load_model(task.model), task)
+    settings = {"episodes": 1500, "replays": 300, "seed": 4}
+    resumed = stl.learn(product, **settings, checkpoint=path, resume=True)
+    whole = stl.learn(product, **settings)
+    assert resumed.history == whole.history
+    assert np.array_equal(resumed.policy.table, whole.policy.table)
+    assert resumed.counts.seen.tolist() == whole.counts.seen.tolist()
 
 
 @pytest.fixture
@@ -164,7 +165,7 @@ def unpacked(path):
 def changed_values(name, array, rng, published):
     """The array with an entry out of range, or none that the run can have had; its digest will be right."""
     flat = np.flatnonzero(np.isfinite(array.ravel())) if array.dtype.kind == "f" else np.arange(array.size)
-    entries = rng.choice(flat, size=min(len(flat), 3), replace=False)
+    entries = rng.choice(flat, size=min(len(flat), 1), replace=False)
     bad = [np.nan, np.inf, -1e300, 1e300, -1.0] if array.dtype.kind == "f" else [-1, -(2**31), 2**31 - 1]
     if array.dtype == np.int64:
         bad += [-(2**63), 2**63 - 1]

@@ -293,7 +293,7 @@ def test_what_is_finished_and_how_long_the_rest_takes(write, tmp_path):
         ("batch = 8", "gamma = 0.9", SettingsError, "[[method]] 2, settings: naive-er has no setting gamma; naive as"),
         ("batch = 8", "bach = 8", SettingsError, "[[method]] 2, settings: naive-er has no setting 'bach'; did you"),
         ('name = "naive-er"', 'name = "naive_er"', SettingsError, "[[method]] 2: there is no method 'naive_er'"),
-        ('name = "naive-er"', 'name = "cfper"', SettingsError, "[[method]] 2: there is no cfper with faithful=False"),
+        ('name = "naive-er"', 'name = "cfper"', SettingsError, "[[method]] 2: cfper exists only as published"),
         ('name = "naive-er"', "", SettingsError, "[[method]] 2 has no name"),
         ('id = "replay"', 'id = "Naive"', SettingsError, "two methods are called Naive"),
         ('id = "replay"', 'id = "a/b"', SettingsError, "[[method]] 2 id is 'a/b'"),
