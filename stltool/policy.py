@@ -293,7 +293,7 @@ def require_policy_file(path: str | Path) -> None:
 def _is_policy(path: Path) -> bool:
     """Whether a file is a policy of ours, of this version or another."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             found = json.loads(archive["header"].tobytes().decode("utf-8"))["format"]
         return bool(found.rpartition("-")[0] == FORMAT.rpartition("-")[0])
     except Exception:  # other files, and damaged ones, fail in many ways
