@@ -65,7 +65,7 @@ def packed(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> byt
     """The bytes of a checkpoint."""
     buffer = io.BytesIO()
     text = json.dumps({**header, "digest": _digest(header, arrays)})
-    members = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    members = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     members["header"] = np.frombuffer(text.encode("utf-8"), dtype=np.uint8)
     np.savez(buffer, **members)  # type: ignore[arg-type]  # numpy's stub takes every name for allow_pickle
     return buffer.getvalue()
@@ -281,7 +281,7 @@ def _digest(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> st
     """SHA-256 of the whole content, against damage; forgers can compute it too."""
     found = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
     for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
+        array = np.asarray(arrays[name], order="C")
         found.update(json.dumps([name, array.dtype.str, array.shape]).encode())
-        found.update(array.data if array.size else b"")
+        found.update(array.tobytes())
     return found.hexdigest()

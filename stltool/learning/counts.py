@@ -128,7 +128,10 @@ class Counts(Displayed):
 
 
 def _indices(name: str, given: ArrayLike, n: int) -> NDArray[np.int64]:
-    array = np.atleast_1d(np.asarray(given))
+    try:
+        array = np.atleast_1d(np.asarray(given))
+    except ValueError:  # rows of different lengths
+        raise SettingsError(f"{name} is not an array; give integers (n,)") from None
     if array.size == 0:
         return np.empty(0, dtype=np.int64)
     if array.ndim != 1 or array.dtype.kind not in "iu":

@@ -460,13 +460,13 @@ class Alternating(stl.Learner):
     start_with: str = "first"
 
     def start(self, problem, counts, rng):
-        return {"table": np.zeros(problem.shape, dtype=np.int64), "turn": np.zeros(1)}
+        return {"table": np.zeros(problem.shape, dtype=np.int64), "turn": np.zeros(())}
 
     def episode(self, state, episode):
         while episode.verdict is None:
             place = episode.t, episode.s, episode.q
-            choice = int(state["turn"][0]) % min(self.turns, episode.n_choices)
-            state["turn"] += 1
+            choice = int(state["turn"]) % min(self.turns, episode.n_choices)
+            state["turn"][...] += 1
             episode.step(choice)
             if episode.verdict is not False:
                 state["table"][place] = choice

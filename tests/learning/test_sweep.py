@@ -10,8 +10,9 @@ from filelock import FileLock
 import stltool as stl
 from stltool.errors import FileError, NameLookupError, SettingsError, StlToolError
 from stltool.learning import Budget
-from stltool.learning.sweep import estimated_seconds, finished_runs
+from stltool.learning.sweep import Method, estimated_seconds, finished_runs
 from tests.conftest import FACTORY, ROOT
+from tests.learning.test_learning import Alternating
 
 TINY = f"""
 [sweep]
@@ -177,6 +178,21 @@ def test_a_runs_key_is_of_all_that_its_result_depends_on(write):
             assert not set(keys(**{old: new})) & set(base), old
     run = stl.load_sweep(write()).runs()[0]
     assert dataclasses.replace(run, version="0.0.1").key != run.key
+
+
+def test_learners_of_users_are_swept_too(write, tmp_path):
+    """Of the sweep's settings they take those that they have; each run's result is what `learn` gives."""
+    sweep = stl.load_sweep(write(**{"evaluate_every = 5": "evaluate_every = 5, memory = 50"})).select(["R"])
+    own = Method("own", Alternating, {"turns": 3})
+    sweep = dataclasses.replace(sweep, methods=(own, *sweep.methods))
+    result = stl.run_sweep(sweep, tmp_path / "out", workers=1)
+    assert (len(result.runs), result.failures) == (6, [])
+    learner, budget = sweep.settled(sweep.scenarios[0], own)
+    assert (learner, budget) == (Alternating(turns=3), Budget(episodes=10, evaluate_every=5))
+    training = stl.learn(sweep.scenarios[0].product, learner, seed=1, episodes=10, evaluate_every=5)
+    assert result.runs[1].probability == [point.probability for point in training.history]
+    with pytest.raises(SettingsError, match="Alternating has no setting 'turn'; did you mean turns"):
+        dataclasses.replace(sweep, methods=(Method("own", Alternating, {"turn": 3}),)).runs()
 
 
 def test_what_fails_is_told_and_the_others_go_on(write, tmp_path):
