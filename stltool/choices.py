@@ -181,6 +181,17 @@ class Choices(Displayed):
         ]
         return cls(shape, horizon, layers, kind)
 
+    def fits(self, n_choices: Indices) -> bool:
+        """Whether layers, which may come from a file, are those of a policy where states have so many choices."""
+        before = -1
+        for layer in self.layers:
+            if not before < layer.first <= layer.last < self.horizon:
+                return False
+            if not _fits(layer, n_choices, self.shape[1], self.n_words):
+                return False
+            before = layer.last
+        return True
+
     def words(self, t: int) -> tuple[I64, NDArray[np.uint64], I64, NDArray[np.unsignedinteger]]:
         """keys, bits, the number of choices before each word, and choices of step t; empty where none is listed."""
         i = int(np.searchsorted(self._first, t, side="right")) - 1
@@ -221,6 +232,20 @@ class Choices(Displayed):
             block[set_bits] = choice
             table.reshape(-1, 64)[keys] = block
         return table[:, : self.shape[1]]
+
+
+def _fits(layer: Listed, n_choices: Indices, n_memories: int, n_words: int) -> bool:
+    keys, bits, choice = layer.keys, layer.bits, layer.choice
+    if len(keys) != len(bits) or len(choice) != int(np.bitwise_count(bits).sum(dtype=np.int64)):
+        return False
+    if not len(keys):
+        return True
+    if (np.diff(keys) <= 0).any() or keys[0] < 0 or keys[-1] >= len(n_choices) * n_words:
+        return False
+    states, word = np.divmod(keys, n_words)
+    room = np.minimum(n_memories - 64 * word, 64).astype(np.uint64)
+    beyond = np.where(room < 64, bits >> (room % np.uint64(64)), np.uint64(0))
+    return not beyond.any() and bool((choice < np.repeat(n_choices[states], np.bitwise_count(bits))).all())
 
 
 _NO_KEYS, _NO_BITS = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.uint64)

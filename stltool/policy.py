@@ -19,6 +19,7 @@ import csv
 import io
 import json
 import math
+import os
 import warnings
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -32,8 +33,9 @@ from stltool.arguments import require, whole
 from stltool.automata import Encoding
 from stltool.choices import Choices, Form, Table, Through
 from stltool.display import Card, Displayed
-from stltool.errors import InexactEncodingWarning, PolicyError, near_misses
+from stltool.errors import InexactEncodingWarning, PolicyError, StlToolError, near_misses
 from stltool.files import read_bytes, read_text, require_folder, require_own, require_replaceable, write_atomically
+from stltool.layered import LayeredWriter, is_layered, read_header, read_layers
 from stltool.numbers import double
 from stltool.product import JointProduct, Product, build_joint_product, build_product, joined
 from stltool.sizes import require_memory
@@ -196,8 +198,22 @@ class Policy(Displayed):
         return (*steps, *self.home.shape, *(() if self.deterministic else (self.home.model.most_choices,)))
 
     def save(self, path: str | Path) -> None:
-        """Write the policy as .npz with a JSON header, the old file or the new one."""
-        require_policy_file(path_of(path, "save's path"))
+        """Write the policy with a JSON header, the old file or the new one: .npz, or .policy, which is not packed.
+
+        A .policy file holds what `check` finds, and is read through a memory map (stltool/layered.py).
+        """
+        path = path_of(path, "save's path")
+        require_policy_file(path)
+        if path.suffix.lower() == ".policy":
+            if not isinstance(self.form, Choices):
+                raise PolicyError(f"{path}: .policy files hold policies that check has found; save this one as .npz")
+            partial = path.with_name(path.name + ".partial")
+            writer = LayeredWriter(partial, layered_header(self.home))
+            for layer in self.form.layers[::-1]:
+                writer.add(layer)
+            writer.finish()
+            os.replace(partial, path)
+            return
         header = json.dumps({"format": FORMAT, **asdict(self.binding)})
         buffer = io.BytesIO()
         arrays: dict[str, Any] = self.form.arrays() if isinstance(self.form, Choices) else {"table": self.table}
@@ -209,13 +225,19 @@ class Policy(Displayed):
         """Read a policy for this product; PolicyError names both sides when it belongs to another."""
         path = path_of(path, "Policy.load's path")
         require(product, Product, "Policy.load's product")
-        data = read_bytes(path, "policy file")
+        layered = is_layered(path)
+        data = b"" if layered else read_bytes(path, "policy file")
         try:
-            with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-                header = json.loads(archive["header"].tobytes().decode("utf-8"))
-                table = {name: archive[name] for name in archive.files if name != "header"}
-                if set(table) not in ({"table"}, set(_PARTS)):
-                    raise ValueError
+            if layered:
+                header, table = read_header(path), {}
+                for key in ("choice", "shape", "horizon"):
+                    header.pop(key, None)
+            else:
+                with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+                    header = json.loads(archive["header"].tobytes().decode("utf-8"))
+                    table = {name: archive[name] for name in archive.files if name != "header"}
+                    if set(table) not in ({"table"}, set(_PARTS)):
+                        raise ValueError
             if header.pop("format") != FORMAT:
                 raise ValueError
             header["action_names"] = tuple(header["action_names"])
@@ -229,16 +251,24 @@ class Policy(Displayed):
                 f"{path}: not a policy file of this version ({FORMAT}); write one with Policy.save"
             ) from None
         binding.require(product, f"{path}: this policy")
-        home = _home(product, binding.encoding) if not binding.tasks else _joint_home(product, binding)
+        try:
+            home = _home(product, binding.encoding) if not binding.tasks else _joint_home(product, binding)
+        except StlToolError as error:
+            raise PolicyError(f"{path}: a damaged policy file: {error}") from None
         if home.automaton.digest() != binding.automaton_digest:
             raise PolicyError(
                 f"{path}: this policy was made with another automaton of the same task "
                 f"({binding.automaton_digest[:12]}, here {home.automaton.digest()[:12]}); learn it again"
             )
         try:
-            return cls(home, table["table"] if "table" in table else _choices(home, table))
+            if layered:
+                kind = home.model.choice_type
+                return cls(home, _required(home, Choices(home.shape, home.horizon, read_layers(path)[1], kind)))
+            if "table" in table:
+                return cls(home, table["table"])
+            return cls(home, _required(home, _of_arrays(home, table)))
         except PolicyError as error:
-            raise PolicyError(f"{path}: {error}") from None
+            raise PolicyError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
 
     @classmethod
     def from_q_table(cls, path: str | Path, product: Product) -> Policy:
@@ -280,18 +310,27 @@ def require_door(caller: str, product: object, policy: object = None) -> None:
     require(policy, Policy, f"{caller}'s policy", optional=True)
 
 
+def layered_header(product: Product | JointProduct) -> dict[str, Any]:
+    """What the first line of a layered policy file says."""
+    kind = np.dtype(product.model.unsigned_choice_type).name
+    sizes = {"choice": kind, "shape": list(product.shape), "horizon": product.horizon}
+    return {"format": FORMAT, **asdict(Binding.of(product)), **sizes}
+
+
 def require_policy_file(path: str | Path) -> None:
     """An error, before the work, where a policy could not be saved after it."""
     path = Path(path)
     require_replaceable(path)
-    if path.suffix.lower() != ".npz":
-        raise PolicyError(f"{path}: a policy is saved as .npz; name it so")
+    if path.suffix.lower() not in (".npz", ".policy"):
+        raise PolicyError(f"{path}: a policy is saved as .npz or .policy; name it so")
     require_own(path, "policy", _is_policy)
     require_folder(path.parent)
 
 
 def _is_policy(path: Path) -> bool:
     """Whether a file is a policy of ours, of this version or another."""
+    if is_layered(path):
+        return True
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             found = json.loads(archive["header"].tobytes().decode("utf-8"))["format"]
@@ -307,7 +346,7 @@ def silence(product: Product, s: int, q: int, t: int) -> PolicyError:
 
 
 def load_policy(path: str | Path, product: Product) -> Policy:
-    """Read a policy by its file's ending: `.npz` as saved by `Policy.save`, `.csv` a Q-table."""
+    """Read a policy by its file's ending: `.npz` or `.policy` as saved by `Policy.save`, `.csv` a Q-table."""
     path = path_of(path, "load_policy's path")
     require(product, Product, "load_policy's product")
     if path.suffix.lower() == ".csv":
@@ -388,40 +427,32 @@ def _checked(product: Product | JointProduct, table: NDArray[Any]) -> NDArray[An
     return np.ascontiguousarray(table, dtype=np.float64)
 
 
-def _choices(product: Product | JointProduct, arrays: dict[str, NDArray[Any]]) -> Choices:
-    """Choices by step from a file's arrays; PolicyError unless they fit together and the product."""
-    n_choices, (n_states, n_memories), h = np.diff(product.model.choice_start), product.shape, product.horizon
-    n_words = -(-n_memories // 64)
+def _of_arrays(product: Product | JointProduct, arrays: dict[str, NDArray[Any]]) -> Choices:
+    """Choices by step from a file's arrays; PolicyError where they do not fit together."""
     for name, kind in _PARTS.items():
         found = arrays[name]
-        right = found.dtype == kind if kind is not None else found.dtype.kind == "u"
-        if found.ndim != 1 or not right:
+        if found.ndim != 1 or not (found.dtype == kind if kind is not None else found.dtype.kind == "u"):
             raise PolicyError(f"the policy's {name} are of type {found.dtype} and shape {found.shape}; save it again")
     first, last, start, keys, bits, choice = (arrays[name] for name in _PARTS)
-    fits = (
-        len(first) == len(last) == len(start) - 1
-        and len(keys) == len(bits) == start[-1]
-        and start[0] == 0
-        and (np.diff(start) >= 0).all()
-        and (first <= last).all()
-        and (first[1:] > last[:-1]).all()
-        and (first >= 0).all()
-        and (last < h).all()
-        and (keys >= 0).all()
-        and (keys < n_states * n_words).all()
-        and len(choice) == int(np.bitwise_count(bits).sum(dtype=np.int64))
-    )
-    if fits:
-        inner = np.ones(len(keys), dtype=np.bool_)
-        inner[start[:-1][np.diff(start) > 0]] = False  # a layer's first key may be any
-        states, width = np.divmod(keys, n_words)
-        room = np.minimum(n_memories - 64 * width, 64)
-        beyond = np.where(room < 64, bits >> (room % 64).astype(np.uint64), 0)
-        of_choice = np.repeat(n_choices[states], np.bitwise_count(bits))
-        fits = bool((np.diff(keys, prepend=-1)[inner] > 0).all() and not beyond.any() and (choice < of_choice).all())
-    if not fits:
-        raise PolicyError("the policy's choices do not fit together, or not its task and model; save it again")
-    return Choices.of_arrays((n_states, n_memories), h, arrays, product.model.choice_type)
+    if (
+        not len(first) == len(last) == len(start) - 1
+        or not len(keys) == len(bits) == start[-1]
+        or start[0] != 0
+        or (np.diff(start) < 0).any()
+        or len(choice) != int(np.bitwise_count(bits).sum(dtype=np.int64))
+    ):
+        raise PolicyError(_MISFIT)
+    return Choices.of_arrays(product.shape, product.horizon, arrays, product.model.choice_type)
+
+
+def _required(product: Product | JointProduct, choices: Choices) -> Choices:
+    """Choices from a file, looked at before they are used."""
+    if not choices.fits(np.diff(product.model.choice_start)):
+        raise PolicyError(_MISFIT)
+    return choices
+
+
+_MISFIT = "the policy's choices do not fit together, or not its task and model; save it again"
 
 
 def _read_q_table(path: str | Path) -> tuple[list[str], tuple[NDArray[np.float64], NDArray[np.float64]]]:

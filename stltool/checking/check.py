@@ -6,17 +6,21 @@ The optimum over all policies, history-dependent and randomised ones included, i
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 import time
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.arguments import flag, function, one_of, real, whole
+from stltool.arguments import path as path_of
 from stltool.automata import FALSE, TRUE
 from stltool.checking.bounds import can_underflow, compounded, defect, enclose, model_defects, roundings
 from stltool.checking.fixed import FixedPoint, fixed_point
@@ -30,7 +34,9 @@ from stltool.checking.induction import (
     Following,
     Game,
     Layers,
+    OnDisk,
     Progress,
+    Recorder,
     Silent,
     Solution,
     layers_of,
@@ -40,8 +46,9 @@ from stltool.checking.rational import exact_probability, require_exact
 from stltool.choices import Form, Table, own_table
 from stltool.display import Card, Displayed
 from stltool.errors import PolicyError, SettingsError, named
+from stltool.kernels.jit import SOURCES
 from stltool.numbers import round_down, round_up
-from stltool.policy import Policy, require_door
+from stltool.policy import Policy, layered_header, require_door, require_policy_file
 from stltool.product import Product
 from stltool.sizes import UnsignedType
 
@@ -123,6 +130,9 @@ def check(
     exact: bool = False,
     keep_policy: bool = True,
     arithmetic: Literal["auto", "double", "fixed"] = "auto",
+    policy_file: str | Path | None = None,
+    resume: bool = False,
+    save_every: float = 300.0,
     values: Literal["all"] | None = None,
     engine: Engine = "auto",
     threads: int | None = None,
@@ -133,7 +143,10 @@ def check(
 
     `exact=True` adds the fraction itself. `arithmetic="auto"` takes fixed point where its enclosure is the narrower
     one, doubles elsewhere. `keep_policy=False` leaves the optimal policy out. `values="all"` adds the value of
-    beginning in each of the model's states. `engine` and `threads` (default: all cores) change no bit of the result.
+    beginning in each of the model's states. `policy_file`, named .policy, is where the optimal policy goes while it is
+    found, so that it need not fit into memory; every `save_every` seconds what is needed to go on is saved beside it,
+    and `resume=True` goes on from there, to the same bits. `engine` and `threads` (default: all cores) change no bit of
+    the result.
 
     Raises PolicyError when the policy belongs to another task or model, or says nothing about a state it reaches;
     ModelError when an exact answer is asked of rows that do not sum to 1; SizeError before allocating what would not
@@ -150,6 +163,9 @@ def check(
         one_of(values, "values", ("all",))
     function(progress, "check's progress")
     product.model.require_points()
+    resume = flag(resume, "check's resume")
+    every = float(real(save_every, "check's save_every"))
+    path = _policy_file(policy_file, policy, keep_policy, resume)
     if exact:
         require_exact(product.model)
     question: Literal["maximum", "minimum", "policy"]
@@ -158,11 +174,15 @@ def check(
     keep = product.model.unsigned_choice_type if policy is None and keep_policy else None
     budget = Budget(f"checking {product.n_states} product states", memory_limit, progress)
     asked = _Question(judge, judged, maximize, keep, values is not None, engine, threads, budget)
+    if path is not None:
+        asked.to_disk = (path, every, resume)
     fraction = None
     used: Literal["double", "fixed", "rational"]
     try:
         if exact:
-            fraction, found = exact_probability(asked.layers, judge.model, maximize, keep, memory_limit=memory_limit)
+            fraction, found = exact_probability(
+                asked.layers, judge.model, maximize, keep, memory_limit=memory_limit, recorder=asked.recorder("exact")
+            )
             value, lower, upper, used = float(fraction), round_down(fraction), round_up(fraction), "rational"
         else:
             value, lower, upper, used, found = asked.enclosed(arithmetic)
@@ -176,6 +196,21 @@ def check(
         fraction=fraction, arithmetic=used, certain=asked.certain(found), engine=found.engine,
         values=asked.of_states(found) if values is not None else None,
     )  # fmt: skip
+
+
+def _policy_file(given: str | Path | None, policy: Policy | None, keep_policy: bool, resume: bool) -> Path | None:
+    """Where the policy goes while it is found, as far as that fits the rest."""
+    if given is None:
+        if resume:
+            raise SettingsError(f"{named('resume', 'resume=True')} needs {named('policy_file', 'policy_file=…')}")
+        return None
+    path = path_of(given, "check's policy_file")
+    if policy is not None or not keep_policy:
+        raise SettingsError(f"{named('policy_file', 'policy_file')} is for the optimal policy, which is not asked for")
+    if path.suffix.lower() != ".policy":
+        raise SettingsError(f"{path}: what is written while it is found is a .policy file; name it so")
+    require_policy_file(path)
+    return path
 
 
 def or_optimal(caller: str, product: Product, policy: Policy | None, memory_limit: int | None = None) -> Policy:
@@ -209,6 +244,7 @@ class _Question:
     ) -> None:
         self.product, self.policy, self.maximize, self.keep = product, policy, maximize, keep
         self._made = (Game.of(product, everywhere), engine, threads, budget)
+        self.to_disk: tuple[Path, float, bool] | None = None
 
     @cached_property
     def layers(self) -> Layers[Any, Any]:
@@ -223,7 +259,7 @@ class _Question:
         if arithmetic != "double" and (self.policy is None or self.policy.deterministic):
             scale = fixed_point(self.product.model)
         if scale is not None and (arithmetic == "fixed" or self._narrower(scale)):
-            found = self._solved(Fixed(scale.numerator, scale.denominator, scale.one, self.maximize))
+            found = self._solved(Fixed(scale.numerator, scale.denominator, scale.one, self.maximize), "fixed")
             fixed = scale.enclose(self.product.model, self.product.horizon, found.entry[self._starts()])
             # a small probability keeps more of its digits in doubles
             if arithmetic == "fixed" or self.certain(found) or fixed[2] - fixed[1] <= _SHARP * fixed[2]:
@@ -233,7 +269,7 @@ class _Question:
                 "fixed point needs probabilities that share a small denominator, and a policy that does not mix; "
                 "use arithmetic='auto'"
             )
-        found = self._solved(Doubles(self.product.model.probability, self.maximize))
+        found = self._solved(Doubles(self.product.model.probability, self.maximize), "double")
         return *self._surely(found, self._in_doubles(found)), "double", found
 
     def certain(self, found: Solution) -> bool:
@@ -246,8 +282,18 @@ class _Question:
         """(n_states,) where runs may begin everywhere."""
         return found.entry.astype(np.float64)
 
-    def _solved(self, arithmetic: Arithmetic) -> Solution:
-        return solve(self.layers, arithmetic, self.maximize, self.keep)
+    def recorder(self, arithmetic: str) -> Recorder | None:
+        """Where the policy goes: None, into memory."""
+        if self.to_disk is None:
+            return None
+        path, every, resume = self.to_disk
+        header = layered_header(self.product)
+        question = [header, self.maximize, arithmetic, len(self._made[0].first), SOURCES]
+        key = hashlib.sha256(json.dumps(question).encode()).hexdigest()
+        return OnDisk(path, header, key, every, resume)
+
+    def _solved(self, arithmetic: Arithmetic, name: str) -> Solution:
+        return solve(self.layers, arithmetic, self.maximize, self.keep, self.recorder(name))
 
     def _starts(self) -> NDArray[np.int64]:
         """Where the model's initial states are among those that runs may begin in."""

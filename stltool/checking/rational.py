@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.checking.induction import Digits, Integers, Layers, Solution, solve
+from stltool.checking.induction import Digits, Integers, Layers, Recorder, Solution, solve
 from stltool.errors import ModelError
 from stltool.models import MDP
 from stltool.models.fractions import Integers as Numerators
@@ -39,6 +39,7 @@ def exact_probability(
     *,
     in_digits: bool = True,
     memory_limit: int | None = None,
+    recorder: Recorder | None = None,
 ) -> tuple[Fraction, Solution]:
     """P as a fraction, over the layers of a question (checking/check.py), and the solution it is from.
 
@@ -59,7 +60,7 @@ def exact_probability(
     remedy = "shorten the windows, round the probabilities to fewer digits, or take the enclosure without --exact"
     require_memory(24 * words * widest, what, remedy, memory_limit)
     require_time(pairs * layers.game.widest * (1 + words / 2), rate, what, remedy)
-    found = solve(layers, arithmetic, maximize, keep)
+    found = solve(layers, arithmetic, maximize, keep, recorder)
     entries = [arithmetic.number(value) for value in found.entry]
     shares = (exact.initial_share(s) for s in layers.game.first.tolist())
     total = sum((share * value for share, value in zip(shares, entries, strict=True)), Fraction(0))

@@ -7,9 +7,10 @@ from stltool.checking.induction.graph import Game
 from stltool.checking.induction.induct import Engine, Solution, induct, layers_of, solve
 from stltool.checking.induction.layers import Budget, Layers, Progress
 from stltool.checking.induction.reached import Stretch
+from stltool.checking.induction.recording import OnDisk, Recorder
 
 __all__ = [
     "EVERYTHING", "OPEN", "REST", "SURE", "Allowed", "Arithmetic", "Budget", "Digits", "Doubles", "Edges", "Engine",
-    "Fixed", "Following", "Game", "Integers", "Layers", "Nature", "Progress", "Silent", "Solution", "Stretch", "Values",
-    "induct", "layers_of", "solve",
+    "Fixed", "Following", "Game", "Integers", "Layers", "Nature", "OnDisk", "Progress", "Recorder", "Silent",
+    "Solution", "Stretch", "Values", "induct", "layers_of", "solve",
 ]  # fmt: skip

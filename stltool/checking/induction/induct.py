@@ -30,8 +30,9 @@ from stltool.checking.induction.edges import OPEN
 from stltool.checking.induction.graph import Game
 from stltool.checking.induction.layers import Budget, Layers
 from stltool.checking.induction.nodes import Nodes, TooMany
+from stltool.checking.induction.recording import InMemory, Passed, Recorder
 from stltool.checking.induction.words import Words
-from stltool.choices import Choices, Listed
+from stltool.choices import Choices
 from stltool.sizes import integer_type
 
 Engine: TypeAlias = Literal["auto", "nodes", "words"]
@@ -104,14 +105,31 @@ def solve(
     arithmetic: Arithmetic,
     maximize: bool,
     keep: type[np.unsignedinteger] | None = None,
+    recorder: Recorder | None = None,
 ) -> Solution:
-    """Back over the layers, which were made for the same choices to be kept."""
+    """Back over the layers, which were made for the same choices to be kept; `recorder` is where these go."""
+    recorder = recorder or InMemory()
+    try:
+        return _solve(layers, arithmetic, maximize, keep, recorder)
+    finally:
+        recorder.close()
+
+
+def _solve(
+    layers: Layers[Any, Any],
+    arithmetic: Arithmetic,
+    maximize: bool,
+    keep: type[np.unsignedinteger] | None,
+    recorder: Recorder,
+) -> Solution:
     game, allowed, h = layers.game, layers.allowed, layers.game.horizon
     tiles = arithmetic.tiles(layers) if isinstance(layers, Words) and not allowed.mixed else None
     ahead, values = layers.nothing(), arithmetic.start(h) if tiles is None else tiles.start()
-    found: list[Listed] = []
-    swept = 0
-    for first, last, layer in layers.backwards():
+    before, swept = None, 0
+    at = recorder.resume(layers)
+    if at is not None:
+        before, ahead, values, swept = at.before, at.ahead, at.values, at.swept
+    for first, last, layer in layers.backwards(before, ahead):
         t = last
         while t >= first:
             if tiles is None:
@@ -123,8 +141,9 @@ def solve(
             if layer is ahead and (tiles is not None or arithmetic.repeats) and np.array_equal(new, values):
                 until = max(first, game.first_alike(t + 1) - 1, allowed.first_alike(t))
             if keep is not None and choice is not None:
-                found.append(layers.listed(until, t, layer, choice))
+                recorder.add(layers.listed(until, t, layer, choice))
             ahead, values, t = layer, new, until - 1
+            recorder.passed(Passed(until, ahead, values, swept))
             layers.budget.tell(until, h, back=True)
     slots = layers.first_slots(ahead)
     by_slot = values if tiles is None else tiles.values(ahead, values)
@@ -132,7 +151,7 @@ def solve(
     if keep is not None:
         shape = (len(game.rows.choice_start) - 1, game.automaton.n_states)
         most = int(np.diff(game.rows.choice_start).max())
-        choices = Choices(shape, h, found[::-1], integer_type(most - 1))
+        choices = Choices(shape, h, recorder.layers(), integer_type(most - 1))
     name = "nodes" if isinstance(layers, Nodes) else "words" if tiles is None else "tiles"
     return Solution(by_slot[slots], slots < OPEN, choices, name, swept)
 

@@ -103,10 +103,13 @@ class Layers(ABC, Generic[FLayer, Settled]):
         assert self.reached is not None  # which counts them
         return self._widest, self._in_all
 
-    def backwards(self) -> Iterator[Stretch]:
-        """What is open or sure, by stretches from the last step to step 0; a layer ahead is not needed again."""
-        ahead = self.nothing()
-        for first, last, layer in reversed(self.reached):
+    def backwards(self, before: int | None = None, ahead: Settled | None = None) -> Iterator[Stretch]:
+        """What is open or sure, by stretches from the last step to step 0; a layer ahead is not needed again.
+
+        With `before` only steps before it, whose layer is `ahead`.
+        """
+        ahead = self.nothing() if ahead is None else ahead
+        for first, last, layer in self.reached.back(before):
             t = last
             while t >= first:
                 here = self._settled(layer, ahead, t)

@@ -53,10 +53,13 @@ class Reached:
             layer = self._kept[i][0] if i in self._kept else self._after(layer, first - 1)
             yield Stretch(first, last, layer)
 
-    def __reversed__(self) -> Iterator[Stretch]:
-        for begin in range((len(self._steps) - 1) // self._every * self._every, -1, -self._every):
+    def back(self, before: int | None = None) -> Iterator[Stretch]:
+        """The stretches from the last one back, or those of steps before this one: the first of them ends there."""
+        n = len(self._steps) if before is None else sum(first < before for first, _ in self._steps)
+        for begin in range((n - 1) // self._every * self._every, -1, -self._every):
             layers = [self._kept[begin][0]]
-            for first, _ in self._steps[begin + 1 : begin + self._every]:
+            for first, _ in self._steps[begin + 1 : min(begin + self._every, n)]:
                 layers.append(self._after(layers[-1], first - 1))
             for i in range(begin + len(layers) - 1, begin - 1, -1):
-                yield Stretch(*self._steps[i], layers.pop())
+                first, last = self._steps[i]
+                yield Stretch(first, last if before is None else min(last, before - 1), layers.pop())

@@ -246,6 +246,43 @@ class Words(Layers[Sets, Layer]):
         start, tiles = (np.concatenate([[0], np.cumsum(counts)]) for counts in (n_words, n_tiles))
         return Layer(states, start, word, between, sure, tiles, chosen if keep else None)
 
+    def require(self, layer: Layer, values: NDArray[Any]) -> None:
+        """ValueError unless a layer that was read from a file is one of this game, with its values by tiles."""
+        n, n_words = len(self.graph.states), self.moves.n_words
+        kinds = (np.int32, np.int64, np.int32, np.uint64, np.uint64, np.int64)
+        arrays: list[NDArray[Any]] = [layer.states, layer.start, layer.word, layer.open, layer.sure, layer.tiles]
+        fits = all(array.ndim == 1 and array.dtype == kind for array, kind in zip(arrays, kinds, strict=True))
+        fits = fits and len(layer.start) == len(layer.tiles) == len(layer.states) + 1
+        fits = fits and len(layer.word) == len(layer.open) == len(layer.sure) == layer.start[-1]
+        if not fits or layer.start[0] or layer.tiles[0]:
+            raise ValueError
+        first = np.zeros(len(layer.word), dtype=np.bool_)
+        first[layer.start[:-1]] = True
+        both = layer.open | layer.sure
+        tiles = np.concatenate([[0], np.cumsum((both.view(np.uint8) != 0).reshape(-1, 8).sum(axis=1))])
+        fits = bool(
+            (np.diff(layer.states, prepend=-1) > 0).all()
+            and (layer.states < n).all()
+            and (np.diff(layer.start) > 0).all()
+            and ((np.diff(layer.word, prepend=-1) > 0) | first).all()
+            and (layer.word >= 0).all()
+            and (layer.word < n_words).all()
+            and not (layer.open & layer.sure).any()
+            and np.array_equal(tiles[layer.start], layer.tiles)
+            and values.shape == (8 * layer.n_tiles,)
+            and values.dtype in (np.float64, np.int64)
+            and (values >= 0).all()
+            and (values.dtype == np.int64 or (values <= 1 + 1e-9).all())
+        )
+        sure = layer.sure_choice
+        n_sure = int(np.bitwise_count(layer.sure).sum(dtype=np.int64))
+        if self.choices is None:
+            fits = fits and sure is None
+        else:
+            fits = fits and sure is not None and sure.dtype == self.choices and sure.shape == (n_sure,)
+        if not fits:
+            raise ValueError
+
     def _same_settled(self, one: Layer, other: Layer) -> bool:
         return (
             np.array_equal(one.states, other.states)

@@ -1,0 +1,149 @@
+"""Policies too large for memory: a file of layers, written from the last step back and read through a memory map.
+
+    line 1       the header, JSON, padded with spaces so that what follows begins at a multiple of 8
+    a layer      keys int64, bits uint64, choice uint8/16/32, each little-endian and padded to a multiple of 8
+    the index    JSON: [first, last, offset, words, choices] for each layer, in the order written
+    16 bytes     where the index begins (uint64, little-endian), and "STLTOOL2"
+
+Layers are those of stltool/choices.py. Whoever reads one checks it before it is used.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.choices import Listed
+from stltool.errors import FileError, PolicyError
+
+_END = b"STLTOOL2"
+_TYPES = {"uint8": np.uint8, "uint16": np.uint16, "uint32": np.uint32}
+_LONGEST_HEADER = 2**20
+
+
+class LayeredWriter:
+    """Writes a file layer by layer; `index` is what is in it. With an `index`, goes on with a file that has more."""
+
+    def __init__(self, path: Path, header: dict[str, Any], index: list[tuple[int, ...]] | None = None) -> None:
+        line, self._begin = _first_line(header)
+        self.index: list[tuple[int, ...]] = index or []
+        self._choice = np.dtype(header["choice"])
+        try:
+            self._file = path.open("r+b" if index is not None else "wb")
+            if index is None:
+                self._file.write(line)
+            else:
+                end = self._begin
+                if index:
+                    _, _, offset, words, choices = index[-1]
+                    end = offset + 16 * words + _padded(choices * self._choice.itemsize)
+                self._file.truncate(end)
+                self._file.seek(end)
+        except OSError as error:
+            raise FileError(f"{path}: cannot be written: {error.strerror}") from None
+
+    def add(self, listed: Listed) -> None:
+        offset = self._file.tell()
+        choice = np.ascontiguousarray(listed.choice, dtype=self._choice)
+        for array in (listed.keys, listed.bits):
+            self._file.write(np.ascontiguousarray(array).data)
+        self._file.write(choice.data)
+        self._file.write(b"\0" * (_padded(choice.nbytes) - choice.nbytes))
+        self.index.append((listed.first, listed.last, offset, len(listed.keys), len(choice)))
+
+    def flush(self) -> None:
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def finish(self) -> None:
+        offset = self._file.tell()
+        self._file.write(json.dumps(self.index).encode() + offset.to_bytes(8, "little") + _END)
+        self.flush()
+        self.close()
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _first_line(header: dict[str, Any]) -> tuple[bytes, int]:
+    """The line, and where what follows begins."""
+    line = json.dumps(header).encode()
+    begin = _padded(len(line) + 1)
+    return line.ljust(begin - 1) + b"\n", begin
+
+
+def require_index(path: Path, header: dict[str, Any], index: list[tuple[int, ...]]) -> None:
+    """ValueError unless a file that is being written begins with this header and has these layers."""
+    line, end = _first_line(header)
+    size = np.dtype(header["choice"]).itemsize
+    with path.open("rb") as file:
+        if file.read(len(line)) != line:
+            raise ValueError
+    before = None
+    for first, last, offset, words, choices in index:
+        if offset != end or words < 0 or choices < 0 or first > last or before not in (None, last + 1):
+            raise ValueError
+        end, before = offset + 16 * words + _padded(choices * size), first
+    if path.stat().st_size < end:
+        raise ValueError
+
+
+def is_layered(path: str | Path) -> bool:
+    """Whether a file ends as a layered policy file does."""
+    try:
+        with Path(path).open("rb") as file:
+            file.seek(-len(_END), os.SEEK_END)
+            return file.read() == _END
+    except OSError:
+        return False
+
+
+def read_header(path: str | Path) -> dict[str, Any]:
+    """The first line; PolicyError where it is none."""
+    try:
+        with Path(path).open("rb") as file:
+            header = json.loads(file.readline(_LONGEST_HEADER))
+        if not isinstance(header, dict) or header.get("choice") not in _TYPES:
+            raise ValueError
+    except (OSError, ValueError, RecursionError):
+        raise PolicyError(f"{path}: not a layered policy file of this version; write one with --save-policy") from None
+    return header
+
+
+def read_layers(path: str | Path) -> tuple[dict[str, Any], list[Listed]]:
+    """The header and the layers in ascending order of steps, as views of the file.
+
+    Raises PolicyError where the index does not fit the file; what is in a layer is not looked at.
+    """
+    header = read_header(path)
+    kind = _TYPES[header["choice"]]
+    try:
+        data: NDArray[np.uint8] = np.memmap(path, dtype=np.uint8, mode="r")
+        start = int.from_bytes(data[-16:-8].tobytes(), "little")
+        if data[-8:].tobytes() != _END or not 0 < start <= len(data) - 16:
+            raise ValueError
+        index = json.loads(data[start:-16].tobytes())
+        layers = [_layer(data[:start], kind, *row) for row in sorted(index)]
+    except (OSError, ValueError, TypeError, RecursionError):
+        raise PolicyError(f"{path}: a damaged policy file: its index does not fit it; write it again") from None
+    return header, layers
+
+
+def _layer(data: NDArray[np.uint8], kind: Any, first: int, last: int, offset: int, words: int, choices: int) -> Listed:
+    size = np.dtype(kind).itemsize
+    if any(type(n) is not int or n < 0 for n in (first, last, offset, words, choices)) or offset % 8:
+        raise ValueError
+    middle, end = offset + 8 * words, offset + 16 * words
+    if end + choices * size > len(data):
+        raise ValueError
+    keys, bits = data[offset:middle].view(np.int64), data[middle:end].view(np.uint64)
+    return Listed(first, last, keys, bits, data[end : end + choices * size].view(kind))
+
+
+def _padded(n: int) -> int:
+    return -(-n // 8) * 8

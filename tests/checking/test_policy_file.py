@@ -1,0 +1,215 @@
+"""Policies that go to disk while they are found: the same as in memory, resumed after any stop; damaged files."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import stltool as stl
+from stltool.checking.induction import recording
+from stltool.errors import FileError, PolicyError, SettingsError
+from stltool.layered import read_layers
+from tests.checking.test_induction import wide_product
+from tests.conftest import ROOT
+
+ENGINES = ("nodes", "words")
+
+
+@pytest.fixture(scope="module")
+def product():
+    return wide_product(1)
+
+
+class Stop(Exception):
+    """Instead of a kill."""
+
+
+def stop_after(monkeypatch, n):
+    """The process ends after so many steps back."""
+    passed, seen = recording.OnDisk.passed, []
+
+    def counted(self, at):
+        passed(self, at)
+        seen.append(at)
+        if len(seen) == n:
+            raise Stop
+
+    monkeypatch.setattr(recording.OnDisk, "passed", counted)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("options", [{}, {"arithmetic": "double"}, {"maximize": False}, {"exact": True}], ids=str)
+def test_the_policy_on_disk_is_the_one_in_memory(patrolling, tmp_path, engine, options):
+    wanted = stl.check(patrolling, engine=engine, **options)
+    path = tmp_path / "best.policy"
+    found = stl.check(patrolling, engine=engine, policy_file=path, **options)
+    assert (found.probability, found.lower, found.upper) == (wanted.probability, wanted.lower, wanted.upper)
+    assert os.listdir(tmp_path) == ["best.policy"]
+    for policy in (found.policy, stl.load_policy(path, patrolling)):
+        assert np.array_equal(policy.table, wanted.policy.table)
+        assert stl.check(patrolling, policy).probability == stl.check(patrolling, wanted.policy).probability
+
+
+def test_saving_and_loading_is_the_identity(patrolling, tmp_path):
+    best = stl.check(patrolling).policy
+    best.save(tmp_path / "best.policy")
+    again = stl.load_policy(tmp_path / "best.policy", patrolling)
+    for mine, theirs in zip(best.form.arrays().values(), again.form.arrays().values(), strict=True):
+        assert np.array_equal(mine, theirs)
+    again.save(tmp_path / "again.npz")
+    assert np.array_equal(stl.load_policy(tmp_path / "again.npz", patrolling).table, best.table)
+    with pytest.raises(PolicyError, match=r"\.policy files hold policies that check has found"):
+        stl.Policy(patrolling, best.table).save(tmp_path / "dense.policy")
+
+
+@pytest.mark.parametrize("after", [1, 2, 11, 26])
+def test_a_run_that_was_stopped_goes_on_to_the_same_bits(product, tmp_path, monkeypatch, after):
+    wanted = stl.check(product, engine="words")
+    path = tmp_path / "best.policy"
+    with monkeypatch.context() as patch:
+        stop_after(patch, after)
+        with pytest.raises(Stop):
+            stl.check(product, engine="words", policy_file=path, save_every=0)
+    assert not path.exists()
+    steps = []
+    found = stl.check(
+        product, engine="words", policy_file=path, resume=True, progress=lambda done, _: steps.append(done)
+    )
+    assert (found.probability, found.lower, found.upper) == (wanted.probability, wanted.lower, wanted.upper)
+    assert found.sweeps == wanted.sweeps
+    assert len([n for n in steps if n > product.horizon]) <= wanted.sweeps - after
+    assert np.array_equal(found.policy.table, wanted.policy.table)
+    assert sorted(os.listdir(tmp_path)) == ["best.policy"]
+
+
+def test_the_state_of_another_question_is_not_used(product, patrolling, tmp_path, monkeypatch):
+    path = tmp_path / "best.policy"
+    with monkeypatch.context() as patch:
+        stop_after(patch, 5)
+        with pytest.raises(Stop):
+            stl.check(product, engine="words", policy_file=path, save_every=0)
+    for asked, options in ((product, {"maximize": False}), (patrolling, {})):
+        found = stl.check(asked, engine="words", policy_file=path, resume=True, **options)
+        assert found.probability == stl.check(asked, **options).probability
+
+
+def test_a_killed_process_leaves_what_the_next_one_goes_on_from(tmp_path):
+    """SIGKILL, whenever it comes: nothing half-written is taken for whole."""
+    floor = ROOT / "examples" / "factory" / "floor-10x10.toml"
+    (tmp_path / "task.stl").write_text(f'model "{floor}"\ntask := G[0,400] ((F[0,30] A) & (F[0,30] B))\n')
+    code = (
+        "import sys, stltool as stl; task = stl.load_task(sys.argv[1]); "
+        "p = stl.build_product(stl.load_model(task.model), task); "
+        "print(stl.check(p, engine='words', policy_file='best.policy', resume=True, save_every=0).probability)"
+    )
+    command = [sys.executable, "-c", code, "task.stl"]
+    killed = 0
+    for pause in (0.1, 0.3, 0.6):
+        process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL)
+        deadline = time.monotonic() + 60
+        while process.poll() is None and not (tmp_path / "best.policy.state").exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        time.sleep(pause)
+        killed += process.poll() is None
+        process.kill()
+        process.wait()
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    task = stl.load_task(tmp_path / "task.stl")
+    asked = stl.build_product(stl.load_model(task.model), task)
+    wanted = stl.check(asked)
+    assert float(done.stdout) == wanted.probability
+    assert killed
+    policy = stl.load_policy(tmp_path / "best.policy", asked)
+    for t in range(0, asked.horizon, 50):
+        assert np.array_equal(policy.row(t), wanted.policy.row(t))
+
+
+# ------------------------------------------------------------------------------------------------- bad input
+
+
+def test_what_does_not_fit_together_is_refused(patrolling, tmp_path):
+    path = tmp_path / "best.policy"
+    best = stl.check(patrolling, policy_file=path)
+    for options, message in (
+        ({"policy_file": tmp_path / "p.npz"}, "is a .policy file; name it so"),
+        ({"policy_file": path, "keep_policy": False}, "is for the optimal policy, which is not asked for"),
+        ({"resume": True}, "needs policy_file"),
+    ):
+        with pytest.raises(SettingsError, match=message):
+            stl.check(patrolling, **options)
+    with pytest.raises(SettingsError, match="is for the optimal policy"):
+        stl.check(patrolling, best.policy, policy_file=tmp_path / "q.policy")
+    (tmp_path / "mine.policy").write_text("my own notes")
+    with pytest.raises(FileError, match="does not contain a policy"):
+        stl.check(patrolling, policy_file=tmp_path / "mine.policy")
+    assert (tmp_path / "mine.policy").read_text() == "my own notes"
+
+
+def test_damaged_files_are_refused_and_change_nothing(patrolling, tmp_path):
+    """Every byte changed, every length cut: a PolicyError, or the same policy, or one that still fits."""
+    path, broken = tmp_path / "best.policy", tmp_path / "broken.policy"
+    stl.check(patrolling, policy_file=path)
+    data = path.read_bytes()
+    rng = np.random.default_rng(0)
+    refused = 0
+    for i in rng.permutation(len(data))[:400].tolist():
+        for changed in (data[:i], data[:i] + bytes([data[i] ^ (1 << int(rng.integers(8)))]) + data[i + 1 :]):
+            broken.write_bytes(changed)
+            try:
+                policy = stl.load_policy(broken, patrolling)
+            except PolicyError as error:
+                assert str(error).startswith(str(broken))
+                refused += 1
+            else:
+                assert 0 <= stl.check(patrolling, policy, engine="words").probability <= 1
+    assert refused > 500
+    for row in ([0, 0, 1, 0, 0], [0, 0, 0, 10**9, 0], [0, 0, "0", 0, 0], [0, 0, 8], [3, 1, 0, 0, 0], [0, 99, 0, 0, 0]):
+        at = int.from_bytes(data[-16:-8], "little")
+        broken.write_bytes(data[:at] + json.dumps([row]).encode() + data[-16:])
+        with pytest.raises(PolicyError):
+            stl.load_policy(broken, patrolling)
+
+
+def test_damaged_states_are_refused(product, tmp_path, monkeypatch):
+    path, state = tmp_path / "best.policy", tmp_path / "best.policy.state"
+    with monkeypatch.context() as patch:
+        stop_after(patch, 9)
+        with pytest.raises(Stop):
+            stl.check(product, engine="words", policy_file=path, save_every=0)
+    with np.load(state) as saved:
+        arrays = dict(saved)
+    partial = (tmp_path / "best.policy.partial").read_bytes()
+
+    def resumed(changed):
+        np.savez(state.with_suffix(".npz"), **changed)
+        os.replace(state.with_suffix(".npz"), state)
+        (tmp_path / "best.policy.partial").write_bytes(partial)
+        return stl.check(product, engine="words", policy_file=path, resume=True)
+
+    wanted = stl.check(product, engine="words").probability
+    assert resumed(arrays).probability == wanted
+    for name, change in {
+        "states": lambda a: a[::-1], "start": lambda a: a + 1, "word": lambda a: a + 1000, "open": lambda a: a[:-1],
+        "sure": lambda a: a | arrays["open"], "tiles": lambda a: a * 2, "values": lambda a: a[:-8],
+        "sure_choice": lambda a: a[1:], "numbers": lambda a: a[:1],
+    }.items():  # fmt: skip
+        with pytest.raises(FileError, match="delete it to begin anew"):
+            resumed({**arrays, name: change(arrays[name])})
+        with pytest.raises(FileError, match="delete it to begin anew"):
+            resumed({key: array for key, array in arrays.items() if key != name})
+        with pytest.raises(FileError, match="delete it to begin anew"):
+            resumed({**arrays, name: arrays[name].astype(np.float32)})
+    state.write_bytes(b"nothing of the kind")
+    with pytest.raises(FileError, match="delete it to begin anew"):
+        stl.check(product, engine="words", policy_file=path, resume=True)
+
+
+def test_layers_are_read_as_views(patrolling, tmp_path):
+    stl.check(patrolling, policy_file=tmp_path / "best.policy")
+    header, layers = read_layers(tmp_path / "best.policy")
+    assert header["format"] == "stltool-policy-2"
+    assert all(isinstance(layer.keys.base, np.memmap) or layer.keys.base is not None for layer in layers)
