@@ -93,6 +93,19 @@ class CheckResult(Displayed):
     engine: str = ""
     values: Floats | None = None
 
+    @property
+    def certainty(self) -> str | None:
+        """What the model's graph alone says of the question, in words; None where P is strictly between 0 and 1, or
+        was not decided so."""
+        if not self.certain:
+            return None
+        happens = self.probability == 1
+        return {
+            "maximum": "some policy satisfies it surely" if happens else "no policy can satisfy it",
+            "minimum": "every policy satisfies it surely" if happens else "some policy surely does not satisfy it",
+            "policy": "the policy satisfies it surely" if happens else "the policy cannot satisfy it",
+        }[self.question]
+
     def at_least(self, bound: float | Fraction) -> bool | None:
         """Whether the exact value is at least `bound`; None where the bound lies inside the enclosure."""
         bound = real(bound, "at_least's bound")

@@ -38,10 +38,17 @@ def check(
     ] = None,
     save_policy: Annotated[
         Path | None,
-        typer.Option("--save-policy", metavar="FILE", help="write the optimal policy (.npz)"),
+        typer.Option(
+            "--save-policy",
+            metavar="FILE",
+            help="write the optimal policy: .npz, or .policy, which is written while it is found and may exceed memory",
+        ),
         Writes(),
         Named("keep_policy", "leave --save-policy and --certificate out, or "),
     ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="go on with a .policy file that a stopped run has left")
+    ] = False,
     certificate: Annotated[
         Path | None,
         typer.Option("--certificate", metavar="FILE", help="write what proves bounds; packed where it ends in .gz"),
@@ -70,8 +77,11 @@ def check(
         for option, text in (("--at-least", at_least), ("--at-most", at_most))
         if text is not None
     ]
+    streamed = save_policy is not None and save_policy.suffix.lower() == ".policy"
     if save_policy is not None:
         require_policy_file(save_policy)
+    if resume and not streamed:
+        raise SettingsError("--resume goes on with a policy file; add --save-policy FILE.policy")
     if certificate is not None:
         require_certificate_file(certificate)
     product = make_product(task, model, param, name, encoding, as_json, learning=False, normalize=normalize)
@@ -82,12 +92,15 @@ def check(
         raise SettingsError("--exact and --certificate need probabilities that are no intervals; add --nature nominal")
     fraction = {"exact": True} if exact else {}
     chosen = stl.load_policy(policy, product) if policy is not None else None
+    to_file = {"policy_file": save_policy, "resume": resume} if streamed else {}
+    if robust and streamed:
+        raise SettingsError(f"--save-policy {save_policy}: with intervals, policies are saved as .npz")
     keep = save_policy is not None or (certificate is not None and chosen is None)
     with progress_bar("checking", quiet=as_json) as bar:
         asked = fraction if chosen is None else {}
-        optimum = judge(product, maximize=not minimize, keep_policy=keep, progress=bar, **asked)
+        optimum = judge(product, maximize=not minimize, keep_policy=keep, progress=bar, **asked, **to_file)
     result = optimum if chosen is None else judge(product, chosen, maximize=not minimize, **fraction)
-    if save_policy is not None and optimum.policy is not None:
+    if save_policy is not None and optimum.policy is not None and not streamed:
         optimum.policy.save(save_policy)
     if certificate is not None:
         with progress_bar("writing the certificate", quiet=as_json) as bar:
@@ -112,6 +125,8 @@ def check(
         if uncertain:
             print_facts({"nature": NATURES[data["nature"]]})
         print_checks([check_data(optimum), data] if chosen is not None else [data])
+        if result.certainty is not None:
+            print_facts({"certain": result.certainty})
         if result.fraction is not None:
             print_facts({"exact P": fraction_text(result.fraction, _LONGEST_FRACTION)})
         remedy = "; add --exact" if robust else ""  # which has no exact arithmetic

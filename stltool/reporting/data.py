@@ -134,6 +134,8 @@ def check_data(result: CheckResult, optimum: CheckResult | None = None) -> dict[
         "optimum_upper": best.upper,
         "gap": abs(best.probability - result.probability),
         "status": result.status,
+        "certain": result.certainty,
+        "engine": result.engine,
         "sweeps": result.sweeps,
         "seconds": result.seconds,
     }

@@ -415,3 +415,26 @@ def test_several_first_states_are_told_with_their_weights(stltool, tmp_path):
     assert "starts in" not in out
     code, out, _ = stltool("explain", PATROLLING, *SMALL)
     assert re.search(r"starts in +\(1,0\)\n", out)
+
+
+def test_a_policy_goes_to_a_file_while_it_is_found(stltool, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = stltool("check", PATROLLING, *SMALL, "--save-policy", "best.policy", "--json")
+    found = json.loads(out)
+    assert (code, os.listdir()) == (0, ["best.policy"])
+    code, out, _ = stltool("check", PATROLLING, *SMALL, "--policy", "best.policy", "--json")
+    assert json.loads(out)["probability"] == found["probability"]
+    code, _, err = stltool("check", PATROLLING, *SMALL, "--save-policy", "best.npz", "--resume")
+    assert (code, "--resume goes on with a policy file; add --save-policy FILE.policy" in err) == (2, True)
+    code, out, _ = stltool("check", PATROLLING, *SMALL, "--save-policy", "best.policy", "--resume", "--json")
+    assert json.loads(out)["probability"] == found["probability"]
+
+
+def test_what_is_certain_is_said(stltool):
+    for options, said in (
+        (["-p", "T=1"], "certain  no policy can satisfy it"),
+        (["--minimize"], "certain  some policy surely does not satisfy it"),
+    ):
+        code, out, _ = stltool("check", FACTORY / "charging.stl", *options)
+        assert (code, said in out) == (0, True)
+    assert "certain " not in stltool("check", PATROLLING, *SMALL)[1]
