@@ -129,7 +129,9 @@ def read_layers(path: str | Path) -> tuple[dict[str, Any], list[Listed]]:
             raise ValueError
         index = json.loads(data[start:-16].tobytes())
         layers = [_layer(data[:start], kind, *row) for row in sorted(index)]
-    except (OSError, ValueError, TypeError, RecursionError):
+    except OSError as error:
+        raise FileError(f"{path}: this policy file cannot be read: {error.strerror or error}") from None
+    except (ValueError, TypeError, RecursionError):
         raise PolicyError(f"{path}: a damaged policy file: its index does not fit it; write it again") from None
     return header, layers
 

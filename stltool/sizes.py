@@ -6,6 +6,7 @@ of them than that holds are refused; choices are as wide as the model needs (`in
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -44,12 +45,48 @@ def require_numbered(n: int, what: str, remedy: str) -> None:
 
 
 def memory_limit(given: int | None = None) -> int:
-    """Bytes that may be taken: `given`, or four fifths of what the machine has free."""
+    """Bytes that may be taken: `given`, or four fifths of what is free.
+
+    Free is what the machine has available, and no more than limits of the operating system leave: `ulimit -v`, and a
+    container's memory.
+    """
     if given is not None:
         return require_limit(given)
     import psutil
 
-    return int(psutil.virtual_memory().available * _USABLE)
+    free = [psutil.virtual_memory().available, *_left_by_ulimit(), *_left_by_container()]
+    return int(max(0, min(free)) * _USABLE)
+
+
+def _left_by_ulimit() -> list[int]:
+    """What `ulimit -v` leaves of this process's address space, where it is set."""
+    import psutil
+
+    try:
+        import resource
+    except ImportError:  # not on Windows
+        return []
+    most, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return [] if most == resource.RLIM_INFINITY else [most - int(psutil.Process().memory_info().vms)]
+
+
+def _left_by_container(root: Path = Path("/sys/fs/cgroup")) -> list[int]:
+    """What this process's control groups (version 2) leave, each one up to the root that has a limit."""
+    try:
+        own = next(line for line in Path("/proc/self/cgroup").read_text().splitlines() if line.startswith("0::"))
+        group = root / own.removeprefix("0::").strip().lstrip("/")
+    except (OSError, StopIteration):
+        return []
+    left = []
+    for folder in (group, *group.parents):
+        if root not in (folder, *folder.parents):
+            break
+        try:
+            most, used = ((folder / name).read_text().strip() for name in ("memory.max", "memory.current"))
+            left += [int(most) - int(used)] if most != "max" else []
+        except (OSError, ValueError):
+            continue
+    return left
 
 
 def require_limit(given: object) -> int:

@@ -2,6 +2,8 @@
 
 import ast
 import math
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -217,3 +219,42 @@ def test_narrow_integers_are_taken_for_what_they_are(product, question, kind):
     """100 and 120 make 220, which is -36 in int8."""
     ask = QUESTIONS[question]
     assert ask(product, kind(100)) == ask(product, 100)
+
+
+# --------------------------------------------------------------------------------- limits of the operating system
+
+
+def test_an_address_space_limit_is_the_memory_there_is():
+    """In a process of its own, which takes what it may and is refused a little more."""
+    code = """
+import resource, psutil, stltool as stl
+from stltool import sizes
+resource.setrlimit(resource.RLIMIT_AS, (psutil.Process().memory_info().vms + 50_000_000, resource.RLIM_INFINITY))
+print(sizes.memory_limit())
+try:
+    sizes.require_memory(60e6, "this", "take less")
+except stl.StlToolError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    limit, message = done.stdout.splitlines()
+    assert 30_000_000 < int(limit) <= 40_000_000
+    assert message.startswith("this would take 60 MB of memory;")
+
+
+def test_a_containers_limit_is_the_memory_there_is(tmp_path, monkeypatch):
+    group = tmp_path / "outer" / "inner"
+    group.mkdir(parents=True)
+    (tmp_path / "outer" / "memory.max").write_text("1000\n")
+    (tmp_path / "outer" / "memory.current").write_text("400\n")
+    for most, left in (("max", [600]), ("700", [300, 600]), ("nonsense", [600])):
+        (group / "memory.max").write_text(most)
+        (group / "memory.current").write_text("400")
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "read_text", reading_group("/outer/inner", Path.read_text))
+            assert sizes._left_by_container(tmp_path) == left
+    assert sizes._left_by_container(tmp_path / "none") == []
+
+
+def reading_group(name, read):
+    return lambda path, *given: f"1:x:/\n0::{name}\n" if str(path) == "/proc/self/cgroup" else read(path, *given)
