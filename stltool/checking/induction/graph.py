@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,19 +35,24 @@ class Game:
 
     letter  (n_states,) int32: the automaton's letter of each model state
     first   (k,) int64: the states that runs begin in, ascending
+    kept    what engines prepare once and use for every question about the game
     """
 
     rows: Rows
     automaton: TaskAutomaton
     letter: I32
     first: I64
+    kept: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
     def of(cls, product: Product, everywhere: bool = False) -> Game:
-        """A product's; with `everywhere`, runs may begin in every state."""
-        model = product.model
-        first = np.arange(model.n_states) if everywhere else np.flatnonzero(model.initial)
-        return cls(model, product.automaton, product.letter, first)
+        """A product's; with `everywhere`, runs may begin in every state. The same one as long as the product lives."""
+        games = _GAMES.setdefault(product, {})
+        if everywhere not in games:
+            model = product.model
+            first = np.arange(model.n_states) if everywhere else np.flatnonzero(model.initial)
+            games[everywhere] = cls(model, product.automaton, product.letter, first)
+        return games[everywhere]
 
     @property
     def horizon(self) -> int:
@@ -74,3 +80,6 @@ class Game:
         """The first step whose verdicts are those of step t."""
         starts = self.automaton.verdict_starts
         return int(starts[np.searchsorted(starts, t, side="right") - 1])
+
+
+_GAMES: WeakKeyDictionary[Product, dict[bool, Game]] = WeakKeyDictionary()

@@ -18,8 +18,6 @@ class Tiles:
     """The steps back of one question; `share` (n_transitions,) and `denominator` as in kernels/tiles.py, `one` is 1."""
 
     def __init__(self, engine: Words, share: NDArray[Any], denominator: int, one: float | int, maximize: bool) -> None:
-        from stltool.kernels import tiles
-
         self._engine, self._denominator, self._maximize = engine, denominator, maximize
         self.share = share[engine.graph.entry]
         self.dtype = share.dtype.type
@@ -29,11 +27,9 @@ class Tiles:
         self.ends = (self.one - sure, sure)
         worst = np.iinfo(np.int64).max if self.dtype is np.int64 else np.inf  # of sums, before they are divided
         self._worst = self.dtype(-1) if maximize else self.dtype(worst)
-        delta, moves = engine.game.automaton.delta, engine.moves
-        padded = np.zeros((len(delta), 64 * moves.n_words), dtype=np.int32)
-        padded[:, : delta.shape[1]] = delta
-        self._delta = padded.ravel()
-        self._maps = tiles.tile_maps(delta, moves.n_words)
+        self._delta: NDArray[np.int32]
+        self._maps: Any
+        self._delta, self._maps = engine.moves.by_tiles
         self._decided: dict[int, Values] = {}
         self._spare: Values = np.empty(0, dtype=self.dtype)
 

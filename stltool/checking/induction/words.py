@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from stltool.choices import Listed
 
 _MOST_WORDS = 2**17  # in a range of states: 64 MB of next values
 _PART = 4_000_000  # edges that are made at a time
+_KEPT = 1_000_000  # row entries of a graph that is kept for other questions
 _WORTH_WORDS = 2**13  # below, starting threads costs more than they save
 
 
@@ -113,6 +115,16 @@ class Moves:
         self.pieces = words.pieces(automaton.delta, self.n_words)
         self._rows: dict[tuple[int, int], U64] = {}
 
+    @cached_property
+    def by_tiles(self) -> tuple[I32, Any]:
+        """δ (letters · 64·n_words,), and its maps by tiles (kernels/tiles.py)."""
+        from stltool.kernels import tiles
+
+        delta = self.automaton.delta
+        padded = np.zeros((len(delta), 64 * self.n_words), dtype=np.int32)
+        padded[:, : delta.shape[1]] = delta
+        return padded.ravel(), tiles.tile_maps(delta, self.n_words)
+
     def where(self, t: int, verdict: int) -> U64:
         """The row of states that have this verdict after step t."""
         automaton = self.automaton
@@ -141,8 +153,14 @@ class Words(Layers[Sets, Layer]):
         from stltool.kernels import words
 
         super().__init__(game, goal, allowed, live, sure, budget or Budget("pairs that are reached"))
-        self.budget.take(8 * len(game.rows.target) + 60 * len(game.rows.choice_start), 0, game.horizon)
-        self.graph, self.moves, self.choices = Graph.of(game), Moves(game.automaton), choices
+        self.choices = choices
+        prepared: tuple[Graph, Moves] | None = game.kept.get("words")
+        if prepared is None:
+            self.budget.take(8 * len(game.rows.target) + 60 * len(game.rows.choice_start), 0, game.horizon)
+            prepared = Graph.of(game), Moves(game.automaton)
+            if len(prepared[0].target) <= _KEPT:
+                game.kept["words"] = prepared
+        self.graph, self.moves = prepared
         self.mode = words.PLAIN if allowed.everything else words.MIXED if allowed.mixed else words.RESTRICTED
         self.crew = Crew(self, threads)
         n = len(self.graph.states)
@@ -240,9 +258,10 @@ class Words(Layers[Sets, Layer]):
             )  # fmt: skip
 
         parts = self.crew.share(part, layer)
-        states, n_words, word, between, sure, n_tiles, chosen = (
-            np.concatenate(arrays) for arrays in zip(*parts, strict=True)
-        )
+        joined = [
+            arrays[0].copy() if len(parts) == 1 else np.concatenate(arrays) for arrays in zip(*parts, strict=True)
+        ]
+        states, n_words, word, between, sure, n_tiles, chosen = joined
         start, tiles = (np.concatenate([[0], np.cumsum(counts)]) for counts in (n_words, n_tiles))
         return Layer(states, start, word, between, sure, tiles, chosen if keep else None)
 
@@ -474,6 +493,8 @@ class Crew:
     def share(self, part: Callable[[Scratch, int, int], Any], layer: Sets | Layer) -> list[Any]:
         """part(scratch, lo, hi) over ranges of the layer's states, in order."""
         total, n = int(layer.start[-1]), len(layer.states)
+        if total < min(_WORTH_WORDS if self.threads > 1 else _MOST_WORDS, _MOST_WORDS):
+            return [part(self.first, 0, n)]
         wanted = min(2 * self.threads, total // _WORTH_WORDS) if self.threads > 1 else 1
         cuts = np.searchsorted(layer.start, np.linspace(0, total, max(wanted, -(-total // _MOST_WORDS), 1) + 1))
         ranges = [(lo, hi) for lo, hi in itertools.pairwise([0, *cuts[1:-1].tolist(), n]) if hi > lo]
