@@ -42,8 +42,8 @@ def why(
 
     if minimize and policy is not None:
         raise SettingsError("--minimize asks for the worst of all policies, --policy for a given one; keep one of them")
-    whole(count, "--count", least=1)
-    whole(states, "--states", least=0)
+    count = whole(count, "--count", least=1)
+    states = whole(states, "--states", least=0)
     product = make_product(
         task, model, param, name, encoding, as_json, learning=False, nominal=nominal, normalize=normalize
     )

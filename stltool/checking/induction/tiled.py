@@ -27,8 +27,6 @@ class Tiles:
         self.ends = (self.one - sure, sure)
         worst = np.iinfo(np.int64).max if self.dtype is np.int64 else np.inf  # of sums, before they are divided
         self._worst = self.dtype(-1) if maximize else self.dtype(worst)
-        self._delta: NDArray[np.int32]
-        self._maps: Any
         self._delta, self._maps = engine.moves.by_tiles
         self._decided: dict[int, Values] = {}
         self._spare: Values = np.empty(0, dtype=self.dtype)

@@ -116,7 +116,7 @@ class Moves:
         self._rows: dict[tuple[int, int], U64] = {}
 
     @cached_property
-    def by_tiles(self) -> tuple[I32, Any]:
+    def by_tiles(self) -> tuple[I32, tuple[NDArray[np.bool_], I32, I32, NDArray[np.uint8]]]:
         """δ (letters · 64·n_words,), and its maps by tiles (kernels/tiles.py)."""
         from stltool.kernels import tiles
 
@@ -258,10 +258,9 @@ class Words(Layers[Sets, Layer]):
             )  # fmt: skip
 
         parts = self.crew.share(part, layer)
-        joined = [
-            arrays[0].copy() if len(parts) == 1 else np.concatenate(arrays) for arrays in zip(*parts, strict=True)
-        ]
-        states, n_words, word, between, sure, n_tiles, chosen = joined
+        states, n_words, word, between, sure, n_tiles, chosen = (
+            arrays[0].copy() if len(arrays) == 1 else np.concatenate(arrays) for arrays in zip(*parts, strict=True)
+        )
         start, tiles = (np.concatenate([[0], np.cumsum(counts)]) for counts in (n_words, n_tiles))
         return Layer(states, start, word, between, sure, tiles, chosen if keep else None)
 
