@@ -206,6 +206,43 @@ def mixture_masks(
 
 
 @kernel
+def taken_masks(states: I32, start: I64, word: I32, bits: U64, choice_start: I64, taken: I64) -> tuple[I64, U64, bool]:
+    """As `table_masks`, of the choices taken[i] of the layer's pairs in order."""
+    first, masks = _room(states, start, choice_start)
+    silent, n = False, 0
+    for k in range(len(bits)):
+        left = bits[k]
+        while left != ZERO:
+            if taken[n] < 0:
+                silent = True
+            else:
+                masks[first[k] + taken[n]] |= left & -left
+            left &= left - ONE
+            n += 1
+    return first, masks, silent
+
+
+@kernel
+def weighted_masks(
+    states: I32, start: I64, word: I32, bits: U64, choice_start: I64, taken: NDArray[np.float64]
+) -> tuple[I64, U64, bool]:
+    """As `mixture_masks`, of weights taken[i, c] of the layer's pairs in order."""
+    first, masks = _room(states, start, choice_start)
+    n = 0
+    for i in range(len(states)):
+        n_choices = choice_start[states[i] + 1] - choice_start[states[i]]
+        for k in range(start[i], start[i + 1]):
+            left = bits[k]
+            while left != ZERO:
+                for c in range(n_choices):
+                    if taken[n, c] > 0:
+                        masks[first[k] + c] |= left & -left
+                left &= left - ONE
+                n += 1
+    return first, masks, False
+
+
+@kernel
 def choice_masks(
     states: I32, start: I64, word: I32, bits: U64, number: I32, choice_start: I64, n_words: int, keys: I64,
     listed: U64, rank: I64, choice: NDArray[Any],
@@ -631,7 +668,7 @@ def list_edges(
     target: I32, mode: int, allowed_start: I64, allowed: U64, slot: I32, start_ahead: I64, word_ahead: I32,
     open_ahead: U64, sure_ahead: U64, rank_ahead: I64, undecided: U64, goal: U64, letter: I32, delta: I32,
     entry: I64, model_choice: I64,
-    choices: I64, choice: I64, edge_start: I64, edge: I64, child: I64,
+    s_out: I64, q_out: I64, choices: I64, choice: I64, edge_start: I64, edge: I64, child: I64,
 ) -> None:  # fmt: skip
     """Fill an `Edges`, pair by pair; rank_ahead: open pairs before each word of the layer ahead.
 
@@ -647,6 +684,7 @@ def list_edges(
                 bit = trailing(left)
                 left &= left - ONE
                 q = 64 * np.int64(word[k]) + bit
+                s_out[n], q_out[n] = s, q
                 for c in range(choice_start[s], choice_start[s + 1]):
                     if mode != PLAIN and not (allowed[allowed_start[k] + c - choice_start[s]] >> np.uint64(bit)) & ONE:
                         continue

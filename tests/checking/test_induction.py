@@ -293,6 +293,37 @@ def test_edges_lead_where_the_model_and_the_automaton_do(kind):
             assert i == len(s)
 
 
+@pytest.mark.parametrize("kind", [Nodes, Words])
+@pytest.mark.parametrize("seed", range(6))
+def test_any_pair_can_be_asked_for_its_edges_and_its_slot(kind, seed):
+    """Those of open pairs are the layer's, one by one; what is not listed has the slot of its verdict."""
+    product, rng = random_product(seed, most_states=8)
+    policy = random_policy(product, rng, "mixed" if seed % 2 else "timed")
+    for allowed, live in itertools.product((EVERYTHING, Following(Table(policy.table))), (True, False)):
+        layers = kind(Game.of(product), TRUE, allowed, live, live)
+        stretches = [*layers.backwards()][::-1]
+        following = [*(x.layer for x in stretches[1:]), layers.nothing()][: len(stretches)]
+        for (_, t, here), ahead in zip(stretches, following, strict=True):
+            s, q = layers.pairs(here)
+            assert layers.slots(here, t, s, q).tolist() == list(range(OPEN, OPEN + len(s)))
+            if live:
+                sure = layers.sure_pairs(here)[:2]
+                assert layers.slots(here, t, *sure).tolist() == [SURE] * len(sure[0])
+            every = np.divmod(np.arange(product.n_states), product.automaton.n_states)
+            known = set(zip(*(a.tolist() for a in (s, q)), strict=True))
+            known |= set(zip(*(a.tolist() for a in layers.sure_pairs(here)[:2]), strict=True))
+            verdicts = product.automaton.verdicts(t)
+            for x, memory, slot in zip(*every, layers.slots(here, t, *every).tolist(), strict=True):
+                if (x, memory) not in known:
+                    assert slot == (SURE if verdicts[memory] == TRUE else REST)
+            fan, whole = layers.fan(t, s, q), [layers.edges(here, ahead, t, lo, hi) for lo, hi in layers.parts(here)]
+            found = fan.edges(layers.slots(ahead, t + 1, fan.s_ahead, fan.q_ahead))
+            for name in ("s", "q", "choice", "weight", "entry", "child"):
+                parts = [getattr(part, name) for part in whole]
+                if parts and parts[0] is not None:
+                    assert np.array_equal(getattr(found, name), np.concatenate(parts)), name
+
+
 def test_sums_of_rows_are_added_one_after_another():
     rng = np.random.default_rng(0)
     for _ in range(50):

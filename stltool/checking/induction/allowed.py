@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.checking.induction.graph import I64, U64, Game
-from stltool.choices import Choices, Form
+from stltool.choices import Choices, Form, Table
 
 if TYPE_CHECKING:
     from stltool.checking.induction.words import Graph, Sets
@@ -62,9 +62,9 @@ class Following(Allowed):
 
     def choices(self, game: Game, t: int, s: I64, q: I64) -> tuple[I64, I64, NDArray[np.float64] | None]:
         taken, start = self._form.at(t, s, q), game.rows.choice_start[s]
-        if self.mixed:
+        if taken.ndim == 2:
             owner, number = np.nonzero(taken)
-            return owner, start[owner] + number, taken[owner, number]
+            return owner, start[owner] + number, taken[owner, number] if self.mixed else None
         if (taken < 0).any():
             raise Silent
         return np.arange(len(s)), start + taken, None
@@ -77,12 +77,18 @@ class Following(Allowed):
     def masks(self, t: int, graph: Graph, sets: Sets) -> tuple[I64, U64]:
         from stltool.kernels import words
 
-        form, layer = self._form, (sets.states, sets.start, sets.word, sets.bits, graph.states, graph.choice_start)
+        form, layer = self._form, (sets.states, sets.start, sets.word, sets.bits)
         if isinstance(form, Choices):
-            first, masks, silent = words.choice_masks(*layer, form.n_words, *form.words(t))
+            first, masks, silent = words.choice_masks(
+                *layer, graph.states, graph.choice_start, form.n_words, *form.words(t)
+            )
+        elif isinstance(form, Table):
+            of_row = words.table_masks if form.deterministic else words.mixture_masks
+            first, masks, silent = of_row(*layer, graph.states, graph.choice_start, form.row(t))
         else:
-            kernel = words.mixture_masks if self.mixed else words.table_masks
-            first, masks, silent = kernel(*layer, form.row(t))
+            taken = form.at(t, *sets.pairs(graph))
+            of_pairs = words.taken_masks if form.deterministic else words.weighted_masks
+            first, masks, silent = of_pairs(*layer, graph.choice_start, taken)
         if silent:
             raise Silent
         return first, masks
@@ -92,6 +98,14 @@ class Following(Allowed):
 
     def last_alike(self, t: int) -> int:
         return self._form.alike(t)[1]
+
+
+class Among(Following):
+    """The choices to which a mixture gives weight, whoever optimises picks among them."""
+
+    def __init__(self, form: Form) -> None:
+        super().__init__(form)
+        self.mixed = False
 
 
 class Silent(Exception):

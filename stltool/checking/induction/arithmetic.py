@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.checking.induction.edges import Edges
+from stltool.checking.induction.edges import SURE, Edges
 from stltool.checking.induction.tiled import Tiles
 from stltool.checking.induction.words import Words
 from stltool.models.fractions import LARGEST_SUM, over_one
@@ -113,7 +113,7 @@ class Doubles(Arithmetic):
         return row_sums(self.probability[edges.entry] * ahead[edges.child], edges.start)
 
     def tiles(self, engine: Words) -> Tiles:
-        return Tiles(engine, self.probability, 1, 1.0, self._ends == (0.0, 1.0))
+        return Tiles(engine, self.probability, 1, self._ends, self._ends[SURE] == 1.0)
 
 
 class Fixed(Arithmetic):
@@ -132,7 +132,7 @@ class Fixed(Arithmetic):
         return -((-values) // self.denominator)
 
     def tiles(self, engine: Words) -> Tiles:
-        return Tiles(engine, self.numerator, self.denominator, self.one, self._maximize)
+        return Tiles(engine, self.numerator, self.denominator, self.ends(0), self._maximize)
 
 
 class Integers(Arithmetic):

@@ -15,6 +15,7 @@ REST, SURE, OPEN = 0, 1, 2
 class Edges:
     """n pairs with m choices in all and e edges; pairs in order of (s, q), choices and entries in the model's.
 
+    s, q     (n,) int64: the pairs
     choices  (n+1,) int64: pair i has the choices choices[i] … choices[i+1]−1 of this list
     choice   (m,) int64: their numbers in the model
     weight   (m,) the policy's probability of each, or None where one of them is taken
@@ -23,6 +24,8 @@ class Edges:
     child    (e,) int64: the slot ahead that it leads to
     """
 
+    s: NDArray[np.int64]
+    q: NDArray[np.int64]
     choices: NDArray[np.int64]
     choice: NDArray[np.int64]
     weight: NDArray[np.float64] | None
@@ -32,3 +35,21 @@ class Edges:
 
     def __len__(self) -> int:
         return len(self.choices) - 1
+
+
+@dataclass(frozen=True, eq=False)
+class Fan:
+    """The same before it is known what is listed ahead; s_ahead, q_ahead (e,) int64: the pairs that edges lead to."""
+
+    s: NDArray[np.int64]
+    q: NDArray[np.int64]
+    choices: NDArray[np.int64]
+    choice: NDArray[np.int64]
+    weight: NDArray[np.float64] | None
+    start: NDArray[np.int64]
+    entry: NDArray[np.int64]
+    s_ahead: NDArray[np.int64]
+    q_ahead: NDArray[np.int64]
+
+    def edges(self, child: NDArray[np.int64]) -> Edges:
+        return Edges(self.s, self.q, self.choices, self.choice, self.weight, self.start, self.entry, child)

@@ -10,9 +10,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata import TaskAutomaton
-from stltool.product import Product
+from stltool.automata import FALSE, UNDECIDED, JointAutomaton, TaskAutomaton
+from stltool.product import JointProduct, Product
 
+I8: TypeAlias = NDArray[np.int8]
 I32: TypeAlias = NDArray[np.int32]
 I64: TypeAlias = NDArray[np.int64]
 U64: TypeAlias = NDArray[np.uint64]
@@ -29,6 +30,94 @@ class Rows(Protocol):
     def target(self) -> I32: ...
 
 
+class Automaton(Protocol):
+    """An automaton as an induction reads it, whose states may be numbered differently after each step.
+
+    horizon    h: after step h every state is decided
+    n_states   the most states there are after any step
+    """
+
+    @property
+    def horizon(self) -> int: ...
+    @property
+    def n_states(self) -> int: ...
+
+    def enter(self, letters: I32) -> I32:
+        """The states after step 0, by the letter it reads."""
+
+    def moves(self, t: int) -> I32:
+        """(n_letters, n) int32: from each state after step t to that after step t + 1. The same array where it is."""
+
+    def verdicts(self, t: int) -> I8:
+        """(n,): the verdict of each state after step t."""
+
+    def alike(self, t: int) -> tuple[int, int]:
+        """The first and the last of the steps around t that are read and judged as step t is, states numbered alike."""
+
+    def keeps_numbers(self, t: int) -> bool:
+        """Whether states after step t + 1 are numbered as those after step t."""
+
+
+class Single:
+    """A task's automaton. Its verdicts alone depend on the step."""
+
+    def __init__(self, automaton: TaskAutomaton) -> None:
+        self._automaton = automaton
+        self.horizon, self.n_states = automaton.horizon, automaton.n_states
+
+    def enter(self, letters: I32) -> I32:
+        states: I32 = self._automaton.delta[letters, self._automaton.initial]
+        return states
+
+    def moves(self, t: int) -> I32:
+        return self._automaton.delta
+
+    def verdicts(self, t: int) -> I8:
+        return self._automaton.verdicts(t)
+
+    def alike(self, t: int) -> tuple[int, int]:
+        return _around(self._automaton.verdict_starts, t, self.horizon)
+
+    def keeps_numbers(self, t: int) -> bool:
+        return True
+
+
+class Joint:
+    """Several tasks' automaton, layer by layer: false where every verdict has fallen; with `paying`, not before h."""
+
+    def __init__(self, automaton: JointAutomaton, paying: bool) -> None:
+        self._automaton, self._paying = automaton, paying
+        self.horizon = automaton.horizon
+        layers = [automaton.start, *automaton.layers]
+        self.n_states = max(len(layer.states) for layer in layers)
+        new = [not layers[t - 1] is layers[t] is layers[t + 1] for t in range(1, self.horizon + 1)]
+        self._starts = np.flatnonzero([True, *new])
+
+    def enter(self, letters: I32) -> I32:
+        states: I32 = self._automaton.start.delta[letters, 0]
+        return states
+
+    def moves(self, t: int) -> I32:
+        return self._automaton.layers[t].delta
+
+    def verdicts(self, t: int) -> I8:
+        layer = self._automaton.layers[t]
+        decided = layer.decided & (not self._paying or t == self.horizon)
+        return np.where(decided, FALSE, UNDECIDED).astype(np.int8)
+
+    def alike(self, t: int) -> tuple[int, int]:
+        return _around(self._starts, t, self.horizon)
+
+    def keeps_numbers(self, t: int) -> bool:
+        return self._automaton.layers[t] is self._automaton.layers[t + 1]
+
+
+def _around(starts: I64, t: int, last: int) -> tuple[int, int]:
+    """The first and the last step of the range that t is in, given where ranges start."""
+    i = int(np.searchsorted(starts, t, side="right"))
+    return int(starts[i - 1]), int(starts[i]) - 1 if i < len(starts) else last
+
+
 @dataclass(frozen=True, eq=False)
 class Game:
     """A model's rows with an automaton that reads them.
@@ -39,7 +128,7 @@ class Game:
     """
 
     rows: Rows
-    automaton: TaskAutomaton
+    automaton: Automaton
     letter: I32
     first: I64
     kept: dict[str, Any] = field(default_factory=dict)
@@ -51,17 +140,27 @@ class Game:
         if everywhere not in games:
             model = product.model
             first = np.arange(model.n_states) if everywhere else np.flatnonzero(model.initial)
-            games[everywhere] = cls(model, product.automaton, product.letter, first)
+            games[everywhere] = cls(model, Single(product.automaton), product.letter, first)
         return games[everywhere]
+
+    @classmethod
+    def of_joint(cls, joint: JointProduct, paying: bool = False) -> Game:
+        """A joint product's, its states numbered by layer; with `paying`, every run goes on to the horizon."""
+        return cls(joint.model, Joint(joint.automaton, paying), joint.letter, np.flatnonzero(joint.model.initial))
 
     @property
     def horizon(self) -> int:
         return self.automaton.horizon
 
+    @property
+    def n_states(self) -> int:
+        """Model states."""
+        return len(self.rows.choice_start) - 1
+
     @cached_property
     def entry(self) -> I64:
         """(k,) the automaton state after reading each first state."""
-        entry: I64 = self.automaton.delta[self.letter[self.first], self.automaton.initial].astype(np.int64)
+        entry: I64 = self.automaton.enter(self.letter[self.first]).astype(np.int64)
         return entry
 
     @cached_property
@@ -69,17 +168,6 @@ class Game:
         """The most row entries that a state has, all choices together."""
         rows = self.rows.row_start[self.rows.choice_start]
         return int(np.diff(rows).max())
-
-    def last_alike(self, t: int) -> int:
-        """The last step whose verdicts are those of step t."""
-        starts = self.automaton.verdict_starts
-        i = int(np.searchsorted(starts, t, side="right"))
-        return int(starts[i]) - 1 if i < len(starts) else self.horizon
-
-    def first_alike(self, t: int) -> int:
-        """The first step whose verdicts are those of step t."""
-        starts = self.automaton.verdict_starts
-        return int(starts[np.searchsorted(starts, t, side="right") - 1])
 
 
 _GAMES: WeakKeyDictionary[Product, dict[bool, Game]] = WeakKeyDictionary()

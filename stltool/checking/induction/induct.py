@@ -139,7 +139,7 @@ def _solve(
             swept += 1
             until = t
             if layer is ahead and (tiles is not None or arithmetic.repeats) and np.array_equal(new, values):
-                until = max(first, game.first_alike(t + 1) - 1, allowed.first_alike(t))
+                until = max(first, game.automaton.alike(t + 1)[0] - 1, allowed.first_alike(t))
             if keep is not None and choice is not None:
                 recorder.add(layers.listed(until, t, layer, choice))
             ahead, values, t = layer, new, until - 1
@@ -149,7 +149,7 @@ def _solve(
     by_slot = values if tiles is None else tiles.values(ahead, values)
     choices = None
     if keep is not None:
-        shape = (len(game.rows.choice_start) - 1, game.automaton.n_states)
+        shape = (game.n_states, game.automaton.n_states)
         most = int(np.diff(game.rows.choice_start).max())
         choices = Choices(shape, h, recorder.layers(), integer_type(most - 1))
     name = "nodes" if isinstance(layers, Nodes) else "words" if tiles is None else "tiles"

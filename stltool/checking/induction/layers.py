@@ -26,10 +26,11 @@ from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import Any, Generic, TypeAlias, TypeVar
 
+import numpy as np
 from numpy.typing import NDArray
 
 from stltool.checking.induction.allowed import Allowed
-from stltool.checking.induction.edges import Edges
+from stltool.checking.induction.edges import Edges, Fan
 from stltool.checking.induction.graph import I64, Game
 from stltool.checking.induction.reached import Reached, Stretch
 from stltool.choices import Listed
@@ -114,8 +115,8 @@ class Layers(ABC, Generic[FLayer, Settled]):
             while t >= first:
                 here = self._settled(layer, ahead, t)
                 until = t
-                if self._same_settled(here, ahead):
-                    until = max(first, self.game.first_alike(t + 1) - 1, self.allowed.first_alike(t))
+                if self.game.automaton.keeps_numbers(t) and self._same_settled(here, ahead):
+                    until = max(first, self.game.automaton.alike(t + 1)[0] - 1, self.allowed.first_alike(t))
                 yield Stretch(until, t, here)
                 ahead, t = here, until - 1
 
@@ -131,8 +132,8 @@ class Layers(ABC, Generic[FLayer, Settled]):
                 self._add(found, first, t, layer)
                 break
             after = self._after(layer, t)
-            if self._same_reached(layer, after):
-                t = min(game.last_alike(t + 1), self.allowed.last_alike(t) + 1, h - 1)
+            if game.automaton.keeps_numbers(t) and self._same_reached(layer, after):
+                t = min(game.automaton.alike(t + 1)[1], self.allowed.last_alike(t) + 1, h - 1)
                 continue
             self._add(found, first, t, layer)
             layer, first, t = after, t + 1, t + 1
@@ -168,8 +169,24 @@ class Layers(ABC, Generic[FLayer, Settled]):
         """(s, q) of the open pairs, in order."""
 
     @abstractmethod
+    def slots(self, layer: Settled, t: int, s: I64, q: I64) -> I64:
+        """The slots of pairs (s, q) after step t, whose layer this is."""
+
     def first_slots(self, layer: Settled) -> I64:
         """The slot of each of the game's first pairs at step 0."""
+        return self.slots(layer, 0, self.game.first, self.game.entry)
+
+    def fan(self, t: int, s: I64, q: I64) -> Fan:
+        """The edges of any pairs (s, q) of step t, along the choices that count."""
+        game, rows = self.game, self.game.rows
+        owner, choice, weight = self.allowed.choices(game, t, s, q)
+        length = rows.row_start[choice + 1] - rows.row_start[choice]
+        start = np.concatenate([[0], np.cumsum(length)])
+        which = np.repeat(np.arange(len(choice)), length)
+        entry = np.arange(len(which)) + (rows.row_start[choice] - start[:-1])[which]
+        target = rows.target[entry].astype(np.int64)
+        after = game.automaton.moves(t)[game.letter[target], q[owner[which]]].astype(np.int64)
+        return Fan(s, q, np.searchsorted(owner, np.arange(len(s) + 1)), choice, weight, start, entry, target, after)
 
     @abstractmethod
     def _initial(self) -> FLayer: ...

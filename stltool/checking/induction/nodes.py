@@ -80,15 +80,24 @@ class Nodes(Layers[I64, Settled]):
         """(s, q, choice) of the sure pairs, in order."""
         return *self._split(layer.sure), layer.sure_choice
 
-    def first_slots(self, layer: Settled) -> I64:
-        game = self.game
-        return self._slots(game.first * game.automaton.n_states + game.entry, layer, 0)
+    def slots(self, layer: Settled, t: int, s: I64, q: I64) -> I64:
+        verdicts = self.game.automaton.verdicts(t)[q]
+        slots = np.where(verdicts == self.goal, SURE, REST)
+        if len(layer.listed):
+            codes = s * self.game.automaton.n_states + q
+            place = np.minimum(np.searchsorted(layer.listed, codes), len(layer.listed) - 1)
+            there = (layer.listed[place] == codes) & (verdicts == UNDECIDED)
+            slots[there] = layer.slot[place[there]]
+        return slots
 
     def edges(self, here: Settled, ahead: Settled, t: int, lo: int, hi: int) -> Edges:
         if here.edges is not None and lo == 0 and hi == len(here.open):
             return here.edges
-        edges, child = self._fan(here.open[lo:hi], t)
-        return Edges(*edges, self._slots(child, ahead, t + 1))
+        return self._edges(here.open[lo:hi], ahead, t)
+
+    def _edges(self, codes: I64, ahead: Settled, t: int) -> Edges:
+        fan = self.fan(t, *self._split(codes))
+        return fan.edges(self.slots(ahead, t + 1, fan.s_ahead, fan.q_ahead))
 
     def _initial(self) -> I64:
         game = self.game
@@ -98,15 +107,15 @@ class Nodes(Layers[I64, Settled]):
 
     def _after(self, layer: I64, t: int) -> I64:
         self.budget.need(40 * len(layer) * self.game.widest, t, self.game.horizon)
-        child = np.unique(self._fan(layer, t)[1])
-        undecided = self.game.automaton.verdicts(t + 1)[child % self.game.automaton.n_states] == UNDECIDED
+        fan, n_states = self.fan(t, *self._split(layer)), self.game.automaton.n_states
+        child = np.unique(fan.s_ahead * n_states + fan.q_ahead)
+        undecided = self.game.automaton.verdicts(t + 1)[child % n_states] == UNDECIDED
         after: I64 = child[undecided]
         return after
 
     def _settled(self, layer: I64, ahead: Settled, t: int) -> Settled:
-        fan, child = self._fan(layer, t)
-        choices, choice, _, start, _ = fan
-        slot = self._slots(child, ahead, t + 1)
+        edges = self._edges(layer, ahead, t)
+        choices, choice, start, slot = edges.choices, edges.choice, edges.start, edges.child
         live, sure = np.ones(len(layer), dtype=np.bool_), np.zeros(len(layer), dtype=np.bool_)
         makes_sure = np.logical_and.reduceat(slot == SURE, start[:-1])
         if self.live:
@@ -120,39 +129,15 @@ class Nodes(Layers[I64, Settled]):
         owner = np.searchsorted(choices, first, side="right") - 1
         _, which = np.unique(owner, return_index=True)
         number = np.zeros(len(layer), dtype=np.int64)
-        number[owner[which]] = choice[first[which]] - self.game.rows.choice_start[self._split(layer)[0]][owner[which]]
-        edges = None
-        if self._kept + len(child) <= _KEPT:
-            self._kept += len(child)
-            edges = _only(Edges(*fan, slot), between)
+        number[owner[which]] = choice[first[which]] - self.game.rows.choice_start[edges.s][owner[which]]
+        kept = None
+        if self._kept + len(slot) <= _KEPT:
+            self._kept += len(slot)
+            kept = _only(edges, between)
         listed, codes = layer[live], layer[between]
         position = np.full(len(layer), SURE, dtype=np.int64)
         position[between] = OPEN + np.arange(len(codes))
-        return Settled(codes, layer[sure], number[sure], edges, listed, position[live])
-
-    def _fan(self, codes: I64, t: int) -> tuple[tuple[I64, I64, NDArray[np.float64] | None, I64, I64], I64]:
-        """The edges of pairs without their slots, and the codes of the pairs they lead to."""
-        game, rows = self.game, self.game.rows
-        s, q = self._split(codes)
-        owner, choice, weight = self.allowed.choices(game, t, s, q)
-        length = rows.row_start[choice + 1] - rows.row_start[choice]
-        start = np.concatenate([[0], np.cumsum(length)])
-        which = np.repeat(np.arange(len(choice)), length)
-        entry = np.arange(len(which)) + (rows.row_start[choice] - start[:-1])[which]
-        target = rows.target[entry]
-        after = game.automaton.delta[game.letter[target], q[owner[which]]]
-        choices = np.searchsorted(owner, np.arange(len(codes) + 1))
-        return (choices, choice, weight, start, entry), target.astype(np.int64) * game.automaton.n_states + after
-
-    def _slots(self, codes: I64, layer: Settled, t: int) -> I64:
-        """The slots of pairs after step t, where `layer` is what is listed then."""
-        verdicts = self.game.automaton.verdicts(t)[codes % self.game.automaton.n_states]
-        slots = np.where(verdicts == self.goal, SURE, REST)
-        if len(layer.listed):
-            place = np.minimum(np.searchsorted(layer.listed, codes), len(layer.listed) - 1)
-            there = (layer.listed[place] == codes) & (verdicts == UNDECIDED)
-            slots[there] = layer.slot[place[there]]
-        return slots
+        return Settled(codes, layer[sure], number[sure], kept, listed, position[live])
 
     def _split(self, codes: I64) -> tuple[I64, I64]:
         s, q = np.divmod(codes, self.game.automaton.n_states)
@@ -199,6 +184,6 @@ def _only(edges: Edges, pairs: NDArray[np.bool_]) -> Edges:
 
     weight = None if edges.weight is None else edges.weight[of_choice]
     return Edges(
-        starts(edges.choices, pairs), edges.choice[of_choice], weight, starts(edges.start, of_choice),
-        edges.entry[of_edge], edges.child[of_edge],
+        edges.s[pairs], edges.q[pairs], starts(edges.choices, pairs), edges.choice[of_choice], weight,
+        starts(edges.start, of_choice), edges.entry[of_edge], edges.child[of_edge],
     )  # fmt: skip

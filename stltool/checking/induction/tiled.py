@@ -7,27 +7,33 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata import FALSE, TRUE, UNDECIDED
-from stltool.checking.induction.edges import REST
+from stltool.automata import UNDECIDED
+from stltool.checking.induction.edges import REST, SURE
 from stltool.checking.induction.words import Layer, Scratch, Words, lanes_of
 
 Values: TypeAlias = NDArray[Any]
 
 
 class Tiles:
-    """The steps back of one question; `share` (n_transitions,) and `denominator` as in kernels/tiles.py, `one` is 1."""
+    """The steps back of one question; `share` (n_transitions,) and `denominator` as in kernels/tiles.py.
 
-    def __init__(self, engine: Words, share: NDArray[Any], denominator: int, one: float | int, maximize: bool) -> None:
+    ends   the values of what is not listed, and of what is sure
+    """
+
+    def __init__(
+        self,
+        engine: Words,
+        share: NDArray[Any],
+        denominator: int,
+        ends: tuple[float | int, float | int],
+        maximize: bool,
+    ) -> None:
         self._engine, self._denominator, self._maximize = engine, denominator, maximize
         self.share = share[engine.graph.entry]
         self.dtype = share.dtype.type
-        self.one = self.dtype(one)
-        zero = self.dtype(0)
-        sure = self.one if engine.goal == TRUE else zero
-        self.ends = (self.one - sure, sure)
+        self.ends = (self.dtype(ends[REST]), self.dtype(ends[SURE]))
         worst = np.iinfo(np.int64).max if self.dtype is np.int64 else np.inf  # of sums, before they are divided
         self._worst = self.dtype(-1) if maximize else self.dtype(worst)
-        self._delta, self._maps = engine.moves.by_tiles
         self._decided: dict[int, Values] = {}
         self._spare: Values = np.empty(0, dtype=self.dtype)
 
@@ -41,7 +47,7 @@ class Tiles:
         engine, graph, moves = self._engine, self._engine.graph, self._engine.moves
         sets, slot = here.open_sets, engine.crew.turn(ahead)
         masks = engine.allowed.masks(t, graph, sets)
-        decided, undecided = self._row(t + 1), moves.where(t + 1, UNDECIDED)
+        decided, undecided, maps = self._row(t + 1), moves.where(t + 1, UNDECIDED), moves.by_tiles(t)
         out = np.empty(8 * here.n_tiles, dtype=self.dtype)
         best = np.empty(8 * here.n_tiles if keep else 0, dtype=engine.choices or np.uint8)
         rest, sure = self.ends
@@ -51,8 +57,8 @@ class Tiles:
             scratch.blocks(n, self.dtype)
             tiles.gather(
                 scratch.found, n, scratch.rows, scratch.groups, scratch.block, scratch.W, slot, ahead.start,
-                ahead.word, ahead.open, ahead.sure, ahead.tiles, values, decided, undecided, graph.letter, self._delta,
-                *self._maps, moves.n_words, moves.width, moves.shift,
+                ahead.word, ahead.open, ahead.sure, ahead.tiles, values, decided, undecided, graph.letter, *maps,
+                moves.n_words, moves.width, moves.shift,
             )  # fmt: skip
             tiles.sweep(
                 here.states, here.start, here.word, here.open, here.sure, here.tiles, lo, hi, scratch.slot,
@@ -74,11 +80,10 @@ class Tiles:
         from stltool.kernels import tiles
 
         automaton = self._engine.game.automaton
-        i = int(np.searchsorted(automaton.verdict_starts, t, side="right"))
-        if i not in self._decided:
+        first = automaton.alike(t)[0]
+        if first not in self._decided:
             row = np.full(2 * tiles.PAD + 64 * self._engine.moves.n_words, self.ends[REST], dtype=self.dtype)
             verdicts = automaton.verdicts(t)
-            inner = row[tiles.PAD : tiles.PAD + len(verdicts)]
-            inner[verdicts == TRUE], inner[verdicts == FALSE] = self.one, 0
-            self._decided[i] = row
-        return self._decided[i]
+            row[tiles.PAD : tiles.PAD + len(verdicts)][verdicts == self._engine.goal] = self.ends[SURE]
+            self._decided[first] = row
+        return self._decided[first]

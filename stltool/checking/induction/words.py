@@ -6,19 +6,22 @@ import itertools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata import UNDECIDED, TaskAutomaton
+from stltool.automata import UNDECIDED
 from stltool.checking.induction.allowed import Allowed
-from stltool.checking.induction.edges import REST, SURE, Edges
-from stltool.checking.induction.graph import I32, I64, U64, Game
+from stltool.checking.induction.edges import OPEN, REST, SURE, Edges
+from stltool.checking.induction.graph import I32, I64, U64, Automaton, Game
 from stltool.checking.induction.layers import Budget, Layers
 from stltool.choices import Listed
+
+Pieces: TypeAlias = tuple[I64, U64, NDArray[np.bool_], I64]
+Maps: TypeAlias = tuple[I32, NDArray[np.bool_], I32, I32, NDArray[np.uint8]]
 
 _MOST_WORDS = 2**17  # in a range of states: 64 MB of next values
 _PART = 4_000_000  # edges that are made at a time
@@ -75,6 +78,12 @@ class Sets:
     def copy(self) -> Sets:
         return Sets(self.states.copy(), self.start.copy(), self.word.copy(), self.bits.copy())
 
+    def pairs(self, graph: Graph) -> tuple[I64, I64]:
+        """(s, q) of all of them, in order."""
+        where, bit = np.nonzero(np.unpackbits(self.bits.view(np.uint8), bitorder="little").reshape(-1, 64))
+        owner = np.repeat(graph.states[self.states], np.diff(self.start))
+        return owner[where].astype(np.int64), 64 * self.word[where].astype(np.int64) + bit
+
 
 @dataclass(frozen=True, eq=False)
 class Layer:
@@ -90,10 +99,25 @@ class Layer:
     sure: U64
     tiles: I64
     sure_choice: NDArray[np.unsignedinteger] | None
+    _keys: I64 | None = field(default=None, init=False)
 
     @property
     def n_tiles(self) -> int:
         return int(self.tiles[-1])
+
+    @cached_property
+    def rank(self) -> I64:
+        """(words,) the number of open pairs before each word."""
+        counts = np.bitwise_count(self.open)
+        return np.cumsum(counts, dtype=np.int64) - counts
+
+    def keys(self, n_words: int) -> I64:
+        """(words,) ascending: each word's number among the n_words of every state."""
+        keys = self._keys
+        if keys is None:
+            keys = np.repeat(self.states.astype(np.int64), np.diff(self.start)) * n_words + self.word
+            object.__setattr__(self, "_keys", keys)
+        return keys
 
     @property
     def open_sets(self) -> Sets:
@@ -101,39 +125,48 @@ class Layer:
 
 
 class Moves:
-    """δ and the verdicts of an automaton as rows of words."""
+    """An automaton's moves and verdicts as rows of words, all of one width."""
 
-    def __init__(self, automaton: TaskAutomaton) -> None:
-        from stltool.kernels import words
-
+    def __init__(self, automaton: Automaton) -> None:
         self.automaton = automaton
         self.n_words = -(-automaton.n_states // 64)
         self.shift = 3  # groups of eight words, what `Lanes` take at once, or of more, so that 64 bits tell them apart
         while self.n_words + 2 > 64 << self.shift:
             self.shift += 1
         self.width = -(-(self.n_words + 2) >> self.shift) << self.shift
-        self.pieces = words.pieces(automaton.delta, self.n_words)
+        self._pieces: dict[int, Pieces] = {}
+        self._maps: dict[int, Maps] = {}
         self._rows: dict[tuple[int, int], U64] = {}
 
-    @cached_property
-    def by_tiles(self) -> tuple[I32, tuple[NDArray[np.bool_], I32, I32, NDArray[np.uint8]]]:
-        """δ (letters · 64·n_words,), and its maps by tiles (kernels/tiles.py)."""
+    def pieces(self, t: int) -> Pieces:
+        """What happens to states after step t (kernels/words.py)."""
+        from stltool.kernels import words
+
+        delta = self.automaton.moves(t)
+        if id(delta) not in self._pieces:
+            self._pieces[id(delta)] = words.pieces(delta, self.n_words)
+        return self._pieces[id(delta)]
+
+    def by_tiles(self, t: int) -> Maps:
+        """δ after step t (letters · 64·n_words,), and its maps by tiles (kernels/tiles.py)."""
         from stltool.kernels import tiles
 
-        delta = self.automaton.delta
-        padded = np.zeros((len(delta), 64 * self.n_words), dtype=np.int32)
-        padded[:, : delta.shape[1]] = delta
-        return padded.ravel(), tiles.tile_maps(delta, self.n_words)
+        delta = self.automaton.moves(t)
+        if id(delta) not in self._maps:
+            padded = np.zeros((len(delta), 64 * self.n_words), dtype=np.int32)
+            padded[:, : delta.shape[1]] = delta
+            self._maps[id(delta)] = (padded.ravel(), *tiles.tile_maps(delta, self.n_words))
+        return self._maps[id(delta)]
 
     def where(self, t: int, verdict: int) -> U64:
         """The row of states that have this verdict after step t."""
-        automaton = self.automaton
-        i = int(np.searchsorted(automaton.verdict_starts, t, side="right")) - 1
-        if (i, verdict) not in self._rows:
+        first = self.automaton.alike(t)[0]
+        if (first, verdict) not in self._rows:
+            found = self.automaton.verdicts(t) == verdict
             bits = np.zeros(64 * self.width, dtype=np.bool_)
-            bits[64 : 64 + automaton.n_states] = automaton.verdict_rows[i] == verdict
-            self._rows[i, verdict] = np.packbits(bits, bitorder="little").view(np.uint64)
-        return self._rows[i, verdict]
+            bits[64 : 64 + len(found)] = found
+            self._rows[first, verdict] = np.packbits(bits, bitorder="little").view(np.uint64)
+        return self._rows[first, verdict]
 
 
 class Words(Layers[Sets, Layer]):
@@ -189,7 +222,7 @@ class Words(Layers[Sets, Layer]):
             self._word = np.empty(n * moves.n_words, dtype=np.int32)
             self._bits = np.empty(n * moves.n_words, dtype=np.uint64)
         k = words.push(
-            found, scratch.slot, scratch.rows, scratch.groups, graph.letter, *moves.pieces,
+            found, scratch.slot, scratch.rows, scratch.groups, graph.letter, *moves.pieces(t),
             moves.where(t + 1, UNDECIDED), moves.n_words, moves.width, moves.shift, self._states, self._start,
             self._word, self._bits,
         )  # fmt: skip
@@ -230,13 +263,13 @@ class Words(Layers[Sets, Layer]):
 
         graph, moves, width, keep = self.graph, self.moves, self.moves.width, self.choices is not None
         masks, goal = self.allowed.masks(t, graph, layer), moves.where(t + 1, self.goal)
-        slot = self.crew.turn(ahead)
+        slot, pieces = self.crew.turn(ahead), moves.pieces(t)
 
         def part(scratch: Scratch, lo: int, hi: int) -> tuple[NDArray[Any], ...]:
             n = scratch.unite(layer, lo, hi, sets=True)
             words.pull(
                 scratch.found, n, scratch.rows, scratch.groups, slot, ahead.start, ahead.word, ahead.open, ahead.sure,
-                goal, graph.letter, *moves.pieces, moves.n_words, width, moves.shift, scratch.possible, scratch.certain,
+                goal, graph.letter, *pieces, moves.n_words, width, moves.shift, scratch.possible, scratch.certain,
                 scratch.somewhere,
             )  # fmt: skip
             k = int(layer.start[hi] - layer.start[lo])
@@ -339,37 +372,28 @@ class Words(Layers[Sets, Layer]):
         return Listed(first, last, keys + layer.word, both, chosen)
 
     def pairs(self, layer: Layer) -> tuple[I64, I64]:
-        return self._pairs(layer, layer.open)
+        return layer.open_sets.pairs(self.graph)
 
     def sure_pairs(self, layer: Layer) -> tuple[I64, I64, I64]:
         """(s, q, choice) of the sure pairs, in order; choices are 0 where they are not kept."""
-        s, q = self._pairs(layer, layer.sure)
-        return (
-            s,
-            q,
-            np.zeros(len(s), dtype=np.int64) if layer.sure_choice is None else layer.sure_choice.astype(np.int64),
-        )
+        s, q = Sets(layer.states, layer.start, layer.word, layer.sure).pairs(self.graph)
+        choice = np.zeros(len(s)) if layer.sure_choice is None else layer.sure_choice
+        return s, q, choice.astype(np.int64)
 
-    def _pairs(self, layer: Layer, sets: U64) -> tuple[I64, I64]:
-        where, bit = np.nonzero(np.unpackbits(sets.view(np.uint8), bitorder="little").reshape(-1, 64))
-        owner = np.repeat(self.graph.states[layer.states], np.diff(layer.start))
-        return owner[where].astype(np.int64), 64 * layer.word[where].astype(np.int64) + bit
-
-    def first_slots(self, layer: Layer) -> I64:
-        graph, q = self.graph, self.game.entry
-        verdicts = self.game.automaton.verdicts(0)[q]
+    def slots(self, layer: Layer, t: int, s: I64, q: I64) -> I64:
+        verdicts, n_words = self.game.automaton.verdicts(t)[q], self.moves.n_words
         slots = np.where(verdicts == self.goal, SURE, REST)
-        codes = graph.states[layer.states].astype(np.int64)
-        owner = np.repeat(codes, np.diff(layer.start)) * self.moves.n_words + layer.word
-        wanted = self.game.first * self.moves.n_words + q // 64
-        if len(owner):
-            place = np.minimum(np.searchsorted(owner, wanted), len(owner) - 1)
-            there = (owner[place] == wanted) & (verdicts == UNDECIDED)
+        if len(layer.word):
+            keys = layer.keys(n_words)
+            states = self.graph.states
+            number = np.minimum(np.searchsorted(states, s), len(states) - 1)
+            wanted = number * n_words + q // 64
+            place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+            there = (keys[place] == wanted) & (states[number] == s) & (verdicts == UNDECIDED)
             bit = np.uint64(1) << (q % 64).astype(np.uint64)
-            rank = rank_of(layer)
             is_open, is_sure = (there & ((sets[place] & bit) != 0) for sets in (layer.open, layer.sure))
             below = np.bitwise_count(layer.open[place] & (bit - np.uint64(1))).astype(np.int64)
-            slots = np.where(is_open, 2 + rank[place] + below, np.where(is_sure, SURE, slots))
+            slots = np.where(is_open, OPEN + layer.rank[place] + below, np.where(is_sure, SURE, slots))
         return slots
 
     def edges(self, here: Layer, ahead: Layer, t: int, lo: int, hi: int) -> Edges:
@@ -380,27 +404,20 @@ class Words(Layers[Sets, Layer]):
         masks = self.allowed.masks(t, graph, here.open_sets)
         which = (here.states, here.start, here.word, here.open, lo, hi, graph.choice_start, graph.row_start)
         n, m, e = words.count_edges(*which, self.mode, *masks)
+        s, q = np.empty((2, n), dtype=np.int64)
         choices, choice = np.empty(n + 1, dtype=np.int64), np.empty(m, dtype=np.int64)
         start, entry, child = np.empty(m + 1, dtype=np.int64), *np.empty((2, e), dtype=np.int64)
         words.list_edges(
             *which, graph.target, self.mode, *masks, self.crew.turn(ahead), ahead.start, ahead.word, ahead.open,
-            ahead.sure, rank_of(ahead), moves.where(t + 1, UNDECIDED), moves.where(t + 1, self.goal), graph.letter,
-            self.game.automaton.delta, graph.entry, graph.choice, choices, choice, start, entry, child,
+            ahead.sure, ahead.rank, moves.where(t + 1, UNDECIDED), moves.where(t + 1, self.goal), graph.letter,
+            self.game.automaton.moves(t), graph.entry, graph.choice, s, q, choices, choice, start, entry, child,
         )  # fmt: skip
-        weight = None
+        s, weight = graph.states[s].astype(np.int64), None
         if self.allowed.mixed:
-            s, q = self.pairs(here)
-            first = int(np.bitwise_count(here.open[: here.start[lo]]).sum(dtype=np.int64))
-            owner = np.repeat(np.arange(first, first + n), np.diff(choices))
+            owner = np.repeat(np.arange(n), np.diff(choices))
             number = choice - self.game.rows.choice_start[s[owner]]
             weight = self.allowed.weights(t, s[owner], q[owner], number)
-        return Edges(choices, choice, weight, start, entry, child)
-
-
-def rank_of(layer: Layer) -> I64:
-    """(words,) the number of open pairs before each word."""
-    counts = np.bitwise_count(layer.open)
-    return np.cumsum(counts, dtype=np.int64) - counts
+        return Edges(s, q, choices, choice, weight, start, entry, child)
 
 
 def lanes_of(layer: Layer, sets: U64) -> NDArray[np.bool_]:
