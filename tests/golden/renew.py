@@ -27,9 +27,8 @@ def text_of(kind):
     blocks = [f"# python -m tests.golden.renew {kind}"]
     with folder() as here:
         for given, said in KINDS[kind]():
-            text = said.replace(f"{here}/", "").replace(f"{ROOT}/", "")
-            lines = "\n".join(f"    {line}".rstrip() for line in text.splitlines())
-            blocks.append(f"{given}\n{lines}".rstrip())
+            lines = "\n".join(f"    {line}".rstrip() for line in said.splitlines())
+            blocks.append(f"{given}\n{lines}".rstrip().replace(f"{here}/", "").replace(f"{ROOT}/", ""))
     return "\n\n".join(blocks) + "\n"
 
 
