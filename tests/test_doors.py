@@ -25,7 +25,7 @@ RESULTS = {
 
 # called from within, or in inner loops with indices of their own
 INNER = {
-    "Product.enter", "Product.first_verdicts", "Sweep.settled", "TaskAutomaton.letters_at", "TaskAutomaton.verdicts",
+    "MDP.initial_share", "Product.enter", "Product.first_verdicts", "Sweep.settled", "TaskAutomaton.letters_at", "TaskAutomaton.verdicts",
     "TaskAutomaton.with_outcome",
 }  # fmt: skip
 
@@ -44,7 +44,9 @@ def doors():
                 continue  # hooks, which training calls
             for key, member in inspect.getmembers(thing, inspect.isroutine):
                 own = key in {k for base in thing.__mro__ if base.__module__.startswith("stltool") for k in vars(base)}
-                if not key.startswith("_") and own and f"{name}.{key}" not in INNER and parameters(member):
+                if key.startswith("_") or not own or not callable(member):  # cached properties count as routines
+                    continue
+                if f"{name}.{key}" not in INNER and parameters(member):
                     found[f"{name}.{key}"] = member
     return found
 

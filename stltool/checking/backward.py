@@ -119,7 +119,9 @@ class NumbaSweeper:
         self.dtype: Number = np.float64 if scale is None else np.int64
         self.one: float = 1.0 if scale is None else scale.one
         self._kernels: ModuleType = sweep if scale is None else fixed
-        self._shares: tuple[Any, ...] = (model.probability,) if scale is None else (scale.numerator, scale.denominator)
+        self._shares: tuple[Any, ...] = (
+            (model.probability,) if scale is None else (model.rows.numerator, scale.denominator)
+        )
         self._run = over_ranges(product, product.n_states)
 
     def gather(self, values: Values, out: Values) -> None:
@@ -165,7 +167,7 @@ class NumpySweeper:
         self.dtype: Number = np.float64 if scale is None else np.int64
         self.one: float = 1.0 if scale is None else scale.one
         model = product.model
-        shares = model.probability if scale is None else scale.numerator
+        shares = model.probability if scale is None else model.rows.numerator
         self._matrix = csr_array((shares, model.target, model.row_start), shape=(model.n_choices, model.n_states))
         self._denominator = None if scale is None else scale.denominator
         self._start = model.choice_start

@@ -16,9 +16,8 @@ import math
 from collections.abc import Iterable
 from fractions import Fraction
 
-import numpy as np
-
 from stltool.models import MDP
+from stltool.models.rows import Rows
 from stltool.numbers import round_down, round_up
 
 _U = Fraction(1, 2**53)
@@ -43,12 +42,16 @@ def defect(rows: Iterable[Iterable[float]]) -> Fraction:
 
 def model_defects(model: MDP) -> tuple[Fraction, Fraction]:
     """The largest defect of a row, and of the initial distribution; an upper bound where exact sums would take long."""
-    if sums_exactly(model):
-        return model.exact().defects(model.row_start)
-    lengths = np.diff(model.row_start)
-    sums = np.add.reduceat(model.probability, model.row_start[:-1])
-    rounding = _U * int(lengths.max()) * 2  # of summing, in any order, terms whose sum is below 2
-    return Fraction(float(np.abs(sums - 1).max())) + rounding, defect([model.initial.tolist()])
+    kinds = model.kinds
+    return row_defect(kinds if kinds is not None else model.rows), model.initial_defect
+
+
+def row_defect(rows: Rows) -> Fraction:
+    """The largest defect of a row; an upper bound where exact sums would take long."""
+    if sums_exactly(rows):
+        return rows.defect
+    rounding = _U * rows.longest * 2  # of summing, in any order, terms whose sum is below 2
+    return Fraction(rows.missing) + rounding
 
 
 def compounded(amount: Fraction, growth: Fraction) -> Fraction:
@@ -59,9 +62,12 @@ def compounded(amount: Fraction, growth: Fraction) -> Fraction:
     return amount / (1 - growth) if growth < 1 else _ANYTHING
 
 
-def sums_exactly(model: MDP) -> bool:
-    """Whether the model's rows are known as fractions, or few enough to be read so in no time."""
-    return model.fractions is not None or model.n_transitions <= _EXACT_SUMS
+def sums_exactly(rows: Rows) -> bool:
+    """Whether rows are known as fractions; or all of a model's, and few enough to be read so in no time.
+
+    Of a part of a model's doubles the common denominator would depend on which part it is.
+    """
+    return rows.given_exactly or (rows.parts is None and len(rows.target) <= _EXACT_SUMS)
 
 
 def can_underflow(steps: int, smallest: float) -> bool:

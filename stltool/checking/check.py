@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from stltool.arguments import flag, function, one_of, real, whole
 from stltool.arguments import path as path_of
 from stltool.automata import FALSE, TRUE
-from stltool.checking.bounds import can_underflow, compounded, defect, enclose, model_defects, roundings
+from stltool.checking.bounds import can_underflow, compounded, defect, enclose, roundings, row_defect
 from stltool.checking.fixed import FixedPoint, fixed_point
 from stltool.checking.induction import (
     EVERYTHING,
@@ -47,6 +47,7 @@ from stltool.choices import Form, Table, own_table
 from stltool.display import Card, Displayed
 from stltool.errors import PolicyError, SettingsError, named
 from stltool.kernels.jit import SOURCES
+from stltool.models.rows import least_positive
 from stltool.numbers import round_down, round_up
 from stltool.policy import Policy, layered_header, require_door, require_policy_file
 from stltool.product import Product
@@ -179,8 +180,8 @@ def check(
     resume = flag(resume, "check's resume")
     every = float(real(save_every, "check's save_every"))
     path = _policy_file(policy_file, policy, keep_policy, resume)
-    if exact:
-        require_exact(product.model)
+    if exact and product.model.kinds is not None:
+        require_exact(product.model, product.model.kinds)
     question: Literal["maximum", "minimum", "policy"]
     question = "policy" if policy is not None else "maximum" if maximize else "minimum"
     judge, judged = policy.on(product) if policy is not None else (product, None)
@@ -270,9 +271,9 @@ class _Question:
         """(value, lower, upper, the arithmetic it took, the solution)"""
         scale = None
         if arithmetic != "double" and (self.policy is None or self.policy.deterministic):
-            scale = fixed_point(self.product.model)
+            scale = fixed_point(self.product.model, self.layers.kinds)
         if scale is not None and (arithmetic == "fixed" or self._narrower(scale)):
-            found = self._solved(Fixed(scale.numerator, scale.denominator, scale.one, self.maximize), "fixed")
+            found = self._solved(Fixed(scale.denominator, scale.one, self.maximize), "fixed")
             fixed = scale.enclose(self.product.model, self.product.horizon, found.entry[self._starts()])
             # a small probability keeps more of its digits in doubles
             if arithmetic == "fixed" or self.certain(found) or fixed[2] - fixed[1] <= _SHARP * fixed[2]:
@@ -282,7 +283,7 @@ class _Question:
                 "fixed point needs probabilities that share a small denominator, and a policy that does not mix; "
                 "use arithmetic='auto'"
             )
-        found = self._solved(Doubles(self.product.model.probability, self.maximize), "double")
+        found = self._solved(Doubles(self.maximize), "double")
         return *self._surely(found, self._in_doubles(found)), "double", found
 
     def certain(self, found: Solution) -> bool:
@@ -324,24 +325,20 @@ class _Question:
 
     def _narrower(self, scale: FixedPoint) -> bool:
         h = self.product.horizon
-        return scale.roundings(h) / scale.one < roundings(h, self._row_length()) * 2.0**-52
-
-    def _row_length(self) -> int:
-        return int(np.diff(self.product.model.row_start).max())
+        return scale.roundings(h) / scale.one < roundings(h, self.layers.kinds.longest) * 2.0**-52
 
     def _in_doubles(self, found: Solution) -> tuple[float, float, float]:
-        model, h = self.product.model, self.product.horizon
+        model, h, kinds = self.product.model, self.product.horizon, self.layers.kinds
         value = math.fsum(model.initial[np.flatnonzero(model.initial)] * found.entry[self._starts()])
-        mixed, weight_defect, smallest = 0, Fraction(0), least_positive(model.probability, model.initial)
+        mixed, weight_defect, smallest = 0, Fraction(0), min(kinds.least, least_positive(model.initial))
         if self.policy is not None and not self.policy.deterministic:
             weights = _distinct_mixtures(own_table(self.policy.form))
             mixed, weight_defect = weights.shape[1], defect(weights.tolist())
             smallest = min(smallest, least_positive(weights))
-        row_defect, start_defect = model_defects(model)
-        missing = h * (row_defect + weight_defect) + start_defect
+        missing = h * (row_defect(kinds) + weight_defect) + model.initial_defect
         missing = compounded(missing, missing)
         underflow = can_underflow((2 if mixed else 1) * h + 1, smallest)
-        lower, upper = enclose(value, roundings(h, self._row_length(), mixed), missing, underflow)
+        lower, upper = enclose(value, roundings(h, kinds.longest, mixed), missing, underflow)
         return min(max(value, 0.0), 1.0), lower, upper
 
 
@@ -353,11 +350,6 @@ def _distinct_mixtures(table: Floats) -> Floats:
     _, first, which = np.unique(number, return_index=True, return_inverse=True)
     distinct: Floats = rows[first]
     return distinct if np.array_equal(distinct[which.ravel()], rows) else np.unique(rows, axis=0)
-
-
-def least_positive(*arrays: Floats) -> float:
-    """The smallest positive entry."""
-    return min(float(array[array > 0].min(initial=1.0)) for array in arrays)
 
 
 def undefined(product: Product, policy: Policy) -> PolicyError:
@@ -404,4 +396,5 @@ class _Lenient(Following):
         for place in zip(s[taken < 0].tolist(), q[taken < 0].tolist(), strict=True):
             self.places[place] = min(t, self.places.get(place, t))
         owner = np.flatnonzero(taken >= 0)
-        return owner, game.rows.choice_start[s[owner]] + taken[owner], None
+        here = game.rows.at(s[owner])
+        return owner, game.rows.choice_start[here] + taken[owner], None

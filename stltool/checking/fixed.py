@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from stltool.checking.bounds import sums_exactly
 from stltool.models import MDP
 from stltool.models.fractions import LARGEST_SUM
+from stltool.models.rows import Rows
 from stltool.numbers import round_down, round_up
 
 _LARGEST_DENOMINATOR = 2**31
@@ -26,9 +27,8 @@ _LARGEST_DENOMINATOR = 2**31
 
 @dataclass(frozen=True, eq=False)
 class FixedPoint:
-    """numerator (n_transitions,) int64 over `denominator`; `one` is the unit; `exact_sweeps` is j."""
+    """`denominator` of the rows' numerators; `one` is the unit; `exact_sweeps` is j."""
 
-    numerator: NDArray[np.int64]
     denominator: int
     one: int
     exact_sweeps: int
@@ -39,23 +39,24 @@ class FixedPoint:
 
     def enclose(self, model: MDP, horizon: int, entry: NDArray[np.int64]) -> tuple[float, float, float]:
         """(value, lower, upper) from U_0 at the initial states, in their order."""
-        exact = model.exact()
         start = np.flatnonzero(model.initial).tolist()
-        upper = sum(exact.initial_share(s) * int(u) for s, u in zip(start, entry, strict=True)) / Fraction(self.one)
+        upper = sum(model.initial_share(s) * int(u) for s, u in zip(start, entry, strict=True)) / Fraction(self.one)
         lower = max(upper - Fraction(self.roundings(horizon), self.one), Fraction(0))
         middle = upper if upper == 1 else (lower + upper) / 2
         return float(middle), round_down(lower), round_up(upper)
 
 
-def fixed_point(model: MDP) -> FixedPoint | None:
-    """The fixed point of a model, or None where its probabilities do not share a small denominator."""
-    if not sums_exactly(model):
+def fixed_point(model: MDP, kinds: Rows | None = None) -> FixedPoint | None:
+    """The fixed point of a model, or None where its probabilities do not share a small denominator.
+
+    kinds   rows that stand for all that matter, where they are known
+    """
+    rows = kinds if kinds is not None else model.kinds if model.kinds is not None else model.rows
+    if not sums_exactly(rows) or rows.denominator >= _LARGEST_DENOMINATOR or rows.defect or model.initial_defect:
         return None
-    exact = model.exact()
-    if exact.denominator >= _LARGEST_DENOMINATOR or any(exact.defects(model.row_start)):
-        return None
+    D = rows.denominator
     one, exact_sweeps = 1, 0
-    while exact.denominator > 1 and one * exact.denominator**2 <= LARGEST_SUM:
-        one, exact_sweeps = one * exact.denominator, exact_sweeps + 1
-    one *= LARGEST_SUM // (one * exact.denominator)
-    return FixedPoint(exact.numerator.astype(np.int64), exact.denominator, one, exact_sweeps)
+    while D > 1 and one * D**2 <= LARGEST_SUM:
+        one, exact_sweeps = one * D, exact_sweeps + 1
+    one *= LARGEST_SUM // (one * D)
+    return FixedPoint(D, one, exact_sweeps)

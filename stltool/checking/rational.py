@@ -25,6 +25,7 @@ from stltool.models import MDP
 from stltool.models.fractions import Integers as Numerators
 from stltool.models.fractions import over_one
 from stltool.models.normalize import HINT, MOST_MISSING
+from stltool.models.rows import Rows
 from stltool.sizes import require_memory, require_time
 
 _DIGITS_BELOW = 2**40
@@ -45,15 +46,14 @@ def exact_probability(
 
     Raises ModelError where the model's rows do not sum to 1 exactly, SizeError before it takes what is not there.
     """
-    require_exact(model)
-    exact, h = model.exact(), layers.game.horizon
-    D = exact.denominator
+    require_exact(model, layers.kinds)
+    h, D = layers.game.horizon, layers.rows.denominator
     arithmetic: Digits | Integers
     if in_digits and D < _DIGITS_BELOW and not layers.allowed.mixed:
-        arithmetic, rate = Digits(exact.numerator.astype(np.int64), D, maximize), _DIGITS_RATE
+        arithmetic, rate = Digits(D, maximize), _DIGITS_RATE
         words = h * math.log2(max(D, 2)) / arithmetic.bits + 2
     else:
-        arithmetic, rate = Integers(exact.numerator, D, maximize), _PYTHON_RATE
+        arithmetic, rate = Integers(D, maximize), _PYTHON_RATE
         words = h * math.log2(max(D, 2)) / 64 + 4
     widest, pairs = layers.size()
     what = f"exact arithmetic on {pairs} pairs over {h} steps"
@@ -62,23 +62,23 @@ def exact_probability(
     require_time(pairs * layers.game.widest * (1 + words / 2), rate, what, remedy)
     found = solve(layers, arithmetic, maximize, keep, recorder)
     entries = [arithmetic.number(value) for value in found.entry]
-    shares = (exact.initial_share(s) for s in layers.game.first.tolist())
+    shares = (model.initial_share(s) for s in layers.game.first.tolist())
     total = sum((share * value for share, value in zip(shares, entries, strict=True)), Fraction(0))
     values = np.array([float(Fraction(value, arithmetic.one)) for value in entries])
     return total / arithmetic.one, replace(found, entry=values)
 
 
-def require_exact(model: MDP) -> None:
-    """ModelError, with the row, unless every distribution of the model sums to 1 exactly."""
-    exact = model.exact()
-    sums = np.add.reduceat(exact.numerator, model.row_start[:-1])
-    wrong = np.flatnonzero(sums != exact.denominator)
-    if wrong.size:
-        total, where = Fraction(int(sums[wrong[0]]), exact.denominator), model.place(int(wrong[0]))
-    elif sum(exact.initial.tolist()) != exact.initial_denominator:
-        total, where = Fraction(sum(exact.initial.tolist()), exact.initial_denominator), "the initial distribution"
-    else:
+def require_exact(model: MDP, kinds: Rows) -> None:
+    """ModelError, with the row, unless the model's rows, for which `kinds` stand, and its start sum to 1 exactly."""
+    if not kinds.defect and not model.initial_defect:
         return
+    if kinds.defect:
+        rows = model.rows
+        sums = np.add.reduceat(rows.numerator, rows.row_start[:-1])
+        wrong = int(np.flatnonzero(sums != rows.denominator)[0])
+        total, where = Fraction(int(sums[wrong]), rows.denominator), model.place(wrong)
+    else:
+        total, where = model.initial_total, "the initial distribution"
     sign = "+" if total > 1 else "−"
     raise ModelError(
         f"{where}: the probabilities sum to 1 {sign} {float(abs(total - 1)):.3g}, so there is no exact answer; give "

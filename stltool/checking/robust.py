@@ -41,12 +41,12 @@ import numpy as np
 from stltool.arguments import flag, function, one_of, whole
 from stltool.automata import FALSE, TRUE
 from stltool.checking.bounds import compounded, defect, enclose
-from stltool.checking.check import CheckResult, Floats, undefined
+from stltool.checking.check import CheckResult, undefined
 from stltool.checking.induction import EVERYTHING, Budget, Engine, Following, Game, Progress, Silent, layers_of, solve
 from stltool.checking.induction import Nature as NaturesChoice
 from stltool.choices import own_table
 from stltool.errors import SettingsError, named
-from stltool.models import Intervals
+from stltool.models.rows import Rows
 from stltool.policy import Policy, require_door
 from stltool.product import Product
 
@@ -87,27 +87,25 @@ def robust_check(
     one_of(engine, "engine", get_args(Engine))
     threads = whole(threads, "robust_check's threads", 1) if threads is not None else None
     function(progress, "robust_check's progress")
-    intervals = product.model.intervals
-    if intervals is None:
+    if not product.model.uncertain:
         product.model.require_points()
         raise SettingsError(
             f"the model has no intervals; use {named('check', 'stl.check')}, or give them with MDP.from_intervals or "
             "success = [lo, hi]"
         )
-    longest = int(np.diff(product.model.row_start).max())
-    if longest > _LONGEST_ROW:
-        raise SettingsError(f"a row has {longest} entries; robust checks take up to {_LONGEST_ROW}")
     judge, judged = policy.on(product) if policy is not None else (product, None)
     keep = product.model.unsigned_choice_type if policy is None and keep_policy else None
     question: Literal["maximum", "minimum", "policy"]
     question = "policy" if judged is not None else "maximum" if maximize else "minimum"
-    ends = (intervals.lower, intervals.upper - intervals.lower, _budget(product, intervals))
-    arithmetic = NaturesChoice(*ends, minimal=maximize == (nature == "against"), maximize=maximize)
+    arithmetic = NaturesChoice(minimal=maximize == (nature == "against"), maximize=maximize)
     allowed = EVERYTHING if judged is None else Following(judged.form)
     budget = Budget(f"checking {product.n_states} product states", memory_limit, progress)
     try:
         goal = TRUE if maximize else FALSE
         layers = layers_of(Game.of(judge), goal, allowed, engine=engine, keep=keep, threads=threads, budget=budget)
+        longest = layers.kinds.longest
+        if longest > _LONGEST_ROW:
+            raise SettingsError(f"a row has {longest} entries; robust checks take up to {_LONGEST_ROW}")
         found = solve(layers, arithmetic, maximize, keep)
     except Silent:
         assert judged is not None
@@ -118,8 +116,8 @@ def robust_check(
         weights = own_table(judged.form)
         mixed = weights.shape[-1]
         weight_defect = defect(np.unique(weights.reshape(-1, mixed), axis=0).tolist())
-    initial_defect = defect([product.model.initial])
-    a_sweep = (8 * longest + 2 * mixed) * _U + 2 * _defect(product) + 2 * weight_defect
+    initial_defect = product.model.initial_defect
+    a_sweep = (8 * longest + 2 * mixed) * _U + 2 * _defect(layers.kinds) + 2 * weight_defect
     growth = product.horizon * weight_defect + initial_defect  # what defects of weights make of earlier errors
     slack = compounded(product.horizon * a_sweep + initial_defect, growth)
     lower, upper = enclose(value, 3, slack, underflow=False)  # the initial sum's; a first sweep's slack is larger
@@ -136,22 +134,15 @@ def robust_check(
     )  # fmt: skip
 
 
-def _defect(product: Product) -> Fraction:
+def _defect(rows: Rows) -> Fraction:
     """By how much, exactly, a row's ends miss Σ lower ≤ 1 ≤ Σ upper at most; rows that repeat are summed once."""
-    model, intervals = product.model, product.model.intervals
+    intervals = rows.intervals
     assert intervals is not None
     worst = Fraction(0)
     for ends, sign in ((intervals.lower, 1), (intervals.upper, -1)):
-        sums = np.add.reduceat(ends, model.row_start[:-1])
+        sums = np.add.reduceat(ends, rows.row_start[:-1])
         close = (sums - 1) * sign > -_LONGEST_ROW * 2.0**-52  # with the sums' roundings; the others miss nothing
-        bounds = itertools.compress(itertools.pairwise(model.row_start.tolist()), close.tolist())
+        bounds = itertools.compress(itertools.pairwise(rows.row_start.tolist()), close.tolist())
         for row in {ends[a:b].tobytes() for a, b in bounds}:
             worst = max(worst, sign * (sum(map(Fraction, np.frombuffer(row).tolist()), Fraction(0)) - 1))
     return worst
-
-
-def _budget(product: Product, intervals: Intervals) -> Floats:
-    """1 − Σ lower of every choice (n_choices,)."""
-    missing = 1 - np.add.reduceat(intervals.lower, product.model.row_start[:-1])
-    budget: Floats = np.maximum(missing, 0.0)
-    return budget

@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 
 from stltool.checking.backward import Floats, Progress
 from stltool.checking.bounds import around, can_underflow, compounded, defect, model_defects, roundings
-from stltool.checking.check import least_positive
 from stltool.errors import NameLookupError, SettingsError, near_misses
 from stltool.models import MDP
+from stltool.models.rows import least_positive
 from stltool.numbers import round_down, round_up
 from stltool.product import JointProduct
 from stltool.sizes import Numbers, require_memory, require_time

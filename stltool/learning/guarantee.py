@@ -47,6 +47,7 @@ from stltool.errors import SettingsError
 from stltool.learning.confidence import Floats, Whole, entry_interval, unseen_mass
 from stltool.learning.counts import Counts
 from stltool.models import MDP, Intervals
+from stltool.models.rows import Stored
 from stltool.numbers import exact, floor_text
 from stltool.policy import Policy, require_door
 from stltool.product import Product, first_verdicts, with_outcome
@@ -223,18 +224,20 @@ def _of_intervals(
     )
     names = model.state_names if model.state_names is not None else map(str, range(S))
     return MDP(
-        choice_start=np.append(model.choice_start, M + 1),
-        choice_action=np.append(model.choice_action, np.int32(0)),
-        row_start=row_start,
-        target=np.concatenate([codes % S, np.full(len(lost) + 1, S)])[order].astype(np.int32),
-        probability=ends.nominal(row_start),
+        Stored(
+            np.append(model.choice_start, M + 1),
+            np.append(model.choice_action, np.int32(0)),
+            row_start,
+            np.concatenate([codes % S, np.full(len(lost) + 1, S)])[order].astype(np.int32),
+            ends.nominal(row_start),
+            intervals=ends,
+        ),
         initial=np.append(initial, 0.0),
         signals={},
         labels={},
         action_names=model.action_names,
         state_names=(*names, "never seen"),
         name=model.name,
-        intervals=ends,
     )
 
 

@@ -1,8 +1,8 @@
-"""Probabilities as they were given: integers over one denominator, beside the doubles that approximate them.
+"""Probabilities as they were given: integers over one denominator, next to the doubles that approximate them.
 
-A decimal or a fraction in a file means exactly that number, not its nearest double. A double handed over in an array
-means its shortest decimal (0.1 is 1/10) where the rows then sum to 1; otherwise it means its binary value, and what a
-row lacks or exceeds is the model's *defect*.
+A decimal or a fraction in a file means exactly that number, not its nearest double. A row of doubles in an array means
+their shortest decimals (0.1 is 1/10) where these sum to 1; otherwise it means their binary values, and what it lacks or
+exceeds is its *defect*.
 """
 
 from __future__ import annotations
@@ -24,6 +24,17 @@ Integers: TypeAlias = NDArray[Any]
 """int64 where numbers and their denominator are below 2^62, else Python integers in an object array."""
 
 LARGEST_SUM = 2**62  # what sums in int64 may come to
+
+
+@dataclass(frozen=True, eq=False)
+class Shares:
+    """Numbers exactly: number k is numerator[k] / denominator."""
+
+    numerator: Integers = field(repr=False)
+    denominator: int
+
+    def __getitem__(self, k: int) -> Fraction:
+        return Fraction(int(self.numerator[k]), self.denominator)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,17 +84,21 @@ def doubles_of(numerator: Integers, denominator: int) -> NDArray[np.float64]:
 def of_doubles(
     values: NDArray[np.float64], row_start: NDArray[np.int64], decimals: bool = False
 ) -> tuple[Integers, int]:
-    """Doubles as integers over one denominator: shortest decimals where every row of them sums to 1, else binary.
+    """Doubles as integers over one denominator: each row's shortest decimals where they sum to 1, else binary values.
 
     `decimals` takes shortest decimals whatever they sum to.
     """
     unique, which = np.unique(values, return_inverse=True)
-    for read in (shortest, Fraction):
-        shares, denominator = over_one(read(value) for value in unique.tolist())
-        numerator = shares[which]
-        if decimals or (np.add.reduceat(numerator, row_start[:-1]) == denominator).all():
-            break
-    return numerator, denominator
+    short = [shortest(value) for value in unique.tolist()]
+    shares, denominator = over_one(short)
+    numerator = shares[which]
+    wrong = np.add.reduceat(numerator, row_start[:-1]) != denominator
+    if decimals or not wrong.any():
+        return numerator, denominator
+    readings = [*short, *map(Fraction, unique.tolist())]
+    taken, which = np.unique(which + len(unique) * np.repeat(wrong, np.diff(row_start)), return_inverse=True)
+    shares, denominator = over_one(readings[k] for k in taken.tolist())
+    return shares[which], denominator
 
 
 def parsed(array: NDArray[Any]) -> NDArray[np.object_]:

@@ -34,10 +34,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.errors import ModelError, near_misses
-from stltool.models.fractions import Fractions, over_one
+from stltool.models.fractions import Shares, over_one
 from stltool.models.intervals import Intervals
 from stltool.models.mdp import MDP, GridLayout
 from stltool.models.normalize import HINT, MOST_MISSING, NOTHING, rescale
+from stltool.models.rows import Stored
 from stltool.models.toml import Faults
 from stltool.numbers import NumberError, exact, number_text
 from stltool.sizes import require_numbered
@@ -100,12 +101,16 @@ def grid_from_table(table: Mapping[str, Any], default_name: str = "grid", normal
     starts = int(weights.sum())
     uncertain = noise.uncertain
     return MDP(
-        choice_start=choice_start,
-        choice_action=np.tile(np.arange(len(MOVES[moves]), dtype=np.int32), len(row)),
-        row_start=row_start,
-        target=target,
-        # of the ends before they are cut to 1, so that the nominal model has one noise everywhere
-        probability=Intervals(least / whole, most / whole).nominal(row_start) if uncertain else least / whole,
+        Stored(
+            choice_start,
+            np.tile(np.arange(len(MOVES[moves]), dtype=np.int32), len(row)),
+            row_start,
+            target,
+            # of the ends before they are cut to 1, so that the nominal model has one noise everywhere
+            Intervals(least / whole, most / whole).nominal(row_start) if uncertain else least / whole,
+            exact=Shares(least, whole),
+            intervals=Intervals(least / whole, np.minimum(most, whole) / whole) if uncertain else None,
+        ),
         initial=weights / starts,
         signals={"x": _centres(column, cell), "y": _centres(row, cell)},
         labels={letter: cells[line, column] == letter for letter in letters},
@@ -113,8 +118,7 @@ def grid_from_table(table: Mapping[str, Any], default_name: str = "grid", normal
         state_names=names,
         layout=GridLayout(width, height, column, row),
         name=str(table.get("name", default_name)),
-        fractions=None if uncertain else Fractions(least, whole, weights, starts),
-        intervals=Intervals(least / whole, np.minimum(most, whole) / whole) if uncertain else None,
+        exact_initial=Shares(weights, starts),
         notes=noise.notes,
     )
 

@@ -1,6 +1,6 @@
 """A Markov decision process with named signals, labels, states and actions, validated once when it is made.
 
-Transitions are CSR rows, one row a *choice* (a state with one of its available actions):
+Transitions are CSR rows (models/rows.py), one row a *choice* (a state with one of its available actions):
 
     choices of state s          choice_start[s] … choice_start[s+1]−1,  by action choice_action[c]
     successors of choice c      target[row_start[c] … row_start[c+1]−1], with probability[…]
@@ -12,6 +12,7 @@ import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -23,6 +24,7 @@ from stltool.errors import ModelError, SettingsError, named, near_misses
 from stltool.models.fractions import (
     Fractions,
     Integers,
+    Shares,
     doubles_of,
     floats,
     nearest,
@@ -31,7 +33,8 @@ from stltool.models.fractions import (
     parsed,
 )
 from stltool.models.intervals import Intervals
-from stltool.models.normalize import HINT, MOST_MISSING, rescale
+from stltool.models.normalize import rescale
+from stltool.models.rows import ROW_TOLERANCE, Demand, Rows, Source, Stored, digest_arrays, hint
 from stltool.numbers import NumberError, exact, number_text
 from stltool.sizes import IntegerType, UnsignedType, integer_type, require_memory, require_numbered, unsigned_type
 
@@ -45,7 +48,7 @@ Floats: TypeAlias = NDArray[np.float64]
 _SHOWN = 4  # initial states in a short description
 _NAMED = 8  # initial states that are told
 _SHORT = 12  # characters of a number that is told whole
-_ROW_TOLERANCE = 1e-9  # how far a row of doubles may sum from 1
+_FEW = 100_000  # row entries that are made all at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,29 +66,26 @@ class GridLayout:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MDP(Displayed):
-    """See the module's text; build one with `MDP.from_arrays`, `from_intervals`, `black_box` or `load_model`.
+    """See the module's text; build one with `MDP.from_arrays`, `from_intervals`, `from_function`, `black_box` or
+    `load_model`.
 
-    initial       (n_states,) probabilities of the first state
-    signals       name → (n_states,) reals
-    labels        name → (n_states,) Booleans
-    fractions     what the doubles `probability` and `initial` stand for, where the model was given in fractions or
-                  decimals; `exact()` has it for every model
-    intervals     where the probabilities are known up to intervals: their ends; `probability` is then
-                  `intervals.nominal(row_start)`, and only `robust_check` answers for the model
-    blackbox      where the probabilities are unknown: what makes the environment that stands for them, from a generator
-                  and the steps of an episode (None: not known). There are then no rows: `row_start` and `initial` are
-                  zero, `target` and `probability` empty; `learn`, `estimate` and `sprt` answer for the model
-    notes         what is worth telling of how the model was read, by subject: "normalize", or what a file beside it is
-                  missing for ("label", "signal")
+    source         where the rows come from (models/rows.py): all in memory, or made when they are asked for. `target`,
+                   `probability`, `row_start` and the like have all rows: a source on demand makes them the first time
+    initial        (n_states,) probabilities of the first state
+    signals        name → (n_states,) reals
+    labels         name → (n_states,) Booleans
+    exact_initial  what the doubles `initial` stand for, where they were given in fractions or decimals
+    blackbox       where the probabilities are unknown: what makes the environment that stands for them, from a
+                   generator and the steps of an episode (None: not known). There are then no rows: `row_start` and
+                   `initial` are zero, `target` and `probability` empty; `learn`, `estimate` and `sprt` answer for the
+                   model
+    notes          what is worth telling of how the model was read, by subject: "normalize", or what a file beside it is
+                   missing for ("label", "signal")
     Raises ModelError, naming state and action, when a row is no distribution, a state has no action, a value is not
     finite, or a shape does not fit.
     """
 
-    choice_start: NDArray[np.int64]
-    choice_action: NDArray[np.int32]
-    row_start: NDArray[np.int64]
-    target: NDArray[np.int32]
-    probability: Floats
+    source: Source
     initial: Floats
     signals: Mapping[str, Floats]
     labels: Mapping[str, NDArray[np.bool_]]
@@ -93,29 +93,70 @@ class MDP(Displayed):
     state_names: Sequence[str] | None = None
     layout: GridLayout | None = None
     name: str = "model"
-    fractions: Fractions | None = None
-    intervals: Intervals | None = None
+    exact_initial: Shares | None = None
     blackbox: Callable[[np.random.Generator, int | None], Resettable] | None = None
     notes: Mapping[str, str] = field(default_factory=dict)
-    _digest: list[str] = field(default_factory=list, repr=False)
-    _exact: list[Fractions] = field(default_factory=list, repr=False)
 
     def __post_init__(self) -> None:
         _validate(self)
-        arrays: list[NDArray[Any]] = [self.choice_start, self.choice_action, self.row_start, self.target]
-        arrays += [self.probability, self.initial, *self.signals.values(), *self.labels.values()]
-        if self.intervals is not None:
-            arrays += [self.intervals.lower, self.intervals.upper]
-        for array in arrays:
+        for array in (self.initial, *self.signals.values(), *self.labels.values()):
             array.setflags(write=False)  # the digest stands for the content
+
+    # -------------------------------------------------------------------------------------------------- all rows
+
+    @cached_property
+    def rows(self) -> Rows:
+        """All rows; SizeError before memory is taken that is not there."""
+        return self.source.whole()
+
+    @property
+    def kinds(self) -> Rows | None:
+        """Rows that stand for all of them, by lengths and probabilities; None where nothing is known of them yet."""
+        kinds = self.source.kinds
+        return self.rows if kinds is None and "rows" in vars(self) else kinds
+
+    def some_rows(self) -> Rows | Demand:
+        """For whoever needs a part of the rows: those in memory, or a source's, as they are asked for."""
+        source = self.source
+        whole = not source.on_demand or "rows" in vars(self) or source.n_states * source.widest <= _FEW
+        return self.rows if whole else Demand(source)
+
+    @property
+    def choice_start(self) -> NDArray[np.int64]:
+        return self.source.choice_start
+
+    @property
+    def choice_action(self) -> NDArray[np.int32]:
+        return self.source.choice_action
+
+    @property
+    def row_start(self) -> NDArray[np.int64]:
+        return self.rows.row_start
+
+    @property
+    def target(self) -> NDArray[np.int32]:
+        return self.rows.target
+
+    @property
+    def probability(self) -> Floats:
+        return self.rows.probability
+
+    @property
+    def intervals(self) -> Intervals | None:
+        """Where the probabilities are known up to intervals: their ends. `uncertain` says whether, without any rows."""
+        return self.rows.intervals if self.uncertain else None
+
+    @property
+    def uncertain(self) -> bool:
+        return self.source.uncertain
 
     # ------------------------------------------------------------------------------------------ sizes and names
 
     def _card(self) -> Card:
         counts = [counted(self.n_states, "state"), counted(self.n_actions, "action")]
-        if self.blackbox is None:
+        if self.blackbox is None and self.kinds is not None:
             counts.append(counted(self.n_transitions, "transition"))
-        known = "a black box" if self.blackbox is not None else "intervals" if self.intervals is not None else None
+        known = "a black box" if self.blackbox is not None else "intervals" if self.uncertain else None
         return Card(
             f"MDP {self.name}: {', '.join(counts)}",
             [
@@ -133,15 +174,15 @@ class MDP(Displayed):
 
     @property
     def n_states(self) -> int:
-        return len(self.choice_start) - 1
+        return self.source.n_states
 
     @property
     def n_choices(self) -> int:
-        return len(self.choice_action)
+        return self.source.n_choices
 
     @property
     def n_transitions(self) -> int:
-        return len(self.target)
+        return len(self.rows.target) if "rows" in vars(self) else self.source.n_transitions
 
     @property
     def n_actions(self) -> int:
@@ -150,7 +191,7 @@ class MDP(Displayed):
     @property
     def most_choices(self) -> int:
         """The most actions that a state has."""
-        return int(np.diff(self.choice_start).max())
+        return self.source.most_choices
 
     @property
     def choice_type(self) -> IntegerType:
@@ -190,7 +231,7 @@ class MDP(Displayed):
         return f"{len(states)} states: {', '.join(f'{name} with probability {share}' for name, share in shown)}{more}"
 
     def _share_text(self, s: int) -> str:
-        text = number_text(self.fractions.initial_share(s)) if self.fractions is not None else ""
+        text = number_text(self.exact_initial[s]) if self.exact_initial is not None else ""
         return text if 0 < len(text) <= _SHORT else f"{self.initial[s]:.6g}"
 
     def matrix(self) -> csr_array:
@@ -207,7 +248,7 @@ class MDP(Displayed):
                 f"the probabilities of {self.name} are unknown: it is a black box; use {named('learn', 'stl.learn')} "
                 f"and {named('estimate', 'stl.estimate')}, or give a model with probabilities"
             )
-        if self.intervals is not None:
+        if self.uncertain:
             raise SettingsError(
                 f"the model's probabilities are intervals; use {named('check', 'stl.robust_check')}, or the ordinary "
                 f"model inside them{named('nominal', ': model.nominal()')}"
@@ -218,48 +259,61 @@ class MDP(Displayed):
 
         States, choices and actions stay as they are; entries whose probability must be 0 are left out.
         """
-        if self.intervals is None:
-            return self
-        kept = self.probability > 0
-        before = np.concatenate([[0], np.cumsum(kept)])
-        return replace(
-            self,
-            row_start=before[self.row_start].astype(np.int64),
-            target=self.target[kept],
-            probability=self.probability[kept],
-            fractions=None,
-            intervals=None,
-            _digest=[],
-            _exact=[],
-        )
+        return replace(self, source=self.source.nominal()) if self.uncertain else self
+
+    def with_rows(self, **changes: Any) -> MDP:
+        """The model with its rows in memory, some of them changed: `row_start`, `target`, `probability`, `exact`
+        (Shares) or `intervals`."""
+        rows = self.rows
+        shares = rows.chances.exact if rows.given_exactly else None
+        known = {
+            "choice_start": self.choice_start, "choice_action": self.choice_action, "row_start": self.row_start,
+            "target": self.target, "probability": self.probability, "exact": shares, "intervals": self.intervals,
+        }  # fmt: skip
+        return replace(self, source=Stored(**{**known, **changes}))
+
+    @cached_property
+    def _digest(self) -> str:
+        sha = hashlib.sha256()
+        self.source.digest_into(sha)
+        columns = [
+            ("initial", self.initial),
+            *(("signal " + name, self.signals[name]) for name in sorted(self.signals)),
+        ]
+        digest_arrays(sha, [*columns, *(("label " + name, self.labels[name]) for name in sorted(self.labels))])
+        sha.update("\0".join(self.action_names).encode())
+        return sha.hexdigest()
 
     def digest(self) -> str:
-        """A SHA-256 over the whole content, names included."""
-        if not self._digest:
-            sha = hashlib.sha256()
-            arrays: list[tuple[str, NDArray[Any]]] = [
-                ("choices", self.choice_start), ("actions", self.choice_action), ("rows", self.row_start),
-                ("targets", self.target), ("probabilities", self.probability), ("initial", self.initial),
-                *(("signal " + name, self.signals[name]) for name in sorted(self.signals)),
-                *(("label " + name, self.labels[name]) for name in sorted(self.labels)),
-            ]  # fmt: skip
-            if self.intervals is not None:
-                arrays += [("lower", self.intervals.lower), ("upper", self.intervals.upper)]
-            for title, array in arrays:
-                sha.update(f"{title}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
-            sha.update("\0".join(self.action_names).encode())
-            self._digest.append(sha.hexdigest())
-        return self._digest[0]
+        """A SHA-256 over the content, action names included: of rows on demand, over what they are made from."""
+        return self._digest
+
+    @cached_property
+    def _initial_shares(self) -> Shares:
+        if self.exact_initial is not None:
+            return self.exact_initial
+        return Shares(*of_doubles(self.initial, np.array([0, self.n_states])))
+
+    def initial_share(self, s: int) -> Fraction:
+        """The probability of starting in state s, exactly."""
+        return self._initial_shares[s]
+
+    @cached_property
+    def initial_total(self) -> Fraction:
+        """Σ initial, exactly."""
+        shares = self._initial_shares
+        return Fraction(int(shares.numerator.sum()), shares.denominator)
+
+    @property
+    def initial_defect(self) -> Fraction:
+        """|Σ initial − 1|, exactly."""
+        return abs(self.initial_total - 1)
 
     def exact(self) -> Fractions:
         """The probabilities exactly: as given in fractions, or what the doubles mean (models/fractions.py)."""
         self.require_points()
-        if self.fractions is not None:
-            return self.fractions
-        if not self._exact:
-            start = of_doubles(self.initial, np.array([0, self.n_states]))
-            self._exact.append(Fractions(*of_doubles(self.probability, self.row_start), *start))
-        return self._exact[0]
+        rows, start = self.rows, self._initial_shares
+        return Fractions(rows.numerator, rows.denominator, start.numerator, start.denominator)
 
     # ------------------------------------------------------------------------------------------ building
 
@@ -360,11 +414,13 @@ class MDP(Displayed):
             raise ModelError(f"available has shape {has.shape}, not {shape} (states, actions)")
         choice_start = np.concatenate([[0], np.cumsum(has.sum(axis=1))]).astype(np.int64)
         return cls(
-            choice_start=choice_start,
-            choice_action=np.nonzero(has)[1].astype(np.int32),
-            row_start=np.zeros(choice_start[-1] + 1, dtype=np.int64),
-            target=np.empty(0, dtype=np.int32),
-            probability=np.empty(0),
+            Stored(
+                choice_start,
+                choice_action=np.nonzero(has)[1].astype(np.int32),
+                row_start=np.zeros(choice_start[-1] + 1, dtype=np.int64),
+                target=np.empty(0, dtype=np.int32),
+                probability=np.empty(0),
+            ),
             initial=np.zeros(shape[0]),
             **_columns(signals, labels, optional=True),
             action_names=names,
@@ -405,31 +461,31 @@ class MDP(Displayed):
         row_start = rows.indptr.astype(np.int64)
         start, exact_start = _initial(initial, n_states, given_names)
         probability = rows.data.astype(np.float64) if intervals is None else intervals.nominal(row_start)
-        fractions, notes = None, {}
+        exact: Shares | None = None
+        exact_initial, notes = (Shares(*over_one(exact_start)) if exact_start is not None else None), {}
         normalize = normalize and _are_positive(probability) and _are_positive(start[start != 0])  # else refused below
         if intervals is None and (normalize or exact_start is not None or any(m.dtype == object for m in given)):
             state = np.arange(n_states * n_actions)[available] // n_actions
             one_row = np.array([0, n_states])
-            begin = over_one(exact_start) if exact_start is not None else of_doubles(start, one_row, normalize)
+            begin = exact_initial if exact_initial is not None else Shares(*of_doubles(start, one_row, normalize))
             shares = _exact_entries(rows, state, action, given, normalize)
             if normalize:
                 known = given_names if given_names is not None else range(n_states)
                 shares, done = rescale(
                     shares, row_start, lambda c: f"state {known[state[c]]}, action {names[action[c]]}"
                 )
-                begin, started = rescale(begin, one_row, lambda _: "the initial distribution")
-                probability, start = doubles_of(*shares), doubles_of(*begin)
+                first, started = rescale(
+                    (begin.numerator, begin.denominator), one_row, lambda _: "the initial distribution"
+                )
+                begin = Shares(*first)
+                probability, start = doubles_of(*shares), doubles_of(*first)
                 notes["normalize"] = str(done + started)
-            fractions = Fractions(*shares, *begin)
+            exact, exact_initial = Shares(*shares), begin
+        choice_start = np.concatenate([[0], np.cumsum(per_state)]).astype(np.int64)
         return cls(
-            choice_start=np.concatenate([[0], np.cumsum(per_state)]).astype(np.int64),
-            choice_action=action,
-            row_start=row_start,
-            target=rows.indices.astype(np.int32),
-            probability=probability,
+            Stored(choice_start, action, row_start, rows.indices.astype(np.int32), probability, exact, intervals),
             initial=start,
-            fractions=fractions,
-            intervals=intervals,
+            exact_initial=exact_initial,
             **_columns(signals, labels),
             action_names=names,
             state_names=given_names,
@@ -630,13 +686,13 @@ def _validate(m: MDP) -> None:
         raise ModelError(f"{both[0]} names a signal and a label; rename one of them")
     if m.blackbox is None:
         _validate_distribution(m.initial, m.n_states)
-    without = np.flatnonzero(np.diff(m.choice_start) == 0)
+    without = np.flatnonzero(np.diff(m.choice_start) == 0) if not m.source.on_demand else np.empty(0)
     if without.size:
         raise ModelError(
             f"state {m.state_name(without[0])} has no action; give it one that stays (probability 1 to itself)"
         )
     if m.blackbox is None:
-        _validate_rows(m)
+        m.source.require_distributions(m.place, m.state_name)
     elif len(m.row_start) != m.n_choices + 1 or m.row_start.any() or m.n_transitions or m.initial.any():
         raise ModelError("a black box has no rows and no initial distribution; make one with MDP.black_box")
 
@@ -646,31 +702,5 @@ def _validate_distribution(initial: Floats, n_states: int) -> None:
         raise ModelError(f"the initial distribution has shape {initial.shape}, not ({n_states},)")
     if not np.isfinite(initial).all() or (initial < 0).any():
         raise ModelError("the initial distribution has values that are no probabilities")
-    if abs(initial.sum() - 1) > _ROW_TOLERANCE:
-        raise ModelError(f"the initial distribution sums to {initial.sum():.12g}, not 1{_hint(initial.sum())}")
-
-
-def _validate_rows(m: MDP) -> None:
-    def choice_of(entry: int) -> int:
-        return int(np.searchsorted(m.row_start, entry, side="right")) - 1
-
-    empty = np.flatnonzero(np.diff(m.row_start) == 0)
-    if empty.size:
-        raise ModelError(f"{m.place(int(empty[0]))}: the probabilities sum to 0, not 1")
-    if m.intervals is not None:
-        m.intervals.validate(m.row_start, m.probability, m.place, lambda k: m.state_name(m.target[k]))
-    low = m.probability < 0 if m.intervals is not None else m.probability <= 0  # intervals may force a 0
-    bad = np.flatnonzero(~np.isfinite(m.probability) | low | (m.probability > 1 + _ROW_TOLERANCE))
-    if bad.size:
-        value, successor = m.probability[bad[0]], m.state_name(m.target[bad[0]])
-        raise ModelError(f"{m.place(choice_of(bad[0]))}: {value:.12g} to state {successor} is no probability")
-    sums = np.add.reduceat(m.probability, m.row_start[:-1])
-    wrong = np.flatnonzero(np.abs(sums - 1) > _ROW_TOLERANCE)
-    if wrong.size:
-        more = f" (and those of {len(wrong) - 1} more rows)" if len(wrong) > 1 else ""
-        total = sums[wrong[0]]
-        raise ModelError(f"{m.place(wrong[0])}: the probabilities sum to {total:.12g}, not 1{more}{_hint(total)}")
-
-
-def _hint(total: float) -> str:
-    return f"; {HINT}" if abs(total - 1) <= MOST_MISSING else ""
+    if abs(initial.sum() - 1) > ROW_TOLERANCE:
+        raise ModelError(f"the initial distribution sums to {initial.sum():.12g}, not 1{hint(initial.sum())}")

@@ -299,8 +299,7 @@ def test_values_of_all_states_are_those_of_beginning_there(floor5, engine, optio
     assert found.probability == stl.check(product, **options).probability
     for s in range(floor5.n_states):
         one = (np.arange(floor5.n_states) == s).astype(np.int64)
-        exact = dataclasses.replace(floor5.fractions, initial=one, initial_denominator=1)
-        there = dataclasses.replace(floor5, initial=one.astype(float), fractions=exact, _digest=[], _exact=[])
+        there = dataclasses.replace(floor5, initial=one.astype(float), exact_initial=None)
         alone = stl.build_product(there, product.formula)
         assert found.values[s] == pytest.approx(stl.check(alone, **options).probability, abs=1e-14)
 

@@ -66,12 +66,11 @@ def random_policy(product, rng, form):
 
 def arithmetics(product, maximize):
     """Name, arithmetic, and what stands for 1 in its first layer when it is done."""
-    model, exact = product.model, product.model.exact()
-    fixed = fixed_point(model)
-    yield "double", Doubles(model.probability, maximize), lambda _: 1.0
-    yield "fixed", Fixed(fixed.numerator, fixed.denominator, fixed.one, maximize), lambda made: made.one
-    yield "integers", Integers(exact.numerator, exact.denominator, maximize), lambda made: made.one
-    yield "digits", Digits(exact.numerator, exact.denominator, maximize), lambda made: made.one
+    fixed, D = fixed_point(product.model), product.model.rows.denominator
+    yield "double", Doubles(maximize), lambda _: 1.0
+    yield "fixed", Fixed(fixed.denominator, fixed.one, maximize), lambda made: made.one
+    yield "integers", Integers(D, maximize), lambda made: made.one
+    yield "digits", Digits(D, maximize), lambda made: made.one
 
 
 def start_values(product, layers):
@@ -118,12 +117,10 @@ def _table(choices, product):
 def test_following_the_best_choices_gives_the_same_bits(seed, engine):
     product, _ = random_product(seed, most_states=20)
     for maximize in (True, False):
-        best = induct(Game.of(product), Doubles(product.model.probability, maximize), maximize, keep=np.uint8)
+        best = induct(Game.of(product), Doubles(maximize), maximize, keep=np.uint8)
         same = np.arange(product.automaton.n_states)
         for form in (best.choices, Table(_table(best.choices, product)), Through(best.choices, same)):
-            again = induct(
-                Game.of(product), Doubles(product.model.probability, True), True, Following(form), engine=engine
-            )
+            again = induct(Game.of(product), Doubles(True), True, Following(form), engine=engine)
             assert np.array_equal(again.entry, best.entry)
 
 
@@ -134,16 +131,14 @@ def test_a_policy_that_is_silent_where_it_can_be_is_found_out(engine, patrolling
     with pytest.raises(Silent):
         induct(
             Game.of(patrolling),
-            Doubles(patrolling.model.probability, True),
+            Doubles(True),
             True,
             Following(Table(table)),
             engine=engine,
         )
     far = np.zeros(patrolling.shape, dtype=np.int64)
     far[np.flatnonzero(patrolling.model.initial == 0)] = -1  # standing still at the start, it never gets there
-    found = induct(
-        Game.of(patrolling), Doubles(patrolling.model.probability, True), True, Following(Table(far)), engine=engine
-    )
+    found = induct(Game.of(patrolling), Doubles(True), True, Following(Table(far)), engine=engine)
     assert found.entry.tolist() == [0.0]
 
 
@@ -205,7 +200,7 @@ def wide_product(seed):
 @pytest.mark.parametrize("maximize", [True, False])
 def test_engines_agree_to_the_bit_and_so_do_any_number_of_threads(seed, maximize):
     product = wide_product(seed) if seed % 2 else random_product(seed, most_states=40)[0]
-    arithmetic = Doubles(product.model.probability, maximize)
+    arithmetic = Doubles(maximize)
     one = induct(Game.of(product), arithmetic, maximize, engine="nodes", keep=np.uint8)
     for threads in (1, 2, 5):
         other = induct(Game.of(product), arithmetic, maximize, engine="words", keep=np.uint8, threads=threads)
@@ -218,7 +213,7 @@ def test_engines_agree_to_the_bit_and_so_do_any_number_of_threads(seed, maximize
 def test_ranges_of_states_are_put_together_in_order(monkeypatch):
     """With ranges of a few words, so that neighbours lie in other ranges."""
     product = wide_product(1)
-    arithmetic = Doubles(product.model.probability, True)
+    arithmetic = Doubles(True)
     whole = induct(Game.of(product), arithmetic, engine="words", keep=np.uint8)
     for name in ("_MOST_WORDS", "_WORTH_WORDS"):
         monkeypatch.setattr(f"stltool.checking.induction.words.{name}", 5)
@@ -234,8 +229,8 @@ def test_an_induction_that_repeats_stops_with_the_numbers_of_all_steps(engine, m
     for formula in ("F[0,300] C", "!A U[0,300] C", "G[0,200] F[0,12] A"):
         product = stl.build_product(floor5, stl.parse(formula))
         fixed = fixed_point(floor5)
-        rows = (floor5.probability,) if make is Doubles else (fixed.numerator, fixed.denominator, fixed.one)
-        quick, slow = make(*rows, True), make(*rows, True)
+        units = () if make is Doubles else (fixed.denominator, fixed.one)
+        quick, slow = make(*units, True), make(*units, True)
         slow.repeats, slow.tiles = False, lambda engine: None
         found = induct(Game.of(product), quick, engine=engine, keep=np.uint8)
         whole = induct(Game.of(product), slow, engine=engine, keep=np.uint8)
@@ -246,7 +241,7 @@ def test_an_induction_that_repeats_stops_with_the_numbers_of_all_steps(engine, m
 
 def test_a_million_steps_cost_as_many_layers_as_it_takes_to_arrive(floor5):
     product = stl.build_product(floor5, stl.parse("F[0,1000000] C"))
-    found = induct(Game.of(product), Doubles(floor5.probability, True), keep=np.uint8)
+    found = induct(Game.of(product), Doubles(True), keep=np.uint8)
     assert found.swept < 100
     assert found.choices.at(500_000, np.array([0]), np.array([product.enter(0, product.automaton.initial)]))[0] >= 0
 
@@ -357,8 +352,8 @@ def test_layers_that_were_not_kept_are_made_again(n, most):
 @pytest.mark.parametrize("engine", ENGINES)
 def test_little_room_for_layers_changes_nothing(engine, monkeypatch):
     product = wide_product(1)
-    wanted = induct(Game.of(product), Doubles(product.model.probability, True), engine=engine, keep=np.uint8)
+    wanted = induct(Game.of(product), Doubles(True), engine=engine, keep=np.uint8)
     monkeypatch.setattr("stltool.checking.induction.layers._SHARE", 0)
-    found = induct(Game.of(product), Doubles(product.model.probability, True), engine=engine, keep=np.uint8)
+    found = induct(Game.of(product), Doubles(True), engine=engine, keep=np.uint8)
     assert np.array_equal(found.entry, wanted.entry)
     assert np.array_equal(found.choices.arrays()["choice"], wanted.choices.arrays()["choice"])

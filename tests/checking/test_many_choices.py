@@ -1,6 +1,5 @@
 """A state with more actions than int16 can number: every answer, policy and file is that of the best one, the last."""
 
-import dataclasses
 from fractions import Fraction
 
 import numpy as np
@@ -13,8 +12,9 @@ from stltool.learning.counts import Counts
 from stltool.learning.model_based import ModelBased
 from stltool.learning.problem import Problem
 from stltool.learning.tables import ClockedTable
-from stltool.models.fractions import Fractions
+from stltool.models.fractions import Shares
 from stltool.models.intervals import Intervals
+from stltool.models.rows import Stored
 
 BORDERS = [2**15, 2**15 + 1, 40_000]  # int16 numbers 2^15 choices, counted from 0
 TASK = stl.parse("F[0,2) F[0,2) goal")  # two tries: 1 − (1 − p)²
@@ -27,16 +27,18 @@ def model(n):
     hundredths[0], hundredths[-1] = 25, 90
     numerator = np.append(np.stack([100 - hundredths, hundredths], axis=1).ravel(), 100)
     return stl.MDP(
-        choice_start=np.array([0, n, n + 1]),
-        choice_action=np.append(np.arange(n), 0).astype(np.int32),
-        row_start=np.append(2 * np.arange(n + 1), 2 * n + 1),
-        target=np.append(np.tile([0, 1], n), 1).astype(np.int32),
-        probability=numerator / 100,
+        Stored(
+            choice_start=np.array([0, n, n + 1]),
+            choice_action=np.append(np.arange(n), 0).astype(np.int32),
+            row_start=np.append(2 * np.arange(n + 1), 2 * n + 1),
+            target=np.append(np.tile([0, 1], n), 1).astype(np.int32),
+            probability=numerator / 100,
+            exact=Shares(numerator, 100),
+        ),
         initial=np.array([1.0, 0.0]),
         signals={},
         labels={"goal": np.array([False, True])},
         action_names=tuple(map(str, range(n))),
-        fractions=Fractions(numerator, 100, np.array([1, 0]), 1),
     )
 
 
@@ -78,8 +80,7 @@ def test_the_optima(wide, options):
 def test_fractions_in_pythons_integers(wide):
     n, product, _ = wide
     numerator, denominator = product.model.exact().numerator, 100 * 2**40
-    fine = Fractions(numerator * 2**40, denominator, np.array([1, 0]), 1)
-    finer = dataclasses.replace(product.model, fractions=fine, _digest=[], _exact=[])
+    finer = product.model.with_rows(exact=Shares(numerator * 2**40, denominator))
     best = stl.check(stl.build_product(finer, TASK), exact=True)
     assert best.fraction == BEST
     assert first(product, best.policy) == n - 1
@@ -91,9 +92,7 @@ def test_intervals(wide):
     sure = np.diff(rows)[np.repeat(np.arange(n + 1), np.diff(rows))] == 1
     points = product.model.probability
     ends = Intervals(np.where(sure, 1, points - 0.05), np.where(sure, 1, points + 0.05))
-    loose = dataclasses.replace(
-        product.model, probability=ends.nominal(rows), fractions=None, intervals=ends, _digest=[]
-    )
+    loose = product.model.with_rows(probability=ends.nominal(rows), intervals=ends)
     uncertain = stl.build_product(loose, TASK)
     best = stl.robust_check(uncertain)
     assert first(product, best.policy) == n - 1

@@ -164,7 +164,7 @@ def test_thousands_of_exact_values_lie_in_their_enclosures(denominator, n_block)
                     for a in range(2)
                 )  # fmt: skip
         for s in np.flatnonzero(~goal & ~bad):
-            here = replace(product, model=replace(model, initial=np.eye(n)[s], _digest=[]))
+            here = replace(product, model=replace(model, initial=np.eye(n)[s], exact_initial=None))
             result = stl.robust_check(here, maximize=maximize, nature=nature, keep_policy=False)
             value = Fraction(exact[0, int(s), product.enter(int(s), automaton.initial)], denominator**horizon)
             assert Fraction(result.lower) <= value <= Fraction(result.upper)
@@ -236,7 +236,7 @@ def test_the_weights_of_a_mixture_may_miss_one():
 def test_points_as_intervals_are_the_ordinary_check(model, question):
     maximize, nature = question
     points = Intervals(model.probability.copy(), model.probability.copy())
-    same = replace(model, intervals=points, fractions=None, _digest=[])
+    same = model.with_rows(intervals=points)
     phi = stl.parse("G[0,2] (F[0,2] a | b)")
     robust = stl.robust_check(stl.build_product(same, phi), maximize=maximize, nature=nature)
     plain = stl.check(stl.build_product(model, phi), maximize=maximize)
@@ -271,7 +271,7 @@ def test_wider_intervals_give_nature_more(product, question):
     wide = Intervals(model.intervals.lower / 2, np.minimum(model.intervals.upper * 1.5, 1))
     wider = replace(
         product,
-        model=replace(model, intervals=wide, probability=wide.nominal(model.row_start), fractions=None, _digest=[]),
+        model=model.with_rows(intervals=wide, probability=wide.nominal(model.row_start)),
     )
     a, b = (stl.robust_check(p, maximize=maximize, nature=nature).probability for p in (product, wider))
     assert b <= a + 1e-14 if minimizes(maximize, nature) else b >= a - 1e-14
@@ -393,7 +393,7 @@ def test_values_agree_with_a_convex_programme(seed):
 def blurred(model, by=0.01):
     """The model with every probability known up to `by`."""
     ends = Intervals(np.maximum(model.probability - by, 0), np.minimum(model.probability + by, 1))
-    return replace(model, intervals=ends, probability=ends.nominal(model.row_start), fractions=None, _digest=[])
+    return model.with_rows(intervals=ends, probability=ends.nominal(model.row_start))
 
 
 def test_a_value_by_hand():

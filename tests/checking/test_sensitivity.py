@@ -171,10 +171,7 @@ def test_for_an_optimal_policy_it_is_the_optimums_derivative(patrolling):
     def optimum(by):
         rows = range(model.choice_start[top.state], model.choice_start[top.state + 1])
         moved = np.array([float(p) for p in tilted(model, rows, Fraction(by))])
-        changed = stl.MDP(
-            model.choice_start, model.choice_action, model.row_start, model.target, moved, model.initial,
-            model.signals, model.labels, model.action_names,
-        )  # fmt: skip
+        changed = model.with_rows(probability=moved, exact=None)
         return stl.check(stl.build_product(changed, patrolling.formula)).probability
 
     assert (optimum(1e-6) - optimum(-1e-6)) / 2e-6 == pytest.approx(top.derivative, rel=1e-6)

@@ -16,6 +16,7 @@ from stltool.checking.statistical import _excess, clopper_pearson, okamoto_runs,
 from stltool.errors import ModelError, PolicyError, SettingsError, SizeError
 from stltool.kernels import rollout as kernels
 from stltool.models.environment import Environment, cumulated, simulator
+from stltool.models.rows import Stored
 from stltool.randomness import Purpose
 from stltool.testing import flag_formulas, formulas, models
 from tests import oracles
@@ -189,8 +190,10 @@ def test_rows_are_summed_one_by_one():
     rare = np.zeros((n, 2))
     rare[:, 0], rare[:, 1] = 1e-13, 1 - 1e-13
     model = stl.MDP(
-        choice_start=np.arange(n + 1), choice_action=np.zeros(n, dtype=np.int32), row_start=2 * np.arange(n + 1),
-        target=np.stack([states, (states + 1) % n], axis=1).astype(np.int32).ravel(), probability=rare.ravel(),
+        Stored(
+            np.arange(n + 1), np.zeros(n, dtype=np.int32), 2 * np.arange(n + 1),
+            np.stack([states, (states + 1) % n], axis=1).astype(np.int32).ravel(), rare.ravel(),
+        ),
         initial=np.eye(1, n)[0], signals={}, labels={}, action_names=("go",),
     )  # fmt: skip
     assert np.array_equal(cumulated(model).reshape(n, 2), np.cumsum(rare, axis=1))

@@ -620,7 +620,7 @@ def test_rare_tasks_have_fronts_too():
 
 
 def test_costs_that_overflow_and_names_that_clash(floor5):
-    model = dataclasses.replace(floor5, signals={**floor5.signals, "g": np.full(18, 1e308)}, _digest=[], _exact=[])
+    model = dataclasses.replace(floor5, signals={**floor5.signals, "g": np.full(18, 1e308)})
     joint = stl.build_joint_product(model, {"one": stl.parse("F[0,3] A"), "A": stl.parse("F[0,3] B")})
     with pytest.raises(SettingsError, match="cost g is up to 1e.308 a step; scale the signal"):
         stl.tradeoff(joint, "one", budget={"g": 1e308})

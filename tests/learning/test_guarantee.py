@@ -165,14 +165,12 @@ def test_the_models_probabilities_are_never_read(case, seed):
     other = np.random.default_rng(seed)
     weight = other.random(model.n_transitions) + 0.01
     total = np.add.reduceat(weight, model.row_start[:-1])
-    scrambled = replace(
-        model, probability=weight / np.repeat(total, np.diff(model.row_start)), fractions=None, _digest=[], _exact=[]
-    )
+    scrambled = model.with_rows(probability=weight / np.repeat(total, np.diff(model.row_start)), exact=None)
     strange = stl.Product(scrambled, product.automaton, product.letter)
     # another graph, too: every choice leads to state 0
-    lost = replace(
-        scrambled, row_start=np.arange(model.n_choices + 1), target=np.zeros(model.n_choices, dtype=np.int32),
-        probability=np.ones(model.n_choices), _digest=[], _exact=[],
+    lost = scrambled.with_rows(
+        row_start=np.arange(model.n_choices + 1), target=np.zeros(model.n_choices, dtype=np.int32),
+        probability=np.ones(model.n_choices),
     )  # fmt: skip
     without = stl.Product(lost, product.automaton, product.letter)
     for home, supports in ((strange, SUPPORTS), (without, ("unknown",))):

@@ -1,6 +1,5 @@
 """Intervals on their way in: arrays, grids, what is refused, and the nominal model inside them."""
 
-from dataclasses import replace
 from decimal import Decimal as D
 from fractions import Fraction
 
@@ -79,10 +78,10 @@ def test_the_nominal_model_takes_one_share_of_every_width():
 def test_the_nominal_model_is_given_in_decimals(floor5):
     """Whatever fractions stood beside the ends: they are not the nominal ones."""
     ends = Intervals(np.maximum(floor5.probability - 0.1, 0), np.minimum(floor5.probability + 0.2, 1))
-    model = replace(floor5, intervals=ends, probability=ends.nominal(floor5.row_start), _digest=[])
-    assert floor5.fractions is not None
+    model = floor5.with_rows(intervals=ends, probability=ends.nominal(floor5.row_start))
+    assert floor5.kinds.given_exactly
     nominal = model.nominal()
-    assert nominal.fractions is None
+    assert not nominal.kinds.given_exactly
     assert not any(nominal.exact().defects(nominal.row_start))
     assert 10**15 % nominal.exact().denominator == 0
 
@@ -91,8 +90,8 @@ def test_the_digest_covers_the_ends():
     model = build()
     digests = {model.digest(), build(upper=[STAY, np.minimum(np.array(UPPER) + 0.05, 1)]).digest()}
     narrow = Intervals(model.probability.copy(), model.probability.copy())
-    digests.add(replace(model, intervals=narrow, fractions=None, _digest=[]).digest())
-    digests.add(replace(model, intervals=None, fractions=None, _digest=[]).digest())
+    digests.add(model.with_rows(intervals=narrow).digest())
+    digests.add(model.with_rows(intervals=None).digest())
     assert len(digests) == 4
     for ends in (model.intervals.lower, model.intervals.upper):
         with pytest.raises(ValueError, match="read-only"):
@@ -137,12 +136,12 @@ def test_shapes_must_agree():
         build(lower=[[[0.5, 0.6], [0, 0]]], upper=[[[1, 1], [1, 1]]], state_names=["dock", "x"], action_names=["go"])
     model = build()
     with pytest.raises(ModelError, match=r"the lower ends have shape \(2,\); one for each of 6 entries"):
-        replace(model, intervals=Intervals(np.zeros(2), np.ones(2)), fractions=None, _digest=[])
+        model.with_rows(intervals=Intervals(np.zeros(2), np.ones(2)))
     with pytest.raises(ModelError, match=r"\[0, 0\] to state 0 is no interval .* leave out what cannot happen"):
-        replace(model, intervals=Intervals(np.zeros(6), np.array([0.0, 1, 1, 1, 1, 1])), _digest=[])
+        model.with_rows(intervals=Intervals(np.zeros(6), np.array([0.0, 1, 1, 1, 1, 1])))
     lower = np.where(model.intervals.lower == 0.1, 0.3, model.intervals.lower)
     with pytest.raises(ModelError, match=r"the probability 0.25 to state 0 is outside \[0.3, 0.4\]"):
-        replace(model, intervals=Intervals(lower, model.intervals.upper), fractions=None, _digest=[])
+        model.with_rows(intervals=Intervals(lower, model.intervals.upper))
 
 
 # ------------------------------------------------------------------------------------------- grids
@@ -160,7 +159,7 @@ OPEN = "...\n.S.\n..."
 )
 def test_noise_as_intervals(success, slip):
     model = grid_from_table(table(map=OPEN, success=success, slip=slip))
-    assert model.fractions is None
+    assert not model.kinds.given_exactly
     found = rows(model)
     assert found["(1,1)", "N"] == dict.fromkeys(("(1,1)", "(0,2)", "(2,2)"), (0.01, 0.04)) | {"(1,2)": (0.9, 0.95)}
     assert found["(1,1)", "stay"] == {"(1,1)": (1, 1)}
@@ -250,7 +249,7 @@ def test_transition_files_with_intervals(tmp_path):
         ("0", "stay"): {"0": (1, 1)},
         ("1", "0"): {"0": (0, 0.5), "1": (0.5, 0.5)},
     }
-    assert model.fractions is None
+    assert not model.kinds.given_exactly
     assert model.nominal().matrix().toarray()[0].tolist() == pytest.approx([0.25, 0.75])
 
 

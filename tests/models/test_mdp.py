@@ -1,5 +1,3 @@
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -124,4 +122,4 @@ def test_a_choice_without_successors_is_named(floor5):
     row_start = floor5.row_start.copy()
     row_start[1] = 0  # the first choice's entries go to the second
     with pytest.raises(ModelError, match=r"state \(0,4\), action stay: the probabilities sum to 0, not 1"):
-        dataclasses.replace(floor5, row_start=row_start, fractions=None)
+        floor5.with_rows(row_start=row_start)

@@ -26,11 +26,11 @@ class Allowed:
 
     def choices(self, game: Game, t: int, s: I64, q: I64) -> tuple[I64, I64, NDArray[np.float64] | None]:
         """The choices of pairs (s, q): which pair each belongs to (ascending), its number in the model, its weight."""
-        start = game.rows.choice_start
-        count = start[s + 1] - start[s]
+        here, start = game.rows.at(s), game.rows.choice_start
+        count = start[here + 1] - start[here]
         owner = np.repeat(np.arange(len(s)), count)
         offset = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
-        return owner, start[s][owner] + offset, None
+        return owner, start[here][owner] + offset, None
 
     def weights(self, t: int, s: I64, q: I64, number: I64) -> NDArray[np.float64]:
         """Of a mixture: the probability of each choice, by its number within its state."""
@@ -61,7 +61,8 @@ class Following(Allowed):
         self._form, self.mixed = form, not form.deterministic
 
     def choices(self, game: Game, t: int, s: I64, q: I64) -> tuple[I64, I64, NDArray[np.float64] | None]:
-        taken, start = self._form.at(t, s, q), game.rows.choice_start[s]
+        taken, here = self._form.at(t, s, q), game.rows.at(s)
+        start = game.rows.choice_start[here]
         if taken.ndim == 2:
             owner, number = np.nonzero(taken)
             return owner, start[owner] + number, taken[owner, number] if self.mixed else None

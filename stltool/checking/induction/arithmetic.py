@@ -21,6 +21,7 @@ from stltool.checking.induction.edges import SURE, Edges
 from stltool.checking.induction.tiled import Tiles
 from stltool.checking.induction.words import Words
 from stltool.models.fractions import LARGEST_SUM, over_one
+from stltool.models.rows import Rows
 
 Values = NDArray[Any]
 
@@ -33,6 +34,10 @@ class Arithmetic(ABC):
     """
 
     repeats = True
+
+    def begin(self, rows: Rows) -> None:
+        """Called before the first step back, with the rows that edges speak of (`Layers.rows`)."""
+        self.rows = rows
 
     def tiles(self, engine: Words) -> Tiles | None:
         """The same by tiles of eight automaton states, where there is such a way."""
@@ -101,38 +106,38 @@ _LONG = 64  # terms; longer rows are added one by one
 
 
 class Doubles(Arithmetic):
-    """Probabilities in doubles; `probability` (n_transitions,)."""
+    """Probabilities in doubles."""
 
-    def __init__(self, probability: NDArray[np.float64], maximize: bool) -> None:
-        self.probability, self._ends = probability, (0.0, 1.0) if maximize else (1.0, 0.0)
+    def __init__(self, maximize: bool) -> None:
+        self._ends = (0.0, 1.0) if maximize else (1.0, 0.0)
 
     def ends(self, t: int) -> tuple[float, float]:
         return self._ends
 
     def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
-        return row_sums(self.probability[edges.entry] * ahead[edges.child], edges.start)
+        return row_sums(self.rows.probability[edges.entry] * ahead[edges.child], edges.start)
 
     def tiles(self, engine: Words) -> Tiles:
-        return Tiles(engine, self.probability, 1, self._ends, self._ends[SURE] == 1.0)
+        return Tiles(engine, engine.rows.probability, 1, self._ends, self._ends[SURE] == 1.0)
 
 
 class Fixed(Arithmetic):
-    """Integers in units of 1/one, every step rounded up (checking/fixed.py); numerator (n_transitions,) int64."""
+    """Integers in units of 1/one, every step rounded up (checking/fixed.py)."""
 
-    def __init__(self, numerator: NDArray[np.int64], denominator: int, one: int, maximize: bool) -> None:
-        self.numerator, self.denominator, self.one, self._maximize = numerator, denominator, one, maximize
+    def __init__(self, denominator: int, one: int, maximize: bool) -> None:
+        self.denominator, self.one, self._maximize = denominator, one, maximize
 
     def ends(self, t: int) -> tuple[int, int]:
         return (0, self.one) if self._maximize else (self.one, 0)
 
     def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
-        return np.add.reduceat(self.numerator[edges.entry] * ahead[edges.child], edges.start[:-1])
+        return np.add.reduceat(self.rows.numerator[edges.entry] * ahead[edges.child], edges.start[:-1])
 
     def settled(self, values: Values) -> Values:
         return -((-values) // self.denominator)
 
     def tiles(self, engine: Words) -> Tiles:
-        return Tiles(engine, self.numerator, self.denominator, self.ends(0), self._maximize)
+        return Tiles(engine, engine.rows.numerator, self.denominator, self.ends(0), self._maximize)
 
 
 class Integers(Arithmetic):
@@ -144,9 +149,12 @@ class Integers(Arithmetic):
 
     repeats = False
 
-    def __init__(self, numerator: Values, denominator: int, maximize: bool) -> None:
-        self.numerator, self.denominator, self._maximize = numerator.astype(object), denominator, maximize
+    def __init__(self, denominator: int, maximize: bool) -> None:
+        self.denominator, self._maximize = denominator, maximize
         self.one, self._made = 1, -1
+
+    def begin(self, rows: Rows) -> None:
+        self._numerator = rows.numerator.astype(object)
 
     def ends(self, t: int) -> tuple[int, int]:
         return (0, self.one) if self._maximize else (self.one, 0)
@@ -155,7 +163,7 @@ class Integers(Arithmetic):
         return np.array(self.ends(t), dtype=object)
 
     def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
-        return np.add.reduceat(self.numerator[edges.entry] * ahead[edges.child], edges.start[:-1])
+        return np.add.reduceat(self._numerator[edges.entry] * ahead[edges.child], edges.start[:-1])
 
     def back(
         self, t: int, edges: Edges, ahead: Values, maximize: bool, keep: bool
@@ -193,10 +201,13 @@ class Digits(Arithmetic):
 
     repeats = False
 
-    def __init__(self, numerator: NDArray[np.int64], denominator: int, maximize: bool) -> None:
-        self.numerator, self.denominator, self._maximize = numerator, denominator, maximize
+    def __init__(self, denominator: int, maximize: bool) -> None:
+        self.denominator, self._maximize = denominator, maximize
         self.bits = LARGEST_SUM.bit_length() - 1 - denominator.bit_length()
         self.one, self._made = 1, -1
+
+    def begin(self, rows: Rows) -> None:
+        self._numerator = rows.numerator.astype(np.int64)
 
     def ends(self, t: int) -> tuple[Values, Values]:
         one = np.array(self._digits(self.one), dtype=np.int64)
@@ -215,7 +226,7 @@ class Digits(Arithmetic):
         out = np.zeros((len(edges), len(self._digits(self.one))), dtype=np.int64)
         best = np.zeros(len(edges), dtype=np.int64)
         kernels.digits(
-            edges.choices, edges.start, edges.entry, edges.child, self.numerator, ahead, self.bits, maximize,
+            edges.choices, edges.start, edges.entry, edges.child, self._numerator, ahead, self.bits, maximize,
             0, len(edges), out, best,
         )  # fmt: skip
         return out, best
@@ -235,18 +246,11 @@ class Digits(Arithmetic):
 class Nature(Arithmetic):
     """Where probabilities are intervals: nature picks each row's distribution within them (checking/robust.py).
 
-    lower, width (n_transitions,); `minimal`: whether nature minimises; `maximize` whose goals the layers have.
+    `minimal`: whether nature minimises; `maximize` whose goals the layers have.
     """
 
-    def __init__(
-        self,
-        lower: NDArray[np.float64],
-        width: NDArray[np.float64],
-        budget: NDArray[np.float64],
-        minimal: bool,
-        maximize: bool,
-    ) -> None:
-        self._rows, self._minimal = (lower, width, budget), minimal
+    def __init__(self, minimal: bool, maximize: bool) -> None:
+        self._minimal = minimal
         self._ends = (0.0, 1.0) if maximize else (1.0, 0.0)
 
     def ends(self, t: int) -> tuple[float, float]:
@@ -255,9 +259,10 @@ class Nature(Arithmetic):
     def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
         from stltool.kernels import edges as kernels
 
-        out = np.empty(len(edges.choice))
+        out, rows = np.empty(len(edges.choice)), self.rows
+        assert rows.intervals is not None
         kernels.nature(
-            edges.start, edges.entry, edges.child, *self._rows, edges.choice, self._minimal, ahead,
-            0, len(edges.choice), out,
+            edges.start, edges.entry, edges.child, rows.intervals.lower, rows.width, rows.budget, edges.choice,
+            self._minimal, ahead, 0, len(edges.choice), out,
         )  # fmt: skip
         return out

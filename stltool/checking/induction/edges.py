@@ -17,10 +17,10 @@ class Edges:
 
     s, q     (n,) int64: the pairs
     choices  (n+1,) int64: pair i has the choices choices[i] … choices[i+1]−1 of this list
-    choice   (m,) int64: their numbers in the model
+    choice   (m,) int64: their numbers among the engine's rows (`Layers.rows`)
     weight   (m,) the policy's probability of each, or None where one of them is taken
     start    (m+1,) int64: choice j has the edges start[j] … start[j+1]−1
-    entry    (e,) int64: the model's row entry
+    entry    (e,) int64: its number among the entries of these rows
     child    (e,) int64: the slot ahead that it leads to
     """
 

@@ -11,23 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata import FALSE, UNDECIDED, JointAutomaton, TaskAutomaton
+from stltool.models.rows import Demand, Rows
 from stltool.product import JointProduct, Product
 
 I8: TypeAlias = NDArray[np.int8]
 I32: TypeAlias = NDArray[np.int32]
 I64: TypeAlias = NDArray[np.int64]
 U64: TypeAlias = NDArray[np.uint64]
-
-
-class Rows(Protocol):
-    """An MDP's structure, or that of a learned or extended model."""
-
-    @property
-    def choice_start(self) -> I64: ...
-    @property
-    def row_start(self) -> I64: ...
-    @property
-    def target(self) -> I32: ...
 
 
 class Automaton(Protocol):
@@ -122,12 +112,13 @@ def _around(starts: I64, t: int, last: int) -> tuple[int, int]:
 class Game:
     """A model's rows with an automaton that reads them.
 
+    rows    all of them, or those asked for: Demand makes them as runs are found to get there
     letter  (n_states,) int32: the automaton's letter of each model state
     first   (k,) int64: the states that runs begin in, ascending
     kept    what engines prepare once and use for every question about the game
     """
 
-    rows: Rows
+    rows: Rows | Demand
     automaton: Automaton
     letter: I32
     first: I64
@@ -140,13 +131,13 @@ class Game:
         if everywhere not in games:
             model = product.model
             first = np.arange(model.n_states) if everywhere else np.flatnonzero(model.initial)
-            games[everywhere] = cls(model, Single(product.automaton), product.letter, first)
+            games[everywhere] = cls(model.some_rows(), Single(product.automaton), product.letter, first)
         return games[everywhere]
 
     @classmethod
     def of_joint(cls, joint: JointProduct, paying: bool = False) -> Game:
         """A joint product's, its states numbered by layer; with `paying`, every run goes on to the horizon."""
-        return cls(joint.model, Joint(joint.automaton, paying), joint.letter, np.flatnonzero(joint.model.initial))
+        return cls(joint.model.some_rows(), Joint(joint.automaton, paying), joint.letter, np.flatnonzero(joint.model.initial))
 
     @property
     def horizon(self) -> int:
@@ -155,7 +146,7 @@ class Game:
     @property
     def n_states(self) -> int:
         """Model states."""
-        return len(self.rows.choice_start) - 1
+        return len(self.letter)
 
     @cached_property
     def entry(self) -> I64:
@@ -163,11 +154,10 @@ class Game:
         entry: I64 = self.automaton.enter(self.letter[self.first]).astype(np.int64)
         return entry
 
-    @cached_property
+    @property
     def widest(self) -> int:
         """The most row entries that a state has, all choices together."""
-        rows = self.rows.row_start[self.rows.choice_start]
-        return int(np.diff(rows).max())
+        return self.rows.widest
 
 
 _GAMES: WeakKeyDictionary[Product, dict[bool, Game]] = WeakKeyDictionary()

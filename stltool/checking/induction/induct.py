@@ -123,6 +123,8 @@ def _solve(
     recorder: Recorder,
 ) -> Solution:
     game, allowed, h = layers.game, layers.allowed, layers.game.horizon
+    assert layers.reached is not None  # so that all rows are there
+    arithmetic.begin(layers.rows)
     tiles = arithmetic.tiles(layers) if isinstance(layers, Words) and not allowed.mixed else None
     ahead, values = layers.nothing(), arithmetic.start(h) if tiles is None else tiles.start()
     before, swept = None, 0
@@ -150,8 +152,7 @@ def _solve(
     choices = None
     if keep is not None:
         shape = (game.n_states, game.automaton.n_states)
-        most = int(np.diff(game.rows.choice_start).max())
-        choices = Choices(shape, h, recorder.layers(), integer_type(most - 1))
+        choices = Choices(shape, h, recorder.layers(), integer_type(game.rows.most_choices - 1))
     name = "nodes" if isinstance(layers, Nodes) else "words" if tiles is None else "tiles"
     return Solution(by_slot[slots], slots < OPEN, choices, name, swept)
 

@@ -34,6 +34,7 @@ from stltool.checking.induction.edges import Edges, Fan
 from stltool.checking.induction.graph import I64, Game
 from stltool.checking.induction.reached import Reached, Stretch
 from stltool.choices import Listed
+from stltool.models.rows import Rows
 from stltool.sizes import memory_limit, require_memory, require_time
 
 Progress: TypeAlias = Callable[[int, int], None]
@@ -144,6 +145,21 @@ class Layers(ABC, Generic[FLayer, Settled]):
         self._widest, self._in_all = max(self._widest, n), self._in_all + n * (last + 1 - first)
         self.budget.need(found.bytes + self._bytes(layer), last, self.game.horizon)
         found.add(first, last, layer, self._bytes(layer))
+
+    @property
+    @abstractmethod
+    def rows(self) -> Rows:
+        """The rows that the choices and entries of `edges` are numbers of: the model's, or those made of them."""
+
+    @abstractmethod
+    def acting(self) -> I64:
+        """The numbers, among `rows`, of the states that a run can be in while it is undecided."""
+
+    @cached_property
+    def kinds(self) -> Rows:
+        """Rows that stand for all that runs meet, by lengths and probabilities: whichever the engine."""
+        kinds = self.game.rows.kinds
+        return kinds if kinds is not None else self.rows.some(self.acting())
 
     @abstractmethod
     def nothing(self) -> Settled:

@@ -15,6 +15,7 @@ from stltool.checking.induction.graph import I64, Game
 from stltool.checking.induction.layers import Budget, Layers
 from stltool.checking.induction.reached import Reached
 from stltool.choices import Listed, listed
+from stltool.models.rows import Demand, Rows
 
 _KEPT = 2_000_000  # edges that are kept from pass to pass
 _PART = 100_000  # pairs whose edges are made at a time, where they are not kept
@@ -53,6 +54,17 @@ class Nodes(Layers[I64, Settled]):
         super().__init__(game, goal, allowed, live, sure, budget or Budget("pairs that are reached"))
         self.most, self.count = most, 0
         self._kept = 0
+
+    @property
+    def rows(self) -> Rows:
+        rows = self.game.rows
+        return rows.rows if isinstance(rows, Demand) else rows
+
+    def acting(self) -> I64:
+        found = np.zeros(self.game.n_states, dtype=np.bool_)
+        for _, _, layer in self.reached:
+            found[self._split(layer)[0]] = True
+        return self.game.rows.at(np.flatnonzero(found))
 
     def nothing(self) -> Settled:
         none = np.empty(0, dtype=np.int64)

@@ -15,7 +15,7 @@ Values: TypeAlias = NDArray[Any]
 
 
 class Tiles:
-    """The steps back of one question; `share` (n_transitions,) and `denominator` as in kernels/tiles.py.
+    """The steps back of one question; `share` of the engine's rows and `denominator` as in kernels/tiles.py.
 
     ends   the values of what is not listed, and of what is sure
     """

@@ -19,6 +19,7 @@ from stltool.checking.induction.edges import OPEN, REST, SURE, Edges
 from stltool.checking.induction.graph import I32, I64, U64, Automaton, Game
 from stltool.checking.induction.layers import Budget, Layers
 from stltool.choices import Listed
+from stltool.models.rows import Demand, Rows
 
 Pieces: TypeAlias = tuple[I64, U64, NDArray[np.bool_], I64]
 Maps: TypeAlias = tuple[I32, NDArray[np.bool_], I32, I32, NDArray[np.uint8]]
@@ -35,7 +36,8 @@ class Graph:
 
     states       (n,) int32: their numbers in the model         first  (k,) int32: the first ones
     choice_start, row_start, target  as an MDP's; target −1 where a run is not that long
-    choice, entry  int64: the model's numbers of its choices and row entries
+    rows         what its choices and entries are part of: the model's, or these alone
+    choice, entry  int64: their numbers there
     near_start, near, position   neighbours (kernels/words.py)  letter (n,) int32
     """
 
@@ -46,24 +48,33 @@ class Graph:
     target: I32
     choice: I64
     entry: I64
+    rows: Rows
     near_start: I64
     near: I32
     position: I32
     letter: I32
 
     @classmethod
-    def of(cls, game: Game) -> Graph:
+    def of(cls, game: Game, need: Callable[[int], None]) -> Graph:
+        """`need` is called with the bytes that it is about to take."""
         from stltool.kernels import words
 
-        rows, starts = game.rows, game.first.astype(np.int32)
-        structure = (rows.choice_start, rows.row_start, rows.target)
-        states = words.reachable_states(*structure, starts, game.horizon)
-        if len(states) == len(rows.choice_start) - 1:
+        starts, rows = game.first.astype(np.int32), game.rows
+        if isinstance(rows, Demand):
+            found, rows = rows.source.within(game.first, game.horizon, need)
+            states, number = found.astype(np.int32), np.full(game.n_states, -1, dtype=np.int32)
+            number[states] = np.arange(len(states), dtype=np.int32)
+            structure = (rows.choice_start, rows.row_start, number[rows.target])
+        else:
+            need(8 * len(rows.target) + 60 * len(rows))
+            structure = (rows.choice_start, rows.row_start, rows.target)
+            states = words.reachable_states(*structure, starts, game.horizon)
+        if len(states) == len(rows):
             part = (*structure, np.arange(len(rows.row_start) - 1), np.arange(len(rows.target)))
         else:
             part = words.submodel(*structure, states)
         where = np.searchsorted(states, starts).astype(np.int32)
-        return cls(states, where, *part, *words.neighbours(*part[:3]), game.letter[states])
+        return cls(states, where, *part, rows, *words.neighbours(*part[:3]), game.letter[states])
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,8 +200,7 @@ class Words(Layers[Sets, Layer]):
         self.choices = choices
         prepared: tuple[Graph, Moves] | None = game.kept.get("words")
         if prepared is None:
-            self.budget.take(8 * len(game.rows.target) + 60 * len(game.rows.choice_start), 0, game.horizon)
-            prepared = Graph.of(game), Moves(game.automaton)
+            prepared = Graph.of(game, lambda n: self.budget.take(n, 0, game.horizon)), Moves(game.automaton)
             if len(prepared[0].target) <= _KEPT:
                 game.kept["words"] = prepared
         self.graph, self.moves = prepared
@@ -199,6 +209,20 @@ class Words(Layers[Sets, Layer]):
         n = len(self.graph.states)
         self._states, self._start = np.empty(n, dtype=np.int32), np.empty(n + 1, dtype=np.int64)
         self._word, self._bits = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint64)
+
+    @property
+    def rows(self) -> Rows:
+        return self.graph.rows
+
+    def acting(self) -> I64:
+        found = np.zeros(len(self.graph.states), dtype=np.bool_)
+        for _, _, layer in self.reached:
+            found[layer.states] = True
+        return self._numbers(self.graph.states[found].astype(np.int64))
+
+    def _numbers(self, states: I64) -> I64:
+        """The numbers of model states among `rows`."""
+        return np.searchsorted(self.graph.states, states) if isinstance(self.game.rows, Demand) else states
 
     # --------------------------------------------------------------------------------------------- forward
 
@@ -415,7 +439,7 @@ class Words(Layers[Sets, Layer]):
         s, weight = graph.states[s].astype(np.int64), None
         if self.allowed.mixed:
             owner = np.repeat(np.arange(n), np.diff(choices))
-            number = choice - self.game.rows.choice_start[s[owner]]
+            number = choice - graph.rows.choice_start[self._numbers(s)[owner]]
             weight = self.allowed.weights(t, s[owner], q[owner], number)
         return Edges(s, q, choices, choice, weight, start, entry, child)
 

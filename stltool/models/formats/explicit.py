@@ -25,10 +25,11 @@ from numpy.typing import NDArray
 
 from stltool.errors import MOST_FAULTS, ModelError, all_told
 from stltool.files import read_text
-from stltool.models.fractions import Fractions, Integers, doubles_of, over_one
+from stltool.models.fractions import Shares, doubles_of, over_one
 from stltool.models.intervals import Intervals
 from stltool.models.mdp import MDP
 from stltool.models.normalize import HINT, MOST_MISSING, NOTHING, rescale
+from stltool.models.rows import Stored
 from stltool.numbers import NumberError, double, index, read
 from stltool.sizes import require_memory, require_numbered
 
@@ -66,30 +67,34 @@ def load_explicit(path: str | Path, normalize: bool = False) -> MDP:
     lower, upper = (np.array([float(share[end]) for share in arrays.shares]) for end in (0, 1))
     intervals = Intervals(lower, upper) if table.uncertain else None
     notes = _missing_files(path)
-    exact: tuple[Integers, int] | None = None
+    exact: Shares | None = None
     row_start = np.array(arrays.row_start, dtype=np.int64)
     if intervals is not None and normalize:
         notes["normalize"] = NOTHING.format("intervals")
     if intervals is None:
-        exact = over_one(share for share, _ in arrays.shares)
+        shares = over_one(share for share, _ in arrays.shares)
         if normalize:
-            exact, done = rescale(exact, row_start, arrays.place)
-            lower, notes["normalize"] = doubles_of(*exact), str(done)
+            shares, done = rescale(shares, row_start, arrays.place)
+            lower, notes["normalize"] = doubles_of(*shares), str(done)
+        exact = Shares(*shares)
     try:
         return MDP(
-            choice_start=np.array(arrays.choice_start, dtype=np.int64),
-            choice_action=np.array(arrays.choice_action, dtype=np.int32),
-            row_start=row_start,
-            target=np.array(arrays.target, dtype=np.int32),
-            probability=intervals.nominal(row_start) if intervals is not None else lower,
+            Stored(
+                np.array(arrays.choice_start, dtype=np.int64),
+                np.array(arrays.choice_action, dtype=np.int32),
+                row_start,
+                np.array(arrays.target, dtype=np.int32),
+                intervals.nominal(row_start) if intervals is not None else lower,
+                exact,
+                intervals,
+            ),
             initial=first.astype(np.float64),
             signals=signals,
             labels=labels,
             action_names=tuple(arrays.action_names),
             state_names=names,
             name=path.stem,
-            fractions=Fractions(*exact, first, 1) if exact is not None else None,
-            intervals=intervals,
+            exact_initial=Shares(first, 1),
             notes=notes,
         )
     except ModelError as error:

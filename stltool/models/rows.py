@@ -1,0 +1,530 @@
+"""Rows of an MDP: where they come from, and as many of them as somebody asks for.
+
+Rows are CSR, one row a *choice* (a state with one of its available actions):
+
+    choices of state i          choice_start[i] … choice_start[i+1]−1
+    successors of choice c      target[row_start[c] … row_start[c+1]−1], with probability[…]
+
+A *source* makes the rows of any states. `Stored` has all of them in memory; a grid (grid.py) or a function
+(function.py) makes them when they are needed, so a large model costs what is reached of it and no more. What a source
+knows of all its rows without making them are its `kinds`: rows such that every row of the model has the length, the
+probabilities and the ends of one of them.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.errors import ModelError
+from stltool.models.fractions import Integers, Shares, of_doubles
+from stltool.models.intervals import Intervals
+from stltool.models.normalize import HINT, MOST_MISSING
+from stltool.sizes import require_memory
+
+if TYPE_CHECKING:
+    from hashlib import _Hash
+
+I32: TypeAlias = NDArray[np.int32]
+I64: TypeAlias = NDArray[np.int64]
+Floats: TypeAlias = NDArray[np.float64]
+Place: TypeAlias = Callable[[int], str]
+"""A choice, or a state, in the user's names."""
+
+ROW_TOLERANCE = 1e-9  # how far a row of doubles may sum from 1
+_BYTES = 80  # an entry of rows, in all forms they have in an engine
+_BLOCK = 1 << 22  # entries that are made at a time where all are
+_SMALLER = "coarsen the grid, or give a part of the model"
+
+
+@dataclass(frozen=True, eq=False)
+class Chances:
+    """What the entries of rows are worth.
+
+    probability  (e,) doubles; where there are `intervals`, the nominal ones
+    given        the same as given in fractions or decimals; None: in doubles
+    row_start    the rows that doubles are read by (models/fractions.py)
+    """
+
+    probability: Floats
+    row_start: I64
+    given: Shares | None = None
+    intervals: Intervals | None = None
+
+    @cached_property
+    def exact(self) -> Shares:
+        return self.given if self.given is not None else Shares(*of_doubles(self.probability, self.row_start))
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """The rows of n states (see the module's text), with successors by their numbers in the model.
+
+    entry   (e,) which of `chances` each entry has; None: in their order
+    parts   (choices, entries) of the rows that these are a part of, where they are; None: they are all
+    """
+
+    choice_start: I64
+    row_start: I64
+    target: I32
+    chances: Chances
+    entry: NDArray[np.signedinteger[Any]] | None = None
+    parts: tuple[I64, I64] | None = None
+
+    def __len__(self) -> int:
+        return len(self.choice_start) - 1
+
+    @property
+    def kinds(self) -> Rows:
+        """As a source's."""
+        return self
+
+    def at(self, states: I64) -> I64:
+        """The numbers of states among these rows: of the whole model they are its own."""
+        return states
+
+    def some(self, numbers: I64) -> Rows:
+        """The rows of the states with these numbers, in their order."""
+        choice = spans(self.choice_start[numbers], self.choice_start[numbers + 1])
+        entry = spans(self.row_start[choice], self.row_start[choice + 1])
+        return Rows(
+            starts(self.choice_start[numbers + 1] - self.choice_start[numbers]),
+            starts(self.row_start[choice + 1] - self.row_start[choice]),
+            self.target[entry],
+            self.chances,
+            entry if self.entry is None else self.entry[entry],
+            (choice, entry),
+        )
+
+    def _of(self, column: NDArray[Any]) -> NDArray[Any]:
+        return column if self.entry is None else column[self.entry]
+
+    # ------------------------------------------------------------------------------------------ columns (e,)
+
+    @cached_property
+    def probability(self) -> Floats:
+        return self._of(self.chances.probability)
+
+    @cached_property
+    def numerator(self) -> Integers:
+        """Over `denominator`: what the probabilities are exactly."""
+        return self._of(self.chances.exact.numerator)
+
+    @property
+    def denominator(self) -> int:
+        return self.chances.exact.denominator
+
+    @cached_property
+    def intervals(self) -> Intervals | None:
+        ends = self.chances.intervals
+        return Intervals(self._of(ends.lower), self._of(ends.upper)) if ends is not None else None
+
+    @cached_property
+    def width(self) -> Floats:
+        """upper − lower of every entry, where there are intervals."""
+        assert self.intervals is not None
+        return self.intervals.upper - self.intervals.lower
+
+    @cached_property
+    def budget(self) -> Floats:
+        """(choices,) 1 − Σ lower: what nature has to hand out, where there are intervals."""
+        assert self.intervals is not None
+        missing: Floats = np.maximum(1 - np.add.reduceat(self.intervals.lower, self.row_start[:-1]), 0.0)
+        return missing
+
+    # ------------------------------------------------------------------------------------------ facts
+
+    @cached_property
+    def longest(self) -> int:
+        """The most entries of a row."""
+        return int(np.diff(self.row_start).max(initial=0))
+
+    @cached_property
+    def widest(self) -> int:
+        """The most entries of a state, all its choices together."""
+        return int(np.diff(self.row_start[self.choice_start]).max(initial=0))
+
+    @cached_property
+    def most_choices(self) -> int:
+        """The most choices of a state."""
+        return int(np.diff(self.choice_start).max(initial=0))
+
+    @cached_property
+    def least(self) -> float:
+        """The smallest positive probability."""
+        return least_positive(self.probability)
+
+    @property
+    def given_exactly(self) -> bool:
+        return self.chances.given is not None
+
+    @cached_property
+    def defect(self) -> Fraction:
+        """The largest |Σ row − 1|, exactly."""
+        sums = np.add.reduceat(self.numerator, self.row_start[:-1])
+        worst = max(abs(int(sums.max()) - self.denominator), abs(int(sums.min()) - self.denominator))
+        return Fraction(worst, self.denominator)
+
+    @cached_property
+    def missing(self) -> float:
+        """The largest |Σ row − 1| of sums in doubles."""
+        return float(np.abs(np.add.reduceat(self.probability, self.row_start[:-1]) - 1).max())
+
+    def require_distributions(self, place: Place, state: Place) -> None:
+        """ModelError, naming the choice and the successor, where a row is no distribution."""
+        empty = np.flatnonzero(np.diff(self.row_start) == 0)
+        if empty.size:
+            raise ModelError(f"{place(int(empty[0]))}: the probabilities sum to 0, not 1")
+        probability, uncertain = self.probability, self.intervals is not None
+        if self.intervals is not None:
+            self.intervals.validate(self.row_start, probability, place, lambda k: state(int(self.target[k])))
+        low = probability < 0 if uncertain else probability <= 0  # intervals may force a 0
+        bad = np.flatnonzero(~np.isfinite(probability) | low | (probability > 1 + ROW_TOLERANCE))
+        if bad.size:
+            choice = int(np.searchsorted(self.row_start, bad[0], side="right")) - 1
+            value, successor = probability[bad[0]], state(int(self.target[bad[0]]))
+            raise ModelError(f"{place(choice)}: {value:.12g} to state {successor} is no probability")
+        sums = np.add.reduceat(probability, self.row_start[:-1])
+        wrong = np.flatnonzero(np.abs(sums - 1) > ROW_TOLERANCE)
+        if wrong.size:
+            more = f" (and those of {len(wrong) - 1} more rows)" if len(wrong) > 1 else ""
+            total = sums[wrong[0]]
+            raise ModelError(f"{place(int(wrong[0]))}: the probabilities sum to {total:.12g}, not 1{more}{hint(total)}")
+
+
+def hint(total: float) -> str:
+    """How rows that sum to `total` may be mended."""
+    return f"; {HINT}" if abs(total - 1) <= MOST_MISSING else ""
+
+
+def least_positive(*arrays: Floats) -> float:
+    """The smallest positive entry, 1 where there is none."""
+    return min(float(array[array > 0].min(initial=1.0)) for array in arrays)
+
+
+def starts(lengths: NDArray[np.integer[Any] | np.bool_]) -> I64:
+    """Where pieces of these lengths begin, and where the last one ends."""
+    found = np.zeros(len(lengths) + 1, dtype=np.int64)
+    np.cumsum(lengths, out=found[1:])
+    return found
+
+
+def spans(first: I64, end: I64) -> I64:
+    """first[0] … end[0]−1, first[1] … end[1]−1, and so on."""
+    length = end - first
+    found: I64 = np.arange(length.sum()) + np.repeat(first - (np.cumsum(length) - length), length)
+    return found
+
+
+# --------------------------------------------------------------------------------------------------------- sources
+
+
+class Source(ABC):
+    """Where a model's rows come from.
+
+    kinds      rows that stand for all of them (see the module's text); None where nothing is known before they are made
+    on_demand  whether they are made when asked for
+    """
+
+    on_demand = True
+
+    @property
+    @abstractmethod
+    def n_states(self) -> int: ...
+
+    @property
+    @abstractmethod
+    def n_choices(self) -> int: ...
+
+    @property
+    @abstractmethod
+    def n_transitions(self) -> int: ...
+
+    @property
+    @abstractmethod
+    def choice_start(self) -> I64:
+        """(n_states + 1,)"""
+
+    @property
+    @abstractmethod
+    def choice_action(self) -> I32:
+        """(n_choices,) the action of each choice."""
+
+    @property
+    @abstractmethod
+    def kinds(self) -> Rows | None: ...
+
+    @property
+    @abstractmethod
+    def uncertain(self) -> bool:
+        """Whether the probabilities are intervals."""
+
+    @property
+    @abstractmethod
+    def widest(self) -> int:
+        """The most entries that a state has, all choices together, or more."""
+
+    @abstractmethod
+    def rows(self, states: I64) -> Rows:
+        """The rows of distinct states, in their order."""
+
+    @abstractmethod
+    def nominal(self) -> Source:
+        """The same choices with the nominal probabilities."""
+
+    @abstractmethod
+    def digest_into(self, sha: _Hash) -> None:
+        """Add all that the rows depend on."""
+
+    @property
+    def most_choices(self) -> int:
+        """The most actions that a state has."""
+        return int(np.diff(self.choice_start).max())
+
+    def require_distributions(self, place: Place, state: Place) -> None:  # noqa: B027 - nothing to do on demand
+        """ModelError where a row is no distribution, unless rows are checked when they are made."""
+
+    def within(self, first: I64, steps: int, need: Callable[[int], None]) -> tuple[I64, Rows]:
+        """The states that runs from `first` can be in within `steps` steps, ascending, and their rows.
+
+        Those that are reached in the last step only have no choices here. `need` is called with the bytes to be taken.
+        """
+        demand, seen = Demand(self), np.zeros(self.n_states, dtype=np.bool_)
+        seen[first] = True
+        frontier = np.unique(first)
+        for _ in range(steps):
+            if not len(frontier):
+                break
+            need(_BYTES * self.widest * len(frontier))
+            successors = demand.successors(demand.at(frontier))
+            frontier = np.unique(successors[~seen[successors]]).astype(np.int64)
+            seen[frontier] = True
+        states = np.flatnonzero(seen)
+        acting = demand.known(states)
+        found = demand.rows.some(demand.at(states[acting]))
+        counts = np.zeros(len(states), dtype=np.int64)
+        counts[acting] = np.diff(found.choice_start)
+        return states, Rows(starts(counts), found.row_start, found.target, found.chances, found.entry)
+
+    def whole(self) -> Rows:
+        """All rows. Raises SizeError before memory is taken that is not there."""
+        n = self.n_transitions
+        per_entry = 20 + (16 if self.uncertain else 0)
+        require_memory(per_entry * n + 12 * self.n_choices, f"the {n} transitions of {self.n_states} states", _SMALLER)
+        step, gathered = max(_BLOCK // max(self.widest, 1), 1), Gathered(n)
+        for lo in range(0, self.n_states, step):
+            gathered.add(self.rows(np.arange(lo, min(lo + step, self.n_states))))
+        return gathered.all
+
+
+class Stored(Source):
+    """All rows in memory, each with the action of every choice.
+
+    exact      what the doubles `probability` stand for, where they were given in fractions or decimals
+    intervals  where the probabilities are known up to intervals: their ends; `probability` is then their `nominal`
+    """
+
+    on_demand = False
+
+    def __init__(
+        self,
+        choice_start: I64,
+        choice_action: I32,
+        row_start: I64,
+        target: I32,
+        probability: Floats,
+        exact: Shares | None = None,
+        intervals: Intervals | None = None,
+    ) -> None:
+        chances = Chances(probability, row_start, exact if intervals is None else None, intervals)
+        self._rows, self._action = Rows(choice_start, row_start, target, chances), choice_action
+        ends = (intervals.lower, intervals.upper) if intervals is not None else ()
+        for array in (choice_start, choice_action, row_start, target, probability, *ends):
+            array.setflags(write=False)  # the digest stands for the content
+
+    @property
+    def n_states(self) -> int:
+        return len(self._rows)
+
+    @property
+    def n_choices(self) -> int:
+        return len(self._action)
+
+    @property
+    def n_transitions(self) -> int:
+        return len(self._rows.target)
+
+    @property
+    def choice_start(self) -> I64:
+        return self._rows.choice_start
+
+    @property
+    def choice_action(self) -> I32:
+        return self._action
+
+    @property
+    def kinds(self) -> Rows:
+        return self._rows
+
+    @property
+    def uncertain(self) -> bool:
+        return self._rows.chances.intervals is not None
+
+    @property
+    def widest(self) -> int:
+        return self._rows.widest
+
+    def rows(self, states: I64) -> Rows:
+        return self._rows.some(states)
+
+    def whole(self) -> Rows:
+        return self._rows
+
+    def nominal(self) -> Stored:
+        """Entries whose probability must be 0 are left out."""
+        if not self.uncertain:
+            return self
+        rows, kept = self._rows, self._rows.probability > 0
+        before = starts(kept)
+        return Stored(
+            rows.choice_start, self._action, before[rows.row_start], rows.target[kept], rows.probability[kept]
+        )
+
+    def digest_into(self, sha: _Hash) -> None:
+        rows = self._rows
+        arrays: list[tuple[str, NDArray[Any]]] = [
+            ("choices", rows.choice_start), ("actions", self._action), ("rows", rows.row_start),
+            ("targets", rows.target), ("probabilities", rows.probability),
+        ]  # fmt: skip
+        if rows.intervals is not None:
+            arrays += [("lower", rows.intervals.lower), ("upper", rows.intervals.upper)]
+        digest_arrays(sha, arrays)
+
+    def require_distributions(self, place: Place, state: Place) -> None:
+        self._rows.require_distributions(place, state)
+
+
+def digest_arrays(sha: _Hash, arrays: Iterable[tuple[str, NDArray[Any]]]) -> None:
+    for title, array in arrays:
+        sha.update(f"{title}{array.shape}".encode())
+        sha.update(np.ascontiguousarray(array).data)
+
+
+class _Column:
+    """An array that grows at its end."""
+
+    def __init__(self, dtype: Any, room: int) -> None:
+        self._array, self._n = np.empty(room, dtype=dtype), 0
+
+    def add(self, values: NDArray[Any]) -> None:
+        end = self._n + len(values)
+        if end > len(self._array):
+            self._array = np.concatenate([self._array, np.empty(max(end, 2 * len(self._array)), self._array.dtype)])
+        self._array[self._n : end] = values
+        self._n = end
+
+    @property
+    def all(self) -> NDArray[Any]:
+        return self._array[: self._n]
+
+
+class Gathered:
+    """Rows of one source, put one after another; `room` for as many entries."""
+
+    def __init__(self, room: int = 0) -> None:
+        self._room = room
+        self._columns: dict[str, _Column] = {}
+        self._chances: Chances | None = None
+        self._all: Rows | None = None
+        for name in ("choice_start", "row_start"):
+            self._column(name, np.zeros(1, dtype=np.int64))
+
+    def add(self, rows: Rows) -> None:
+        if self._chances is None:
+            self._chances = rows.chances
+        self._all = None
+        for name, first in (("choice_start", rows.choice_start), ("row_start", rows.row_start)):
+            self._column(name, first[1:] + self._columns[name].all[-1])
+        self._column("target", rows.target)
+        if rows.entry is not None:  # of one table
+            assert rows.chances is self._chances
+            self._column("entry", rows.entry)
+            return
+        self._column("probability", rows.probability)
+        if rows.given_exactly:
+            assert rows.denominator == self._chances.exact.denominator
+            self._column("numerator", rows.numerator)
+        if rows.intervals is not None:
+            self._column("lower", rows.intervals.lower)
+            self._column("upper", rows.intervals.upper)
+
+    def _column(self, name: str, values: NDArray[Any]) -> None:
+        if name not in self._columns:
+            self._columns[name] = _Column(values.dtype, max(self._room, len(values)))
+        self._columns[name].add(values)
+
+    @property
+    def all(self) -> Rows:
+        """All of them so far."""
+        if self._all is None:
+            assert self._chances is not None
+            of = {name: column.all for name, column in self._columns.items()}
+            chances = self._chances
+            if "entry" not in of:
+                given = Shares(of["numerator"], chances.exact.denominator) if "numerator" in of else None
+                ends = Intervals(of["lower"], of["upper"]) if "lower" in of else None
+                chances = Chances(of["probability"], of["row_start"], given, ends)
+            self._all = Rows(of["choice_start"], of["row_start"], of["target"], chances, of.get("entry"))
+        return self._all
+
+
+class Demand:
+    """The rows of a source that were asked for, the states numbered in the order in which they were.
+
+    `rows` grows: what was read of it before `at` may lack what that has added.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self._number = np.full(source.n_states, -1, dtype=np.int32)
+        self._gathered = Gathered()
+        self._gathered.add(source.rows(np.empty(0, dtype=np.int64)))
+        self._n = 0
+        self.kinds, self.widest, self.most_choices = source.kinds, source.widest, source.most_choices
+
+    @property
+    def choice_start(self) -> I64:
+        return self.rows.choice_start
+
+    @property
+    def rows(self) -> Rows:
+        return self._gathered.all
+
+    def known(self, states: I64) -> NDArray[np.bool_]:
+        """Which of these states were asked for."""
+        found: NDArray[np.bool_] = self._number[states] >= 0
+        return found
+
+    def at(self, states: I64) -> I64:
+        """The numbers of these states; the rows of new ones are made."""
+        found = self._number[states]
+        if (found < 0).any():
+            new = np.unique(states[found < 0])
+            self._gathered.add(self.source.rows(new))
+            self._number[new] = np.arange(self._n, self._n + len(new), dtype=np.int32)
+            self._n += len(new)
+            found = self._number[states]
+        return found.astype(np.int64)
+
+    def successors(self, numbers: I64) -> I32:
+        """Those of all choices of the states with these numbers."""
+        rows = self.rows
+        first, end = (rows.row_start[rows.choice_start[which]] for which in (numbers, numbers + 1))
+        return rows.target[spans(first, end)]
