@@ -25,8 +25,8 @@ RESULTS = {
 
 # called from within, or in inner loops with indices of their own
 INNER = {
-    "MDP.initial_share", "Product.enter", "Product.first_verdicts", "Sweep.settled", "TaskAutomaton.letters_at", "TaskAutomaton.verdicts",
-    "TaskAutomaton.with_outcome",
+    "MDP.initial_share", "Product.enter", "Product.first_verdicts", "Sweep.settled", "TaskAutomaton.letters_at",
+    "TaskAutomaton.verdicts", "TaskAutomaton.with_outcome",
 }  # fmt: skip
 
 

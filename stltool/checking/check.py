@@ -47,7 +47,7 @@ from stltool.choices import Form, Table, own_table
 from stltool.display import Card, Displayed
 from stltool.errors import PolicyError, SettingsError, named
 from stltool.kernels.jit import SOURCES
-from stltool.models.rows import least_positive
+from stltool.models.rows import Demand, Rows, least_positive
 from stltool.numbers import round_down, round_up
 from stltool.policy import Policy, layered_header, require_door, require_policy_file
 from stltool.product import Product
@@ -375,7 +375,7 @@ def silent_places(product: Product, policy: Policy) -> dict[tuple[int, int], int
     layers = layers_of(Game.of(product), TRUE, lenient, engine="nodes")
     for first, _, codes in layers.reached:
         s, q = np.divmod(codes, product.automaton.n_states)
-        lenient.choices(layers.game, first, s, q)  # of the last layer too
+        lenient.choices(layers.asked, first, s, q)  # of the last layer too
     return dict(sorted(lenient.places.items(), key=lambda place: (place[1], place[0])))
 
 
@@ -388,13 +388,12 @@ class _Lenient(Following):
         self.places: dict[tuple[int, int], int] = {}
 
     def choices(
-        self, game: Game, t: int, s: NDArray[np.int64], q: NDArray[np.int64]
+        self, rows: Rows | Demand, t: int, s: NDArray[np.int64], q: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats | None]:
         taken = self._lenient_form.at(t, s, q)
         if self.mixed:
-            return super().choices(game, t, s, q)
+            return super().choices(rows, t, s, q)
         for place in zip(s[taken < 0].tolist(), q[taken < 0].tolist(), strict=True):
             self.places[place] = min(t, self.places.get(place, t))
         owner = np.flatnonzero(taken >= 0)
-        here = game.rows.at(s[owner])
-        return owner, game.rows.choice_start[here] + taken[owner], None
+        return owner, rows.choice_start[rows.at(s[owner])] + taken[owner], None

@@ -68,6 +68,7 @@ class Rows:
     """The rows of n states (see the module's text), with successors by their numbers in the model.
 
     entry   (e,) which of `chances` each entry has; None: in their order
+    states  (n,) ascending, whose rows these are; None: states 0 … n−1
     parts   (choices, entries) of the rows that these are a part of, where they are; None: they are all
     """
 
@@ -77,6 +78,7 @@ class Rows:
     chances: Chances
     entry: NDArray[np.signedinteger[Any]] | None = None
     parts: tuple[I64, I64] | None = None
+    states: I64 | None = None
 
     def __len__(self) -> int:
         return len(self.choice_start) - 1
@@ -87,8 +89,13 @@ class Rows:
         return self
 
     def at(self, states: I64) -> I64:
-        """The numbers of states among these rows: of the whole model they are its own."""
-        return states
+        """The numbers of states among these rows, whose states they must be."""
+        return states if self.states is None else np.searchsorted(self.states, states)
+
+    @property
+    def rows(self) -> Rows:
+        """As of `Demand`."""
+        return self
 
     def some(self, numbers: I64) -> Rows:
         """The rows of the states with these numbers, in their order."""
@@ -291,8 +298,8 @@ class Source(ABC):
     def require_distributions(self, place: Place, state: Place) -> None:  # noqa: B027 - nothing to do on demand
         """ModelError where a row is no distribution, unless rows are checked when they are made."""
 
-    def within(self, first: I64, steps: int, need: Callable[[int], None]) -> tuple[I64, Rows]:
-        """The states that runs from `first` can be in within `steps` steps, ascending, and their rows.
+    def within(self, first: I64, steps: int, need: Callable[[int], None]) -> Rows:
+        """The rows of the states that runs from `first` can be in within `steps` steps.
 
         Those that are reached in the last step only have no choices here. `need` is called with the bytes to be taken.
         """
@@ -311,7 +318,7 @@ class Source(ABC):
         found = demand.rows.some(demand.at(states[acting]))
         counts = np.zeros(len(states), dtype=np.int64)
         counts[acting] = np.diff(found.choice_start)
-        return states, Rows(starts(counts), found.row_start, found.target, found.chances, found.entry)
+        return Rows(starts(counts), found.row_start, found.target, found.chances, found.entry, found.parts, states)
 
     def whole(self) -> Rows:
         """All rows. Raises SizeError before memory is taken that is not there."""

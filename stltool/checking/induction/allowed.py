@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.checking.induction.graph import I64, U64, Game
+from stltool.checking.induction.graph import I64, U64
 from stltool.choices import Choices, Form, Table
+from stltool.models.rows import Demand, Rows
 
 if TYPE_CHECKING:
     from stltool.checking.induction.words import Graph, Sets
@@ -24,9 +25,9 @@ class Allowed:
     everything = True
     mixed = False
 
-    def choices(self, game: Game, t: int, s: I64, q: I64) -> tuple[I64, I64, NDArray[np.float64] | None]:
-        """The choices of pairs (s, q): which pair each belongs to (ascending), its number in the model, its weight."""
-        here, start = game.rows.at(s), game.rows.choice_start
+    def choices(self, rows: Rows | Demand, t: int, s: I64, q: I64) -> tuple[I64, I64, NDArray[np.float64] | None]:
+        """The choices of pairs (s, q): which pair each belongs to (ascending), its number in `rows`, its weight."""
+        here, start = rows.at(s), rows.choice_start
         count = start[here + 1] - start[here]
         owner = np.repeat(np.arange(len(s)), count)
         offset = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
@@ -60,9 +61,9 @@ class Following(Allowed):
     def __init__(self, form: Form) -> None:
         self._form, self.mixed = form, not form.deterministic
 
-    def choices(self, game: Game, t: int, s: I64, q: I64) -> tuple[I64, I64, NDArray[np.float64] | None]:
-        taken, here = self._form.at(t, s, q), game.rows.at(s)
-        start = game.rows.choice_start[here]
+    def choices(self, rows: Rows | Demand, t: int, s: I64, q: I64) -> tuple[I64, I64, NDArray[np.float64] | None]:
+        taken, here = self._form.at(t, s, q), rows.at(s)
+        start = rows.choice_start[here]
         if taken.ndim == 2:
             owner, number = np.nonzero(taken)
             return owner, start[owner] + number, taken[owner, number] if self.mixed else None

@@ -137,7 +137,8 @@ class Game:
     @classmethod
     def of_joint(cls, joint: JointProduct, paying: bool = False) -> Game:
         """A joint product's, its states numbered by layer; with `paying`, every run goes on to the horizon."""
-        return cls(joint.model.some_rows(), Joint(joint.automaton, paying), joint.letter, np.flatnonzero(joint.model.initial))
+        model = joint.model
+        return cls(model.some_rows(), Joint(joint.automaton, paying), joint.letter, np.flatnonzero(model.initial))
 
     @property
     def horizon(self) -> int:

@@ -34,7 +34,7 @@ from stltool.checking.induction.edges import Edges, Fan
 from stltool.checking.induction.graph import I64, Game
 from stltool.checking.induction.reached import Reached, Stretch
 from stltool.choices import Listed
-from stltool.models.rows import Rows
+from stltool.models.rows import Demand, Rows
 from stltool.sizes import memory_limit, require_memory, require_time
 
 Progress: TypeAlias = Callable[[int, int], None]
@@ -148,8 +148,13 @@ class Layers(ABC, Generic[FLayer, Settled]):
 
     @property
     @abstractmethod
+    def asked(self) -> Rows | Demand:
+        """The rows that choices and entries of edges are numbers of: the model's, or those made for its runs."""
+
+    @property
     def rows(self) -> Rows:
-        """The rows that the choices and entries of `edges` are numbers of: the model's, or those made of them."""
+        """Those there are by now."""
+        return self.asked.rows
 
     @abstractmethod
     def acting(self) -> I64:
@@ -194,8 +199,9 @@ class Layers(ABC, Generic[FLayer, Settled]):
 
     def fan(self, t: int, s: I64, q: I64) -> Fan:
         """The edges of any pairs (s, q) of step t, along the choices that count."""
-        game, rows = self.game, self.game.rows
-        owner, choice, weight = self.allowed.choices(game, t, s, q)
+        game = self.game
+        owner, choice, weight = self.allowed.choices(self.asked, t, s, q)
+        rows = self.rows  # those of these states are made now
         length = rows.row_start[choice + 1] - rows.row_start[choice]
         start = np.concatenate([[0], np.cumsum(length)])
         which = np.repeat(np.arange(len(choice)), length)

@@ -56,9 +56,8 @@ class Nodes(Layers[I64, Settled]):
         self._kept = 0
 
     @property
-    def rows(self) -> Rows:
-        rows = self.game.rows
-        return rows.rows if isinstance(rows, Demand) else rows
+    def asked(self) -> Rows | Demand:
+        return self.game.rows
 
     def acting(self) -> I64:
         found = np.zeros(self.game.n_states, dtype=np.bool_)
@@ -141,7 +140,8 @@ class Nodes(Layers[I64, Settled]):
         owner = np.searchsorted(choices, first, side="right") - 1
         _, which = np.unique(owner, return_index=True)
         number = np.zeros(len(layer), dtype=np.int64)
-        number[owner[which]] = choice[first[which]] - self.game.rows.choice_start[edges.s][owner[which]]
+        from_here = self.asked.choice_start[self.asked.at(edges.s[owner[which]])]
+        number[owner[which]] = choice[first[which]] - from_here
         kept = None
         if self._kept + len(slot) <= _KEPT:
             self._kept += len(slot)

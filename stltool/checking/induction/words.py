@@ -61,8 +61,9 @@ class Graph:
 
         starts, rows = game.first.astype(np.int32), game.rows
         if isinstance(rows, Demand):
-            found, rows = rows.source.within(game.first, game.horizon, need)
-            states, number = found.astype(np.int32), np.full(game.n_states, -1, dtype=np.int32)
+            rows = rows.source.within(game.first, game.horizon, need)
+            assert rows.states is not None
+            states, number = rows.states.astype(np.int32), np.full(game.n_states, -1, dtype=np.int32)
             number[states] = np.arange(len(states), dtype=np.int32)
             structure = (rows.choice_start, rows.row_start, number[rows.target])
         else:
@@ -211,18 +212,14 @@ class Words(Layers[Sets, Layer]):
         self._word, self._bits = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint64)
 
     @property
-    def rows(self) -> Rows:
+    def asked(self) -> Rows:
         return self.graph.rows
 
     def acting(self) -> I64:
         found = np.zeros(len(self.graph.states), dtype=np.bool_)
         for _, _, layer in self.reached:
             found[layer.states] = True
-        return self._numbers(self.graph.states[found].astype(np.int64))
-
-    def _numbers(self, states: I64) -> I64:
-        """The numbers of model states among `rows`."""
-        return np.searchsorted(self.graph.states, states) if isinstance(self.game.rows, Demand) else states
+        return self.rows.at(self.graph.states[found].astype(np.int64))
 
     # --------------------------------------------------------------------------------------------- forward
 
@@ -439,7 +436,7 @@ class Words(Layers[Sets, Layer]):
         s, weight = graph.states[s].astype(np.int64), None
         if self.allowed.mixed:
             owner = np.repeat(np.arange(n), np.diff(choices))
-            number = choice - graph.rows.choice_start[self._numbers(s)[owner]]
+            number = choice - graph.rows.choice_start[graph.rows.at(s)[owner]]
             weight = self.allowed.weights(t, s[owner], q[owner], number)
         return Edges(s, q, choices, choice, weight, start, entry, child)
 
