@@ -19,7 +19,7 @@ import stltool as stl
 from stltool.automata.compile import all_valuations, atoms_of
 from stltool.automata.history import history_states
 from stltool.automata.machines import Exploration
-from stltool.automata.residuals import Progress, Residuals
+from stltool.automata.residuals import Progression, Residuals
 from stltool.errors import FragmentError, SizeError
 
 BUDGET = 20_000  # progression states tried
@@ -73,7 +73,7 @@ def progression(phi: stl.Formula) -> str:
     atoms = atoms_of(phi)
     table = Residuals(atoms)
     letters = [tuple(row) for row in all_valuations(len(atoms)).tolist()]
-    search = Exploration(table.residual(phi), Progress(table, letters))
+    search = Exploration(table.residual(phi), Progression(table, letters))
     return str(len(search.states)) if search.grow(BUDGET) else f"> {BUDGET}"
 
 

@@ -1,4 +1,4 @@
-"""What must be remembered to judge a run: Formula → TaskAutomaton."""
+"""Formula → TaskAutomaton: the memory needed to judge a run."""
 
 from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, TaskAutomaton
 from stltool.automata.compile import Encoding, compile_automaton

@@ -1,10 +1,10 @@
-"""The task automaton: the one object every back end consumes (docs/semantics.md §2).
+"""The task automaton, the object that every back end uses (docs/semantics.md §2).
 
     (Q, q₀, Λ, δ : Λ × Q → Q, h, verdict_t : Q → {true, false, undecided} for t = 0 … h)
 
 with q_t = δ(L(s_t), q_{t−1}), q_{−1} = q₀ and verdict_h total. Its specification is one sentence: **the first decided
-verdict along s₀ s₁ … s_h equals the truth of the formula at 0 on that trace.** A property test holds it against
-`logic/semantics.py`.
+verdict along s₀ s₁ … s_h equals the truth of the formula at step 0 of that trace.** A property test checks this
+against `logic/semantics.py`.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from stltool.display import Card, Displayed, counted, listed
 from stltool.logic.formula import Formula
 
 UNDECIDED, FALSE, TRUE = -1, 0, 1
-_SHOWN = 10  # parts in a notebook
+_SHOWN = 10  # parts listed in a notebook
 
 
 @dataclass(frozen=True)
 class Part:
-    """One part of an automaton's construction: what it watches, and how.
+    """One part of an automaton's construction: what it tracks, and how.
 
-    owed      the formula that every start owes; known `delay` steps after the start
-    method    "flag" (a counter), "oldest" or "each" (pending starts), "until" (open or ended), "single" (windows
-              counted down), "history"
-    explored  states found before minimisation; `states` after it
+    obligation  the formula that must hold at every start; its truth is known `delay` steps after the start
+    method      "flag" (a counter), "oldest" or "each" (pending starts), "until" (open or ended), "single" (windows
+                counted down), "history"
+    explored    states found before minimisation; `states`: after it
     """
 
     formula: Formula
-    owed: Formula
+    obligation: Formula
     delay: int
     method: str
     explored: int
@@ -44,7 +44,7 @@ class Part:
 
 
 class StateNames(Sequence[str]):
-    """What each of n states remembers, put into words when it is asked for."""
+    """A description of what each of n states remembers, made on demand."""
 
     def __init__(self, n: int, name: Callable[[int], str]) -> None:
         self._n, self._name = n, name
@@ -65,19 +65,19 @@ class StateNames(Sequence[str]):
 class TaskAutomaton(Displayed):
     """A deterministic automaton over letters, with verdicts that depend on the step.
 
-    formula     what it judges
-    encoding    "exact" | "paper" | "history", as asked for
-    exact       whether its verdicts are equal to the formula
-    atoms       ψ₁ … ψ_m: the Boolean formulas that it reads
-    valuations  (n_valuations, m) bool: the truth assignments it knows
-    letter_of   (n_valuations,) int32: their letter; valuations that no state tells apart share one
+    formula     the formula that it judges
+    encoding    "exact" | "paper" | "history", as requested
+    exact       whether its verdicts always equal the truth of the formula
+    atoms       ψ₁ … ψ_m: the Boolean formulas whose truth it reads
+    valuations  (n_valuations, m) bool: the truth assignments that it accepts
+    letter_of   (n_valuations,) int32: their letters; valuations that no state distinguishes share one
     delta       (n_letters, n_states) int32
     initial     q₀, before s₀ is read
-    horizon     h: the step at which every verdict has fallen
-    verdict_starts  (k,) int64, ascending from 0: row i of `verdict_rows` holds from step verdict_starts[i] on
+    horizon     h: the step by which every run is decided
+    verdict_starts  (k,) int64, ascending from 0: row i of `verdict_rows` applies from step verdict_starts[i] on
     verdict_rows    (k, n_states) int8: TRUE, FALSE or UNDECIDED
-    state_names (n_states,): what each state remembers, in the formula's terms
-    parts       what it is made of, with delays and sizes
+    state_names (n_states,): what each state remembers, in terms of the formula
+    parts       its parts, with delays and sizes
     registers   (n_states, n_registers) int32: the flags, by `register_names` (no columns for other encodings)
     """
 
@@ -124,8 +124,8 @@ class TaskAutomaton(Displayed):
         return row
 
     def judge(self, letters: Sequence[int]) -> tuple[bool, int] | None:
-        """The first decided verdict along a sequence of letters and its step; None if it ends undecided."""
-        require(letters, (list, tuple, np.ndarray), "judge's letters", "give letters by their numbers")
+        """The first decided verdict along a sequence of letters, and its step; None if it remains undecided."""
+        require(letters, (list, tuple, np.ndarray), "judge's letters", "give letters as integers")
         q = self.initial
         for t, letter in enumerate(letters):
             q = int(self.delta[whole(letter, "one of judge's letters", 0, self.n_letters - 1), q])
@@ -135,7 +135,7 @@ class TaskAutomaton(Displayed):
         return None
 
     def with_outcome(self, verdict: int) -> TaskAutomaton:
-        """One more letter, the last: it ends every run, in one more state, the last, with `verdict` from step 0 on."""
+        """Add a last letter and a last state: the letter leads every run to that state, whose verdict is `verdict`."""
         delta = np.full((self.n_letters + 1, self.n_states + 1), self.n_states, dtype=np.int32)
         delta[:-1, :-1] = self.delta
         decided = np.full((len(self.verdict_rows), 1), verdict, dtype=np.int8)
@@ -149,16 +149,16 @@ class TaskAutomaton(Displayed):
         )
 
     def describe(self, q: int) -> str:
-        """What state q remembers, in the formula's terms."""
+        """What state q remembers, in terms of the formula."""
         return self.state_names[whole(q, "the automaton's state q", 0, self.n_states - 1)]
 
     def letters_at(self, truth: NDArray[np.bool_]) -> NDArray[np.int32]:
-        """The letters of truth assignments (n, m) that the automaton knows."""
+        """The letters of truth assignments (n, m), all of which the automaton must accept."""
         known = {row.tobytes(): letter for row, letter in zip(self.valuations, self.letter_of.tolist(), strict=True)}
         return np.array([known[row.tobytes()] for row in np.ascontiguousarray(truth)], dtype=np.int32)
 
     def digest(self) -> str:
-        """A SHA-256 over everything that a policy depends on."""
+        """A SHA-256 of everything that a policy depends on."""
         sha = hashlib.sha256()
         sha.update(f"{self.formula}|{self.encoding}|{self.initial}|{self.horizon}".encode())
         for array in (self.valuations, self.letter_of, self.delta, self.verdict_starts, self.verdict_rows):
@@ -167,7 +167,7 @@ class TaskAutomaton(Displayed):
 
 
 class _WithOutcome:
-    """Names of states, and of one more."""
+    """Names of the states, and of the added one."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = names

@@ -1,4 +1,4 @@
-"""A shortest trace on which two automata of one formula disagree: what the flags of [Wang24] get wrong, shown."""
+"""A shortest trace on which two automata of one formula disagree: shows what the flags of [Wang24] get wrong."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _MOST_VISITED = 500_000
 def disagreement(
     left: TaskAutomaton, right: TaskAutomaton, left_letters: NDArray[np.int32], right_letters: NDArray[np.int32]
 ) -> list[int] | None:
-    """The shortest sequence of symbols after which both have decided, differently; None if they always agree.
+    """The shortest sequence of symbols after which both are decided, differently; None if they always agree.
 
-    Raises SizeError when the search would visit too many pairs of states.
+    Raises SizeError if the search would visit too many pairs of states.
 
     `left_letters` and `right_letters` (n_symbols,) give each automaton's letter for a symbol (a valuation, say).
     """
@@ -26,7 +26,7 @@ def disagreement(
     codes = np.ravel_multi_index(([left.initial], [right.initial], [0], [0]), shape)
     layers: list[
         NDArray[np.int64]
-    ] = []  # of each code of a layer: its place in the one before · n_symbols + the symbol
+    ] = []  # for each code of a layer: its position in the previous layer · n_symbols + the symbol
     visited = 0
     for t in range(max(left.horizon, right.horizon) + 1):
         p, q, v, w = np.unravel_index(codes, shape)
@@ -35,10 +35,12 @@ def disagreement(
         v, w = (np.where(was[:, None] != 0, was[:, None], now - UNDECIDED) for was, now in ((v, found_v), (w, found_w)))
         after = np.ravel_multi_index((after_p, after_q, v, w), shape).ravel()
         _, came_from = np.unique(after, return_index=True)
-        came_from.sort()  # in the order in which they were found
+        came_from.sort()  # in order of discovery
         visited += len(came_from)
         if visited > _MOST_VISITED:
-            raise SizeError(f"no trace looked for: over {_MOST_VISITED} pairs of states to search")
+            raise SizeError(
+                f"no disagreement searched for: over {_MOST_VISITED} pairs of states would have to be visited"
+            )
         v, w = v.ravel()[came_from], w.ravel()[came_from]
         different = np.flatnonzero((v != 0) & (w != 0) & (v != w))
         if different.size:

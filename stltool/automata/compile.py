@@ -1,4 +1,4 @@
-"""Formula → TaskAutomaton, by the encoding asked for."""
+"""Formula → TaskAutomaton, in the requested encoding."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ Encoding = Literal["exact", "paper", "history"]
 ENCODINGS: tuple[Encoding, ...] = get_args(Encoding)
 MOST_STATES = 100_000
 
-_MOST_ATOMS = 14  # all valuations of so many predicates are still a table
+_MOST_ATOMS = 14  # up to here, all valuations of the predicates can be tabulated
 
 
 def atoms_of(phi: Formula | Task, encoding: Encoding = "exact") -> tuple[Formula, ...]:
-    """The Boolean formulas whose truth an encoding's automaton of φ reads, left to right."""
+    """The Boolean formulas whose truth the automaton of φ reads in this encoding, left to right."""
     phi = bounded_formula_of(phi, "the automaton's formula")
     one_of(encoding, "encoding", ENCODINGS)
     if encoding == "paper":
@@ -48,10 +48,11 @@ def compile_automaton(
 ) -> TaskAutomaton:
     """The automaton that judges φ.
 
-    "exact" covers every bounded formula and is as small as we can make it; "paper" is the flags of [Wang24], which warn
-    where they may disagree with the formula; "history" remembers whole windows. `valuations` (n, n_atoms) restricts it
-    to those that occur in a model (`atoms_of` names the columns); by default it reads all. Compilation stops with a
-    SizeError that names the part that explodes when it grows over `most_states`. Raises FragmentError for "paper" only.
+    "exact" covers every bounded formula with as few states as we can find; "paper" uses the flags of [Wang24], with a
+    warning if they may disagree with the formula; "history" stores whole windows. `valuations` (n, n_atoms) restricts
+    the automaton to those that occur in a model (`atoms_of` names the columns); by default it reads all. If it grows
+    over `most_states`, compilation stops with a SizeError that names the part at fault. Raises FragmentError for
+    "paper" only.
     """
     phi = bounded_formula_of(phi, "compile_automaton's formula")
     read = atoms_of(phi, encoding)
@@ -65,7 +66,7 @@ def compile_automaton(
         fragment = check_fragment(phi)
         if not fragment.uniform:
             warnings.warn(
-                f"encoding paper is an approximation of {phi}: its inner windows differ, so its flags speak of "
+                f"the paper encoding only approximates {phi}: the inner windows differ, so the flags refer to "
                 "different start steps",
                 InexactEncodingWarning,
                 stacklevel=2,
@@ -77,20 +78,20 @@ def compile_automaton(
 
 
 def truth_table(valuations: object, columns: int, meaning: str) -> NDArray[np.bool_]:
-    """Truth assignments (n, columns); SettingsError for anything else."""
+    """The truth assignments (n, columns); SettingsError for anything else."""
     found = described(valuations)
     if isinstance(valuations, np.ndarray):
         if valuations.dtype == np.bool_ and valuations.ndim == 2 and valuations.shape[1] == columns and len(valuations):
             return valuations
         found = f"{valuations.dtype} of shape {valuations.shape}"
     raise SettingsError(
-        f"the valuations are {found}; give an array of Booleans, at least one row and {columns} columns, one for each "
-        f"of {meaning}"
+        f"the valuations are {found}; give an array of Booleans with one row or more and {columns} columns, one for "
+        f"each of {meaning}"
     )
 
 
 def _exact(phi: Formula, valuations: NDArray[np.bool_], most_states: int, memory_limit: int | None) -> TaskAutomaton:
-    """The window automaton; the flags where they are exact and smaller."""
+    """The window automaton, or the flags if they are exact and smaller."""
     table = Residuals(atoms(phi))
     root = table.residual(phi)
     flags = _exact_flags(phi)
@@ -103,7 +104,7 @@ def _exact(phi: Formula, valuations: NDArray[np.bool_], most_states: int, memory
     if flags is not None and math.prod(part.tau + 1 for part in flags.parts) < size:
         known: list[dict[Formula, bool]] = [dict(zip(table.atoms, row, strict=True)) for row in valuations.tolist()]
         truth = np.array([[boolean_value(part.psi, row.get) for part in flags.parts] for row in known], dtype=np.bool_)
-        with contextlib.suppress(SizeError):  # the first refusal names the ways out
+        with contextlib.suppress(SizeError):  # the error of the first attempt has the remedies
             flagged = flag_automaton(phi, flags, truth, "exact", memory_limit)
             return dataclasses.replace(flagged, atoms=table.atoms, valuations=valuations)
     if isinstance(found, SizeError):
@@ -112,7 +113,7 @@ def _exact(phi: Formula, valuations: NDArray[np.bool_], most_states: int, memory
 
 
 def _exact_flags(phi: Formula) -> Fragment | None:
-    """The decomposition where the paper's flags are exact."""
+    """The decomposition, if the paper's flags are exact."""
     try:
         fragment = check_fragment(phi)
     except FragmentError:
@@ -124,8 +125,8 @@ def all_valuations(n_atoms: int) -> NDArray[np.bool_]:
     """(2^n, n) bool: every truth assignment, the first atom in the lowest bit."""
     if n_atoms > _MOST_ATOMS:
         raise SizeError(
-            f"the formula reads {n_atoms} different predicates, 2^{n_atoms} letters; compile it for a model, which "
-            "realises few of them, or name common parts"
+            f"the formula has {n_atoms} different predicates, hence 2^{n_atoms} letters; compile it for a model, in "
+            "which few of them occur"
         )
     index = np.arange(1 << n_atoms)[:, None]
     return (index >> np.arange(n_atoms) & 1).astype(np.bool_)

@@ -1,8 +1,8 @@
-"""The shortest sum of products: conjunctions of literals that together hold on given valuations and on no others.
+"""The shortest sum of products: conjunctions of literals that together hold for given valuations and for no others.
 
-A *cube* is a conjunction of literals over n atoms, as (value, free): atom i may be anything where bit i of `free` is
-set, else it equals bit i of `value`. Quine and McCluskey: cubes that differ in one atom merge, as long as any do;
-what does not merge is *prime*. Which primes to take is a set cover, solved as an integer programme:
+A *cube* is a conjunction of literals over n atoms, written (value, free): atom i is unconstrained if bit i of `free`
+is set, else it equals bit i of `value`. Quine and McCluskey: cubes that differ in one atom are merged until no more
+merge; those that merge with none are *prime*. Choosing primes is a set cover, solved as an integer programme:
 
     minimise Σ_p (1 + literals of p)·x_p   subject to   Σ_{p covers v} x_p ≥ 1 for each wanted v,   x_p ∈ {0, 1}
 
@@ -19,9 +19,9 @@ Cube = tuple[int, int]
 
 
 def shortest_cover(n_atoms: int, wanted: Iterable[int], spare: Iterable[int] = ()) -> list[Cube]:
-    """Cubes that together hold on each of `wanted`, perhaps on some of `spare`, and on no other valuation.
+    """Cubes that together hold for all of `wanted`, possibly for some of `spare`, and for no other valuation.
 
-    A valuation is an integer whose bit i is the truth of atom i. No such cubes have fewer literals and cubes in all.
+    A valuation is an integer whose bit i is the truth of atom i. The total number of literals and cubes is minimal.
     """
     from scipy.optimize import LinearConstraint, milp
     from scipy.sparse import csr_array
@@ -38,7 +38,7 @@ def shortest_cover(n_atoms: int, wanted: Iterable[int], spare: Iterable[int] = (
 
 
 def literals(n_atoms: int, cube: Cube) -> list[tuple[int, bool]]:
-    """The cube's atoms in their order, each with whether it is negated."""
+    """The atoms of the cube in order, each with whether it is negated."""
     value, free = cube
     return [(i, not value >> i & 1) for i in range(n_atoms) if not free >> i & 1]
 

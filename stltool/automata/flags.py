@@ -1,12 +1,12 @@
-"""The paper's flag vector [Wang24, eq. 10 and 11], its misprints mended (docs/semantics.md §2).
+"""The paper's flag vector [Wang24, eq. 10 and 11], with its misprints corrected (docs/semantics.md §2).
 
     F[0,τ) ψ:  f ← τ           if ψ holds, else max(f − 1, 0)        χ = (f > 0)
     G[0,τ) ψ:  f ← min(f+1, τ) if ψ holds, else 0                    χ = (f = τ)
 
 from f = 0, reading s₀ first. After step t, χ_i is the truth of φ_i for the window that *ends* at t. With equal windows
-τ, φ at start k is g(χ) at t = k + τ − 1: outer F decides true when it holds, outer G false when it fails, and at
-h = T + τ − 2 the rest decide the other way. With different windows the χ_i speak of different starts: the paper's
-approximation, which `exact` says is not the formula.
+τ, φ at start k is g(χ) at t = k + τ − 1: an outer F decides true as soon as it holds, an outer G decides false as soon
+as it fails, and at h = T + τ − 2 the remaining runs get the other verdict. With different windows, the χ_i refer to
+different starts: this is the paper's approximation, and `exact` is False.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, StateNames, TaskAutomaton
 from stltool.logic.formula import Formula
-from stltool.logic.fragment import Fragment
-from stltool.logic.fragment import Part as FragmentPart
+from stltool.logic.fragment import Fragment, FragmentPart
 from stltool.sizes import require_memory, require_numbered
 
 
@@ -29,8 +28,8 @@ def flag_automaton(
 ) -> TaskAutomaton:
     """The product of the fragment's flags: Π (τ_i + 1) states.
 
-    `valuations` (n, n_parts) of the parts' predicates are what it reads. Raises SizeError before
-    allocating when the tables would not fit.
+    It reads `valuations` (n, n_parts) of the parts' predicates. Raises SizeError, before allocating, if the tables
+    would not fit.
     """
     taus = [part.tau for part in fragment.parts]
     shape = tuple(tau + 1 for tau in taus)
@@ -80,7 +79,7 @@ def flag_automaton(
 
 
 class _Names:
-    """A flag vector in words."""
+    """Describes a flag vector in words."""
 
     def __init__(self, fragment: Fragment) -> None:
         self._parts = fragment.parts
@@ -109,7 +108,7 @@ def _update(operator: str, tau: int, holds: bool, flag: NDArray[np.int32]) -> ND
 
 
 def _combine(fragment: Fragment, chi: list[NDArray[np.bool_]], n_states: int) -> NDArray[np.bool_]:
-    """g(χ) at every state, through the 2^n rows of its truth table."""
+    """g(χ) at every state, from the 2^n rows of its truth table."""
     n = len(chi)
     row = np.zeros(n_states, dtype=np.int64)
     for i, values in enumerate(chi):
@@ -121,7 +120,7 @@ def _combine(fragment: Fragment, chi: list[NDArray[np.bool_]], n_states: int) ->
 
 
 def _verdicts(fragment: Fragment, holds: NDArray[np.bool_], tau: int) -> tuple[list[int], list[NDArray[np.int8]]]:
-    """Undecided before the first full window; then one way only; at the horizon both ways."""
+    """Undecided before the first full window, then only one verdict is possible, at the horizon both are."""
     nothing = np.full(len(holds), UNDECIDED, dtype=np.int8)
     if fragment.outer == "F":
         running = np.where(holds, TRUE, UNDECIDED).astype(np.int8)

@@ -1,4 +1,4 @@
-"""An automaton to look at, networkx graph or Graphviz text: states say what they remember, edges for which labels."""
+"""An automaton as a networkx graph or Graphviz text: states show what they remember, edges the labels they need."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from stltool.logic.formula import And, Constant, Formula, Not, Or
 if TYPE_CHECKING:
     import networkx
 
-_MOST_SIMPLIFIED = 8  # atoms; beyond, an edge lists its valuations
-_MOST_DRAWN = 2000  # states; nobody sees more
+_MOST_SIMPLIFIED = 8  # atoms; with more, an edge lists its valuations
+_MOST_DRAWN = 2000  # states; a larger picture would not be readable
 
 
 def to_graph(automaton: TaskAutomaton) -> networkx.DiGraph:
     """Nodes are states with `name` and `verdicts`; edges carry `condition`, a Boolean formula over the atoms as text.
 
-    Node "start" is the automaton before it has read anything.
+    Node "start" is the automaton before it reads anything.
     """
     import networkx
 
@@ -40,12 +40,12 @@ def to_graph(automaton: TaskAutomaton) -> networkx.DiGraph:
 
 
 def to_dot(automaton: TaskAutomaton) -> str:
-    """The same as Graphviz text. Raises SizeError for more states than a picture can show."""
+    """The same as Graphviz text. Raises SizeError if there are more states than a picture can show."""
     import graphviz
 
     if automaton.n_states > _MOST_DRAWN:
         raise SizeError(
-            f"the automaton has {automaton.n_states} states; a picture shows at most {_MOST_DRAWN}; shorten the windows"
+            f"the automaton has {automaton.n_states} states, a picture at most {_MOST_DRAWN}; shorten the windows"
         )
     graph = to_graph(automaton)
     dot = graphviz.Digraph("task", comment=str(automaton.formula), graph_attr={"rankdir": "LR"})
@@ -62,7 +62,7 @@ def to_dot(automaton: TaskAutomaton) -> str:
 
 
 def verdict_text(automaton: TaskAutomaton, q: int) -> str:
-    """When a run in state q is decided: "false from step 4 to 7; true from step 8"."""
+    """When a run in state q is decided, such as "false from step 4 to 7; true from step 8"."""
     starts = automaton.verdict_starts.tolist()
     pieces: list[tuple[int, int | None, int]] = []
     for i, verdict in enumerate(automaton.verdict_rows[:, q].tolist()):
@@ -79,7 +79,7 @@ def verdict_text(automaton: TaskAutomaton, q: int) -> str:
 
 
 def condition(automaton: TaskAutomaton, letters: tuple[int, ...]) -> Formula:
-    """A short Boolean formula over the atoms that holds for these letters and no others that the automaton knows."""
+    """A short Boolean formula over the atoms that holds for these letters and for no other letter of the automaton."""
     rows = [
         (row, letter in letters)
         for row, letter in zip(automaton.valuations.tolist(), automaton.letter_of.tolist(), strict=True)

@@ -1,9 +1,9 @@
-"""The τ-MDP encoding [Aksaray16]: remember the last τ letters, judge the inner formula on them.
+"""The τ-MDP encoding [Aksaray16]: store the last τ letters and evaluate the inner formula on them.
 
-For Φ = F[a,b] φ or G[a,b] φ with D = horizon(φ), a state is the last D + 1 letters, or all of them so far:
-Σ_{i ≤ D+1} |Λ|^i states. After step t the window starts at k = t − D; outer F decides true when φ holds there, outer G
-false when it fails. Any other formula counts as G[0,0]. Exact, and the baseline that blows up: its size is predicted
-before it is built.
+For Φ = F[a,b] φ or G[a,b] φ with D = horizon(φ), a state is the last D + 1 letters, or all letters so far:
+Σ_{i ≤ D+1} |Λ|^i states. After step t the window starts at k = t − D; an outer F decides true if φ holds there, an
+outer G decides false if it fails. Any other formula counts as G[0,0]. It is exact, and the baseline that blows up: its
+size is predicted before it is built.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ _LONGEST_NAME = 4  # letters shown of a history
 
 
 def history_length(phi: Formula) -> int:
-    """How many of the last steps the encoding remembers: τ where φ is in the fragment of [Wang24]."""
+    """The number of recent steps that the encoding stores: τ if φ is in the fragment of [Wang24]."""
     _, _, inner = _outer(phi)
     return horizon(inner) + 1
 
 
 def history_states(phi: Formula, n_letters: int) -> int | float:
-    """How many histories the encoding has, before anything is built; inf beyond what a double holds."""
+    """The number of histories, predicted before anything is built; inf beyond the range of doubles."""
     longest = history_length(phi)
     if n_letters == 1:
         return longest + 1
@@ -64,11 +64,11 @@ def history_automaton(
     require_memory(
         predicted * (4 * n + 8 * depth + 100),
         f"the history encoding of {phi}: {n} letters over {depth} steps, {predicted:.4g} states",
-        "use encoding exact",
+        "use the exact encoding",
         limit,
     )
     n_states = int(predicted)
-    require_numbered(n_states, f"histories of {phi}", "use encoding exact")
+    require_numbered(n_states, f"histories of {phi}", "use the exact encoding")
     # states in order of length; a history of length l with letters λ₁ … λ_l (oldest first) has index
     # offset[l] + Σ λ_i n^(l−i)
     offset = np.cumsum([0] + [n**length for length in range(depth + 1)])
@@ -118,7 +118,7 @@ def _outer(phi: Formula) -> tuple[str, Interval, Formula]:
 
 
 class _Histories:
-    """Truth at a position of every full history, each (φ, k) computed once."""
+    """Truth at a position of every full history; each (φ, k) is computed once."""
 
     def __init__(self, atoms: dict[Formula, list[_Truth]], n: int) -> None:
         self._atoms, self._n = atoms, n
@@ -157,7 +157,7 @@ class _Histories:
                     so_far &= self.truth(left, k + u)
                 return result
             case Label() | Comparison():
-                raise AssertionError(f"{phi} is no atom of this automaton")
+                raise AssertionError(f"{phi} is not an atom of this automaton")
             case _:
                 assert_never(phi)
 
@@ -168,7 +168,7 @@ def _any(values: Iterable[_Truth]) -> _Truth:
 
 
 class _Names:
-    """The last letters, newest first, by the atoms that held."""
+    """The last letters, newest first, given by the atoms that held."""
 
     def __init__(self, atoms: tuple[Formula, ...], valuations: _Truth) -> None:
         self._words = [
@@ -178,7 +178,7 @@ class _Names:
 
     def __call__(self, q: int) -> str:
         n, length = len(self._words), 0
-        while q >= n**length:  # q less the number of shorter histories: its letters are digits, the newest the lowest
+        while q >= n**length:  # q minus the number of shorter histories: its digits are letters, newest lowest
             q -= n**length
             length += 1
         if not length:

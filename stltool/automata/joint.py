@@ -1,11 +1,11 @@
-"""Several tasks remembered together, step by step: what is known after step t until every verdict has fallen.
+"""Joint memory of several tasks, step by step: what is known after step t until every task is decided.
 
-    layer t:  (q₁ … q_N) after reading s_t, where q_i = • from the step on at which task i's verdict fell
+    layer t:  (q₁ … q_N) after reading s_t, where q_i = • from the step at which task i was decided
     δ_t(λ, (q₁ … q_N)) = (q₁' … q_N'),   q_i' = δ_i(λ, q_i), or • if verdict_{t+1}(q_i') is decided
 
-A verdict depends on the step and an automaton forgets it afterwards, so the step belongs to the memory: the layers, one
-after the other, are the states of one automaton. What a verdict was is told on the way into •, and need not be kept:
-no reward to come depends on it.
+A verdict depends on the step, and an automaton forgets it afterwards, so the step is part of the memory: the layers,
+one after another, are the states of one automaton. The verdict itself is reported on the transition into • and need not
+be stored: no later reward depends on it.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from stltool.display import Card, Displayed, counted
 from stltool.sizes import require_memory, require_numbered
 
 DECIDED = -1
-_LAYER_BYTES = 1000  # of a layer, however small
+_LAYER_BYTES = 1000  # of even the smallest layer
 _LARGEST_CODE = 2**62
 
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """What can be remembered at one step, for N tasks.
+    """The memory of N tasks at one step.
 
-    states   (n, N) int32, distinct rows: each task's automaton state, DECIDED once its verdict has fallen
+    states   (n, N) int32, distinct rows: each task's automaton state, DECIDED once the task is decided
     delta    (n_letters, n) int32: the row of the next layer after reading a letter; zeros in the last layer
-    holds    (N, n_letters, n) bool: whether the task's verdict falls on reading that letter, and is true
+    holds    (N, n_letters, n) bool: whether reading that letter decides the task as true
     """
 
     states: NDArray[np.int32]
@@ -42,16 +42,16 @@ class Layer:
 
     @property
     def decided(self) -> NDArray[np.bool_]:
-        """(n,) where every verdict has fallen."""
+        """(n,): whether every task is decided."""
         result: NDArray[np.bool_] = (self.states == DECIDED).all(axis=1)
         return result
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JointAutomaton(Displayed):
-    """The layers before s₀ is read (`start`, one state) and after steps 0 … h, h the longest of the tasks' horizons.
+    """The layer before s₀ is read (`start`, one state), and those after steps 0 … h, the longest horizon of the tasks.
 
-    Its states are numbered: the start, then layer by layer; the one of the last layer stays where it is.
+    States are numbered from the start, then layer by layer; the state of the last layer has a self-loop.
     """
 
     automata: tuple[TaskAutomaton, ...]
@@ -76,7 +76,7 @@ class JointAutomaton(Displayed):
 
     @cached_property
     def offsets(self) -> NDArray[np.int64]:
-        """(h + 2,): the number of each layer's first state, and how many states there are."""
+        """(h + 2,): the number of each layer's first state, and the total number of states."""
         return np.cumsum([1, *(len(layer.states) for layer in self.layers)])
 
     @property
@@ -85,7 +85,7 @@ class JointAutomaton(Displayed):
 
     @cached_property
     def delta(self) -> NDArray[np.int32]:
-        """(n_letters, n_states) int32. Raises SizeError where it would not fit: layers that repeat are in it again."""
+        """(n_letters, n_states) int32. Raises SizeError if it would not fit: repeated layers are stored again."""
         n_letters = len(self.start.delta)
         require_memory(
             8 * n_letters * self.n_states,
@@ -106,7 +106,7 @@ class JointAutomaton(Displayed):
         return f"after step {t}: {' | '.join(told)}"
 
     def digest(self) -> str:
-        """A SHA-256 over everything that a policy depends on."""
+        """A SHA-256 of everything that a policy depends on."""
         sha = hashlib.sha256("|".join(automaton.digest() for automaton in self.automata).encode())
         sha.update(str(self.delta.shape).encode() + self.delta.tobytes())
         return sha.hexdigest()
@@ -115,13 +115,13 @@ class JointAutomaton(Displayed):
 def join_automata(
     automata: Sequence[TaskAutomaton], letters: NDArray[np.int32], memory_limit: int | None = None
 ) -> JointAutomaton:
-    """The joint memory of several automata; `letters` (n_letters, N): each joint letter as the automata read it.
+    """The joint memory of several automata; `letters` (n_letters, N): each joint letter as each automaton reads it.
 
-    Raises SizeError before a layer is made that would not fit.
+    Raises SizeError before a layer is built that would not fit.
     """
     horizon = max(automaton.horizon for automaton in automata)
     sizes = " × ".join(str(automaton.n_states) for automaton in automata)
-    what = f"remembering {sizes} automaton states over {horizon} steps"
+    what = f"a joint automaton of {sizes} automaton states over {horizon} steps"
     remedy = "shorten the windows, or trade fewer tasks off"
     require_memory(horizon * _LAYER_BYTES, what, remedy, memory_limit)
     taken, n_states = 0, 1
@@ -130,7 +130,7 @@ def join_automata(
     layers: list[Layer] = []
     for t in range(horizon + 1):
         if layers and t not in changes and np.array_equal(states, layers[-1].states):
-            layers.append(layers[-1])  # and so on, until a verdict changes
+            layers.append(layers[-1])  # repeated until a verdict changes
         else:
             cells = len(letters) * len(states)
             taken += cells * (4 + len(automata)) + _LAYER_BYTES
@@ -147,7 +147,7 @@ def join_automata(
 def _read(
     automata: Sequence[TaskAutomaton], letters: NDArray[np.int32], states: NDArray[np.int32], t: int
 ) -> tuple[Layer, NDArray[np.int32]]:
-    """The layer with these states, from which step t is read, and the next layer's states."""
+    """The layer with these states, which reads step t, and the states of the next layer."""
     after = np.empty((len(automata), len(letters), len(states)), dtype=np.int32)
     holds = np.empty(after.shape, dtype=np.bool_)
     for i, automaton in enumerate(automata):
@@ -163,10 +163,10 @@ def _read(
 
 
 def _distinct(columns: NDArray[np.int32], sizes: Sequence[int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Where each distinct column (N,) of automaton states stands first, and which of them each column is.
+    """The first position of each distinct column (N,) of automaton states, and the distinct column of each column.
 
-    In lexicographic order, the last automaton first. Column codes are whole numbers below the product of `sizes`, and
-    ranks among those that occur wherever that would be too large a number.
+    In lexicographic order, the last automaton first. Column codes are integers below the product of `sizes`, or ranks
+    among the codes that occur if that product is too large.
     """
     codes, width = np.zeros(columns.shape[1], dtype=np.int64), 1
     for states, size in zip(columns[::-1], sizes[::-1], strict=True):

@@ -1,12 +1,12 @@
-"""One part's machine: what must be remembered to judge a watch, an until or a single start.
+"""The machine of one part: the memory needed to judge a watch, an until or a single start.
 
-A watch G[a,b] φ needs no clock for its outer window: which starts count is said by verdict_t. Its state holds the
-starts that are still pending, each with its age and residual, oldest first. Three ways to hold them, the smallest is
-taken:
+A watch G[a,b] φ needs no clock for its outer window: verdict_t determines which starts count. Its state holds the
+pending starts, each with its age and residual, oldest first. There are three ways to store them, of which the one with
+the fewest states is used:
 
-    oldest   drop a start whose debt an older one's implies: the older is judged first, and one violation decides
-    each     keep every pending start: needs no waiting for a window that begins late
-    single   no starts but the first, the outer window inside the residual: when pending sets explode
+    oldest   drop a start whose obligation is implied by an older one's: that is judged first, and one violation decides
+    each     keep every pending start: no need to wait for a window that begins late
+    single   only the first start, with the outer window inside the residual: for pending sets that explode
 
 Every machine is minimised.
 """
@@ -25,35 +25,34 @@ from stltool.automata.automaton import Part
 from stltool.automata.minimise import coarsest_partition, quotient
 from stltool.automata.residuals import FALSE as NO
 from stltool.automata.residuals import TRUE as YES
-from stltool.automata.residuals import ByLetter, Letter, Progress, Residual, Residuals, by_letter
+from stltool.automata.residuals import ByLetter, Letter, Progression, Residual, Residuals, by_letter
 from stltool.errors import SizeError
 from stltool.sizes import require_memory
 
 Method: TypeAlias = Literal["oldest", "each", "single", "until"]
 _State: TypeAlias = tuple[str, int, tuple[int, ...], tuple[Residual, ...]]
-"""Kind; steps to wait for the window; ages and residuals of the pending starts, oldest first."""
+"""Kind, steps until the window begins, and ages and residuals of the pending starts, oldest first."""
 _T = TypeVar("_T")
 
-# outcomes of a machine's state, beside the verdict's clock
+# outcomes of a machine's state, which the clock of the verdict completes
 OPEN, BAD, GOOD = 0, 1, 2
 
-_FIRST_BUDGET = 3000  # states that each method may explore before the others have had their turn
-_LONGEST_EACH = 500  # pending starts a state of method "each" may hold
+_FIRST_BUDGET = 3000  # states that each method may explore before the others get their turn
+_LONGEST_EACH = 500  # pending starts per state of method "each"
 _WORTH_TRYING = 8  # times the best size so far
-_DEAR = 10 * _FIRST_BUDGET  # from here on only what is smaller
-_HARDLY_WORSE = 1.001  # times the least size to be expected
-_STATE_BYTES = 1000  # of a state while it is explored, its successors apart
+_DEAR = 10 * _FIRST_BUDGET  # beyond it, only smaller results are sought
+_HARDLY_WORSE = 1.001  # times the smallest size to be expected
+_STATE_BYTES = 1000  # per state during exploration, without its successors
 
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """A part's machine, state 0 first.
+    """The machine of one part; state 0 is initial.
 
-    delta    (n_own, n_states) int32: over the letters that it tells apart
-    reads    (n_letters,): which of them it reads for each letter
-    outcome  (n_states,) int8: from step `first` on, a BAD state says that the part fails, until step `last`; GOOD that
-             it holds
-    name     a state in words
+    delta    (n_own, n_states) int32: over the letters that it distinguishes
+    reads    (n_letters,): the own letter for each letter
+    outcome  (n_states,) int8: GOOD if the part holds; BAD if it fails, which counts from step `first` to step `last`
+    name     describes a state in words
     """
 
     part: Part
@@ -75,18 +74,18 @@ def machine_of(
 ) -> Machine:
     """The smallest machine found for a part: all methods on a small budget, then on a larger one.
 
-    `flipped` where ¬φ is judged instead of φ: names and formulas are told of φ. Raises SizeError where it grows over
-    `most_states`, or over what fits into `allowed` bytes.
+    With `flipped`, ¬φ is judged instead of φ, but names and formulas refer to φ. Raises SizeError if it grows over
+    `most_states`, or does not fit into `allowed` bytes.
     """
     success = table.node(x)[0] == "F"
     watched = table.negation(x) if success else x
-    # a part reads its own atoms only: letters that agree on them are explored once
+    # a part reads only its own atoms: letters that agree on them are explored once
     own = sorted(table.atoms_in(x))
     projected = [tuple(value and i in own for i, value in enumerate(letter)) for letter in letters]
     distinct = sorted(set(projected))
     number = {letter: i for i, letter in enumerate(distinct)}
     reads = np.array([number[letter] for letter in projected], dtype=np.int64)
-    after = Progress(table, distinct)
+    after = Progression(table, distinct)
     searches = []
     for method in _methods(table, watched, success):
         negated = success and method != "single"
@@ -99,7 +98,7 @@ def machine_of(
             room = min([budget, *(max(m.n_states, min(_WORTH_TRYING * m.n_states, _DEAR)) + 16 for m in found)])
             if search.method == "single" and found and found[0].n_states <= _HARDLY_WORSE * search.delay:
                 continue
-            # a debt can stay open to its last step, each step a state of its own
+            # an obligation can stay open to its last step, and each step is a state
             if search.grow(room, search.delay):
                 found.append(search.machine(reads, flipped))
         if found:
@@ -109,7 +108,7 @@ def machine_of(
         require_memory(
             (fitting + 1) * (_STATE_BYTES + 4 * len(distinct)),
             f"the automaton of {phi}, over {fitting} states and {len(distinct)} letters,",
-            "shorten its inner windows, or compile it for a model that realises few letters",
+            "shorten its inner windows, or compile it for a model in which few letters occur",
             allowed,
         )
     raise SizeError(
@@ -127,8 +126,8 @@ def _methods(table: Residuals, watched: Residual, success: bool) -> list[Method]
     return ["oldest", "single"] if kind in ("G", "atom") else ["single"]
 
 
-def _owed(table: Residuals, x: Residual, method: Method) -> Residual:
-    """What every start owes: φ of a watch over G[a,b] φ; a single start owes everything; an until its right side."""
+def _obligation(table: Residuals, x: Residual, method: Method) -> Residual:
+    """The obligation of every start: φ for a watch G[a,b] φ, all of x for a single start, ψ for φ U ψ."""
     node = table.node(x)
     if method == "until":
         return int(node[4])
@@ -139,10 +138,10 @@ def _owed(table: Residuals, x: Residual, method: Method) -> Residual:
 
 
 class Exploration(Generic[_T]):
-    """The states that letters lead to from `start`, in the order found; `successors` gives one per letter.
+    """The states reachable from `start`, in order of discovery; `successors` gives one state per letter.
 
-    The order is breadth first, letters in their order: however states are merged, each class is first met by the
-    same shortest word, so the numbers of a minimised machine do not depend on how it was found.
+    The order is breadth first, by letter: however states are merged, each class is first reached by the same shortest
+    word, so the numbering of a minimised machine does not depend on how it was found.
     """
 
     def __init__(self, start: _T, successors: Callable[[_T], Sequence[_T]]) -> None:
@@ -151,13 +150,13 @@ class Exploration(Generic[_T]):
         self._number = {start: 0}
         self._rows = array("i")
         self._done = 0
-        self._layer_end = 1  # states before it are found by at most so many letters
+        self._layer_end = 1  # states before it are reached by words no longer than the current length
         self._depth = 0
 
     def grow(self, most: int, longest: int = 0) -> bool:
-        """Go on until all states are found; False where they are more than `most`.
+        """Continue until all states are found; False if there are more than `most`.
 
-        `longest`: some word of so many letters leads to a new state with each of them.
+        `longest`: the length of a word known to reach a new state with each of its letters.
         """
         states, number, successors, rows = self.states, self._number, self._successors, self._rows
         while self._done < len(states):
@@ -181,32 +180,32 @@ class Exploration(Generic[_T]):
 
 
 class _Search:
-    """One method's machine of x, found state by state; of what a watch over ¬φ does not violate where `negated`."""
+    """The machine of x by one method, found state by state; `negated`: of a watch over ¬φ, inverted."""
 
-    def __init__(self, table: Residuals, x: Residual, method: Method, after: Progress, negated: bool) -> None:
+    def __init__(self, table: Residuals, x: Residual, method: Method, after: Progression, negated: bool) -> None:
         self.table, self.x, self.method, self.negated = table, x, method, negated
-        self.owed = _owed(table, x, method)
-        self.delay = table.horizon(self.owed)
+        self.obligation = _obligation(table, x, method)
+        self.delay = table.horizon(self.obligation)
         node = table.node(x)
         self.window = node[1:3] if method == "until" or (method != "single" and node[0] == "G") else (0, 0)
         start = _of_kind("begins" if method == "single" else "runs")
         if self.window[0] and method in ("oldest", "until"):
             start = _of_kind("waits", self.window[0])
         if method == "single":
-            successors = _single(after, self.owed)
+            successors = _single(after, self.obligation)
         elif method == "until":
             successors = _until(table, x, after)
         else:
-            successors = _watch(table, self.owed, self.delay, method, after)
+            successors = _watch(table, self.obligation, self.delay, method, after)
         self._found = Exploration(start, successors)
         self.grow = self._found.grow
 
     def machine(self, reads: NDArray[np.int64], flipped: bool) -> Machine:
-        """What was found, minimised."""
-        table, x, method, owed = self.table, self.x, self.method, self.owed
+        """The machine that was found, minimised."""
+        table, x, method, obligation = self.table, self.x, self.method, self.obligation
         states, delta = self._found.states, self._found.delta
         outcome = np.array([{"bad": BAD, "good": GOOD}.get(state[0], OPEN) for state in states], dtype=np.int8)
-        if self.negated:  # a violated ¬φ is a success; it is never forgotten
+        if self.negated:  # a violation of ¬φ is a success and is never forgotten
             outcome = np.where(outcome == BAD, GOOD, OPEN).astype(np.int8)
         small, representative = quotient(delta, coarsest_partition(delta, outcome))
         turned = self.negated != flipped
@@ -214,7 +213,7 @@ class _Search:
         return Machine(
             part=Part(
                 formula=table.formula(table.negation(x) if turned else x),
-                owed=table.formula(table.negation(owed) if turned else owed),
+                obligation=table.formula(table.negation(obligation) if turned else obligation),
                 delay=delay,
                 method=method,
                 explored=len(states),
@@ -223,7 +222,7 @@ class _Search:
             delta=small,
             reads=reads,
             outcome=outcome[representative],
-            name=_Names(table, [states[i] for i in representative.tolist()], owed, method, turned),
+            name=_Names(table, [states[i] for i in representative.tolist()], obligation, method, turned),
             first=a + delay if method not in ("single", "until") else 0,
             last=b + delay if method != "single" else table.horizon(x),
             good_at_end=not self.negated and not (method == "until" and table.node(x)[0] == "U"),
@@ -239,11 +238,11 @@ def _next_wait(state: _State) -> _State:
 
 
 def _watch(
-    table: Residuals, owed: Residual, delay: int, method: Method, after: Progress
+    table: Residuals, obligation: Residual, delay: int, method: Method, after: Progression
 ) -> Callable[[_State], Sequence[_State]]:
-    """One letter for a watch: pending starts progress, a new one begins, the one of age D is judged."""
+    """The step function of a watch: pending starts progress, a new one begins, the one of age D is judged."""
     oldest = method == "oldest"
-    begun, implied = after(owed), table.implied
+    begun, implied = after(obligation), table.implied
 
     def successors(state: _State) -> Sequence[_State]:
         kind, _, ages, residuals = state
@@ -281,10 +280,10 @@ def _watch(
     return successors
 
 
-def _until(table: Residuals, x: Residual, after: Progress) -> Callable[[_State], Sequence[_State]]:
-    """One letter for φ U[a,b] ψ or φ R[a,b] ψ over atoms: after a steps only the verdict's clock counts."""
+def _until(table: Residuals, x: Residual, after: Progression) -> Callable[[_State], Sequence[_State]]:
+    """The step function of φ U[a,b] ψ or φ R[a,b] ψ over atoms: after a steps only the clock of the verdict counts."""
     kind, _, _, left, right = table.node(x)
-    # U ends well when ψ holds and badly when φ fails first; R ends badly when ψ fails and well when φ holds first
+    # U ends well if ψ holds, badly if φ fails first; R ends badly if ψ fails, well if φ holds first
     ends, ended, breaks, broken = (YES, "good", NO, "bad") if kind == "U" else (NO, "bad", YES, "good")
 
     def successors(state: _State) -> Sequence[_State]:
@@ -302,12 +301,13 @@ def _until(table: Residuals, x: Residual, after: Progress) -> Callable[[_State],
     return successors
 
 
-def _single(after: Progress, owed: Residual) -> Callable[[_State], Sequence[_State]]:
-    """One letter for the only start: its residual progresses until it is true or false."""
+def _single(after: Progression, obligation: Residual) -> Callable[[_State], Sequence[_State]]:
+    """The step function of the only start: its residual progresses until it is true or false."""
     ends = {(YES,): _of_kind("good"), (NO,): _of_kind("bad")}
+    known = {"begins": obligation, "good": YES, "bad": NO}
 
     def successors(state: _State) -> Sequence[_State]:
-        x = owed if state[0] == "begins" else YES if state[0] == "good" else NO if state[0] == "bad" else state[3][0]
+        x = known[state[0]] if state[0] in known else state[3][0]
         return [ends.get(x) or ("runs", 0, (0,), x) for x in zip(after(x))]
 
     return successors
@@ -317,24 +317,24 @@ def _single(after: Progress, owed: Residual) -> Callable[[_State], Sequence[_Sta
 
 
 class _Names:
-    """What a state remembers, told of φ where ¬φ is watched: a debt of ¬φ is a start at which φ is still possible.
+    """Describes what a state remembers, in terms of φ even if ¬φ is watched: a pending ¬φ means that φ is possible.
 
-    A name speaks of starts, never of the verdict: which starts count is the verdict's clock to say.
+    A name refers to starts, never to the verdict: the clock of the verdict determines which starts count.
     """
 
     def __init__(
-        self, table: Residuals, states: Sequence[_State], owed: Residual, method: Method, negated: bool
+        self, table: Residuals, states: Sequence[_State], obligation: Residual, method: Method, negated: bool
     ) -> None:
-        self._table, self._owed, self._method, self._negated = table, owed, method, negated
-        # of the pending starts a name needs the first, and how many there are
+        self._table, self._obligation, self._method, self._negated = table, obligation, method, negated
+        # a name needs the first pending start and their number
         self._states = [(kind, waits, ages[:1], xs[:1], len(xs)) for kind, waits, ages, xs in states]
 
     def __call__(self, q: int) -> str:
-        table, owed, method, negated = self._table, self._owed, self._method, self._negated
+        table, obligation, method, negated = self._table, self._obligation, self._method, self._negated
         kind, waits, ages, residuals, n_pending = self._states[q]
-        if method == "oldest" and table.horizon(owed) == 0 and kind not in ("waits", "begins"):
-            # F[a,b] ψ or G[a,b] ψ with ψ of one state: what counts is whether ψ has occurred, or failed, in the window
-            psi = table.formula(table.negation(owed) if negated else owed)
+        if method == "oldest" and table.horizon(obligation) == 0 and kind not in ("waits", "begins"):
+            # F[a,b] ψ or G[a,b] ψ with a Boolean ψ: what counts is whether ψ has occurred, or failed, in the window
+            psi = table.formula(table.negation(obligation) if negated else obligation)
             if negated:
                 return f"{psi} seen" if kind == "bad" else f"{psi} not seen yet"
             return f"{psi} has failed" if kind == "bad" else f"{psi} so far"
@@ -347,7 +347,9 @@ class _Names:
             if method in ("single", "until"):
                 return ended
             return (
-                f"a start has {ended}" if method == "oldest" else f"the start {_steps(table.horizon(owed))} ago {ended}"
+                f"a start has {ended}"
+                if method == "oldest"
+                else f"the start {_steps(table.horizon(obligation))} ago {ended}"
             )
         if not n_pending:
             return "nothing pending"
@@ -355,11 +357,11 @@ class _Names:
         return text if n_pending == 1 else f"{text} (and {n_pending - 1} later)"
 
     def _pending(self, age: int, x: Residual) -> str:
-        """A pending start."""
-        table, owed, negated = self._table, self._owed, self._negated
+        """Describes a pending start."""
+        table, obligation, negated = self._table, self._obligation, self._negated
         kind, *rest = table.node(x)
-        # an F[0,D] ψ that was owed, alone or as an alternative, and is open still: ψ has not been seen since the start
-        alternatives = table.node(owed)[1] if table.node(owed)[0] == "or" else (owed,)
+        # an F[0,D] ψ, alone or as an alternative, that is still open: ψ has not been seen since the start
+        alternatives = table.node(obligation)[1] if table.node(obligation)[0] == "or" else (obligation,)
         if kind == "F" and self._method != "single":
             node = table.node(rest[2])
             since_the_start = ("F", 0, rest[1] + age + 1, rest[2]) in map(table.node, alternatives)

@@ -2,10 +2,10 @@
 
     C₀ = states by output;   C_{i+1} = states by (C_i, C_i ∘ δ_λ for every λ);   stop when no class splits
 
-First whole rounds (Moore), vectorised, for as long as each finds many new classes. A counter of length τ splits one
-class in each of its τ rounds: from there on only states with a successor in a renumbered class are looked at again. The
-largest piece of a class keeps its number, so a state is renumbered at most log₂ n times, and in all at most
-|Λ| n log₂ n states are looked at again. Source: [Jacobs23].
+First come whole rounds (Moore), vectorised, as long as each finds many new classes. A counter of length τ splits one
+class in each of its τ rounds: from then on, only states with a successor in a renumbered class are re-examined. The
+largest piece of a class keeps its number, so a state is renumbered at most log₂ n times, and at most |Λ| n log₂ n
+states are re-examined in total. Source: [Jacobs23].
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from stltool.automata.rows import distinct_rows
 
-_WORTH_A_ROUND = 1.5  # times as many classes as before, or whole rounds have become too dear
+_WORTH_A_ROUND = 1.5  # growth in the number of classes below which whole rounds are too expensive
 
 
 def coarsest_partition(delta: NDArray[np.int32], outputs: NDArray[np.int8]) -> NDArray[np.int64]:
-    """Class numbers (n_states,), in the order of the classes' first states.
+    """Class numbers (n_states,), ordered by the first state of each class.
 
     `outputs` (n_states,) or (n_rows, n_states): states of one class agree on every row.
     """
@@ -50,13 +50,13 @@ def _refine(classes: NDArray[np.int64], by: NDArray[np.int64]) -> NDArray[np.int
 def _refine_by_changes(delta: NDArray[np.int32], coarse: NDArray[np.int64]) -> NDArray[np.int64]:
     """The coarsest refinement of the classes `coarse` that is closed under every letter.
 
-    What makes it cheap: the states of a class that are not stale all have one signature (the classes of their
-    successors), and a stale state's has changed, so theirs need not be looked at.
+    What makes it cheap: all states of a class that are not stale have the same signature (the classes of their
+    successors), so only the signatures of stale states need to be examined.
     """
     n_letters, n = delta.shape
     after = np.ascontiguousarray(delta.T)
     order = np.argsort(after, axis=None, kind="stable")
-    before = order // n_letters  # the states that lead into q: before[start[q] : start[q + 1]]
+    before = order // n_letters  # the predecessors of q: before[start[q] : start[q + 1]]
     start = np.searchsorted(after.ravel()[order], np.arange(n + 1)).tolist()
     classes = coarse.astype(np.int32)
     members: list[set[int]] = [set() for _ in range(int(classes.max()) + 1)]
@@ -85,7 +85,7 @@ def _refine_by_changes(delta: NDArray[np.int32], coarse: NDArray[np.int64]) -> N
 
 
 def _but_the_largest(whole: set[int], pieces: list[list[int]]) -> list[list[int]]:
-    """A partition of `whole` into `pieces` and what they leave of it, without its largest part."""
+    """The parts of `whole`, split into `pieces` and the rest, without the largest one."""
     left = len(whole) - sum(map(len, pieces))
     largest = max(pieces, key=len)
     if left >= len(largest):
@@ -95,7 +95,7 @@ def _but_the_largest(whole: set[int], pieces: list[list[int]]) -> list[list[int]
 
 
 def _in_order(classes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number the classes by their first state."""
+    """The classes, renumbered by their first state."""
     _, first, inverse = np.unique(classes, return_index=True, return_inverse=True)
     rank = np.empty(len(first), dtype=np.int64)
     rank[np.argsort(first)] = np.arange(len(first))

@@ -1,4 +1,4 @@
-"""Which pairs of two machines' states a run can be in when both read the same letters."""
+"""The pairs of states that two machines can reach on the same letters."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def reachable_pairs(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
     """The pairs reachable from `start`, in lexicographic order: p (n,), q (n,) and delta (n_letters, n) over them.
 
-    `left` and `right` are (n_letters, n_states). `guard` is told how many are known after each step and raises where
-    they become too many. Raises SizeError where they are more than int32 can number.
+    `left` and `right` are (n_letters, n_states). `guard` is called with the number of known pairs after each step and
+    raises if there are too many. Raises SizeError if there are more than int32 can number.
     """
     n_letters, width = right.shape
     after_left = np.ascontiguousarray(left.T).astype(np.int64) * width

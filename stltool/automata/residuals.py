@@ -1,15 +1,16 @@
-"""What is left of a formula after reading letters: hash-consed residuals in negation normal form.
+"""What remains of a formula after reading letters: hash-consed residuals in negation normal form.
 
     ρ ::= false | true | ±atom | ∧{ρ} | ∨{ρ} | F[a,b] ρ | G[a,b] ρ | ρ U[a,b] ρ | ρ R[a,b] ρ
 
-with R the dual of U. `progress(ρ, letter)` is ρ after one step, its windows counted from the next one:
+with R the dual of U. Progression: `progress(ρ, letter)` is ρ after one step, its windows counted from the next one:
 
     F[0,b] ρ → progress(ρ) ∨ F[0,b−1] ρ        F[a,b] ρ → F[a−1,b−1] ρ        G dually
     ρ U[0,b] σ → progress(σ) ∨ (progress(ρ) ∧ ρ U[0,b−1] σ)     ρ U[a,b] σ → progress(ρ) ∧ ρ U[a−1,b−1] σ
 
-Residuals are kept small by rewriting that keeps meaning: F splits over ∨ and G over ∧, nested windows of one kind add
-up, windows of one operand that touch join, shifts move outwards, and what another operand implies is dropped. `implies`
-is sound, not complete: states it fails to merge are merged by minimisation. Residuals are integers: equal means same.
+Residuals are kept small by equivalences: F splits over ∨ and G over ∧, nested windows of one kind are summed, adjacent
+windows over one operand are joined, shifts move outwards, and operands implied by another are dropped. `implies` is
+sound but not complete: states that it fails to merge are merged by minimisation. Residuals are integers: equal numbers
+are equal residuals.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ TRUE: Residual = 1
 
 
 class _Implied(dict[tuple[Residual, Residual], bool]):
-    """Whether x ⇒ y, found when it is first asked; loops ask it millions of times, so without a call."""
+    """Whether x ⇒ y, computed on first use; a dictionary, since loops look it up millions of times."""
 
     def __init__(self, find: Callable[[Residual, Residual], bool]) -> None:
         self._find = find
@@ -56,7 +57,7 @@ class _Implied(dict[tuple[Residual, Residual], bool]):
 
 
 class Residuals:
-    """A table of residuals over given atoms: those of one formula, say."""
+    """A table of residuals over given atoms, such as those of one formula."""
 
     def __init__(self, atoms: Sequence[Formula]) -> None:
         self.atoms = tuple(atoms)
@@ -70,7 +71,7 @@ class Residuals:
     # ------------------------------------------------------------------------------------------ from formulas
 
     def residual(self, phi: Formula, negated: bool = False) -> Residual:
-        """The residual that means φ (or its negation) at the next step."""
+        """The residual for φ (or its negation) at the next step."""
         if not is_temporal(phi):
             return self._atom(phi, negated)
         match phi:
@@ -120,7 +121,7 @@ class Residuals:
         return self._nodes[x]
 
     def negation(self, x: Residual) -> Residual:
-        """¬x, in negation normal form again."""
+        """¬x, in negation normal form."""
         if x not in self._negations:
             match self._nodes[x]:
                 case ("false",):
@@ -180,7 +181,7 @@ class Residuals:
         return flat.pop() if len(flat) == 1 else self._node(kind, tuple(sorted(flat)))
 
     def _joined(self, parts: set[Residual], op: str) -> set[Residual]:
-        """Windows of one operand that overlap or touch become one: G over ∧, F over ∨."""
+        """Join windows over one operand that overlap or touch: G under ∧, F under ∨."""
         nodes = self._nodes
         windows = [x for x in parts if nodes[x][0] == op]
         if len(windows) < 2 or len({nodes[x][3] for x in windows}) == len(windows):
@@ -225,7 +226,7 @@ class Residuals:
         node = self._nodes[x]
         if x in (FALSE, TRUE):
             return x
-        if node[0] == op:  # nested windows of one kind add up
+        if node[0] == op:  # nested windows of one kind are summed
             return self._window(op, split, join, a + node[1], b + node[2], node[3])
         if node[0] == split:
             return join(self._window(op, split, join, a, b, part) for part in node[1])
@@ -237,7 +238,7 @@ class Residuals:
         return self._node(op, a, b, x)
 
     def _offset(self, x: Residual) -> int:
-        """How many steps from now pass before anything matters to x."""
+        """The number of steps from now that x does not depend on."""
         match self._nodes[x]:
             case ("F", a, _, _) | ("G", a, _, _):
                 return int(a)
@@ -284,7 +285,7 @@ class Residuals:
     # ------------------------------------------------------------------------------------------ meaning
 
     def horizon(self, x: Residual) -> int:
-        """Steps after the next one that can matter."""
+        """The number of steps after the next one on which x can depend."""
         if x not in self._horizons:
             match self._nodes[x]:
                 case ("and", parts) | ("or", parts):
@@ -299,7 +300,7 @@ class Residuals:
         return self._horizons[x]
 
     def atoms_in(self, x: Residual) -> frozenset[int]:
-        """The indices of the atoms that x reads."""
+        """The indices of the atoms in x."""
         node = self._nodes[x]
         if node[0] == "atom":
             return frozenset((node[1],))
@@ -307,7 +308,7 @@ class Residuals:
         return frozenset().union(*(self.atoms_in(part) for part in below))
 
     def implies(self, x: Residual, y: Residual) -> bool:
-        """Whether x ⇒ y can be seen from the structure. Sound; False may mean "not seen"."""
+        """Whether x ⇒ y follows from the structure. Sound; False may mean "not found"."""
         return self.implied[x, y]
 
     def _implies(self, x: Residual, y: Residual) -> bool:
@@ -378,8 +379,8 @@ class Residuals:
                 raise AssertionError(other)
 
 
-class Progress:
-    """What residuals become by reading a letter, all letters at once."""
+class Progression:
+    """The progression of residuals through a letter, for all letters at once."""
 
     def __init__(self, table: Residuals, letters: Sequence[Letter]) -> None:
         """`letters`: truth values of the table's atoms."""
@@ -428,7 +429,7 @@ class Progress:
 
 
 def by_letter(make: Callable[[ByLetter], _Made], *columns: ByLetter) -> tuple[_Made, ...]:
-    """`make` of what stands under each letter, made once where letters agree."""
+    """`make` applied to the entries of each letter, once for letters that agree."""
     rows = list(zip(*columns, strict=True))
     made = {row: make(row) for row in dict.fromkeys(rows)}
     return tuple([made[row] for row in rows])

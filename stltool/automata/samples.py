@@ -1,12 +1,12 @@
-"""Made-up traces on which a formula is judged at every place: cheap evidence before an automaton is built.
+"""Synthetic traces on which a formula is evaluated at every occurrence: cheap evidence before an automaton is built.
 
-One trace that satisfies φ shows that it can hold; one on which φ with a constant in some place is judged otherwise
-shows that the place matters. Traces that show nothing prove nothing.
+A trace that satisfies φ shows that it can hold; a trace on which φ changes its truth when an occurrence is replaced by
+a constant shows that the occurrence is not vacuous. Traces that show neither prove nothing.
 
     F[a,b] x at t   a 1 among x_{t+a} … x_{t+b}: two prefix sums
     x U[a,b] y      a 1 among y_{t+a} … y_{min(t+b, f)} with f ≥ t the first step at which x fails
 
-The traces stay in one letter, but for up to three blocks of others: one letter throughout, pulses, switches.
+The traces have one letter throughout, except for up to three blocks of others: constant traces, pulses, switches.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import TypeAlias, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata.fates import Effort
+from stltool.automata.reachable import Effort
 from stltool.logic.formula import (
     Always,
     And,
@@ -37,10 +37,10 @@ from stltool.logic.occurrences import Occurrence
 from stltool.sizes import Numbers, integer_type
 
 Truth: TypeAlias = NDArray[np.bool_]
-"""(n_steps, n_traces): truth at every step of traces that is decided."""
+"""(n_steps, n_traces): truth at every step that the traces decide."""
 
 _MOST_TRACES = 1024
-_MOST_CELLS = 10_000_000  # truth values of all places on all traces
+_MOST_CELLS = 10_000_000  # truth values of all occurrences on all traces
 
 
 class Samples:
@@ -49,16 +49,16 @@ class Samples:
     def __init__(
         self, places: Sequence[Occurrence], columns: dict[Formula, int], valuations: NDArray[np.bool_], n_steps: int
     ) -> None:
-        """`valuations` (n, n_leaves) are the letters, `columns` the place of each label and comparison in them.
+        """`valuations` (n, n_leaves) are the letters, `columns` the column of each label and comparison in them.
 
-        Traces too long for a table of all places make no sample.
+        If the traces would be too long for a table of all occurrences, there are none.
         """
         self.places = places
         n_traces = min(_MOST_TRACES, _MOST_CELLS // (len(places) * n_steps))
         self.letters = _traces(len(valuations), n_steps, n_traces) if n_traces else np.empty((0, 0), dtype=np.int64)
         self._truth: list[Truth] = [np.empty((1, 0), dtype=np.bool_)] * len(places)
-        self._holding: dict[int, Numbers] = {}  # how many operands of an And or an Or hold
-        for i in range(len(places) - 1, -1, -1) if n_traces else ():  # operands stand after their operator
+        self._holding: dict[int, Numbers] = {}  # the number of operands of an And or an Or that hold
+        for i in range(len(places) - 1, -1, -1) if n_traces else ():  # operands come after their operator
             phi = places[i].formula
             match phi:
                 case Label() | Comparison():
@@ -78,7 +78,7 @@ class Samples:
         return verdicts
 
     def notice(self, place: int, constant: bool, effort: Effort) -> bool:
-        """Whether some trace is judged otherwise with a constant in this place. SizeError beyond `effort`."""
+        """Whether a constant in place of this occurrence changes the truth on some trace. SizeError beyond `effort`."""
         changed = np.full_like(self._truth[place], constant)
         while not np.array_equal(changed, self._truth[place]):
             effort.spend_cells(changed.size // 4)
@@ -86,7 +86,7 @@ class Samples:
                 return not np.array_equal(changed[0], self._truth[0][0])
             parent = self.places[place].parent
             phi = self.places[parent].formula
-            if isinstance(phi, And | Or):  # in time that does not grow with the other operands
+            if isinstance(phi, And | Or):  # in time independent of the other operands
                 holding = self._holding[parent]
                 n = len(holding)
                 changed = _junction(phi, holding - self._truth[place][:n] + changed[:n])
@@ -98,11 +98,11 @@ class Samples:
 
 
 def _traces(n_letters: int, n_steps: int, n_traces: int) -> NDArray[np.int64]:
-    """(n_steps, n_traces) letters, always the same."""
+    """(n_steps, n_traces) letters, the same in every call."""
     rng = np.random.default_rng(0)
 
     def some_letters() -> NDArray[np.int64]:
-        """Early ones more often: those are the extreme ones."""
+        """Early ones more often: those are the extreme assignments."""
         return (n_letters * rng.random(n_traces) ** 2).astype(np.int64)
 
     letters = np.tile(some_letters(), (n_steps, 1))
@@ -119,7 +119,7 @@ def _traces(n_letters: int, n_steps: int, n_traces: int) -> NDArray[np.int64]:
 
 
 def truth_along(phi: Formula, operands: Sequence[Truth]) -> Truth:
-    """The truth of φ, from its operands', at every step that they decide."""
+    """The truth of φ, given that of its operands, at every step that they decide."""
     n = min(len(x) for x in operands)
     match phi:
         case Not():
@@ -152,7 +152,7 @@ def _count(operands: Sequence[Truth]) -> Numbers:
 
 
 def _junction(phi: And | Or, holding: Numbers) -> Truth:
-    """The truth of an And or an Or, from how many of its operands hold."""
+    """The truth of an And or an Or, given the number of its operands that hold."""
     found: Truth = holding == len(phi.args) if isinstance(phi, And) else holding > 0
     return found
 

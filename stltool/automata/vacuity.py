@@ -1,17 +1,17 @@
-"""What a formula means before any model: whether it can hold, whether it can fail, and which of its parts matter.
+"""What a formula means without a model: whether it can hold, whether it can fail, and which parts are vacuous.
 
-An occurrence o of a sub-formula *does not matter* when a constant in its place leaves the meaning of the whole alone,
+An occurrence o of a sub-formula is *vacuous* if a constant in its place does not change the meaning of the whole,
 
     φ[o := c] ≡ φ        for c = true or c = false,
 
-each taken alone. Three steps, from cheap to dear: evidence that it matters (a made-up trace judged differently), one
-formula after rewriting, proof (both exact automata, compared on every run; where those are too large, those of a part
-of φ around o). If o lies in p, no equivalence stands above o, and o matters, then p matters: constants for p are
-further off than those for o. So labels and comparisons come first.
+each occurrence considered by itself. There are three steps, from cheap to expensive: evidence that it is not vacuous (a
+synthetic trace with a different verdict), rewriting both to one formula, and a proof (both exact automata, compared on
+every run; if those are too large, those of a part of φ around o). If o lies in p, no equivalence is above o, and o is
+not vacuous, then neither is p: constants for p change more than those for o. So labels and comparisons come first.
 
 Everything is relative to the truth assignments that can occur at a step. By default these are a superset
-(logic/feasible.py), so "can never hold", "always holds" and "does not matter" are never wrong; they are complete for
-formulas over labels and comparisons of one variable with constants. What was not decided is said in `status`.
+(logic/feasible.py), so "can never hold", "always holds" and "vacuous" are never wrong; they are complete for formulas
+over labels and comparisons of one variable with constants. `status` reports what was not decided.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from stltool.arguments import whole
 from stltool.automata.automaton import FALSE, TRUE
 from stltool.automata.compile import atoms_of, compile_automaton, truth_table
-from stltool.automata.fates import Effort, Fates, differ, shortest_run
+from stltool.automata.reachable import Effort, ReachableVerdicts, differ, shortest_run
 from stltool.automata.samples import Samples, truth_along
 from stltool.display import Card, Displayed, listed
 from stltool.errors import SizeError
@@ -52,16 +52,16 @@ MOST_EFFORT = 60_000  # states times letters explored: about a second
 _MOST_PLACES = 2000  # occurrences
 _MOST_VALUATIONS = 1024
 _MOST_STATES = 5000
-_DEEPEST = 8  # temporal operators in each other; what deeper ones leave is too long to be written down
+_DEEPEST = 8  # nested temporal operators; residuals of deeper formulas get too long
 _LONGEST_TEXT = 300
 
-_Read: TypeAlias = tuple[Fates, NDArray[np.int32]]
-"""An automaton's fates, and its letter for each valuation."""
+_Read: TypeAlias = tuple[ReachableVerdicts, NDArray[np.int32]]
+"""The reachable verdicts of an automaton, and its letter for each valuation."""
 
 
 @dataclass(frozen=True, slots=True)
 class Example:
-    """The beginning of a trace after which the verdict stands, however it goes on; no steps where it stands anyway.
+    """The beginning of a trace that fixes the verdict, however it continues; empty if the verdict is always the same.
 
     `runs` are (truth of each of `leaves`, number of steps), in order of time.
     """
@@ -92,14 +92,14 @@ class Example:
 
 
 @dataclass(frozen=True, slots=True)
-class Idle:
-    """An occurrence that does not matter.
+class VacuousPart:
+    """A vacuous occurrence.
 
-    part      the sub-formula, with its place in the text
-    path      which operand to take at each operator, from the root
-    uses      how often the formula has it from that place of the text: a definition may be used several times
-    constant  what can stand in its place
-    formula   the whole with the constant there, simplified
+    part      the sub-formula, with its position in the text
+    path      the operand to descend into at each operator, from the root
+    uses      the number of its occurrences that stem from this position: a definition may be used several times
+    constant  the constant that can replace it
+    formula   the whole formula with that constant, simplified
     """
 
     part: Formula
@@ -112,8 +112,8 @@ class Idle:
         which = f", in one of its {self.uses} uses," if self.uses > 1 else ""
         return _at(
             self.part,
-            f"{_shown(self.part)}{which} does not matter: with {Constant(self.constant)} in its place the task means "
-            f"the same, {_shown(self.formula)}",
+            f"{_shown(self.part)}{which} is vacuous; with {Constant(self.constant)} in its place, the task still means "
+            f"{_shown(self.formula)}",
         )
 
     def data(self) -> dict[str, Any]:
@@ -122,14 +122,14 @@ class Idle:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Meaning(Displayed):
-    """What a formula means before any model.
+    """What a formula means without a model.
 
-    can_hold, can_fail  whether some trace satisfies it, and whether some does not; None if not decided. False is
-              certain, True as far as the truth assignments are
-    holds, fails  a beginning of a trace that makes sure of it (with `shortest`, none is shorter); None where there is
-              none, or none short enough to be told
-    because   where it never or always holds: the smallest part that by itself never or always does, which is enough
-    idle      the largest occurrences that do not matter, each taken alone; looked for only if it can hold and can fail
+    can_hold, can_fail  whether some trace satisfies it, and whether some violates it; None if not decided. False is
+              certain; True is as certain as the truth assignments are complete
+    holds, fails  a beginning of a trace that ensures it (with `shortest`, a shortest one); None if there is none, or
+              none short enough to be shown
+    because   if it never or always holds: the smallest part that explains this by never or always holding itself
+    vacuous   the largest vacuous occurrences, each considered by itself; sought only if it can hold and can fail
     status    "decided", or what was not
     """
 
@@ -140,7 +140,7 @@ class Meaning(Displayed):
     fails: Example | None
     shortest: bool
     because: tuple[Formula, bool] | None
-    idle: tuple[Idle, ...]
+    vacuous: tuple[VacuousPart, ...]
     status: str
 
     def _card(self) -> Card:
@@ -150,7 +150,7 @@ class Meaning(Displayed):
             [
                 {"formula": self.formula},
                 {
-                    "parts that do not matter": listed(str(idle.part) for idle in self.idle),
+                    "vacuous parts": listed(str(vacuous.part) for vacuous in self.vacuous),
                     "holds on": self.holds,
                     "fails on": self.fails,
                 },
@@ -158,7 +158,7 @@ class Meaning(Displayed):
         )
 
     def warnings(self) -> list[str]:
-        """What the author of the formula should look at, ready to print: place, line and carets where it was read."""
+        """What the author of the formula should examine, ready to print: position, line and carets if it has a text."""
         found = []
         if self.because is not None:
             part, always = self.because
@@ -166,9 +166,9 @@ class Meaning(Displayed):
             if part is not self.formula:
                 text += f": {_shown(part)} {'always' if always else 'never'} holds"
             found.append(_at(part, text))
-        found.extend(str(idle) for idle in self.idle)
-        if len(self.idle) > 1:
-            found.append("each of these parts is taken alone: without one of them, the others may matter")
+        found.extend(str(vacuous) for vacuous in self.vacuous)
+        if len(self.vacuous) > 1:
+            found.append("each part is considered by itself: once one is removed, the others may matter")
         return found if self.status == "decided" else [*found, self.status]
 
     def data(self) -> dict[str, Any]:
@@ -180,7 +180,7 @@ class Meaning(Displayed):
             "fails": self.fails.data() if self.fails is not None else None,
             "shortest": self.shortest,
             "because": {**_place(self.because[0]), "always": self.because[1]} if self.because is not None else None,
-            "idle": [idle.data() for idle in self.idle],
+            "vacuous": [vacuous.data() for vacuous in self.vacuous],
             "status": self.status,
         }
 
@@ -205,12 +205,12 @@ def _shown(phi: Formula) -> str:
 def meaning(
     phi: Formula | Task, valuations: NDArray[np.bool_] | None = None, most_effort: int = MOST_EFFORT
 ) -> Meaning:
-    """Whether φ can hold, whether it can fail, and which of its parts do not matter.
+    """Whether φ can hold, whether it can fail, and which of its parts are vacuous.
 
-    `valuations` (n, n_leaves) bool are the truth assignments of `leaves(φ)` that can occur at a step, those of the
-    states of a model, say; by default all that arithmetic allows. The search ends at `most_effort` states times
-    letters; `status` says what it left. Raises StlSyntaxError for a formula without a horizon, SettingsError for
-    valuations of another shape.
+    `valuations` (n, n_leaves) bool are the truth assignments of `leaves(φ)` that can occur at a step, such as those of
+    the states of a model; by default, all that arithmetic allows. The search stops at `most_effort` states times
+    letters; `status` reports what it left open. Raises StlSyntaxError for a formula without a horizon, and
+    SettingsError for valuations of the wrong shape.
     """
     phi = bounded_formula_of(phi, "meaning's formula")
     most_effort = whole(most_effort, "most_effort", least=0)
@@ -218,13 +218,13 @@ def meaning(
         valuations = truth_table(valuations, len(leaves(phi)), "leaves(formula)")
     n = sum(1 for _ in walk(phi))
     if n > _MOST_PLACES:
-        status = f"not decided: the formula has {n} operators and operands, over {_MOST_PLACES}"
+        status = f"not decided: the formula has {n} operators and operands, more than {_MOST_PLACES}"
         return Meaning(phi, None, None, None, None, False, None, (), status)
     return _Question(phi, valuations, most_effort).answer()
 
 
 class _Question:
-    """One formula, the letters it may read, and what may still be spent."""
+    """One formula, the letters that it may read, and the remaining effort."""
 
     def __init__(self, phi: Formula, valuations: NDArray[np.bool_] | None, most_effort: int) -> None:
         self.phi = phi
@@ -239,16 +239,16 @@ class _Question:
         self.samples = Samples(self.places, self.columns, self.valuations, horizon(phi) + 1)
         self.effort = Effort(most_effort)
         self._automata: dict[Formula, _Read | SizeError] = {}
-        self._open: list[str] = []  # what was not decided
+        self._open: list[str] = []  # what is not decided
 
     def answer(self) -> Meaning:
         can, examples, shortest = self._extremes()
         because: tuple[Formula, bool] | None = None
-        idle: tuple[Idle, ...] = ()
+        vacuous: tuple[VacuousPart, ...] = ()
         if False in can:
             because = self._smallest_constant(can[TRUE] is True)
         elif all(can):
-            idle = self._idle()
+            vacuous = self._vacuous()
         return Meaning(
             formula=self.phi,
             can_hold=can[TRUE],
@@ -257,19 +257,19 @@ class _Question:
             fails=examples[FALSE],
             shortest=shortest,
             because=because,
-            idle=idle,
+            vacuous=vacuous,
             status="not decided: " + "; ".join(self._open) if self._open else "decided",
         )
 
     def _extremes(self) -> tuple[list[bool | None], list[Example | None], bool]:
-        """By verdict: whether it can occur, and an example; and whether examples are the shortest."""
+        """For each verdict whether it can occur, and an example; and whether the examples are shortest."""
         both = (FALSE, TRUE)
         try:
             if isinstance(self.simple, Constant):
                 can: list[bool | None] = [self.simple.value == verdict for verdict in both]
             else:
-                fates, letters = self._automaton(self.simple)
-                can = [fates.can_become(verdict) for verdict in both]
+                reachable, letters = self._automaton(self.simple)
+                can = [reachable.can_become(verdict) for verdict in both]
         except SizeError as refusal:
             can = [bool((self.samples.verdicts == verdict).any()) or None for verdict in both]
             words = [word for word, seen in zip(("fail", "hold"), can, strict=True) if not seen]
@@ -278,12 +278,12 @@ class _Question:
         if not all(can):
             return can, [Example(self.leaves, ()) if sure else None for sure in can], True
         try:
-            return can, [self._shortest(fates, letters, verdict) for verdict in both], True
+            return can, [self._shortest(reachable, letters, verdict) for verdict in both], True
         except SizeError:
             return can, [self._made_up(verdict) for verdict in both], False
 
-    def _shortest(self, fates: Fates, letters: NDArray[np.int32], verdict: int) -> Example | None:
-        runs = shortest_run(fates, verdict, self.effort)
+    def _shortest(self, reachable: ReachableVerdicts, letters: NDArray[np.int32], verdict: int) -> Example | None:
+        runs = shortest_run(reachable, verdict, self.effort)
         return None if runs is None else self._told((int((letters == letter).argmax()), n) for letter, n in runs)
 
     def _made_up(self, verdict: int) -> Example | None:
@@ -303,7 +303,7 @@ class _Question:
     # ------------------------------------------------------------------------------------------ automata
 
     def _automaton(self, phi: Formula) -> _Read:
-        """The automaton of a simplified formula; SizeError, in words, where it is too large."""
+        """The automaton of a simplified formula; SizeError with the reason if it is too large."""
         if phi not in self._automata:
             try:
                 self._automata[phi] = self._compiled(phi)
@@ -316,22 +316,22 @@ class _Question:
 
     def _compiled(self, phi: Formula) -> _Read:
         if not self.complete:
-            raise SizeError(f"its labels and comparisons have over {_MOST_VALUATIONS} truth assignments")
+            raise SizeError(f"its labels and comparisons have more than {_MOST_VALUATIONS} truth assignments")
         if temporal_depth(phi) > _DEEPEST:
-            raise SizeError(f"it nests temporal operators {temporal_depth(phi)} deep, over {_DEEPEST}")
+            raise SizeError(f"it nests temporal operators {temporal_depth(phi)} deep, more than {_DEEPEST}")
         truth = np.stack([self._truth(psi) for psi in atoms_of(phi)], axis=1)
         occurring = np.unique(truth, axis=0)
-        most = min(_MOST_STATES, self.effort.left // (2 * len(occurring)))  # half is left for what comes after
+        most = min(_MOST_STATES, self.effort.left // (2 * len(occurring)))  # half is reserved for the steps that follow
         if not most:
             self.effort.spend(2 * len(occurring))
         try:
             automaton = compile_automaton(phi, valuations=occurring, most_states=most)
         except SizeError:
             self.effort.spend(most * len(occurring))
-            raise SizeError(f"the automaton has over {most} states") from None
+            raise SizeError(f"its automaton has more than {most} states") from None
         self.effort.spend(sum(part.explored for part in automaton.parts) * len(occurring))
         letters = automaton.letters_at(truth)
-        return Fates(automaton, letters, self.effort), letters
+        return ReachableVerdicts(automaton, letters, self.effort), letters
 
     def _truth(self, psi: Formula) -> NDArray[np.bool_]:
         """The truth of a formula without temporal operators under each valuation."""
@@ -340,12 +340,12 @@ class _Question:
         if psi in self.columns:
             column: NDArray[np.bool_] = self.valuations[:, self.columns[psi]]
             return column
-        if isinstance(psi, Comparison):  # rewriting made it of its opposite
+        if isinstance(psi, Comparison):  # rewriting derived it from its opposite
             return ~self._truth(Comparison(OPPOSITE[psi.op], psi.left, psi.right))
         return truth_along(psi, [self._truth(child) for child in children(psi)])
 
     def _differ(self, left: Formula, right: Formula) -> bool:
-        """Whether two simplified formulas mean something else."""
+        """Whether two simplified formulas differ in meaning."""
         if isinstance(right, Constant):
             left, right = right, left
         if isinstance(left, Constant):
@@ -354,13 +354,13 @@ class _Question:
             return self._automaton(right)[0].can_become(FALSE if left.value else TRUE)
         if left == right:
             return False
-        (fates, letters), (others, other_letters) = self._automaton(left), self._automaton(right)
-        return differ(fates, others, letters, other_letters, self.effort)
+        (reachable, letters), (others, other_letters) = self._automaton(left), self._automaton(right)
+        return differ(reachable, others, letters, other_letters, self.effort)
 
     # ------------------------------------------------------------------------------------------ parts
 
     def _smallest_constant(self, value: bool) -> tuple[Formula, bool]:
-        """Going down from φ, which has this value on every trace: the smallest part to explain it, and its value."""
+        """The smallest part that explains why φ always has this value, and the value of that part."""
         phi = self.phi
         while True:
             operands = children(phi)
@@ -368,7 +368,9 @@ class _Question:
                 found = self._constant_value(child)
                 if found is None:
                     continue
-                unknown: list[Formula] = [Label(str(j)) for j in range(len(operands))]  # whatever the others are
+                unknown: list[Formula] = [
+                    Label(str(j)) for j in range(len(operands))
+                ]  # whatever the values of the others
                 unknown[i] = Constant(found)
                 if simplify(with_children(phi, tuple(unknown))) == Constant(value):
                     phi, value = child, found
@@ -377,20 +379,20 @@ class _Question:
                 return phi, value
 
     def _constant_value(self, phi: Formula) -> bool | None:
-        """The value of a formula with one on every trace; None for others, for constants, and where it is too large."""
+        """The value of a formula that is constant on all traces; None otherwise, for constants, and if too large."""
         simple = simplify(phi)
         if isinstance(phi, Constant) or isinstance(simple, Constant):
             return None if isinstance(phi, Constant) else simple == Constant(True)
         try:
-            fates, _ = self._automaton(simple)
+            reachable, _ = self._automaton(simple)
         except SizeError:
             return None
-        can_hold = fates.can_become(TRUE)
-        return None if can_hold and fates.can_become(FALSE) else can_hold
+        can_hold = reachable.can_become(TRUE)
+        return None if can_hold and reachable.can_become(FALSE) else can_hold
 
-    def _idle(self) -> tuple[Idle, ...]:
-        """The largest occurrences that do not matter."""
-        answers: dict[int, Idle | SizeError | None] = {}
+    def _vacuous(self) -> tuple[VacuousPart, ...]:
+        """The largest vacuous occurrences."""
+        answers: dict[int, VacuousPart | SizeError | None] = {}
         matters: set[int] = set()
         for i, place in enumerate(self.places):
             if isinstance(place.formula, Label | Comparison):
@@ -399,16 +401,16 @@ class _Question:
                 while above >= 0 and above not in matters:
                     matters.add(above)
                     above = self.places[above].parent
-        found: list[Idle] = []
+        found: list[VacuousPart] = []
         unknown: list[tuple[Formula, SizeError]] = []
-        stack = [(i, False) for i in reversed(self.places[0].operands)]  # and whether it stands in an unknown one
+        stack = [(i, False) for i in reversed(self.places[0].operands)]  # and whether it is inside an undecided one
         while stack:
             i, inside = stack.pop()
             place = self.places[i]
             if i not in matters and i not in answers and leaves(place.formula):
                 answers[i] = self._check(i)
             answer = answers.get(i)
-            if isinstance(answer, Idle):
+            if isinstance(answer, VacuousPart):
                 found.append(answer)
                 continue
             if answer is not None and not inside:
@@ -416,11 +418,11 @@ class _Question:
             stack.extend((j, inside or answer is not None) for j in reversed(place.operands))
         if unknown:
             others = f", and {len(unknown) - 1} other part{'s' if len(unknown) > 2 else ''}" if len(unknown) > 1 else ""
-            self._open.append(f"whether {_shown(unknown[0][0])} matters{others}: {unknown[0][1]}")
+            self._open.append(f"whether {_shown(unknown[0][0])} is vacuous{others}: {unknown[0][1]}")
         return tuple(found)
 
-    def _check(self, i: int) -> Idle | SizeError | None:
-        """How an occurrence does not matter; None if it does, the refusal if that is not decided."""
+    def _check(self, i: int) -> VacuousPart | SizeError | None:
+        """The vacuous part at an occurrence; None if it is not vacuous, the SizeError if that is not decided."""
         place, refused = self.places[i], None
         for constant in (True, False):
             try:
@@ -435,7 +437,7 @@ class _Question:
                 return refusal
             if same:
                 uses = sum(other.formula is place.formula for other in self.places)
-                return Idle(place.formula, place.path, uses, constant, changed)
+                return VacuousPart(place.formula, place.path, uses, constant, changed)
         return refused
 
     def _changed(self, i: int, path: tuple[int, ...], constant: bool) -> Formula:
@@ -444,7 +446,7 @@ class _Question:
         return simplify(with_replaced(self.places[i].formula, path, Constant(constant)))
 
     def _same_nearby(self, i: int, constant: bool) -> bool:
-        """Whether a part around occurrence i, small enough for an automaton, means the same with a constant there."""
+        """Whether a part around occurrence i, small enough for an automaton, keeps its meaning with this constant."""
         path, around = self.places[i].path, i
         try:
             while around > 0:

@@ -1,14 +1,14 @@
-"""The exact automaton of any bounded formula: one small machine a part, then their product.
+"""The exact automaton of any bounded formula: a small machine per part, then their product.
 
 The root (or its negation) is a conjunction of parts (residuals.py splits outer G over ∧ and outer F over ∨):
 
-    G[a,b] φ         a *watch*: every start k in a…b owes φ; judged at k + D, D = horizon(φ)
-    F[a,b] φ         a watch over ¬φ whose violation is a success; success is remembered
-    φ U[a,b] ψ       over atoms: open, done or broken; the verdict's clock closes the window
+    G[a,b] φ         a *watch*: φ must hold at every start k in a…b; judged at k + D, D = horizon(φ)
+    F[a,b] φ         a watch over ¬φ, whose violation is a success and is remembered
+    φ U[a,b] ψ       over atoms: open, fulfilled or broken; the clock of the verdict closes the window
     anything else    a *single* start: the residual itself, its windows counted down
 
-A conjunction is false as soon as one part is, true when all are; so a part needs memory after its own horizon only as
-"has succeeded". Every machine is minimised before they are multiplied, and the product again.
+A conjunction is false as soon as one part is, and true if all are, so all that a part needs to remember after its own
+horizon is "has succeeded". Every machine is minimised before the product is taken, and so is the product.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ def window_automaton(
 ) -> TaskAutomaton:
     """The automaton of φ, whose residual in `table` is `root`, over the given valuations of `table.atoms`.
 
-    Raises SizeError where a part or their product grows over `most_states`, or the table over `limit` bytes.
+    Raises SizeError if a part or the product grows over `most_states`, or the table over `limit` bytes.
     """
     letters = [tuple(row) for row in valuations.tolist()]
-    flipped = table.node(root)[0] in ("or", "F")  # judge ¬φ, a conjunction, and turn the verdicts round
+    flipped = table.node(root)[0] in ("or", "F")  # judge ¬φ, a conjunction, and invert the verdicts
     judged = table.negation(root) if flipped else root
     node = table.node(judged)
     parts = list(node[1]) if node[0] == "and" else [judged]
@@ -80,7 +80,7 @@ def window_automaton(
 
 
 def _read_together(machines: Sequence[Machine]) -> tuple[list[NDArray[np.int32]], NDArray[np.int64]]:
-    """Each machine's delta over the letters that some machine tells apart, and the letter of each valuation."""
+    """Each machine's delta over the letters that some machine distinguishes, and the letter of each valuation."""
     small, reads = [], []
     for machine in machines:
         first, equal = distinct_rows(machine.delta)
@@ -94,26 +94,26 @@ def _read_together(machines: Sequence[Machine]) -> tuple[list[NDArray[np.int32]]
 def _reachable(
     machines: Sequence[Machine], deltas: Sequence[NDArray[np.int32]], most_states: int, allowed: int, phi: Formula
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """index (n_machines, n_states): the machines' states in each reachable combination; delta over them.
+    """index (n_machines, n_states): the machines' states in each reachable combination; and delta over these.
 
-    Machine by machine: what is reachable of the first few is a projection of what is reachable of all, never more.
+    Machine by machine: the combinations of the first few are a projection of those of all, hence never more.
     """
 
     def guard(n_states: int) -> None:
         if n_states > most_states:
             sizes = " × ".join(str(machine.n_states) for machine in machines)
             raise SizeError(
-                f"the automaton of {phi} is a product of parts with {sizes} states, over {most_states} of them "
+                f"the automaton of {phi} is a product of parts with {sizes} states, of which over {most_states} are "
                 "reachable; check the parts one by one, shorten their windows, or raise most_states"
             )
         require_memory(
             16 * n_states * len(delta),
             f"the automaton of {phi}, over {n_states} states and {len(delta)} letters,",
-            "shorten the windows, or compile it for a model that realises few letters",
+            "shorten the windows, or compile it for a model in which few letters occur",
             allowed,
         )
 
-    # the machine numbered innermost comes last: long counters are walked through once
+    # the machine numbered innermost comes last: long counters are traversed once
     order = sorted(range(len(machines)), key=lambda j: (-_breaks(deltas[j]), -j))
     delta = deltas[order[0]]
     guard(delta.shape[1])
@@ -125,10 +125,10 @@ def _reachable(
 
 
 def _breaks(delta: NDArray[np.int32]) -> float:
-    """How often, per state, a letter leads neighbours neither to one state nor to neighbours.
+    """How often, per state, a letter leads neighbouring states neither to one state nor to neighbours.
 
-    The machine with the fewest is numbered within the others, so that δ is made of long shifts and constants: what
-    sweeps gather, and what sets of states as words of bits are shifted by.
+    The machine with the fewest such breaks is numbered innermost, so that δ consists of long shifts and constants,
+    along which backward induction gathers values and shifts sets of states stored as bits.
     """
     steps = np.diff(delta, axis=1)
     breaks = np.count_nonzero((steps != 0) & (steps != 1)) / len(delta)
@@ -156,13 +156,13 @@ def _conjunction(machines: Sequence[Machine], index: NDArray[np.int64], t: int, 
 
 
 def _tells_less(rows: NDArray[np.int8], machine: Machine) -> bool:
-    """Whether the verdicts, which follow from a single machine's outcomes, tell fewer of its states apart."""
+    """Whether the verdicts, which follow from a single machine's outcomes, distinguish fewer of its states."""
     _, first = np.unique(machine.outcome, return_index=True)
     return len(distinct_rows(rows[:, first].T)[0]) < len(first)
 
 
 class _Names:
-    """What every part's machine remembers."""
+    """Describes what the machine of every part remembers."""
 
     def __init__(self, machines: Sequence[Machine], index: NDArray[np.int64]) -> None:
         self._names = [machine.name for machine in machines]

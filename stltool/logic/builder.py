@@ -1,9 +1,9 @@
-"""The trees of a text → nodes: params and definitions put in, intervals turned into closed whole steps.
+"""The trees of a text → nodes, with params and definitions substituted and intervals closed and in integer steps.
 
-The grammar (grammars/stl.lark) puts truth values and numbers on one ladder of operators; they are told apart here.
-No token is dropped or guessed at: a tree without a case here is an error, and so is a number where a truth value must
-stand. A statement that fails is told with its place, and the next ones are read all the same; what refers to a name
-that it would have defined is passed over, since nothing can be said of it.
+The grammar (grammars/stl.lark) has one ladder of operators for Booleans and numbers; they are distinguished here. No
+token is dropped or guessed at: a tree without a case here is an error, and so is a number where a Boolean is needed. A
+statement that fails is reported with its position, and the next ones are still read; statements that refer to a name
+it would have defined are skipped, since nothing can be said about them.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from stltool.logic.formula import (
 )
 from stltool.logic.printer import term_text
 from stltool.logic.quantities import UNITS, Duration, Quantity
-from stltool.logic.syntax import WORDS, Branch, Fault, Token, bare, branches
+from stltool.logic.syntax import WORDS, Branch, SyntaxFault, Token, bare, branches
 from stltool.numbers import NumberError, double, number_text, read
 from stltool.source import Source, Span
 
@@ -58,7 +58,7 @@ _T = TypeVar("_T")
 
 
 class _At(StlSyntaxError):
-    """A message with its place in the text."""
+    """A message with its position in the text."""
 
     def __init__(self, span: Span, message: str) -> None:
         super().__init__(span.show(message))
@@ -66,7 +66,7 @@ class _At(StlSyntaxError):
 
 
 class _PassedOver(Exception):
-    """A statement refers to a name whose own definition is faulty."""
+    """A statement refers to a name whose definition is faulty."""
 
 
 class Builder:
@@ -89,25 +89,25 @@ class Builder:
         self.definitions: dict[str, Formula | Term] = {}
         self.signals: dict[str, Span] = {}
         self.model: str | None = None
-        self.faults: list[Fault] = []
+        self.faults: list[SyntaxFault] = []
         self.faulty = set(faulty)
-        self.given: dict[str, Quantity] = {}  # params as their lines say, overrides apart
-        self.names_used: dict[str, Span] = {}  # labels and signals, where first
+        self.given: dict[str, Quantity] = {}  # params as given on their lines, without overrides
+        self.names_used: dict[str, Span] = {}  # labels and signals, with their first position
         self.budget = MOST_NODES
         self.sizes: dict[str, int] = {}  # operators and operands of each definition
 
     # ------------------------------------------------------------------------------------------ statements
 
     def statements(self, trees: Iterable[Branch]) -> None:
-        """Read the statements of a task file; what is wrong with them is in `faults`."""
-        for tree in sorted(trees, key=lambda tree: tree.data != "signals"):  # they hold for the whole file
+        """Read the statements of a task file; what is wrong with them is collected in `faults`."""
+        for tree in sorted(trees, key=lambda tree: tree.data != "signals"):  # signal lines apply to the whole file
             try:
                 self.statement(tree)
                 continue
             except _At as error:
-                self.faults.append(Fault(error.start, str(error)))
+                self.faults.append(SyntaxFault(error.start, str(error)))
             except RecursionError:
-                self.faults.append(Fault(tree.meta.start_pos, str(self.too_deep())))
+                self.faults.append(SyntaxFault(tree.meta.start_pos, str(self.too_deep())))
             except _PassedOver:
                 pass
             lines = branches(tree) if tree.data == "params" else [tree] if tree.data == "definition" else []
@@ -117,10 +117,10 @@ class Builder:
         match tree.data:
             case "model":
                 if self.model is not None:
-                    self.fail(tree, "a second model line; a task file has one")
+                    self.fail(tree, "this is a second model line; a task file has only one")
                 self.model = str(tree.children[0])[1:-1]
                 if not self.model:
-                    self.fail(tree, 'the model line names no file; write model "floor.toml"')
+                    self.fail(tree, 'the model line names no file; write, for example, model "floor.toml"')
             case "params":
                 for part in branches(tree):
                     self.param(part)
@@ -136,24 +136,24 @@ class Builder:
 
     def param(self, tree: Branch) -> None:
         token, expression = cast(tuple[Token, Branch], tuple(tree.children))
-        name, value = str(token), self.constant(expression)  # checked even where it is overridden
+        name, value = str(token), self.constant(expression)  # checked even if it is overridden
         if self.given.get(name) == value:
-            return  # Breach's files repeat params; the same value again says nothing new
+            return  # Breach's files repeat params; the same value again is harmless
         self.claim(token, "param")
         taken = self.overrides.get(name, value)
         if isinstance(value, Duration) and not isinstance(taken, Duration):
-            self.fail(tree, f"{name} is a time here; override it with a unit, as in -p {name}={value}")
+            self.fail(tree, f"{name} is a time; override it with a unit, as in -p {name}={value}")
         if isinstance(taken, Duration) and not isinstance(value, Duration):
-            self.fail(tree, f"{name} is a plain number here; override it without a unit, as in -p {name}=20")
+            self.fail(tree, f"{name} is a plain number; override it without a unit, as in -p {name}=20")
         self.given[name], self.params[name] = value, taken
 
     def step_line(self, tree: Branch) -> None:
         if self.step is not None:
-            self.fail(tree, "a second step line; a task file has one")
-        self.faulty.add("step =")  # until it is read: times of the file hang on it
+            self.fail(tree, "this is a second step line; a task file has only one")
+        self.faulty.add("step =")  # until it is read: the times of the file depend on it
         value = self.constant(branches(tree)[0])
         if not isinstance(value, Duration) or value.seconds <= 0:
-            self.fail(tree, "the step is a positive time with its unit; write step = 0.1s")
+            self.fail(tree, "the step must be a positive time with a unit; write, for example, step = 0.1s")
         self.step = value
 
     def definition(self, tree: Branch) -> None:
@@ -168,19 +168,19 @@ class Builder:
     def claim(self, token: Token, what: str) -> None:
         name = str(token)
         if name == "inf":
-            self.fail(token, f"inf is the upper bound of an interval without an end; give this {what} another name")
+            self.fail(token, f"inf is reserved for intervals without an end; rename this {what}")
         if name in self.params or name in self.definitions:
-            self.fail(token, f"{name} is defined twice; give this {what} another name")
+            self.fail(token, f"{name} is defined twice; rename this {what}")
         if name in self.signals:
-            self.fail(token, f"{name} is a signal (line {self.signals[name].line}); give this {what} another name")
+            self.fail(token, f"{name} is a signal (line {self.signals[name].line}); rename this {what}")
         if name in self.names_used:
             place = self.names_used[name]
             if place.start > (token.start_pos or 0) and place.line == self.span(token).line:
-                self.fail(token, f"{name} would be defined by itself; give this {what} another name")
+                self.fail(token, f"{name} is defined in terms of itself; rename this {what}")
             self.fail(
                 token,
-                f"{name} is a label or signal on line {place.line} and would be a {what} from here on; "
-                f"give this {what} another name, or move it up if line {place.line} means it",
+                f"{name} is used as a label or signal on line {place.line}, before this {what}; "
+                f"rename this {what}, or move it up if line {place.line} refers to it",
             )
 
     # ------------------------------------------------------------------------------------------ truth values
@@ -188,10 +188,10 @@ class Builder:
     def spend(self, tree: Branch, nodes: int) -> None:
         self.budget -= nodes
         if self.budget < 0:
-            self.fail(tree, f"definitions used many times make this formula larger than {MOST_NODES} operators")
+            self.fail(tree, f"this formula has more than {MOST_NODES} operators; use definitions less often")
 
     def whole_formula(self, tree: Branch) -> Formula:
-        """The formula of a text that holds nothing else."""
+        """The formula of a text that contains nothing else."""
         try:
             return self.formula(branches(tree)[0])
         except RecursionError:
@@ -228,9 +228,9 @@ class Builder:
                 left, op, right = parts
                 return Comparison(self.comparator(op), self.term(left), self.term(right), span=span)
             case "chained":
-                self.fail(tree, f"comparisons do not chain; write ({self.unchained(tree)})")
+                self.fail(tree, f"comparisons cannot be chained; write ({self.unchained(tree)})")
             case "number" | "binary" | "negate" | "call" | "time" | "sample":
-                self.fail(tree, f"a number where a truth value must stand; compare it, as in {span.text()} > 0")
+                self.fail(tree, f"expected a Boolean expression, found a number; compare it, as in {span.text()} > 0")
             case other:
                 raise AssertionError(f"the grammar's rule {other} has no builder")
 
@@ -241,24 +241,22 @@ class Builder:
             if isinstance(node, FORMULAS):
                 self.spend(tree, self.sizes[name])
                 return cast(Formula, node)
-            self.fail(tree, f"{name} is a number here, not a truth value; compare it, as in {name} > 0")
+            self.fail(tree, f"expected a Boolean expression, but {name} is a number; compare it, as in {name} > 0")
         self.pass_over(name)
         if name in self.params:
-            self.fail(tree, f"{name} is a param, a number, not a truth value; compare something with it")
+            self.fail(tree, f"expected a Boolean expression, but {name} is a param; compare something with it")
         if name in self.signals:
-            self.fail(tree, f"{name} is a signal, a number, not a truth value; compare it, as in {name} > 0")
+            self.fail(tree, f"expected a Boolean expression, but {name} is a signal; compare it, as in {name} > 0")
         self.refuse_word(tree, name)
         self.names_used.setdefault(name, span)
         return Label(name, span=span)
 
     def refuse_word(self, tree: Branch, name: str) -> None:
-        """`True` is no label: a word of the language in capitals is a slip."""
+        """`True` is not taken for a label: a capitalised keyword is a slip."""
         if name.lower() in WORDS:
-            self.fail(
-                tree, f"words are in small letters: write {name.lower()} (a signal called {name} must be renamed)"
-            )
+            self.fail(tree, f"keywords are lower case; write {name.lower()} (a signal called {name} must be renamed)")
         if name.lower() in ("inf", "infinity", "nan"):
-            self.fail(tree, f"{name} is no number that a signal could be compared with; leave the comparison out")
+            self.fail(tree, f"{name} is not a number with which a signal can be compared; leave the comparison out")
 
     def pass_over(self, name: str) -> None:
         if name in self.faulty and name not in self.params:
@@ -282,7 +280,7 @@ class Builder:
     # ------------------------------------------------------------------------------------------ intervals
 
     def interval(self, operator: Branch) -> Interval:
-        """The interval of a temporal operator, in closed whole steps."""
+        """The interval of a temporal operator, closed and in integer steps."""
         tree = next((part for part in branches(operator) if part.data == "interval"), None)
         word = str(operator.data)
         if tree is None:
@@ -299,7 +297,7 @@ class Builder:
         if last < first:
             example = f"[{a},{max(a, b) + 1})" if closing == ")" else f"[{a},{max(a, b)}]"
             shown = f"{opening}{a},{b}{closing}"
-            self.fail(tree, f"the interval {shown} is empty: it holds no step; write for example {example}")
+            self.fail(tree, f"the interval {shown} is empty; write, for example, {example}")
         return Interval(first, last)
 
     def endless(self, place: Span, word: str, first: int) -> Interval:
@@ -307,20 +305,20 @@ class Builder:
             raise _At(
                 place,
                 f"{word} needs an interval with an end here, such as {_LETTERS[word]}[{first},{first + 10}] "
-                "(only monitors judge it without: stltool monitor, or unbounded=True; a label with an operator's name, "
-                "F, G or U, must be renamed)",
+                "(only monitors can do without: stltool monitor, or unbounded=True; a label named F, G or U must be "
+                "renamed)",
             )
         return Interval(first, None)
 
     def whole_steps(self, tree: Branch) -> int:
         value = self.constant(tree)
         if abs(value.seconds if isinstance(value, Duration) else value) > LARGEST_BOUND:
-            self.fail(tree, "this bound is out of range; count in larger steps")
+            self.fail(tree, "this bound is out of range; use larger time steps")
         if isinstance(value, Duration):
             if self.step is None and "step =" in self.faulty:
                 raise _PassedOver
             if self.step is None:
-                self.fail(tree, "this bound is a time, and no step is declared above; write a line such as step = 0.1s")
+                self.fail(tree, "this bound is a time, but no step is declared above; add a line such as step = 0.1s")
             steps = value.seconds / self.step.seconds
             if steps.denominator != 1:
                 low, high = (Duration(n * self.step.seconds) for n in (math.floor(steps), math.ceil(steps)))
@@ -328,15 +326,15 @@ class Builder:
         else:
             steps = value
             if steps.denominator != 1:
-                declared = "" if self.step is not None else ", and a step is declared above (step = 0.1s)"
+                declared = "" if self.step is not None else " (and declare a step above: step = 0.1s)"
                 unit = f", or {number_text(value)}s if it is a time in seconds{declared}"
                 self.fail(
                     tree,
-                    f"the bound {number_text(value)} is not a whole number of steps; "
+                    f"the bound {number_text(value)} is not an integer number of steps; "
                     f"write {math.floor(value)} or {math.ceil(value)}{unit}",
                 )
         if abs(steps) > LARGEST_BOUND:
-            self.fail(tree, "this bound is out of range; count in larger steps")
+            self.fail(tree, "this bound is out of range; use larger time steps")
         return steps.numerator
 
     # ------------------------------------------------------------------------------------------ numbers
@@ -371,11 +369,11 @@ class Builder:
                 args = tuple(self.term(part) for part in branches(tree)[1:])
                 return self.wrapped(tree, lambda: Call(cast(FunctionName, str(parts[0])), args, span=span))
             case "time":
-                self.fail(tree, "a time where a plain number must stand; only intervals and params hold times")
+                self.fail(tree, "expected a plain number, found a time; times occur only in intervals and params")
             case "comparison" | "chained" | "true" | "false" | "not" | "and" | "or":
-                self.fail(tree, "a truth value where a number must stand; check the parentheses")
+                self.fail(tree, "expected a number, found a Boolean expression; check the parentheses")
             case "implies" | "iff" | "xor" | "until" | "eventually" | "always":
-                self.fail(tree, "a truth value where a number must stand; check the parentheses")
+                self.fail(tree, "expected a number, found a Boolean expression; check the parentheses")
             case other:
                 raise AssertionError(f"the grammar's rule {other} has no builder")
 
@@ -389,23 +387,23 @@ class Builder:
         if name in self.definitions:
             node = self.definitions[name]
             if isinstance(node, FORMULAS):
-                self.fail(tree, f"{name} is a truth value, not a number; it cannot be compared or computed with")
+                self.fail(tree, f"expected a number, but {name} is Boolean; use it without comparing")
             self.spend(tree, self.sizes[name])
             return cast(Term, node)
         return self.variable(tree, name)
 
     def sample(self, tree: Branch) -> Term:
-        """Breach's `x[t]`: the signal's value at the step that is judged."""
+        """Breach's `x[t]`: the value of the signal at the evaluation step."""
         token, index = cast(tuple[Token, Branch], tuple(tree.children))
         name = str(token)
         if index.data != "name" or str(index.children[0]) != "t":
             self.fail(
                 tree,
-                f"a predicate reads one step, {name}[t]; record what {self.span(tree).text()} reads at another one "
-                "as a signal of its own (a truth value some steps later is F[1,1] a)",
+                f"a predicate reads a single step, {name}[t]; record {self.span(tree).text()} as a signal of its own "
+                "(for a truth value one step later, write F[1,1] a)",
             )
         if name in self.params or name in self.definitions:
-            self.fail(tree, f"{name} is no signal but a {'param' if name in self.params else 'definition'}; drop [t]")
+            self.fail(tree, f"{name} is a {'param' if name in self.params else 'definition'}, not a signal; drop [t]")
         self.pass_over(name)
         return self.variable(tree, name)
 
@@ -417,13 +415,13 @@ class Builder:
 
     def param_value(self, tree: Branch, value: Quantity) -> float:
         if isinstance(value, Duration):
-            self.fail(tree, "a time where a plain number must stand; only intervals and params hold times")
+            self.fail(tree, "expected a plain number, found a time; times occur only in intervals and params")
         try:
             number = float(value)
         except OverflowError:
-            self.fail(tree, "the value of this param is too large to compare with")
+            self.fail(tree, "the value of this param is too large to be compared with a signal; use a smaller one")
         if number == 0 and value != 0:
-            self.fail(tree, "the value of this param is too small to compare with")
+            self.fail(tree, "the value of this param is too small to be compared with a signal; use a larger one, or 0")
         return number
 
     def literal_float(self, token: Token) -> float:
@@ -432,7 +430,7 @@ class Builder:
         except NumberError as error:
             self.fail(token, str(error))
         if value == 0 and exact_value != 0:
-            self.fail(token, f"{token} is too small for a double, of which the smallest is 5e-324")
+            self.fail(token, f"{token} is too small for a double (the smallest is 5e-324); write 0, or a larger number")
         return value
 
     # ------------------------------------------------------------------------------------------ exact constants
@@ -452,7 +450,7 @@ class Builder:
                 if name not in self.params:
                     self.pass_over(name)
                     if name in self.definitions:
-                        self.fail(tree, f"{name} is a definition; for a number in bounds write param {name} = …")
+                        self.fail(tree, f"{name} is a definition; for a number in bounds, write param {name} = …")
                     known = near_misses(name, self.params) if self.params else f"give it a value: param {name} = 10"
                     self.fail(tree, f"{name} is not a param; {known}")
                 return self.params[name]
@@ -464,9 +462,9 @@ class Builder:
             case "binary":
                 return self.constant_binary(tree)
             case "sample":
-                self.fail(tree, "a signal where a constant must stand; write a number or a param")
+                self.fail(tree, "expected a constant, found a signal; write a number or a param")
             case _:
-                self.fail(tree, "a truth value where a number must stand")
+                self.fail(tree, "expected a number, found a Boolean expression; write a number or a param")
 
     def literal(self, tree: Branch, text: str) -> Fraction:
         try:
@@ -480,7 +478,7 @@ class Builder:
         self.wrapped(tree, lambda: Call(cast(FunctionName, str(function)), (Number(0.0),) * len(values)))
         name = str(function)
         if name not in ("abs", "min", "max"):
-            self.fail(tree, f"{name} has no exact value; give the number itself")
+            self.fail(tree, f"{name} has no exact value; write the number itself")
         times = [isinstance(value, Duration) for value in values]
         if any(times) and not all(times):
             self.mixed(tree)
@@ -497,10 +495,10 @@ class Builder:
         if op in "+-" and times[0] != times[1]:
             self.mixed(tree)
         if (op == "*" and all(times)) or (op == "/" and times == (False, True)) or (op == "^" and any(times)):
-            self.fail(tree, "this is no time: times add up, and are multiplied and divided by plain numbers")
+            self.fail(tree, "this is not a time; times can be added, and multiplied or divided by plain numbers")
         result = self.computed(tree, op, a, b)
         if max(result.numerator.bit_length(), result.denominator.bit_length()) > _LARGEST_BITS:
-            self.fail(tree, "this value is out of range: it has more digits than a param or a bound could use")
+            self.fail(tree, "this value is out of range: it has too many digits; use a simpler number")
         return Duration(result) if (times[0] != times[1] or (op in "+-" and times[0])) else result
 
     def computed(self, tree: Branch, op: str, a: Fraction, b: Fraction) -> Fraction:
@@ -513,20 +511,20 @@ class Builder:
                 return a * b
             case "/":
                 if b == 0:
-                    self.fail(tree, "division by zero")
+                    self.fail(tree, "division by zero; use another divisor")
                 return a / b
             case "^":
                 large = max(a.numerator.bit_length(), a.denominator.bit_length()) * abs(b) > _LARGEST_BITS
                 if b.denominator != 1 or abs(b) > _LARGEST_POWER or (a == 0 and b < 0) or large:
-                    self.fail(tree, f"this power is out of range: whole exponents up to {_LARGEST_POWER} only")
+                    self.fail(tree, f"this power is out of range; exponents are integers up to {_LARGEST_POWER}")
                 return a**b.numerator
             case other:
                 raise AssertionError(f"the grammar's operator {other} has no meaning")
 
     def mixed(self, tree: Branch) -> NoReturn:
-        self.fail(tree, "a time and a plain number do not add up; give both a unit, or none")
+        self.fail(tree, "a time and a plain number cannot be combined; give both a unit, or neither")
 
-    # ------------------------------------------------------------------------------------------ places
+    # ------------------------------------------------------------------------------------------ positions
 
     def span(self, item: Branch | Token) -> Span:
         if isinstance(item, Token):
@@ -534,7 +532,7 @@ class Builder:
         return Span(self.source, item.meta.start_pos, item.meta.end_pos)
 
     def operator_span(self, tree: Branch) -> Span:
-        """Where the operator itself stands: its word is no part of the tree."""
+        """The position of the operator itself: its word is not part of the tree."""
         parts = branches(tree)
         start = parts[0].meta.end_pos if tree.data == "until" else tree.meta.start_pos
         text = self.source.text[start : parts[-1].meta.start_pos]
@@ -545,14 +543,14 @@ class Builder:
         raise _At(self.span(item), message)
 
     def wrapped(self, tree: Branch, build: Callable[[], _T]) -> _T:
-        """A node constructor's complaint, with its place."""
+        """The error of a node constructor, with its position."""
         try:
             return build()
         except StlSyntaxError as error:
             self.fail(tree, str(error))
 
     def require_shallow(self, phi: Formula) -> None:
-        """Later walks recurse; a depth that they all bear is the limit."""
+        """Later traversals recurse; the limit is a depth that all of them can handle."""
         level: list[Formula | Term] = [phi]
         for _ in range(DEEPEST):
             level = [child for node in level for child in operands(node)]
@@ -562,6 +560,6 @@ class Builder:
 
     def too_deep(self) -> StlSyntaxError:
         return StlSyntaxError(
-            f"{self.source.name}: operators are nested too deeply, over {DEEPEST} levels; simplify the formula, or "
+            f"{self.source.name}: operators are nested too deeply (over {DEEPEST} levels); simplify the formula, or "
             "write a & b & c in one level"
         )

@@ -1,11 +1,11 @@
-"""Formulas put together in Python: what the text language writes, without text.
+"""Formulas composed in Python instead of written as text.
 
     x, at_A = stl.signal("x"), stl.label("A")
     phi = stl.G(stl.F(at_A, 0, 9) & (x + 0.1 <= 0.5), 0, 20)        # G[0,20] ((F[0,9] A) & x + 0.1 <= 0.5)
 
-`str` of what comes out parses back to it. Numbers are what they are in a text: a double is the shortest decimal that
-prints it. `&`, `|`, `~` and `>>` are operators of formulas themselves (formula.py); comparisons beside them stand in
-parentheses, and so do implications.
+`str` of the result parses back to it. Numbers mean what they mean in a text: a double stands for the shortest decimal
+that identifies it. `&`, `|`, `~` and `>>` are operators of the formulas themselves (formula.py); comparisons and
+implications next to them must be put in parentheses.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 def F(phi: Formula | Task, a: int, b: int | None) -> Eventually:
-    """F[a,b] φ: φ at some step t+a … t+b, both included. `b=None`: to the end of the trace, for monitors alone."""
+    """F[a,b] φ: φ at some step t+a … t+b, both included. `b=None`: to the end of the trace, for monitors only."""
     return fitting(Eventually(_interval("F", a, b), formula_of(phi, "F's formula")))
 
 
 def G(phi: Formula | Task, a: int, b: int | None) -> Always:
-    """G[a,b] φ: φ at every step t+a … t+b, both included. `b=None`: to the end of the trace, for monitors alone."""
+    """G[a,b] φ: φ at every step t+a … t+b, both included. `b=None`: to the end of the trace, for monitors only."""
     return fitting(Always(_interval("G", a, b), formula_of(phi, "G's formula")))
 
 
@@ -66,24 +66,24 @@ def U(phi: Formula | Task, psi: Formula | Task, a: int, b: int | None) -> Until:
 
 
 def label(name: str) -> Label:
-    """A label: true or false at a step. StlSyntaxError where a text could not name it so."""
+    """A label: true or false at every step. StlSyntaxError if the name could not be used in a text."""
     require(name, str, "label's name")
     _require_readable(name, name, Label(name))
     return Label(name)
 
 
 def signal(name: str) -> Expression:
-    """A signal, to be compared: `stl.signal("x") > 0.4`. StlSyntaxError where a text could not name it so."""
+    """A signal, to be compared: `stl.signal("x") > 0.4`. StlSyntaxError if the name could not be used in a text."""
     require(name, str, "signal's name")
     _require_readable(name, f"{name} > 0", Comparison(">", Variable(name), Number(0.0)))
     return Expression(Variable(name))
 
 
 class Expression(Displayed):
-    """Arithmetic over signals and numbers: `+ - * / **` and abs; `< <= > >= == !=` make a formula of it."""
+    """Arithmetic over signals and numbers: `+ - * / **` and abs; `< <= > >= == !=` turn it into a formula."""
 
     __slots__ = ("term",)
-    __array_ufunc__: ClassVar[None] = None  # numpy's numbers leave the operators to us
+    __array_ufunc__: ClassVar[None] = None  # numpy's numbers defer to the operators here
     __hash__ = None  # type: ignore[assignment]  # == makes a formula
 
     def __init__(self, term: Term) -> None:
@@ -181,7 +181,7 @@ def _interval(operator: str, a: object, b: object) -> Interval:
 
 
 def _require_readable(name: str, text: str, meant: Formula) -> None:
-    """StlSyntaxError unless the text means that: words of the language, and what is no word, cannot be names."""
+    """StlSyntaxError unless the text means `meant`: keywords, and texts that are not words, cannot be names."""
     from stltool.logic.parser import parse  # lark is slow to load
 
     try:
@@ -190,8 +190,8 @@ def _require_readable(name: str, text: str, meant: Formula) -> None:
     except StlSyntaxError:
         pass
     raise StlSyntaxError(
-        f"{described(name)} cannot be the name of a label or signal; take letters, digits and _, and none of the "
-        "language's words, such as F, until or true"
+        f"{described(name)} cannot be the name of a label or signal; use letters, digits and _, and none of the "
+        "keywords, such as F, until or true"
     )
 
 
@@ -208,17 +208,17 @@ def _term(value: object, sign: str) -> Term:
         return value.term
     if isinstance(value, bool) or not isinstance(value, Real | Decimal):
         raise ArgumentError(
-            f"an operand of {sign} is {described(value)}, neither a number nor a signal; comparisons stand in "
-            "parentheses beside & and |: (x > 0.5) & phi"
+            f"an operand of {sign} is {described(value)}, which is neither a number nor a signal; put comparisons "
+            "next to & and | in parentheses: (x > 0.5) & phi"
         )
     number = real(value, f"an operand of {sign}")
-    if not isinstance(value, Integral | Fraction | Decimal | float):  # a shorter float of numpy's: its own decimal
+    if not isinstance(value, Integral | Fraction | Decimal | float):  # a short float of numpy's
         number = exact(value)
     return _number(Fraction(int(value)) if isinstance(value, Integral) else number)
 
 
 def _number(value: float | Fraction) -> Term:
-    """The term that a text writes for this number: -0.1, 1 / 3."""
+    """The term with which a text writes this number: -0.1, 1 / 3."""
     if value < 0:
         return Negate(_number(-value))
     if isinstance(value, float):

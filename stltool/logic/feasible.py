@@ -1,13 +1,13 @@
 """Which truth assignments of labels and comparisons can occur at one step: a superset, from exact arithmetic.
 
-A comparison is solved for its *core*: what is left of `term ⋈ c` when + − · / with constants, abs, and min and max with
-constants are undone. Its truth depends on the core's value alone, and changes at few levels of it:
+A comparison is solved for its *core*: what remains of `term ⋈ c` once + − · / with constants, abs, and min and max with
+constants are undone. Its truth depends only on the value of the core, and changes only at a few levels of that value:
 
     2·x + 1 > 4   core x, level 3/2          abs(x) < 3   core x, levels −3, 3          x > y   core x − y, level 0
 
-Comparisons of one core are judged together at every level, between neighbours, and beyond both ends; different cores
-and labels are taken as independent. So nothing that can occur is missing; and where every core is a variable, nothing
-is superfluous: real values realise every row.
+Comparisons with the same core are evaluated together at every level, between neighbouring levels, and beyond both ends;
+different cores and labels are treated as independent. So no assignment that can occur is missing, and if every core is
+a variable, none is superfluous: real values realise every row.
 """
 
 from __future__ import annotations
@@ -27,18 +27,19 @@ from stltool.logic.rewrite import MIRROR
 from stltool.logic.semantics import CALL, COMPARE, COMPUTE, exact
 
 _Solved: TypeAlias = tuple[Hashable, list[Fraction], Callable[[Fraction], Fraction]]
-"""A term's core, the core's values at the levels asked for, and the term's value at a value of the core."""
+"""A term's core, the core's values at the given levels, and a function from the core's value to the term's."""
 
 
 def leaves(phi: Formula) -> tuple[Formula, ...]:
-    """The labels and comparisons of φ, left to right, each once."""
+    """The labels and comparisons of φ, left to right, without repetitions."""
     return tuple(dict.fromkeys(node for node in walk(phi) if isinstance(node, Label | Comparison)))
 
 
 def feasible_valuations(read: Sequence[Formula], most: int) -> tuple[NDArray[np.bool_], bool]:
-    """Truth assignments (n, n_leaves) of labels and comparisons: all that can occur, and more; whether all.
+    """A superset of the truth assignments that can occur, (n, n_leaves), and whether it is complete.
 
-    Of more than `most`, that many are drawn, always the same. Those in which almost all are false, or true, come first.
+    If there are more than `most`, a fixed sample of that size is drawn. Assignments in which almost all leaves are
+    false, or true, come first.
     """
     groups = _groups(read)
     sizes = [len(rows) for _, rows in groups]
@@ -49,7 +50,7 @@ def feasible_valuations(read: Sequence[Formula], most: int) -> tuple[NDArray[np.
         rng = np.random.default_rng(0)
         chosen = np.stack([rng.integers(size, size=most) for size in sizes], axis=1)
         chosen[0], chosen[1] = 0, np.array(sizes) - 1
-        for i in range(min(len(sizes), most // 4)):  # one group unlike all others
+        for i in range(min(len(sizes), most // 4)):  # one group differs from all others
             chosen[2 * i + 2], chosen[2 * i + 3] = chosen[0], chosen[1]
             chosen[2 * i + 2, i], chosen[2 * i + 3, i] = chosen[1, i], chosen[0, i]
     result = np.zeros((len(chosen), len(read)), dtype=np.bool_)
@@ -61,7 +62,7 @@ def feasible_valuations(read: Sequence[Formula], most: int) -> tuple[NDArray[np.
 
 
 def _groups(read: Sequence[Formula]) -> list[tuple[list[int], NDArray[np.bool_]]]:
-    """Columns that depend on each other, and the rows (n, n_columns) that they can have; groups are independent."""
+    """Groups of dependent columns with the rows (n, n_columns) that can occur; groups are independent."""
     groups: list[tuple[list[int], NDArray[np.bool_]]] = []
     cores: dict[Hashable, list[int]] = {}
     solved: dict[int, tuple[list[Fraction], Callable[[Fraction], bool]]] = {}
@@ -80,7 +81,7 @@ def _groups(read: Sequence[Formula]) -> list[tuple[list[int], NDArray[np.bool_]]
 
 
 def _cells(levels: list[Fraction]) -> list[Fraction]:
-    """Every level, a value between each two neighbours, and one beyond each end."""
+    """Every level, a value between every two neighbouring levels, and one beyond each end."""
     if not levels:
         return [Fraction(0)]
     between = [(low + high) / 2 for low, high in itertools.pairwise(levels)]
@@ -88,12 +89,12 @@ def _cells(levels: list[Fraction]) -> list[Fraction]:
 
 
 def _solve_comparison(phi: Comparison) -> tuple[Hashable, list[Fraction], Callable[[Fraction], bool]]:
-    """The core, its levels, and the comparison's truth at a value of the core."""
+    """The core, its levels, and a function from the core's value to the truth of the comparison."""
     op, left, right = phi.op, phi.left, phi.right
     if _constant(right) is None and (_constant(left) is not None or term_text(left) > term_text(right)):
         op, left, right = MIRROR[op], right, left
     compare, border, fixed = COMPARE[op], _constant(right), _constant(left)
-    if border is None:  # the sign of a difference; where a root or a power may be rounded, of these two terms only
+    if border is None:  # the sign of a difference; if a root or a power may be rounded, only of these two terms
         core: Hashable = Arithmetic("-", left, right) if _is_exact(left) and _is_exact(right) else (left, right)
         return core, [Fraction(0)], lambda value: compare(value, 0)
     if fixed is not None:
@@ -129,7 +130,7 @@ def _solve(term: Term, levels: list[Fraction]) -> _Solved:
 def _solve_arithmetic(
     term: Arithmetic, op: str, left: Fraction | None, right: Fraction | None, levels: list[Fraction]
 ) -> _Solved:
-    """`_solve` of a term with a constant operand; any other is a core of its own, and so is what divides."""
+    """`_solve` for a term with a constant operand; any other term, and any divisor, is a core of its own."""
     forward = COMPUTE[term.op]
     k = right if right is not None else left
     if k is None or (op == "/" and not right):
@@ -158,7 +159,7 @@ def _itself(value: Fraction) -> Fraction:
 
 
 def _constant(term: Term) -> Fraction | None:
-    """The exact value of a term without variables, roots and powers; None for others."""
+    """The exact value of a term without variables, roots or powers; None for other terms."""
     match term:
         case Number(value):
             return Fraction(exact(value))
@@ -179,7 +180,7 @@ def _constant(term: Term) -> Fraction | None:
 
 
 def _is_exact(term: Term) -> bool:
-    """Whether its value is never rounded: no root, no power."""
+    """Whether the value is never rounded: the term has no root and no power."""
     match term:
         case Number() | Variable():
             return True

@@ -1,9 +1,10 @@
-"""The canonical layout of task files: what `stltool fmt` writes.
+"""The canonical layout of task files, as written by `stltool fmt`.
 
-One statement a line; operators in their short spelling, parentheses as the printer puts them (redundant ones go, those
-that make a text read alike everywhere come), a statement over 100 characters broken at its operators. Names, params,
-numbers, the form of intervals and all comments stay; blank lines between statements stay, one each. What is laid out is
-read again and compared with what was given: the meaning cannot change, or nothing comes out.
+One statement per line; operators in their short spelling; parentheses as the printer sets them (redundant ones are
+removed, and those that make all tools agree on the meaning are added); statements over 100 characters broken at their
+operators. Names, params, numbers, the form of intervals and all comments are kept; so are blank lines between
+statements, at most one each. The result is parsed and compared with the original: if the meaning changed, nothing is
+written.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ _COMPARATORS = {"≤": "<=", "≥": ">=", "≠": "!="}
 
 
 def format_task(text: str, name: str = "task") -> str:
-    """The text of a task file in its canonical layout. Raises StlSyntaxError where it does not parse."""
+    """The text of a task file in its canonical layout. Raises StlSyntaxError if it does not parse."""
     require(text, str, "format_task's text", "write it in quotes, or read the file: path.read_text()")
     require(name, str, "format_task's name")
     document = read(Source(name, text), "task")
     refuse(document.faults)
     try:
-        for _ in range(len(document.comments) + 2):  # a comment may move behind what made its line break: once more
+        for _ in range(len(document.comments) + 2):  # a moved comment may change line breaks: repeat
             laid_out = _Layout(document).text()
             if laid_out == document.source.text:
                 break
@@ -41,7 +42,7 @@ def format_task(text: str, name: str = "task") -> str:
                 raise AssertionError(f"{name}: the canonical layout would change the meaning; nothing was written")
             document = again
     except RecursionError:
-        raise StlSyntaxError(f"{name}: operators are nested too deeply to be laid out; name parts of them") from None
+        raise StlSyntaxError(f"{name}: operators are nested too deeply to be formatted; define parts by name") from None
     return laid_out
 
 
@@ -50,7 +51,7 @@ def _comments(document: Document) -> list[str]:
 
 
 def _skeletons(document: Document) -> list[object]:
-    """The statements without parentheses, places and spellings; a line of several params counts as several lines."""
+    """The statements without parentheses, positions and spellings; each param of a line counts as a line."""
     found: list[object] = []
     for tree in document.trees:
         parts = branches(tree) if tree.data in ("params", "signals") else [tree]
@@ -69,7 +70,7 @@ def _skeleton(item: Branch | Token) -> object:
 
 
 def flat_text(tree: Branch) -> str:
-    """A formula or a term in one line, with the parentheses that the printer would put in."""
+    """A formula or a term on one line, with the parentheses that the printer would set."""
     tree = bare(tree)
     parts = branches(tree)
     match tree.data:
@@ -88,7 +89,7 @@ def flat_text(tree: Branch) -> str:
 
 
 def _sign(tree: Branch) -> str:
-    """An operator with its interval, as it stands before or between its operands."""
+    """An operator with its interval, as written before or between its operands."""
     interval = next((_interval(part) for part in branches(tree) if part.data == "interval"), "")
     if tree.data in _SIGNS:
         return _SIGNS[tree.data] + interval
@@ -139,21 +140,21 @@ def _term(tree: Branch) -> tuple[str, int]:
         case "number" | "time" | "name" | "true" | "false":
             return str(parts[0]), STRENGTH["atom"]
         case _:
-            return f"({flat_text(tree)})", STRENGTH["atom"]  # a truth value among numbers: refused when it is built
+            return f"({flat_text(tree)})", STRENGTH["atom"]  # a Boolean among numbers: refused when the nodes are built
 
 
 # --------------------------------------------------------------------------------------------------- lines
 
 
 class _Layout:
-    """Lines, with every comment near the place where it stood."""
+    """Lines, with every comment near its original position."""
 
     def __init__(self, document: Document) -> None:
         self.document = document
         self.source = document.source.text
         self.pending = deque(document.comments)
         self.lines: list[str] = []
-        self.end = 0  # where in the source the last thing laid out ends
+        self.end = 0  # where the last formatted item ends in the source
         self.commented = -1  # the last line with a comment
 
     def text(self) -> str:
@@ -167,13 +168,13 @@ class _Layout:
         return "\n".join(self.lines) + "\n" if self.lines else ""
 
     def blank_line(self, start: int) -> None:
-        """Keep one blank line where there were some."""
+        """Keep one blank line if there were any."""
         gap = self.source[self.end : start].replace("\r\n", "\n").replace("\r", "\n")
         if self.lines and sum(1 for line in gap.split("\n")[1:-1] if not line.strip(" \t\f;")) > 0:
             self.lines.append("")
 
     def flush(self, until: int, pad: str) -> None:
-        """Lay out the comments before a place: behind the line they stood behind, else on lines of their own."""
+        """Write the comments before a position: at the end of the line they followed, or on lines of their own."""
         while self.pending and self.pending[0].start < until:
             comment = self.pending.popleft()
             text = _comment_text(comment)
@@ -211,7 +212,7 @@ class _Layout:
                 raise AssertionError(f"the grammar's rule {other} has no layout")
 
     def list(self, word: str, items: list[tuple[int, str]]) -> None:
-        """A line of several params or signals; several lines where comments stand between them."""
+        """Several params or signals on one line; on several lines if there are comments between them."""
         line = f"{word} {', '.join(text for _, text in items)}"
         if len(line) <= WIDTH and not (self.pending and self.pending[0].start < items[-1][0]):
             self.lines.append(line)
@@ -224,7 +225,7 @@ class _Layout:
         return len(line) <= WIDTH and not (self.pending and self.pending[0].start < tree.meta.end_pos)
 
     def block(self, tree: Branch, indent: int, lead: str = "") -> None:
-        """A formula over lines of its own; `lead` stands before it on the first."""
+        """A formula on lines of its own; `lead` precedes it on the first."""
         tree = bare(tree)
         pad = " " * indent
         self.flush(tree.meta.start_pos, pad)

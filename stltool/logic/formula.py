@@ -1,11 +1,11 @@
 """The abstract syntax: frozen nodes, the closed unions `Formula` and `Term`.
 
     φ ::= true | false | label | term ⋈ term | ¬φ | φ ∧ … ∧ φ | φ ∨ … ∨ φ | φ → φ | φ ↔ φ
-        | F[a,b] φ | G[a,b] φ | φ U[a,b] φ                                   (0 ≤ a ≤ b whole steps, or no b)
+        | F[a,b] φ | G[a,b] φ | φ U[a,b] φ                                   (0 ≤ a ≤ b integer steps, or no b)
 
-Intervals are closed in whole steps, whatever the text said. Functions over formulas are one `match` that ends in
-`assert_never`, so the type checker finds a forgotten case. A node remembers where it was read (`span`), which takes
-no part in equality.
+Intervals are closed and in integer steps, whatever the text said. Functions over formulas are one `match` that ends in
+`assert_never`, so the type checker finds a forgotten case. A node keeps its position in the text (`span`), which is
+ignored by equality.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FunctionName = Literal["abs", "min", "max", "sqrt"]
 
 MOST_NODES = 50_000
 LARGEST_BOUND = 10**15  # steps
-DEEPEST = 200  # levels of operators: most walks recurse
+DEEPEST = 200  # levels of operators: most traversals recurse
 
 COMPARATORS: tuple[Comparator, ...] = ("<", "<=", ">", ">=", "==", "!=")
 _LONGEST_REPR = 300
@@ -42,7 +42,7 @@ FUNCTION_ARITY: dict[FunctionName, tuple[int, int | None]] = {
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """What all nodes share: the place in the text, if there is one, and their size once it was asked for."""
+    """What all nodes share: the position in the text, if any, and the size, once computed."""
 
     span: Span | None = field(default=None, compare=False, repr=False, kw_only=True)
     _size: tuple[int, int] | None = field(default=None, compare=False, repr=False, init=False)
@@ -53,7 +53,7 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Number(Node):
-    """A non-negative finite constant; a negative one is `Negate(Number(…))`, as in the text."""
+    """A non-negative finite constant; a negative one is `Negate(Number(…))`, as in a text."""
 
     value: float
 
@@ -92,7 +92,7 @@ class Call(Node):
         least, most = FUNCTION_ARITY[self.function]
         if len(self.args) < least or (most is not None and len(self.args) > most):
             wanted = "one argument" if most == 1 else f"at least {least} arguments"
-            raise StlSyntaxError(f"{self.function} takes {wanted}, here it has {len(self.args)}")
+            raise StlSyntaxError(f"{self.function} takes {wanted}, not {len(self.args)}")
 
 
 Term: TypeAlias = Number | Variable | Negate | Arithmetic | Call
@@ -102,21 +102,21 @@ Term: TypeAlias = Number | Variable | Negate | Arithmetic | Call
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """The whole steps a, a+1, …, b; without b, to the end of the trace, which monitors can judge and nothing else."""
+    """The steps a, a+1, …, b; without b, up to the end of the trace, which only monitors can judge."""
 
     a: int
     b: int | None
 
     def __post_init__(self) -> None:
         for name, end in (("a", self.a), ("b", self.b)):
-            if end is not None and type(end) is not int:  # numpy's narrow integers wrap in sums
+            if end is not None and type(end) is not int:  # numpy's narrow integers overflow in sums
                 object.__setattr__(self, name, operator.index(end))
         if self.a < 0 or (self.b is not None and self.a > self.b):
-            raise StlSyntaxError(f"the interval {self} holds no step; write 0 <= a <= b")
+            raise StlSyntaxError(f"the interval {self} is empty; write 0 <= a <= b")
 
     @property
     def last(self) -> int:
-        """b; StlSyntaxError where there is none. Whoever asks `horizon` first gets the message with its place."""
+        """b; StlSyntaxError if there is none. Callers that ask `horizon` first get a message with a position."""
         if self.b is None:
             raise StlSyntaxError(f"the interval {self} has no end; write one, such as [{self.a},{self.a + 10}]")
         return self.b
@@ -129,15 +129,15 @@ class Interval:
 
 
 class Composable(Displayed):
-    """What composes with `&`, `|`, `~` and `>>` (implication): formulas, and tasks, which stand for their formula.
+    """What `&`, `|`, `~` and `>>` (implication) combine: formulas, and tasks, which stand for their formula.
 
-    `and`, `or`, `not` and chains of comparisons ask for a truth value, which a formula does not have: a TypeError.
-    Beware of Python's precedences: `>>` binds tighter than `&`, and `&` tighter than comparisons; use parentheses.
+    `and`, `or`, `not` and chained comparisons ask for a truth value, which a formula does not have: a TypeError.
+    Beware of Python's precedence: `>>` binds tighter than `&`, and `&` tighter than comparisons; use parentheses.
     """
 
     __slots__ = ()
     KIND: ClassVar[str] = "Formula"
-    __array_ufunc__: ClassVar[None] = None  # numpy's numbers leave the operators to us
+    __array_ufunc__: ClassVar[None] = None  # numpy's numbers defer to the operators here
 
     def _formula(self) -> Formula:
         raise NotImplementedError
@@ -165,15 +165,15 @@ class Composable(Displayed):
 
     def __lt__(self, other: object) -> NoReturn:
         raise ArgumentError(
-            f"{cut(str(self._formula()), 60)} is true or false, and cannot be compared; for a signal write "
-            "stl.signal('x') > 0.5, in parentheses beside & and |: (x > 0.5) & phi"
+            f"{cut(str(self._formula()), 60)} is Boolean and cannot be compared; for a signal, write "
+            "stl.signal('x') > 0.5, in parentheses next to & and |: (x > 0.5) & phi"
         )
 
     __le__ = __gt__ = __ge__ = __lt__
 
     def __bool__(self) -> NoReturn:
         raise ArgumentError(
-            "a formula is neither true nor false by itself; write phi & psi, phi | psi, ~phi for and, or, not, "
+            "a formula has no truth value by itself; write phi & psi, phi | psi, ~phi for and, or, not, "
             "(0.2 < x) & (x < 0.6) for 0.2 < x < 0.6, and stl.satisfies(phi, signals) to judge a trace"
         )
 
@@ -213,7 +213,7 @@ class Label(_Printed, Node):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Comparison(_Printed, Node):
-    """A predicate `left ⋈ right` over signal values, strictness kept."""
+    """A predicate `left ⋈ right` over signal values; strictness is preserved."""
 
     op: Comparator
     left: Term
@@ -285,14 +285,14 @@ Formula: TypeAlias = (
 
 def _at_least_two(args: tuple[Formula, ...], name: str) -> None:
     if len(args) < 2:
-        raise StlSyntaxError(f"{name} needs at least two operands, here it has {len(args)}")
+        raise StlSyntaxError(f"{name} needs at least two operands, not {len(args)}")
 
 
 # ------------------------------------------------------------------------------------------- questions about formulas
 
 
 def formula_of(phi: object, what: str) -> Formula:
-    """The formula itself, or a task's; ArgumentError, saying what to write, for anything else."""
+    """The formula itself, or that of a task; for anything else an ArgumentError that says what to write."""
     if isinstance(phi, Composable):
         return phi._formula()
     require(phi, Composable, what)
@@ -300,7 +300,7 @@ def formula_of(phi: object, what: str) -> Formula:
 
 
 def bounded_formula_of(phi: object, what: str) -> Formula:
-    """The same, with an end to every interval: whatever judges runs needs a horizon. StlSyntaxError without."""
+    """The same, for callers that need a horizon; StlSyntaxError if an interval has no end."""
     formula = formula_of(phi, what)
     horizon(formula)
     return formula
@@ -322,7 +322,7 @@ def children(phi: Formula) -> tuple[Formula, ...]:
 
 
 def with_children(phi: Formula, new: tuple[Formula, ...]) -> Formula:
-    """The same operator over other operands (same number of them)."""
+    """The same operator with other operands (the same number of them)."""
     match phi:
         case Constant() | Label() | Comparison():
             return phi
@@ -356,10 +356,10 @@ def walk(phi: Formula) -> Iterator[Formula]:
 
 
 def horizon(phi: Formula | Task) -> int:
-    """The number of steps after the evaluation step that can matter (docs/semantics.md §1).
+    """The number of steps after the evaluation step that can affect the truth value (docs/semantics.md §1).
 
-    A trace that decides φ at step 0 has `horizon(φ) + 1` samples. Raises StlSyntaxError where an operator's interval
-    has no end.
+    A trace needs `horizon(φ) + 1` samples to decide φ at step 0. Raises StlSyntaxError if an operator's interval has no
+    end.
     """
     return _horizon(formula_of(phi, "horizon's formula"))
 
@@ -370,8 +370,8 @@ def _horizon(phi: Formula) -> int:
         case Eventually(interval, _) | Always(interval, _) | Until(interval, _, _):
             if interval.b is None:
                 message = (
-                    f"{_OPERATOR_WORDS[type(phi)]} has no interval with an end, so no horizon: write one, such as "
-                    f"[{interval.a},{interval.a + 10}]; only monitors judge it, with end cut or hold"
+                    f"{_OPERATOR_WORDS[type(phi)]} has no interval with an end, hence no horizon; write one, such as "
+                    f"[{interval.a},{interval.a + 10}] (only monitors can judge it as it is, with end cut or hold)"
                 )
                 raise StlSyntaxError(phi.span.show(message) if phi.span is not None else message)
             return interval.b + below
@@ -388,18 +388,18 @@ def is_bounded(phi: Formula) -> bool:
 
 
 def is_temporal(phi: Formula) -> bool:
-    """Whether a temporal operator stands anywhere in the formula."""
+    """Whether the formula contains a temporal operator."""
     return any(isinstance(node, Eventually | Always | Until) for node in walk(phi))
 
 
 def temporal_depth(phi: Formula) -> int:
-    """How deep temporal operators are nested: 0 for a Boolean formula over predicates."""
+    """The nesting depth of temporal operators: 0 for a Boolean formula over predicates."""
     below = max((temporal_depth(child) for child in children(phi)), default=0)
     return below + isinstance(phi, Eventually | Always | Until)
 
 
 def atoms(phi: Formula) -> tuple[Formula, ...]:
-    """The largest sub-formulas without temporal operators, left to right, each once; no negations, no constants."""
+    """The largest sub-formulas without temporal operators, negations or constants, left to right, each once."""
     found: dict[Formula, None] = {}
     stack = [phi]
     while stack:
@@ -414,7 +414,7 @@ def atoms(phi: Formula) -> tuple[Formula, ...]:
 
 
 def boolean_value(phi: Formula, value: Callable[[Formula], bool | None]) -> bool:
-    """The truth of φ where `value` gives the truth of those sub-formulas it knows (None: look inside)."""
+    """The truth of φ, given the truth `value` of those sub-formulas that it knows (None: descend)."""
     known = value(phi)
     if known is not None:
         return known
@@ -438,7 +438,7 @@ def boolean_value(phi: Formula, value: Callable[[Formula], bool | None]) -> bool
 
 
 def variables(phi: Formula) -> dict[str, Span | None]:
-    """The real-valued signals the formula reads, each with its first place in the text."""
+    """The real-valued signals the formula reads, each with its first position in the text."""
     found: dict[str, Span | None] = {}
     for node in walk(phi):
         if isinstance(node, Comparison):
@@ -448,7 +448,7 @@ def variables(phi: Formula) -> dict[str, Span | None]:
 
 
 def label_names(phi: Formula) -> dict[str, Span | None]:
-    """The Boolean labels the formula reads, each with its first place in the text."""
+    """The Boolean labels the formula reads, each with its first position in the text."""
     found: dict[str, Span | None] = {}
     for node in walk(phi):
         if isinstance(node, Label):
@@ -472,11 +472,11 @@ def _term_variables(term: Term) -> list[Variable]:
             assert_never(term)
 
 
-# ------------------------------------------------------------------------------------------- formulas put together
+# ------------------------------------------------------------------------------------------- composed formulas
 
 
 def operand(value: object, sign: str) -> Formula:
-    """What may stand beside an operator; ArgumentError, with what was probably meant, for anything else."""
+    """A valid operand of an operator; for anything else an ArgumentError with what was probably meant."""
     if not isinstance(value, Composable):
         refuse_operand(value, sign)
     return value._formula()
@@ -485,7 +485,7 @@ def operand(value: object, sign: str) -> Formula:
 def refuse_operand(value: object, sign: str) -> NoReturn:
     kind = kind_name(type(value))
     if isinstance(value, bool) or type(value).__name__ == "bool":
-        remedy = "== and != between formulas give True or False; a constant formula is stl.parse('true')"
+        remedy = "== and != between formulas give True or False; for a constant formula, write stl.parse('true')"
     elif isinstance(value, int | float) or kind == "Expression":
         remedy = f"put the comparison in parentheses: phi {sign} (x > 0.5)"
     elif isinstance(value, str):
@@ -500,7 +500,7 @@ _N = TypeVar("_N", bound=Node)
 
 
 def _joined(kind: type[_J], left: Formula, right: Formula) -> _J:
-    """a & b & c in one level, however it is put together."""
+    """a & b & c in one level, in whatever order it is composed."""
     args: tuple[Formula, ...] = ()
     nodes = levels = 1
     for phi in (left, right):
@@ -514,20 +514,20 @@ def _joined(kind: type[_J], left: Formula, right: Formula) -> _J:
 
 
 def fitting(phi: _N) -> _N:
-    """The node itself; StlSyntaxError where it is too deep or too large for what recurses through it."""
+    """The node itself; StlSyntaxError if it is too deep or too large for recursive traversals."""
     nodes, levels = _measure(phi)
     if levels > DEEPEST:
         raise StlSyntaxError(
-            f"operators are nested too deeply, over {DEEPEST} levels; simplify the formula, or write a & b & c in one "
+            f"operators are nested too deeply (over {DEEPEST} levels); simplify the formula, or write a & b & c in one "
             "level"
         )
     if nodes > MOST_NODES:
-        raise StlSyntaxError(f"the formula is larger than {MOST_NODES} operators; simplify it")
+        raise StlSyntaxError(f"the formula has more than {MOST_NODES} operators; simplify it")
     return phi
 
 
 def _measure(root: Node) -> tuple[int, int]:
-    """(nodes, levels), remembered by every node: a formula that is put together is not walked again each time."""
+    """(nodes, levels), cached in every node: composing formulas does not traverse them again each time."""
     stack = [root] if root._size is None else []
     while stack:
         node = stack[-1]
@@ -545,7 +545,7 @@ def _measure(root: Node) -> tuple[int, int]:
 
 
 def operands(node: Node) -> tuple[Formula | Term, ...]:
-    """Sub-formulas and terms right below, left to right."""
+    """The sub-formulas and terms directly below, left to right."""
     match node:
         case Comparison(_, left, right) | Arithmetic(_, left, right):
             return (left, right)

@@ -4,8 +4,8 @@
     φ ::= ¬φ | φ∧φ | φ∨φ | φ→φ | φ↔φ | F[0,τ) ψ | G[0,τ) ψ
     ψ ::= Boolean over predicates
 
-A Boolean root counts as the outer G[0,1), a bare ψ beside inner operators as the inner G[0,1). A refusal names the
-smallest sub-formula at fault, its place, why, and what to do.
+A Boolean root counts as the outer G[0,1), a bare ψ next to inner operators as the inner G[0,1). An error names the
+smallest sub-formula at fault, its position, the reason, and the remedy.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ Operator = Literal["F", "G"]
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """One φ_i = F[0,τ) ψ or G[0,τ) ψ: what one flag watches. A bare ψ is G[0,1) ψ."""
+class FragmentPart:
+    """One φ_i = F[0,τ) ψ or G[0,τ) ψ, which one flag tracks. A bare ψ is G[0,1) ψ."""
 
     operator: Operator
     tau: int
@@ -54,7 +54,7 @@ class Fragment(Displayed):
 
     outer: Operator
     T: int
-    parts: tuple[Part, ...]
+    parts: tuple[FragmentPart, ...]
     body: Formula
 
     def _card(self) -> Card:
@@ -65,10 +65,10 @@ class Fragment(Displayed):
         )
 
     def combine(self, chi: Sequence[bool]) -> bool:
-        """g(χ): the truth of the body where part i has truth χ_i."""
+        """g(χ): the truth of the body if part i has truth χ_i."""
         require(chi, (list, tuple), "combine's truths", f"give {len(self.parts)} truth values, one for each part")
         if len(chi) != len(self.parts):
-            raise SettingsError(f"combine's truths are {len(chi)}, the parts {len(self.parts)}; give one for each part")
+            raise SettingsError(f"combine got {len(chi)} truth values for {len(self.parts)} parts; give one each")
         known = {part.formula: bool(value) for part, value in zip(self.parts, chi, strict=True)}
         return boolean_value(self.body, known.get)
 
@@ -79,7 +79,7 @@ class Fragment(Displayed):
 
 
 def check_fragment(phi: Formula | Task) -> Fragment:
-    """Decompose φ along the paper's fragment; FragmentError names what does not fit."""
+    """Decompose φ according to the paper's fragment; FragmentError names what is outside it."""
     phi = bounded_formula_of(phi, "check_fragment's formula")
     negated = False
     root = phi
@@ -93,15 +93,15 @@ def check_fragment(phi: Formula | Task) -> Fragment:
             size = len(interval)
         case _:
             operator, body, size = "G", phi, 1
-    parts: dict[Formula, Part] = {}
+    parts: dict[Formula, FragmentPart] = {}
     body = _collect(body, parts)
     return Fragment(operator, size, tuple(parts.values()), body)
 
 
-def _collect(phi: Formula, parts: dict[Formula, Part]) -> Formula:
+def _collect(phi: Formula, parts: dict[Formula, FragmentPart]) -> Formula:
     """Find the inner operators and bare predicates of φ, left to right."""
     if not is_temporal(phi):
-        parts.setdefault(phi, Part("G", 1, phi, phi))
+        parts.setdefault(phi, FragmentPart("G", 1, phi, phi))
         return phi
     match phi:
         case Eventually(interval, arg) | Always(interval, arg):
@@ -109,16 +109,16 @@ def _collect(phi: Formula, parts: dict[Formula, Part]) -> Formula:
                 raise FragmentError(
                     _at(
                         phi,
-                        f"depth {1 + temporal_depth(phi)}: {phi} nests temporal operators below the outer one; "
-                        "the paper's fragment allows two levels; use encoding exact",
+                        f"depth {1 + temporal_depth(phi)}: {phi} nests temporal operators under the outer one; "
+                        "the paper's fragment allows two levels; use the exact encoding",
                     )
                 )
             _from_zero(phi)
             operator: Operator = "F" if isinstance(phi, Eventually) else "G"
-            parts.setdefault(phi, Part(operator, len(interval), arg, phi))
+            parts.setdefault(phi, FragmentPart(operator, len(interval), arg, phi))
             return phi
         case Until():
-            raise FragmentError(_at(phi, f"until: {phi} is outside the paper's fragment; use encoding exact"))
+            raise FragmentError(_at(phi, f"until: {phi} is outside the paper's fragment; use the exact encoding"))
         case _:
             return with_children(phi, tuple(_collect(child, parts) for child in children(phi)))
 
@@ -129,7 +129,7 @@ def _from_zero(phi: Eventually | Always) -> None:
             _at(
                 phi,
                 f"the window {phi.interval} starts at step {phi.interval.a}; "
-                "windows of the paper's fragment start at 0; use encoding exact",
+                "windows of the paper's fragment start at step 0; use the exact encoding",
             )
         )
 

@@ -1,8 +1,7 @@
-"""What a text might be misread as: places that other tools read differently, with the reading that holds here.
+"""Ambiguities: positions in a text that other tools read differently, with the reading that applies here.
 
-None of these is an error: the grammar gives every text one meaning. The advice is to put the parentheses in, as
-`stltool fmt` does. What STLRom, RTAMT and MATLAB read: docs/language.md, "What other tools read
-differently".
+None of these is an error: the grammar gives every text one meaning. The advice is to add the parentheses, as
+`stltool fmt` does. How STLRom, RTAMT and MATLAB read them: docs/language.md, "What other tools read differently".
 """
 
 from __future__ import annotations
@@ -23,12 +22,12 @@ from stltool.source import Span
 _BINARY = ("iff", "xor", "implies", "or", "and", "until")
 _LONGEST_READING = 300
 _OPERAND = r"[\s(]*[\w.]+[\s)]*"
-_ARITHMETIC = re.compile(rf"//(?=[\s(]*[\d.]){_OPERAND}(?:[-+*/^&|<>=!]+{_OPERAND})*")  # no sentence, but an operand
+_ARITHMETIC = re.compile(rf"//(?=[\s(]*[\d.]){_OPERAND}(?:[-+*/^&|<>=!]+{_OPERAND})*")  # an operand, not a sentence
 
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """A place and what to know of it."""
+    """A position, and what to know about it."""
 
     span: Span
     message: str
@@ -38,11 +37,11 @@ class Advice:
 
 
 def ambiguities(task: Task | Document) -> list[Advice]:
-    """Every place of a task's text that other tools would read differently, in the order of the text."""
+    """Every position in a task's text that other tools would read differently, in text order."""
     require(task, (Task, Document), "ambiguities' task")
     document = task.document if isinstance(task, Task) else task
     if document is None:
-        return []  # put together without a text
+        return []  # composed without a text
     found = [advice for tree in document.trees for advice in _of_statement(document, tree)]
     found += _divisions(document)
     found += _undeclared(document)
@@ -51,7 +50,7 @@ def ambiguities(task: Task | Document) -> list[Advice]:
 
 
 def _of_statement(document: Document, statement: Branch) -> Iterator[Advice]:
-    """Outside in; below a place that is told only what stands in parentheses is looked at again."""
+    """Outside in; below a reported position only what is in parentheses is examined again."""
     stack: list[tuple[Branch, bool]] = [(statement, False)]
     while stack:
         tree, told = stack.pop()
@@ -76,20 +75,18 @@ def _differs(tree: Branch) -> str | None:
     operands = [part for part in branches(tree) if part.data != "interval"]
     kinds = {str(part.data) for part in operands}
     if tree.data == "or" and "and" in kinds:
-        return "'and' beside 'or' without parentheses is read from left to right by some tools (STLRom)"
+        return "'and' next to 'or' without parentheses is read from left to right by some tools (STLRom)"
     if tree.data == "implies" and "implies" in kinds:
         return "a chain of '->' is read from the left by some tools (RTAMT), from the right by others"
     if tree.data in ("iff", "xor") and kinds & {"iff", "xor"}:
         return "a chain of '<->' and 'xor' without parentheses is read differently by different tools"
     if tree.data in ("implies", "iff", "xor") and kinds & set(_BINARY):
         sign = {"implies": "->", "iff": "<->", "xor": "xor"}[tree.data]
-        return f"how tightly '{sign}' binds beside other operators differs from tool to tool"
+        return f"the precedence of '{sign}' over other operators differs between tools"
     if "until" in kinds:
-        return "how tightly 'until' binds beside other operators differs from tool to tool"
+        return "the precedence of 'until' over other operators differs between tools"
     if any(_ends_in_temporal(part) for part in operands[:-1]):
-        return (
-            "a temporal operator's reach ends before the next operator here; in some tools it takes in all that follows"
-        )
+        return "the scope of the temporal operator ends before the next operator; in some tools it extends to the end"
     return None
 
 
@@ -105,11 +102,11 @@ def _divisions(document: Document) -> Iterator[Advice]:
         before = document.source.text[: comment.start].rpartition("\n")[2].rstrip()
         if re.search(r"[\w)\]]$", before) and _ARITHMETIC.fullmatch(comment.text):
             span = Span(document.source, comment.start, comment.start + 2)
-            yield Advice(span, "what follows // is a comment; for a division write /, for a comment #")
+            yield Advice(span, "// begins a comment; write / for a division, or # for a comment")
 
 
 def _undeclared(document: Document) -> Iterator[Advice]:
-    """Signals that the file's signal lines do not name."""
+    """Signals that the file's signal lines do not declare."""
     lines = {
         kind: [tree for tree in document.trees if tree.data == kind] for kind in ("signals", "params", "definition")
     }
@@ -123,11 +120,11 @@ def _undeclared(document: Document) -> Iterator[Advice]:
             if str(token) not in known:
                 known.add(str(token))
                 place = Span(document.source, _start(token), _start(token) + len(token))
-                yield Advice(place, f"{token} is on no signal line; {near_misses(str(token), declared)}")
+                yield Advice(place, f"{token} is not declared on a signal line; {near_misses(str(token), declared)}")
 
 
 def _misspelled(document: Document) -> Iterator[Advice]:
-    """Bare names that nearly are definitions or params of the file, and so are read as labels instead."""
+    """Names that resemble definitions or params of the file but are read as labels."""
     known = {str(tree.children[0]) for tree in document.trees if tree.data == "definition"}
     known |= {str(p.children[0]) for tree in document.trees if tree.data == "params" for p in branches(tree)}
     declared = {str(name) for tree in document.trees if tree.data == "signals" for name in tree.children}
@@ -137,11 +134,11 @@ def _misspelled(document: Document) -> Iterator[Advice]:
         close = difflib.get_close_matches(name, known, n=1, cutoff=0.85)
         if close and not _siblings(name, close[0]):
             place = Span(document.source, _start(first[name]), _start(first[name]) + len(name))
-            yield Advice(place, f"{name} is read as a signal or label of that name; did you mean {close[0]}?")
+            yield Advice(place, f"{name} is read as a signal or label; did you mean {close[0]}?")
 
 
 def _siblings(name: str, other: str) -> bool:
-    """Names of one family, which differ in a digit or have parts: gear1 and gear2, visit_a and visits_a."""
+    """Whether names belong to one family: they differ in a digit (gear1, gear2), or have parts (visit_a, visits_a)."""
     parts, others = name.split("_"), other.split("_")
     return re.sub(r"\d", "", name) == re.sub(r"\d", "", other) or (len(parts) == len(others) > 1)
 
@@ -151,7 +148,7 @@ def _start(token: Token) -> int:
 
 
 def _signal_names(tree: Branch) -> Iterator[Token]:
-    """Names that stand for numbers: within comparisons, and before [t]."""
+    """Names that stand for numbers: in comparisons, and before [t]."""
     stack: list[tuple[Branch, bool]] = [(tree, False)]
     while stack:
         part, number = stack.pop()

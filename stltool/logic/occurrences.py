@@ -1,4 +1,4 @@
-"""The places of a formula: every occurrence of a sub-formula, and the formula with one of them replaced."""
+"""Every occurrence of a sub-formula in a formula, and the formula with one occurrence replaced."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from stltool.logic.formula import Formula, Iff, Implies, Not, children, with_chi
 
 @dataclass(frozen=True, slots=True)
 class Occurrence:
-    """One occurrence, in a list of all.
+    """One occurrence in the list of all.
 
-    path      which operand to take at each operator, from the root
-    parent    the index of the operator it stands under; -1 for the root
+    path      the operand to descend into at each operator, from the root
+    parent    the index of the operator above it; -1 for the root
     operands  the indices of its own operands
-    polarity  1 if making it true can only make the whole true, −1 if only false, 0 under an equivalence
+    polarity  1 if making it true can only make the whole formula true, −1 if only false, 0 under an equivalence
     """
 
     formula: Formula
@@ -52,7 +52,7 @@ def _sign(phi: Formula, operand: int) -> int:
 
 
 def with_replaced(phi: Formula, path: Sequence[int], new: Formula) -> Formula:
-    """φ with `new` in the place of the occurrence at `path`."""
+    """φ with the occurrence at `path` replaced by `new`."""
     above = [phi]
     for i in path:
         above.append(children(above[-1])[i])

@@ -1,4 +1,4 @@
-"""Text → Formula / Task. `syntax` finds the statements and their trees, `builder` makes nodes of them."""
+"""Text → Formula / Task. `syntax` finds the statements and their trees, `builder` turns them into nodes."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def parse(
     step: str | Duration | None = None,
     unbounded: bool = False,
 ) -> Formula:
-    """The formula that `text` spells; `params` gives values to the names its bounds and predicates use.
+    """The formula written in `text`; `params` gives values to the names used in its bounds and predicates.
 
-    `name` stands for the text in messages; `step` ("0.1s") is how long a step takes, where bounds are times with units.
-    `unbounded` allows temporal operators without an interval, or with inf as upper bound, which only monitors can judge
-    (at the end of a trace). Raises StlSyntaxError with line, column and a caret.
+    `name` stands for the text in messages; `step` ("0.1s") is the duration of a step, needed where bounds are times
+    with units. `unbounded` allows temporal operators without an interval, or with inf as upper bound, which only
+    monitors can judge (at the end of a trace). Raises StlSyntaxError with line, column and a caret.
     """
     return formula_task(text, params, name, step, unbounded).formula
 
@@ -43,7 +43,7 @@ def formula_task(
     step: str | Duration | None = None,
     unbounded: bool = False,
 ) -> Task:
-    """The formula that `text` spells as a task of that name, which remembers its text; arguments as for `parse`."""
+    """The formula written in `text` as a task of that name, which keeps its text; arguments as for `parse`."""
     _require_text("parse", text, name, params, unbounded)
     document = read(Source(name, text), "formula")
     refuse(document.faults)
@@ -58,7 +58,7 @@ def parse_task(
     path: str | Path | None = None,
     unbounded: bool = False,
 ) -> Task:
-    """The task that a task file's text describes; see `load_task`."""
+    """The task described by the text of a task file; see `load_task`."""
     _require_text("parse_task", text, name, params, unbounded)
     require(task, str, "parse_task's task", _CHOICE, optional=True)
     path = path_of(path, "parse_task's path") if path is not None else None
@@ -74,8 +74,8 @@ def load_task(
     """Read a task file.
 
     `params` overrides param lines of the file; `task` chooses a definition (default: the last); `unbounded` allows
-    temporal operators without an interval, which only monitors can judge. Raises FileError when the file cannot be read
-    as text, StlSyntaxError, with all that is wrong, when it does not parse.
+    temporal operators without an interval, which only monitors can judge. Raises FileError if the file cannot be read
+    as text, and StlSyntaxError, listing every fault, if it does not parse.
     """
     path = path_of(path, "load_task's path")
     require(task, str, "load_task's task", _CHOICE, optional=True)
@@ -88,7 +88,7 @@ _CHOICE = "name one of the file's definitions in quotes"
 
 
 def _require_text(caller: str, text: object, name: object, params: object, unbounded: object) -> None:
-    """ArgumentError unless these are of the kinds that they should be."""
+    """ArgumentError unless each argument is of the right kind."""
     require(text, str, f"{caller}'s text", "write it in quotes; for a file, stl.load_task(path)")
     require(name, str, f"{caller}'s name", "write it in quotes")
     mapping(params, f"{caller}'s params", "{'T': 20}", optional=True)
@@ -105,7 +105,7 @@ def _build_formula(
     values = {**params, **_exact(more)}
     for param in sorted(values.keys() - document.names):
         raise StlSyntaxError(
-            f"{document.source.name}: no param {param} in this formula; {near_misses(param, document.names)}"
+            f"{document.source.name}: this formula has no param {param}; {near_misses(param, document.names)}"
         )
     builder = Builder(document.source, values, step=step, unbounded=unbounded)
     formula = builder.whole_formula(document.trees[0])
@@ -122,7 +122,7 @@ def _build(
     overrides: Mapping[str, Quantity],
     more: Mapping[str, ParamValue] | None = None,
 ) -> Task:
-    """The task of a text that is read already; `more` overrides come over those given before."""
+    """The task of a text that is already parsed; the overrides in `more` replace earlier ones."""
     source, overrides = document.source, {**overrides, **_exact(more)}
     faulty = [name for fault in document.faults for name in fault.names]
     builder = Builder(source, overrides=overrides, unbounded=unbounded, faulty=faulty)
@@ -130,17 +130,17 @@ def _build(
     refuse([*document.faults, *builder.faults])
     name = source.name
     if not builder.definitions:
-        raise StlSyntaxError(f"{name}: no task in this file; write one such as: reach := F[0,10] A")
+        raise StlSyntaxError(f"{name}: the file defines no task; write one, such as reach := F[0,10] A")
     if overrides.keys() - builder.params.keys():
         unknown = min(overrides.keys() - builder.params.keys())
-        raise StlSyntaxError(f"{name}: no param {unknown} to override; {near_misses(unknown, builder.params)}")
+        raise StlSyntaxError(f"{name}: there is no param {unknown} to override; {near_misses(unknown, builder.params)}")
     chosen = task if task is not None else list(builder.definitions)[-1]
     if chosen not in builder.definitions:
-        raise StlSyntaxError(f"{name}: no definition {chosen}; {near_misses(chosen, builder.definitions)}")
+        raise StlSyntaxError(f"{name}: there is no definition {chosen}; {near_misses(chosen, builder.definitions)}")
     formula = builder.definitions[chosen]
     if not isinstance(formula, FORMULAS):
         raise StlSyntaxError(
-            f"{name}: {chosen} is a number, not a task; end the file with a formula or choose one by name"
+            f"{name}: {chosen} is a number, not a task; end the file with a formula, or choose one by name"
         )
     builder.require_shallow(cast(Formula, formula))
     folder = path.parent if path is not None else Path()
@@ -169,7 +169,7 @@ def _step(step: str | Duration | None) -> Duration | None:
         value = None
     if step is not None and (not isinstance(value, Duration) or value.seconds <= 0):
         raise SettingsError(
-            f"{named('step')} {described(step)} is no positive time with a unit; write for example "
+            f"{named('step')} {described(step)} is not a positive time with a unit; write, for example, "
             f"{named('step', 'step=0.1s')}"
         )
     return value

@@ -1,6 +1,6 @@
-"""Formula → canonical text: `parse(str(f)) == f`, with the parentheses put in wherever tools read differently.
+"""Formula → canonical text: `parse(str(f)) == f`, with parentheses wherever tools disagree about precedence.
 
-The rules for parentheses and spaces are here alone; the formatter of task files (format.py) lays out texts by the same.
+The rules for parentheses and spaces are defined here only; the formatter of task files (format.py) uses them, too.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from stltool.logic.formula import (
 )
 
 Kind: TypeAlias = Literal["atom", "not", "temporal", "comparison", "binary"]
-"""How an operand looks from outside: a name or constant, `!…`, `F… …` or `!G… …`, `… < …`, or two operands joined."""
+"""The form of an operand: a name or constant, `!…`, `F… …` or `!G… …`, `… < …`, or a binary operator."""
 
 # binding strength of arithmetic, loosest first
 STRENGTH = {"+": 1, "-": 1, "*": 2, "/": 2, "negate": 3, "^": 4, "atom": 5}
@@ -77,9 +77,9 @@ def _operand(phi: Formula, prefix: bool = False) -> str:
 
 
 def needs_parentheses(kind: Kind, prefix: bool) -> bool:
-    """Whether an operand stands in parentheses: unless it binds tighter beyond doubt.
+    """Whether an operand is put in parentheses: always, unless it binds tighter beyond doubt.
 
-    Under a prefix operator a further prefix chain needs none; between binary operators a comparison needs none.
+    Under a prefix operator another prefix chain needs none; between binary operators a comparison needs none.
     """
     match kind:
         case "atom" | "not":
@@ -143,6 +143,6 @@ def computed(op: ArithmeticOperator, left: _TermText, right: _TermText) -> str:
 
 
 def _tight(term: _TermText, least: int) -> str:
-    """The term's text, in parentheses if it binds looser than `least`."""
+    """The term's text, in parentheses if it binds less tightly than `least`."""
     text, strength = term
     return text if strength >= least else f"({text})"

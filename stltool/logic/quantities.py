@@ -1,7 +1,7 @@
 """Exact constants of a text: plain numbers (stltool/numbers.py), and times with a unit.
 
-A time becomes a number of steps only through the file's step (0.1s, say), so times and plain numbers add up with their
-own kind alone.
+A time becomes a number of steps only through the step that the file declares (0.1s, say), so times can be added to
+times only, and plain numbers to plain numbers.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Quantity: TypeAlias = Fraction | Duration
 
 
 def duration(text: str) -> Duration | None:
-    """The time that `0.1s`, `5min` or `1s/3` spells; None where it spells none. Raises NumberError."""
+    """The time written as `0.1s`, `5min` or `1s/3`; None if the text is not a time. Raises NumberError."""
     found = _TIME.fullmatch(text.strip())
     if found is None or found[2] not in UNITS:
         return None
@@ -46,14 +46,14 @@ def duration(text: str) -> Duration | None:
 
 
 def quantity(name: str, value: ParamValue) -> Quantity:
-    """The exact value of a param given from outside; SettingsError where it has none."""
+    """The exact value of a param given from outside; SettingsError if it has none."""
     if isinstance(value, Duration):
         return value
     try:
         time = duration(value) if isinstance(value, str) else None
         return exact(value) if time is None else time
     except NumberError as error:
-        raise SettingsError(f"param {name}: {error}; write for example {name}=20") from None
+        raise SettingsError(f"param {name}: {error}; write, for example, {name}=20") from None
 
 
 def quantity_text(value: Quantity) -> str:

@@ -1,14 +1,14 @@
-"""Formula → an equal formula: negation normal form, and a smaller one.
+"""Formula → an equivalent formula: negation normal form, and simplification.
 
-Truth and robustness are values of a chain (false < true, or −inf … inf) whose negation turns the order round. Every
-rewriting here holds in each such chain, so it keeps both, at every step:
+Truth and robustness are values in a chain (false < true, or −inf … inf) whose order negation reverses. Every rewriting
+here is valid in each such chain, so it preserves both, at every step:
 
     ¬(φ U[0,b] ψ) = G[0,b] ¬ψ ∨ (¬ψ U[0,b] (¬φ ∧ ¬ψ))       φ U[a,b] ψ = G[0,a−1] φ ∧ F[a,a] (φ U[0,b−a] ψ)  for a > 0
     ¬(φ ↔ ψ) = ¬φ ↔ ψ = (φ ∧ ¬ψ) ∨ (¬φ ∧ ψ)                 ¬(s > t) = s ≤ t, ¬(s = t) = s ≠ t
     F[a,b] F[c,d] φ = F[a+c,b+d] φ                           F[a,b] φ ∨ F[c,d] φ = F[min(a,c),max(b,d)] φ  if they touch
     F[a,b] φ ∨ F[a,b] ψ = F[a,b] (φ ∨ ψ)                     φ ∧ (φ ∨ ψ) = φ             and the duals of these
 
-φ ∨ ¬φ has robustness |φ|, so it is true only where φ reads labels alone, whose robustness is infinite.
+φ ∨ ¬φ has robustness |φ|, so it is replaced by true only if φ contains labels alone, whose robustness is infinite.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ from stltool.logic.task import Task
 from stltool.source import Span
 
 MOST_OPERATORS = 200_000
-_DEEPEST = 200  # later walks recurse
+_DEEPEST = 200  # later traversals recurse
 
 OPPOSITE: dict[Comparator, Comparator] = {"<": ">=", ">=": "<", ">": "<=", "<=": ">", "==": "!=", "!=": "=="}
 MIRROR: dict[Comparator, Comparator] = {"<": ">", ">": "<", "<=": ">=", ">=": "<=", "==": "==", "!=": "!="}
 
 
 def operator_count(phi: Formula) -> int:
-    """The number of operators, a & b & c having two: what `simplify` never raises."""
+    """The number of operators (a & b & c has two), which `simplify` never increases."""
     return sum(_own_operators(node) for node in walk(phi))
 
 
@@ -66,29 +66,29 @@ def _own_operators(phi: Formula) -> int:
 def negation_normal_form(phi: Formula | Task, most_operators: int = MOST_OPERATORS) -> Formula:
     """φ with negations in front of labels only, and without implications and equivalences.
 
-    Same truth and robustness at every step, also of traces that end inside a window. A negated until and an equivalence
-    write their operands several times: SizeError where that makes more than `most_operators`, or nests over 200 deep.
+    Truth and robustness stay the same at every step, also for traces that end inside a window. A negated until and an
+    equivalence repeat their operands: SizeError if this gives more than `most_operators`, or nests over 200 deep.
     """
     phi = formula_of(phi, "negation_normal_form's formula")
     most_operators = whole(most_operators, "most_operators", least=0)
-    known: dict[tuple[int, bool], Formula] = {}  # by identity: hashing a deep node would walk all of it
+    known: dict[tuple[int, bool], Formula] = {}  # by identity: hashing a deep node would traverse all of it
     result = _nnf(phi, False, known)
     size, depth = _measures(result)
     if size > most_operators:
         raise SizeError(
-            f"the negation normal form has {float(size):.3g} operators, over {most_operators}: equivalences or negated "
-            "untils inside each other double it each time; nest them less, or judge the formula as it is"
+            f"the negation normal form has {float(size):.3g} operators, over {most_operators}: each level of "
+            "equivalences or negated untils doubles it; nest them less, or evaluate the formula as it is"
         )
     if depth > max(_DEEPEST, _measures(phi)[1]):
         raise SizeError(
             f"the negation normal form nests operators {depth} deep, over {_DEEPEST}; nest negated untils less, or "
-            "judge the formula as it is"
+            "evaluate the formula as it is"
         )
     return result
 
 
 def _nnf(phi: Formula, negated: bool, known: dict[tuple[int, bool], Formula]) -> Formula:
-    """φ or ¬φ; what is written several times is one node, so time and memory stay linear."""
+    """φ or ¬φ; repeated operands share one node, so time and memory stay linear."""
     found = known.get((id(phi), negated))
     if found is None:
         found = known[id(phi), negated] = _nnf_node(phi, negated, known)
@@ -138,7 +138,7 @@ def _nnf_node(phi: Formula, negated: bool, known: dict[tuple[int, bool], Formula
 
 
 def _measures(phi: Formula) -> tuple[int, int]:
-    """Operators and depth of a formula whose nodes may be shared, each node visited once."""
+    """Operators and depth of a formula whose nodes may be shared; each node is visited once."""
     known: dict[int, tuple[int, int]] = {}
     stack = [phi]
     while stack:
@@ -161,45 +161,45 @@ _Junction: TypeAlias = type[And] | type[Or]
 
 
 def simplify(phi: Formula | Task, cut: bool = False) -> Formula:
-    """An equal formula with no more operators, usually fewer; simplifying it again changes nothing.
+    """An equivalent formula with at most as many operators, usually fewer; the result is a fixed point.
 
     Truth and robustness are the same at every step of every trace that is long enough for φ (a window without an end is
-    taken to hold a step); with `cut`, also of traces that end inside or before a window, judged on the steps there are,
-    where F[2,3] true may be false. The horizon does not grow. Nodes that survive keep their places. A term without a
-    value (1/0) is no error any more where it is left out.
+    assumed to contain a step); with `cut`, also for traces that end inside or before a window and are judged on their
+    remaining steps, where F[2,3] true may be false. The horizon does not grow. Nodes that remain keep their source
+    positions. A term without a value (1/0) no longer raises an error if it is removed.
     """
     return _Simplifier(flag(cut, "simplify's cut")).of(formula_of(phi, "simplify's formula")).formula
 
 
 @dataclass(slots=True, eq=False)
-class _Part:
-    """A simplified formula and what the rules ask about it.
+class _Reduced:
+    """A simplified formula and what the rules need to know about it.
 
-    key        equal keys mean equal formulas (up to the order of operands, and x > 0 for 0 < x)
+    key        equal keys imply equivalent formulas (up to the order of operands, and x > 0 for 0 < x)
     operands   the parts under its operator
-    operators  how many it has
-    growth     operators of its negation minus its own: at most 1, since ¬ can be put in front
-    crisp      no comparison in it: its robustness is always infinite
-    negation   its negation, once asked for
+    operators  their number
+    growth     operators of its negation minus its own: at most 1, since ¬ can be prefixed
+    crisp      whether it has no comparison: its robustness is always infinite
+    negation   its negation, once computed
     """
 
     key: int
     formula: Formula
-    operands: tuple[_Part, ...]
+    operands: tuple[_Reduced, ...]
     operators: int
     growth: int
     crisp: bool
-    negation: _Part | None = None
+    negation: _Reduced | None = None
 
 
 class _Simplifier:
-    """Builds simplified parts from simplified parts, inside out: every method returns what no rule applies to."""
+    """Builds simplified parts from simplified parts, inside out; no rule applies to what a method returns."""
 
     def __init__(self, cut: bool) -> None:
         self.cut = cut
         self._keys: dict[tuple[object, ...], int] = {}
 
-    def of(self, phi: Formula) -> _Part:
+    def of(self, phi: Formula) -> _Reduced:
         match phi:
             case Constant(value):
                 return self.constant(value, phi.span)
@@ -227,9 +227,9 @@ class _Simplifier:
                 assert_never(phi)
 
     def _part(
-        self, phi: Formula, key: tuple[object, ...], operands: Sequence[_Part], growth: int, crisp: bool = False
-    ) -> _Part:
-        return _Part(
+        self, phi: Formula, key: tuple[object, ...], operands: Sequence[_Reduced], growth: int, crisp: bool = False
+    ) -> _Reduced:
+        return _Reduced(
             key=self._keys.setdefault(key, len(self._keys)),
             formula=phi,
             operands=tuple(operands),
@@ -238,10 +238,10 @@ class _Simplifier:
             crisp=all(part.crisp for part in operands) if operands else crisp,
         )
 
-    def constant(self, value: bool, span: Span | None) -> _Part:
+    def constant(self, value: bool, span: Span | None) -> _Reduced:
         return self._part(Constant(value, span=span), ("constant", value), (), growth=0, crisp=True)
 
-    def comparison(self, phi: Comparison) -> _Part:
+    def comparison(self, phi: Comparison) -> _Reduced:
         op, left, right = phi.op, phi.left, phi.right
         if op in (">", ">="):
             op, left, right = MIRROR[op], right, left
@@ -249,8 +249,8 @@ class _Simplifier:
 
     # ------------------------------------------------------------------------------------------ Boolean operators
 
-    def negate(self, x: _Part, span: Span | None = None) -> _Part:
-        """¬x, moved inwards where that makes it smaller."""
+    def negate(self, x: _Reduced, span: Span | None = None) -> _Reduced:
+        """¬x, moved inwards if that makes it smaller."""
         if x.negation is None or x.negation.operators > x.operators + x.growth:
             negation = self._negation(x, span if span is not None else x.formula.span)
             x.negation = negation
@@ -258,7 +258,7 @@ class _Simplifier:
                 negation.negation = x
         return x.negation
 
-    def _negation(self, x: _Part, span: Span | None) -> _Part:
+    def _negation(self, x: _Reduced, span: Span | None) -> _Reduced:
         phi, operands = x.formula, x.operands
         match phi:
             case Constant(value):
@@ -288,7 +288,7 @@ class _Simplifier:
             case _:
                 assert_never(phi)
 
-    def implies(self, left: _Part, right: _Part, span: Span | None) -> _Part:
+    def implies(self, left: _Reduced, right: _Reduced, span: Span | None) -> _Reduced:
         if isinstance(left.formula, Constant):
             return right if left.formula.value else self.constant(True, span)
         if isinstance(right.formula, Constant):
@@ -302,7 +302,7 @@ class _Simplifier:
             Implies(left.formula, right.formula, span=span), ("->", left.key, right.key), (left, right), growth
         )
 
-    def iff(self, left: _Part, right: _Part, span: Span | None) -> _Part:
+    def iff(self, left: _Reduced, right: _Reduced, span: Span | None) -> _Reduced:
         for one, other in ((left, right), (right, left)):
             if isinstance(one.formula, Constant):
                 return other if one.formula.value else self.negate(other)
@@ -317,12 +317,12 @@ class _Simplifier:
         growth = min(left.growth, right.growth)
         return self._part(Iff(left.formula, right.formula, span=span), key, (left, right), growth)
 
-    def junction(self, kind: _Junction, parts: Iterable[_Part], span: Span | None) -> _Part:
+    def junction(self, kind: _Junction, parts: Iterable[_Reduced], span: Span | None) -> _Reduced:
         """And or Or of any number of parts."""
         neutral = kind is And
         rest = list(parts)
         while True:
-            flat: dict[int, _Part] = {}
+            flat: dict[int, _Reduced] = {}
             for part in rest:
                 for piece in part.operands if isinstance(part.formula, kind) else (part,):
                     if isinstance(piece.formula, Constant):
@@ -345,12 +345,12 @@ class _Simplifier:
 
     # ------------------------------------------------------------------------------------------ windows
 
-    def window(self, kind: _Window, interval: Interval, x: _Part, span: Span | None) -> _Part:
+    def window(self, kind: _Window, interval: Interval, x: _Reduced, span: Span | None) -> _Reduced:
         """F or G of a part."""
         phi = x.formula
         a, b = interval.a, interval.b
         if isinstance(phi, Constant) and (phi.value == (kind is Always) or a == 0 or not self.cut):
-            return x  # an empty window, which only `cut` knows, is false for F and true for G
+            return x  # an empty window, possible only with `cut`, is false for F and true for G
         if b == 0:
             return x
         if isinstance(phi, Eventually | Always) and self._adds_up(kind, interval, phi):
@@ -359,17 +359,17 @@ class _Simplifier:
             b = None if b is None or inner.b is None else b + inner.b
             return self.window(kind, Interval(a + inner.a, b), x.operands[0], span)
         if self._is_step(interval):
-            kind = Eventually  # F[k,k] and G[k,k] are the same: one spelling
+            kind = Eventually  # F[k,k] and G[k,k] are the same: one is used
         return self._part(kind(interval, phi, span=span), (kind, a, b, x.key), (x,), x.growth)
 
     def _adds_up(self, kind: _Window, outer: Interval, phi: Eventually | Always) -> bool:
         return isinstance(phi, kind) or self._is_step(outer) or self._is_step(phi.interval)
 
     def _is_step(self, interval: Interval) -> bool:
-        """Whether F and G agree on it: one step that is there."""
+        """Whether F and G agree on it: one step that certainly exists."""
         return interval.a == interval.b and not self.cut
 
-    def until(self, interval: Interval, left: _Part, right: _Part, span: Span | None) -> _Part:
+    def until(self, interval: Interval, left: _Reduced, right: _Reduced, span: Span | None) -> _Reduced:
         a, b = interval.a, interval.b
         if b == 0 or (isinstance(right.formula, Constant) and (a == 0 or not right.formula.value)):
             return right
@@ -377,7 +377,7 @@ class _Simplifier:
             if left.formula.value:
                 return self.window(Eventually, interval, right, span)
             return right if a == 0 else left
-        if isinstance(right.formula, Constant) and not self.cut:  # true, at step a at the earliest
+        if isinstance(right.formula, Constant) and not self.cut:  # true, satisfied at step a at the earliest
             return self.window(Always, Interval(0, a - 1), left, span)
         if left.key == right.key and (a == 0 or not self.cut):
             return self.window(Always, Interval(0, a), left, span)
@@ -388,25 +388,26 @@ class _Simplifier:
             growth=1,
         )
 
-    def _joined(self, kind: _Junction, flat: dict[int, _Part]) -> list[_Part]:
-        """The operands of an And (an Or) with windows joined: fewer of them, or the same.
+    def _joined(self, kind: _Junction, flat: dict[int, _Reduced]) -> list[_Reduced]:
+        """The operands of an And (an Or) with windows joined: at most as many.
 
-        Under And: G of one operand join where they touch, F of one operand go where another operand implies them, G of
-        equal windows join; under Or dually. An operand that also stands bare is its own window [0,0].
+        Under And: G windows over the same operand are joined if they touch, F windows over the same operand are removed
+        if another operand implies them, and G of equal windows are joined; under Or dually. An operand without a
+        temporal operator counts as its own window [0,0].
         """
         own: _Window = Always if kind is And else Eventually
-        groups: dict[int, list[_Part]] = {}
+        groups: dict[int, list[_Reduced]] = {}
         for part in flat.values():
             if isinstance(part.formula, Eventually | Always):
                 groups.setdefault(part.operands[0].key, []).append(part)
-        rest = dict(flat)  # key → what stands in that operand's place now
+        rest = dict(flat)  # key → what now replaces that operand
         for operand, parts in groups.items():
             if operand in flat:
                 parts.insert(0, flat[operand])
             parts = [part for part in parts if rest.get(part.key) is part]
             if len(parts) > 1:
                 self._join_windows(own, operand, parts, rest)
-        equal: dict[Interval, list[_Part]] = {}
+        equal: dict[Interval, list[_Reduced]] = {}
         for key, part in rest.items():
             if key == part.key and isinstance(part.formula, Eventually | Always) and self._is_own(own, part.formula):
                 equal.setdefault(part.formula.interval, []).append(part)
@@ -420,10 +421,10 @@ class _Simplifier:
     def _is_own(self, own: _Window, phi: Eventually | Always) -> bool:
         return isinstance(phi, own) or self._is_step(phi.interval)
 
-    def _join_windows(self, own: _Window, operand: int, parts: list[_Part], rest: dict[int, _Part]) -> None:
-        """Windows of one operand, in place in `rest`."""
-        runs: list[tuple[int, float, list[_Part]]] = []  # windows of `own`, joined where they touch
-        others: list[tuple[int, float, _Part]] = []
+    def _join_windows(self, own: _Window, operand: int, parts: list[_Reduced], rest: dict[int, _Reduced]) -> None:
+        """Join the windows over one operand, updating `rest`."""
+        runs: list[tuple[int, float, list[_Reduced]]] = []  # windows of kind `own`, joined where they touch
+        others: list[tuple[int, float, _Reduced]] = []
         for a, b, part in sorted(((*_ends(part, operand), part) for part in parts), key=lambda window: window[:2]):
             phi = part.formula
             if part.key != operand and isinstance(phi, Eventually | Always) and not self._is_own(own, phi):
@@ -435,10 +436,10 @@ class _Simplifier:
             else:
                 runs.append((a, b, [part]))
         inside: float | None = None  # the earliest end among those that start later
-        for a, b, part in sorted(others, key=lambda window: (-window[0], window[1])):  # what is inside comes first
+        for a, b, part in sorted(others, key=lambda window: (-window[0], window[1])):  # contained windows come first
             before = bisect.bisect_right(runs, b, key=lambda run: run[0]) - 1
             meets = before >= 0 and runs[before][1] >= a
-            if self.cut:  # a G implies an F by a step that is there, which only step 0 is sure to be
+            if self.cut:  # a G implies an F only through an existing step, and only step 0 is sure to exist
                 meets = meets and a == 0 == runs[0][0]
             if meets or (inside is not None and inside <= b):
                 del rest[part.key]
@@ -450,7 +451,7 @@ class _Simplifier:
                 _replace(rest, joined, self.window(own, interval, x, joined[0].formula.span))
 
 
-def _ends(part: _Part, operand: int) -> tuple[int, float]:
+def _ends(part: _Reduced, operand: int) -> tuple[int, float]:
     """The first and the last step of a window; [0,0] for the operand itself."""
     phi = part.formula
     if part.key == operand or not isinstance(phi, Eventually | Always):
@@ -458,8 +459,8 @@ def _ends(part: _Part, operand: int) -> tuple[int, float]:
     return phi.interval.a, math.inf if phi.interval.b is None else phi.interval.b
 
 
-def _replace(rest: dict[int, _Part], parts: Sequence[_Part], new: _Part) -> None:
-    """`new` in the place of the first of `parts`, and the others gone."""
+def _replace(rest: dict[int, _Reduced], parts: Sequence[_Reduced], new: _Reduced) -> None:
+    """Replace the first of `parts` by `new` and remove the others."""
     rest[parts[0].key] = new
     for part in parts[1:]:
         del rest[part.key]

@@ -1,11 +1,11 @@
-"""Truth and robustness of a formula at a step of a trace (docs/semantics.md §1): slow and obvious, the oracle.
+"""Truth and robustness of a formula at a step of a trace (docs/semantics.md §1): the slow, obvious reference.
 
     (s,t) ⊨ F[a,b] φ   iff  (s,u) ⊨ φ for some u in t+a … t+b          G[a,b]: for every such u
     (s,t) ⊨ φ U[a,b] ψ iff  (s,u) ⊨ ψ for some u in t+a … t+b, and (s,v) ⊨ φ for every v in t … u−1
 
-Robustness replaces "some" by max, "every" by min, and predicates by signed margins. Arithmetic is exact: a real number
-is the decimal that it prints as (0.1 is 1/10), so borders such as x + y == 0.8 are decided as written; only sqrt and
-broken powers are rounded. Everything else in stltool that judges traces is tested against this file.
+Robustness replaces "some" by max, "every" by min, and predicates by signed margins. Arithmetic is exact: a double means
+the decimal that it prints as (0.1 is 1/10), so borderline cases such as x + y == 0.8 are decided as written; only sqrt
+and fractional powers are rounded. Everything else in stltool that judges traces is tested against this file.
 """
 
 from __future__ import annotations
@@ -52,13 +52,13 @@ from stltool.logic.formula import (
 from stltool.logic.task import Task
 from stltool.numbers import shortest
 
-SIGNALS = "{'x': [0.1, 0.5]}"  # how they are given
-_LARGEST_EXPONENT = 1000  # above, a power is computed in doubles
+SIGNALS = "{'x': [0.1, 0.5]}"  # an example, for messages
+_LARGEST_EXPONENT = 1000  # beyond it, powers are computed in doubles
 
 Signals: TypeAlias = Mapping[str, ArrayLike]
 """name → array (n_steps,): reals for variables, Booleans (or 0 / 1) for labels."""
 
-Real: TypeAlias = Fraction | float  # a float only for infinities and after sqrt or a broken power
+Real: TypeAlias = Fraction | float  # a float only for infinities and after sqrt or a fractional power
 
 COMPARE: dict[Comparator, Callable[[Real, Real], bool]] = {
     "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq, "!=": operator.ne,
@@ -72,8 +72,8 @@ CALL: dict[FunctionName, Callable[..., Real]] = {"abs": abs, "min": min, "max": 
 def satisfies(phi: Formula | Task, signals: Signals, t: int = 0) -> bool:
     """Whether the trace satisfies φ at step t.
 
-    `signals` maps every name of φ to an array of n_steps samples. Raises TraceError when the trace ends before step
-    t + horizon(φ), NameLookupError when a name is missing.
+    `signals` maps every name of φ to an array of n_steps samples. Raises TraceError if the trace ends before step
+    t + horizon(φ), and NameLookupError if a name is missing.
     """
     phi, t = formula_of(phi, "satisfies' formula"), whole(t, "satisfies' step t", least=0)
     return _true(phi, _samples(phi, signals, t, "satisfies"), t)
@@ -82,15 +82,15 @@ def satisfies(phi: Formula | Task, signals: Signals, t: int = 0) -> bool:
 def robustness(phi: Formula | Task, signals: Signals, t: int = 0) -> float:
     """How far the trace is from changing the truth of φ at step t.
 
-    > 0 implies true, < 0 implies false. A label has margin +inf or -inf; `==` has -|d|, `!=` |d|; errors as
-    for `satisfies`.
+    > 0 implies true, < 0 implies false. A label has margin +inf or -inf; `==` has -|d| and `!=` has |d|. Errors as for
+    `satisfies`.
     """
     phi, t = formula_of(phi, "robustness' formula"), whole(t, "robustness' step t", least=0)
     return _margin(phi, _samples(phi, signals, t, "robustness"), t)
 
 
 def _samples(phi: Formula, signals: Signals, t: int, caller: str) -> dict[str, NDArray[np.float64]]:
-    """The arrays of the names that φ reads, as floats, each long enough to decide φ at t."""
+    """The arrays of the names in φ, as floats, each long enough to decide φ at t."""
     mapping(signals, f"{caller}' signals", SIGNALS)
     needed = t + horizon(phi) + 1
     labels = label_names(phi)
@@ -115,7 +115,7 @@ def _samples(phi: Formula, signals: Signals, t: int, caller: str) -> dict[str, N
             raise TraceError(f"signal {name} is NaN at step {t + int(np.isnan(window).argmax())}")
         if name in labels and not np.isin(window, (0.0, 1.0)).all():
             raise TraceError(
-                f"{name} is used as a label, but its signal has other values than true and false; "
+                f"{name} is used as a label, but its signal has values other than true and false; "
                 f"compare it, as in {name} > 0"
             )
         samples[name] = values
@@ -125,15 +125,15 @@ def _samples(phi: Formula, signals: Signals, t: int, caller: str) -> dict[str, N
 
 
 def samples_of(name: str, values: ArrayLike) -> NDArray[Any]:
-    """An array of any shape; TraceError where there is none."""
+    """The samples as an array of any shape; TraceError if they do not form one."""
     try:
         return np.asarray(values)
     except (TypeError, ValueError):
-        raise TraceError(f"signal {name} is no array: its rows have unequal lengths, or are no numbers") from None
+        raise TraceError(f"signal {name} is not an array: its rows differ in length or are not numbers") from None
 
 
 def _check_constant_length(phi: Formula, signals: Signals, needed: int) -> None:
-    """A formula without names still needs a trace of its length, where there is one to look at."""
+    """A formula without names still needs a trace of sufficient length, if there is a signal to measure."""
     shortest = min((len(np.atleast_1d(samples_of(*item))) for item in signals.items()), default=needed)
     if shortest < needed:
         raise TraceError(f"the trace has {shortest} samples; {phi} needs {needed}")
@@ -207,7 +207,7 @@ def _window(interval: Interval, t: int) -> range:
 
 
 def _comparison_margin(op: Comparator, left: Real, right: Real) -> Real:
-    if left == right:  # also inf against inf, whose difference is no number
+    if left == right:  # also inf and inf, whose difference is not a number
         return 0.0
     difference = left - right
     match op:
@@ -230,12 +230,12 @@ def _as_double(phi: Comparison, left: Real, right: Real) -> float:
             raise OverflowError  # of two doubles, after a root
         return margin
     except OverflowError:
-        message = "the margin is beyond what a double holds; scale the signals, or ask for truth alone"
+        message = "the margin is beyond the range of doubles; scale the signals, or ask only for truth values"
         raise TraceError(phi.span.show(message) if phi.span else f"{phi}: {message}") from None
 
 
 def exact(value: float) -> Real:
-    """The decimal that a double prints as, as a fraction; infinities as they are."""
+    """The decimal that a double prints as, as a fraction; infinities unchanged."""
     return shortest(value) if math.isfinite(value) else float(value)
 
 
@@ -257,18 +257,18 @@ def _value(term: Term, signal: Mapping[str, NDArray[np.float64]], t: int) -> Rea
 
 
 def _apply(term: Term, function: Callable[..., Real], *values: Real) -> Real:
-    """The function's value, or a TraceError where it has none (1/0, sqrt(-1), an overflow, 0^-1)."""
+    """The function's value, or a TraceError if it has none (1/0, sqrt(-1), an overflow, 0^-1)."""
     value: Real
     try:
         if function is operator.pow and not -_LARGEST_EXPONENT <= values[1] <= _LARGEST_EXPONENT:
-            values = (float(values[0]), float(values[1]))  # digits beyond number; rounded instead
+            values = (float(values[0]), float(values[1]))  # too many digits: rounded instead
         value = function(*values)
     except (ZeroDivisionError, ValueError, OverflowError):
         value = math.nan
     overflown = isinstance(value, float) and math.isinf(value) and not any(map(math.isinf, values))
     if isinstance(value, complex) or overflown or (isinstance(value, float) and math.isnan(value)):
         shown = ", ".join(map(_shown, values))
-        message = f"this has no value for the operands {shown}; guard it or change the predicate"
+        message = f"this term has no value for the operands {shown}; guard it, or change the predicate"
         raise TraceError(term.span.show(message) if term.span else f"{type(term).__name__}: {message}")
     return value
 

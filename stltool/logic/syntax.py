@@ -1,8 +1,8 @@
-"""Text → the trees of its statements, with every fault told in words: the only module that imports lark.
+"""Text → the trees of its statements, with a message for every fault: the only module that imports lark.
 
-A text is cut into tokens, tokens into statements, and each statement parsed by itself: `name :=` and the first words of
-the other lines stand nowhere else, so a fault in one statement says nothing about the next one, and all of them are
-reported together. No character is dropped: what the grammar has no token for is a fault at that place.
+A text is split into tokens, tokens into statements, and each statement is parsed by itself: `name :=` and the first
+words of the other lines occur nowhere else, so a fault in one statement does not affect the next one, and all faults
+are reported together. No character is dropped: one that begins no token of the grammar is a fault at that position.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from itertools import pairwise
 from typing import TypeAlias, cast
 
 from lark import Lark, Tree
-from lark import Token as Token  # the builder and the formatter read tokens too
+from lark import Token as Token  # the builder and the formatter use tokens, too
 from lark.exceptions import UnexpectedInput, UnexpectedToken
 from lark.parsers.lalr_interactive_parser import InteractiveParser
 
@@ -26,29 +26,29 @@ from stltool.source import Source, Span
 
 Branch: TypeAlias = Tree[Token]
 
-LONGEST_TEXT = 2_000_000  # characters; a task file is a page, and a trace given for one should not fill memory
+LONGEST_TEXT = 2_000_000  # characters; a trace that was given instead of a task file must not fill memory
 _EQUAL_HINT = "write == to compare, := to define"
 _TEMPORAL = ("_EVENTUALLY", "_ALWAYS", "_UNTIL")
 _TEMPORAL_WORDS = ("always", "globally", "eventually", "finally", "until")
 WORDS = (*_TEMPORAL_WORDS, "true", "false", "and", "or", "not", "xor", "implies", "iff")
 _LINE_WORDS = {"_MODEL": "model", "_PARAM": "param", "_SIGNAL": "signal", "_STEP": "step"}
 
-# Operators of other tools that have no place here, and what to write.
-_PAST = "{word} looks back; formulas look ahead: once[0,5] a, judged at t + 5, is F[0,5] a judged at t"
-_NEXT = "there is no {word}: the next step is F[1,1] a"
-_RELEASE = "there is no {word}: a R[0,5] b is !(!a U[0,5] !b)"
+# Operators of other tools that do not exist here, and what to write instead.
+_PAST = "{word} refers to the past, formulas to the future; for once[0,5] a at t + 5, write F[0,5] a at t"
+_NEXT = "there is no operator {word}; for the next step, write F[1,1] a"
+_RELEASE = "there is no operator {word}; for a R[0,5] b, write !(!a U[0,5] !b)"
 _ELSEWHERE = {
     **dict.fromkeys(("once", "historically", "since", "prev", "previous", "rise", "fall"), _PAST),
     **dict.fromkeys(("next", "X"), _NEXT),
     **dict.fromkeys(("release", "R", "releases"), _RELEASE),
-    "pow": "there is no {word}: write a^b",
-    "exp": "there is no {word}; record it as a signal of its own (abs, min, max, sqrt are known)",
+    "pow": "there is no function {word}; write a^b",
+    "exp": "there is no function {word}; record it as a signal of its own (there are abs, min, max, sqrt)",
 }
 
 _BRACKETS = {"LPAR": "parenthesis", "RPAR": "parenthesis", "LSQB": "bracket", "RSQB": "bracket"}
 _NESTING = {"LPAR": 1, "LSQB": 1, "RPAR": -1, "RSQB": -1}
 
-# What the parser expected, in words. A test holds that every terminal of the grammar stands here.
+# What the parser expected, in words. A test checks that every terminal of the grammar is listed.
 _OPERATORS = (
     "_IFF",
     "_XOR",
@@ -92,7 +92,7 @@ TERMINAL_WORDS = {
 
 @dataclass(frozen=True, slots=True)
 class Comment:
-    """A comment, its mark included: the characters `start … end-1`."""
+    """A comment, including its mark: the characters `start … end-1`."""
 
     start: int
     end: int
@@ -100,8 +100,8 @@ class Comment:
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
-    """A message, ready to print, about the place `start`; `names` are what the faulty statement would define."""
+class SyntaxFault:
+    """A message, ready to print, about position `start`; `names` are those that the statement would define."""
 
     start: int
     message: str
@@ -110,17 +110,17 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A text, read: a tree a statement (or the tree of one formula), comments, names, and what is wrong with it."""
+    """A parsed text: a tree per statement (or that of a single formula), comments, names, and its faults."""
 
     source: Source
     trees: tuple[Branch, ...] = field(repr=False)
     comments: tuple[Comment, ...] = field(repr=False)
     names: frozenset[str] = field(repr=False)
-    faults: tuple[Fault, ...] = field(repr=False)
+    faults: tuple[SyntaxFault, ...] = field(repr=False)
 
 
 def branches(tree: Branch) -> list[Branch]:
-    """A tree's children, where they are trees."""
+    """Those children of a tree that are trees."""
     return cast(list[Branch], tree.children)
 
 
@@ -133,7 +133,7 @@ def bare(tree: Branch) -> Branch:
 
 @cache
 def _lark() -> Lark:
-    # the basic lexer: a word means the same wherever it stands
+    # the basic lexer: a word is the same token everywhere
     return Lark(
         grammar_text("stl.lark"),
         parser="lalr",
@@ -148,11 +148,11 @@ def read(source: Source, start: str) -> Document:
     """The trees of a task file (`start` "task") or of one formula ("formula")."""
     if len(source.text) > LONGEST_TEXT:
         raise StlSyntaxError(
-            f"{source.name}: the text has {len(source.text)} characters; at most {LONGEST_TEXT} are read: a task file "
-            "is a page, a trace is a file of its own"
+            f"{source.name}: the text has {len(source.text)} characters, more than the limit of {LONGEST_TEXT}; "
+            "put traces into files of their own"
         )
     if start == "formula" and not source.text.strip():
-        raise StlSyntaxError(f"{source.name}: the text is empty; write a formula such as F[0,10] A")
+        raise StlSyntaxError(f"{source.name}: the text is empty; write a formula, such as F[0,10] A")
     tokens, foreign = _tokens(source)
     broken = {fault.start for fault in foreign}
     trees, faults = [], list(foreign)
@@ -160,9 +160,9 @@ def read(source: Source, start: str) -> Document:
     for piece, begin, end in _places(pieces, len(source.text)):
         if any(begin <= place < end for place in broken):
             faults = [replace(f, names=_defined(piece)) if begin <= f.start < end else f for f in faults]
-            continue  # what a foreign character hides is anybody's guess
+            continue  # what follows an unknown character cannot be interpreted
         result = _parse(source, "statement" if start == "task" else start, piece)
-        if isinstance(result, Fault):
+        if isinstance(result, SyntaxFault):
             faults.append(result)
         else:
             trees.append(result)
@@ -171,8 +171,8 @@ def read(source: Source, start: str) -> Document:
     return Document(source, tuple(trees), tuple(_comments(source, tokens, broken)), names, tuple(faults))
 
 
-def refuse(faults: Sequence[Fault]) -> None:
-    """StlSyntaxError with all faults, in the order of the text, if there are any."""
+def refuse(faults: Sequence[SyntaxFault]) -> None:
+    """StlSyntaxError with all faults in text order, if there are any."""
     if not faults:
         return
     raise StlSyntaxError(all_told([fault.message for fault in sorted(faults, key=lambda fault: fault.start)]))
@@ -181,10 +181,10 @@ def refuse(faults: Sequence[Fault]) -> None:
 # --------------------------------------------------------------------------------------------------- tokens
 
 
-def _tokens(source: Source) -> tuple[list[Token], list[Fault]]:
-    """All tokens, and a fault for every character that no token begins with."""
+def _tokens(source: Source) -> tuple[list[Token], list[SyntaxFault]]:
+    """All tokens, and a fault for every character that begins no token."""
     tokens: list[Token] = []
-    faults: list[Fault] = []
+    faults: list[SyntaxFault] = []
     offset = 0
     while True:
         try:
@@ -192,7 +192,7 @@ def _tokens(source: Source) -> tuple[list[Token], list[Fault]]:
                 tokens.append(_shifted(token, offset) if offset else token)
         except UnexpectedInput as error:
             place = offset + (error.pos_in_stream or 0)
-            faults.append(Fault(place, _foreign(source, place)))
+            faults.append(SyntaxFault(place, _foreign(source, place)))
             offset = place + len(_glued(source.text, place))
             if len(faults) < MOST_FAULTS:
                 continue
@@ -205,8 +205,8 @@ def _shifted(token: Token, offset: int) -> Token:
 
 
 def _glued(text: str, place: int) -> str:
-    """What stands at a place that no token begins at: a quote to the end of its line, a number with letters behind it,
-    or one character.
+    """The text at a position where no token begins: a quote to the end of its line, a number followed by letters, or a
+    single character.
     """
     found = re.compile(r"\.*\w+|\.+|\"[^\r\n]*").match(text, place)
     return found.group() if found else text[place]
@@ -217,32 +217,32 @@ def _foreign(source: Source, place: int) -> str:
     shown = repr(character) if character.isprintable() else f"U+{ord(character):04X}"
     before = source.text[:place].rpartition("\n")[2]
     if character == '"':
-        message = 'this quote is not closed; a file name ends with a quote on the same line: model "floor.toml"'
+        message = 'this quote is not closed; close it on the same line, as in model "floor.toml"'
     elif character in "²³":
         message = f"write ^{'2' if character == '²' else '3'} for a power"
     elif before.split()[:1] == ["model"] or character == "'":
-        message = 'a file name stands in double quotes, on a model line: model "floor.toml"'
+        message = 'a file name belongs in double quotes on a model line; write model "floor.toml"'
     elif character == "." and re.search(r"[A-Za-z_]\w*$", before):
-        message = "names have no dots; write for example car_speed for car.speed"
+        message = "names contain no dots; write, for example, car_speed for car.speed"
     elif character.isalpha():
-        message = f"{shown} has no place in a name; names have letters a to z, digits and _"
+        message = f"a name cannot contain {shown}; use the letters a to z, digits and _"
     elif character == ".":
-        message = "dots stand in numbers such as 0.5 and in intervals such as [0..5]"
+        message = "unexpected dot; dots occur in numbers, such as 0.5, and in intervals, such as [0..5]"
     elif not character.isascii() and character.isnumeric():
-        message = f"{shown} is no digit here; digits are 0 to 9"
+        message = f"{shown} is not a digit; use the digits 0 to 9"
     elif character.isdigit():
-        message = "this number is glued to letters; put an operator or a space between"
+        message = "this number runs into letters; put an operator or a space between them"
     elif character == "=":
-        message = f"'=' cannot stand here; {_EQUAL_HINT}"
+        message = f"unexpected '='; {_EQUAL_HINT}"
     elif character == "%":
-        message = "'%' has no meaning here; comments begin with # or //"
+        message = "unexpected '%'; begin comments with # or //"
     else:
-        message = f"the character {shown} has no meaning here; remove it or spell the operator in words"
+        message = f"unexpected character {shown}; remove it, or write the operator as a word"
     return Span(source, place, place + 1).show(message)
 
 
 def _comments(source: Source, tokens: Sequence[Token], broken: set[int]) -> Iterator[Comment]:
-    """Between tokens there are only spaces, comments and characters that are faults already."""
+    """The comments: between tokens there are only spaces, comments and characters already reported as faults."""
     text, start = source.text, 0
     for token in [*tokens, None]:
         stop = len(text) if token is None else cast(int, token.start_pos)
@@ -260,7 +260,7 @@ def _statements(tokens: list[Token]) -> list[list[Token]]:
 
 
 def _places(pieces: Sequence[list[Token]], length: int) -> Iterator[tuple[list[Token], int, int]]:
-    """Each piece with the places that belong to it: from its first token to the next piece, all of them together."""
+    """Each piece with its range of positions, up to the next piece; the ranges cover the text."""
     starts = [0, *(cast(int, piece[0].start_pos) for piece in pieces[1:]), length + 1]
     return zip(pieces, starts, starts[1:], strict=False)
 
@@ -271,7 +271,7 @@ def _defines(tokens: Sequence[Token], i: int) -> bool:
 
 
 def _defined(tokens: Sequence[Token]) -> tuple[str, ...]:
-    """What a statement defines, as far as its tokens tell."""
+    """The names that a statement defines, as far as its tokens show."""
     marks = ("ASSIGN", "EQUAL")
     if tokens and tokens[0].type == "_PARAM":
         return tuple(str(t) for b, t in pairwise(tokens) if t.type == "NAME" and b.type in ("_PARAM", "COMMA"))
@@ -281,21 +281,21 @@ def _defined(tokens: Sequence[Token]) -> tuple[str, ...]:
 # --------------------------------------------------------------------------------------------------- statements
 
 
-def _parse(source: Source, start: str, tokens: list[Token]) -> Branch | Fault:
+def _parse(source: Source, start: str, tokens: list[Token]) -> Branch | SyntaxFault:
     machine = _lark().parse_interactive(start=start)
     for i, token in enumerate(tokens):
         try:
             if token.type == "_ALWAYS" and i and _empty_interval(tokens[i - 1], token):
                 message = f"{tokens[i - 1]}[] could be an empty interval or two operators; write F[0,10] a, or F (G a)"
-                return Fault(cast(int, token.start_pos), _span(source, token).show(message), _defined(tokens))
+                return SyntaxFault(cast(int, token.start_pos), _span(source, token).show(message), _defined(tokens))
             machine.feed_token(token)
         except UnexpectedToken:
-            return Fault(cast(int, token.start_pos), _unexpected(source, machine, tokens, i), _defined(tokens))
+            return SyntaxFault(cast(int, token.start_pos), _unexpected(source, machine, tokens, i), _defined(tokens))
     try:
         return cast(Branch, machine.feed_eof(tokens[-1] if tokens else None))  # type: ignore[no-untyped-call]
     except UnexpectedToken:
         place = cast(int, tokens[-1].end_pos) if tokens else 0
-        return Fault(place, _unexpected(source, machine, tokens, len(tokens)), _defined(tokens))
+        return SyntaxFault(place, _unexpected(source, machine, tokens, len(tokens)), _defined(tokens))
 
 
 def _empty_interval(before: Token, token: Token) -> bool:
@@ -312,11 +312,11 @@ def _span(source: Source, token: Token) -> Span:
 
 
 def _unexpected(source: Source, machine: InteractiveParser, tokens: Sequence[Token], i: int) -> str:
-    """What stands at token i, what was expected, and what to write instead."""
+    """The message for token i: what was found, what was expected, and what to write instead."""
     accepts = cast(set[str], machine.accepts())  # type: ignore[no-untyped-call]
     accepted = {name for name in accepts if name in TERMINAL_WORDS} or {"$END"}
     if i < len(tokens):
-        found, span = f"{str(tokens[i])!r} cannot stand here", _span(source, tokens[i])
+        found, span = f"unexpected {str(tokens[i])!r}", _span(source, tokens[i])
     else:
         place = cast(int, tokens[-1].end_pos) if tokens else 0
         whole = not source.text[place:].strip() or machine.parser_state.parse_conf.start == "formula"
@@ -329,11 +329,11 @@ def _unexpected(source: Source, machine: InteractiveParser, tokens: Sequence[Tok
 
 
 def _bracket_hint(source: Source, tokens: Sequence[Token], i: int, accepted: set[str]) -> tuple[str, bool]:
-    """What is wrong with the brackets around token i, "" if nothing is; whether that says it all."""
+    """What is wrong with the brackets around token i ("" if nothing), and whether that is the whole fault."""
     kind = tokens[i].type if i < len(tokens) else "$END"
     opened = _open_bracket(tokens, i)
     if kind in ("RPAR", "RSQB") and opened < 0:
-        return f"no {_BRACKETS[kind]} is open here; remove it, or open one before", True
+        return f"there is no open {_BRACKETS[kind]} here; remove it, or open one earlier", True
     if opened < 0 or (_all_closed(tokens, i) and not (kind == "RSQB" and tokens[opened].type == "LPAR")):
         return "", False
     place = _span(source, tokens[opened])
@@ -349,7 +349,7 @@ def _bracket_hint(source: Source, tokens: Sequence[Token], i: int, accepted: set
 
 
 def _all_closed(tokens: Sequence[Token], i: int) -> bool:
-    """Whether token i and those behind it close every bracket that is open before it; an interval's ) counts too."""
+    """Whether token i and those after it close every bracket left open before it; the ) of an interval counts, too."""
     depth = 0
     for token in tokens[:i]:
         depth = max(0, depth + _NESTING.get(token.type, 0))
@@ -359,7 +359,7 @@ def _all_closed(tokens: Sequence[Token], i: int) -> bool:
 
 
 def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
-    """What to write instead, for the slips that people make."""
+    """What to write instead, for common slips."""
     token = tokens[i] if i < len(tokens) else None
     kind = token.type if token is not None else "$END"
     before = tokens[i - 1] if i else None
@@ -369,18 +369,18 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
         word = tokens[opened - 1]
         if word.type == "NAME":
             close = difflib.get_close_matches(str(word).rstrip("_"), _TEMPORAL_WORDS, n=1, cutoff=0.7)
-            known = f"did you mean {close[0]}?" if close else "F, G, U and their words are"
-            return _elsewhere(word) or f"{word} is not an operator that takes an interval; {known}"
+            known = f"did you mean {close[0]}?" if close else "F, G, U and their words do"
+            return _elsewhere(word) or f"{word} does not take an interval; {known}"
     if opened > 0 and tokens[opened - 1].type in _TEMPORAL and "_DOTS" in accepted:
-        return "the interval needs two bounds in whole steps, such as F[0,10]"
+        return "an interval needs two integer bounds, such as F[0,10]"
     if kind == "ASSIGN" and tokens[0].type == "_PARAM":
-        return f"a param is given with =: param {before} = 5"
+        return f"a param line uses =; write param {before} = 5"
     if kind == "EQUAL":
         return f"write {before} without the second =" if last == "COMPARATOR" else _EQUAL_HINT
     if kind in ("COMPARATOR", "EQUAL") and str(before) in ("~", "<>"):
-        return "write != for unequal"
+        return "write != for not equal"
     if kind == "_UNTIL" and "_AND" in accepted:
-        return "until does not chain; put parentheses around one of them"
+        return "until cannot be chained; put one of them in parentheses"
     if kind == "_DOTS" or (kind == "TIME" and last == "NAME"):
         return None
     for near in (before, token):
@@ -391,12 +391,12 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
         if close:
             return f"did you mean {close[0]}?"
     if kind == "STRING":
-        return 'a file name in quotes stands on a model line only: model "floor.toml"'
+        return 'a file name in quotes belongs on a model line; write model "floor.toml"'
     for near in (before, token):
         if near is not None and near.type == "NAME" and str(near).lower() in WORDS:
-            return f"words are in small letters: write {str(near).lower()}"
+            return f"keywords are lower case; write {str(near).lower()}"
     if last == "NAME" and kind == "LPAR":
-        return f"{before} is not a function (abs, min, max, sqrt are); put an operator before '('"
+        return f"{before} is not a function (there are abs, min, max, sqrt); put an operator before '('"
     if kind == "NAME" and i + 1 < len(tokens) and tokens[i + 1].type == "EQUAL":
         return f"write {token} := … to define it, or param {token} = … for a number"
     if kind in ("NAME", "NUMBER", "TIME") and last in ("NAME", "NUMBER", "TIME", "RPAR", "RSQB"):
@@ -404,7 +404,7 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
     if kind in ("_EVENTUALLY", "_ALWAYS", "_NOT") and "_AND" in accepted:
         return f"expected an operator before {str(token)!r}"
     if kind == "LSQB" and last in ("NUMBER", "RPAR", "RSQB"):
-        return "an interval stands right behind its operator, such as F[0,10]"
+        return "an interval belongs directly after its operator, as in F[0,10]"
     return None
 
 

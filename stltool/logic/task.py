@@ -1,4 +1,4 @@
-"""A task file, read: its formula, its params and definitions, and where its model is."""
+"""A parsed task file: its formula, params and definitions, and the path of its model."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Task(Composable):
-    """One definition of a task file, chosen as the task. It is taken wherever a formula is.
+    """One definition of a task file, chosen as the task. It is accepted wherever a formula is.
 
-    `params` holds the values after overrides, as exact fractions, or times; `definitions` all definitions in file
-    order, each a formula or an arithmetic term; `model` the path of the model file, already relative to the task file's
-    folder, or None where the file names none; `step` how long a step takes, where the file says so; `document` the text
-    as read.
+    `params` holds the values after overrides, as exact fractions or times; `definitions` holds all definitions in file
+    order, each a formula or an arithmetic term; `model` is the path of the model file, already resolved against the
+    folder of the task file, or None if the file names none; `step` is the duration of a step, if the file declares one;
+    `document` is the text as read.
     """
 
     KIND: ClassVar[str] = "Task"
@@ -39,13 +39,13 @@ class Task(Composable):
     rebuild: Callable[[Mapping[str, ParamValue]], Task] | None = field(default=None, compare=False, repr=False)
 
     def with_params(self, **params: ParamValue) -> Task:
-        """The same task with other values for some of its params; the text is not read again.
+        """The same task with other values for some of its params; the text is not parsed again.
 
-        Raises StlSyntaxError where the file has no such param, or the formula does not allow its value, SettingsError
-        for a value that is no number and for a task that was not read from a text.
+        Raises StlSyntaxError if the file has no such param or the formula does not allow the value, and SettingsError
+        if a value is not a number or the task was not parsed from text.
         """
         if self.rebuild is None:
-            raise SettingsError("this task was not read from a text, so it has no params to change; use stl.parse_task")
+            raise SettingsError("this task was not parsed from text, so it has no params to change; use stl.parse_task")
         return self.rebuild(params)
 
     def _formula(self) -> Formula:

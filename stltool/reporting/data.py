@@ -61,7 +61,7 @@ def part_data(automaton: TaskAutomaton) -> list[dict[str, Any]]:
     return [
         {
             "part": str(part.formula),
-            "every_start_owes": str(part.owed),
+            "obligation_of_each_start": str(part.obligation),
             "delay": part.delay,
             "method": part.method,
             "explored": part.explored,

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.automata import UNDECIDED
 from stltool.automata.compile import atoms_of
-from stltool.automata.residuals import FALSE, TRUE, Progress, Residuals
+from stltool.automata.residuals import FALSE, TRUE, Progression, Residuals
 from stltool.errors import SizeError
 from stltool.logic.formula import Always, And, Eventually, Interval, Label, Not, Or, Until, atoms, temporal_depth
 from stltool.testing import flag_formulas, formulas, traces
@@ -189,10 +189,10 @@ def test_progress_keeps_the_meaning(phi, data):
     assert stl.satisfies(table.formula(table.negation(x)), trace) != expected
     letter = tuple(stl.satisfies(atom, trace) for atom in table.atoms)
     opposite = tuple(not value for value in letter)
-    progressed, other = Progress(table, [letter, opposite])(x)
+    progressed, other = Progression(table, [letter, opposite])(x)
     rest = {name: values[1:] for name, values in trace.items()}
     assert stl.satisfies(table.formula(progressed), rest) == expected
-    assert Progress(table, [opposite])(x) == (other,)
+    assert Progression(table, [opposite])(x) == (other,)
 
 
 def related_formulas():

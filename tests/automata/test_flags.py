@@ -83,7 +83,7 @@ def test_equal_automata_do_not_disagree():
 
 
 def test_outside_the_fragment_the_paper_has_no_encoding():
-    with pytest.raises(FragmentError, match="use encoding exact"):
+    with pytest.raises(FragmentError, match="use the exact encoding"):
         stl.compile_automaton(stl.parse("G[0,5] F[0,3] G[0,2] a"), "paper")
 
 

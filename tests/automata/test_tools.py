@@ -76,7 +76,7 @@ def test_the_history_encodings_size_is_predicted(phi):
 def test_the_history_encoding_is_refused_before_it_is_built():
     with pytest.raises(SizeError, match=r"2 letters over 2001 steps, inf states"):
         stl.compile_automaton(stl.parse("G[0,5] F[0,2000] a"), "history")
-    with pytest.raises(SizeError, match=r"4 letters over 15 steps, 1.432e\+09 states .*use encoding exact"):
+    with pytest.raises(SizeError, match=r"4 letters over 15 steps, 1.432e\+09 states .*use the exact encoding"):
         stl.compile_automaton(stl.parse("G[0,15) (F[0,15) a & F[0,15) b)"), "history", memory_limit=10**9)
 
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.automata.fates import Effort, Fates, differ, shortest_run
+from stltool.automata.reachable import Effort, ReachableVerdicts, differ, shortest_run
 from stltool.automata.samples import Samples, truth_along
 from stltool.automata.vacuity import meaning
 from stltool.errors import ArgumentError, SettingsError, SizeError, StlSyntaxError
@@ -33,7 +33,7 @@ from stltool.logic.occurrences import occurrences
 from stltool.testing import formulas, traces
 
 A = Label("a")
-IDLE = "does not matter: with {} in its place the task means the same, {}\n"
+VACUOUS = "is vacuous; with {} in its place, the task still means {}\n"
 
 
 # ------------------------------------------------------------------------------------------- brute force
@@ -76,7 +76,7 @@ def changed(phi, path, constant, letters):
 
 
 def idle_places(phi, truth, letters):
-    """path → the constants that can stand there, for the largest occurrences that do not matter."""
+    """path → the constants that can stand there, for the largest occurrences that are vacuous."""
     found = {}
     for path, part in places(phi):
         outer = any(path[: len(known)] == known for known in found)
@@ -103,8 +103,8 @@ def assert_right(phi, letters, found, complete=True):
     assert found.can_fail in ((not truth.all(),) if complete else (not truth.all(), True, None))
     assert {type(value) for value in (found.can_hold, found.can_fail)} <= {bool, type(None)}
     if not complete:
-        for idle in found.idle:
-            assert (changed(phi, idle.path, idle.constant, letters) == truth).all()
+        for part in found.vacuous:
+            assert (changed(phi, part.path, part.constant, letters) == truth).all()
         return
     assert found.status == "decided"
     assert found.shortest
@@ -118,14 +118,14 @@ def assert_right(phi, letters, found, complete=True):
             assert (truth[tuple(word)] == verdict).all()
     if truth.any() and not truth.all():
         expected = idle_places(phi, truth, letters)
-        assert [idle.path for idle in found.idle] == list(expected)
-        for idle in found.idle:
-            assert idle.constant in expected[idle.path]
-            assert dict(places(phi))[idle.path] is idle.part
-            assert (every(idle.formula, letters, truth.ndim) == truth).all()
+        assert [part.path for part in found.vacuous] == list(expected)
+        for part in found.vacuous:
+            assert part.constant in expected[part.path]
+            assert dict(places(phi))[part.path] is part.part
+            assert (every(part.formula, letters, truth.ndim) == truth).all()
         assert found.because is None
     else:
-        assert found.idle == ()
+        assert found.vacuous == ()
         part, value = found.because
         assert (every(part, letters) == value).all()
 
@@ -193,7 +193,7 @@ def test_no_trace_contradicts_a_warning(phi, data):
         truth = stl.satisfies(phi, trace)
         assert found.can_hold is not False or not truth
         assert found.can_fail is not False or truth
-        assert all(stl.satisfies(idle.formula, trace) == truth for idle in found.idle)
+        assert all(stl.satisfies(part.formula, trace) == truth for part in found.vacuous)
 
 
 @both_ways
@@ -207,7 +207,7 @@ def test_giving_up_is_said_and_never_guessed(evidence, phi, effort):
     assert found.can_hold in (None, full.can_hold)
     assert found.can_fail in (None, full.can_fail)
     if found.status == "decided":
-        assert [idle.path for idle in found.idle] == [idle.path for idle in full.idle]
+        assert [part.path for part in found.vacuous] == [part.path for part in full.vacuous]
     else:
         assert found.status.startswith("not decided: whether ")
         assert found.warnings()[-1] == found.status
@@ -218,7 +218,7 @@ def test_giving_up_is_said_and_never_guessed(evidence, phi, effort):
 
 def test_a_task_that_can_never_hold_names_the_part_at_fault():
     found = meaning(stl.parse("G[0,3] b &\n  F[0,3] (a & (x > 5 & x < 3))", name="task.stl"))
-    assert (found.can_hold, found.can_fail, found.holds, found.idle) == (False, True, None, ())
+    assert (found.can_hold, found.can_fail, found.holds, found.vacuous) == (False, True, None, ())
     assert found.fails.runs == ()
     assert found.warnings() == [
         "task.stl, line 2, column 16: this task can never hold: x > 5 & x < 3 never holds\n"
@@ -241,12 +241,15 @@ def test_a_task_that_can_never_hold_names_the_part_at_fault():
         ("(F[0,2] a) xor (F[0,2] a)", "column 1: this task can never hold: (F[0,2] a) <-> (F[0,2] a) always holds\n"),
         ("a & 2 > 3", "column 5: this task can never hold: 2 > 3 never holds\n"),
         ("true", "column 1: this task holds on every trace\n"),
-        ("F[0,5] (x > 5 & x < 3) | G[0,3] a", "column 1: F[0,5] (x > 5 & x < 3) " + IDLE.format("false", "G[0,3] a")),
-        ("G[0,5] (a | b) & G[0,5] b", "column 1: G[0,5] (a | b) " + IDLE.format("true", "G[0,5] b")),
-        ("G[0,5] (x > 5 & x > 3)", "column 17: x > 3 " + IDLE.format("true", "G[0,5] (x > 5)")),
+        (
+            "F[0,5] (x > 5 & x < 3) | G[0,3] a",
+            "column 1: F[0,5] (x > 5 & x < 3) " + VACUOUS.format("false", "G[0,3] a"),
+        ),
+        ("G[0,5] (a | b) & G[0,5] b", "column 1: G[0,5] (a | b) " + VACUOUS.format("true", "G[0,5] b")),
+        ("G[0,5] (x > 5 & x > 3)", "column 17: x > 3 " + VACUOUS.format("true", "G[0,5] (x > 5)")),
         (
             "(F[0,5] a) <-> (F[0,5] (a | b) & F[0,3] a)",
-            "column 17: F[0,5] (a | b) " + IDLE.format("true", "(F[0,5] a) <-> (F[0,3] a)"),
+            "column 17: F[0,5] (a | b) " + VACUOUS.format("true", "(F[0,5] a) <-> (F[0,3] a)"),
         ),
     ],
 )
@@ -276,7 +279,7 @@ def test_warnings(text, says):
 def test_no_warning_where_everything_matters(text):
     found = meaning(stl.parse(text))
     assert found.warnings() == []
-    assert found.data()["idle"] == []
+    assert found.data()["vacuous"] == []
 
 
 def test_parts_that_stand_in_for_each_other_are_told_each():
@@ -284,8 +287,8 @@ def test_parts_that_stand_in_for_each_other_are_told_each():
     warnings = found.warnings()
     assert len(warnings) == 3
     assert warnings[2] == "each of these parts is taken alone: without one of them, the others may matter"
-    assert [idle["column"] for idle in found.data()["idle"]] == [1, 23]
-    assert found.data()["idle"][0] == {
+    assert [part["column"] for part in found.data()["vacuous"]] == [1, 23]
+    assert found.data()["vacuous"][0] == {
         "part": "F[0,3] a", "line": 1, "column": 1, "uses": 1, "constant": True, "means": "(G[0,2] b) & (F[0,3] a)",
     }  # fmt: skip
 
@@ -293,12 +296,12 @@ def test_parts_that_stand_in_for_each_other_are_told_each():
 def test_a_definition_that_matters_in_one_use_only():
     task = stl.parse_task("home := F[0,3] (x > 1)\ntask := home & (home | a)")
     (warning,) = meaning(task.formula).warnings()
-    assert "column 17: (F[0,3] (x > 1)) | a does not matter" in warning
+    assert "column 17: (F[0,3] (x > 1)) | a is vacuous" in warning
     task = stl.parse_task("home := x > 1\ntask := F[0,3] home & G[0,3] (home | a) & F[0,2] home")
     (warning,) = meaning(task.formula).warnings()
-    assert "F[0,3] (x > 1) does not matter" in warning
+    assert "F[0,3] (x > 1) is vacuous" in warning
     task = stl.parse_task("home := x > 1\ntask := G[0,3] (home & (x > 2 | home)) & F[0,4] (!home | x > 5)")
-    assert any("x > 1, in one of its 3 uses, does not matter" in text for text in meaning(task.formula).warnings())
+    assert any("x > 1, in one of its 3 uses, is vacuous" in text for text in meaning(task.formula).warnings())
 
 
 def test_formulas_without_a_text_are_told_too():
@@ -324,7 +327,7 @@ def test_long_windows_cost_what_their_states_do():
     assert found.holds.n_steps == 10**14 + 1
     assert len(found.holds.runs) <= 3
     assert found.fails.n_steps == 1
-    assert [str(idle.part) for idle in found.idle] == ["F[0,99999999999999] a"]
+    assert [str(part.part) for part in found.vacuous] == ["F[0,99999999999999] a"]
     turns = meaning(stl.parse("G[0,1000000] ((a -> F[1,1] !a) & (!a -> F[1,1] a))"))
     assert (turns.status, turns.can_hold, turns.holds, turns.fails.n_steps) == ("decided", True, None, 2)
     assert turns.warnings() == []
@@ -370,14 +373,14 @@ def test_what_is_too_large_for_automata_is_shown_by_traces_where_it_can():
 def test_what_is_too_large_for_automata_is_proved_nearby_where_it_can():
     found = meaning(stl.parse(f"{LARGE} & G[0,5] (b -> F[0,5] b) & F[0,3] (c | c & a)"))
     assert found.status == "decided"
-    idle = [(str(idle.part), idle.constant) for idle in found.idle]
-    assert idle == [("G[0,5] (b -> (F[0,5] b))", True), ("c & a", False)]
+    vacuous = [(str(part.part), part.constant) for part in found.vacuous]
+    assert vacuous == [("G[0,5] (b -> (F[0,5] b))", True), ("c & a", False)]
 
 
 def test_what_is_too_large_for_both_is_said():
     found = meaning(stl.parse(f"{LARGE} & G[0,50] (a -> G[0,60] b)"))
     status = "not decided: whether G[0,50] (a -> (G[0,60] b)) matters: the automaton has over 5000 states"
-    assert (found.status, found.idle, found.can_hold) == (status, (), True)
+    assert (found.status, found.vacuous, found.can_hold) == (status, (), True)
     assert found.warnings() == [status]
     weaker = "G[0,50] (a -> G[0,60] b) & (G[0,50] (a -> G[0,61] b) | G[0,51] (a -> G[0,59] b))"
     two = meaning(stl.parse(f"{LARGE} & {weaker}"))
@@ -411,7 +414,7 @@ def test_formulas_of_too_many_operators_are_left_alone():
 
 def test_many_parts_end_with_the_effort():
     found = meaning(stl.parse(" & ".join(f"F[0,{i % 30}] l{i % 9}" for i in range(600))))
-    assert found.status.endswith("not within an effort of 60000 states times letters")
+    assert found.status.endswith("the search exceeds the limit of 60000 states times letters")
     assert (found.can_hold, found.can_fail) == (True, True)
 
 
@@ -430,7 +433,7 @@ def test_letters_of_a_model_make_more_warnings():
     exclusive = np.array([[True, False, False], [False, True, True], [False, False, False]])
     assert meaning(phi, exclusive).can_hold is False
     always = np.array([[True, True, False], [False, True, True], [False, True, False]])
-    assert [str(idle.part) for idle in meaning(phi, always).idle] == ["G[0,3] (b | x > y)"]
+    assert [str(part.part) for part in meaning(phi, always).vacuous] == ["G[0,3] (b | x > y)"]
     assert meaning(phi).warnings() == []
 
 
@@ -513,15 +516,15 @@ def test_two_automata_differ_where_some_trace_tells_them_apart(phi, psi):
     n_steps = max(stl.horizon(phi), stl.horizon(psi)) + 1
     if n_steps > 6:
         return
-    fates, read = [], []
+    reachable, read = [], []
     for formula in (phi, psi):
         automaton = stl.compile_automaton(formula)
         truth = [[stl.satisfies(atom, {"a": [value]}) for atom in automaton.atoms] for value in (False, True)]
         read.append(automaton.letters_at(np.array(truth, dtype=bool).reshape(2, len(automaton.atoms))))
-        fates.append(Fates(automaton, read[-1], Effort(10**6)))
+        reachable.append(ReachableVerdicts(automaton, read[-1], Effort(10**6)))
     one, other = every(phi, letters, n_steps), every(psi, letters, n_steps)
-    assert differ(*fates, *read, Effort(10**6)) == (one != other).any()
-    assert [fates[0].can_become(verdict) for verdict in (0, 1)] == [not one.all(), one.any()]
+    assert differ(*reachable, *read, Effort(10**6)) == (one != other).any()
+    assert [reachable[0].can_become(verdict) for verdict in (0, 1)] == [not one.all(), one.any()]
 
 
 def test_a_way_that_stays_in_a_state_takes_the_letter_that_keeps_it():
@@ -533,22 +536,22 @@ def test_a_way_that_stays_in_a_state_takes_the_letter_that_keeps_it():
         verdict_starts=np.array([0, 500]),
         verdict_rows=np.array([[-1] * 5, [0, 0, 1, 0, 1]], dtype=np.int8),
     )
-    fates = Fates(automaton, np.arange(3, dtype=np.int32), Effort(10**5))
-    word = [letter for letter, count in shortest_run(fates, 1, Effort(10**5)) for _ in range(count)]
+    reachable = ReachableVerdicts(automaton, np.arange(3, dtype=np.int32), Effort(10**5))
+    word = [letter for letter, count in shortest_run(reachable, 1, Effort(10**5)) for _ in range(count)]
     assert (len(word), automaton.judge(word)) == (501, (True, 500))
-    assert shortest_run(fates, 0, Effort(10**5)) == [(1, 1)]
+    assert shortest_run(reachable, 0, Effort(10**5)) == [(1, 1)]
 
 
 def test_verdicts_that_fall_late_are_compared_too():
     """Neither automaton sees before its horizon that it has only one verdict to give."""
     letters = np.zeros(2, dtype=np.int32)  # none that matters
-    fates = []
+    reachable = []
     for text in ("G[0,2] (a -> F[0,2] a)", "F[0,2] (a & G[0,2] !a)"):
         automaton = stl.compile_automaton(stl.parse(text))
         assert (automaton.verdicts(0) == -1).all()
-        fates.append(Fates(automaton, letters, Effort(1000)))
-    assert [[one.can_become(verdict) for verdict in (0, 1)] for one in fates] == [[False, True], [True, False]]
-    assert differ(*fates, letters, letters, Effort(1000))
+        reachable.append(ReachableVerdicts(automaton, letters, Effort(1000)))
+    assert [[one.can_become(verdict) for verdict in (0, 1)] for one in reachable] == [[False, True], [True, False]]
+    assert differ(*reachable, letters, letters, Effort(1000))
 
 
 def test_effort_is_counted():
@@ -556,24 +559,24 @@ def test_effort_is_counted():
     effort.spend(6)
     effort.spend_cells(3999)
     assert effort.left == 0
-    with pytest.raises(SizeError, match="not within an effort of 10 states"):
+    with pytest.raises(SizeError, match="the search exceeds the limit of 10 states"):
         effort.spend(1)
     assert effort.left == 0
     automaton = stl.compile_automaton(stl.parse("G[0,50] (F[0,50] a & F[0,50] b)"))
     letters = np.arange(automaton.n_letters, dtype=np.int32)
-    with pytest.raises(SizeError, match="not within an effort of 100 states times letters"):
-        Fates(automaton, letters, Effort(100))
-    fates, few = Fates(automaton, letters, Effort(10**5)), letters % 2
-    small = Fates(stl.compile_automaton(stl.parse("a")), few, Effort(100))
+    with pytest.raises(SizeError, match="the search exceeds the limit of 100 states times letters"):
+        ReachableVerdicts(automaton, letters, Effort(100))
+    reachable, few = ReachableVerdicts(automaton, letters, Effort(10**5)), letters % 2
+    small = ReachableVerdicts(stl.compile_automaton(stl.parse("a")), few, Effort(100))
     with pytest.raises(SizeError, match="effort"):
-        shortest_run(fates, 1, Effort(5))
+        shortest_run(reachable, 1, Effort(5))
     with pytest.raises(SizeError, match="effort"):
-        differ(fates, fates, letters, letters, Effort(100))
+        differ(reachable, reachable, letters, letters, Effort(100))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stltool.automata.fates._MOST_PAIRS", 1000)
+        patch.setattr("stltool.automata.reachable._MOST_PAIRS", 1000)
         with pytest.raises(SizeError, match="two automata with 2602 and 2602 states are too large to be compared"):
-            differ(fates, fates, letters, letters, Effort(10**9))
-        patch.setattr("stltool.automata.fates._MOST_PAIRS", 8000)
+            differ(reachable, reachable, letters, letters, Effort(10**9))
+        patch.setattr("stltool.automata.reachable._MOST_PAIRS", 8000)
         with pytest.raises(SizeError, match="over 8000 steps between pairs of states to compare"):
-            differ(fates, small, letters, few, Effort(10**9))
-    assert differ(fates, small, letters, few, Effort(10**6))
+            differ(reachable, small, letters, few, Effort(10**9))
+    assert differ(reachable, small, letters, few, Effort(10**6))

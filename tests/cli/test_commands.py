@@ -240,13 +240,13 @@ def test_explain_warns_of_tasks_that_say_nothing_and_of_idle_parts(stltool):
     for text, warning in (
         ("G[0,5] (x > 5 & x < 3)", "this task can never hold: x > 5 & x < 3 never holds\n    G[0,5] (x > 5 & x < 3)\n"),
         ("(F[0,3] a) | (G[0,3] !a)", "this task holds on every trace"),
-        ("(G[0,9] a) & (G[0,5] a)", "G[0,5] a does not matter: with true in its place the task means the same, G[0,9]"),
+        ("(G[0,9] a) & (G[0,5] a)", "G[0,5] a is vacuous; with true in its place, the task still means G[0,9]"),
     ):
         code, out, _ = stltool("explain", text)
         assert (code, f": {warning}" in out) == (0, True)
         assert out.count("warning: ") == 1
     data = json.loads(stltool("explain", "(G[0,T] a) & (G[0,5] a)", "-p", "T=9", "--json")[1])
-    assert data["meaning"]["idle"][0]["means"] == "G[0,9] a"
+    assert data["meaning"]["vacuous"][0]["means"] == "G[0,9] a"
     assert (data["meaning"]["can_hold"], data["meaning"]["can_fail"], len(data["warnings"])) == (True, True, 1)
     _, out, _ = stltool("explain", PATROLLING)
     assert "warning" not in out
@@ -312,13 +312,13 @@ def test_the_papers_encoding_warns(stltool, tmp_path):
 BAD_TASKS = {
     "unknown label": ("task := F[0,3] Dock", "the model has no label Dock"),
     "empty interval": ("task := F[3,3) A", "the interval [3,3) is empty"),
-    "non-integer bound": ("task := F[0,2.5] A", "2.5 is not a whole number of steps"),
+    "non-integer bound": ("task := F[0,2.5] A", "2.5 is not an integer number of steps"),
     "chained comparison": ("task := F[0,2] (0.1 < x < 0.4)", "write (x > 0.1 & x < 0.4)"),
     "missing model": ('model "none.toml"\ntask := F[0,2] A', "none.toml: there is no such model file"),
     "enormous window": ("task := G[0,5] F[0,10^12) A", "grows over 100000 states"),
     "binary": ("\0\1\2", "not a task file: it holds binary data"),
     "syntax": ("task := G[0,5] (A &", "the text ends here; expected a formula"),
-    "no task": ("# nothing", "no task in this file"),
+    "no task": ("# nothing", "the file defines no task"),
 }
 
 
@@ -351,9 +351,9 @@ def test_other_bad_input_ends_with_code_2(stltool, tmp_path):
         (["check", PATROLLING, "--policy", policy], "this policy is for the task"),
         (["check", PATROLLING, "--policy", PATROLLING], "not a policy file"),
         (["check", PATROLLING, "-p", "T"], "is not NAME=VALUE"),
-        (["check", PATROLLING, "-p", "TT=3"], "no param TT to override; did you mean T"),
+        (["check", PATROLLING, "-p", "TT=3"], "there is no param TT to override; did you mean T"),
         (["check", PATROLLING, "-p", "T=many"], "is not a number"),
-        (["check", PATROLLING, "--task", "patrol"], "no definition patrol; did you mean patrolling"),
+        (["check", PATROLLING, "--task", "patrol"], "there is no definition patrol; did you mean patrolling"),
         (["check", PATROLLING, "--encoding", "fast"], "encoding is 'fast'; choose exact, paper or history"),
         (["check", PATROLLING, "--at-least", "1.2"], "a probability lies between 0 and 1"),
         (["check", no_model], "no model; add a line such as"),

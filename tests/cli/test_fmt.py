@@ -53,5 +53,5 @@ def test_a_faulty_file_is_left_alone_and_the_others_are_laid_out(stltool, task, 
     assert task.read_text() == TIDY
     assert faulty.read_text() == "r := A &\nq := § B\n"
     assert f"error: {faulty}, line 1, column 9: the statement ends here" in err
-    assert f"{faulty}, line 2, column 6: the character '§' has no meaning here" in err
+    assert f"{faulty}, line 2, column 6: unexpected character '§'" in err
     assert f"{missing}: there is no such task file" in err

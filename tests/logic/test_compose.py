@@ -112,14 +112,14 @@ def test_a_number_means_what_it_prints(value):
         (lambda: not A, "~phi"),
         (lambda: stl.parse_task("t := A") and B, "write phi & psi"),
         (lambda: 0.2 < x < 0.6, r"\(0.2 < x\) & \(x < 0.6\) for 0.2 < x < 0.6"),
-        (lambda: x == y == 0.5, "neither true nor false by itself"),
-        (lambda: x in [y], "neither true nor false by itself"),
+        (lambda: x == y == 0.5, "has no truth value by itself"),
+        (lambda: x in [y], "has no truth value by itself"),
         (lambda: bool(x), "x is a number at every step, not true or false; compare it, as in x > 0.5"),
         (lambda: A & x > 0.4, r"an operand of & is an Expression, not a Formula; put the comparison in parentheses"),
         (lambda: x > 0.4 & A, r"an operand of & is 0.4, not a Formula; put the comparison in parentheses"),
         (lambda: x > 0.4 | x, "put the comparison in parentheses"),
         (lambda: ~x, "is an Expression, not a Formula"),
-        (lambda: A > 0.4, r"A is true or false, and cannot be compared; for a signal write stl.signal\('x'\) > 0.5"),
+        (lambda: A > 0.4, r"A is Boolean and cannot be compared; for a signal, write stl.signal\('x'\) > 0.5"),
         (lambda: A <= B, "cannot be compared"),
         (lambda: A & "B", r"an operand of & is 'B', not a Formula; parse it: stl.parse\(text\)"),
         (lambda: "A" >> B, "parse it"),
@@ -127,16 +127,16 @@ def test_a_number_means_what_it_prints(value):
         (lambda: np.bool_(True) | A, "is True, not a Formula; == and !="),
         (lambda: np.array([True]) & A, r"an array of shape \(1,\), not a Formula"),
         (lambda: A | None, "is None, not a Formula"),
-        (lambda: x > "0.4", "'0.4', neither a number nor a signal"),
-        (lambda: x > True, "True, neither a number nor a signal"),
-        (lambda: x + A, "a Formula, neither a number nor a signal"),
+        (lambda: x > "0.4", "'0.4', which is neither a number nor a signal"),
+        (lambda: x > True, "True, which is neither a number nor a signal"),
+        (lambda: x + A, "a Formula, which is neither a number nor a signal"),
         (lambda: x > math.nan, "an operand of > is nan; a finite number is needed"),
         (lambda: x > 2**53 + 1, "9007199254740993 cannot be written exactly"),
         (
             lambda: x > Decimal("0.30000000000000000001"),
             "cannot be written exactly; the nearest number that can is 0.3",
         ),
-        (lambda: stl.F(A, 3, 1), r"\[3,1\] holds no step"),
+        (lambda: stl.F(A, 3, 1), r"\[3,1\] is empty"),
         (lambda: stl.F(A, 0, 1.5), "F's last step b is 1.5; it must be an integer from 0"),
         (lambda: stl.U(A, B, -1, 1), "U's first step a is -1"),
         (lambda: stl.G(A, 0, 10**16), "from 0 up to 1000000000000000"),
@@ -159,7 +159,7 @@ def test_slips_are_refused_with_a_sentence(slip, says):
 def test_an_interval_without_end_is_for_monitors():
     phi = stl.G(x < 0.9, 0, None)
     assert stl.parse(str(phi), unbounded=True) == phi
-    with pytest.raises(StlSyntaxError, match="only monitors judge it"):
+    with pytest.raises(StlSyntaxError, match="only monitors can judge it"):
         stl.horizon(phi)
     assert stl.monitor(phi, {"x": [0.5, 0.95, 0.5]}, end="cut").verdicts.tolist() == [False, False, True]
 
@@ -169,12 +169,12 @@ def test_formulas_without_end_in_depth_or_size_are_refused():
     for _ in range(199):
         nested = ~nested
     assert stl.parse(str(nested)) == nested
-    with pytest.raises(StlSyntaxError, match="nested too deeply, over 200 levels"):
+    with pytest.raises(StlSyntaxError, match=r"nested too deeply \(over 200 levels\)"):
         _ = ~nested
     doubled = A
     for _ in range(14):
         doubled = doubled >> doubled
-    with pytest.raises(StlSyntaxError, match="larger than 50000 operators"):
+    with pytest.raises(StlSyntaxError, match="more than 50000 operators"):
         _ = doubled >> doubled
 
 

@@ -66,7 +66,7 @@ def test_a_refusal_names_the_sub_formula_at_fault(text, place, says):
         stl.check_fragment(stl.parse(text))
     assert place in str(caught.value)
     assert says in str(caught.value)
-    assert "use encoding exact" in str(caught.value)
+    assert "use the exact encoding" in str(caught.value)
 
 
 REQUIREMENTS = tomllib.loads((DATA / "arch-comp.toml").read_text(encoding="utf-8"))["requirement"]
@@ -78,7 +78,7 @@ def test_arch_comp_requirements_get_the_verdicts_of_the_list():
     for requirement in REQUIREMENTS:
         name, text = requirement["name"], requirement["formula"]
         if requirement.get("next"):
-            with pytest.raises(StlSyntaxError, match=r"the next step is F\[1,1\] a"):
+            with pytest.raises(StlSyntaxError, match=r"for the next step, write F\[1,1\] a"):
                 stl.parse(text, step="1ms")
             continue
         phi = stl.parse(text, step="1ms")

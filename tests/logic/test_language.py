@@ -49,68 +49,68 @@ def test_times_are_whole_multiples_of_the_step():
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("r := F[0,2s] A", "this bound is a time, and no step is declared above; write a line such as step = 0.1s"),
+        ("r := F[0,2s] A", "this bound is a time, but no step is declared above; add a line such as step = 0.1s"),
         ("step = 0.1s\nr := F[0,0.25s] A", "0.25s is not a multiple of the step, 0.1s; write 0.2s or 0.3s"),
         ("step = 0.1s\nr := F[0,0.25] A", "write 0 or 1, or 0.25s if it is a time in seconds"),
-        ("step = 0.1s\nr := F[0,2s + 1] A", "a time and a plain number do not add up"),
-        ("step = 0.1s\nr := F[0,2s * 3s] A", "this is no time"),
-        ("step = 0.1s\nr := F[0,2s^2] A", "this is no time"),
-        ("step = 0.1s\nr := F[0,2/3s] A", "this is no time"),
-        ("step = 0.1s\nr := F[0,max(2s, 3)] A", "a time and a plain number do not add up"),
-        ("step = 0.1s\nparam T = 2s\nr := x > T", "a time where a plain number must stand"),
-        ("step = 0.1s\nr := x > 2s", "a time where a plain number must stand"),
-        ("step = 0.1\nr := F[0,2] A", "the step is a positive time with its unit"),
-        ("step = -1s\nr := F[0,2] A", "the step is a positive time with its unit"),
-        ("step = 1s\nstep = 1s\nr := F[0,2] A", "a second step line"),
+        ("step = 0.1s\nr := F[0,2s + 1] A", "a time and a plain number cannot be combined"),
+        ("step = 0.1s\nr := F[0,2s * 3s] A", "this is not a time"),
+        ("step = 0.1s\nr := F[0,2s^2] A", "this is not a time"),
+        ("step = 0.1s\nr := F[0,2/3s] A", "this is not a time"),
+        ("step = 0.1s\nr := F[0,max(2s, 3)] A", "a time and a plain number cannot be combined"),
+        ("step = 0.1s\nparam T = 2s\nr := x > T", "expected a plain number, found a time"),
+        ("step = 0.1s\nr := x > 2s", "expected a plain number, found a time"),
+        ("step = 0.1\nr := F[0,2] A", "the step must be a positive time with a unit"),
+        ("step = -1s\nr := F[0,2] A", "the step must be a positive time with a unit"),
+        ("step = 1s\nstep = 1s\nr := F[0,2] A", "this is a second step line"),
         ("r := F[0,2 s] A", "expected an operator between '2' and 's'"),
-        ("r := x[t+1] - x[t] > 0", "record what x[t+1] reads at another one as a signal of its own"),
-        ("r := x[3] > 0", "a predicate reads one step, x[t]"),
+        ("r := x[t+1] - x[t] > 0", "record x[t+1] as a signal of its own"),
+        ("r := x[3] > 0", "a predicate reads a single step, x[t]"),
         ("r := x[t] & A", "compare it, as in x[t] > 0"),
-        ("param x = 3\nr := x[t] > 0", "x is no signal but a param; drop [t]"),
-        ("signal x\nr := x & A", "x is a signal, a number, not a truth value; compare it, as in x > 0"),
-        ("signal x\nparam x = 3\nr := A", "x is a signal (line 1); give this param another name"),
-        ("r := x > 0\nsignal r", "r is a signal (line 2); give this definition another name"),
-        ("r := once[0,3] A", "once looks back"),
-        ("r := A since[0,3] B", "since looks back"),
-        ("r := next(A)", "the next step is F[1,1] a"),
+        ("param x = 3\nr := x[t] > 0", "x is a param, not a signal; drop [t]"),
+        ("signal x\nr := x & A", "expected a Boolean expression, but x is a signal; compare it, as in x > 0"),
+        ("signal x\nparam x = 3\nr := A", "x is a signal (line 1); rename this param"),
+        ("r := x > 0\nsignal r", "r is a signal (line 2); rename this definition"),
+        ("r := once[0,3] A", "once refers to the past"),
+        ("r := A since[0,3] B", "since refers to the past"),
+        ("r := next(A)", "for the next step, write F[1,1] a"),
         ("r := pow(x, 2) > 1", "write a^b"),
-        ("r := alwayss[0,3] A", "alwayss is not an operator that takes an interval; did you mean always?"),
-        ("r := foo[0,3] A", "F, G, U and their words are"),
-        ("r := foo[min(1, 2),3] A", "foo is not an operator that takes an interval"),
-        ("r := True", "words are in small letters: write true"),
-        ("r := A AND B", "words are in small letters: write and"),
-        ("r := NOT A", "words are in small letters: write not"),
+        ("r := alwayss[0,3] A", "alwayss does not take an interval; did you mean always?"),
+        ("r := foo[0,3] A", "F, G, U and their words do"),
+        ("r := foo[min(1, 2),3] A", "foo does not take an interval"),
+        ("r := True", "keywords are lower case; write true"),
+        ("r := A AND B", "keywords are lower case; write and"),
+        ("r := NOT A", "keywords are lower case; write not"),
         ("r := Always[0,3] A", "did you mean always?"),
-        ("r := x < inf", "inf is no number"),
+        ("r := x < inf", "inf is not a number with which a signal can be compared"),
         ("params T = 3\nr := A", "did you mean param?"),
         ("r := A\nq = F[0,3] A", "write q := … to define it"),
-        ("r := F[0,3 A", "cannot stand here"),
-        ("r := F[0,T[t]] A", "a signal where a constant must stand"),
-        ("r := [0,3] A", "'[' cannot stand here"),
-        ("r := A [0,3] B", "A is not an operator that takes an interval"),
+        ("r := F[0,3 A", "unexpected 'A'"),
+        ("r := F[0,T[t]] A", "expected a constant, found a signal"),
+        ("r := [0,3] A", "unexpected '['"),
+        ("r := A [0,3] B", "A does not take an interval"),
         ("r := G[0,3] A G[0,3] B", "expected an operator before 'G'"),
         ("r := A &\nq := B", "line 1, column 9: the statement ends here; expected a formula"),
-        ('r := A "floor"', "on a model line only"),
-        ('model "floor\nr := A', "ends with a quote"),
-        ("r := F[0...50] A", "dots stand in numbers such as 0.5 and in intervals such as [0..5]"),
-        ("r := F[0...5e1] A", "dots stand in numbers"),
+        ('r := A "floor"', "belongs on a model line"),
+        ('model "floor\nr := A', "close it on the same line"),
+        ("r := F[0...50] A", "dots occur in numbers, such as 0.5, and in intervals, such as [0..5]"),
+        ("r := F[0...5e1] A", "dots occur in numbers"),
         ("r := x² > 4", "write ^2 for a power"),
-        ("r := F[0,٣] A", "digits are 0 to 9"),
-        ("r := größe > 3", "'ö' has no place in a name"),
-        ("r := car.speed > 3", "names have no dots; write for example car_speed"),
-        ("model floor.toml\nr := A", "in double quotes, on a model line"),
+        ("r := F[0,٣] A", "use the digits 0 to 9"),
+        ("r := größe > 3", "a name cannot contain 'ö'"),
+        ("r := car.speed > 3", "names contain no dots; write, for example, car_speed"),
+        ("model floor.toml\nr := A", "in double quotes on a model line"),
         ("r := F_[] A", "could be an empty interval"),
         ("r := A U_[] B", "could be an empty interval"),
-        ("param e = (10^-64)^8\nr := x > e", "too small to compare with"),
+        ("param e = (10^-64)^8\nr := x > e", "too small to be compared with a signal"),
         ("param T = (10^64)^18/7\nr := F[0,T] A", "this bound is out of range"),
-        ("param T := 5\nr := F[0,T] A", "a param is given with =: param T = 5"),
+        ("param T := 5\nr := F[0,T] A", "a param line uses =; write param T = 5"),
         ("param T = (10^64)^18\nparam V = T*T*T\nr := F[0,V] x", "this value is out of range"),
         ("param T = 10^64\nr := F[0,T/7] A", "this bound is out of range"),
-        ("c := 5\nr := F[0,c] A", "c is a definition; for a number in bounds write param c"),
-        ("x := x > 2", "x would be defined by itself"),
+        ("c := 5\nr := F[0,c] A", "c is a definition; for a number in bounds, write param c"),
+        ("x := x > 2", "x is defined in terms of itself"),
         ("r := x !== 3", "write != without the second ="),
-        ("step = 5\nr := F[0,1s] A", "the step is a positive time"),
-        ("r := A % a comment", "comments begin with # or //"),
+        ("step = 5\nr := F[0,1s] A", "the step must be a positive time"),
+        ("r := A % a comment", "begin comments with # or //"),
     ],
 )
 def test_a_refusal_says_what_to_write(text, says):
@@ -140,16 +140,16 @@ v := near & fine & B > A
 
 def test_numbers_defined_from_each_other_do_not_explode():
     text = "t0 := x + x\n" + "".join(f"t{i + 1} := t{i} + t{i}\n" for i in range(40)) + "r := t40 > 2"
-    with pytest.raises(StlSyntaxError, match="larger than 50000 operators"):
+    with pytest.raises(StlSyntaxError, match="more than 50000 operators"):
         stl.parse_task(text)
 
 
 def test_values_for_names_that_a_formula_does_not_have_are_refused():
-    with pytest.raises(StlSyntaxError, match="no param G in this formula; known names: x, y"):
+    with pytest.raises(StlSyntaxError, match="this formula has no param G; known names: x, y"):
         stl.parse("G[0,5] (x > y)", params={"G": 3})
-    with pytest.raises(StlSyntaxError, match="no param Q"):
+    with pytest.raises(StlSyntaxError, match="this formula has no param Q"):
         stl.parse("F[0,5] a", params={"Q": 3})
-    with pytest.raises(SettingsError, match="is no positive time"):
+    with pytest.raises(SettingsError, match="is not a positive time"):
         stl.parse("a", step=5)
 
 
@@ -213,7 +213,7 @@ def test_operators_without_an_interval_are_for_monitors():
         assert stl.parse(str(phi), unbounded=True) == phi
         with pytest.raises(StlSyntaxError, match="needs an interval with an end here, such as"):
             stl.parse(text)
-    with pytest.raises(StlSyntaxError, match="inf is the upper bound of an interval without an end"):
+    with pytest.raises(StlSyntaxError, match="inf is reserved for intervals without an end"):
         stl.parse_task("param inf = 3\nr := F[0,inf] a")
 
 
@@ -229,20 +229,20 @@ def test_params_change_without_reading_again(monkeypatch):
     later = task.with_params(T=20)
     assert later == fresh
     assert [later.formula, later.with_params(d="2s").formula] == expected
-    with pytest.raises(StlSyntaxError, match="no param tua to override; did you mean tau"):
+    with pytest.raises(StlSyntaxError, match="there is no param tua to override; did you mean tau"):
         task.with_params(tua=3)
-    with pytest.raises(StlSyntaxError, match="the bound 2.5 is not a whole number"):
+    with pytest.raises(StlSyntaxError, match="the bound 2.5 is not an integer number"):
         task.with_params(T=5)
-    with pytest.raises(StlSyntaxError, match="d is a time here; override it with a unit, as in -p d=3s"):
+    with pytest.raises(StlSyntaxError, match="d is a time; override it with a unit, as in -p d=3s"):
         task.with_params(d=3)
-    with pytest.raises(StlSyntaxError, match="T is a plain number here; override it without a unit"):
+    with pytest.raises(StlSyntaxError, match="T is a plain number; override it without a unit"):
         task.with_params(T="3s")
 
 
 def test_a_task_of_no_text_has_no_params_to_change():
     from stltool.logic.task import Task
 
-    with pytest.raises(SettingsError, match="not read from a text"):
+    with pytest.raises(SettingsError, match="not parsed from text"):
         Task("r", A).with_params(T=3)
 
 
@@ -271,7 +271,7 @@ def test_large_texts_parse_or_are_refused_in_words(tmp_path):
             stl.parse(text)
         with pytest.raises(StlSyntaxError, match="nested too deeply"):
             stl.parse_task(f"r := {text}")
-    with pytest.raises(StlSyntaxError, match=r"at most 2000000 are read"):
+    with pytest.raises(StlSyntaxError, match=r"more than the limit of 2000000"):
         stl.parse("a & " * 600_000)
     with pytest.raises(StlSyntaxError, match="the text ends here"):
         stl.parse("(" * 10_000)
@@ -312,9 +312,9 @@ def test_durations_print_as_what_they_are(seconds):
 
 
 def test_steps_and_params_from_outside_are_checked():
-    with pytest.raises(SettingsError, match="step '3' is no positive time with a unit"):
+    with pytest.raises(SettingsError, match="step '3' is not a positive time with a unit"):
         stl.parse("a", step="3")
-    with pytest.raises(SettingsError, match="is no positive time"):
+    with pytest.raises(SettingsError, match="is not a positive time"):
         stl.parse("a", step="0s")
     with pytest.raises(SettingsError, match="param T: '3 parsecs' is not a number"):
         stl.parse("a", params={"T": "3 parsecs"})
@@ -361,7 +361,7 @@ def test_a_file_in_breachs_dialect_that_reads_other_steps_is_refused_construct_b
     told = [line for line in str(caught.value).splitlines() if "patterns.stl, line" in line]
     assert len(told) == 4
     assert sum("as a signal of its own" in line for line in told) == 3
-    assert sum("is not a whole number of steps; write" in line for line in told) == 1
+    assert sum("is not an integer number of steps; write" in line for line in told) == 1
 
 
 @needs_outside("stl")
@@ -402,7 +402,7 @@ def test_a_breach_file_that_reads_other_steps_is_refused_construct_by_construct(
     told = [line for line in str(caught.value).splitlines() if "stlib.stl, line" in line]
     assert len(told) == 13
     assert sum("as a signal of its own" in line for line in told) == 7
-    assert sum("is not a whole number of steps; write" in line for line in told) == 6
+    assert sum("is not an integer number of steps; write" in line for line in told) == 6
 
 
 def calls(run):

@@ -58,15 +58,15 @@ def test_what_is_laid_out_has_one_reading(phi):
 def test_every_ambiguous_place_of_a_file_is_told_once():
     advice = found("p := a and b or c and (d -> e -> f)\nq := x > 5 // 2\nr := a // 2 of them\n", "task")
     assert [(a.span.line, a.span.column) for a in advice] == [(1, 6), (1, 24), (2, 12)]
-    assert [a.message.startswith("what follows // is a comment") for a in advice] == [False, False, True]
+    assert [a.message.startswith("// begins a comment") for a in advice] == [False, False, True]
 
 
 def test_signals_on_no_signal_line_are_told_where_there_are_such_lines():
     text = "signal speed, gear\nparam x = 3\nslow := speed < 30\nphi := slow & speeed[t] > x & flag & F[0,9) gears == 2"
     told = [(str(a.span.text()), a.message) for a in found(text, "task") if "signal line" in a.message]
     assert told == [
-        ("speeed", "speeed is on no signal line; did you mean speed?"),
-        ("gears", "gears is on no signal line; did you mean gear?"),
+        ("speeed", "speeed is not declared on a signal line; did you mean speed?"),
+        ("gears", "gears is not declared on a signal line; did you mean gear?"),
     ]
     assert found(text.replace("signal speed, gear\n", "").replace(" & F[0,9) gears == 2", ""), "task") == []
 
@@ -75,7 +75,7 @@ def test_a_name_that_nearly_is_a_definition_is_told():
     text = "signal patrollin\nparam T = 3\npatrolling := A\ngear2 := B\nvisits_a := B\n"
     text += "r := patroling & gear1 & (F[0,T] patroling) & visit_a & patrollin > 3 // 10 steps"
     (advice,) = found(text, "task")
-    assert advice.message == "patroling is read as a signal or label of that name; did you mean patrolling?"
+    assert advice.message == "patroling is read as a signal or label; did you mean patrolling?"
     assert (advice.span.line, advice.span.column) == (6, 6)
 
 

@@ -128,12 +128,12 @@ def test_every_terminal_of_the_grammar_has_words():
         ("a & b U c", "line 1, column 7", "until needs an interval with an end here, such as U[0,10]"),
         ("G[2,inf) a", "line 1, column 2", "such as G[2,12]"),
         ("F[] a", "line 1, column 2", "could be an empty interval"),
-        ("F[3] a", "line 1, column 4", "the interval needs two bounds"),
+        ("F[3] a", "line 1, column 4", "an interval needs two integer bounds"),
         ("a b", "line 1, column 3", "expected an operator between 'a' and 'b'"),
         ("2 < x < 4", "line 1, column 1", "write (x > 2 & x < 4)"),
         ("x + 1", "line 1, column 1", "x + 1 > 0"),
-        ("sqrt(a & b) > 1", "line 1, column 6", "a truth value where a number must stand"),
-        ("F[0,2.5] a", "line 1, column 5", "2.5 is not a whole number of steps; write 2 or 3"),
+        ("sqrt(a & b) > 1", "line 1, column 6", "expected a number, found a Boolean expression"),
+        ("F[0,2.5] a", "line 1, column 5", "2.5 is not an integer number of steps; write 2 or 3"),
         ("F[3,3) a", "line 1, column 2", "the interval [3,3) is empty"),
         ("F[5,2] a", "line 1, column 2", "the interval [5,2] is empty"),
         ("F[-1,2] a", "line 1, column 3", "steps count from 0"),
@@ -142,10 +142,10 @@ def test_every_terminal_of_the_grammar_has_words():
         ("F[0,1e999999] a", "line 1, column 5", "out of range"),
         ("F[0,sqrt(4)] a", "line 1, column 5", "no exact value"),
         ("x = 3", "line 1, column 3", "write == to compare"),
-        ("a U[0,1] b U[0,2] c", "line 1, column 12", "until does not chain"),
+        ("a U[0,1] b U[0,2] c", "line 1, column 12", "until cannot be chained"),
         ("foo(x) > 2", "line 1, column 4", "foo is not a function"),
-        ("a § b", "line 1, column 3", "the character '§' has no meaning here"),
-        ("3x > 2", "line 1, column 1", "glued to letters"),
+        ("a § b", "line 1, column 3", "unexpected character '§'"),
+        ("3x > 2", "line 1, column 1", "runs into letters"),
         (
             "(a",
             "line 1, column 3",
@@ -169,9 +169,9 @@ def test_every_terminal_of_the_grammar_has_words():
         ("abs(x > 3", "line 1, column 10", "the parenthesis opened at line 1, column 4 is not closed; write )"),
         ("(a b", "line 1, column 4", "between 'a' and 'b'; the parenthesis opened at line 1, column 1 is not closed"),
         ("G[0,5] (a &", "line 1, column 12", "expected a formula; the parenthesis opened at line 1, column 8 is not"),
-        ("a)", "line 1, column 2", "no parenthesis is open here; remove it, or open one before"),
-        ("F[0,5]] a", "line 1, column 7", "no bracket is open here; remove it, or open one before"),
-        ("abs(x, y) > 1", "line 1, column 1", "abs takes one argument, here it has 2"),
+        ("a)", "line 1, column 2", "there is no open parenthesis here; remove it, or open one earlier"),
+        ("F[0,5]] a", "line 1, column 7", "there is no open bracket here; remove it, or open one earlier"),
+        ("abs(x, y) > 1", "line 1, column 1", "abs takes one argument, not 2"),
         ("x > 1e400", "line 1, column 5", "too large for a double"),
     ],
 )
@@ -206,9 +206,9 @@ def test_brackets_of_a_statement_are_its_own():
     with pytest.raises(StlSyntaxError) as caught:
         stl.parse_task('model "floor.toml\na := (b & F[0,3] c\nd := G[0,2 a\n')
     message = str(caught.value)
-    assert "line 1, column 7: this quote is not closed; a file name ends with a quote on the same line" in message
+    assert "line 1, column 7: this quote is not closed; close it on the same line" in message
     assert "line 2, column 19: the statement ends here; the parenthesis opened at line 2, column 6 is not" in message
-    assert "line 3, column 12: 'a' cannot stand here; the interval opened at line 3, column 7 is not closed" in message
+    assert "line 3, column 12: unexpected 'a'; the interval opened at line 3, column 7 is not closed" in message
     assert message.endswith("3 errors")
 
 
@@ -292,26 +292,29 @@ def test_a_task_file_has_model_params_definitions(tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "no task in this file"),
-        ("param T = 3", "no task in this file"),
-        ("a := F[0,3] B\nB := x > 0", "B is a label or signal on line 1 and would be a definition from here on"),
-        ("a := F[0,3] (x > 2)\nparam x = 3\nb := x > 2", "x is a label or signal on line 1 and would be a param"),
+        ("", "the file defines no task"),
+        ("param T = 3", "the file defines no task"),
+        (
+            "a := F[0,3] B\nB := x > 0",
+            "B is used as a label or signal on line 1, before this definition; rename this definition",
+        ),
+        ("a := F[0,3] (x > 2)\nparam x = 3\nb := x > 2", "x is used as a label or signal on line 1, before this param"),
         ("param T = 3, T = 4\na := b", "T is defined twice"),
         (
             "a0 := F[0,1] (x > 0)\n" + "".join(f"a{i + 1} := a{i} & a{i}\n" for i in range(30)),
-            "larger than 50000 operators",
+            "more than 50000 operators",
         ),
         ("param a = 10^64, b = a^64, c = b^64\nd := x > 3", "this power is out of range"),
-        ("param a = 10^64, b = a^10\nd := x > b", "too large to compare with"),
+        ("param a = 10^64, b = a^10\nd := x > b", "too large to be compared with a signal"),
         ("param a = 10^64\nd := F[0,a] b", "this bound is out of range"),
         ("d := x > 1e-400", "too small for a double"),
         ("a := b\na := c", "a is defined twice"),
-        ('model "a"\nmodel "b"\na := b', "a second model line"),
+        ('model "a"\nmodel "b"\na := b', "this is a second model line"),
         ("n := 3 + x", "n is a number, not a task"),
         ("n := 3 + x\na := n", "a is a number, not a task"),
         ("param T = 3\na := T", "a is a number, not a task"),
-        ("param T = 3\na := T & b", "T is a param, a number, not a truth value"),
-        ("b := c\na := b > 3", "b is a truth value, not a number"),
+        ("param T = 3\na := T & b", "expected a Boolean expression, but T is a param"),
+        ("b := c\na := b > 3", "expected a number, but b is Boolean"),
         ("a := b +", "expected a number, a signal or an arithmetic expression"),
     ],
 )
@@ -322,9 +325,9 @@ def test_a_task_file_with_a_slip_is_refused(text, says):
 
 
 def test_unknown_overrides_and_definitions_name_near_misses():
-    with pytest.raises(StlSyntaxError, match="no param tua to override; did you mean tau"):
+    with pytest.raises(StlSyntaxError, match="there is no param tua to override; did you mean tau"):
         stl.parse_task(TASK, params={"tua": 3})
-    with pytest.raises(StlSyntaxError, match="no definition patroling; did you mean patrolling"):
+    with pytest.raises(StlSyntaxError, match="there is no definition patroling; did you mean patrolling"):
         stl.parse_task(TASK, task="patroling")
     with pytest.raises(SettingsError, match="param T: 'many' is not a number"):
         stl.parse_task(TASK, params={"T": "many"})

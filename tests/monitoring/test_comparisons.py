@@ -121,6 +121,6 @@ def test_a_comparison_of_numbers_alone():
 
 def test_a_margin_beyond_the_doubles_has_its_message():
     phi = stl.parse("x > y")
-    with pytest.raises(TraceError, match=r"line 1, column 1: the margin is beyond what a double holds"):
+    with pytest.raises(TraceError, match=r"line 1, column 1: the margin is beyond the range of doubles"):
         stl.robustness(phi, {"x": [1e308], "y": [-1e308]})
     assert stl.satisfies(phi, {"x": [1e308], "y": [-1e308]})

@@ -1,11 +1,12 @@
-"""What can still become of a run, and whether two automata ever judge one run differently.
+"""The verdicts that a run can still reach, and whether two automata ever judge a run differently.
 
     can_v(t, q)     = verdict_t(q) = v,  or it is undecided and some letter λ has can_v(t+1, δ_λ q)
     differ(t, p, q) = both undecided and some letter λ has differ(t+1, δ_λ p, δ_λ q),
-                      or p has decided v and q can still become ¬v, or the other way round
+                      or p has decided v and q can still become ¬v, or vice versa
 
-Both go backwards from the horizon. Between two changes of the verdicts a step that changes nothing is a fixed point, so
-the rest of that stretch is skipped: windows of 10⁹ steps cost what their states do, not their steps.
+Both are computed backwards from the horizon. Between two changes of the verdicts, a step that changes nothing is a
+fixed point, and the rest of that stretch is skipped: the cost of windows of 10⁹ steps depends on their states, not
+their steps.
 """
 
 from __future__ import annotations
@@ -23,15 +24,15 @@ from stltool.errors import SizeError
 
 Letters: TypeAlias = NDArray[np.int32]
 Runs: TypeAlias = list[tuple[int, int]]
-"""A sequence of letters as (letter, how often in a row); a letter may stand in several runs in a row."""
+"""A sequence of letters as (letter, repetitions); consecutive entries may have the same letter."""
 
-_MOST_PAIRS = 20_000_000  # of states, and steps between them
-_LONGEST = 10_000  # steps of a run found one by one; nobody reads more
+_MOST_PAIRS = 20_000_000  # of states, and transitions between them
+_LONGEST = 10_000  # steps of a run that are found one by one
 _CELLS = 1000  # array cells that cost as much as one state explored under one letter
 
 
 class Effort:
-    """What may still be spent, in states times letters explored; SizeError when it is not enough."""
+    """The remaining search effort, in states times letters explored; SizeError if it is used up."""
 
     def __init__(self, most: int) -> None:
         self.most = self.left = most
@@ -40,7 +41,7 @@ class Effort:
         self.left -= amount
         if self.left < 0:
             self.left = 0
-            raise SizeError(f"not within an effort of {self.most} states times letters")
+            raise SizeError(f"the search exceeds the limit of {self.most} states times letters")
 
     def spend_cells(self, cells: int) -> None:
         self.spend(cells // _CELLS + 1)
@@ -48,15 +49,15 @@ class Effort:
 
 @dataclass(frozen=True)
 class Stretch:
-    """Steps first … last, at which `can` (2, n_states) tells which states can still become false, and true."""
+    """Steps first … last, for which `can` (2, n_states) gives the states that can still become false, and true."""
 
     first: int
     last: int
     can: NDArray[np.bool_]
 
 
-class Fates:
-    """can_v(t, q) of an automaton that reads some of its letters, at every step."""
+class ReachableVerdicts:
+    """can_v(t, q) of an automaton restricted to some of its letters, at every step."""
 
     def __init__(self, automaton: TaskAutomaton, letters: Letters, effort: Effort) -> None:
         self.automaton = automaton
@@ -81,7 +82,7 @@ class Fates:
         self._firsts = [stretch.first for stretch in self.stretches]
 
     def stretch(self, t: int) -> Stretch:
-        """What holds at step t; after the horizon what holds there."""
+        """The stretch that contains step t; after the horizon, the last one."""
         return self.stretches[bisect.bisect_right(self._firsts, t) - 1]
 
     def can_become(self, verdict: int) -> bool:
@@ -97,45 +98,47 @@ def _backwards(starts: Sequence[int], end: int) -> Iterator[tuple[int, int]]:
         last = first - 1
 
 
-def shortest_run(fates: Fates, verdict: int, effort: Effort) -> Runs | None:
-    """The fewest letters after which every run has this verdict, whatever follows; there must be some such run.
+def shortest_run(reachable: ReachableVerdicts, verdict: int, effort: Effort) -> Runs | None:
+    """The fewest letters after which the verdict is certain, whatever follows; some run must have this verdict.
 
-    None where it is too long to be told.
+    None if it is too long to be listed.
     """
-    delta, initial = fates.delta, fates.automaton.initial
-    layers: list[tuple[int, int, NDArray[np.int32]]] = []  # states that a run can be in at steps first … last
+    delta, initial = reachable.delta, reachable.automaton.initial
+    layers: list[tuple[int, int, NDArray[np.int32]]] = []  # states in which a run can be at steps first … last
     states, t = np.unique(delta[:, initial]), 0
     while True:
         effort.spend_cells(delta.shape[0] * len(states))
-        stretch = fates.stretch(t)
+        stretch = reachable.stretch(t)
         states = states[stretch.can[verdict, states]]
         sure = states[~stretch.can[1 - verdict, states]]
         if sure.size:
             layers.append((t, t, states))
             break
-        last = stretch.last if layers and np.array_equal(layers[-1][2], states) else t  # so it stays to the end
+        last = stretch.last if layers and np.array_equal(layers[-1][2], states) else t  # so it remains to the end
         layers.append((t, last, states))
         states, t = np.unique(delta[:, states]), last + 1
-    runs = _way_back(fates, layers, int(sure[0]))
+    runs = _way_back(reachable, layers, int(sure[0]))
     if runs is None:
         return None
-    return [(int(fates.letters[letter]), count) for letter, count in runs]
+    return [(int(reachable.letters[letter]), count) for letter, count in runs]
 
 
-def _way_back(fates: Fates, layers: list[tuple[int, int, NDArray[np.int32]]], state: int) -> Runs | None:
-    """Letters that lead through the layers to `state` in the last one, staying in a state for as long as one can."""
+def _way_back(
+    reachable: ReachableVerdicts, layers: list[tuple[int, int, NDArray[np.int32]]], state: int
+) -> Runs | None:
+    """Letters that lead through the layers to `state` in the last one, staying in each state as long as possible."""
     backwards: Runs = []
     steps = 0
 
     def step(before: NDArray[np.int32]) -> bool:
-        """One step back, to a state of `before`; whether the state is kept."""
+        """Take one step back, to a state in `before`; returns whether the state stays the same."""
         nonlocal state
-        stays = np.flatnonzero(fates.delta[:, state] == state)
+        stays = np.flatnonzero(reachable.delta[:, state] == state)
         kept = bool(stays.size) and state in before
         if kept:
             letter = int(stays[0])
         else:
-            letter, place = (int(i) for i in np.argwhere(fates.delta[:, before] == state)[0])
+            letter, place = (int(i) for i in np.argwhere(reachable.delta[:, before] == state)[0])
             state = int(before[place])
         backwards.append((letter, 1))
         return kept
@@ -150,15 +153,17 @@ def _way_back(fates: Fates, layers: list[tuple[int, int, NDArray[np.int32]]], st
             last -= 1
             if steps > _LONGEST:
                 return None
-        step(layers[i - 1][2] if i else np.array([fates.automaton.initial], dtype=np.int32))
+        step(layers[i - 1][2] if i else np.array([reachable.automaton.initial], dtype=np.int32))
     return backwards[::-1]
 
 
-def differ(left: Fates, right: Fates, left_letters: Letters, right_letters: Letters, effort: Effort) -> bool:
+def differ(
+    left: ReachableVerdicts, right: ReachableVerdicts, left_letters: Letters, right_letters: Letters, effort: Effort
+) -> bool:
     """Whether some sequence of symbols is judged differently.
 
-    `left_letters` and `right_letters` (n_symbols,) give each automaton's letter for a symbol. Raises SizeError beyond
-    `effort`.
+    `left_letters` and `right_letters` (n_symbols,) give each automaton's letter for a symbol. Raises SizeError if
+    `effort` is not enough.
     """
     letters = np.unique(np.stack([left_letters, right_letters], axis=1), axis=0)
     delta = (left.automaton.delta[letters[:, 0]].astype(np.int64), right.automaton.delta[letters[:, 1]])
@@ -168,10 +173,10 @@ def differ(left: Fates, right: Fates, left_letters: Letters, right_letters: Lett
     p, q = np.divmod(codes, n)
     after = np.searchsorted(codes, delta[0][:, p] * n + delta[1][:, q])
     horizon = max(left.automaton.horizon, right.automaton.horizon)
-    starts = sorted({stretch.first for fates in (left, right) for stretch in fates.stretches})
+    starts = sorted({stretch.first for reachable in (left, right) for stretch in reachable.stretches})
     result = np.zeros(len(codes), dtype=np.bool_)
     for first, last in _backwards(starts, horizon):
-        v, w = (fates.automaton.verdicts(min(first, fates.automaton.horizon)) for fates in (left, right))
+        v, w = (reachable.automaton.verdicts(min(first, reachable.automaton.horizon)) for reachable in (left, right))
         v, w = v[p], w[q]
         can_left, can_right = left.stretch(first).can, right.stretch(first).can
         other_v, other_w = (v == FALSE).astype(np.int64), (w == FALSE).astype(np.int64)
@@ -189,10 +194,10 @@ def differ(left: Fates, right: Fates, left_letters: Letters, right_letters: Lett
 def _reachable_pairs(
     start: int, delta: tuple[NDArray[np.int64], NDArray[np.int32]], effort: Effort
 ) -> NDArray[np.int64]:
-    """The codes p · n + q of all pairs that a run can be in, and of the start, ascending."""
+    """The codes p · n + q of all pairs in which a run can be, and of the start, ascending."""
     n = delta[1].shape[1]
     if delta[0].shape[1] * n > _MOST_PAIRS:
-        raise SizeError(f"two automata with {delta[0].shape[1]} and {n} states are too large to be compared")
+        raise SizeError(f"two automata with {delta[0].shape[1]} and {n} states are too large for a comparison")
     seen = np.zeros(delta[0].shape[1] * n, dtype=np.bool_)
     frontier = np.array([start], dtype=np.int64)
     seen[start] = True
@@ -200,7 +205,7 @@ def _reachable_pairs(
     while frontier.size:
         total += delta[0].shape[0] * len(frontier)
         if total > _MOST_PAIRS:
-            raise SizeError(f"over {_MOST_PAIRS} steps between pairs of states to compare")
+            raise SizeError(f"the comparison exceeds the limit of {_MOST_PAIRS} transitions between pairs of states")
         effort.spend_cells(delta[0].shape[0] * len(frontier))
         p, q = np.divmod(frontier, n)
         reached = np.unique(delta[0][:, p] * n + delta[1][:, q])
