@@ -45,7 +45,8 @@ def to_dot(automaton: TaskAutomaton) -> str:
 
     if automaton.n_states > _MOST_DRAWN:
         raise SizeError(
-            f"the automaton has {automaton.n_states} states, a picture at most {_MOST_DRAWN}; shorten the windows"
+            f"the automaton has {automaton.n_states} states, and a picture shows at most {_MOST_DRAWN}; "
+            "shorten the windows"
         )
     graph = to_graph(automaton)
     dot = graphviz.Digraph("task", comment=str(automaton.formula), graph_attr={"rankdir": "LR"})

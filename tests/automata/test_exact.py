@@ -160,7 +160,7 @@ def test_too_large_says_which_part_and_the_ways_out():
     assert "F[0,9] c" not in message
     assert "grows over 300 states; shorten its inner windows" in message
     many = stl.parse(" & ".join(f"(G[0,9] F[0,20] l{i})" for i in range(8)))
-    with pytest.raises(SizeError, match=r"product of parts with 22 × 22 × .* over 5000 of them reachable"):
+    with pytest.raises(SizeError, match=r"product of parts with 22 × 22 × .* of which over 5000 are reachable"):
         stl.compile_automaton(many, most_states=5000)
     with pytest.raises(SizeError, match="20 different predicates"):
         stl.compile_automaton(stl.parse(" | ".join(f"F[0,1] l{i}" for i in range(20))))

@@ -70,7 +70,7 @@ def test_disagreements_are_of_labels_not_of_predicates():
 
 def test_a_search_too_large_is_given_up_in_words(monkeypatch):
     monkeypatch.setattr("stltool.automata.compare._MOST_VISITED", 50_000)
-    with pytest.raises(SizeError, match="no trace looked for: over 50000 pairs of states to search"):
+    with pytest.raises(SizeError, match="no disagreement searched for: over 50000 pairs of states would have to"):
         disagreement_data(paper("G[0,20] ((F[0,6] a & G[0,7] b) | (F[0,5] c & F[0,8] d))"))
 
 

@@ -286,7 +286,7 @@ def test_parts_that_stand_in_for_each_other_are_told_each():
     found = meaning(stl.parse("F[0,3] a & G[0,2] b & F[0,3] a"))
     warnings = found.warnings()
     assert len(warnings) == 3
-    assert warnings[2] == "each of these parts is taken alone: without one of them, the others may matter"
+    assert warnings[2] == "each part is considered by itself: once one is removed, the others may matter"
     assert [part["column"] for part in found.data()["vacuous"]] == [1, 23]
     assert found.data()["vacuous"][0] == {
         "part": "F[0,3] a", "line": 1, "column": 1, "uses": 1, "constant": True, "means": "(G[0,2] b) & (F[0,3] a)",
@@ -401,13 +401,13 @@ def test_deep_formulas_are_no_trouble():
     assert (found.status, found.can_hold, found.can_fail, found.shortest) == ("decided", True, True, False)
     found = meaning(And((phi, Not(Eventually(Interval(0, 1), phi)))))
     assert found.status.startswith(
-        "not decided: whether the task can hold: it nests temporal operators 181 deep, over 8"
+        "not decided: whether the task can hold: it nests temporal operators 181 deep, more than 8"
     )
 
 
 def test_formulas_of_too_many_operators_are_left_alone():
     found = meaning(stl.parse(" & ".join(f"F[0,{i}] a" for i in range(1200))))
-    assert found.status == "not decided: the formula has 2401 operators and operands, over 2000"
+    assert found.status == "not decided: the formula has 2401 operators and operands, more than 2000"
     assert (found.can_hold, found.can_fail, found.warnings()) == (None, None, [found.status])
     assert found.data()["because"] is None
 
@@ -441,7 +441,7 @@ def test_letters_of_a_model_make_more_warnings():
     "wrong", [np.ones((2, 3), dtype=bool), np.ones((0, 2), dtype=bool), np.ones((2, 2)), np.ones(2, dtype=bool)]
 )
 def test_letters_of_another_shape_are_refused(wrong):
-    with pytest.raises(SettingsError, match="at least one row and 2 columns, one for each of leaves"):
+    with pytest.raises(SettingsError, match="one row or more and 2 columns, one for each of leaves"):
         meaning(stl.parse("a & b"), wrong)
 
 
@@ -568,15 +568,15 @@ def test_effort_is_counted():
         ReachableVerdicts(automaton, letters, Effort(100))
     reachable, few = ReachableVerdicts(automaton, letters, Effort(10**5)), letters % 2
     small = ReachableVerdicts(stl.compile_automaton(stl.parse("a")), few, Effort(100))
-    with pytest.raises(SizeError, match="effort"):
+    with pytest.raises(SizeError, match="the search exceeds the limit"):
         shortest_run(reachable, 1, Effort(5))
-    with pytest.raises(SizeError, match="effort"):
+    with pytest.raises(SizeError, match="the search exceeds the limit"):
         differ(reachable, reachable, letters, letters, Effort(100))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("stltool.automata.reachable._MOST_PAIRS", 1000)
-        with pytest.raises(SizeError, match="two automata with 2602 and 2602 states are too large to be compared"):
+        with pytest.raises(SizeError, match="two automata with 2602 and 2602 states are too large for a comparison"):
             differ(reachable, reachable, letters, letters, Effort(10**9))
         patch.setattr("stltool.automata.reachable._MOST_PAIRS", 8000)
-        with pytest.raises(SizeError, match="over 8000 steps between pairs of states to compare"):
+        with pytest.raises(SizeError, match="the comparison exceeds the limit of 8000 transitions"):
             differ(reachable, small, letters, few, Effort(10**9))
     assert differ(reachable, small, letters, few, Effort(10**6))

@@ -510,10 +510,10 @@ def test_negative_costs_are_refused():
 
 
 def test_sizes_are_refused_before_memory_is_taken(floor5):
-    with pytest.raises(SizeError, match=r"remembering 11 automaton states over \d+ steps would take"):
+    with pytest.raises(SizeError, match=r"a joint automaton of 11 automaton states over \d+ steps would take"):
         stl.build_joint_product(floor5, {"long": stl.parse("G[0,10^12) F[0,10) A")})
     tasks = {f"within {tau}": factory("patrolling", T=tau, tau=tau) for tau in (9, 10)}
-    with pytest.raises(SizeError, match=r"remembering 82 × 101 automaton states over 18 steps would take"):
+    with pytest.raises(SizeError, match=r"a joint automaton of 82 × 101 automaton states over 18 steps would take"):
         stl.build_joint_product(floor5, tasks, memory_limit=60_000)
 
 
