@@ -28,7 +28,7 @@ def test_equal_windows_are_exact(phi, data):
 
 
 def paper(text):
-    with pytest.warns(InexactEncodingWarning, match="approximation"):
+    with pytest.warns(InexactEncodingWarning, match="only approximates"):
         return stl.compile_automaton(stl.parse(text), "paper")
 
 

@@ -326,7 +326,7 @@ def test_flags_that_are_not_the_formula_are_judged_by_the_formula(floor5):
     """Different windows: the surrogate follows the paper's flags, P is the task's own."""
     phi = stl.parse("F[0,6) (F[0,4) A & G[0,2) A)")
     exact = stl.build_product(floor5, phi)
-    with pytest.warns(match="approximation"):
+    with pytest.warns(match="only approximates"):
         flags = stl.build_product(floor5, phi, encoding="paper")
     for reading in ("discounted", "episode"):
         ours, theirs = (stl.surrogate_optimum(product, reading) for product in (exact, flags))

@@ -93,7 +93,7 @@ def test_no_option_without_a_row():
         (["surrogate", "--model", "floor-5x5-uncertain.toml"], "use stltool check"),
         (["pareto", "--model", "floor-5x5-uncertain.toml"], "or the ordinary model inside them\n"),
         (["monitor", "G[0,9] x > 0", "trace.csv"], "or --end cut to cut windows at the end of the trace, or --end h"),
-        (["explain", "F[0,2s] a", "--step", "5"], "is not a positive time with a unit; write for example --step 0.1s"),
+        (["explain", "F[0,2s] a", "--step", "5"], "is not a positive time with a unit; write, for example, --step"),
     ],
 )  # fmt: skip
 def test_advice_is_given_in_options(stltool, folder, monkeypatch, command, says):

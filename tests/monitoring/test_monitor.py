@@ -163,7 +163,7 @@ def test_terms_without_value(phi, end, data, size):
     for semantics, values in zip(("boolean", "robustness"), zip(*wanted, strict=True), strict=True):
         with in_blocks(size):
             if None in values:
-                with pytest.raises(TraceError, match=r"^step \d+: formula, line 1, column 1: this has no value"):
+                with pytest.raises(TraceError, match=r"^step \d+: formula, line 1, column 1: this term has no value"):
                     stl.monitor(phi, trace, end, semantics)
             else:
                 result = stl.monitor(phi, trace, end, semantics)
@@ -174,7 +174,7 @@ def test_terms_without_value(phi, end, data, size):
 def test_a_term_without_value_names_trace_step_place_and_operands():
     phi = stl.parse("G[0,1] (x > 0 -> 1 / x > 0.1)")
     batch = {"x": [[1.0, 2.0, 3.0], [1.0, 0.0, 3.0]]}
-    with pytest.raises(TraceError, match=r"^trace 1, step 1: formula, line 1, column 18: this has no value .* 1, 0"):
+    with pytest.raises(TraceError, match=r"^trace 1, step 1: formula, line 1, column 18: this term has no .*1, 0"):
         stl.monitor(phi, batch)
     assert stl.monitor(phi, batch, semantics="boolean").verdicts.all()  # guarded
     text = "(y > 0 | 1 / x > 0) & (F[1,3] G[0,1] (y < 9 & 1 / y > 0) | 1 / x > 0)"
