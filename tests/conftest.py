@@ -1,12 +1,10 @@
 import os
-import sys
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 import stltool as stl
-from stltool import cli
 
 settings.register_profile(
     "stltool", deadline=None, print_blob=True, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much]
@@ -52,18 +50,3 @@ def flagged(floor5):
     """The same with the paper's flags, which are exact here."""
     task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 5, "tau": 5})
     return stl.build_product(floor5, task, encoding="paper")
-
-
-@pytest.fixture
-def stltool(monkeypatch, capsys):
-    """Run the command line in this process: (exit code, stdout, stderr)."""
-
-    def run(*args):
-        monkeypatch.setattr(sys, "argv", ["stltool", *map(str, args)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        output = capsys.readouterr()
-        assert "Traceback" not in output.err
-        return ended.value.code or 0, output.out, output.err
-
-    return run

@@ -1,7 +1,5 @@
 """Progress in logs: with a clock that is set by hand, and once with the thread that watches."""
 
-import io
-import sys
 import threading
 import time
 
@@ -140,20 +138,3 @@ def test_a_thread_watches(lines, monkeypatch):
     while threading.active_count() > before and time.monotonic() < deadline:
         time.sleep(0.01)
     assert threading.active_count() == before
-
-
-def test_every_command_is_watched_off_a_terminal(stltool, monkeypatch):
-    """Also where it shows no bar, and also with --json; on a terminal nothing is added."""
-    seen = []
-
-    class Spy(Log):
-        def stage(self, title, patience=None):
-            seen.append(title)
-            return super().stage(title, patience)
-
-    monkeypatch.setattr(log, "LOG", Spy(lambda line: None, watched=False))
-    assert stltool("explain", "F[0,3] A", "--json")[0] == 0
-    assert seen == ["stltool explain"]
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    stltool("explain", "F[0,3] A", "--json")
-    assert isinstance(sys.stderr, io.TextIOBase)

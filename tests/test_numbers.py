@@ -18,7 +18,6 @@ from stltool.errors import SettingsError, StlToolError
 from stltool.logic.quantities import duration, quantity
 from stltool.models.grid import grid_from_table
 from stltool.numbers import MOST_DIGITS, NumberError
-from tests.conftest import PATROLLING
 
 DIGITS = st.text("0123456789", min_size=1, max_size=6)
 DECIMALS = st.builds(
@@ -256,14 +255,6 @@ def test_integers_of_options_and_settings(text):
         else:
             with pytest.raises(SettingsError):
                 read_learner("cfer", False, [f"{name}={text}"])
-
-
-@pytest.mark.parametrize("option", ["--runs", "--seed", "--confidence"])
-@pytest.mark.parametrize("text", ["1_0", "٣", "0x10"])
-def test_options_of_every_command_are_read_so(stltool, option, text):
-    code, _, err = stltool("estimate", PATROLLING, option, text)
-    assert code == 2
-    assert "is not a" in err
 
 
 def test_numbers_of_toml_keep_their_digits(tmp_path):

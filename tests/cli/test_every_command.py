@@ -1,5 +1,6 @@
 """What holds of every command: one JSON object, any encoding, a reader that leaves, a disk that is full."""
 
+import io
 import json
 import os
 import shlex
@@ -8,8 +9,10 @@ import sys
 
 import pytest
 
-from stltool import cli, streams
+from stltool import cli, log, streams
+from stltool.log import Log
 from tests.cli.every import CASES, COMMANDS, make_inputs
+from tests.conftest import PATROLLING
 
 HELP = [[], *([name] for name in COMMANDS)]
 
@@ -41,7 +44,7 @@ def printed(folder, tmp_path, monkeypatch):
     return run
 
 
-def stltool(*arguments, cwd, **options):
+def started(*arguments, cwd, **options):
     command = [sys.executable, "-m", "stltool", *arguments]
     return subprocess.run(command, cwd=cwd, stderr=subprocess.PIPE, **options)
 
@@ -66,7 +69,7 @@ def test_help_ends_with_an_example_that_is_a_command(name):
 
 @pytest.mark.parametrize("name", CASES)
 def test_json_is_one_object_and_nothing_else(folder, name):
-    done = stltool(name, *CASES[name], "--json", cwd=folder, stdout=subprocess.PIPE)
+    done = started(name, *CASES[name], "--json", cwd=folder, stdout=subprocess.PIPE)
     assert done.returncode == 0, done.stderr
     assert isinstance(json.loads(done.stdout, parse_constant=no_constant), dict)
     assert done.stdout.count(b"\n") == 1
@@ -131,7 +134,7 @@ def test_texts_of_files_stay_whole(folder, tmp_path):
     """What a filter prints is a file's content: UTF-8, not the terminal's encoding, and no stand-ins."""
     text = "# Straße → τ\np := F[0,3] A\n".encode()
     env = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    done = stltool("fmt", "-", cwd=tmp_path, input=text, stdout=subprocess.PIPE, env=env)
+    done = started("fmt", "-", cwd=tmp_path, input=text, stdout=subprocess.PIPE, env=env)
     assert (done.returncode, done.stdout, done.stderr) == (0, text, b"")
 
 
@@ -149,7 +152,7 @@ def test_who_reads_no_further_changes_nothing(folder, arguments, code):
     """As of `stltool ... | head`: no word about it, and the exit code is the command's."""
     read, write = os.pipe()
     os.close(read)
-    done = stltool(*arguments, cwd=folder, stdout=write)
+    done = started(*arguments, cwd=folder, stdout=write)
     os.close(write)
     assert (done.returncode, b"Traceback" in done.stderr, b"Broken" in done.stderr) == (code, False, False)
 
@@ -157,5 +160,29 @@ def test_who_reads_no_further_changes_nothing(folder, arguments, code):
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
 def test_what_cannot_be_written_is_told(folder):
     with open("/dev/full", "w") as full:
-        done = stltool("check", *CASES["check"], cwd=folder, stdout=full)
-    assert (done.returncode, done.stderr) == (2, b"error: output: No space left on device\n")
+        done = started("check", *CASES["check"], cwd=folder, stdout=full)
+    told = [line for line in done.stderr.splitlines() if not line.endswith(b" s so far")]  # on a slow machine
+    assert (done.returncode, told) == (2, [b"error: output: No space left on device"])
+
+
+def test_every_command_is_watched_off_a_terminal(stltool, monkeypatch):
+    """Also where it shows no bar, and also with --json; on a terminal nothing is added."""
+    seen = []
+
+    class Spy(Log):
+        def stage(self, title, patience=None):
+            seen.append(title)
+            return super().stage(title, patience)
+
+    monkeypatch.setattr(log, "LOG", Spy(lambda line: None, watched=False))
+    assert stltool("explain", "F[0,3] A", "--json")[0] == 0
+    assert seen == ["stltool explain"]
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    stltool("explain", "F[0,3] A", "--json")
+    assert isinstance(sys.stderr, io.TextIOBase)
+
+
+def test_a_command_whose_kernels_are_loaded_says_nothing(stltool):
+    for _ in range(2):
+        code, _, err = stltool("check", PATROLLING, "-p", "T=2", "-p", "tau=2")
+    assert (code, err) == (0, "")

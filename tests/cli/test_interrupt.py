@@ -1,14 +1,17 @@
-"""Ctrl-C while learning: what was asked to be kept is kept, and the printed command continues to the same bits."""
+"""Ctrl-C and SIGKILL while learning: what was asked to be kept is kept, and continues to the same bits."""
 
 import json
 import shlex
 import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
 
 import stltool as stl
-from tests.conftest import PATROLLING, SMALL
+from tests.conftest import FACTORY, PATROLLING, SMALL
 
 
 @pytest.fixture
@@ -96,3 +99,33 @@ def test_targets_are_tried_before_the_work(stltool, tmp_path, monkeypatch, comma
         code, shown, err = stltool(command, PATROLLING, *SMALL, "--out", out, *options)
         assert (code, shown, says in err) == (2, "", True), (options, err)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "old.ckpt"]
+
+
+def test_a_killed_process_resumes_to_the_same_bits(tmp_path):
+    """Two processes are killed at some moment after their first checkpoint; this one finishes their work."""
+    path, rng, killed = tmp_path / "cut.ckpt", np.random.default_rng(0), 0
+    command = [
+        sys.executable, "-m", "stltool", "learn", str(FACTORY / "patrolling.stl"), "-p", "T=6", "-p", "tau=6",
+        "--episodes", "1500", "--set", "replays=300", "--seed", "4", "--resume", "--checkpoint-every", "0.02",
+        "--checkpoint", str(path), "--out", str(tmp_path / "cut.npz"),
+    ]  # fmt: skip
+    for _ in range(2):
+        before = path.read_bytes() if path.exists() else b""
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+            began = time.monotonic()
+            while time.monotonic() - began < 60 and process.poll() is None:
+                if path.exists() and path.read_bytes() != before:
+                    break
+                time.sleep(0.01)
+            time.sleep(rng.uniform(0, 0.1))
+            process.send_signal(signal.SIGKILL)
+        killed += process.returncode == -signal.SIGKILL
+    assert killed  # a slow machine may let one of them finish
+    task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 6, "tau": 6})
+    product = stl.build_product(stl.load_model(task.model), task)
+    settings = {"episodes": 1500, "replays": 300, "seed": 4}
+    resumed = stl.learn(product, **settings, checkpoint=path, resume=True)
+    whole = stl.learn(product, **settings)
+    assert resumed.history == whole.history
+    assert np.array_equal(resumed.policy.table, whole.policy.table)
+    assert resumed.counts.seen.tolist() == whole.counts.seen.tolist()

@@ -12,6 +12,7 @@ from stltool.cli import app
 from stltool.cli.words import Spelled, spelling
 from stltool.errors import SettingsError, StlToolError, named, reworded
 from tests.cli.every import CASES, SMALL, make_inputs
+from tests.conftest import PATROLLING
 
 COMMANDS = {command.name or command.callback.__name__: command.callback for command in app.registered_commands}
 # besides the option itself, what makes the command look at it
@@ -139,3 +140,11 @@ def patrolled():
     model = stl.MDP.from_arrays([[[1.0]]], {"x": [0.0]}, labels={"A": [1]})
     product = stl.build_product(model, stl.parse("F[0,2] A"))
     return product, stl.check(product).policy
+
+
+@pytest.mark.parametrize("option", ["--runs", "--seed", "--confidence"])
+@pytest.mark.parametrize("text", ["1_0", "٣", "0x10"])
+def test_options_of_every_command_are_read_so(stltool, option, text):
+    code, _, err = stltool("estimate", PATROLLING, option, text)
+    assert code == 2
+    assert "is not a" in err

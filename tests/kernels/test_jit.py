@@ -362,9 +362,3 @@ def test_nobody_is_told_after_the_block(folder):
         pass
     assert declared()(1) == 11
     assert told == []
-
-
-def test_a_command_whose_kernels_are_loaded_says_nothing(stltool):
-    for _ in range(2):
-        code, _, err = stltool("check", ROOT / "examples" / "factory" / "patrolling.stl", "-p", "T=2", "-p", "tau=2")
-    assert (code, err) == (0, "")

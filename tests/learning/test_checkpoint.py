@@ -5,8 +5,6 @@ import csv
 import io
 import json
 import signal
-import subprocess
-import sys
 import time
 import tracemalloc
 import zipfile
@@ -66,36 +64,6 @@ def test_a_cut_run_resumes_to_the_same_bits(patrolling, tmp_path, method, faithf
     assert resumed.counts.seen.tolist() == whole.counts.seen.tolist()
     longer = stl.learn(patrolling, method, checkpoint=path, resume=True, **{**settings, "episodes": 16})
     assert longer.history == stl.learn(patrolling, method, **{**settings, "episodes": 16}).history
-
-
-def test_a_killed_process_resumes_to_the_same_bits(tmp_path):
-    """Two processes are killed at some moment after their first checkpoint; this one finishes their work."""
-    path, rng, killed = tmp_path / "cut.ckpt", np.random.default_rng(0), 0
-    command = [
-        sys.executable, "-m", "stltool", "learn", str(FACTORY / "patrolling.stl"), "-p", "T=6", "-p", "tau=6",
-        "--episodes", "1500", "--set", "replays=300", "--seed", "4", "--resume", "--checkpoint-every", "0.02",
-        "--checkpoint", str(path), "--out", str(tmp_path / "cut.npz"),
-    ]  # fmt: skip
-    for _ in range(2):
-        before = path.read_bytes() if path.exists() else b""
-        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-            began = time.monotonic()
-            while time.monotonic() - began < 60 and process.poll() is None:
-                if path.exists() and path.read_bytes() != before:
-                    break
-                time.sleep(0.01)
-            time.sleep(rng.uniform(0, 0.1))
-            process.send_signal(signal.SIGKILL)
-        killed += process.returncode == -signal.SIGKILL
-    assert killed  # a slow machine may let one of them finish
-    task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 6, "tau": 6})
-    product = stl.build_product(stl.load_model(task.model), task)
-    settings = {"episodes": 1500, "replays": 300, "seed": 4}
-    resumed = stl.learn(product, **settings, checkpoint=path, resume=True)
-    whole = stl.learn(product, **settings)
-    assert resumed.history == whole.history
-    assert np.array_equal(resumed.policy.table, whole.policy.table)
-    assert resumed.counts.seen.tolist() == whole.counts.seen.tolist()
 
 
 @pytest.fixture

@@ -441,17 +441,6 @@ def test_the_page_lists_methods_and_settings_as_they_are(table):
     assert markdown(table()) in page, f"write into docs/learning.md:\n{markdown(table())}"
 
 
-def test_the_help_lists_them_too(stltool):
-    code, out, _ = stltool("learn", "--help")
-    assert code == 0
-    for cls in LEARNERS:
-        assert f"-m {cls.name}{' --faithful' if cls.published else ''}: " in out
-        for name, declared in settings_of(cls).items():
-            assert f"{name}={shown_value(declared.default)}" in out
-            assert declared.text.split(";")[0][:40] in out
-    assert stltool("run", "--help")[1].endswith(out[out.index("Methods, their settings") :])
-
-
 @dataclasses.dataclass(frozen=True)
 class Alternating(stl.Learner):
     """A learner of a user's own: takes the choices in turn, and keeps the first one that came with luck."""

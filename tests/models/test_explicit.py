@@ -151,7 +151,7 @@ def test_many_faults_are_counted_in_linear_time(tmp_path):
     assert time.perf_counter() - started < 20  # seconds
 
 
-def test_a_missing_label_file_is_told_where_a_label_is_missed(tmp_path, stltool):
+def test_a_missing_label_file_is_told_where_a_label_is_missed(tmp_path):
     path = write(tmp_path, lab=None, sta=None)
     model = stl.load_model(path)
     assert model.notes == {
@@ -165,12 +165,6 @@ def test_a_missing_label_file_is_told_where_a_label_is_missed(tmp_path, stltool)
     with pytest.raises(NameLookupError, match="the model has no signal x; .*; there is no m.sta beside m.tra"):
         stl.build_product(model, stl.parse("F[0,2] x > 0"))
     assert stl.load_model(write(tmp_path)).notes == {}
-    write(tmp_path, lab=None)
-    (tmp_path / "t.stl").write_text('model "m.tra"\nt := F[0,2] x > 0\n')
-    code, out, _ = stltool("explain", tmp_path / "t.stl")
-    assert code == 0
-    assert "note: there is no m.lab beside m.tra: the model has no labels, and runs start in state 0" in out
-    assert "m.sta" not in out
 
 
 def test_missing_and_enormous_files(tmp_path):

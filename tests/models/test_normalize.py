@@ -205,18 +205,3 @@ def test_transition_files(tmp_path):
     assert rows_of(model)[0] == [Fraction(1, 3)] * 3
     assert model.probability.tolist() == [THIRD, THIRD, THIRD, 1, 1]
     assert "1 of 3 distributions" in model.notes["normalize"]
-
-
-def test_on_the_command_line(stltool, tmp_path):
-    write(tmp_path, "m.tra", "2 2 3\n0 0 0 0.333333\n0 0 1 0.666666\n1 0 1 1\n")
-    task = write(tmp_path, "t.stl", 'model "m.tra"\nt := F[0,2] true & G[0,1] true\n')
-    code, _, err = stltool("check", task, "--exact")
-    assert code == 2
-    assert "--normalize" in err
-    code, out, err = stltool("check", task, "--exact", "--normalize")
-    assert code == 0
-    assert "exact P" in out
-    assert f"note: {tmp_path / 'm.tra'}: normalize rescaled 1 of 2 distributions" in err
-    code, out, err = stltool("explain", task, "--normalize")
-    assert code == 0
-    assert "note: normalize rescaled 1 of 2 distributions" in out

@@ -89,7 +89,7 @@ def test_a_black_box_has_no_probability(training, tmp_path):
     assert events.Tags()["scalars"] == ["episode"]
 
 
-def test_where_nothing_can_be_written_is_told_before_the_work(tmp_path, monkeypatch, stltool):
+def test_where_nothing_can_be_written_is_told_before_the_work(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("mine")
     for folder in (tmp_path / "file", tmp_path / "file" / "events"):
         with pytest.raises(FileError, match="cannot be a folder for results"):
@@ -123,24 +123,3 @@ def test_without_tensorboard_its_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "tensorboard", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'stltool\[tensorboard\]'"):
         require_tensorboard(tmp_path)
-
-
-def test_the_command(stltool, tmp_path):
-    from tests.conftest import PATROLLING, SMALL
-
-    for _ in range(2):
-        code, shown, _ = stltool("learn", PATROLLING, *SMALL, "--episodes", 20, "--out", tmp_path / "p.npz",
-                             "--tensorboard", tmp_path / "events")  # fmt: skip
-        assert code == 0
-        [events] = [line.split(maxsplit=1)[1] for line in shown.splitlines() if line.startswith("events ")]
-        assert Path(events).parent == tmp_path / "events"
-        assert Path(events).is_dir()
-    runs = read(tmp_path / "events")
-    assert len(runs) == 2
-    assert all(name.startswith("patrolling-cfer-seed0-") for name in runs)
-    (tmp_path / "file").write_text("")
-    code, out, err = stltool("learn", PATROLLING, *SMALL, "--episodes", 10**6, "--out", tmp_path / "q.npz",
-                             "--tensorboard", tmp_path / "file")  # fmt: skip
-    assert (code, out) == (2, "")
-    assert "cannot be a folder for results" in err
-    assert not (tmp_path / "q.npz").exists()
