@@ -445,6 +445,30 @@ def push(
 
 
 @kernel
+def collect(
+    found: I32, slot: I32, rows: U64, groups: U64, n_words: int, width: int, shift: int,
+    start: I64, word: I32, bits: U64,
+) -> int:  # fmt: skip
+    """The rows of the states `found` as a layer: fills start (n+1,), word, bits; how many words there are."""
+    n = 0
+    start[0] = 0
+    for i in range(len(found)):
+        j = np.int64(slot[found[i]])
+        left = groups[j]
+        while left != ZERO:
+            g = trailing(left) << shift
+            left &= left - ONE
+            for w in range(max(g, 1), min(g + (1 << shift), n_words + 1)):
+                x = at(rows, j * width + w)
+                if x != ZERO:
+                    put(word, n, np.int32(w - 1))
+                    put(bits, n, x)
+                    n += 1
+        start[i + 1] = n
+    return n
+
+
+@kernel
 def pull(
     found: I32, n: int, rows: U64, groups: U64, slot: I32, start: I64, word: I32, open_bits: U64, sure_bits: U64,
     goal: U64, letter: I32, piece_start: I64, piece_mask: U64, piece_shifts: NDArray[np.bool_], piece_amount: I64,

@@ -1,4 +1,4 @@
-"""Work spread over processes: this one, some of this machine, or a dask cluster's. The only module with dask in it.
+"""Work spread over processes: this one, some of this machine, or a dask cluster's.
 
 A process that dies is replaced, and its work is done again elsewhere; work whose process dies again and again is given
 up. Results come back in any order.
@@ -6,7 +6,6 @@ up. Results come back in any order.
 
 from __future__ import annotations
 
-import logging
 import multiprocessing
 import os
 import signal
@@ -18,13 +17,12 @@ from contextlib import ExitStack, closing, contextmanager
 from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+from stltool.cluster import connected
 from stltool.errors import SettingsError
-from stltool.extras import require
 
 if TYPE_CHECKING:
     from distributed import Client
 
-_PATIENCE = 20.0  # seconds to wait for a scheduler
 _DEATHS = 3  # of processes at one piece of work, before it is given up
 _DIED = "its worker process died again and again; is there too little memory for so many workers?"
 _GUARD = 'a script that starts workers does so under if __name__ == "__main__":, for each of them imports it'
@@ -48,7 +46,7 @@ def spread(
     """
     workers = min(workers, len(items))
     if cluster is not None and items:
-        with _client(cluster) as client:
+        with connected(cluster, "a sweep on a cluster", "give --workers") as client:
             yield from _distributed(client, work, items)
     elif workers <= 1:
         for item in items:
@@ -178,22 +176,3 @@ def _distributed(
                 yield item, _DIED if isinstance(error, KilledWorker) else _could_not(error)
     finally:
         client.cancel(list(waiting))
-
-
-@contextmanager
-def _client(cluster: str) -> Iterator[Client]:
-    require("distributed", "a sweep on a cluster", "give --workers")
-    from distributed import Client
-    from distributed.comm.addressing import get_address_host_port
-
-    for handler in logging.getLogger("distributed").handlers:  # what matters is told by our errors
-        handler.setLevel(logging.CRITICAL)
-    try:
-        get_address_host_port(cluster)
-        client = Client(cluster, timeout=_PATIENCE, set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise SettingsError(
-            f"no dask scheduler answers at {cluster}: {error}; write for example tcp://host:8786"
-        ) from None
-    with client:
-        yield client
