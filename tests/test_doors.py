@@ -241,6 +241,7 @@ TAKES = {
     "sample": {"dict"},
     "signals": {"dict"},
     "training": {"None", "Training"},
+    "cluster": {"None"},
     "policy_file": {"None", *PATHS},
     "resume": {"True"},
     "save_every": NUMBERS,

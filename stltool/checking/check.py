@@ -19,14 +19,14 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.arguments import flag, function, one_of, real, whole
+from stltool.arguments import flag, function, one_of, real, require, whole
 from stltool.arguments import path as path_of
 from stltool.automata import FALSE, TRUE
 from stltool.checking.bounds import can_underflow, compounded, defect, enclose, roundings, row_defect
 from stltool.checking.fixed import FixedPoint, fixed_point
 from stltool.checking.induction import (
     EVERYTHING,
-    Arithmetic,
+    Allowed,
     Budget,
     Doubles,
     Engine,
@@ -41,9 +41,11 @@ from stltool.checking.induction import (
     Solution,
     layers_of,
     solve,
+    solve_on_cluster,
 )
 from stltool.checking.rational import exact_probability, require_exact
 from stltool.choices import Form, Table, own_table
+from stltool.cluster import connected
 from stltool.display import Card, Displayed
 from stltool.errors import PolicyError, SettingsError, named
 from stltool.kernels.jit import SOURCES
@@ -71,7 +73,8 @@ class CheckResult(Displayed):
     fraction      the exact value where it was asked for; lower and upper are then the doubles next to it
     arithmetic    "double" | "fixed" (int64, rounded up) | "rational": what the enclosure rests on
     certain       whether 0 or 1 follows from the model's graph alone: no policy (or every, or the one asked about) can
-    engine        what computed: "nodes" (pairs in numpy), "words" (sets as bits), "tiles" (these, eight numbers a time)
+    engine        what computed: "nodes" (pairs in numpy), "words" (sets as bits), "tiles" (these, eight numbers at a
+                  time), "cluster" (tiles, by the workers of a cluster)
     sweeps        steps back that were computed; those left out repeat others to the bit
     values        (n_states,) the value of beginning in each state, where asked for
     status        "complete": nothing was truncated
@@ -150,6 +153,7 @@ def check(
     values: Literal["all"] | None = None,
     engine: Engine = "auto",
     threads: int | None = None,
+    cluster: str | None = None,
     memory_limit: int | None = None,
     progress: Progress | None = None,
 ) -> CheckResult:
@@ -160,7 +164,7 @@ def check(
     beginning in each of the model's states. `policy_file`, named .policy, is where the optimal policy goes while it is
     found, so that it need not fit into memory; every `save_every` seconds what is needed to go on is saved beside it,
     and `resume=True` goes on from there, to the same bits. `engine` and `threads` (default: all cores) change no bit of
-    the result.
+    the result; nor does `cluster`, the address of a dask scheduler whose workers compute instead (docs/large.md).
 
     Raises PolicyError when the policy belongs to another task or model, or says nothing about a state it reaches;
     ModelError when an exact answer is asked of rows that do not sum to 1; SizeError before allocating what would not
@@ -179,6 +183,9 @@ def check(
     product.model.require_points()
     resume = flag(resume, "check's resume")
     every = float(real(save_every, "check's save_every"))
+    require(cluster, str, "check's cluster", "write the scheduler's address in quotes", optional=True)
+    if cluster is not None:
+        _fits_cluster(exact, policy, resume, engine, threads)
     path = _policy_file(policy_file, policy, keep_policy, resume)
     if exact and product.model.kinds is not None:
         require_exact(product.model, product.model.kinds)
@@ -188,6 +195,7 @@ def check(
     keep = product.model.unsigned_choice_type if policy is None and keep_policy else None
     budget = Budget(f"checking {product.n_states} product states", memory_limit, progress)
     asked = _Question(judge, judged, maximize, keep, values is not None, engine, threads, budget)
+    asked.cluster = cluster
     if path is not None:
         asked.to_disk = (path, every, resume)
     fraction = None
@@ -227,6 +235,19 @@ def _policy_file(given: str | Path | None, policy: Policy | None, keep_policy: b
     return path
 
 
+def _fits_cluster(exact: bool, policy: Policy | None, resume: bool, engine: Engine, threads: int | None) -> None:
+    mixes = policy is not None and not policy.deterministic
+    for given, name in (
+        (exact, named("exact", "exact=True")),
+        (mixes, "a policy that mixes actions"),
+        (resume, named("resume", "resume=True")),
+        (engine != "auto", named("engine", "engine=…")),
+        (threads is not None, named("threads", "threads=…")),
+    ):
+        if given:
+            raise SettingsError(f"{name} is for one machine; leave {named('cluster', 'cluster=…')} out")
+
+
 def or_optimal(caller: str, product: Product, policy: Policy | None, memory_limit: int | None = None) -> Policy:
     """The policy itself, or the optimal one where none is given."""
     require_door(caller, product, policy)
@@ -259,13 +280,16 @@ class _Question:
         self.product, self.policy, self.maximize, self.keep = product, policy, maximize, keep
         self._made = (Game.of(product, everywhere), engine, threads, budget)
         self.to_disk: tuple[Path, float, bool] | None = None
+        self.cluster: str | None = None
 
     @cached_property
     def layers(self) -> Layers[Any, Any]:
         game, engine, threads, budget = self._made
-        allowed = EVERYTHING if self.policy is None else Following(self.policy.form)
-        goal = TRUE if self.maximize else FALSE
+        goal, allowed = self._allowed()
         return layers_of(game, goal, allowed, engine=engine, keep=self.keep, threads=threads, budget=budget)
+
+    def _allowed(self) -> tuple[int, Allowed]:
+        return TRUE if self.maximize else FALSE, EVERYTHING if self.policy is None else Following(self.policy.form)
 
     def enclosed(self, arithmetic: str) -> tuple[float, float, float, Literal["double", "fixed"], Solution]:
         """(value, lower, upper, the arithmetic it took, the solution)"""
@@ -306,8 +330,12 @@ class _Question:
         key = hashlib.sha256(json.dumps(question).encode()).hexdigest()
         return OnDisk(path, header, key, every, resume)
 
-    def _solved(self, arithmetic: Arithmetic, name: str) -> Solution:
-        return solve(self.layers, arithmetic, self.maximize, self.keep, self.recorder(name))
+    def _solved(self, arithmetic: Doubles | Fixed, name: str) -> Solution:
+        if self.cluster is None:
+            return solve(self.layers, arithmetic, self.maximize, self.keep, self.recorder(name))
+        (game, _, _, budget), recorder = self._made, self.recorder(name)
+        with connected(self.cluster, "checking on a cluster", "leave it out") as client:
+            return solve_on_cluster(client, game, arithmetic, *self._allowed(), self.keep, recorder, budget)
 
     def _starts(self) -> NDArray[np.int64]:
         """Where the model's initial states are among those that runs may begin in."""

@@ -54,6 +54,9 @@ def check(
         typer.Option("--certificate", metavar="FILE", help="write what proves bounds; packed where it ends in .gz"),
         Writes(),
     ] = None,
+    cluster: Annotated[
+        str | None, typer.Option("--cluster", metavar="ADDRESS", help="a dask scheduler whose workers compute")
+    ] = None,
     nature: Annotated[
         str | None,
         typer.Option("--nature", help="where probabilities are intervals: against (default), with, or nominal"),
@@ -95,11 +98,14 @@ def check(
     to_file = {"policy_file": save_policy, "resume": resume} if streamed else {}
     if robust and streamed:
         raise SettingsError(f"--save-policy {save_policy}: with intervals, policies are saved as .npz")
+    if robust and cluster is not None:
+        raise SettingsError("--cluster needs probabilities that are no intervals; add --nature nominal")
+    where = {"cluster": cluster} if cluster is not None else {}
     keep = save_policy is not None or (certificate is not None and chosen is None)
     with progress_bar("checking", quiet=as_json) as bar:
         asked = fraction if chosen is None else {}
-        optimum = judge(product, maximize=not minimize, keep_policy=keep, progress=bar, **asked, **to_file)
-    result = optimum if chosen is None else judge(product, chosen, maximize=not minimize, **fraction)
+        optimum = judge(product, maximize=not minimize, keep_policy=keep, progress=bar, **asked, **to_file, **where)
+    result = optimum if chosen is None else judge(product, chosen, maximize=not minimize, **fraction, **where)
     if save_policy is not None and optimum.policy is not None and not streamed:
         optimum.policy.save(save_policy)
     if certificate is not None:

@@ -2,6 +2,7 @@
 
 from stltool.checking.induction.allowed import EVERYTHING, Allowed, Following, Silent
 from stltool.checking.induction.arithmetic import Arithmetic, Digits, Doubles, Fixed, Integers, Nature, Values
+from stltool.checking.induction.blocks import solve_on_cluster
 from stltool.checking.induction.edges import OPEN, REST, SURE, Edges
 from stltool.checking.induction.graph import Game
 from stltool.checking.induction.induct import Engine, Solution, induct, layers_of, solve
@@ -12,5 +13,5 @@ from stltool.checking.induction.recording import OnDisk, Recorder
 __all__ = [
     "EVERYTHING", "OPEN", "REST", "SURE", "Allowed", "Arithmetic", "Budget", "Digits", "Doubles", "Edges", "Engine",
     "Fixed", "Following", "Game", "Integers", "Layers", "Nature", "OnDisk", "Progress", "Recorder", "Silent",
-    "Solution", "Stretch", "Values", "induct", "layers_of", "solve",
+    "Solution", "Stretch", "Values", "induct", "layers_of", "solve", "solve_on_cluster",
 ]  # fmt: skip

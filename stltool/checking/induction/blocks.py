@@ -1,11 +1,11 @@
 """The induction on a dask cluster: model states in blocks, of which only borders are exchanged.
 
-A block owns a range of the graph's states, and knows their successors, its *border*, too. Each step is one task a block:
+A block owns a range of the graph's states, and knows their successors, its *border*, too. A step is one task a block:
 
     forward   the sets that blocks send of what their runs reach are united and pushed through δ: F_t of the block;
               along its states' choices they are united again, for each block that owns what they lead to
-    back      the layer ahead is that of the block's own states with what owners send of its border's; then the bits, the
-              numbers and the choices of the block's own states, by the same kernels in the same order
+    back      the layer ahead is that of the block's own states with what owners send of its border's; then the bits,
+              the numbers and the choices of the block's own states, by the same kernels in the same order
 
 so values, bounds and policies are the same to the bit as on one machine. Tasks are functions of what they are given: a
 worker that dies takes nothing with it that dask does not compute again.
@@ -14,23 +14,29 @@ worker that dies takes nothing with it that dask does not compute again.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import itertools
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata import UNDECIDED, TaskAutomaton
-from stltool.checking.induction.allowed import EVERYTHING, Following
+from stltool.automata import UNDECIDED
+from stltool.checking.induction.allowed import Allowed
 from stltool.checking.induction.arithmetic import Doubles, Fixed, Values
 from stltool.checking.induction.edges import OPEN
-from stltool.checking.induction.graph import I32, I64, Game
+from stltool.checking.induction.graph import I32, I64, Automaton, Game
+from stltool.checking.induction.induct import Solution, recorded
 from stltool.checking.induction.layers import Budget
-from stltool.checking.induction.recording import Recorder
+from stltool.checking.induction.recording import InMemory, Recorder
 from stltool.checking.induction.tiled import Tiles
 from stltool.checking.induction.words import Graph, Layer, Moves, Sets, Words
-from stltool.choices import Form, Listed
+from stltool.choices import Listed
+from stltool.errors import SettingsError, SizeError
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -42,28 +48,30 @@ Ahead: TypeAlias = tuple[Layer, Values]
 class Block:
     """What a task needs of its block; states are numbered as in the whole graph, unless they are the block's own.
 
-    first, last  the block's states are first … last − 1       cuts   where all blocks begin, and the end
-    known        the block's states and its border, ascending  graph  of these, by their position in `known`
+    number   of the block: its states are cuts[number] … cuts[number + 1] − 1
+    known    the block's states and its border, ascending
+    graph    of these, by their position in `known`
     """
 
-    first: int
-    last: int
+    number: int
     cuts: I64
     known: I32
     graph: Graph
-    automaton: TaskAutomaton
+    automaton: Automaton
     goal: int
-    form: Form | None
+    allowed: Allowed
     choices: type[np.unsignedinteger] | None
     arithmetic: Doubles | Fixed
-    maximize: bool
+
+    @cached_property
+    def moves(self) -> Moves:
+        return Moves(self.automaton)
 
     def engine(self) -> Words:
         """Over the block's graph; a new one for each task, since its buffers are one thread's."""
         game = Game(self.graph, self.automaton, self.graph.letter, self.graph.first.astype(np.int64))
-        game.kept["words"] = (self.graph, Moves(self.automaton))
-        allowed = EVERYTHING if self.form is None else Following(self.form)
-        return Words(game, self.goal, allowed, choices=self.choices, threads=1)
+        game.kept["words"] = (self.graph, self.moves)
+        return Words(game, self.goal, self.allowed, choices=self.choices, threads=1)
 
     def local(self, states: I32) -> I32:
         return np.searchsorted(self.known, states).astype(np.int32)
@@ -77,6 +85,14 @@ class Forward(NamedTuple):
     sent: dict[int, Sets]
 
 
+class Reaching(NamedTuple):
+    """Steps first … last, which reach the same sets, by block."""
+
+    first: int
+    last: int
+    sets: list[Future[Sets]]
+
+
 class Back(NamedTuple):
     """A block's layer and values of a step, whether they are those of the step after, and its choices."""
 
@@ -87,9 +103,9 @@ class Back(NamedTuple):
 
 
 def make_block(
-    graph: Graph, cuts: I64, number: int, automaton: TaskAutomaton, share: NDArray[Any], **rest: Any
+    graph: Graph, cuts: I64, number: int, automaton: Automaton, arithmetic: Doubles | Fixed, **rest: Any
 ) -> Block:
-    """One block of a graph; share (n_transitions,) is the arithmetic's, by the model's entries."""
+    """One block of a graph; the arithmetic's share is by the model's entries."""
     a, b = int(cuts[number]), int(cuts[number + 1])
     choices = slice(int(graph.choice_start[a]), int(graph.choice_start[b]))
     entries = slice(int(graph.row_start[choices.start]), int(graph.row_start[choices.stop]))
@@ -104,17 +120,12 @@ def make_block(
     from stltool.kernels import words
 
     first = graph.first[(graph.first >= a) & (graph.first < b)]
+    near = words.neighbours(choice_start, row_start, inner)
     part = Graph(
         graph.states[known], np.searchsorted(known, first).astype(np.int32), choice_start, row_start, inner,
-        graph.choice[choices], np.arange(entries.stop - entries.start), *words.neighbours(choice_start, row_start, inner),
-        graph.letter[known],
+        graph.choice[choices], np.arange(len(inner)), *near, graph.letter[known],
     )  # fmt: skip
-    arithmetic = rest.pop("arithmetic")
-    kept = dataclasses.replace(
-        automaton, state_names=(), parts=(), atoms=(), valuations=np.empty((0, 0), dtype=np.bool_),
-        registers=np.empty((0, 0), dtype=np.int32), register_names=(),
-    )  # fmt: skip
-    return Block(a, b, cuts, known, part, kept, arithmetic=arithmetic.of(share[graph.entry[entries]]), **rest)
+    return Block(number, cuts, known, part, automaton, arithmetic=arithmetic.part(graph.entry[entries]), **rest)
 
 
 # ----------------------------------------------------------------------------------------------- tasks of workers
@@ -122,22 +133,19 @@ def make_block(
 
 def begin(block: Block) -> Forward:
     """F_0."""
-    graph, automaton = block.graph, block.automaton
-    q = automaton.delta[graph.letter[graph.first], automaton.initial].astype(np.int64)
-    undecided = automaton.verdicts(0)[q] == UNDECIDED
-    states, q = block.known[graph.first[undecided]], q[undecided]
-    bits = np.uint64(1) << (q % 64).astype(np.uint64)
-    sets = Sets(states, np.arange(len(states) + 1, dtype=np.int64), (q // 64).astype(np.int32), bits)
-    return Forward(sets, False, _sent(block, block.engine(), 0, sets))
+    engine = block.engine()
+    sets = engine._initial()
+    sets = dataclasses.replace(sets, states=block.known[sets.states])
+    return Forward(sets, False, _sent(block, engine, 0, sets))
 
 
 def forward(block: Block, t: int, before: Forward, *received: Sets) -> Forward:
-    """F_t from what all blocks sent at step t − 1."""
+    """F_t from what blocks sent at step t − 1, the block itself included."""
     from stltool.kernels import words
 
     engine = block.engine()
     moves, scratch = engine.moves, engine.crew.first
-    together = _joined([sets for sets in received if len(sets.states)])
+    together = _joined([sets for sets in (before.sent.get(block.number, _NOTHING), *received) if len(sets.states)])
     sets = _NOTHING
     if len(together.states):
         n = _unite_as_they_are(engine, block.local(together.states), together)
@@ -145,30 +153,32 @@ def forward(block: Block, t: int, before: Forward, *received: Sets) -> Forward:
         states, start = np.empty(n, dtype=np.int32), np.empty(n + 1, dtype=np.int64)
         word, bits = np.empty(n * moves.n_words, dtype=np.int32), np.empty(n * moves.n_words, dtype=np.uint64)
         k = words.push(
-            found, scratch.slot, scratch.rows, scratch.groups, block.graph.letter, *moves.pieces,
+            found, scratch.slot, scratch.rows, scratch.groups, block.graph.letter, *moves.pieces(t - 1),
             moves.where(t, UNDECIDED), moves.n_words, moves.width, moves.shift, states, start, word, bits,
         )  # fmt: skip
+        scratch.forget(n)
         m = int(start[k])
         sets = Sets(block.known[states[:k]], start[: k + 1].copy(), word[:m].copy(), bits[:m].copy())
     same = engine._same_reached(sets, before.sets)
     return Forward(sets, same, before.sent if same and engine.allowed.everything else _sent(block, engine, t, sets))
 
 
-def back(block: Block, t: int, reached: Forward, *ahead: Ahead) -> Back:
-    """A block's layer, values and choices of step t; `ahead` are the pieces of step t + 1, in order of their states."""
+def sets_of(result: Forward) -> Sets:
+    return result.sets
+
+
+def back(block: Block, t: int, sets: Sets, own: Back | None, *pieces: Ahead) -> Back:
+    """A block's layer, values and choices of step t, from its own of step t + 1 and pieces of other blocks'."""
     engine = block.engine()
-    arithmetic = block.arithmetic
-    tiles = arithmetic.tiles(engine)
-    layer, values = _whole(block, ahead, engine, tiles)
-    sets = reached.sets
+    tiles = block.arithmetic.tiles(engine)
+    layer, values = _whole(block, own, pieces, engine, tiles)
     here = engine._settled(dataclasses.replace(sets, states=block.local(sets.states)), layer, t)
     found, best = tiles.back(t, here, layer, values, block.choices is not None)
     listed = None
     if block.choices is not None and best is not None:
         listed = engine.listed(t, t, here, best)[2:]
     here = dataclasses.replace(here, states=block.known[here.states])
-    own, old = _own(block, ahead)
-    same = not len(here.states) if own is None else engine._same_settled(here, own) and np.array_equal(found, old)
+    same = own is not None and engine._same_settled(here, own.layer) and np.array_equal(found, own.values)
     return Back(here, found, same, listed)
 
 
@@ -191,45 +201,33 @@ def again(block: Block, t: int, before: Forward) -> Forward:
     return Forward(before.sets, True, _sent(block, block.engine(), t, before.sets))
 
 
-def at_start(block: Block, *ahead: Ahead) -> tuple[Values, NDArray[np.bool_]]:
+def at_start(block: Block, own: Back | None) -> tuple[Values, NDArray[np.bool_]]:
     """The values of the block's first pairs, and whether they are certain."""
     engine = block.engine()
     tiles = block.arithmetic.tiles(engine)
-    layer, values = _whole(block, ahead, engine, tiles)
-    slots = engine.first_slots(layer)
+    layer, values = _whole(block, own, (), engine, tiles)
+    game = engine.game
+    slots = engine.slots(layer, 0, block.graph.states[game.first].astype(np.int64), game.entry)
     return tiles.values(layer, values)[slots], slots < OPEN
 
 
-def flags(results: Sequence[Forward]) -> tuple[bool, bool]:
-    """Whether no block reaches anything, and whether every block reaches what it did before."""
-    return not any(len(result.sets.states) for result in results), all(result.same for result in results)
+def is_empty(result: Forward) -> bool:
+    return not len(result.sets.states)
 
 
-def all_same(results: Sequence[Back]) -> bool:
-    return all(result.same for result in results)
+def is_same(result: Forward | Back) -> bool:
+    return result.same
 
 
 def sent(result: Forward, to: int) -> Sets:
     return result.sent.get(to, _NOTHING)
 
 
-def listed(results: Sequence[Back], first: int, last: int) -> Listed:
-    """The choices of all blocks."""
-    parts = [result.listed for result in results if result.listed is not None]
-    keys, bits, choice = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    return Listed(first, last, keys, bits, choice)
+def choices_of(result: Back) -> tuple[NDArray[Any], ...] | None:
+    return result.listed
 
 
-def size(*results: Any) -> int:
-    """The bytes of what is exchanged."""
-    total = 0
-    for result in results:
-        layer, values = result if isinstance(result, tuple) and isinstance(result[0], Layer) else (result, np.empty(0))
-        fields = (getattr(layer, field.name) for field in dataclasses.fields(layer))
-        total += values.nbytes + sum(array.nbytes for array in fields if array is not None)
-    return total
-
-
+_IN_FLIGHT = 8  # steps submitted before the answers about earlier ones are known
 _NOTHING = Sets(
     np.empty(0, dtype=np.int32), np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint64)
 )
@@ -292,9 +290,13 @@ def _joined(parts: Sequence[Sets]) -> Sets:
     )
 
 
-def _whole(block: Block, ahead: Sequence[Ahead], engine: Words, tiles: Tiles) -> Ahead:
-    """Pieces put together, by the block's own numbers."""
-    layers = [layer for layer, _ in ahead if len(layer.states)]
+def _whole(block: Block, own: Back | None, pieces: Sequence[Ahead], engine: Words, tiles: Tiles) -> Ahead:
+    """The layer ahead of all states that a block knows, by its own numbers."""
+    ahead = [piece for piece in pieces if len(piece[0].states)]
+    if own is not None and len(own.layer.states):
+        ahead.append((own.layer, own.values))
+    ahead.sort(key=_first_state)
+    layers = [layer for layer, _ in ahead]
     if not layers:
         return engine.nothing(), tiles.start()
     words = np.cumsum([0, *(len(layer.word) for layer in layers)])
@@ -310,15 +312,11 @@ def _whole(block: Block, ahead: Sequence[Ahead], engine: Words, tiles: Tiles) ->
         np.concatenate([*numbers, counts[-1:]]),
         None,
     )
-    return joined, np.concatenate([values for layer, values in ahead if len(layer.states)])
+    return joined, np.concatenate([values for _, values in ahead])
 
 
-def _own(block: Block, ahead: Sequence[Ahead]) -> tuple[Layer | None, Values]:
-    """The piece of the block's own states, the only one whose states it owns."""
-    for layer, values in ahead:
-        if len(layer.states) and block.first <= layer.states[0] < block.last:
-            return layer, values
-    return None, np.empty(0)
+def _first_state(piece: Ahead) -> int:
+    return int(piece[0].states[0])
 
 
 # -------------------------------------------------------------------------------------------------------- the client
@@ -329,124 +327,176 @@ def solve_on_cluster(
     game: Game,
     arithmetic: Doubles | Fixed,
     goal: int,
-    maximize: bool,
-    form: Form | None,
+    allowed: Allowed,
     keep: type[np.unsignedinteger] | None,
-    recorder: Recorder,
+    recorder: Recorder | None,
     budget: Budget,
     n_blocks: int | None = None,
-) -> tuple[Values, NDArray[np.bool_], int]:
-    """The values of the game's first pairs, whether they are certain, and the steps back that were computed."""
-    h, allowed = game.horizon, EVERYTHING if form is None else Following(form)
-    graph = Graph.of(game)
-    blocks = _blocks(client, graph, game, arithmetic, goal, maximize, form, keep, n_blocks)
-    work = _Work(client, blocks, graph)
+) -> Solution:
+    """What `solve` finds, by the client's workers, in n_blocks, or one for each of their threads."""
+    from distributed import KilledWorker
+    from distributed.comm.core import CommClosedError
+
+    recorder = recorder or InMemory()
+    try:
+        recorder.resume(None)
+        work = _Work(client, game, arithmetic, goal, allowed, keep, n_blocks)
+        ahead, swept = _back_over(work, _reached(work, budget), recorder, budget)
+        parts = work.at_start(ahead)
+        entry, certain = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        choices = recorded(game, recorder) if keep is not None else None
+        return Solution(entry, certain, choices, "cluster", swept)
+    except KilledWorker as error:
+        raise SizeError(
+            f"a step ended every worker that tried it: {error.last_worker.address} was the last; give the workers more "
+            "memory each, or use more of them"
+        ) from None
+    except (CancelledError, CommClosedError, OSError) as error:
+        raise SettingsError(f"the connection to the dask scheduler was lost: {error}; check again") from None
+    finally:
+        recorder.close()
+
+
+def _reached(work: _Work, budget: Budget) -> list[Reaching]:
+    """What is reached, by stretches."""
+    game, allowed, h = work.game, work.allowed, work.game.horizon
     now, first, t = work.begin(), 0, 0
-    stretches: list[tuple[int, int, list[Future]]] = []
-    while not work.asked(flags, now)[0]:
+    stretches: list[Reaching] = []
+    flight: deque[tuple[list[Future[Forward]], list[Future[bool]], list[Future[bool]]]] = deque()
+    empty = all(work.told(work.ask(is_empty, now)))
+    while not empty:
         budget.tell(t, h)
+        while len(flight) < _IN_FLIGHT and t + 1 + len(flight) < h:
+            after = work.forward(t + 1 + len(flight), flight[-1][0] if flight else now)
+            flight.append((after, work.ask(is_empty, after), work.ask(is_same, after)))
+        if flight:
+            after, *answers = flight.popleft()
+            empty, same = (all(work.told(answer)) for answer in answers)
+            if same and game.automaton.keeps_numbers(t):
+                last = min(game.automaton.alike(t + 1)[1], allowed.last_alike(t) + 1, h - 1)
+                if last > t + 1:
+                    flight.clear()
+                now, t = after if last == t + 1 or allowed.everything else work.again(last, after), last
+                continue
+        stretches.append(Reaching(first, t, work.sets(now)))
         if t == h - 1:
-            stretches.append((first, t, now))
             break
-        after = work.forward(t + 1, now)
-        if work.asked(flags, after)[1]:
-            t = min(game.last_alike(t + 1), allowed.last_alike(t) + 1, h - 1)
-            if not allowed.everything:
-                now = work.again(t, now)
-            continue
-        stretches.append((first, t, now))
         now, first, t = after, t + 1, t + 1
-    ahead: list[Future] | None = None
-    swept = 0
-    for first, last, sets in reversed(stretches):
-        t = last
-        while t >= first:
-            ahead = work.back(t, sets, ahead)
-            swept += 1
-            until = t
-            if work.asked(all_same, ahead):
-                until = max(first, game.first_alike(t + 1) - 1, allowed.first_alike(t))
-            if keep is not None:
-                recorder.add(work.asked(listed, ahead, until, t))
-            budget.tell(until, h, back=True)
-            t = until - 1
-    parts = work.at_start(ahead)
-    entry, certain = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    return entry, certain, swept
+    return stretches
 
 
-def _blocks(
-    client: Client,
-    graph: Graph,
-    game: Game,
-    arithmetic: Doubles | Fixed,
-    goal: int,
-    maximize: bool,
-    form: Form | None,
-    keep: type[np.unsignedinteger] | None,
-    n_blocks: int | None,
-) -> list[Block]:
-    """Blocks of equally many row entries, two for each of the cluster's threads unless asked otherwise."""
-    wanted = n_blocks or 2 * sum(client.nthreads().values())
-    weight = graph.row_start[graph.choice_start]
-    cuts = np.unique(np.searchsorted(weight, np.linspace(0, weight[-1], max(1, wanted) + 1)))
-    cuts[0], cuts[-1] = 0, len(graph.states)
-    return [
-        make_block(
-            graph, cuts, number, game.automaton, arithmetic.share, goal=goal, form=form, choices=keep,
-            arithmetic=arithmetic, maximize=maximize,
-        )
-        for number in range(len(cuts) - 1)
-    ]  # fmt: skip
+def _back_over(
+    work: _Work, stretches: list[Reaching], recorder: Recorder, budget: Budget
+) -> tuple[list[Future[Back]] | None, int]:
+    """The results of the first step, and the steps back that were computed."""
+    game, allowed, swept = work.game, work.allowed, 0
+    ahead: list[Future[Back]] | None = None
+    flight: deque[tuple[int, int, list[Future[Back]], list[Future[bool]], list[Future[Any]]]] = deque()
+    latest, steps = ahead, _back_from(stretches, game.horizon)
+    while True:
+        for first, t, sets in itertools.islice(steps, _IN_FLIGHT - len(flight)):
+            latest = work.back(t, sets, latest)
+            flight.append((first, t, latest, work.ask(is_same, latest), work.ask(choices_of, latest)))
+        if not flight:
+            return ahead, swept
+        first, t, ahead, same, choices = flight.popleft()
+        swept += 1
+        until = t
+        if all(work.told(same)) and game.automaton.keeps_numbers(t):
+            until = max(first, game.automaton.alike(t + 1)[0] - 1, allowed.first_alike(t))
+            if until < t:
+                flight.clear()
+                latest, steps = ahead, _back_from(stretches, until)
+        if work.keep is not None:
+            recorder.add(Listed(until, t, *(np.concatenate(parts) for parts in zip(*work.told(choices), strict=True))))
+        while stretches and stretches[-1].first >= until:
+            stretches.pop()
+        budget.tell(until, game.horizon, back=True)
+
+
+def _back_from(stretches: list[Reaching], before: int) -> Iterator[tuple[int, int, list[Future[Sets]]]]:
+    """The steps before this one, from the last: each with the first of its stretch, and the sets of the blocks."""
+    for first, last, sets in reversed(stretches.copy()):
+        for t in range(min(last, before - 1), first - 1, -1):
+            yield first, t, sets
 
 
 class _Work:
     """Tasks of all blocks, step by step."""
 
-    def __init__(self, client: Client, blocks: Sequence[Block], graph: Graph) -> None:
-        self._client = client
-        self._states = [np.arange(block.first, block.last, dtype=np.int32) for block in blocks]
-        owners = [np.unique(np.searchsorted(block.cuts, block.known, side="right") - 1).tolist() for block in blocks]
-        self._owners = owners
-        self._senders = [[i for i in range(len(blocks)) if number in owners[i]] for number in range(len(blocks))]
-        self._needed = [
-            {i: block.known[(block.known >= block.cuts[i]) & (block.known < block.cuts[i + 1])] for i in owners[number]}
-            for number, block in enumerate(blocks)
-        ]
-        self._blocks = [self._submit(_itself, block) for block in blocks]
+    def __init__(
+        self,
+        client: Client,
+        game: Game,
+        arithmetic: Doubles | Fixed,
+        goal: int,
+        allowed: Allowed,
+        keep: type[np.unsignedinteger] | None,
+        n_blocks: int | None,
+    ) -> None:
+        self.game, self.allowed, self.keep, self._client = game, allowed, keep, client
+        graph = Graph.of(game)
+        self._worker = [worker for worker, threads in client.nthreads().items() for _ in range(threads)]
+        cuts = _cuts(graph, n_blocks or len(self._worker))
+        rest = {"goal": goal, "allowed": allowed, "choices": keep}
+        blocks = [make_block(graph, cuts, i, game.automaton, arithmetic, **rest) for i in range(len(cuts) - 1)]
+        borders = [_border(block) for block in blocks]
+        self._senders = [[i for i, border in enumerate(borders) if number in border] for number in range(len(blocks))]
+        self._blocks = [self._submit(i, _itself, block) for i, block in enumerate(blocks)]
+        self._needed = [[(j, self._submit(j, _itself, states)) for j, states in border.items()] for border in borders]
 
-    def _submit(self, task: Any, *given: Any) -> Future:
-        return self._client.submit(task, *given, pure=False)
+    def _submit(self, i: int, task: Any, *given: Any) -> Future[Any]:
+        """A task of block i, which stays with its worker as long as that lives."""
+        return self._client.submit(
+            task, *given, pure=False, workers=[self._worker[i % len(self._worker)]], allow_other_workers=True
+        )
 
-    def begin(self) -> list[Future]:
-        return [self._submit(begin, block) for block in self._blocks]
+    def begin(self) -> list[Future[Forward]]:
+        return [self._submit(i, begin, block) for i, block in enumerate(self._blocks)]
 
-    def again(self, t: int, now: Sequence[Future]) -> list[Future]:
-        return [self._submit(again, block, t, mine) for block, mine in zip(self._blocks, now, strict=True)]
+    def again(self, t: int, now: Sequence[Future[Forward]]) -> list[Future[Forward]]:
+        return [self._submit(i, again, block, t, now[i]) for i, block in enumerate(self._blocks)]
 
-    def forward(self, t: int, now: Sequence[Future]) -> list[Future]:
-        return [
-            self._submit(forward, block, t, now[i], *(self._submit(sent, now[j], i) for j in self._senders[i]))
-            for i, block in enumerate(self._blocks)
-        ]
+    def forward(self, t: int, now: Sequence[Future[Forward]]) -> list[Future[Forward]]:
+        received = [[self._submit(j, sent, now[j], i) for j in senders] for i, senders in enumerate(self._senders)]
+        return [self._submit(i, forward, block, t, now[i], *received[i]) for i, block in enumerate(self._blocks)]
 
-    def back(self, t: int, sets: Sequence[Future], ahead: Sequence[Future] | None) -> list[Future]:
-        return [self._submit(back, block, t, sets[i], *self._pieces(i, ahead)) for i, block in enumerate(self._blocks)]
+    def sets(self, now: Sequence[Future[Forward]]) -> list[Future[Sets]]:
+        return [self._submit(i, sets_of, mine) for i, mine in enumerate(now)]
 
-    def at_start(self, ahead: Sequence[Future] | None) -> list[tuple[Values, NDArray[np.bool_]]]:
-        parts = [self._submit(at_start, block, *self._pieces(i, ahead)) for i, block in enumerate(self._blocks)]
+    def back(self, t: int, sets: Sequence[Future[Sets]], ahead: Sequence[Future[Back]] | None) -> list[Future[Back]]:
+        if ahead is None:
+            return [self._submit(i, back, block, t, sets[i], None) for i, block in enumerate(self._blocks)]
+        pieces = [[self._submit(j, piece, ahead[j], states) for j, states in needed] for needed in self._needed]
+        return [self._submit(i, back, block, t, sets[i], ahead[i], *pieces[i]) for i, block in enumerate(self._blocks)]
+
+    def at_start(self, ahead: Sequence[Future[Back]] | None) -> list[tuple[Values, NDArray[np.bool_]]]:
+        own = [None] * len(self._blocks) if ahead is None else ahead
+        parts = [self._submit(i, at_start, block, own[i]) for i, block in enumerate(self._blocks)]
         found: list[tuple[Values, NDArray[np.bool_]]] = self._client.gather(parts)
         return found
 
-    def asked(self, question: Any, results: Sequence[Future], *given: Any) -> Any:
-        """The answer to a question about the results of all blocks."""
-        return self._submit(question, list(results), *given).result()
+    def ask(self, question: Any, results: Sequence[Future[Any]]) -> list[Future[Any]]:
+        """A question about the result of every block, answered where it is."""
+        return [self._submit(i, question, result) for i, result in enumerate(results)]
 
-    def _pieces(self, i: int, ahead: Sequence[Future] | None) -> list[Future]:
-        if ahead is None:
-            return []
-        return [self._submit(piece, ahead[j], states) for j, states in self._needed[i].items()]
+    def told(self, answers: list[Future[Any]]) -> list[Any]:
+        found: list[Any] = self._client.gather(answers)
+        return found
 
 
-def _itself(block: Block) -> Block:
-    return block
+def _cuts(graph: Graph, wanted: int) -> I64:
+    """Where blocks of equally many row entries begin, and the end; none is empty."""
+    weight = graph.row_start[graph.choice_start]
+    inner = np.searchsorted(weight, np.linspace(0, weight[-1], wanted + 1)[1:-1])
+    return np.unique(np.concatenate([[0], inner, [len(graph.states)]])).astype(np.int64)
+
+
+def _border(block: Block) -> dict[int, I32]:
+    """The border of a block, by the blocks that own it."""
+    owner = np.searchsorted(block.cuts, block.known, side="right") - 1
+    return {int(number): block.known[owner == number] for number in np.unique(owner) if number != block.number}
+
+
+def _itself(given: Any) -> Any:
+    return given

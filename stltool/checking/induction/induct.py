@@ -44,7 +44,7 @@ class Solution:
     """entry    the value at each of the game's first states, in order
     certain  (k,) whether each is certain: 0 or 1, without any rounding
     choices  the first best choice by step (None where not kept)
-    engine   "nodes" | "words" | "tiles"
+    engine   "nodes" | "words" | "tiles" | "cluster"
     swept    steps back that were computed; the others repeat
     """
 
@@ -149,12 +149,15 @@ def _solve(
             layers.budget.tell(until, h, back=True)
     slots = layers.first_slots(ahead)
     by_slot = values if tiles is None else tiles.values(ahead, values)
-    choices = None
-    if keep is not None:
-        shape = (game.n_states, game.automaton.n_states)
-        choices = Choices(shape, h, recorder.layers(), integer_type(game.rows.most_choices - 1))
+    choices = recorded(game, recorder) if keep is not None else None
     name = "nodes" if isinstance(layers, Nodes) else "words" if tiles is None else "tiles"
     return Solution(by_slot[slots], slots < OPEN, choices, name, swept)
+
+
+def recorded(game: Game, recorder: Recorder) -> Choices:
+    """What an induction told its recorder."""
+    shape, most = (game.n_states, game.automaton.n_states), game.rows.most_choices
+    return Choices(shape, game.horizon, recorder.layers(), integer_type(most - 1))
 
 
 def _back(

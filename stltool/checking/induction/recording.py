@@ -39,7 +39,7 @@ class Recorder(Protocol):
     """What `solve` tells of its way; choices are added from the last step back."""
 
     def resume(self, layers: Any) -> Passed | None:
-        """Where to go on from; None: at the end."""
+        """Called first: where to go on from; None: at the end. What begins anew gives no layers."""
 
     def add(self, listed: Listed) -> None: ...
 

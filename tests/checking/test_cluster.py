@@ -1,0 +1,161 @@
+"""The induction in blocks, on a dask cluster: the same bits as on one machine."""
+
+import os
+import signal
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import stltool as stl
+from stltool.automata import FALSE, TRUE
+from stltool.checking.fixed import fixed_point
+from stltool.checking.induction import EVERYTHING, Budget, Doubles, Fixed, Following, Game, induct, solve_on_cluster
+from stltool.errors import PolicyError, SettingsError, SizeError
+from tests.checking.test_induction import random_policy, random_product
+
+distributed = pytest.importorskip("distributed")
+
+
+class AtOnce:
+    """Stands for a client: what is submitted is done at once."""
+
+    class Future:
+        def __init__(self, value):
+            self.value = value
+
+        def result(self):
+            return self.value
+
+    def submit(self, task, *given, pure, workers=None, allow_other_workers=None):
+        assert not pure
+        return self.Future(task(*(self.resolved(value) for value in given)))
+
+    def resolved(self, value):
+        if isinstance(value, list):
+            return [self.resolved(part) for part in value]
+        return value.value if isinstance(value, self.Future) else value
+
+    def gather(self, futures):
+        return self.resolved(futures)
+
+    def nthreads(self):
+        return {"here": 1}
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_blocks_give_the_same_bits(seed):
+    product, rng = random_product(seed, most_states=40)
+    model, fixed = product.model, fixed_point(product.model)
+    game = Game.of(product, everywhere=bool(seed % 2))
+    for maximize in (True, False):
+        goal = TRUE if maximize else FALSE
+        for policy in (None, random_policy(product, rng, "timed"), random_policy(product, rng, "stationary")):
+            allowed, keep = (EVERYTHING, np.uint8) if policy is None else (Following(policy.form), None)
+            for arithmetic in (
+                Doubles(model.probability, maximize),
+                Fixed(fixed.numerator, fixed.denominator, fixed.one, maximize),
+            ):
+                whole = induct(game, arithmetic, maximize, allowed, engine="words", keep=keep)
+                parts = solve_on_cluster(
+                    AtOnce(), game, arithmetic, goal, allowed, keep, None, Budget("a test"), n_blocks=1 + seed % 7
+                )
+                assert np.array_equal(parts.entry, whole.entry)
+                assert parts.entry.dtype == whole.entry.dtype
+                assert np.array_equal(parts.certain, whole.certain)
+                if policy is None:
+                    for t in range(game.horizon):
+                        assert np.array_equal(parts.choices.row(t), whole.choices.row(t)), t
+
+
+def test_steps_that_repeat_are_left_out_in_blocks_too():
+    product, _ = random_product(5, most_states=30, formula="F[0,100000] (a & b)")
+    game, arithmetic = Game.of(product), Doubles(product.model.probability, True)
+    whole = induct(game, arithmetic, engine="words", keep=np.uint8)
+    parts = solve_on_cluster(AtOnce(), game, arithmetic, TRUE, EVERYTHING, np.uint8, None, Budget("a test"), 3)
+    assert 0 < parts.swept < 2000
+    assert np.array_equal(parts.entry, whole.entry)
+    assert all(np.array_equal(parts.choices.row(t), whole.choices.row(t)) for t in (0, 1, 50_000, 99_998, 99_999))
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def patrolling():
+    task = stl.load_task("examples/factory/patrolling.stl", params={"T": 4, "tau": 8})
+    return stl.build_product(stl.load_model(task.model), task)
+
+
+def test_a_check_on_workers(cluster, patrolling, tmp_path):
+    address = cluster.scheduler_address
+    for maximize in (True, False):
+        for arithmetic in ("double", "fixed"):
+            settings = {"maximize": maximize, "arithmetic": arithmetic}
+            here, there = stl.check(patrolling, **settings), stl.check(patrolling, **settings, cluster=address)
+            assert (there.probability, there.lower, there.upper) == (here.probability, here.lower, here.upper)
+            assert there.engine == "cluster"
+    kept = stl.check(patrolling, cluster=address, policy_file=tmp_path / "best.policy").policy
+    assert isinstance(kept, stl.Policy)
+    here = stl.check(patrolling, engine="words")
+    assert stl.check(patrolling, kept, cluster=address).probability == here.probability
+    assert all(np.array_equal(kept.row(t), here.policy.row(t)) for t in range(patrolling.horizon))
+
+
+def test_a_killed_worker_is_survived(cluster, patrolling):
+    killed = []
+
+    def progress(done, total):
+        if not killed and done > total * 0.7:  # on its way back
+            with distributed.Client(cluster, set_as_default=False) as client:
+                pids = client.run(os.getpid)
+            killed.append(min(pids.values()))
+            os.kill(killed[0], signal.SIGKILL)
+
+    here = stl.check(patrolling, arithmetic="double")
+    there = stl.check(patrolling, arithmetic="double", cluster=cluster.scheduler_address, progress=progress)
+    assert len(killed) == 1
+    assert (there.probability, there.lower, there.upper) == (here.probability, here.lower, here.upper)
+    assert all(np.array_equal(there.policy.row(t), here.policy.row(t)) for t in range(patrolling.horizon))
+
+
+def test_where_a_policy_is_silent_a_worker_says_so(cluster, patrolling):
+    table = np.full(patrolling.shape, -1)
+    policy = stl.Policy(patrolling, table)
+    with pytest.raises(PolicyError, match="says nothing about"):
+        stl.check(patrolling, policy, cluster=cluster.scheduler_address)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"exact": True}, "exact=True is for one machine; leave cluster=… out"),
+        ({"engine": "words"}, "engine=… is for one machine"),
+        ({"threads": 2}, "threads=… is for one machine"),
+        ({"resume": True, "policy_file": "best.policy"}, "resume=True is for one machine"),
+        ({"policy": "mixing"}, "a policy that mixes actions is for one machine"),
+        ({}, "no dask scheduler answers at nowhere"),
+    ],
+)
+def test_what_a_cluster_does_not_do(settings, message, patrolling, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    if settings.get("policy"):
+        settings = {"policy": stl.Policy(patrolling, np.full((*patrolling.shape, 9), 1 / 9))}
+    with pytest.raises(SettingsError, match=message):
+        stl.check(patrolling, **settings, cluster="nowhere")
+
+
+def test_a_step_that_ends_every_worker(patrolling):
+    class Ending(AtOnce):
+        def submit(self, task, *given, **settings):
+            if task.__name__ == "back":
+                raise distributed.KilledWorker("back", SimpleNamespace(address="tcp://here:1"), 3)
+            return super().submit(task, *given, **settings)
+
+    game = Game.of(patrolling)
+    arithmetic = Doubles(patrolling.model.probability, True)
+    with pytest.raises(SizeError, match="more memory each"):
+        solve_on_cluster(Ending(), game, arithmetic, TRUE, EVERYTHING, None, None, Budget("a test"))
