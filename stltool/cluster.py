@@ -1,13 +1,14 @@
-"""A dask cluster, reached by its scheduler's address. The only module that imports dask, with `learning/pool.py`."""
+"""A dask cluster, reached by its scheduler's address. Only this module and `learning/pool.py` import dask."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from stltool.errors import SettingsError
+from stltool.errors import SettingsError, SizeError
 from stltool.extras import require
 
 if TYPE_CHECKING:
@@ -20,11 +21,13 @@ _PATIENCE = 20.0  # seconds to wait for a scheduler
 def connected(cluster: str, what: str, otherwise: str) -> Iterator[Client]:
     """A client of the scheduler at this address. `what` needs it ("a sweep on a cluster"); `otherwise` is the way out.
 
-    Raises MissingExtraError where dask is not installed, SettingsError where no scheduler answers.
+    Raises MissingExtraError where dask is not installed, SettingsError where no scheduler answers or its connection is
+    lost, SizeError where work ends every worker that tries it.
     """
     require("distributed", what, otherwise)
-    from distributed import Client
+    from distributed import Client, KilledWorker
     from distributed.comm.addressing import get_address_host_port
+    from distributed.comm.core import CommClosedError
 
     for handler in logging.getLogger("distributed").handlers:  # what matters is told by our errors
         handler.setLevel(logging.CRITICAL)
@@ -36,4 +39,12 @@ def connected(cluster: str, what: str, otherwise: str) -> Iterator[Client]:
             f"no dask scheduler answers at {cluster}: {error}; write for example tcp://host:8786"
         ) from None
     with client:
-        yield client
+        try:
+            yield client
+        except KilledWorker as error:
+            raise SizeError(
+                f"a step of {what} ended every worker that tried it, {error.last_worker.address} the last; give the "
+                "workers more memory each, or use more of them"
+            ) from None
+        except (CancelledError, CommClosedError) as error:
+            raise SettingsError(f"the connection to the dask scheduler at {cluster} was lost: {error}") from None

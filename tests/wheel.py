@@ -28,6 +28,7 @@ FILLED = {
     "monitor TASK|FORMULA TRACE": 'monitor "F[0,5] battery > -1" examples/monitor/shift.csv --plot log.png',
     "explain TASK|FORMULA": 'explain "G[0,9] (a -> F[0,5] b)"',
     "--certificate FILE": "--certificate best.jsonl.gz",
+    "--save-policy FILE": "--save-policy best.policy",
     "certify FILE [TASK]": f"certify best.jsonl.gz {FACTORY}patrolling.stl",
     "--policy FILE": "--policy out/patrolling/policy.npz",
     "--out FILE": "--out learned.npz --checkpoint run.npz --history run.csv",

@@ -288,6 +288,11 @@ class _Question:
         goal, allowed = self._allowed()
         return layers_of(game, goal, allowed, engine=engine, keep=self.keep, threads=threads, budget=budget)
 
+    @property
+    def _kinds(self) -> Rows:
+        known = self._made[0].rows.kinds
+        return known if known is not None else self.layers.kinds
+
     def _allowed(self) -> tuple[int, Allowed]:
         return TRUE if self.maximize else FALSE, EVERYTHING if self.policy is None else Following(self.policy.form)
 
@@ -295,7 +300,7 @@ class _Question:
         """(value, lower, upper, the arithmetic it took, the solution)"""
         scale = None
         if arithmetic != "double" and (self.policy is None or self.policy.deterministic):
-            scale = fixed_point(self.product.model, self.layers.kinds)
+            scale = fixed_point(self.product.model, self._kinds)
         if scale is not None and (arithmetic == "fixed" or self._narrower(scale)):
             found = self._solved(Fixed(scale.denominator, scale.one, self.maximize), "fixed")
             fixed = scale.enclose(self.product.model, self.product.horizon, found.entry[self._starts()])
@@ -353,10 +358,10 @@ class _Question:
 
     def _narrower(self, scale: FixedPoint) -> bool:
         h = self.product.horizon
-        return scale.roundings(h) / scale.one < roundings(h, self.layers.kinds.longest) * 2.0**-52
+        return scale.roundings(h) / scale.one < roundings(h, self._kinds.longest) * 2.0**-52
 
     def _in_doubles(self, found: Solution) -> tuple[float, float, float]:
-        model, h, kinds = self.product.model, self.product.horizon, self.layers.kinds
+        model, h, kinds = self.product.model, self.product.horizon, self._kinds
         value = math.fsum(model.initial[np.flatnonzero(model.initial)] * found.entry[self._starts()])
         mixed, weight_defect, smallest = 0, Fraction(0), min(kinds.least, least_positive(model.initial))
         if self.policy is not None and not self.policy.deterministic:

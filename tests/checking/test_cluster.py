@@ -1,7 +1,9 @@
 """The induction in blocks, on a dask cluster: the same bits as on one machine."""
 
+import json
 import os
 import signal
+from concurrent.futures import CancelledError
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,8 +13,10 @@ import stltool as stl
 from stltool.automata import FALSE, TRUE
 from stltool.checking.fixed import fixed_point
 from stltool.checking.induction import EVERYTHING, Budget, Doubles, Fixed, Following, Game, induct, solve_on_cluster
+from stltool.cluster import connected
 from stltool.errors import PolicyError, SettingsError, SizeError
 from tests.checking.test_induction import random_policy, random_product
+from tests.conftest import PATROLLING, SMALL
 
 distributed = pytest.importorskip("distributed")
 
@@ -46,15 +50,15 @@ class AtOnce:
 @pytest.mark.parametrize("seed", range(60))
 def test_blocks_give_the_same_bits(seed):
     product, rng = random_product(seed, most_states=40)
-    model, fixed = product.model, fixed_point(product.model)
+    fixed = fixed_point(product.model)
     game = Game.of(product, everywhere=bool(seed % 2))
     for maximize in (True, False):
         goal = TRUE if maximize else FALSE
         for policy in (None, random_policy(product, rng, "timed"), random_policy(product, rng, "stationary")):
             allowed, keep = (EVERYTHING, np.uint8) if policy is None else (Following(policy.form), None)
             for arithmetic in (
-                Doubles(model.probability, maximize),
-                Fixed(fixed.numerator, fixed.denominator, fixed.one, maximize),
+                Doubles(maximize),
+                Fixed(fixed.denominator, fixed.one, maximize),
             ):
                 whole = induct(game, arithmetic, maximize, allowed, engine="words", keep=keep)
                 parts = solve_on_cluster(
@@ -70,7 +74,7 @@ def test_blocks_give_the_same_bits(seed):
 
 def test_steps_that_repeat_are_left_out_in_blocks_too():
     product, _ = random_product(5, most_states=30, formula="F[0,100000] (a & b)")
-    game, arithmetic = Game.of(product), Doubles(product.model.probability, True)
+    game, arithmetic = Game.of(product), Doubles(True)
     whole = induct(game, arithmetic, engine="words", keep=np.uint8)
     parts = solve_on_cluster(AtOnce(), game, arithmetic, TRUE, EVERYTHING, np.uint8, None, Budget("a test"), 3)
     assert 0 < parts.swept < 2000
@@ -148,14 +152,21 @@ def test_what_a_cluster_does_not_do(settings, message, patrolling, tmp_path, mon
         stl.check(patrolling, **settings, cluster="nowhere")
 
 
-def test_a_step_that_ends_every_worker(patrolling):
-    class Ending(AtOnce):
-        def submit(self, task, *given, **settings):
-            if task.__name__ == "back":
-                raise distributed.KilledWorker("back", SimpleNamespace(address="tcp://here:1"), 3)
-            return super().submit(task, *given, **settings)
+@pytest.mark.parametrize(
+    ("error", "kind", "message"),
+    [
+        (distributed.KilledWorker("back", SimpleNamespace(address="tcp://here:1"), 3), SizeError, "more memory each"),
+        (CancelledError("gone"), SettingsError, "was lost: gone"),
+    ],
+)
+def test_what_goes_wrong_on_a_cluster_is_told(error, kind, message, cluster):
+    with pytest.raises(kind, match=message), connected(cluster.scheduler_address, "a check", "leave it out"):
+        raise error
 
-    game = Game.of(patrolling)
-    arithmetic = Doubles(patrolling.model.probability, True)
-    with pytest.raises(SizeError, match="more memory each"):
-        solve_on_cluster(Ending(), game, arithmetic, TRUE, EVERYTHING, None, None, Budget("a test"))
+
+def test_the_command_line_takes_a_cluster(cluster, stltool):
+    given = ["check", PATROLLING, *SMALL, "--json"]
+    there, here = (json.loads(stltool(*given, *more)[1]) for more in (["--cluster", cluster.scheduler_address], []))
+    assert there.pop("engine") == "cluster"
+    assert here.pop("engine") != "cluster"
+    assert {**there, "seconds": 0} == {**here, "seconds": 0}

@@ -17,7 +17,6 @@ import dataclasses
 import itertools
 from collections import deque
 from collections.abc import Iterator, Sequence
-from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
@@ -36,7 +35,8 @@ from stltool.checking.induction.recording import InMemory, Recorder
 from stltool.checking.induction.tiled import Tiles
 from stltool.checking.induction.words import Graph, Layer, Moves, Sets, Words
 from stltool.choices import Listed
-from stltool.errors import SettingsError, SizeError
+from stltool.models.fractions import Shares
+from stltool.models.rows import Chances, Rows
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -69,7 +69,7 @@ class Block:
 
     def engine(self) -> Words:
         """Over the block's graph; a new one for each task, since its buffers are one thread's."""
-        game = Game(self.graph, self.automaton, self.graph.letter, self.graph.first.astype(np.int64))
+        game = Game(self.graph.rows, self.automaton, self.graph.letter, self.graph.first.astype(np.int64))
         game.kept["words"] = (self.graph, self.moves)
         return Words(game, self.goal, self.allowed, choices=self.choices, threads=1)
 
@@ -105,7 +105,9 @@ class Back(NamedTuple):
 def make_block(
     graph: Graph, cuts: I64, number: int, automaton: Automaton, arithmetic: Doubles | Fixed, **rest: Any
 ) -> Block:
-    """One block of a graph; the arithmetic's share is by the model's entries."""
+    """One block of a graph, with the rows of its own states."""
+    from stltool.kernels import words
+
     a, b = int(cuts[number]), int(cuts[number + 1])
     choices = slice(int(graph.choice_start[a]), int(graph.choice_start[b]))
     entries = slice(int(graph.row_start[choices.start]), int(graph.row_start[choices.stop]))
@@ -117,15 +119,17 @@ def make_block(
     choice_start = np.concatenate([np.zeros(before), mine, np.full(after, mine[-1])]).astype(np.int64)
     row_start = graph.row_start[choices.start : choices.stop + 1] - entries.start
     inner = np.where(target >= 0, np.searchsorted(known, target), -1).astype(np.int32)
-    from stltool.kernels import words
-
-    first = graph.first[(graph.first >= a) & (graph.first < b)]
-    near = words.neighbours(choice_start, row_start, inner)
+    first = np.searchsorted(known, graph.first[(graph.first >= a) & (graph.first < b)]).astype(np.int32)
+    worth, given = graph.entry[entries], None
+    if isinstance(arithmetic, Fixed):
+        given = Shares(graph.rows.numerator[worth], graph.rows.denominator)
+    chances = Chances(graph.rows.probability[worth], row_start, given)
+    rows = Rows(choice_start, row_start, inner, chances, states=graph.states[known].astype(np.int64))
     part = Graph(
-        graph.states[known], np.searchsorted(known, first).astype(np.int32), choice_start, row_start, inner,
-        graph.choice[choices], np.arange(len(inner)), *near, graph.letter[known],
+        graph.states[known], first, choice_start, row_start, inner, np.arange(len(row_start) - 1),
+        np.arange(len(inner)), rows, *words.neighbours(choice_start, row_start, inner), graph.letter[known],
     )  # fmt: skip
-    return Block(number, cuts, known, part, automaton, arithmetic=arithmetic.part(graph.entry[entries]), **rest)
+    return Block(number, cuts, known, part, automaton, arithmetic=arithmetic, **rest)
 
 
 # ----------------------------------------------------------------------------------------------- tasks of workers
@@ -334,25 +338,15 @@ def solve_on_cluster(
     n_blocks: int | None = None,
 ) -> Solution:
     """What `solve` finds, by the client's workers, in n_blocks, or one for each of their threads."""
-    from distributed import KilledWorker
-    from distributed.comm.core import CommClosedError
-
     recorder = recorder or InMemory()
     try:
         recorder.resume(None)
-        work = _Work(client, game, arithmetic, goal, allowed, keep, n_blocks)
+        work = _Work(client, game, arithmetic, goal, allowed, keep, budget, n_blocks)
         ahead, swept = _back_over(work, _reached(work, budget), recorder, budget)
         parts = work.at_start(ahead)
         entry, certain = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         choices = recorded(game, recorder) if keep is not None else None
         return Solution(entry, certain, choices, "cluster", swept)
-    except KilledWorker as error:
-        raise SizeError(
-            f"a step ended every worker that tried it: {error.last_worker.address} was the last; give the workers more "
-            "memory each, or use more of them"
-        ) from None
-    except (CancelledError, CommClosedError, OSError) as error:
-        raise SettingsError(f"the connection to the dask scheduler was lost: {error}; check again") from None
     finally:
         recorder.close()
 
@@ -432,10 +426,11 @@ class _Work:
         goal: int,
         allowed: Allowed,
         keep: type[np.unsignedinteger] | None,
+        budget: Budget,
         n_blocks: int | None,
     ) -> None:
         self.game, self.allowed, self.keep, self._client = game, allowed, keep, client
-        graph = Graph.of(game)
+        graph = Graph.of(game, lambda n_bytes: budget.take(n_bytes, 0, game.horizon))
         self._worker = [worker for worker, threads in client.nthreads().items() for _ in range(threads)]
         cuts = _cuts(graph, n_blocks or len(self._worker))
         rest = {"goal": goal, "allowed": allowed, "choices": keep}
