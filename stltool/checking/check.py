@@ -245,7 +245,7 @@ def _fits_cluster(exact: bool, policy: Policy | None, resume: bool, engine: Engi
         (threads is not None, named("threads", "threads=…")),
     ):
         if given:
-            raise SettingsError(f"{name} is for one machine; leave {named('cluster', 'cluster=…')} out")
+            raise SettingsError(f"{name} is for one machine; leave {named('cluster', 'cluster')} out")
 
 
 def or_optimal(caller: str, product: Product, policy: Policy | None, memory_limit: int | None = None) -> Policy:

@@ -1,6 +1,5 @@
 """The induction in blocks, on a dask cluster: the same bits as on one machine."""
 
-import json
 import os
 import signal
 from concurrent.futures import CancelledError
@@ -16,7 +15,6 @@ from stltool.checking.induction import EVERYTHING, Budget, Doubles, Fixed, Follo
 from stltool.cluster import connected
 from stltool.errors import PolicyError, SettingsError, SizeError
 from tests.checking.test_induction import random_policy, random_product
-from tests.conftest import PATROLLING, SMALL
 
 distributed = pytest.importorskip("distributed")
 
@@ -136,7 +134,7 @@ def test_where_a_policy_is_silent_a_worker_says_so(cluster, patrolling):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"exact": True}, "exact=True is for one machine; leave cluster=… out"),
+        ({"exact": True}, "exact=True is for one machine; leave cluster out"),
         ({"engine": "words"}, "engine=… is for one machine"),
         ({"threads": 2}, "threads=… is for one machine"),
         ({"resume": True, "policy_file": "best.policy"}, "resume=True is for one machine"),
@@ -162,11 +160,3 @@ def test_what_a_cluster_does_not_do(settings, message, patrolling, tmp_path, mon
 def test_what_goes_wrong_on_a_cluster_is_told(error, kind, message, cluster):
     with pytest.raises(kind, match=message), connected(cluster.scheduler_address, "a check", "leave it out"):
         raise error
-
-
-def test_the_command_line_takes_a_cluster(cluster, stltool):
-    given = ["check", PATROLLING, *SMALL, "--json"]
-    there, here = (json.loads(stltool(*given, *more)[1]) for more in (["--cluster", cluster.scheduler_address], []))
-    assert there.pop("engine") == "cluster"
-    assert here.pop("engine") != "cluster"
-    assert {**there, "seconds": 0} == {**here, "seconds": 0}
