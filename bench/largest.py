@@ -120,7 +120,7 @@ def main() -> None:
             "P": f"{found['lower']!r} … {found['upper']!r} from the first cell",
             "all cells": f"{found['least']!r} … {found['greatest']!r}",
             "killed": f"after {killed['seconds']:.0f} s, {killed['done'] / killed['total']:.0%} done",
-            "resumed": f"{resumed['seconds']:.0f} s more, the first {resumed['until back']:.0f} of them to get back there",
+            "resumed": f"{resumed['seconds']:.0f} s more, {resumed['until back']:.0f} of them to get there again",
             "CPU": f"{children['cpu']:.0f} s in all",
             "peak": f"{children['peak'] / 1e9:.1f} GB resident",
             "policy": f"{found['policy'] / 1e9:.1f} GB on disk",
