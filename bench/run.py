@@ -10,6 +10,7 @@ from pathlib import Path
 
 import automata
 import goals
+import loading
 import monitors
 import parsing
 import rigour
@@ -38,6 +39,12 @@ lines = [
     "## Reading formulas",
     "",
     *parsing.table(),
+    "",
+    "## Model files: CPU seconds and memory, beside an older commit",
+    "",
+    "What each part is: bench/loading.py.",
+    "",
+    *loading.table(),
     "",
     "## Monitors",
     "",

@@ -6,8 +6,9 @@ A class says what to show in `_card`; `Displayed` makes `__repr__` and `_repr_ht
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import overload
 
 from stltool.numbers import probability_text as text_of
 
@@ -43,6 +44,24 @@ class Card:
         if self.more:
             parts.append(f"<p>{self.more} more</p>")
         return f'<div class="stltool">{"".join(parts)}</div>'
+
+
+class StateNames(Sequence[str]):
+    """What each of n states is called, put into words when it is asked for."""
+
+    def __init__(self, n: int, name: Callable[[int], str]) -> None:
+        self._n, self._name = n, name
+
+    def __len__(self) -> int:
+        return self._n
+
+    @overload
+    def __getitem__(self, s: int) -> str: ...
+    @overload
+    def __getitem__(self, s: slice) -> tuple[str, ...]: ...
+    def __getitem__(self, s: int | slice) -> str | tuple[str, ...]:
+        found = range(self._n)[s]
+        return tuple(map(self._name, found)) if isinstance(found, range) else self._name(found)
 
 
 class Displayed:

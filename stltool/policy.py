@@ -22,6 +22,7 @@ import math
 import os
 import warnings
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -100,7 +101,6 @@ class Policy(Displayed):
     def __init__(self, product: Product | JointProduct, table: NDArray[Any] | Form) -> None:
         require(product, (Product, JointProduct), "Policy's product")
         self.home = product
-        self.binding = Binding.of(product)
         if isinstance(table, Table | Choices | Through):
             self.form: Form = table
             return
@@ -119,18 +119,29 @@ class Policy(Displayed):
             held = repr(form).removeprefix("Choices: ")
         else:
             held = f"a table of {' x '.join(map(str, self._shape()))}"
-        task = f"{home.task_name} := {home.formula}" if isinstance(home, Product) else "; ".join(self.binding.tasks)
+        if isinstance(home, JointProduct):
+            task = "; ".join(str(each.formula) for each in home.tasks)
+        else:
+            task = f"{home.task_name} := {home.formula}"
+        encoding = home.automaton.encoding
         return Card(
             f"Policy: {self.kind}, {held}",
             [
                 {"task": task},
-                {"model": home.model.name, "encoding": self.binding.encoding, "entries without action": silent or None},
+                {"model": home.model.name, "encoding": encoding, "entries without action": silent or None},
             ],
         )
+
+    @cached_property
+    def binding(self) -> Binding:
+        """Made when it is asked for: a large model's digest takes a while."""
+        return Binding.of(self.home)
 
     def on(self, product: Product) -> tuple[Product, Policy]:
         """This policy and a product to judge it on: `product`, or its join with what the policy remembers."""
         require(product, Product, "the policy's product")
+        if product is self.home:
+            return product, self
         self.binding.require(product, "the policy")
         if self.binding.automaton_digest == product.automaton.digest():
             return product, self

@@ -5,19 +5,18 @@ A product state is a pair (s, q): model state s just read, automaton state q aft
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.arguments import mapping, require, whole
 from stltool.automata import Encoding, JointAutomaton, TaskAutomaton, compile_automaton, join_automata
-from stltool.automata.automaton import StateNames
 from stltool.automata.compile import MOST_STATES, atoms_of
 from stltool.automata.reach import reachable_pairs
-from stltool.display import Card, Displayed, counted
+from stltool.display import Card, Displayed, StateNames, counted
 from stltool.errors import NameLookupError, SettingsError, near_misses
 from stltool.logic.formula import Composable, Formula, bounded_formula_of, label_names, variables
 from stltool.logic.task import Task
@@ -155,7 +154,9 @@ def joined(task: Product, memory: Product | JointProduct) -> tuple[Product, NDAr
     Returns it with the memory's automaton state (n_states,) of each of its automaton states. With it, a policy that
     remembers one way (the flags of [Wang24]) is judged by an automaton that remembers another way (the exact one).
     """
-    pairs, letter = np.unique(np.stack([task.letter, memory.letter], axis=1), axis=0, return_inverse=True)
+    pairs, letter = _distinct(
+        [(letter, int(letter.max()) + 1) for letter in (task.letter, memory.letter)], task.model.n_states
+    )
     left, right = task.automaton, memory.automaton
 
     def guard(n_states: int) -> None:
@@ -179,7 +180,7 @@ def joined(task: Product, memory: Product | JointProduct) -> tuple[Product, NDAr
         registers=np.empty((0, 0), dtype=np.int32),
         register_names=(),
     )
-    return Product(task.model, automaton, letter.astype(np.int32).ravel(), task.task_name), m
+    return Product(task.model, automaton, letter, task.task_name), m
 
 
 def with_outcome(product: Product, model: MDP, verdict: int) -> Product:
@@ -220,17 +221,15 @@ def build_product(
                 )
     atoms = atoms_of(formula, encoding)
     require_memory(
-        model.n_states * (len(atoms) + 8),
+        model.n_states * 24,
         f"reading {len(atoms)} predicates in {model.n_states} states",
         "coarsen the grid",
         memory_limit,
     )
-    values = np.empty((model.n_states, len(atoms)), dtype=np.bool_)
-    for i, psi in enumerate(atoms):
-        values[:, i] = truth(psi, model.signals, model.labels, model.n_states)
-    valuations, which = np.unique(values, axis=0, return_inverse=True)
-    automaton = compile_automaton(formula, encoding, valuations, memory_limit, most_states)
-    return Product(model, automaton, automaton.letter_of[which.ravel()], name)
+    values = ((truth(psi, model.signals, model.labels, model.n_states), 2) for psi in atoms)
+    valuations, which = _distinct(values, model.n_states)
+    automaton = compile_automaton(formula, encoding, valuations != 0, memory_limit, most_states)
+    return Product(model, automaton, automaton.letter_of[which], name)
 
 
 def build_joint_product(
@@ -264,10 +263,34 @@ def build_joint_product(
     products = tuple(
         replace(build_product(model, task, encoding, memory_limit), task_name=name) for name, task in named
     )
-    rows = np.stack([product.letter for product in products], axis=1)
-    letters, letter = np.unique(rows, axis=0, return_inverse=True)
+    letters, letter = _distinct([(each.letter, each.automaton.n_letters) for each in products], model.n_states)
     automaton = join_automata([product.automaton for product in products], letters, memory_limit)
-    return JointProduct(model, products, automaton, letter.astype(np.int32).ravel())
+    return JointProduct(model, products, automaton, letter)
+
+
+_FEW_CODES = 4096
+
+
+def _distinct(
+    columns: Iterable[tuple[NDArray[Any], int]], n_states: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """The rows of a table that differ, in lexicographic order, and for each state (n_states,) the number of its row.
+
+    columns   (n_states,) each, of whole numbers from 0, with the number of values that it may have. They are taken in
+              one after another: sorting the table takes much longer.
+    """
+    rows: NDArray[np.int32] = np.zeros((1, 0), dtype=np.int32)
+    which: NDArray[Any] = np.zeros(n_states, dtype=np.int32)
+    for values, n in columns:
+        code = which.astype(np.int64) * n + values
+        if len(rows) * n <= 2 * n_states + _FEW_CODES:
+            seen = np.zeros(len(rows) * n, dtype=np.bool_)
+            seen[code] = True
+            places, which = np.flatnonzero(seen), (np.cumsum(seen, dtype=np.int32) - 1)[code]
+        else:
+            places, which = np.unique(code, return_inverse=True)
+        rows = np.column_stack([rows[places // n], places % n]).astype(np.int32)
+    return rows, which.astype(np.int32, copy=False)
 
 
 _Column = TypeVar("_Column")

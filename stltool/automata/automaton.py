@@ -10,15 +10,14 @@ against `logic/semantics.py`.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.arguments import require, whole
-from stltool.display import Card, Displayed, counted, listed
+from stltool.display import Card, Displayed, StateNames, counted, listed
 from stltool.logic.formula import Formula
 
 UNDECIDED, FALSE, TRUE = -1, 0, 1
@@ -41,24 +40,6 @@ class Part:
     method: str
     explored: int
     states: int
-
-
-class StateNames(Sequence[str]):
-    """A description of what each of n states remembers, made on demand."""
-
-    def __init__(self, n: int, name: Callable[[int], str]) -> None:
-        self._n, self._name = n, name
-
-    def __len__(self) -> int:
-        return self._n
-
-    @overload
-    def __getitem__(self, q: int) -> str: ...
-    @overload
-    def __getitem__(self, q: slice) -> tuple[str, ...]: ...
-    def __getitem__(self, q: int | slice) -> str | tuple[str, ...]:
-        found = range(self._n)[q]
-        return tuple(map(self._name, found)) if isinstance(found, range) else self._name(found)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

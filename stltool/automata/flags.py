@@ -17,7 +17,8 @@ from decimal import Decimal
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, StateNames, TaskAutomaton
+from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, TaskAutomaton
+from stltool.display import StateNames
 from stltool.logic.formula import Formula
 from stltool.logic.fragment import Fragment, FragmentPart
 from stltool.sizes import require_memory, require_numbered

@@ -15,7 +15,8 @@ from typing import TypeAlias, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, StateNames, TaskAutomaton
+from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, TaskAutomaton
+from stltool.display import StateNames
 from stltool.logic.formula import (
     Always,
     And,

@@ -18,13 +18,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata.automaton import FALSE, UNDECIDED, StateNames, TaskAutomaton
+from stltool.automata.automaton import FALSE, UNDECIDED, TaskAutomaton
 from stltool.automata.automaton import TRUE as HOLDS
 from stltool.automata.machines import BAD, GOOD, Machine, machine_of
 from stltool.automata.minimise import coarsest_partition, quotient
 from stltool.automata.reach import reachable_pairs
 from stltool.automata.residuals import Residual, Residuals
 from stltool.automata.rows import distinct_rows
+from stltool.display import StateNames
 from stltool.errors import SizeError
 from stltool.logic.formula import Formula
 from stltool.logic.formula import horizon as formula_horizon

@@ -429,4 +429,5 @@ class _Lenient(Following):
         for place in zip(s[taken < 0].tolist(), q[taken < 0].tolist(), strict=True):
             self.places[place] = min(t, self.places.get(place, t))
         owner = np.flatnonzero(taken >= 0)
-        return owner, rows.choice_start[rows.at(s[owner])] + taken[owner], None
+        here = rows.at(s[owner])  # which may make them
+        return owner, rows.choice_start[here] + taken[owner], None

@@ -108,13 +108,13 @@ def parsed(array: NDArray[Any]) -> NDArray[np.object_]:
 
 
 def nearest(array: Any) -> Any:
-    """An array or sparse matrix of numbers in doubles. Raises TypeError for anything else, texts included.
+    """An array or sparse matrix of numbers in doubles, itself where it is. Raises TypeError for others, texts included.
 
     Shorter floats are read as their shortest decimals: 0.1 in 32 bits is no double's 0.10000000149.
     """
     if array.dtype.kind not in "biuf":
         raise TypeError
-    doubles = array.astype(np.float64)
+    doubles = array.astype(np.float64, copy=False)
     if array.dtype.kind == "f" and array.dtype.itemsize < 8:
         short, long = (m.data if hasattr(m, "data") and hasattr(m, "indptr") else m for m in (array, doubles))
         values, which = np.unique(short, return_inverse=True)

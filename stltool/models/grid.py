@@ -28,38 +28,26 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.display import StateNames
 from stltool.errors import ModelError, near_misses
+from stltool.models.cells import Cells
 from stltool.models.fractions import Shares, over_one
-from stltool.models.intervals import Intervals
 from stltool.models.mdp import MDP, GridLayout
 from stltool.models.normalize import HINT, MOST_MISSING, NOTHING, rescale
-from stltool.models.rows import Stored
 from stltool.models.toml import Faults
 from stltool.numbers import NumberError, exact, number_text
 from stltool.sizes import require_numbered
 
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
-_COMPASS = {
-    "N": (0, 1),
-    "NE": (1, 1),
-    "E": (1, 0),
-    "SE": (1, -1),
-    "S": (0, -1),
-    "SW": (-1, -1),
-    "W": (-1, 0),
-    "NW": (-1, 1),
-}
 MOVES = {
     "king": ("stay", "N", "S", "W", "E", "NW", "SW", "NE", "SE"),
     "cross": ("stay", "N", "S", "W", "E"),
 }
+_BLOCKED = ord("#")
 _KEYS = ("kind", "map", "cell", "moves", "success", "slip", "start", "normalize", "name")
 _NO_CELL = re.compile(r"[^#.A-Za-z]")
 
@@ -88,39 +76,35 @@ def grid_from_table(table: Mapping[str, Any], default_name: str = "grid", normal
     assert first is not None
 
     height, width = cells.shape
-    line, column = np.nonzero(cells != "#")  # states in reading order, from the top left
-    row = height - 1 - line
-    index = np.full((height, width), -1, dtype=np.int64)
-    index[row, column] = np.arange(len(row))
-    letters = sorted(set("".join(cells.ravel())) - set("#.S"))
-    names = tuple(f"({c},{r})" for c, r in zip(column.tolist(), row.tolist(), strict=True))
-    choice_start, row_start, target, least, most, whole = _transitions(
-        index, row, column, MOVES[moves], noise.success, noise.slip
-    )
-    weights = first[line, column]
+    free = cells != _BLOCKED
+    line, column = np.nonzero(free)  # states in reading order, from the top left
+    require_numbered(len(line), "free cells", "make the cells larger, or the map smaller")
+    row, found = height - 1 - line, cells[free]
+    weights = first[free]
     starts = int(weights.sum())
-    uncertain = noise.uncertain
+    letters = [chr(code) for code in np.flatnonzero(np.bincount(found, minlength=128)) if chr(code).isalpha()]
     return MDP(
-        Stored(
-            choice_start,
-            np.tile(np.arange(len(MOVES[moves]), dtype=np.int32), len(row)),
-            row_start,
-            target,
-            # of the ends before they are cut to 1, so that the nominal model has one noise everywhere
-            Intervals(least / whole, most / whole).nominal(row_start) if uncertain else least / whole,
-            exact=Shares(least, whole),
-            intervals=Intervals(least / whole, np.minimum(most, whole) / whole) if uncertain else None,
-        ),
+        Cells(free, MOVES[moves], noise.success, noise.slip, noise.uncertain),
         initial=weights / starts,
         signals={"x": _centres(column, cell), "y": _centres(row, cell)},
-        labels={letter: cells[line, column] == letter for letter in letters},
+        labels={letter: found == ord(letter) for letter in letters if letter != "S"},
         action_names=MOVES[moves],
-        state_names=names,
+        state_names=StateNames(len(row), _Names(column, row)),
         layout=GridLayout(width, height, column, row),
         name=str(table.get("name", default_name)),
         exact_initial=Shares(weights, starts),
         notes=noise.notes,
     )
+
+
+class _Names:
+    """Column and row of each state, counted from 0 at the bottom left."""
+
+    def __init__(self, column: NDArray[np.int64], row: NDArray[np.int64]) -> None:
+        self._column, self._row = column, row
+
+    def __call__(self, s: int) -> str:
+        return f"({self._column[s]},{self._row[s]})"
 
 
 _Ends: TypeAlias = tuple[Fraction, Fraction]
@@ -207,72 +191,8 @@ def _ends(table: Mapping[str, Any], key: str, default: _Ends | None) -> _Ends | 
     return lower, upper
 
 
-def _transitions(
-    index: NDArray[np.int64],
-    row: NDArray[np.int64],
-    column: NDArray[np.int64],
-    moves: tuple[str, ...],
-    success: _Ends,
-    slip: _Ends,
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32], NDArray[np.int64], NDArray[np.int64], int]:
-    """choice_start, row_start, target, and the ends of probabilities as integers over the last; upper ends can pass 1.
-
-    Every state has every move. Outcomes that lead to the same cell (a wall stands there) add their ends: a
-    distribution over cells within the added ends always comes from one over outcomes, for a cell's share y of
-    [Σ l_j, Σ u_j] can be split as l_j + θ·(u_j − l_j) with one θ in [0, 1], and totals agree.
-    """
-    from scipy.sparse import coo_array
-
-    n_states, n_moves = len(row), len(moves)
-    require_numbered(n_states, "free cells", "make the cells larger, or the map smaller")
-    denominator = math.lcm(*(end.denominator for end in (*success, *slip)))
-    circle = [name for name in _COMPASS if name in moves]
-    entries: list[tuple[NDArray[np.int64], NDArray[np.int64], _Ends]] = []
-    states = np.arange(n_states)
-    for a, move in enumerate(moves):
-        choice = states * n_moves + a
-        if move == "stay":
-            entries.append((choice, states, (Fraction(1), Fraction(1))))
-            continue
-        place = circle.index(move)
-        sides = (circle[place - 1], circle[(place + 1) % len(circle)])
-        for direction, chance in ((move, success), ("stay", slip), (sides[0], slip), (sides[1], slip)):
-            entries.append((choice, _move(index, row, column, direction), chance))
-    rows = np.concatenate([choice for choice, _, _ in entries])
-    columns = np.concatenate([successor for _, successor, _ in entries])
-
-    def added(end: int) -> csr_array:
-        counts = [int(chance[end] * denominator) for _, _, chance in entries]
-        matrix = coo_array((np.repeat(counts, n_states), (rows, columns)), shape=(n_states * n_moves, n_states)).tocsr()
-        matrix.sum_duplicates()
-        return matrix
-
-    lower, upper = added(0), added(1)  # of one pattern, zeros included
-    possible = upper.data > 0
-    before = np.concatenate([[0], np.cumsum(possible)])
-    return (
-        np.arange(n_states + 1, dtype=np.int64) * n_moves,
-        before[upper.indptr].astype(np.int64),
-        upper.indices[possible].astype(np.int32),
-        lower.data[possible],
-        upper.data[possible],
-        denominator,
-    )
-
-
-def _move(
-    index: NDArray[np.int64], row: NDArray[np.int64], column: NDArray[np.int64], direction: str
-) -> NDArray[np.int64]:
-    """The state reached from every state by one undisturbed step."""
-    dx, dy = _COMPASS.get(direction, (0, 0))
-    r, c = row + dy, column + dx
-    inside = (r >= 0) & (r < index.shape[0]) & (c >= 0) & (c < index.shape[1])
-    reached = np.where(inside, index[np.where(inside, r, 0), np.where(inside, c, 0)], -1)
-    return np.where(reached >= 0, reached, np.arange(len(row)))
-
-
-def _read_map(text: object, faults: Faults) -> NDArray[np.str_] | None:
-    """The cells, lines from the top; None where the map is faulty."""
+def _read_map(text: object, faults: Faults) -> NDArray[np.uint8] | None:
+    """The cells as ASCII codes, lines from the top; None where the map is faulty."""
     if not isinstance(text, str) or not text.strip():
         faults.add("map", "the grid has no map; write map = '''…''' with one line a row")
         return None
@@ -291,12 +211,14 @@ def _read_map(text: object, faults: Faults) -> NDArray[np.str_] | None:
         rows += [row] if row else []
     if set("".join(rows)) == {"#"}:
         faults.add("map", "every cell of the map is blocked")
-    return np.array([list(row) for row in rows]) if faults.count == before else None
+    if faults.count > before:
+        return None
+    return np.frombuffer("".join(rows).encode("ascii"), dtype=np.uint8).reshape(len(rows), -1)
 
 
-def _start(given: object, cells: NDArray[np.str_]) -> NDArray[np.int64]:
+def _start(given: object, cells: NDArray[np.uint8]) -> NDArray[np.int64]:
     """The weight of each cell as the first one, in the shape of `cells`: the key `start`, or the S cells, all alike."""
-    marked: NDArray[np.int64] = (cells == "S").astype(np.int64)
+    marked: NDArray[np.int64] = (cells == ord("S")).astype(np.int64)
     height, width = cells.shape
     if given is None:
         if not marked.any():
@@ -309,7 +231,7 @@ def _start(given: object, cells: NDArray[np.str_]) -> NDArray[np.int64]:
     if not (isinstance(given, list) and len(given) == 2 and all(type(n) is int for n in given)):
         raise ModelError(f"start is {given!r}; write start = [column, row], counted from 0 at the bottom left")
     c, r = given
-    if not (0 <= r < height and 0 <= c < width) or cells[height - 1 - r, c] == "#":
+    if not (0 <= r < height and 0 <= c < width) or cells[height - 1 - r, c] == _BLOCKED:
         raise ModelError(f"start = [{c}, {r}] is blocked or off the map of {width} × {height} cells")
     marked[height - 1 - r, c] = 1
     return marked

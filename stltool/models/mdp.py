@@ -34,7 +34,7 @@ from stltool.models.fractions import (
 )
 from stltool.models.intervals import Intervals
 from stltool.models.normalize import rescale
-from stltool.models.rows import ROW_TOLERANCE, Demand, Rows, Source, Stored, digest_arrays, hint
+from stltool.models.rows import ROW_TOLERANCE, Demand, Rows, Source, Stored, digest_arrays, hint, starts
 from stltool.numbers import NumberError, exact, number_text
 from stltool.sizes import IntegerType, UnsignedType, integer_type, require_memory, require_numbered, unsigned_type
 
@@ -48,6 +48,7 @@ Floats: TypeAlias = NDArray[np.float64]
 _SHOWN = 4  # initial states in a short description
 _NAMED = 8  # initial states that are told
 _SHORT = 12  # characters of a number that is told whole
+_BLOCK = 1 << 14  # states
 _FEW = 100_000  # row entries that are made all at once
 
 
@@ -265,7 +266,7 @@ class MDP(Displayed):
         """The model with its rows in memory, some of them changed: `row_start`, `target`, `probability`, `exact`
         (Shares) or `intervals`."""
         rows = self.rows
-        shares = rows.chances.exact if rows.given_exactly else None
+        shares = Shares(rows.numerator, rows.denominator) if rows.given_exactly else None
         known = {
             "choice_start": self.choice_start, "choice_action": self.choice_action, "row_start": self.row_start,
             "target": self.target, "probability": self.probability, "exact": shares, "intervals": self.intervals,
@@ -455,12 +456,13 @@ class MDP(Displayed):
         if len(names) != n_actions:
             raise ModelError(f"{len(names)} action names for {n_actions} actions")
         available = np.diff(rows.indptr) > 0
-        rows = rows[available]
-        action = np.tile(np.arange(n_actions, dtype=np.int32), n_states)[available]
+        action = np.tile(np.arange(n_actions, dtype=np.int32), n_states)
+        if not available.all():
+            rows, action = rows[available], action[available]
         per_state = available.reshape(n_states, n_actions).sum(axis=1)
         row_start = rows.indptr.astype(np.int64)
         start, exact_start = _initial(initial, n_states, given_names)
-        probability = rows.data.astype(np.float64) if intervals is None else intervals.nominal(row_start)
+        probability = rows.data if intervals is None else intervals.nominal(row_start)
         exact: Shares | None = None
         exact_initial, notes = (Shares(*over_one(exact_start)) if exact_start is not None else None), {}
         normalize = normalize and _are_positive(probability) and _are_positive(start[start != 0])  # else refused below
@@ -481,9 +483,9 @@ class MDP(Displayed):
                 probability, start = doubles_of(*shares), doubles_of(*first)
                 notes["normalize"] = str(done + started)
             exact, exact_initial = Shares(*shares), begin
-        choice_start = np.concatenate([[0], np.cumsum(per_state)]).astype(np.int64)
+        target = rows.indices.astype(np.int32, copy=False)
         return cls(
-            Stored(choice_start, action, row_start, rows.indices.astype(np.int32), probability, exact, intervals),
+            Stored(starts(per_state), action, row_start, target, probability, exact, intervals),
             initial=start,
             exact_initial=exact_initial,
             **_columns(signals, labels),
@@ -557,12 +559,34 @@ def _by_state(given: list[Any]) -> csr_array:
     """Rows (S·A, S) in doubles, the actions of a state one after another."""
     from scipy import sparse
 
-    n_states = given[0].shape[1]
-    stack = [sparse.csr_array(m if sparse.issparse(m) else m.astype(np.float64)) for m in given]
-    order = np.arange(n_states * len(stack)).reshape(len(stack), n_states).T.ravel()
-    rows = sparse.csr_array(sparse.vstack(stack, format="csr"))[order]
-    rows.sum_duplicates()
-    rows.eliminate_zeros()
+    n_states, n_actions = given[0].shape[1], len(given)
+    parts = [_canonical(m) for m in given]
+    n = sum(part.nnz for part in parts)
+    start = np.zeros(n_states * n_actions + 1, dtype=np.int64)
+    target, data = np.empty(n, dtype=np.int32 if n < 2**31 else np.int64), np.empty(n)  # scipy wants one type for both
+    for lo in range(0, n_states, _BLOCK):  # so that little is held twice
+        hi = min(lo + _BLOCK, n_states)
+        order = np.arange((hi - lo) * n_actions).reshape(n_actions, hi - lo).T.ravel()
+        block = sparse.vstack([part[lo:hi] for part in parts], format="csr")[order]
+        here, end = slice(lo * n_actions + 1, hi * n_actions + 1), int(start[lo * n_actions])
+        start[here] = end + block.indptr[1:]
+        target[end : end + block.nnz], data[end : end + block.nnz] = block.indices, block.data
+    return sparse.csr_array((data, target, start.astype(target.dtype)), shape=(n_states * n_actions, n_states))
+
+
+def _canonical(matrix: Any) -> csr_array:
+    """Successors in ascending order, once each, without zeros. A dense matrix is not scipy's: it goes by way of COO."""
+    from scipy import sparse
+
+    if not sparse.issparse(matrix):
+        values = matrix.astype(np.float64, copy=False)
+        there = values != 0
+        return sparse.csr_array((values[there], np.nonzero(there)[1], starts(there.sum(axis=1))), shape=matrix.shape)
+    rows = sparse.csr_array(matrix)
+    if not rows.has_canonical_format or not rows.data.all():
+        rows = rows.copy()
+        rows.sum_duplicates()
+        rows.eliminate_zeros()
     return rows
 
 

@@ -13,8 +13,9 @@ probabilities and the ends of one of them.
 
 from __future__ import annotations
 
+import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -192,9 +193,10 @@ class Rows:
         probability, uncertain = self.probability, self.intervals is not None
         if self.intervals is not None:
             self.intervals.validate(self.row_start, probability, place, lambda k: state(int(self.target[k])))
-        low = probability < 0 if uncertain else probability <= 0  # intervals may force a 0
-        bad = np.flatnonzero(~np.isfinite(probability) | low | (probability > 1 + ROW_TOLERANCE))
-        if bad.size:
+        least, most = float(probability.min()), float(probability.max())
+        if not ((least >= 0 if uncertain else least > 0) and most <= 1 + ROW_TOLERANCE):  # intervals may force a 0
+            low = probability < 0 if uncertain else probability <= 0
+            bad = np.flatnonzero(~np.isfinite(probability) | low | (probability > 1 + ROW_TOLERANCE))
             choice = int(np.searchsorted(self.row_start, bad[0], side="right")) - 1
             value, successor = probability[bad[0]], state(int(self.target[bad[0]]))
             raise ModelError(f"{place(choice)}: {value:.12g} to state {successor} is no probability")
@@ -286,10 +288,6 @@ class Source(ABC):
     def nominal(self) -> Source:
         """The same choices with the nominal probabilities."""
 
-    @abstractmethod
-    def digest_into(self, sha: _Hash) -> None:
-        """Add all that the rows depend on."""
-
     @property
     def most_choices(self) -> int:
         """The most actions that a state has."""
@@ -320,14 +318,41 @@ class Source(ABC):
         counts[acting] = np.diff(found.choice_start)
         return Rows(starts(counts), found.row_start, found.target, found.chances, found.entry, found.parts, states)
 
+    def digest_into(self, sha: _Hash) -> None:
+        """Add all rows, column by column: the same bytes whatever source makes them."""
+        columns: dict[str, _Hash] = {}
+        n_choices = n_entries = 0
+        for lo, rows in self._blocks():
+            first = int(self.choice_start[lo])
+            arrays: list[tuple[str, NDArray[Any]]] = [
+                ("choices", rows.choice_start[1:] + n_choices),
+                ("actions", self.choice_action[first : first + int(rows.choice_start[-1])]),
+                ("rows", rows.row_start[1:] + n_entries),
+                ("targets", rows.target), ("probabilities", rows.probability),
+            ]  # fmt: skip
+            if rows.intervals is not None:
+                arrays += [("lower", rows.intervals.lower), ("upper", rows.intervals.upper)]
+            for title, array in arrays:
+                columns.setdefault(title, hashlib.sha256()).update(np.ascontiguousarray(array).data)
+            n_choices, n_entries = n_choices + int(rows.choice_start[-1]), n_entries + int(rows.row_start[-1])
+        sha.update(f"rows {self.n_states} {n_choices} {n_entries}".encode())
+        for title, column in columns.items():
+            sha.update(title.encode() + column.digest())
+
+    def _blocks(self) -> Iterator[tuple[int, Rows]]:
+        """All rows, some at a time, each block with the number of its first state."""
+        step = max(_BLOCK // max(self.widest, 1), 1)
+        for lo in range(0, self.n_states, step):
+            yield lo, self.rows(np.arange(lo, min(lo + step, self.n_states)))
+
     def whole(self) -> Rows:
         """All rows. Raises SizeError before memory is taken that is not there."""
         n = self.n_transitions
         per_entry = 20 + (16 if self.uncertain else 0)
         require_memory(per_entry * n + 12 * self.n_choices, f"the {n} transitions of {self.n_states} states", _SMALLER)
-        step, gathered = max(_BLOCK // max(self.widest, 1), 1), Gathered(n)
-        for lo in range(0, self.n_states, step):
-            gathered.add(self.rows(np.arange(lo, min(lo + step, self.n_states))))
+        gathered = Gathered(n)
+        for _, rows in self._blocks():
+            gathered.add(rows)
         return gathered.all
 
 
@@ -404,15 +429,8 @@ class Stored(Source):
             rows.choice_start, self._action, before[rows.row_start], rows.target[kept], rows.probability[kept]
         )
 
-    def digest_into(self, sha: _Hash) -> None:
-        rows = self._rows
-        arrays: list[tuple[str, NDArray[Any]]] = [
-            ("choices", rows.choice_start), ("actions", self._action), ("rows", rows.row_start),
-            ("targets", rows.target), ("probabilities", rows.probability),
-        ]  # fmt: skip
-        if rows.intervals is not None:
-            arrays += [("lower", rows.intervals.lower), ("upper", rows.intervals.upper)]
-        digest_arrays(sha, arrays)
+    def _blocks(self) -> Iterator[tuple[int, Rows]]:
+        yield 0, self._rows
 
     def require_distributions(self, place: Place, state: Place) -> None:
         self._rows.require_distributions(place, state)

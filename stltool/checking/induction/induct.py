@@ -123,7 +123,7 @@ def _solve(
     recorder: Recorder,
 ) -> Solution:
     game, allowed, h = layers.game, layers.allowed, layers.game.horizon
-    assert layers.reached is not None  # so that all rows are there
+    assert layers.reached is not None  # which makes all rows
     arithmetic.begin(layers.rows)
     tiles = arithmetic.tiles(layers) if isinstance(layers, Words) and not allowed.mixed else None
     ahead, values = layers.nothing(), arithmetic.start(h) if tiles is None else tiles.start()

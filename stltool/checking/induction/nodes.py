@@ -160,6 +160,7 @@ class Nodes(Layers[I64, Settled]):
         self.count += len(layer)
         if self.most is not None and self.count > self.most:
             raise TooMany
+        self.asked.at(self._split(layer)[0])  # the last layer's rows too
 
     def _count(self, layer: I64) -> int:
         return len(layer)

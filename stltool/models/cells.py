@@ -1,0 +1,174 @@
+"""Rows of a grid world, made when they are asked for: they depend on which of a cell's eight neighbours are free.
+
+A cell with its free neighbours is of one of at most 256 *kinds*. Cells of one kind have the same rows, up to where the
+neighbours stand; the rows of each kind that the map has are kept (`kinds`, whose targets are directions), a million
+cells have a table of a few thousand entries. States are numbered in reading order from the top left, so the entries of
+a row, which are ordered by state, are ordered by direction for every cell alike.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+from fractions import Fraction
+from functools import cached_property
+from math import lcm
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.models.fractions import Shares
+from stltool.models.intervals import Intervals
+from stltool.models.rows import I32, I64, Chances, Rows, Source, starts
+
+Ends: TypeAlias = tuple[Fraction, Fraction]
+
+COMPASS = {
+    "N": (0, 1),
+    "NE": (1, 1),
+    "E": (1, 0),
+    "SE": (1, -1),
+    "S": (0, -1),
+    "SW": (-1, -1),
+    "W": (-1, 0),
+    "NW": (-1, 1),
+}
+READING = ("NW", "N", "NE", "W", "stay", "E", "SW", "S", "SE")
+"""Directions in the order of the states that they lead to."""
+
+
+class Cells(Source):
+    """The rows of the free cells of a map.
+
+    free      (height, width) Booleans, the top row first        moves   names of `COMPASS`, or "stay"
+    success   the ends of the probability that a move is the action's (equal ones where it is known exactly)
+    slip      those of each of three others: stay, and the two neighbouring directions among the moves
+    """
+
+    def __init__(
+        self, free: NDArray[np.bool_], moves: tuple[str, ...], success: Ends, slip: Ends, uncertain: bool
+    ) -> None:
+        self._moves, self._uncertain = moves, uncertain
+        height, width = free.shape
+        around = np.full((height + 2, width + 2), -1, dtype=np.int32)
+        inside = around[1:-1, 1:-1]
+        inside[free] = np.arange(np.count_nonzero(free), dtype=np.int32)
+        self._around, self._cell = around.ravel(), np.flatnonzero(around >= 0).astype(np.int32)
+        steps = {**COMPASS, "stay": (0, 0)}
+        self._offset = np.array([steps[name][0] - steps[name][1] * (width + 2) for name in READING], dtype=np.int32)
+        used = [name for name in COMPASS if name in moves]  # others do not make a difference
+        masks = np.zeros(len(self._cell), dtype=np.uint8)
+        for bit, name in enumerate(used):
+            free_there = self._around[self._cell + self._offset[READING.index(name)]] >= 0
+            masks |= free_there.view(np.uint8) << np.uint8(bit)
+        present = np.flatnonzero(np.bincount(masks, minlength=256))
+        number = np.zeros(256, dtype=np.uint8)
+        number[present] = np.arange(len(present))
+        self._kind = number[masks]
+        free_ways = [{name for bit, name in enumerate(used) if mask >> bit & 1} for mask in present.tolist()]
+        self._table = _table(free_ways, moves, success, slip, uncertain)
+
+    @property
+    def n_states(self) -> int:
+        return len(self._cell)
+
+    @property
+    def n_choices(self) -> int:
+        return len(self._cell) * len(self._moves)
+
+    @cached_property
+    def n_transitions(self) -> int:
+        entries = np.diff(self._table.row_start[self._table.choice_start])
+        return int(np.bincount(self._kind, minlength=len(entries)) @ entries)
+
+    @cached_property
+    def choice_start(self) -> I64:
+        return np.arange(self.n_states + 1, dtype=np.int64) * len(self._moves)
+
+    @cached_property
+    def choice_action(self) -> I32:
+        return np.tile(np.arange(len(self._moves), dtype=np.int32), self.n_states)
+
+    @property
+    def most_choices(self) -> int:
+        return len(self._moves)
+
+    @property
+    def kinds(self) -> Rows:
+        return self._table
+
+    @property
+    def uncertain(self) -> bool:
+        return self._uncertain
+
+    @property
+    def widest(self) -> int:
+        return self._table.widest
+
+    def rows(self, states: I64) -> Rows:
+        found = self._table.some(self._kind[states].astype(np.int64))
+        assert found.entry is not None
+        cells = np.repeat(self._cell[states], np.diff(found.row_start[found.choice_start]))
+        target = self._around[cells + self._offset[found.target]]
+        entry = found.entry.astype(np.int16)  # 256 kinds have at most 256 · 9 · 4
+        return Rows(found.choice_start, found.row_start, target, found.chances, entry)
+
+    def nominal(self) -> Cells:
+        """Entries whose probability must be 0 are left out."""
+        if not self._uncertain:
+            return self
+        found = object.__new__(Cells)
+        found.__dict__.update(self.__dict__)
+        found.__dict__.pop("n_transitions", None)
+        found._uncertain, found._table = False, _nominal(self._table)
+        return found
+
+
+def _table(free_ways: Sequence[set[str]], moves: tuple[str, ...], success: Ends, slip: Ends, uncertain: bool) -> Rows:
+    """The rows of a cell by the directions in which it is free.
+
+    Outcomes that lead to the same cell (a wall stands there) add their ends: a distribution over cells within the added
+    ends always comes from one over outcomes, for a cell's share y of [Σ l_j, Σ u_j] can be split as
+    l_j + θ·(u_j − l_j) with one θ in [0, 1], and totals agree.
+    """
+    denominator = lcm(*(end.denominator for end in (*success, *slip)))
+    circle = [name for name in COMPASS if name in moves]
+    lengths: list[int] = []
+    target: list[int] = []
+    least: list[int] = []
+    most: list[int] = []
+    for free, move in itertools.product(free_ways, moves):
+        outcomes: list[tuple[str, Ends]] = [("stay", (Fraction(1), Fraction(1)))]
+        if move != "stay":
+            place = circle.index(move)
+            sides = (circle[place - 1], circle[(place + 1) % len(circle)])
+            outcomes = [(move, success), ("stay", slip), (sides[0], slip), (sides[1], slip)]
+        ends = np.zeros((len(READING), 2), dtype=np.int64)
+        for direction, chance in outcomes:
+            there = READING.index(direction if direction in free else "stay")
+            ends[there] += [int(end * denominator) for end in chance]
+        possible = np.flatnonzero(ends[:, 1])
+        lengths.append(len(possible))
+        target += possible.tolist()
+        least += ends[possible, 0].tolist()
+        most += ends[possible, 1].tolist()
+    row_start = starts(np.array(lengths, dtype=np.int64))
+    choice_start = np.arange(len(free_ways) + 1, dtype=np.int64) * len(moves)
+    lower, upper = np.array(least, dtype=np.int64), np.array(most, dtype=np.int64)
+    directions = np.array(target, dtype=np.int32)
+    if not uncertain:
+        chances = Chances(lower / denominator, row_start, Shares(lower, denominator))
+        return Rows(choice_start, row_start, directions, chances)
+    # of the ends before they are cut to 1, so that the nominal model has one noise everywhere
+    nominal = Intervals(lower / denominator, upper / denominator).nominal(row_start)
+    cut = Intervals(lower / denominator, np.minimum(upper, denominator) / denominator)
+    return Rows(choice_start, row_start, directions, Chances(nominal, row_start, intervals=cut))
+
+
+def _nominal(table: Rows) -> Rows:
+    kept = table.probability > 0
+    row_start = starts(kept)[table.row_start]
+    chances = Chances(table.probability[kept], row_start)
+    return replace(table, row_start=row_start, target=table.target[kept], chances=chances)
