@@ -47,7 +47,7 @@ class Card:
 
 
 class StateNames(Sequence[str]):
-    """What each of n states is called, put into words when it is asked for."""
+    """A name for each of n states, made on demand."""
 
     def __init__(self, n: int, name: Callable[[int], str]) -> None:
         self._n, self._name = n, name
