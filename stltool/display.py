@@ -1,6 +1,6 @@
-"""What a REPL and a notebook show of an object: one description, as three lines of text or as a small table.
+"""How a REPL and a notebook show an object: one description, as three lines of text or as a small table.
 
-A class says what to show in `_card`; `Displayed` makes `__repr__` and `_repr_html_` of it.
+A class defines what to show in `_card`; `Displayed` derives `__repr__` and `_repr_html_` from it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,9 @@ from typing import overload
 from stltool.numbers import probability_text as text_of
 
 _WIDTH = 120  # characters of a line of text
-_LONGEST = 300  # of a cell
+_LONGEST = 300  # characters of a cell
+
+NATURES = {"against": "adversarial nature", "with": "cooperative nature"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -92,7 +92,7 @@ MORE = {
     "a long formula": ("stl.parse(' & '.join(f'F[0,{i}] A' for i in range(500)))", "..."),
     "a model with intervals": ("blurred", "intervals"),
     "a black box": ("stl.MDP.black_box(2, 2, lambda rng: None)", "a black box"),
-    "a robust check": ("stl.robust_check(stl.build_product(blurred, stl.parse('F[0,3] A')))", "nature against"),
+    "a robust check": ("stl.robust_check(stl.build_product(blurred, stl.parse('F[0,3] A')))", "adversarial nature"),
     "an exact check": ("stl.check(product, exact=True)", "7/8"),
     "a policy's check": ("stl.check(product, training.policy)", "of the policy"),
     "a likely run": ("stl.likely_runs(product).runs[0]", "violated"),

@@ -46,7 +46,7 @@ from stltool.checking.induction import (
 from stltool.checking.rational import exact_probability, require_exact
 from stltool.choices import Form, Table, own_table
 from stltool.cluster import connected
-from stltool.display import Card, Displayed
+from stltool.display import NATURES, Card, Displayed
 from stltool.errors import PolicyError, SettingsError, named
 from stltool.kernels.jit import SOURCES
 from stltool.models.rows import Demand, Rows, least_positive
@@ -128,7 +128,7 @@ class CheckResult(Displayed):
             "minimum": "minimum over all policies",
             "policy": "of the policy",
         }
-        nature = f", nature {self.nature}" if self.nature is not None else ""
+        nature = f", {NATURES[self.nature]}" if self.nature in NATURES else ""
         exact = self.fraction is not None and self.fraction.denominator < _LONG
         return Card(
             f"CheckResult: P = {self.probability!r}, {asked[self.question]}{nature}, {self.status}",

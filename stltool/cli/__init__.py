@@ -1,5 +1,7 @@
-"""The command line: parse arguments, call the public API, print. Exit codes: 0 done, 1 the asked bound does not hold or
-a monitored step is violated, 2 the input is at fault (a message on stderr, no traceback), 3 stltool itself is.
+"""The command line: parse arguments, call the public API, print.
+
+Exit codes: 0 done, 1 the given bound does not hold or a monitored step is violated, 2 the input is at fault (a message
+on stderr, no traceback), 3 stltool itself is.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from stltool import streams
 from stltool.cli.app import app
 from stltool.errors import StlToolError
 
-# each registers its command, in the order that --help shows
+# each module registers its command, in the order of --help
 # isort: off
 from stltool.cli import run, check, why, surrogate, tradeoff, pareto, certify, estimate, learn, sweep
 from stltool.cli import monitor, explain, fmt, export, report
@@ -26,28 +28,28 @@ __all__ = [
 
 
 def main() -> None:
-    """The entry point: runs the app; a fault of the user's input ends with its message and exit code 2."""
+    """The entry point: runs the app; faults in the user's input end with a message and exit code 2."""
     streams.prepare()
     try:
         try:
             with _heard_of():
                 app()
         finally:
-            sys.stdout.flush()  # what cannot be written fails here, not when Python has ended
+            sys.stdout.flush()  # a failed write is reported here, not when Python exits
     except StlToolError as fault:
         _end(str(fault), 2)
     except (MemoryError, RecursionError) as fault:
         _end(f"too large for this machine ({type(fault).__name__}); shorten the windows or simplify the task", 2)
     except OSError as fault:
         _end(f"{fault.filename or 'output'}: {fault.strerror or fault}", 2)
-    except Exception:  # our own fault: shown whole, and not mistaken for exit code 1, "does not hold"
+    except Exception:  # our own fault: shown with its traceback, and distinct from exit code 1, "does not hold"
         traceback.print_exc()
-        _end("this is a fault of stltool, not of your input; please report it with the lines above", 3)
+        _end("this is a bug in stltool, not in your input; please report it with the lines above", 3)
 
 
 @contextmanager
 def _heard_of() -> Iterator[None]:
-    """In a log, where nobody watches, a command that takes long says so every ten seconds, whatever it is doing."""
+    """If the output goes to a log, report every ten seconds that a long command is still running."""
     if sys.stderr.isatty():
         yield
         return

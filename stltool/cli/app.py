@@ -19,8 +19,8 @@ _Number = TypeVar("_Number", int, float)
 
 
 class _App(typer.Typer):
-    """What holds of all commands: numbers of options are read as all others are (stltool/numbers.py: `--runs 1_0` is
-    refused), results never replace inputs (roles.py), messages speak of options (words.py), and --help ends with an
+    """What all commands have in common: numbers in options are read as everywhere (stltool/numbers.py: `--runs 1_0` is
+    refused), results never replace inputs (roles.py), messages name options (words.py), and --help ends with an
     example.
     """
 
@@ -62,11 +62,11 @@ class _App(typer.Typer):
 
 
 def _shown(name: str, declared: ParameterInfo) -> str:
-    """A parameter as it is written on the command line: --out, TASK."""
+    """A parameter as written on the command line: --out, TASK."""
     spelled = (
         declared.default,
         *(declared.param_decls or ()),
-    )  # in annotations the first stands as the default
+    )  # in annotations, the first name is stored as the default
     long = (text for text in spelled if isinstance(text, str) and text.startswith("--"))
     return next(long, declared.metavar or name.upper())
 
@@ -79,7 +79,7 @@ def number(text: float | str) -> float:
     return _read(numbers.double, text) if isinstance(text, str) else text
 
 
-_PARSERS: dict[Any, Callable[[Any], Any]] = {int: integer, float: number}  # their names stand in --help
+_PARSERS: dict[Any, Callable[[Any], Any]] = {int: integer, float: number}  # their names appear in --help
 
 
 def _read(read: Callable[[str], _Number], text: str) -> _Number:

@@ -1,4 +1,4 @@
-"""`stltool certify`: certificates re-checked by code that shares nothing with what wrote them."""
+"""`stltool certify`: re-checks certificates with code independent of the code that wrote them."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from stltool.numbers import bound_texts, long_numbers
 def certify(
     file: Annotated[
         Path,
-        typer.Argument(help="certificate that check --certificate wrote", show_default=False),
+        typer.Argument(help="certificate written by check --certificate", show_default=False),
         Reads("certificate"),
     ],
     task: Annotated[
         Path | None,
-        typer.Argument(help="task file (.stl) that the certificate must be of", show_default=False),
+        typer.Argument(help="task file (.stl) that the certificate must match", show_default=False),
         Reads("task file", task_files),
     ] = None,
     policy: Annotated[
         Path | None,
-        typer.Option("--policy", help="policy file or Q-table that the certificate must be of"),
+        typer.Option("--policy", help="policy file or Q-table that the certificate must match"),
         Reads("policy"),
     ] = None,
     model: Model = None,
@@ -40,16 +40,17 @@ def certify(
     encoding: Encoding = "exact",
     as_json: AsJson = False,
 ) -> None:
-    """Re-check a certificate in exact arithmetic; with TASK, that it speaks of this task and model.
+    """Re-check a certificate in exact arithmetic; with TASK, check that it is about this task and model.
 
-    Exit code 0: the bounds are proved. 1: refused, with the place. 2: no certificate, or one of another task or model.
+    Exit code 0: the bounds are proved. 1: the certificate is refused, with the position of the fault. 2: the file is
+    not a certificate, or is about another task or model.
     """
     import stltool as stl
     from stltool.checking import require_certificate_of
     from stltool.reporting.terminal import error, print_facts, print_json, progress_bar
 
     if policy is not None and task is None:
-        raise SettingsError("--policy: a policy is read for a task; give TASK too")
+        raise SettingsError("--policy: a policy belongs to a task; give TASK, too")
     try:
         with progress_bar("checking layers", quiet=as_json) as bar:
             proved = stl.certify(file, bar)
@@ -69,13 +70,13 @@ def certify(
         return
     with long_numbers():
         lower, upper = bound_texts(*(Fraction(proved[key]) for key in ("lower", "upper")))
-    question = {"maximum": "the maximum of all policies", "minimum": "the minimum of all policies"}
+    question = {"maximum": "the maximum over all policies", "minimum": "the minimum over all policies"}
     print_facts({
         "proved": f"{lower} <= P <= {upper}",
         "P": question.get(proved["claim"], f"of the policy listed ({proved['policy']})"),
-        "task": f"{proved['task']} := {proved['formula']}{'' if task else ' (so the file says: not proved)'}",
+        "task": f"{proved['task']} := {proved['formula']}{'' if task else ' (as stated in the file, not proved)'}",
         "encoding": proved["encoding"],
-        "checked": f"{proved['pairs']} pairs of state and memory in {proved['layers']} layers, whole numbers only",
+        "checked": f"{proved['pairs']} pairs of states in {proved['layers']} layers, in integers only",
         "rows": "sum to 1 exactly" if proved["defect"] == "0" else f"sum to 1 up to {proved['defect']}, allowed for",
         "compared": _compared(task, policy, bool(proved.get("nominal"))),
     })  # fmt: skip
@@ -83,6 +84,6 @@ def certify(
 
 def _compared(task: Path | None, policy: Path | None, nominal: bool) -> str:
     if task is None:
-        return "with nothing: the model and automaton are the file's own; give TASK to compare them with yours"
+        return "with nothing: model and automaton are those in the file; give TASK to compare them with yours"
     same = f"with {task}: the same task, model and automaton{' and policy' if policy else ''}"
-    return same + (" at its nominal probabilities: nothing is said of its intervals" if nominal else "")
+    return same + (" with its nominal probabilities; nothing is proved about its intervals" if nominal else "")

@@ -1,4 +1,4 @@
-"""`stltool check`: the probability that the task holds, and verdicts on it."""
+"""`stltool check`: the probability that the task holds, and verdicts on bounds."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LONGEST_FRACTION = 400  # characters that are printed; --json has them all
 _VERDICTS = {
     True: "holds",
     False: "does not hold",
-    None: "not decided: the bound lies inside the enclosure; add --exact",
+    None: "undecided: the bound lies inside the enclosure; add --exact",
 }
 
 
@@ -28,8 +28,12 @@ _VERDICTS = {
 def check(
     task: TaskFile,
     policy: PolicyFile = None,
-    minimize: Annotated[bool, typer.Option("--minimize", help="the least instead of the greatest probability")] = False,
-    exact: Annotated[bool, typer.Option("--exact", help="the probability as a fraction, without any rounding")] = False,
+    minimize: Annotated[
+        bool, typer.Option("--minimize", help="the minimum over all policies instead of the maximum")
+    ] = False,
+    exact: Annotated[
+        bool, typer.Option("--exact", help="compute the probability as a fraction, without rounding")
+    ] = False,
     at_least: Annotated[
         str | None, typer.Option("--at-least", metavar="P", help="exit code 1 unless the probability is at least P")
     ] = None,
@@ -41,25 +45,26 @@ def check(
         typer.Option(
             "--save-policy",
             metavar="FILE",
-            help="write the optimal policy: .npz, or .policy, which is written while it is found and may exceed memory",
+            help="write the optimal policy: .npz, or .policy, which is written step by step and may exceed memory",
         ),
         Writes(),
         Named("keep_policy", "leave --save-policy and --certificate out, or "),
     ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="go on with a .policy file that a stopped run has left")
-    ] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="continue the .policy file of an interrupted run")] = False,
     certificate: Annotated[
         Path | None,
-        typer.Option("--certificate", metavar="FILE", help="write what proves bounds; packed where it ends in .gz"),
+        typer.Option(
+            "--certificate", metavar="FILE", help="write a certificate of the bounds; compressed if it ends in .gz"
+        ),
         Writes(),
     ] = None,
     cluster: Annotated[
-        str | None, typer.Option("--cluster", metavar="ADDRESS", help="a dask scheduler whose workers compute")
+        str | None,
+        typer.Option("--cluster", metavar="ADDRESS", help="a dask scheduler whose workers do the computation"),
     ] = None,
     nature: Annotated[
         str | None,
-        typer.Option("--nature", help="where probabilities are intervals: against (default), with, or nominal"),
+        typer.Option("--nature", help="of intervals: against (adversarial, default), with (cooperative) or nominal"),
     ] = None,
     model: Model = None,
     normalize: Normalize = False,
@@ -84,7 +89,7 @@ def check(
     if save_policy is not None:
         require_policy_file(save_policy)
     if resume and not streamed:
-        raise SettingsError("--resume goes on with a policy file; add --save-policy FILE.policy")
+        raise SettingsError("--resume continues a policy file; add --save-policy FILE.policy")
     if certificate is not None:
         require_certificate_file(certificate)
     product = make_product(task, model, param, name, encoding, as_json, learning=False, normalize=normalize)
@@ -92,14 +97,14 @@ def check(
     product, judge = judge_by(product, nature)
     robust = uncertain and nature != "nominal"
     if robust and (exact or certificate is not None):
-        raise SettingsError("--exact and --certificate need probabilities that are no intervals; add --nature nominal")
+        raise SettingsError("--exact and --certificate need probabilities without intervals; add --nature nominal")
     fraction = {"exact": True} if exact else {}
     chosen = stl.load_policy(policy, product) if policy is not None else None
     to_file = {"policy_file": save_policy, "resume": resume} if streamed else {}
     if robust and streamed:
-        raise SettingsError(f"--save-policy {save_policy}: with intervals, policies are saved as .npz")
+        raise SettingsError(f"--save-policy {save_policy}: for interval probabilities, policies are saved as .npz")
     if robust and cluster is not None:
-        raise SettingsError("--cluster needs probabilities that are no intervals; add --nature nominal")
+        raise SettingsError("--cluster needs probabilities without intervals; add --nature nominal")
     where = {"cluster": cluster} if cluster is not None else {}
     keep = save_policy is not None or (certificate is not None and chosen is None)
     with progress_bar("checking", quiet=as_json) as bar:

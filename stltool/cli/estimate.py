@@ -30,29 +30,38 @@ def estimate(
     runs: Annotated[int | None, typer.Option("--runs", "-n", help="runs to sample; default: 10000")] = None,
     epsilon: Annotated[
         float | None,
-        typer.Option("--epsilon", metavar="E", help="as many runs as bounds within E of the estimate take"),
+        typer.Option(
+            "--epsilon", metavar="E", help="sample as many runs as needed for bounds within E of the estimate"
+        ),
     ] = None,
-    confidence: Annotated[float | None, typer.Option("--confidence", help="of the interval; default: 0.99")] = None,
-    side: Annotated[
-        str | None, typer.Option("--side", help="both bounds (default), or only a lower or an upper one")
+    confidence: Annotated[
+        float | None, typer.Option("--confidence", help="confidence level of the interval; default: 0.99")
     ] = None,
+    side: Annotated[str | None, typer.Option("--side", help="both bounds (default), or only lower or upper")] = None,
     at_least: Annotated[
-        str | None, typer.Option("--at-least", metavar="P", help="sequential test; exit code 1 unless P holds")
+        str | None,
+        typer.Option("--at-least", metavar="P", help="sequential test of the bound P; exit code 1 unless it holds"),
     ] = None,
     indifference: Annotated[
         float | None,
-        typer.Option("--indifference", metavar="D", help="of --at-least: either answer within D of P; 0.01"),
+        typer.Option(
+            "--indifference",
+            metavar="D",
+            help="for --at-least: within D of P, either answer is accepted; default: 0.01",
+        ),
     ] = None,
     alpha: Annotated[
-        float | None, typer.Option("--alpha", help='of --at-least: probability of a wrong "does not hold"; 0.01')
+        float | None,
+        typer.Option("--alpha", help='for --at-least: probability of a wrong "does not hold"; default: 0.01'),
     ] = None,
     beta: Annotated[
-        float | None, typer.Option("--beta", help='of --at-least: probability of a wrong "holds"; 0.01')
+        float | None, typer.Option("--beta", help='for --at-least: probability of a wrong "holds"; default: 0.01')
     ] = None,
     most_runs: Annotated[
-        int | None, typer.Option("--most-runs", help="of --at-least: undecided after so many; 10000000")
+        int | None,
+        typer.Option("--most-runs", help="for --at-least: undecided after this many runs; default: 10000000"),
     ] = None,
-    no_exact: Annotated[bool, typer.Option("--no-exact", help="leave the exact check of --policy out")] = False,
+    no_exact: Annotated[bool, typer.Option("--no-exact", help="skip the exact check of --policy")] = False,
     seed: Seed = 0,
     nominal: Nominal = False,
     model: Model = None,
@@ -75,7 +84,7 @@ def estimate(
         raise SettingsError(f"{_option(sequential)} belongs to a sequential test; give --at-least P with it")
     if bound is not None and fixed:
         raise SettingsError(
-            f"{_option(fixed)} belongs to an interval; a sequential test takes as many runs as it needs, bounded by "
+            f"{_option(fixed)} belongs to an interval; a sequential test takes as many runs as it needs, up to "
             "--most-runs; leave out one of the two"
         )
     if policy is None and no_exact:
@@ -90,8 +99,8 @@ def estimate(
     if product.model.blackbox is not None:
         if policy is None:
             raise SettingsError(
-                f"{product.model.name} is a black box, whose best policy nobody knows; give --policy FILE "
-                "(stltool learn makes one)"
+                f"{product.model.name} is a black box, whose best policy is unknown; give --policy FILE "
+                "(stltool learn writes one)"
             )
         no_exact = True
     chosen = stl.load_policy(policy, product) if policy is not None else None
@@ -114,7 +123,7 @@ def estimate(
         steps = f", {result.steps} steps" if isinstance(result, stl.Estimate) else ""
         facts = {
             "task": f"{product.task_name} := {product.formula}",
-            "policy": f"{policy if policy is not None else 'the best of all'} ({chosen.kind})",
+            "policy": f"{policy if policy is not None else 'the best policy'} ({chosen.kind})",
             "runs": f"{result.runs}, {result.satisfied} satisfied{steps}, seed {result.seed}, {result.seconds:.3g} s",
             "found": data["statement"],
         }

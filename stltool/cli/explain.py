@@ -1,4 +1,4 @@
-"""`stltool explain`: what a task says."""
+"""`stltool explain`: the structure and meaning of a task."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ def explain(
     step: Step = None,
     as_json: AsJson = False,
 ) -> None:
-    """What a task says: its tree and horizons, the fragment of Wang et al. (2024), automaton and product sizes.
+    """Explain a task: its tree and horizons, the fragment of Wang et al. (2024), automaton and product sizes.
 
-    Warns where the task can never hold or always holds, where a part of it does not matter, and where other tools would
-    read the text differently.
+    Warns if the task can never hold or always holds, if a part of it is vacuous, and if other tools would read the text
+    differently.
     """
     import stltool as stl
     from stltool.reporting.terminal import print_facts, print_json, print_table, print_tree
@@ -46,7 +46,7 @@ def explain(
     if trace is not None:
         print(
             "\na shortest trace on which the encoding and the formula disagree (without a model, comparisons are\n"
-            "taken as independent of each other):"
+            "treated as independent of each other):"
         )
         print_table(trace["steps"])
         print(f"the encoding says {trace['encoding_says']}, the formula is {trace['formula_is']}")
@@ -57,7 +57,7 @@ def explain(
 
 
 def _shown(facts: dict[str, Any]) -> dict[str, Any]:
-    """The facts of one line each, in words."""
+    """The facts that take one line each, as text."""
 
     shown = {
         key.replace("_", " "): value
@@ -65,8 +65,8 @@ def _shown(facts: dict[str, Any]) -> dict[str, Any]:
         if not isinstance(value, dict | list) and "digest" not in key
     }
     if shown["horizon"] is None:
-        shown["horizon"] = shown["samples needed"] = "none: an interval has no end; only monitors judge this"
-        shown["meaning"] = "not looked into: the formula has no horizon"
+        shown["horizon"] = shown["samples needed"] = "none: an interval has no end; only monitors can judge this"
+        shown["meaning"] = "not analysed: the formula has no horizon"
     if shown.get("transitions", 0) is None:
         shown["transitions"] = "unknown: the model is a black box"
     for key in ("flag states", "history states"):

@@ -17,7 +17,7 @@ from stltool.errors import SettingsError
 @app.command("stltool export patrolling.stl --to dot --out patrolling.dot")
 def export(
     task: TaskFile,
-    to: Annotated[str, typer.Option("--to", help="dot: the task's automaton for Graphviz")],
+    to: Annotated[str, typer.Option("--to", help="format: dot (Graphviz)")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="file to write; default: print it"), Writes()] = None,
     model: Model = None,
     normalize: Normalize = False,
@@ -26,7 +26,7 @@ def export(
     encoding: Encoding = "exact",
     as_json: AsJson = False,
 ) -> None:
-    """The task's automaton in another format: states say what they remember, edges which labels take them."""
+    """Export the task's automaton: states are labelled with what they remember, edges with their conditions."""
     import stltool as stl
     from stltool.automata.graph import to_dot
     from stltool.files import require_folder, require_replaceable, write_atomically
@@ -35,8 +35,8 @@ def export(
     if to != "dot":
         raise SettingsError(f"--to {to}: there is no such format; known: dot")
     if out is not None:
-        if out.suffix.lower() not in (".dot", ".gv"):  # so that no other file is lost
-            raise SettingsError(f"--out {out}: a text for Graphviz is written as .dot or .gv; name one of them")
+        if out.suffix.lower() not in (".dot", ".gv"):  # so that no other file is overwritten
+            raise SettingsError(f"--out {out}: Graphviz files end in .dot or .gv; use one of these extensions")
         require_replaceable(out)
         require_folder(out.parent)
     loaded = stl.load_task(task, read_params(param), name)

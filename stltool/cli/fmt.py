@@ -24,10 +24,10 @@ def fmt(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Put task files into their canonical layout; comments stay, and the meaning provably does.
+    """Put task files into their canonical layout; comments are kept, and the meaning is checked to be the same.
 
-    Places that other tools would read differently are told, with the reading that holds here. A file that does not
-    parse is left alone, its errors are told, and the exit code is 2.
+    Warns about passages that other tools would read differently, and states their meaning here. A file that does not
+    parse is left unchanged; its errors are reported, and the exit code is 2.
     """
     from stltool.files import read_text, text_of, write_atomically
     from stltool.logic.format import format_task
@@ -62,7 +62,7 @@ def fmt(
         if piped and not check:
             print_text(laid_out)
         elif laid_out != text:
-            print(f"{name}: {'would be laid out anew' if check else 'laid out anew'}")
+            print(f"{name}: {'would be reformatted' if check else 'reformatted'}")
     if as_json:
         print_json({"check": check, "files": told})
     refusals = [file["error"] for file in told if "error" in file]

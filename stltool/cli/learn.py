@@ -67,7 +67,7 @@ def learn(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Learn a policy without knowing the probabilities, and save it."""
+    """Learn a policy without knowledge of the probabilities, and save it."""
     from stltool.learning.checkpoint import require_checkpoint
     from stltool.policy import require_policy_file
     from stltool.reporting import training_data, write_history
@@ -96,7 +96,7 @@ def learn(
         print_json({"task": product.task_name, "formula": str(product.formula), **training_data(training)})
         return
     exact = training.history[-1].probability
-    unknown = "unknown: the model is a black box; stltool estimate --policy bounds it"
+    unknown = "unknown: the model is a black box; use stltool estimate --policy for bounds"
     print_facts({
         "learned": training_text(training),
         "exact P": f"{exact:.12g}" if exact is not None else unknown,

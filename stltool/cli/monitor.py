@@ -1,4 +1,4 @@
-"""`stltool monitor`: a recorded trace judged at every step."""
+"""`stltool monitor`: judges a recorded trace at every step."""
 
 from __future__ import annotations
 
@@ -27,16 +27,19 @@ def monitor(
     end: Annotated[
         str,
         typer.Option(
-            "--end", help="where windows pass the end of the trace: error (no verdict), cut, or hold the last sample"
+            "--end", help="windows beyond the end of the trace: error (no verdict), cut, or hold the last sample"
         ),
     ] = "error",
     at: Annotated[
-        int | None, typer.Option("--at", metavar="STEP", help="judge this step only: --at 0 asks the trace as a whole")
+        int | None,
+        typer.Option("--at", metavar="STEP", help="judge only this step; --at 0 judges the trace as a whole"),
     ] = None,
     which: Annotated[
         int | None,
         typer.Option(
-            "--trace", metavar="N", help="of a batch: the trace for --plot and --steps; default: the first violating"
+            "--trace",
+            metavar="N",
+            help="in a batch: the trace for --plot and --steps; default: the first that violates",
         ),
     ] = None,
     steps: Annotated[bool, typer.Option("--steps", help="list every judged step")] = False,
@@ -50,10 +53,10 @@ def monitor(
     step: Step = None,
     as_json: AsJson = False,
 ) -> None:
-    """Judge a recorded trace: at which steps the task holds and by how much. Exit code 1 where any is violated.
+    """Judge a recorded trace: at which steps the task holds, and by how much. Exit code 1 if any step is violated.
 
-    TASK is a task file where there is one of that name or the name ends in .stl, else it is read as a formula. Names in
-    it are columns of the trace.
+    TASK is read as a task file if one of that name exists or the name ends in .stl, otherwise as a formula. Names in it
+    are columns of the trace.
     """
     import stltool as stl
     from stltool.logic.formula import label_names, variables
@@ -71,15 +74,15 @@ def monitor(
     if end not in _ENDS:
         raise SettingsError(f"--end {end}: choose {', '.join(_ENDS)}")
     if steps and as_json:
-        raise SettingsError("--steps lists what --json has already; keep one of them")
+        raise SettingsError("--steps lists what --json contains already; keep one of them")
     if which is not None and plot is None and not steps:
-        raise SettingsError(f"--trace {which} says which trace --plot or --steps shows; add one of them")
+        raise SettingsError(f"--trace {which} selects the trace for --plot or --steps; add one of them")
     if plot is not None:
         require_monitor_picture(plot)
     loaded = load_task_or_formula(task, param, name, step)
     names = {**variables(loaded.formula), **label_names(loaded.formula)}
     if not names:
-        raise SettingsError(f"{loaded.formula}: this reads no signal and no label, so a trace says nothing about it")
+        raise SettingsError(f"{loaded.formula}: this formula is constant; name a signal or a label of the trace")
     with working(f"reading {trace}", quiet=as_json):
         signals = stl.load_trace(trace, list(names))
     with working("judging every step", quiet=as_json):
@@ -98,7 +101,7 @@ def monitor(
             print()
             print_table(rows)
             if more:
-                print(f"and {more} more; --json has all")
+                print(f"and {more} more; --json lists all")
         if steps:
             print(f"\ntrace {shown}:" if shown is not None else "")
             print("\n".join(step_lines(data, shown)))

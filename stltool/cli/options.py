@@ -1,4 +1,4 @@
-"""The options that several commands share, spelled once."""
+"""The options that several commands share."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Model = Annotated[
 ]
 Nominal = Annotated[
     bool,
-    typer.Option("--nominal", help="where probabilities are intervals: take the nominal ones inside them"),
+    typer.Option("--nominal", help="for interval probabilities: use nominal values inside the intervals"),
     Named("nominal", " (--nominal)"),
 ]
 Normalize = Annotated[
     bool,
-    typer.Option("--normalize", help="rescale probabilities that miss a sum of 1 by rounding alone; told on stderr"),
+    typer.Option("--normalize", help="rescale probabilities that miss a sum of 1 only by rounding; reported on stderr"),
 ]
 TaskOrFormula = Annotated[
     str,
@@ -31,15 +31,15 @@ TaskOrFormula = Annotated[
     Reads("task file", task_files),
 ]
 Step = Annotated[
-    str | None, typer.Option("--step", metavar="TIME", help="how long a step takes, where a formula's bounds are times")
+    str | None, typer.Option("--step", metavar="TIME", help="duration of a step, if the bounds of a formula are times")
 ]
 PolicyFile = Annotated[
     Path | None,
-    typer.Option("--policy", help="policy file (.npz) or Q-table (.csv); default: the best of all"),
+    typer.Option("--policy", help="policy file (.npz) or Q-table (.csv); default: the best policy"),
     Reads("policy"),
 ]
 Params = Annotated[
-    list[str] | None, typer.Option("--param", "-p", metavar="NAME=VALUE", help="override a param of the file")
+    list[str] | None, typer.Option("--param", "-p", metavar="NAME=VALUE", help="override a param of the task file")
 ]
 TaskName = Annotated[str | None, typer.Option("--task", help="the definition to use; default: the last one")]
 Encoding = Annotated[
@@ -47,20 +47,20 @@ Encoding = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON object instead of a table")]
 Method = Annotated[str, typer.Option("--method", "-m", help="cfer, model-based, naive or naive-er; cfper as published")]
-Faithful = Annotated[bool, typer.Option("--faithful", help="the method as published, its slips included")]
+Faithful = Annotated[bool, typer.Option("--faithful", help="the method as published, including its slips")]
 Episodes = Annotated[int, typer.Option("--episodes", "-e", help="training episodes")]
 EvaluateEvery = Annotated[
-    int, typer.Option("--evaluate-every", help="episodes between two exact evaluations of the learned policy")
+    int, typer.Option("--evaluate-every", help="episodes between exact evaluations of the learned policy")
 ]
 MostSteps = Annotated[
-    int | None, typer.Option("--most-steps", help="end before an episode that could take more environment steps in all")
+    int | None, typer.Option("--most-steps", help="stop before the total of environment steps could exceed this")
 ]
 StopGap = Annotated[
-    float | None, typer.Option("--stop-gap", help="end when an evaluation is within this of the exact optimum")
+    float | None, typer.Option("--stop-gap", help="stop once an evaluation is within this of the exact optimum")
 ]
 Checkpoint = Annotated[
     Path | None,
-    typer.Option("--checkpoint", help="a file that holds the run, to resume it after an interrupt"),
+    typer.Option("--checkpoint", help="file that keeps the run, to resume it after an interruption"),
     Writes(),
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="continue from the checkpoint, if there is one")]

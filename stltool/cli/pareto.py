@@ -1,4 +1,4 @@
-"""`stltool pareto`: the front of two tasks."""
+"""`stltool pareto`: the Pareto front of two tasks."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from stltool.errors import SettingsError
 def pareto(
     task: TaskFile,
     tasks: Annotated[str, typer.Option("--tasks", metavar="NAME,NAME", help="two definitions of the task file")],
-    points: Annotated[int, typer.Option("--points", help="backward inductions to take at most")] = 100,
+    points: Annotated[int, typer.Option("--points", help="maximum number of backward inductions")] = 100,
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="draw the front (.svg or .png)"), Writes()
     ] = None,
@@ -28,7 +28,7 @@ def pareto(
     encoding: Encoding = "exact",
     as_json: AsJson = False,
 ) -> None:
-    """The Pareto front of two tasks: the probabilities that no policy improves in one without losing in the other."""
+    """The Pareto front of two tasks: the pairs of probabilities where improving one lowers the other."""
     import stltool as stl
     from stltool.reporting import front_data, write_front_picture
     from stltool.reporting.terminal import print_facts, print_json, print_table, progress_bar
@@ -37,7 +37,7 @@ def pareto(
     names = [name.strip() for name in tasks.split(",")]
     if len(names) != 2 or not all(names):
         raise SettingsError(
-            f"--tasks {tasks}: two names are needed, with a comma between; write for example --tasks a,b"
+            f"--tasks {tasks}: two names are needed, separated by a comma; write, for example, --tasks a,b"
         )
     if plot is not None:
         require_picture(plot)
@@ -50,7 +50,7 @@ def pareto(
         print_json(front_data(front))
         return
     print_facts({name: product.formula for name, product in zip(names, joint.tasks, strict=True)})
-    print("\ncorners of the front; between neighbours, policies mix:")
+    print("\ncorners of the front (mixtures of policies reach the segments between neighbours):")
     print_table(
         [
             {
@@ -63,6 +63,6 @@ def pareto(
     print()
     print_facts({
         "front": f"{front.status}; {front.inductions} backward inductions, {front.seconds:.1f} s",
-        "gap": f"{front.gap:.3g} at most above the segments",
+        "gap": f"at most {front.gap:.3g} above the segments",
         **({"plot": plot} if plot is not None else {}),
     })  # fmt: skip

@@ -1,4 +1,4 @@
-"""`stltool report`: pages made again."""
+"""`stltool report`: rebuilds report pages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def report(
     ],
     as_json: AsJson = False,
 ) -> None:
-    """Make the HTML page of a report again from its JSON, beside it."""
+    """Rebuild the HTML page of a report next to its JSON file."""
     from stltool.files import write_atomically
     from stltool.reporting import load_report, render
     from stltool.reporting.terminal import print_facts, print_json

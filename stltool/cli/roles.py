@@ -1,7 +1,7 @@
 """What a command does with the files that its parameters name: read them, or write them.
 
-Each parameter that names a file says so in its annotation, beside its help. Before a command begins, what it would
-write is compared with all that it reads, and with the rest of what it writes: a result never replaces an input.
+Each parameter that names a file declares this in its annotation, next to its help text. Before a command begins, the
+files it would write are compared with all files it reads and with each other: a result never replaces an input.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def _itself(path: Path) -> Iterable[Path]:
 
 @dataclass(frozen=True)
 class Reads:
-    """The parameter names a file that is read, the command's `what`; `files` are all that are read for it."""
+    """The parameter names a file that is read, the command's `what`; `files` yields all files read for it."""
 
     what: str
     files: Callable[[Path], Iterable[Path]] = _itself
@@ -32,9 +32,9 @@ class Reads:
 
 @dataclass(frozen=True)
 class Writes:
-    """The parameter names a file that is written, or a folder; `files` are all that are written there.
+    """The parameter names a file that is written, or a folder; `files` yields all files written for it.
 
-    `default` is what is taken where the option is not given; None where nothing is written then.
+    `default` gives the path if the option is not given; None if nothing is written then.
     """
 
     files: Callable[[Path], Iterable[Path]] = _itself
@@ -43,14 +43,14 @@ class Writes:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter that names files: its name in messages, and what is done with them."""
+    """A parameter that names files: its name in messages, and its role."""
 
     shown: str
     roles: tuple[Reads | Writes, ...]
 
 
 def require_apart(parameters: Mapping[str, Parameter], given: Given) -> None:
-    """SettingsError where a command would write what it reads, or two results to one file; links are followed."""
+    """SettingsError if a command would write a file it reads, or two results to one file; links are followed."""
     written = list(_written(parameters, given))
     if not written:
         return
@@ -59,7 +59,7 @@ def require_apart(parameters: Mapping[str, Parameter], given: Given) -> None:
         for what, source in read:
             if _same(path, source):
                 named = what if str(path) == str(source) else f"{what}, {source}"
-                raise SettingsError(f"{option}: {path} would replace {named}; name another")
+                raise SettingsError(f"{option}: {path} would replace {named}; name another file")
         for other, twin in written[:number]:
             if _same(path, twin):
                 both = f"{other} and {option} would both" if other != option else f"{option} would twice"
@@ -84,7 +84,7 @@ def _read(parameters: Mapping[str, Parameter], given: Given) -> Iterable[tuple[s
 
 
 def _paths(value: Any) -> list[Path]:
-    """One path, several, or none."""
+    """One path, several paths, or none."""
     values = value if isinstance(value, list) else [] if value is None else [value]
     return [Path(one) for one in values]
 
@@ -93,11 +93,11 @@ def _same(path: Path, other: Path) -> bool:
     try:
         if path.samefile(other):
             return True
-    except (OSError, ValueError):  # one of them is not there, or is no path
+    except (OSError, ValueError):  # one of them does not exist, or is not a path
         pass
     try:
         return path.resolve() == other.resolve()
-    except (OSError, RuntimeError, ValueError):  # a link to itself, a formula that is too long for a path
+    except (OSError, RuntimeError, ValueError):  # a link to itself, or a formula too long for a path
         return False
 
 
@@ -105,14 +105,14 @@ def _same(path: Path, other: Path) -> bool:
 
 
 def model_files(path: Path) -> Iterable[Path]:
-    """A model file, and those that stand beside it."""
+    """A model file and its companion files."""
     from stltool.models.load import companions
 
     return [path, *companions(path)]
 
 
 def task_files(path: Path) -> Iterable[Path]:
-    """A task file, and those of its model. Of a text that is no file, or none that can be read, nothing more."""
+    """A task file and the files of its model; only the path itself if it cannot be read as a task file."""
     import stltool as stl
 
     try:
@@ -123,7 +123,7 @@ def task_files(path: Path) -> Iterable[Path]:
 
 
 def sweep_files(path: Path) -> Iterable[Path]:
-    """A sweep's file, its tasks and their models."""
+    """A sweep file, its tasks and their models."""
     yield path
     try:
         scenarios = tomllib.loads(path.read_text(encoding="utf-8")).get("scenario", [])
@@ -144,7 +144,7 @@ def within(*names: str) -> Callable[[Path], Iterable[Path]]:
 
 
 def task_folder(given: Given) -> Path | None:
-    """`run`'s folder without --out: out/NAME, the task's."""
+    """The folder of `run` without --out: out/NAME, with the name of the task."""
     import stltool as stl
 
     try:
@@ -154,7 +154,7 @@ def task_folder(given: Given) -> Path | None:
 
 
 def sweep_folder(given: Given) -> Path | None:
-    """`sweep`'s folder without --out: out/NAME, the sweep's."""
+    """The folder of `sweep` without --out: out/NAME, with the name of the sweep."""
     try:
         table = tomllib.loads(given["file"].read_text(encoding="utf-8"))
         return Path("out", str(table["sweep"].get("name", given["file"].stem)))
@@ -163,5 +163,5 @@ def sweep_folder(given: Given) -> Path | None:
 
 
 def beside(ending: str) -> Callable[[Path], Iterable[Path]]:
-    """The file of the same name with another ending."""
+    """The file of the same name with another extension."""
     return lambda path: [path.with_suffix(ending)]

@@ -1,4 +1,4 @@
-"""`stltool run`: the main job."""
+"""`stltool run`: learn, check, report."""
 
 from __future__ import annotations
 
@@ -61,10 +61,12 @@ def run(
     stop_gap: StopGap = None,
     seed: Seed = 0,
     setting: Set = None,
-    confidence: Annotated[float, typer.Option("--confidence", help="of the guarantees from data")] = 0.99,
+    confidence: Annotated[
+        float, typer.Option("--confidence", help="confidence level of the guarantees from data")
+    ] = 0.99,
     rollouts: Annotated[
         int,
-        typer.Option("--rollouts", help="fresh runs that the learned policy is judged by; 0: none"),
+        typer.Option("--rollouts", help="fresh runs for judging the learned policy; 0: none"),
         Named("runs"),
     ] = 10_000,
     out: Annotated[
@@ -77,9 +79,9 @@ def run(
     checkpoint_every: CheckpointEvery = 30.0,
     as_json: AsJson = False,
 ) -> None:
-    """Learn a policy, check it exactly, write the report: the main job.
+    """Learn a policy, check it exactly, and write a report.
 
-    A black box cannot be checked: there the policy's P is bounded from fresh runs.
+    A black box cannot be checked; instead, P of the learned policy is bounded from fresh runs.
     """
     import stltool as stl
     from stltool.checking.statistical import planned_runs
@@ -105,7 +107,7 @@ def run(
     require_folder(folder)
     known = product.model.blackbox is None
     if not known and not rollouts:
-        raise SettingsError("--rollouts 0: a black box's policy is judged by fresh runs alone; ask for some")
+        raise SettingsError("--rollouts 0: a policy for a black box is judged only by fresh runs; request some")
     require_checkpoint(checkpoint, resume)
     with resumable(checkpoint):
         checks = []

@@ -1,4 +1,4 @@
-"""What several commands do: from their arguments to a product, settings, and words for the terminal."""
+"""Steps shared by several commands: from arguments to a product, settings, and text for the terminal."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
 
 NATURES = {
-    "against": "against: probabilities move within their intervals, at every step, against what is asked for",
-    "with": "with: probabilities move within their intervals, at every step, in favour of what is asked for",
-    "nominal": "nominal: one fixed probability inside every interval",
+    "against": "against: at every step, adversarial nature picks the probabilities in their intervals",
+    "with": "with: at every step, cooperative nature picks the probabilities in their intervals",
+    "nominal": "nominal: a fixed probability inside every interval",
 }
 
 
@@ -48,7 +48,7 @@ def make_product(
     nominal: bool = False,
     normalize: bool = False,
 ) -> Product:
-    """The product of a task file and its model, with the kernels loaded that the command needs."""
+    """The product of a task file and its model, with the kernels that the command needs loaded."""
     from stltool import kernels
     from stltool.reporting.terminal import kernels_ready
 
@@ -72,14 +72,14 @@ def load_product(
     loaded = stl.load_task(task, read_params(param), name)
     world = task_model(loaded, model, normalize)
     if nominal and world.intervals is None:
-        raise SettingsError("--nominal: the model's probabilities are no intervals; leave --nominal out")
+        raise SettingsError("--nominal: the model's probabilities are not intervals; leave out --nominal")
     return bind(loaded, world.nominal() if nominal else world, encoding)
 
 
 def load_task_or_formula(text: str, params: list[str] | None, name: str | None, step: str | None = None) -> Task:
-    """A task file where there is one of that name or the name ends in .stl, else the formula that `text` spells.
+    """A task file if one of that name exists or the name ends in .stl, otherwise `text` parsed as a formula.
 
-    Operators without an interval are allowed: whoever cannot judge them says so.
+    Operators without an interval are allowed: whatever cannot judge them refuses them.
     """
     import stltool as stl
     from stltool.errors import FileError, StlSyntaxError, near_misses
@@ -95,10 +95,10 @@ def load_task_or_formula(text: str, params: list[str] | None, name: str | None, 
         if siblings and not path.exists():
             raise FileError(f"{text}: there is no such task file; {near_misses(path.name, siblings)}")
         if step is not None:
-            raise SettingsError(f"--step {step}: a task file says so itself, on a line step = {step}; leave --step out")
+            raise SettingsError(f"--step {step}: a task file declares its own step; write step = {step} there")
         return stl.load_task(path, values, name, unbounded=True)
     if name is not None:
-        raise SettingsError(f"--task {name}: a formula has no definitions to choose from; leave --task out")
+        raise SettingsError(f"--task {name}: a formula has no definitions to choose from; leave out --task")
     try:
         return formula_task(text, values, step=step, unbounded=True)
     except StlSyntaxError as fault:
@@ -116,7 +116,7 @@ def make_joint_product(
     quiet: bool,
     normalize: bool = False,
 ) -> JointProduct:
-    """The definitions `names` of one task file, remembered together."""
+    """The joint product of the definitions `names` of a task file."""
     import stltool as stl
 
     params = read_params(param)
@@ -127,15 +127,14 @@ def make_joint_product(
 
 
 def judge_by(product: Product, nature: str | None) -> tuple[Product, Callable[..., CheckResult]]:
-    """What to ask on a product: `check`, or for intervals `robust_check` with that nature (default: against).
-
-    "nominal" is the ordinary check of the product with the nominal probabilities.
+    """The product to judge and the function for it: `check`, or for intervals `robust_check` with that nature (default:
+    against). "nominal" is the ordinary check of the product with the nominal probabilities.
     """
     import stltool as stl
 
     if product.model.intervals is None:
         if nature is not None:
-            raise SettingsError(f"--nature {nature}: the model's probabilities are no intervals; leave --nature out")
+            raise SettingsError(f"--nature {nature}: the model's probabilities are not intervals; leave out --nature")
         return product, stl.check
     if nature == "nominal":
         return replace(product, model=product.model.nominal()), stl.check
@@ -145,13 +144,14 @@ def judge_by(product: Product, nature: str | None) -> tuple[Product, Callable[..
 
 
 def task_model(task: Task, model: Path | None, normalize: bool = False) -> MDP:
-    """The model given, or the task file's; what `normalize` changed is told on stderr."""
+    """The given model, or that of the task file; what `normalize` changed is reported on stderr."""
     import stltool as stl
     from stltool.reporting.terminal import note
 
     path = model if model is not None else task.model
     if path is None:
-        raise SettingsError(f'{task.path}: no model; add a line such as model "floor.toml", or give --model FILE')
+        remedy = 'add a line such as model "floor.toml", or give --model FILE'
+        raise SettingsError(f"{task.path}: the task file names no model; {remedy}")
     loaded = stl.load_model(path, normalize)
     if "normalize" in loaded.notes:
         note(f"{path}: {loaded.notes['normalize']}")
@@ -205,7 +205,7 @@ def read_learner(method: str, faithful: bool, pairs: list[str] | None) -> Learne
         if name in settings:
             raise SettingsError(f"--set {name} is given twice; give it once")
         if name in ("seed", "method", "faithful", *settings_of(Budget)):
-            raise SettingsError(f"--set {name}: it has an option of its own, --{name.replace('_', '-')}; use that")
+            raise SettingsError(f"--set {name}: this setting has its own option; use --{name.replace('_', '-')}")
         require_setting(cls, name)
         try:
             settings[name] = settings_of(cls)[name].read(text)
@@ -217,13 +217,13 @@ def read_learner(method: str, faithful: bool, pairs: list[str] | None) -> Learne
 def read_pair(text: str, example: str) -> tuple[str, str]:
     key, equals, value = text.partition("=")
     if not equals or not key.strip() or not value.strip():
-        raise SettingsError(f"{text!r} is not NAME=VALUE; write for example {example}")
+        raise SettingsError(f"{text!r} is not NAME=VALUE; write, for example, {example}")
     return key.strip(), value.strip()
 
 
 def training_text(training: Training) -> str:
     if training.status == "nothing to learn":
-        return "nothing: the first state decides the task, so any policy is as good as any other"
+        return "nothing: the first state decides the task, so all policies are equally good"
     episodes, steps = training.episodes, training.environment_steps
     method = training.method + (" as published" if training.faithful else "")
     ended = f"; ended {training.status}" if training.stopped_early else ""
@@ -231,22 +231,22 @@ def training_text(training: Training) -> str:
 
 
 def this_command(*more: str) -> str:
-    """The command line that was given, as a shell takes it, and more options."""
+    """The command line as given, quoted for a shell, with more options."""
     return shlex.join(["stltool", *sys.argv[1:], *more])
 
 
 @contextmanager
 def resumable(checkpoint: Path | None) -> Iterator[None]:
-    """On Ctrl-C say what is kept, and the command that continues; exit code 130."""
+    """On Ctrl-C, report what is kept and the command that continues; exit code 130."""
     from stltool.reporting.terminal import error
 
     try:
         yield
     except KeyboardInterrupt:
         if checkpoint is None:
-            error("interrupted, and nothing is kept; with --checkpoint FILE a run can be resumed")
+            error("interrupted; nothing is kept (with --checkpoint FILE, a run can be resumed)")
         elif not checkpoint.exists():
-            error("interrupted before the first episode was over; there is nothing to resume")
+            error("interrupted before the end of the first episode; there is nothing to resume")
         else:
             more = [] if "--resume" in sys.argv else ["--resume"]
             error(f"interrupted; the run is kept in {checkpoint}; resume it with\n{this_command(*more)}")
@@ -254,7 +254,7 @@ def resumable(checkpoint: Path | None) -> Iterator[None]:
 
 
 def train(product: Product, learner: Learner[Any], quiet: bool, **arguments: Any) -> Training:
-    """`learn`, with its progress shown."""
+    """`learn` with a progress bar."""
     import stltool as stl
     from stltool.reporting.terminal import progress_bar
 
@@ -263,7 +263,7 @@ def train(product: Product, learner: Learner[Any], quiet: bool, **arguments: Any
 
 
 class LearnerCommand(TyperCommand):
-    """A command whose --help ends with every method's settings, read off the learners' classes."""
+    """A command whose --help ends with every method's settings, read from the learner classes."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         from stltool.learning.methods import methods_text
@@ -277,7 +277,7 @@ def guarantees_of(
 ) -> list[dict[str, Any]]:
     """Lower bounds for a learned policy, as data: from the transitions it was learned from, and from fresh runs.
 
-    Of a black box from fresh runs alone: it does not say where runs start.
+    For a black box only from fresh runs, since its initial distribution is unknown.
     """
     import stltool as stl
     from stltool.reporting import guarantee_data

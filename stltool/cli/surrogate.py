@@ -1,4 +1,4 @@
-"""`stltool surrogate`: what the surrogate objective of [Wang24] would lead to, learned perfectly."""
+"""`stltool surrogate`: where the surrogate objective of [Wang24] leads if it is learned perfectly."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from stltool.cli.steps import make_product
 @app.command("stltool surrogate patrolling.stl -p T=20")
 def surrogate(
     task: TaskFile,
-    gamma: Annotated[float, typer.Option("--gamma", help="discount of the published runs; the paper prints 0.9999")] = (
-        0.999
-    ),
+    gamma: Annotated[
+        float, typer.Option("--gamma", help="discount, as in the published runs; the paper states 0.9999")
+    ] = (0.999),
     nominal: Nominal = False,
     model: Model = None,
     normalize: Normalize = False,
@@ -24,7 +24,7 @@ def surrogate(
     name: TaskName = None,
     as_json: AsJson = False,
 ) -> None:
-    """What the surrogate reward of Wang et al. (2024) is worth: P of its optimal policies beside the best."""
+    """Compare P of the policies optimal for the surrogate reward of Wang et al. (2024) with the best possible P."""
     import stltool as stl
     from stltool.checking.surrogate import READINGS
     from stltool.reporting import product_data, surrogate_data

@@ -22,31 +22,34 @@ def sweep(
     file: Annotated[
         Path, typer.Argument(help="sweep file (.toml)", show_default=False), Reads("sweep file", sweep_files)
     ],
-    only: Annotated[str | None, typer.Option("--only", metavar="ID,ID", help="run these scenarios alone")] = None,
+    only: Annotated[str | None, typer.Option("--only", metavar="ID,ID", help="run only these scenarios")] = None,
     method: Annotated[
-        str | None, typer.Option("--method", "-m", metavar="ID,ID", help="run these methods alone")
+        str | None, typer.Option("--method", "-m", metavar="ID,ID", help="run only these methods")
     ] = None,
     seeds: Annotated[
         str | None,
-        typer.Option("--seeds", metavar="N|N,N", help="how many seeds (0, 1, ...), or which, instead of the file's"),
+        typer.Option(
+            "--seeds", metavar="N|N,N", help="number of seeds (0, 1, ...), or a list of seeds; overrides the file"
+        ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option("--workers", "-w", help="processes; default: the machine's cores")
+        int | None, typer.Option("--workers", "-w", help="number of processes; default: one per core")
     ] = None,
     cluster: Annotated[
-        str | None, typer.Option("--cluster", metavar="ADDRESS", help="a dask scheduler whose workers do the runs")
+        str | None, typer.Option("--cluster", metavar="ADDRESS", help="a dask scheduler whose workers execute the runs")
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="folder for the results; default: out/NAME"),
         Writes(within(*_RESULTS), sweep_folder),
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="list what would be run, and about how long")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="list what would be run, with estimated times")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Run every scenario with every method and seed, in parallel; what is finished is kept, and not run again.
+    """Run every scenario with every method and seed, in parallel; finished runs are kept and not repeated.
 
-    Exit code 0: all runs are finished. 2: some failed, or bad input. 130: interrupted; the same command goes on.
+    Exit code 0: all runs are finished. 2: some failed, or bad input. 130: interrupted; rerun the same command to
+    continue.
     """
     import stltool as stl
     from stltool.learning.sweep import finished_runs
@@ -55,7 +58,7 @@ def sweep(
     from stltool.reporting.terminal import error, print_facts, print_json, print_table, sweep_bar
 
     if workers is not None and cluster is not None:
-        raise SettingsError("--workers and --cluster: a cluster has the workers it has; give one of the two")
+        raise SettingsError("--workers and --cluster: a cluster brings its own workers; give only one of the two")
     whole = stl.load_sweep(file)
     part = whole.select(_ids(only, "--only"), _ids(method, "--method"), _seeds(seeds))
     folder = out if out is not None else Path("out") / whole.name
@@ -69,7 +72,7 @@ def sweep(
         kept = len(finished_runs(part, folder).runs)
         error(f"interrupted; {kept} of {len(part.runs())} runs are finished and kept; continue with\n{this_command()}")
         raise typer.Exit(130) from None
-    # the report is of all that the folder has of the sweep, whatever part of it was asked for now
+    # the report covers everything of the sweep in the folder, whatever part was requested this time
     shown = whole.select(seeds=sorted({*whole.seeds, *part.seeds}))
     known = finished_runs(shown, folder)
     data = sweep_data(stl.SweepResult(shown, known.runs, result.failures, result.skipped), this_command())
@@ -84,7 +87,7 @@ def sweep(
         if paths:
             print()
         print_facts({
-            "runs": f"{len(result.runs)} finished, {result.skipped} of them before; {len(result.failures)} failed",
+            "runs": f"{len(result.runs)} finished, {result.skipped} of them earlier; {len(result.failures)} failed",
             **({"report": paths[0], "data": ", ".join(path.name for path in paths[1:])} if paths else {}),
         })  # fmt: skip
     for failure in failures_data(result.failures):
@@ -94,7 +97,7 @@ def sweep(
 
 
 def _dry_run(part: Any, folder: Path, workers: int | None, as_json: bool) -> None:
-    """What is finished, what would be run, and about how long that takes."""
+    """What is finished, what would be run, and roughly how long that takes."""
     import os
 
     from stltool.learning.sweep import estimated_seconds, finished_runs
@@ -123,7 +126,7 @@ def _dry_run(part: Any, folder: Path, workers: int | None, as_json: bool) -> Non
         for (scenario, method), seeds in rows.items()
     ])  # fmt: skip
     print_facts({
-        "to run": f"{sum(map(len, rows.values()))} runs in {folder}, {len(done)} are finished",
+        "to run": f"{sum(map(len, rows.values()))} runs in {folder}, {len(done)} already finished",
         "time": f"about {work / used:.1f} s with {used} worker{'s'[: used > 1]}",
     })  # fmt: skip
 
@@ -133,15 +136,15 @@ def _ids(text: str | None, option: str) -> list[str] | None:
         return None
     ids = [one.strip() for one in text.split(",")]
     if not all(ids):
-        raise SettingsError(f"{option} {text}: write names with commas between, such as {option} P1,P2")
+        raise SettingsError(f"{option} {text}: write names separated by commas, such as {option} P1,P2")
     return ids
 
 
 def _seeds(text: str | None) -> int | list[int] | None:
-    """3: how many; 3,5 or 3, alone with its comma: which."""
+    """3 means how many; 3,5 means which, and so does 3 followed by a comma."""
     if text is None:
         return None
     try:
         return [whole(one) for one in text.rstrip(",").split(",")] if "," in text else whole(text)
     except NumberError as error:
-        raise SettingsError(f"--seeds: {error}; write how many, such as 3, or which, such as 0,4,7") from None
+        raise SettingsError(f"--seeds: {error}; write a number of seeds, such as 3, or a list, such as 0,4,7") from None

@@ -22,10 +22,11 @@ def tradeoff(
     task: TaskFile,
     objective: Annotated[str, typer.Option("--objective", metavar="NAME", help="the definition to maximise")],
     require: Annotated[
-        list[str] | None, typer.Option("--require", metavar="NAME>=P", help="another definition's least probability")
+        list[str] | None, typer.Option("--require", metavar="NAME>=P", help="least probability of another definition")
     ] = None,
     budget: Annotated[
-        list[str] | None, typer.Option("--budget", metavar="SIGNAL<=B", help="a signal's or label's most expected sum")
+        list[str] | None,
+        typer.Option("--budget", metavar="SIGNAL<=B", help="upper bound on the expected sum of a signal or label"),
     ] = None,
     save_policy: Annotated[
         Path | None,
@@ -39,7 +40,7 @@ def tradeoff(
     encoding: Encoding = "exact",
     as_json: AsJson = False,
 ) -> None:
-    """The best probability of a task while others keep theirs and expected costs keep their budgets."""
+    """The best probability of a task subject to bounds on the probabilities of others and on expected costs."""
     import stltool as stl
     from stltool.policy import require_policy_file
     from stltool.reporting import tradeoff_data
@@ -86,7 +87,7 @@ def tradeoff(
         "status": result.status,
         "programme": f"{size['variables']} variables, {size['rows']} rows, {size['nonzeros']} non-zeros; "
                      f"{result.seconds:.1f} s in all",
-        "randomised": f"at {result.randomised} of {size['rows']} places (step, state, memory)",
+        "randomised": f"at {result.randomised} of {size['rows']} triples (step, state, automaton state)",
         **({"policy": save_policy} if save_policy is not None else {}),
     })  # fmt: skip
 
@@ -97,7 +98,7 @@ def _read_bounds(texts: list[str] | None, sign: str, option: str, example: str) 
     for text in texts or []:
         name, found, value = (part.strip() for part in text.partition(sign))
         if not found or not name:
-            raise SettingsError(f'{option} {text}: a name, {sign} and a number are needed; write {option} "{example}"')
+            raise SettingsError(f'{option} {text}: expected a name, {sign} and a number; write {option} "{example}"')
         try:
             number = read(value)
         except NumberError as error:

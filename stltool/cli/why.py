@@ -1,4 +1,4 @@
-"""`stltool why`: the runs behind a probability, and the states that it hangs on."""
+"""`stltool why`: the runs behind a probability, and the states that it depends on most."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from stltool.errors import SettingsError
 def why(
     task: TaskFile,
     policy: PolicyFile = None,
-    minimize: Annotated[bool, typer.Option("--minimize", help="the worst of all policies instead of the best")] = False,
+    minimize: Annotated[bool, typer.Option("--minimize", help="the worst policy instead of the best")] = False,
     satisfying: Annotated[
-        bool, typer.Option("--satisfying", help="runs that satisfy the task, not violate it")
+        bool, typer.Option("--satisfying", help="runs that satisfy the task instead of those that violate it")
     ] = False,
     count: Annotated[int, typer.Option("--count", "-k", metavar="K", help="runs to print")] = 5,
     mass: Annotated[
-        float | None, typer.Option("--mass", metavar="SHARE", help="the smallest set of runs with this share, as 0.9")
+        float | None, typer.Option("--mass", metavar="SHARE", help="smallest set of runs with this share, such as 0.9")
     ] = None,
-    most: Annotated[int, typer.Option("--most", metavar="N", help="runs of that set at most")] = 10_000,
-    states: Annotated[int, typer.Option("--states", metavar="N", help="sensitive states to print")] = 5,
+    most: Annotated[int, typer.Option("--most", metavar="N", help="maximum size of that set")] = 10_000,
+    states: Annotated[int, typer.Option("--states", metavar="N", help="most sensitive states to print")] = 5,
     nominal: Nominal = False,
     model: Model = None,
     normalize: Normalize = False,
@@ -35,13 +35,13 @@ def why(
     encoding: Encoding = "exact",
     as_json: AsJson = False,
 ) -> None:
-    """Why P is what it is: the most probable runs that violate the task, and the states whose success moves P most."""
+    """Explain P: the most probable runs that violate the task, and the states that P depends on most."""
     import stltool as stl
     from stltool.reporting import likely_data, product_data, sensitivity_data
     from stltool.reporting.terminal import print_facts, print_json, print_likely, print_sensitive, progress_bar
 
     if minimize and policy is not None:
-        raise SettingsError("--minimize asks for the worst of all policies, --policy for a given one; keep one of them")
+        raise SettingsError("--minimize asks for the worst policy, --policy for a given one; keep one of them")
     count = whole(count, "--count", least=1)
     states = whole(states, "--states", least=0)
     product = make_product(
@@ -52,7 +52,7 @@ def why(
         with progress_bar("checking", quiet=as_json) as bar:
             result = stl.check(product, maximize=not minimize, progress=bar)
     followed = given if given is not None else result.policy
-    assert followed is not None  # checks keep it
+    assert followed is not None  # set by every check
     with progress_bar("finding runs", quiet=as_json) as bar:
         likely = stl.likely_runs(
             product, followed, satisfied=satisfying, count=count, mass=mass, most=most, progress=bar
@@ -77,7 +77,7 @@ def why(
         return
     print_facts({
         "task": f"{product.task_name} := {product.formula}",
-        "policy": f"{policy or result.question + ' of all'} ({followed.kind})",
+        "policy": f"{policy or result.question + ' over all policies'} ({followed.kind})",
         "P": f"{result.probability:.15g}",
     })  # fmt: skip
     print_likely(data, count)

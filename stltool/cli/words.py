@@ -1,4 +1,4 @@
-"""Messages of the library in the command line's words: arguments as options, functions as commands."""
+"""Messages of the library in terms of the command line: arguments as options, functions as commands."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Named:
-    """In an option's annotation: which argument of the library it gives, where that has another name than the option's.
+    """In an option's annotation: the argument of the library that it sets, if its name differs from the option's.
 
-    `advice` stands for what the library advises on that argument ("use keep_policy=False, or ").
+    `advice` replaces the library's advice on that argument ("use keep_policy=False, or ").
     """
 
     argument: str
@@ -19,7 +19,7 @@ class Named:
 
 @dataclass(frozen=True)
 class Spelled:
-    """An option as it is written, whether it takes a value, and what is advised instead of the library's advice."""
+    """An option as written, whether it takes a value, and the advice that replaces the library's."""
 
     option: str
     flag: bool
@@ -27,7 +27,7 @@ class Spelled:
 
 
 def spelling(options: Mapping[str, Spelled]) -> Callable[[str, str], str]:
-    """How a command spells what a message names; `options` by argument."""
+    """A function that spells arguments in messages as a command's options; `options` by argument."""
 
     def spell(argument: str, text: str) -> str:
         if text.startswith("stl."):

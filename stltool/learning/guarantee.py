@@ -95,14 +95,14 @@ class Guarantee(Displayed):
     def statement(self) -> str:
         """What was found, in words; the bound is rounded down."""
         found = f"with confidence {100 * self.confidence:.12g} % the probability is at least {floor_text(self.lower)}"
-        return f"{found}, from {self.transitions} transitions seen while learning; {self.assumes}"
+        return f"{found}, from {self.transitions} transitions seen while learning; assumed: {self.assumes}"
 
     @property
     def assumes(self) -> str:
         """What the bound rests on beside the data."""
         if self.support == "unknown":
-            return "nothing is assumed of where choices lead"
-        return "where choices can lead is taken as known, with what probability is not"
+            return "nothing about the transitions"
+        return "the possible successors are known, their probabilities are not"
 
 
 def guarantee(

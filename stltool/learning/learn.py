@@ -50,7 +50,7 @@ class Training(Displayed):
 
     learner    the method with the settings that were used; budget: those that belong to the run
     status     how it ended: "complete" (all episodes), "within the gap" (`stop_gap`), "out of steps" (`most_steps`), or
-               "nothing to learn" (the first state decides the task, so any policy is as good as any other)
+               "nothing to learn" (the first state decides the task, so all policies are equally good)
     seconds    wall time, of a resumed run since it was resumed
     """
 

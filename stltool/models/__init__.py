@@ -1,4 +1,4 @@
-"""Where the world comes from: a model file or arrays → MDP; an MDP → something that only resets and steps."""
+"""Models: a model file or arrays → MDP; an MDP → an environment that can only be reset and stepped."""
 
 from stltool.models.gymnasium import from_gymnasium, to_gymnasium
 from stltool.models.intervals import Intervals

@@ -1,8 +1,8 @@
-"""What a learner is handed: something that only resets and steps.
+"""The environment that a learner is given: it can only be reset and stepped.
 
-A learner never looks at the probabilities it is to learn. Where the environment simulates a model, `tables` lets whole
-episodes run compiled (kernels/learning.py); they are the same to the bit as episodes stepped one by one, which a test
-holds, so nothing is learned from the tables that `reset` and `step` would not have told.
+A learner never looks at the probabilities it is to learn. If the environment simulates a model, `tables` lets whole
+episodes run compiled (kernels/learning.py). They are bit for bit the same as episodes stepped one by one, which a test
+checks, so the tables reveal nothing that `reset` and `step` would not.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from stltool.models.mdp import MDP
 
 
 class Resettable(Protocol):
-    """Any black box with the model's states: what `Environment` is, and what users may hand over instead of it."""
+    """Any black box over the model's states: `Environment`, or an object of the user's in its place."""
 
     def reset(self) -> int: ...
     def step(self, action: int, /) -> int: ...
 
 
 def require_environment(environment: object, what: str) -> None:
-    """ArgumentError unless it resets and steps, or is None."""
+    """ArgumentError unless `environment` has reset and step, or is None."""
     if environment is not None and not all(callable(getattr(environment, name, None)) for name in ("reset", "step")):
         raise ArgumentError(
             f"{what} is {described(environment)}, which has no reset() and step(i); give an object with both, which "
@@ -41,9 +41,9 @@ def require_environment(environment: object, what: str) -> None:
 class Environment:
     """`reset()` → first state; `step(i)` → next state after the i-th available action of the current one.
 
-    generator  where all its random numbers come from, and all that it keeps between two episodes; None where that is
-               not so, and a run cannot be resumed
-    tables     the model that it simulates, one number of `generator` for a reset and one for a step; None: a black box
+    generator  the source of all its random numbers, and its only state between episodes; None if there is other state:
+               a run can then not be resumed
+    tables     the model that it simulates, one number of `generator` per reset and per step; None: a black box
     """
 
     reset: Callable[[], int]
@@ -53,9 +53,9 @@ class Environment:
 
 
 def cumulated(model: MDP) -> NDArray[np.float64]:
-    """(n_transitions,): the probabilities summed up within each row, a row's last entry its total.
+    """(n_transitions,): cumulative probabilities within each row; the last entry of a row is its total.
 
-    Row by row, not as differences of one long sum: those would lose small probabilities in large models.
+    Summed row by row, not as differences of one long sum, which would lose small probabilities in large models.
     """
     sums = model.probability.copy()
     length = np.diff(model.row_start)
@@ -68,15 +68,15 @@ def cumulated(model: MDP) -> NDArray[np.float64]:
 
 
 def simulator(model: MDP, rng: np.random.Generator, steps: int | None = None) -> Environment:
-    """Sample the model's transitions with the given generator; a black box's own environment, guarded.
+    """An environment that samples the model's transitions; for a black box, its own environment, checked.
 
-    steps   that an episode will have: an environment whose episodes are known to be shorter is refused at once
+    steps   length of an episode, if known: an environment whose episodes are known to be shorter is refused at once
     """
     return sampler(model, steps)(rng)
 
 
 def sampler(model: MDP, steps: int | None = None) -> Callable[[np.random.Generator], Environment]:
-    """What makes simulators of one model from generators; they share its tables."""
+    """A function from generators to simulators of one model, which share its tables."""
     blackbox = model.blackbox
     if blackbox is not None:
         return lambda rng: _guarded(model, blackbox(rng, steps))
@@ -110,7 +110,7 @@ def sampler(model: MDP, steps: int | None = None) -> Callable[[np.random.Generat
 
 
 def _guarded(model: MDP, environment: Resettable) -> Environment:
-    """A black box whose answers are states of the model; it is stepped, whatever tables it may have."""
+    """A black box whose answers are checked to be states of the model; it is always stepped, even if it has tables."""
 
     def reset() -> int:
         return require_state(environment.reset(), "reset()", model.n_states, model.name)
@@ -122,14 +122,14 @@ def _guarded(model: MDP, environment: Resettable) -> Environment:
 
 
 def require_state(answer: object, call: str, n_states: int, name: str) -> int:
-    """What an environment returned, as a state's index; ModelError where it is none."""
+    """The answer of an environment as the index of a state; ModelError if it is not one."""
     try:
-        s = operator.index(answer)  # type: ignore[arg-type]  # what is no whole number is refused here
+        s = operator.index(answer)  # type: ignore[arg-type]  # anything but an integer is refused here
     except TypeError:
         s = -1
     if not 0 <= s < n_states:
         raise ModelError(
-            f"the environment's {call} returned {described(answer)}, which is no state of {name}; "
-            f"return a state's index, 0 … {n_states - 1}"
+            f"the environment's {call} returned {described(answer)}, which is not a state of {name}; "
+            f"return the index of a state, 0 … {n_states - 1}"
         )
     return s

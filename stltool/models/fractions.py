@@ -1,8 +1,8 @@
-"""Probabilities as they were given: integers over one denominator, next to the doubles that approximate them.
+"""Probabilities as given: integers over a common denominator, in addition to the doubles that approximate them.
 
-A decimal or a fraction in a file means exactly that number, not its nearest double. A row of doubles in an array means
-their shortest decimals (0.1 is 1/10) where these sum to 1; otherwise it means their binary values, and what it lacks or
-exceeds is its *defect*.
+A decimal or a fraction in a file means exactly that number, not the nearest double. A row of doubles in an array means
+their shortest decimals (0.1 is 1/10) if these sum to 1; otherwise it means their binary values, and the amount by which
+it misses 1 is its *defect*.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from stltool.numbers import NumberError, exact, shortest
 from stltool.sizes import require_memory
 
 Integers: TypeAlias = NDArray[Any]
-"""int64 where numbers and their denominator are below 2^62, else Python integers in an object array."""
+"""int64 if numbers and denominator are below 2^62, else Python integers in an object array."""
 
-LARGEST_SUM = 2**62  # what sums in int64 may come to
+LARGEST_SUM = 2**62  # bound on sums in int64
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +41,8 @@ class Shares:
 class Fractions:
     """An MDP's probabilities, exactly: entry k is numerator[k] / denominator.
 
-    numerator            (n_transitions,) integers      denominator          of all of them
-    initial              (n_states,) integers           initial_denominator  of all of them
+    numerator            (n_transitions,) integers      denominator          common to all of them
+    initial              (n_states,) integers           initial_denominator  common to all of them
     """
 
     numerator: Integers = field(repr=False)
@@ -51,7 +51,7 @@ class Fractions:
     initial_denominator: int
 
     def defects(self, row_start: NDArray[np.int64]) -> tuple[Fraction, Fraction]:
-        """The largest |Σ row − 1|, and the initial distribution's; 0 where they are distributions."""
+        """The largest |Σ row − 1|, and that of the initial distribution; 0 if they are distributions."""
         sums = np.add.reduceat(self.numerator, row_start[:-1])
         rows = max(abs(int(sums.max()) - self.denominator), abs(int(sums.min()) - self.denominator))
         start = abs(sum(self.initial.tolist()) - self.initial_denominator)
@@ -62,7 +62,7 @@ class Fractions:
 
 
 def over_one(values: Iterable[Fraction]) -> tuple[Integers, int]:
-    """Fractions as integers over their least common denominator."""
+    """Fractions as integers, and their least common denominator."""
     known = list(values)
     denominator = math.lcm(*{value.denominator for value in known})
     require_memory(
@@ -84,9 +84,9 @@ def doubles_of(numerator: Integers, denominator: int) -> NDArray[np.float64]:
 def of_doubles(
     values: NDArray[np.float64], row_start: NDArray[np.int64], decimals: bool = False
 ) -> tuple[Integers, int]:
-    """Doubles as integers over one denominator: each row's shortest decimals where they sum to 1, else binary values.
+    """Doubles as integers over one denominator: shortest decimals in rows where these sum to 1, else binary values.
 
-    `decimals` takes shortest decimals whatever they sum to.
+    `decimals` takes the shortest decimals whatever their sums.
     """
     unique, which = np.unique(values, return_inverse=True)
     short = [shortest(value) for value in unique.tolist()]
@@ -102,15 +102,15 @@ def of_doubles(
 
 
 def parsed(array: NDArray[Any]) -> NDArray[np.object_]:
-    """Fractions from numbers and texts, element by element."""
+    """Fractions from numbers and strings, element by element."""
     parsed: NDArray[np.object_] = np.frompyfunc(exact, 1, 1)(array)
     return parsed
 
 
 def nearest(array: Any) -> Any:
-    """An array or sparse matrix of numbers in doubles, itself where it is. Raises TypeError for others, texts included.
+    """An array or sparse matrix in doubles, itself if it is in doubles. Raises TypeError unless it contains numbers.
 
-    Shorter floats are read as their shortest decimals: 0.1 in 32 bits is no double's 0.10000000149.
+    Shorter floats are read as their shortest decimals: 0.1 in 32 bits is 0.1, not 0.10000000149.
     """
     if array.dtype.kind not in "biuf":
         raise TypeError
@@ -123,19 +123,19 @@ def nearest(array: Any) -> Any:
 
 
 def floats(values: ArrayLike, what: str) -> NDArray[np.float64]:
-    """Doubles of their own: of numbers, or of texts and Fractions, whose nearest doubles they are."""
+    """A new array of doubles: numbers, or the nearest doubles of strings and Fractions."""
     try:
         array = np.asarray(values)
         doubles: NDArray[np.float64] = (parsed(array) if array.dtype.kind in "OU" else nearest(array)).astype(
             np.float64
         )
     except NumberError as error:
-        raise ModelError(f"{what} does not hold numbers: {error}") from None
+        raise ModelError(f"{what} does not contain numbers: {error}") from None
     except (TypeError, ValueError, OverflowError):
-        raise ModelError(f"{what} does not hold numbers") from None
+        raise ModelError(f"{what} does not contain numbers") from None
     if array.dtype.kind in "iu" and array.dtype.itemsize == 8:
         large = array[(array > 2**53) | (array < -(2**53))].tolist()
         wrong = next((value for value in large if int(float(value)) != value), None)
         if wrong is not None:
-            raise ModelError(f"{what} holds {wrong}, which is not a double; give floats")
+            raise ModelError(f"{what} contains {wrong}, which is not representable as a double; give floats")
     return doubles

@@ -194,7 +194,7 @@ def _ends(table: Mapping[str, Any], key: str, default: _Ends | None) -> _Ends | 
 def _read_map(text: object, faults: Faults) -> NDArray[np.uint8] | None:
     """The cells as ASCII codes, lines from the top; None where the map is faulty."""
     if not isinstance(text, str) or not text.strip():
-        faults.add("map", "the grid has no map; write map = '''…''' with one line a row")
+        faults.add("map", "the grid has no map; write map = '''…''' with one line per row")
         return None
     before = faults.count
     rows: list[str] = []

@@ -4,8 +4,10 @@ Row c of an interval MDP is the polytope
 
     P(c) = { p :  lower_k ≤ p_k ≤ upper_k for every entry k,  Σ_k p_k = 1 },       not empty: Σ lower ≤ 1 ≤ Σ upper
 
-one for each choice, independent of each other: (s,a)-rectangular uncertainty. Its nominal distribution goes from the
-lower ends the same fraction r of every width,  p_k = lower_k + r·(upper_k − lower_k),  r = (1 − Σ lower) / Σ width.
+with one polytope per choice, independent of the others: (s,a)-rectangular uncertainty. In its nominal distribution,
+every entry lies the same fraction r of its width above its lower end:
+
+    p_k = lower_k + r·(upper_k − lower_k),        r = (1 − Σ lower) / Σ width.
 
 Source: [Givan00].
 """
@@ -24,14 +26,14 @@ from stltool.errors import ModelError
 Floats: TypeAlias = NDArray[np.float64]
 
 _UNITS = 10**15
-_TOLERANCE = 1e-9  # by how much ends read as doubles may miss Σ lower ≤ 1 ≤ Σ upper
+_TOLERANCE = 1e-9  # by how much ends read as doubles may violate Σ lower ≤ 1 ≤ Σ upper
 
 
 @dataclass(frozen=True, eq=False)
 class Intervals:
     """lower, upper (n_transitions,): the ends of each entry of a model's rows, in the order of its `target`.
 
-    Lower ends may be 0: nature may then do without that successor. A model made with them checks them.
+    A lower end may be 0: nature can then avoid that successor. The model built from the intervals validates them.
     """
 
     lower: Floats = field(repr=False)
@@ -40,12 +42,12 @@ class Intervals:
     def nominal(self, row_start: NDArray[np.int64]) -> Floats:
         """The nominal distribution of every row (n_transitions,); entries that must be 0 are 0.
 
-        In decimals of 15 digits, rows summing to 1 exactly as such: the nominal model has exact answers too.
+        In decimals of 15 digits whose rows sum to 1 exactly, so that the nominal model has exact answers too.
         """
         width = self.upper - self.lower
         total = np.add.reduceat(width, row_start[:-1])
         missing = 1 - np.add.reduceat(self.lower, row_start[:-1])
-        with np.errstate(invalid="ignore"):  # ends that are no numbers are refused by their model, by name
+        with np.errstate(invalid="ignore"):  # NaN ends are refused by the model, which can name them
             share = np.clip(np.divide(missing, total, out=np.zeros_like(total), where=total > 0), 0, 1)
         inside = self.lower + np.repeat(share, np.diff(row_start)) * width
         return _in_decimals(np.nan_to_num(inside), np.nan_to_num(self.upper - inside), row_start)
@@ -53,9 +55,9 @@ class Intervals:
     def validate(
         self, row_start: NDArray[np.int64], nominal: Floats, at: Callable[[int], str], to: Callable[[int], str]
     ) -> None:
-        """ModelError, naming state and action, unless every row holds a distribution and `nominal` lies inside.
+        """ModelError, naming state and action, unless every row contains a distribution and `nominal` lies inside.
 
-        `at` and `to` tell a choice and an entry's successor in the user's names.
+        `at` and `to` name a choice and the successor of an entry, in the user's names.
         """
 
         def choice_of(entry: int) -> int:
@@ -71,8 +73,8 @@ class Intervals:
         if bad.size:
             k = int(bad[0])
             raise ModelError(
-                f"{at(choice_of(k))}: [{self.lower[k]:.12g}, {self.upper[k]:.12g}] to state {to(k)} is no interval of "
-                "probabilities; write 0 <= lower <= upper <= 1, and leave out what cannot happen"
+                f"{at(choice_of(k))}: [{self.lower[k]:.12g}, {self.upper[k]:.12g}] to state {to(k)} is not an interval "
+                "of probabilities; write 0 <= lower <= upper <= 1, and leave out what cannot happen"
             )
         for ends, wrong, says in (
             (self.lower, 1, "lower ends sum to {:.12g}, more than 1; lower one of them"),
@@ -87,13 +89,13 @@ class Intervals:
             k = int(outside[0])
             raise ModelError(
                 f"{at(choice_of(k))}: the probability {nominal[k]:.12g} to state {to(k)} is outside "
-                f"[{self.lower[k]:.12g}, {self.upper[k]:.12g}]; make a model's probabilities with Intervals.nominal"
+                f"[{self.lower[k]:.12g}, {self.upper[k]:.12g}]; compute a model's probabilities with Intervals.nominal"
             )
 
 
 def _in_decimals(values: Floats, room: Floats, row_start: NDArray[np.int64]) -> Floats:
-    """Rounded down to 15 digits; what rows then lack of 1 goes to the entry with the most room above it."""
-    units = np.floor(values * _UNITS + 1e-3).astype(np.int64)  # what is whole but for its rounding stays
+    """Rounded down to 15 digits; what a row then lacks of 1 is added to the entry with the most room above it."""
+    units = np.floor(values * _UNITS + 1e-3).astype(np.int64)  # an integer up to rounding stays
     length = np.diff(row_start)
     first = np.flatnonzero(room == np.repeat(np.maximum.reduceat(room, row_start[:-1]), length))
     first = first[np.searchsorted(first, row_start[:-1])]

@@ -1,4 +1,4 @@
-"""A model file → MDP, by the file's ending, and in TOML by its `kind`."""
+"""A model file → MDP, by the file extension, and for TOML by its `kind`."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ _KINDS: dict[str, Callable[[dict[str, Any], str, bool], MDP]] = {
 
 
 def load_model(path: str | Path, normalize: bool = False) -> MDP:
-    """Read a model by its file's ending. Raises FileError; ModelError with all that is wrong in the file, by lines.
+    """Read a model file. Raises FileError, and ModelError listing all faults of the file with their lines.
 
-    `.toml` is a grid world (models/grid.py) or a Gymnasium environment (models/gymnasium/file.py), as its `kind` says;
-    `.tra` PRISM's explicit files (models/formats/explicit.py). `normalize` rescales probabilities that miss a sum of 1
-    by at most 1/1000, as `MDP.from_arrays` does; the key `normalize = true` of a TOML file asks for it too.
+    `.toml` is a grid world (models/grid.py) or a Gymnasium environment (models/gymnasium/file.py), depending on its
+    `kind`; `.tra` is PRISM's explicit format (models/formats/explicit.py). `normalize` rescales probabilities that miss
+    a sum of 1 by at most 1/1000, as `MDP.from_arrays` does; so does the key `normalize = true` of a TOML file.
     """
     path, normalize = path_of(path, "load_model's path"), flag(normalize, "normalize")
     loader = _LOADERS.get(path.suffix.lower())
     if loader is None:
         if not path.exists():
             raise FileError(f"{path}: there is no such model file")
-        raise FileError(f"{path}: no model format has the ending {path.suffix!r}; known: {', '.join(_LOADERS)}")
+        known = ", ".join(_LOADERS)
+        raise FileError(f"{path}: no model format has the extension {path.suffix!r}; known extensions: {known}")
     return loader(path, normalize)
 
 
@@ -55,7 +56,7 @@ def _load_toml(path: Path, normalize: bool) -> MDP:
 
 
 def companions(path: Path) -> list[Path]:
-    """The files that are read with a model file, beside it, where they are there."""
+    """The files next to a model file that are read together with it, if they exist."""
     beside = (path.with_suffix(ending) for ending in _BESIDE.get(path.suffix.lower(), ()))
     return [other for other in beside if other.exists()]
 

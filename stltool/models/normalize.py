@@ -1,14 +1,14 @@
-"""Rows that miss 1 by rounding alone → rows that sum to 1 exactly, so that exact answers exist.
+"""Rows that miss 1 only by rounding → rows that sum to 1 exactly, so that exact answers exist.
 
-Fractions and decimals are taken as given, doubles as their shortest decimals. A row that sums to 1 stays. Of another,
+Fractions and decimals are taken as given, doubles as their shortest decimals. A row that sums to 1 is kept. In others,
 with d = |1 − Σ| and δ = max(d, 2⁻⁵⁰),
 
-    1. each entry becomes the fraction of denominator at most N = min(1000, ⌊1/√(2δ)⌋) that lies within δ of it (at most
-       one does), where all entries have one and these sum to 1: 0.3333333333333333 becomes 1/3;
-    2. else each is divided by Σ and rounded down to 18 decimals (more where the smallest entry needs them), and the
-       largest entry takes what is then left over.
+    1. each entry becomes the fraction of denominator at most N = min(1000, ⌊1/√(2δ)⌋) that lies within δ of it (there
+       is at most one), if all entries have one and these sum to 1: 0.3333333333333333 becomes 1/3;
+    2. otherwise, each is divided by Σ and rounded down to 18 decimals (more if the smallest entry needs them), and the
+       remainder is added to the largest entry.
 
-A row that misses 1 by more than `MOST_MISSING` is no matter of rounding, and refused.
+A row that misses 1 by more than `MOST_MISSING` is not a matter of rounding, and is refused.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from stltool.numbers import number_text
 
 MOST_MISSING = Fraction(1, 1000)
 HINT = (
-    "rows that miss 1 by rounding alone are rescaled on request: normalize=True (on the command line --normalize, in a "
+    "rows that miss 1 only by rounding are rescaled on request: normalize=True (on the command line --normalize, in a "
     "model file normalize = true)"
 )
 _ROUNDING = Fraction(1, 2**50)
@@ -40,7 +40,7 @@ NOTHING = "normalize changed nothing: the model's probabilities are {}"  # inter
 
 @dataclass(frozen=True)
 class Rescaled:
-    """What was done to a model: how many of its rows were rescaled, and by how much an entry changed at most."""
+    """What was done to a model: how many of its rows were rescaled, and the largest change of an entry."""
 
     rows: int
     of: int
@@ -61,9 +61,9 @@ class Rescaled:
 def rescale(
     shares: tuple[Integers, int], row_start: NDArray[np.int64], place: Callable[[int], str]
 ) -> tuple[tuple[Integers, int], Rescaled]:
-    """Entries (integers over one denominator) with every row summing to 1, and what was done.
+    """The entries (integers over one denominator) with every row summing to 1, and what was done.
 
-    `place` names a row. Raises ModelError for the first row that is off by more than rounding.
+    `place` names a row. Raises ModelError for the first row that misses 1 by more than rounding.
     """
     numerator, denominator = shares
     sums = np.add.reduceat(numerator, row_start[:-1])
@@ -84,13 +84,13 @@ def rescale(
 
 
 def rescaled(row: Sequence[int], one: int, where: str) -> list[Fraction]:
-    """The entries of a row, given over `one`, so that they sum to 1; entries 0 stay 0."""
+    """The entries of a row, given over the denominator `one`, changed to sum to 1; entries 0 stay 0."""
     total = sum(row)
     missing = Fraction(abs(one - total), one)
     if missing > MOST_MISSING:
         raise ModelError(
             f"{where}: the probabilities sum to {total / one:.12g}, not 1; normalize rescales rows that miss 1 by at "
-            f"most {number_text(MOST_MISSING)}, as rounding does: mend this one"
+            f"most {number_text(MOST_MISSING)}, as by rounding; correct this row"
         )
     positive = [entry for entry in row if entry]
     found = iter(_small([Fraction(entry, one) for entry in positive], max(missing, _ROUNDING)) or _decimals(positive))
@@ -98,7 +98,7 @@ def rescaled(row: Sequence[int], one: int, where: str) -> list[Fraction]:
 
 
 def _small(row: list[Fraction], within: Fraction) -> list[Fraction] | None:
-    """Fractions of small denominators near the entries; None where there are none that sum to 1."""
+    """Fractions of small denominators near the entries; None unless there are some that sum to 1."""
     most = min(_LARGEST_DENOMINATOR, math.isqrt(math.floor(1 / (2 * within))))
     near: list[Fraction] = []
     for entry in row:

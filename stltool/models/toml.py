@@ -1,4 +1,4 @@
-"""Model files in TOML: read with decimals kept, and everything that is wrong in one told at once, with its line."""
+"""Model files in TOML: read with decimals kept exactly, and all faults reported at once, with their lines."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong with a key, or a key of a table; `cell` is a place in its text of several lines: (line, column)."""
+    """A fault in a key, or a key of a table; `cell` is the position in a multi-line string: (line, column)."""
 
     place: tuple[str, ...]
     message: str
@@ -35,7 +35,7 @@ class Fault:
 
 
 class ModelFaults(ModelError):
-    """All that is wrong with a model file's table; `faults` are the first of `count`."""
+    """The faults in the table of a model file; `faults` are the first of `count`."""
 
     def __init__(self, faults: list[Fault], count: int) -> None:
         super().__init__(all_told([str(fault) for fault in faults], count))
@@ -44,9 +44,9 @@ class ModelFaults(ModelError):
 
 @dataclass
 class Faults:
-    """What is wrong with a table, collected."""
+    """Collects the faults of a table."""
 
-    found: list[Fault] = field(default_factory=list)  # of each key the first that a message would tell
+    found: list[Fault] = field(default_factory=list)  # for each key, the first ones, as many as a message lists
     count: int = 0
     by_key: dict[str, int] = field(default_factory=dict)
 
@@ -58,7 +58,7 @@ class Faults:
             self.found.append(Fault(place, message, cell))
 
     def reading(self, place: str | tuple[str, ...], read: Callable[..., _T], *arguments: Any) -> _T | None:
-        """What `read` returns; None where it finds a fault, which is noted."""
+        """The result of `read`; None if it raises ModelError, which is added to the faults."""
         try:
             return read(*arguments)
         except ModelError as error:
@@ -66,13 +66,13 @@ class Faults:
             return None
 
     def refuse(self) -> None:
-        """ModelFaults where there are any."""
+        """ModelFaults if there are any."""
         if self.found:
             raise ModelFaults(self.found, self.count)
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:
-    """A file's table, and its text."""
+    """The table in a file, and the text of the file."""
     text = read_text(path, "model file")
     try:
         return tomllib.loads(text, parse_float=Decimal), text
@@ -81,7 +81,7 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
 
 
 def located(path: Path, text: str, error: ModelFaults) -> ModelError:
-    """The faults with the lines of the file that they stand on, in their order."""
+    """The faults with their lines in the file, in order."""
     lines, source = _Lines(text), Source(str(path), text)
 
     def told(fault: Fault) -> str:
@@ -95,14 +95,14 @@ def located(path: Path, text: str, error: ModelFaults) -> ModelError:
 
 
 class _Lines:
-    """Where the keys of a TOML text stand: those that begin a line of their own."""
+    """The lines of the keys in a TOML text; only keys at the beginning of a line are found."""
 
     def __init__(self, text: str) -> None:
         self.texts = text.split("\n")
         self.known: dict[tuple[str, ...], int] = {}
-        self.first: dict[tuple[str, ...], int] = {}  # the line on which the text of several lines begins
+        self.first: dict[tuple[str, ...], int] = {}  # the line on which a multi-line string begins
         table: tuple[str, ...] = ()
-        inside = ""  # the quotes that end the text of several lines that a line belongs to
+        inside = ""  # the closing quotes of the multi-line string that contains the current line, if any
         for number, line in enumerate(self.texts, start=1):
             if inside:
                 inside = "" if inside in line else inside
@@ -119,20 +119,20 @@ class _Lines:
             quotes = found["value"][:3]
             if quotes in ("'''", '"""') and quotes not in (rest := found["value"][3:]):
                 inside = quotes
-                self.first[key] = number + (not rest.strip("\r"))  # a line end right behind the quotes is dropped
+                self.first[key] = number + (not rest.strip("\r"))  # a line break directly after the quotes is dropped
 
     def of(self, place: tuple[str, ...]) -> int | None:
-        """The line of a key, or of the table that it is in."""
+        """The line of a key, or of the table that contains it."""
         return next((self.known[place[:n]] for n in range(len(place), 0, -1) if place[:n] in self.known), None)
 
     def start(self, fault: Fault) -> int | None:
-        """Where the character is that a fault speaks of, in a text of several lines."""
+        """The position of the character at fault in a multi-line string."""
         if fault.cell is None or fault.place not in self.first:
             return None
         row, column = fault.cell
         number = self.first[fault.place] + row - 1
         start = sum(len(line) + 1 for line in self.texts[:number]) + column
-        if number == self.known[fault.place] - 1:  # behind the quotes
+        if number == self.known[fault.place] - 1:  # after the quotes
             start += max(self.texts[number].find(quotes) for quotes in ("'''", '"""')) + 3
         return start
 

@@ -30,7 +30,7 @@ def guarantee_data(found: Guarantee | Estimate) -> dict[str, Any]:
             "runs": found.runs,
             "satisfied": found.satisfied,
             "seed": found.seed,
-            "assumes": "runs are independent of each other and of the learning",
+            "assumes": "the runs are independent of each other and of the learning",
         }
     bound = {"lower": found.lower, "confidence": found.confidence, "seconds": found.seconds}
     return {**details, **bound, "statement": found.statement}
@@ -43,7 +43,7 @@ def guarantee_rows(guarantees: Sequence[dict[str, Any]], checks: Sequence[dict[s
             "guaranteed_by": "exact check",
             "P_at_least": floor_text(check["lower"]),
             "confidence": "certain",
-            "assumes": "the model, its probabilities included",
+            "assumes": "the model, including its probabilities",
         }
         for check in checks
         if check["question"] == "policy"

@@ -16,6 +16,7 @@ import jinja2
 from stltool.arguments import described, require
 from stltool.arguments import path as path_of
 from stltool.checking import CheckResult, Estimate
+from stltool.display import NATURES
 from stltool.errors import ArgumentError, FileError
 from stltool.files import read_text, write_atomically
 from stltool.learning import Guarantee, Training
@@ -179,6 +180,7 @@ def _templates() -> jinja2.Environment:
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["probability"] = probability_text
+    environment.globals["natures"] = NATURES
     return environment
 
 

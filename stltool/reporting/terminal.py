@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from stltool.display import NATURES
 from stltool.kernels.jit import compiling
 from stltool.learning.sweep import SweepProgress
 from stltool.log import LOG, Stage
@@ -146,8 +147,8 @@ def print_checks(checks: list[dict[str, Any]]) -> None:
     rows: list[tuple[str, ...]] = [("", "P", "lower bound", "upper bound", "gap", "status")]
     rows += [
         (
-            ("the policy" if check["question"] == "policy" else f"{check['question']} of all")
-            + (f", nature {check['nature']}" if check["nature"] in ("against", "with") else ""),
+            ("the policy" if check["question"] == "policy" else f"{check['question']} over all policies")
+            + (f", {NATURES[check['nature']]}" if check["nature"] in NATURES else ""),
             f"{check['probability']:.15g}",
             *bound_texts(check["lower"], check["upper"]),
             f"{check['gap']:.3g}",

@@ -198,7 +198,7 @@ def test_environments_that_return_no_state(wrong, known):
             lambda p=product, policy=policy: stl.estimate(p, policy, runs=1),
             lambda p=product, policy=policy: stl.sample_run(p, policy, seed=0),
         ):
-            with pytest.raises(ModelError, match=f"{call}.* returned .*, which is no state of"):
+            with pytest.raises(ModelError, match=f"{call}.* returned .*, which is not a state of"):
                 ask()
 
 

@@ -242,7 +242,7 @@ def test_a_black_box_that_is_the_model_gives_the_models_probability(patrolling, 
 @pytest.mark.parametrize("answer", [18, -1, 1.0, None, (3, {}), "3", np.array([1, 2])])
 def test_what_is_no_state_is_refused(patrolling, answer):
     policy = stl.check(patrolling).policy
-    with pytest.raises(ModelError, match=r"environment's reset\(\) returned .* no state of floor-5x5; .* 0 … 17"):
+    with pytest.raises(ModelError, match=r"environment's reset\(\) returned .* not a state of floor-5x5; .* 0 … 17"):
         stl.estimate(patrolling, policy, environment=Environment(lambda: answer, lambda i: 0))
     s = int(patrolling.model.initial.argmax())
     with pytest.raises(ModelError, match=r"environment's step\(\d\) in state \(1,0\) returned"):

@@ -27,10 +27,10 @@ def test_check_prints_one_object(stltool):
 def test_check_table_and_minimum(stltool):
     code, out, _ = stltool("check", PATROLLING, *SMALL, "--minimize")
     assert code == 0
-    assert "minimum of all" in out
+    assert "minimum over all policies" in out
     code, out, _ = stltool("check", str(FACTORY / "reaching.stl"))
     assert "reaching := F[0,9] F[0,4] A" in out
-    assert "maximum of all" in out
+    assert "maximum over all policies" in out
 
 
 @pytest.mark.parametrize(
@@ -40,8 +40,8 @@ def test_check_table_and_minimum(stltool):
         (["--at-most", "0.7"], 1, "P <= 0.7  does not hold"),
         (["--at-least", "0.7", "--at-most", "0.8"], 0, "P <= 0.8  holds"),
         (["--at-least", "0.7", "--at-most", "0.73"], 1, "P <= 0.73  does not hold"),
-        (["--at-least", "0.73794757279959"], 1, "not decided: the bound lies inside the enclosure; add --exact"),
-        (["--at-most", "0.73794757279959"], 1, "not decided: the bound lies inside the enclosure; add --exact"),
+        (["--at-least", "0.73794757279959"], 1, "undecided: the bound lies inside the enclosure; add --exact"),
+        (["--at-most", "0.73794757279959"], 1, "undecided: the bound lies inside the enclosure; add --exact"),
         (["--at-least", "0.73794757279959", "--exact"], 0, "P >= 0.73794757279959  holds"),
         (["--at-most", "0.73794757279959", "--exact"], 0, "P <= 0.73794757279959  holds"),
         (["--at-least", "0.7379475727995900000001", "--exact"], 1, "does not hold"),
@@ -53,7 +53,7 @@ def test_verdicts_for_continuous_integration(stltool, options, code, says):
     assert out.rstrip().endswith(says)
     ended, out, _ = stltool("check", PATROLLING, *SMALL, *options, "--json")
     data = json.loads(out)
-    assert (ended, data["holds"], data["decided"]) == (code, code == 0, "not decided" not in says)
+    assert (ended, data["holds"], data["decided"]) == (code, code == 0, "undecided" not in says)
 
 
 def test_the_exact_fraction(stltool):
@@ -124,7 +124,7 @@ def test_certificates_of_given_policies(stltool, tmp_path):
     assert (data["claim"], data["lower"], data["upper"]) == ("policy", *["73794757279959/100000000000000"] * 2)
     assert stltool("certify", file, PATROLLING, *SMALL, "--policy", saved)[0] == 0
     code, _, err = stltool("certify", file, "--policy", saved)
-    assert (code, "give TASK too" in err) == (2, True)
+    assert (code, "give TASK, too" in err) == (2, True)
 
 
 def test_an_explicit_model_on_the_command_line(stltool, tmp_path):
@@ -160,7 +160,7 @@ def test_learn_then_check_the_policy(stltool, tmp_path):
     assert stl.check(product, run.policy).probability == data["probability"]
     code, out, _ = stltool("check", PATROLLING, *SMALL, "--policy", policy)
     assert "the policy" in out
-    assert "maximum of all" in out
+    assert "maximum over all policies" in out
 
 
 def test_learn_prints_json_and_takes_settings(stltool, tmp_path):
@@ -226,8 +226,8 @@ def test_explain_tells_what_may_be_misread_and_what_has_no_horizon(stltool, tmp_
     path.write_text("step = 0.5s\nr := G[0,2s] a & b or always c\n")
     code, out, _ = stltool("explain", path)
     assert code == 0
-    assert "none: an interval has no end; only monitors judge this" in out
-    assert "not looked into: the formula has no horizon" in out
+    assert "none: an interval has no end; only monitors can judge this" in out
+    assert "not analysed: the formula has no horizon" in out
     assert "└── G[0,inf)\n    └── c\n" in out
     assert "warning: " in out
     assert "here it means ((G[0,2s] a) & b) | (G c)" in out
@@ -258,7 +258,7 @@ def test_a_formula_may_have_times(stltool, tmp_path):
     assert "no step is declared above" in stltool("explain", "F[0,2s] a")[2]
     assert "is not a positive time with a unit" in stltool("explain", "F[0,2s] a", "--step", "3")[2]
     code, _, err = stltool("explain", PATROLLING, "--step", "1s")
-    assert (code, "a task file says so itself, on a line step = 1s" in err) == (2, True)
+    assert (code, "a task file declares its own step; write step = 1s there" in err) == (2, True)
     trace = tmp_path / "trace.csv"
     trace.write_text("a\n0\n0\n0\n0\n1\n")
     assert stltool("monitor", "F[0,2s] a", trace, "--step", "0.5s")[0] == 0
@@ -356,14 +356,14 @@ def test_other_bad_input_ends_with_code_2(stltool, tmp_path):
         (["check", PATROLLING, "--task", "patrol"], "there is no definition patrol; did you mean patrolling"),
         (["check", PATROLLING, "--encoding", "fast"], "encoding is 'fast'; choose exact, paper or history"),
         (["check", PATROLLING, "--at-least", "1.2"], "a probability lies between 0 and 1"),
-        (["check", no_model], "no model; add a line such as"),
+        (["check", no_model], "names no model; add a line such as"),
         (["check", no_model, "--model", row], "sum to 1.2, not 1"),
         (["run", PATROLLING, "--method", "cefr"], "did you mean cfer"),
         (["run", PATROLLING, "--episodes", "0"], "episodes is 0"),
         (["run", PATROLLING, "--set", "replay=3"], "no setting 'replay'; did you mean replays"),
         (["run", PATROLLING, *SMALL, "-e", "1", "--out", no_model], "is no folder to write in; name another"),
-        (["run", PATROLLING, "--set", "seed=3"], "--set seed: it has an option of its own, --seed"),
-        (["run", PATROLLING, "--set", "evaluate_every=3"], "an option of its own, --evaluate-every"),
+        (["run", PATROLLING, "--set", "seed=3"], "--set seed: this setting has its own option; use --seed"),
+        (["run", PATROLLING, "--set", "evaluate_every=3"], "its own option; use --evaluate-every"),
         (["run", PATROLLING, "--set", "replays=3", "--set", "replays=4"], "--set replays is given twice"),
         (["learn", PATROLLING, "-o", "p.npz", "--set", "gamma=0.1"], "cfer has no setting gamma; naive as published"),
         (
@@ -425,7 +425,7 @@ def test_a_policy_goes_to_a_file_while_it_is_found(stltool, tmp_path, monkeypatc
     code, out, _ = stltool("check", PATROLLING, *SMALL, "--policy", "best.policy", "--json")
     assert json.loads(out)["probability"] == found["probability"]
     code, _, err = stltool("check", PATROLLING, *SMALL, "--save-policy", "best.npz", "--resume")
-    assert (code, "--resume goes on with a policy file; add --save-policy FILE.policy" in err) == (2, True)
+    assert (code, "--resume continues a policy file; add --save-policy FILE.policy" in err) == (2, True)
     code, out, _ = stltool("check", PATROLLING, *SMALL, "--save-policy", "best.policy", "--resume", "--json")
     assert json.loads(out)["probability"] == found["probability"]
 

@@ -37,7 +37,7 @@ def test_the_best_policys_interval_stands_beside_the_exact_value(estimate, patro
     result = stl.estimate(patrolling, stl.check(patrolling).policy, seed=3)
     assert code == 0
     for text in (
-        "the best of all (time-dependent, deterministic)",
+        "the best policy (time-dependent, deterministic)",
         f"10000, {result.satisfied} satisfied, {result.steps} steps, seed 3",
         result.statement,
         "exact P  0.7379475728, in the interval",

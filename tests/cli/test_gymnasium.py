@@ -22,7 +22,7 @@ def test_a_black_box_is_run_and_bounded(stltool, tmp_path):
     code, out, _ = stltool("run", *arguments)
     assert code == 0
     bound = float(re.search(r"\nfresh runs, 300 runs +(\S+) +99 %", out)[1])
-    assert "maximum of all" not in out
+    assert "maximum over all policies" not in out
     assert "learning data" not in out
     data = load_report(tmp_path / "report.json")
     (found,) = data["guarantees"]
@@ -48,10 +48,10 @@ def test_a_black_box_is_run_and_bounded(stltool, tmp_path):
 def test_the_table_is_run_and_checked(stltool, tmp_path):
     code, out, _ = stltool("run", KNOWN, "-p", "T=30", "--episodes", 200, "--out", tmp_path)
     assert code == 0
-    assert "maximum of all" in out
+    assert "maximum over all policies" in out
     assert "exact check" in out
     code, _, err = stltool("run", UNKNOWN, "--rollouts", 0, "--out", tmp_path)
-    assert (code, "a black box's policy is judged by fresh runs alone" in err) == (2, True)
+    assert (code, "a policy for a black box is judged only by fresh runs" in err) == (2, True)
 
 
 def test_the_other_commands_on_a_black_box(stltool, tmp_path):
@@ -76,7 +76,7 @@ def test_the_other_commands_on_a_black_box(stltool, tmp_path):
     code, _, err = stltool("check", KNOWN, "--policy", policy)
     assert (code, "is for the model lake-blackbox" in err) == (2, True)
     code, _, err = stltool("learn", UNKNOWN, "-p", "T=200", "--out", policy)
-    assert (code, "after 100 steps, and the task looks at 200" in err) == (2, True)
+    assert (code, "after 100 steps, and the task needs 200" in err) == (2, True)
 
 
 # ------------------------------------------------------------------------------------------------------ model files
@@ -141,7 +141,7 @@ START = 'kind = "gymnasium"\nid = "FrozenLake-v1"\n'
         ('kind = "gymnasium"\nid = 3', "lake.toml, line 2: id is 3"),
         ('kind = "gymnasium"\nid = "FrozenLak-v1"', "line 2: id is 'FrozenLak-v1': .*did you mean FrozenLake-v1"),
         ('kind = "gymnasium"\nid = "FrozenLake-v7"', "line 2: id is 'FrozenLake-v7': .*; did you mean"),
-        ('kind = "gymnasium"\nid = "os:FrozenLake-v1"', "line 2: id is .*: a file cannot have a module imported"),
+        ('kind = "gymnasium"\nid = "os:FrozenLake-v1"', "line 2: id is .*: a file cannot import a module"),
         ('kind = "gymnasium"\nid = ""', "line 2: id is ''"),
         ('kind = "gymnasium"\nid = "CartPole-v1"', "lake.toml, line 2: CartPole-v1: its observations are Box"),
         (START + "labls = {}", "line 3: unknown key labls; did you mean labels"),
@@ -151,15 +151,15 @@ START = 'kind = "gymnasium"\nid = "FrozenLake-v1"\n'
         (START + 'actions = ["go"]', "lake.toml: FrozenLake-v1: 1 action names for 4 actions"),
         (START + "labels = 5", "line 3: labels is 5; write it as a table"),
         (START + "[labels]\ngoal = 15", "line 4: label goal is 15; give a function"),
-        (START + "[labels]\n# far\ngoal = [16]", "line 5: label goal: 16 is no observation of FrozenLake-v1"),
+        (START + "[labels]\n# far\ngoal = [16]", "line 5: label goal: 16 is not an observation of FrozenLake-v1"),
         (START + '[labels]\n"goal" = [1, 1]', "line 4: label goal lists 1 twice"),
         (START + "[signals]\nx = [1, 2]", r"line 4: signal x has shape \(2,\); one number for each of 16"),
-        (START + "[signals]\nx = 'row'", "line 4: signal x does not hold numbers"),
+        (START + "[signals]\nx = 'row'", "line 4: signal x does not contain numbers"),
         (START + "[coordinates]\nrow = 4\ncolumn = 5", "line 3: the coordinates have 4 × 5 values, .* has 16 states"),
         (START + "[coordinates]\nrow = 'x'", "line 4: coordinate row is 'x'; write how many"),
         (START + "[coordinates]\nx = 16\n[signals]\nx = [1]", "line 6: signal x is a coordinate too"),
         (START + "[options]\nslippery = true", "line 3: FrozenLake-v1 cannot be made with the options slippery = True"),
-        (START + "[options]\nday = 2020-01-01", "line 4: option day is .*; write a number, a text"),
+        (START + "[options]\nday = 2020-01-01", "line 4: option day is .*; write a number, a string"),
         (START + "[labels]\nx = [1]\n[signals]\nx = [0]", "line 6: signal x has shape"),
         (START + "a = ", "lake.toml: not valid TOML"),
         ('kind = "gymnasium"\nid = "Blackjack-v1"\n[coordinates]\ntotal = 704', "line 3: .* has 32 × 11 × 2"),
@@ -198,12 +198,12 @@ x = [1, 2]
         (", line 3", "unknown key tabel; did you mean table or labels?"),
         (", line 4", "ends is 'both'; write \"merged\" or \"apart\""),
         (", line 5", "actions is 3; write a list of names, such as [\"left\", \"right\"]"),
-        (", line 12", "label goal: 16 is no observation of FrozenLake-v1, which has Discrete(16)"),
+        (", line 12", "label goal: 16 is not an observation of FrozenLake-v1, which has Discrete(16)"),
         (", line 13", "label hole is 'water'; give a function of an observation, the observations where it holds, or "
                       "16 Booleans"),
         (", line 16", "signal x has shape (2,); one number for each of 16 states"),
-        (", line 17", "signal y z does not hold numbers: '1_0' is not a number; write it without underscores; give 16 "
-                      "of them in the order of the states, or a function of an observation"),
+        (", line 17", "signal y z does not contain numbers: '1_0' is not a number; write it without underscores; give "
+                      "16 of them in the order of the states, or a function of an observation"),
     ]  # fmt: skip
     assert lines[-1] == "7 errors"
 

@@ -74,7 +74,7 @@ def test_the_main_job_is_kept_and_goes_on(stltool, tmp_path, interrupted):
 def test_without_a_checkpoint_it_says_how_to_have_one(stltool, tmp_path, interrupted):
     code, out, err = stltool(*learning(tmp_path, "lost"))
     assert (code, out) == (130, "")
-    assert err == "error: interrupted, and nothing is kept; with --checkpoint FILE a run can be resumed\n"
+    assert err == "error: interrupted; nothing is kept (with --checkpoint FILE, a run can be resumed)\n"
 
 
 @pytest.mark.parametrize("command", ["learn", "run"])

@@ -167,13 +167,13 @@ def test_a_batch_has_a_row_a_trace(stltool, batch, tmp_path):
     for options, says in (([], "trace 1:\nstep "), (["--trace", 2], "trace 2:\nstep ")):
         assert says in stltool("monitor", "x > 0", batch, "--steps", *options)[1]
     np.savez(tmp_path / "many.npz", x=np.ones((23, 2)))
-    assert stltool("monitor", "x > 0", tmp_path / "many.npz")[1].endswith("\nand 3 more; --json has all\n")
+    assert stltool("monitor", "x > 0", tmp_path / "many.npz")[1].endswith("\nand 3 more; --json lists all\n")
 
 
 def test_many_ranges(stltool, tmp_path):
     (tmp_path / "t.csv").write_text("x\n" + "1\n-1\n" * 7)
     _, out, _ = stltool("monitor", "x > 0", tmp_path / "t.csv")
-    assert out.endswith("step 9    1      -1                9\nand 2 more; --json has all\n")
+    assert out.endswith("step 9    1      -1                9\nand 2 more; --json lists all\n")
 
 
 @pytest.mark.parametrize("ending", ["png", "SVG", "pdf"])
@@ -209,11 +209,11 @@ def test_bad_input_ends_with_code_2(stltool, log, batch, tmp_path, monkeypatch):
         (["task.stl", log, "--task", "bonded"], "there is no definition bonded; did you mean bounded?"),
         (["task.stl", log, "-p", "T=3"], "there is no param T to override"),
         (["task.stl", log, "--task", "bounded"], "the traces have 5 samples; this formula needs 10"),
-        (["x > 0", log, "--task", "a"], "--task a: a formula has no definitions to choose from; leave --task out"),
+        (["x > 0", log, "--task", "a"], "--task a: a formula has no definitions to choose from; leave out --task"),
         (["x > 0", log, "-p", "T=3"], "formula: this formula has no param T; known names: x"),
         (["x > T0", log, "-p", "T=3"], "formula: this formula has no param T; did you mean T0?"),
         (["x > 0", log, "-p", "T"], "'T' is not NAME=VALUE"),
-        (["true", log], "true: this reads no signal and no label, so a trace says nothing about it"),
+        (["true", log], "true: this formula is constant"),
         (["X > 0", log], "there is no column X; did you mean x?"),
         (["when > 0", log], "line 2, column when: 'Mon' is not a number"),
         (["x & door", log], "compare it, as in x > 0"),
@@ -223,10 +223,10 @@ def test_bad_input_ends_with_code_2(stltool, log, batch, tmp_path, monkeypatch):
         (["x > 0", log, "--at", 5], "--at 5: steps 0 … 4 of these 5 samples are judged; --end cut or hold judges"),
         (["x > 0", log, "--at", -1], "--at -1: steps 0 … 4 of these 5 samples are judged"),
         (["x > 0", log, "--at", 5, "--end", "cut"], "--at 5: steps 0 … 4 of these 5 samples are judged"),
-        (["x > 0", log, "--trace", 0], "--trace 0 says which trace --plot or --steps shows; add one of them"),
+        (["x > 0", log, "--trace", 0], "--trace 0 selects the trace for --plot or --steps; add one of them"),
         (["x > 0", log, "--trace", 0, "--steps"], "log.csv holds a single trace; leave --trace out"),
         (["x > 0", batch, "--trace", 3, "--steps"], f"--trace 3: {batch} holds traces 0 … 2"),
-        (["x > 0", log, "--steps", "--json"], "--steps lists what --json has already; keep one of them"),
+        (["x > 0", log, "--steps", "--json"], "--steps lists what --json contains already; keep one of them"),
         (["x > 0", "none.csv", "--plot", "t.jpg"], "t.jpg: a picture is written as .png, .svg or .pdf; name"),
         (["x > 0", "none.csv", "--plot", "folder.png"], "folder.png: cannot be written: it is not a regular file"),
         (["x > 0", "none.csv", "--plot", "task.stl/t.png"], "task.stl: cannot be a folder for results"),

@@ -29,8 +29,9 @@ def test_check_asks_nature(stltool, product, nature, minimize):
         expected.probability, expected.lower, expected.upper,
     ]  # fmt: skip
     _, out, _ = stltool("check", UNCERTAIN, *SMALL, *options)
-    assert f"nature  {nature or 'against'}: probabilities move within their intervals" in out
-    assert f"{'minimum' if minimize else 'maximum'} of all, nature {nature or 'against'}" in out
+    assert f"nature  {nature or 'against'}: at every step" in out
+    told = "cooperative" if nature == "with" else "adversarial"
+    assert f"{'minimum' if minimize else 'maximum'} over all policies, {told} nature" in out
 
 
 def test_the_nominal_model_is_checked_when_asked(stltool, product):
@@ -39,7 +40,7 @@ def test_the_nominal_model_is_checked_when_asked(stltool, product):
     nominal = stl.build_product(product.model.nominal(), product.formula)
     assert (code, data["nature"], data["probability"]) == (0, "nominal", stl.check(nominal).probability)
     assert (
-        "nominal: one fixed probability inside every interval"
+        "nominal: a fixed probability inside every interval"
         in stltool("check", UNCERTAIN, *SMALL, "--nature", "nominal")[1]
     )
 
@@ -74,7 +75,7 @@ def test_at_least_holds_whatever_nature_does(stltool, product):
 def test_bad_natures_and_wrong_commands_end_with_a_message(stltool, tmp_path):
     for arguments, says in (
         (["check", UNCERTAIN, "--nature", "kind"], "--nature kind: choose against, with, nominal"),
-        (["check", FACTORY / "patrolling.stl", "--nature", "with"], "no intervals; leave --nature out"),
+        (["check", FACTORY / "patrolling.stl", "--nature", "with"], "not intervals; leave out --nature"),
         (
             ["learn", UNCERTAIN, "--out", tmp_path / "p.npz"],
             "probabilities are intervals; use stltool check, or the ordinary model inside them (--nominal)",
@@ -95,8 +96,8 @@ def test_a_report_tells_the_nature(product, tmp_path):
     mine = stl.robust_check(product, results[0].policy, nature="with")
     stl.report([*results, mine], None, tmp_path / "robust.html")
     page = (tmp_path / "robust.html").read_text()
-    assert "maximum over all policies, nature against" in page
-    assert "the policy&#39;s value, nature with" in page
+    assert "maximum over all policies, adversarial nature" in page
+    assert "the policy&#39;s value, cooperative nature" in page
     data = json.loads((tmp_path / "robust.json").read_text())
     assert [check["nature"] for check in data["checks"]] == ["against", "with", "with"]
     assert data["checks"][0]["gap"] == data["checks"][1]["gap"] == 0
@@ -109,11 +110,11 @@ def test_exact_arithmetic_and_certificates_need_one_probability_each(stltool, tm
     for option in (["--exact"], ["--certificate", path]):
         code, out, err = stltool("check", UNCERTAIN, *SMALL, *option)
         assert (code, out) == (2, "")
-        assert "need probabilities that are no intervals; add --nature nominal" in err
+        assert "need probabilities without intervals; add --nature nominal" in err
     assert not path.exists()
     assert stltool("check", UNCERTAIN, *SMALL, "--nature", "nominal", "--certificate", path)[0] == 0
     code, out, _ = stltool("certify", path, UNCERTAIN, *SMALL)
-    assert (code, "at its nominal probabilities: nothing is said of its intervals" in out) == (0, True)
+    assert (code, "with its nominal probabilities; nothing is proved about its intervals" in out) == (0, True)
     assert json.loads(stltool("certify", path, UNCERTAIN, *SMALL, "--json")[1])["nominal"] is True
     code, out, _ = stltool("check", UNCERTAIN, *SMALL, "--nature", "nominal", "--exact")
     assert (code, "exact P  " in out) == (0, True)
@@ -126,14 +127,14 @@ def test_the_nominal_model_on_the_ordinary_road(stltool, tmp_path):
     assert (code, "--nominal" in err) == (2, True)
     assert stltool("learn", UNCERTAIN, *SMALL, "--out", policy, "--episodes", "5", "--nominal")[0] == 0
     code, out, _ = stltool("check", UNCERTAIN, *SMALL, "--policy", policy)
-    assert (code, "the policy, nature against" in out) == (0, True)
+    assert (code, "the policy, adversarial nature" in out) == (0, True)
     for command in ("why", "estimate"):
         assert stltool(command, UNCERTAIN, *SMALL, "--nominal")[0] == 0
     code, _, err = stltool("why", FACTORY / "patrolling.stl", "--nominal")
-    assert (code, "the model's probabilities are no intervals" in err) == (2, True)
+    assert (code, "the model's probabilities are not intervals" in err) == (2, True)
 
 
 def test_a_bound_inside_the_enclosure_has_no_exact_way_out(stltool, product):
     value = stl.robust_check(product).probability
     code, out, _ = stltool("check", UNCERTAIN, *SMALL, "--at-least", repr(value))
-    assert (code, out.rstrip().endswith("not decided: the bound lies inside the enclosure")) == (1, True)
+    assert (code, out.rstrip().endswith("undecided: the bound lies inside the enclosure")) == (1, True)

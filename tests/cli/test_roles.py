@@ -189,7 +189,7 @@ def test_every_file_that_a_command_writes_is_known_before(stltool, folder, name)
         ("tradeoff", "--save-policy", "data.npz", "does not contain a policy"),
         ("check", "--certificate", "trace.csv", "does not contain a certificate"),
         ("learn", "--history", "trace.csv", "does not contain a learning curve"),
-        ("export", "--out", "trace.csv", "a text for Graphviz is written as .dot or .gv"),
+        ("export", "--out", "trace.csv", "Graphviz files end in .dot or .gv"),
         ("learn", "--out", "trace.csv", "a policy is saved as .npz"),
     ],
 )

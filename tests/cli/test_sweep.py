@@ -24,7 +24,7 @@ def test_a_sweep_from_start_to_report(stltool, sweep_file, tmp_path, monkeypatch
     heading = "scenario  method  seeds  P median  [q1, q3]  least  greatest  published  P*  0.99 P* at  steps  time"
     assert re.split(r"  +", lines[0]) == heading.split("  ")
     assert [line.split()[:3] for line in lines[1:5]] == [[s, m, "2"] for s in "RC" for m in ("naive", "replay")]
-    assert "runs    8 finished, 0 of them before; 0 failed" in out
+    assert "runs    8 finished, 0 of them earlier; 0 failed" in out
     assert "report  out/tiny/report.html" in out
     folder = tmp_path / "out" / "tiny"
     assert {path.name for path in folder.iterdir()} >= {
@@ -61,7 +61,7 @@ def test_a_dry_run_writes_nothing(stltool, sweep_file, tmp_path):
     out = tmp_path / "o"
     code, text, _ = stltool("sweep", sweep_file, "--dry-run", "--out", out, "--workers", 2)
     assert code == 0
-    assert f"to run  8 runs in {out}, 0 are finished" in text
+    assert f"to run  8 runs in {out}, 0 already finished" in text
     assert "with 2 workers" in text
     assert not out.exists()
     assert stltool("sweep", sweep_file, "--only", "R", "--workers", 1, "--out", out)[0] == 0
@@ -77,7 +77,7 @@ def test_failures_are_told_at_the_end(stltool, sweep_file, tmp_path):
     sweep_file.write_text(TINY.replace("batch = 8", "most_steps = 1"))
     code, out, err = stltool("sweep", sweep_file, "--workers", 1, "--out", tmp_path / "o")
     assert code == 2
-    assert "runs    4 finished, 0 of them before; 4 failed" in out
+    assert "runs    4 finished, 0 of them earlier; 4 failed" in out
     assert [line for line in err.splitlines() if line.startswith("error")] == [
         f"error: {scenario} replay, seeds 0, 1: most_steps is 1, and one episode takes 5; allow at least one"
         for scenario in "RC"
@@ -85,7 +85,7 @@ def test_failures_are_told_at_the_end(stltool, sweep_file, tmp_path):
     sweep_file.write_text(TINY.replace("evaluate_every = 5", "most_steps = 1"))
     code, out, err = stltool("sweep", sweep_file, "--workers", 1, "--out", tmp_path / "none")
     assert code == 2
-    assert "0 finished, 0 of them before; 8 failed" in out
+    assert "0 finished, 0 of them earlier; 8 failed" in out
     assert "report" not in out
     sweep_file.write_text(TINY.replace("batch = 8", "batch = 0"))
     code, out, err = stltool("sweep", sweep_file, "--workers", 1, "--out", tmp_path / "none")
@@ -97,13 +97,13 @@ def test_failures_are_told_at_the_end(stltool, sweep_file, tmp_path):
     ("options", "says"),
     [
         (["--only", "P1"], "the sweep has no scenario 'P1'"),
-        (["--only", "R,"], "--only R,: write names with commas between"),
+        (["--only", "R,"], "--only R,: write names separated by commas"),
         (["--method", "naive-er"], "the sweep has no method 'naive-er'"),
-        (["--seeds", "some"], "--seeds: 'some' is not an integer; write how many, such as 3"),
+        (["--seeds", "some"], "--seeds: 'some' is not an integer; write a number of seeds, such as 3"),
         (["--seeds", "0"], "seeds is 0"),
         (["--seeds", "1,1"], "seeds is [1, 1]"),
         (["--workers", "0"], "workers is 0"),
-        (["--workers", "2", "--cluster", "tcp://h:1"], "give one of the two"),
+        (["--workers", "2", "--cluster", "tcp://h:1"], "give only one of the two"),
     ],
 )
 def test_bad_options_end_with_their_message(stltool, sweep_file, tmp_path, options, says):

@@ -17,7 +17,7 @@ def test_the_runs_and_states_of_the_optimum(stltool):
     lines = out.splitlines()
     assert code == 0
     assert lines[0].endswith("patrolling := G[0,4] ((F[0,4] A) & (F[0,4] (x < 0.4 & y > 0.6)))")
-    assert lines[1] == "policy  maximum of all (time-dependent, deterministic)"
+    assert lines[1] == "policy  maximum over all policies (time-dependent, deterministic)"
     assert lines[2].startswith("P       0.737947572")
     assert lines[3] == "violated  probability 0.262052; 34.4 % of it in the most probable 2 runs"
     assert lines[5] == "run 1  probability 0.0466667, 17.8 %; violated at step 4 (certain from step 1)"
@@ -65,7 +65,7 @@ def test_the_worst_policy_and_what_satisfies(stltool, tmp_path):
     assert "satisfied  probability 0.737948; 87.7 % of it in the most probable 1 run" in out
     assert "satisfied at step 8 (certain from step 6)" in out
     _, out, _ = stltool("why", PATROLLING, *SMALL, "--satisfying", "--minimize")
-    assert "minimum of all" in out
+    assert "minimum over all policies" in out
     assert "satisfied  no run of positive probability" in out
     assert "no state; no success probability moves P" in out
     sure = tmp_path / "sure.stl"

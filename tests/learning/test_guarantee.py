@@ -326,10 +326,10 @@ def test_statements_round_down_and_say_what_they_rest_on(patrolling):
     counts = explored(patrolling, np.random.default_rng(0), 50)
     found = replace(stl.guarantee(patrolling, None, counts, confidence=0.95), lower=0.12345678)
     assert found.statement == (
-        "with confidence 95 % the probability is at least 0.123456, from 400 transitions seen while learning; nothing "
-        "is assumed of where choices lead"
+        "with confidence 95 % the probability is at least 0.123456, from 400 transitions seen while learning; "
+        "assumed: nothing about the transitions"
     )
-    assert "taken as known" in replace(found, support="known").statement
+    assert "possible successors are known" in replace(found, support="known").statement
 
 
 @pytest.mark.parametrize(

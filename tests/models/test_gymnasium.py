@@ -114,9 +114,9 @@ COIN = {s: {a: [(0.5, 0, 0.0, False), (0.5, 1, 1.0, False)] for a in (0, 1)} for
         (lambda n, s, a, o: (o[0], o[1], n == 50), "terminated=True, which P.*does not list; use table=False"),
         (
             lambda n, s, a, o: (n % 8 == 0, float(n % 8 == 0), False),
-            "likeliest outcome of P.s..a. came .* times, and by",
+            "likeliest outcome of P.s..a. occurred .* times, and the table",
         ),
-        (lambda n, s, a, o: 1 / 0, r"step\(.\) raised ZeroDivisionError: division by zero; mend the environment"),
+        (lambda n, s, a, o: 1 / 0, r"step\(.\) raised ZeroDivisionError: division by zero; correct the environment"),
     ],
 )
 def test_a_table_that_is_not_what_the_environment_does_is_refused(turn, says):
@@ -202,7 +202,9 @@ def test_fickle_passengers_are_found_without_their_name(monkeypatch, seed):
     generator = np.random.default_rng
     monkeypatch.setattr("stltool.models.gymnasium.table.require_listed", lambda *_: None)
     monkeypatch.setattr(np.random, "default_rng", lambda _: generator(seed))
-    with pytest.raises(ModelError, match="its transition table is not what it does: action .* does not list"):
+    with pytest.raises(
+        ModelError, match="its transition table does not describe its behaviour: action .* does not list"
+    ):
         stl.from_gymnasium(gymnasium.make(newest("Taxi"), fickle_passenger=True))
 
 
@@ -289,16 +291,16 @@ def test_states_that_no_run_reaches_may_be_entered_both_ways():
     [
         (
             [(0.5, 0, 0, False)],
-            r"the probabilities of P\[0\]\[0\] sum to 0.5, not 1; mend the table, or use table=False",
+            r"the probabilities of P\[0\]\[0\] sum to 0.5, not 1; correct the table, or use table=False",
         ),
         ([(0.5, 0, 0, False), (0.500001, 1, 0, False)], r"the probabilities of P\[0\]\[0\] sum to 1.000001"),
-        ([(1.0 + 1e-6, 0, 0, False)], "is no .probability, next state 0 … 1"),
-        ([(math.nan, 0, 0, False)], "holds .nan, 0, 0, False., which is no"),
-        ([(-0.5, 0, 0, False), (1.5, 0, 0, False)], "holds .-0.5"),
+        ([(1.0 + 1e-6, 0, 0, False)], "is not a .probability, next state 0 … 1"),
+        ([(math.nan, 0, 0, False)], "contains .nan, 0, 0, False., which is not"),
+        ([(-0.5, 0, 0, False), (1.5, 0, 0, False)], "contains .-0.5"),
         ([(1.0, 2, 0, False)], "next state 0 … 1, reward, terminated"),
-        ([(1.0, 0.5, 0, False)], "is no .probability"),
-        ([(1.0, 0, False)], "is no .probability"),
-        ([(1.0, 0, 0, "no")], "is no .probability"),
+        ([(1.0, 0.5, 0, False)], "is not a .probability"),
+        ([(1.0, 0, False)], "is not a .probability"),
+        ([(1.0, 0, 0, "no")], "is not a .probability"),
         ([], "sum to 0, not 1"),
     ],
 )
@@ -316,7 +318,7 @@ def test_rows_that_nearly_sum_to_one_are_kept_as_given():
 def test_first_states_without_a_distribution():
     P = {s: {0: [(1.0, s, 0, False)]} for s in range(2)}
     assert stl.from_gymnasium(Listed(P, (0.0, 1.0), distribution=False)).initial.tolist() == [0, 1]
-    with pytest.raises(ModelError, match="starts in several states, but no initial_state_distrib"):
+    with pytest.raises(ModelError, match="starts in several states, but has no initial_state_distrib"):
         stl.from_gymnasium(Listed(P, (0.5, 0.5), distribution=False))
 
 
@@ -330,7 +332,9 @@ def test_a_table_counts_only_for_the_environment_that_it_is_of():
 
     sticky = Sticky(gymnasium.make("FrozenLake-v1"))
     assert stl.from_gymnasium(sticky).blackbox is not None
-    with pytest.raises(ModelError, match="wrapper Sticky may change what its transition table says; use table=False"):
+    with pytest.raises(
+        ModelError, match="wrapper Sticky may change what its transition table describes; use table=False"
+    ):
         stl.from_gymnasium(sticky, table=True)
     scaled = gymnasium.wrappers.TransformReward(gymnasium.make("FrozenLake-v1"), lambda r: 2 * r)
     assert stl.from_gymnasium(scaled).blackbox is None
@@ -516,7 +520,7 @@ def test_environments_that_leave_their_space(space, outside):
         with pytest.raises(ModelError) as refusal:
             environment.step(0)
         assert f"Scripted: step(0) returned the observation {observation!r} at step 2" in str(refusal.value)
-        assert f"not in its space {space}; mend" in str(refusal.value)
+        assert f"not in its space {space}; correct" in str(refusal.value)
         with pytest.raises(ModelError, match=r"reset\(seed=…\) returned the observation .* at step 0, which is not in"):
             simulator(stl.from_gymnasium(Scripted((observation, {}), (), space)), np.random.default_rng(0)).reset()
 
@@ -557,11 +561,11 @@ def test_spaces_too_large_to_list_are_refused():
         ([7], r"step\(1\) returned int 7, not .observation, reward, terminated, truncated, info."),
         (
             [(1, 0.0, np.array([True, False]), False, {})],
-            r"step\(1\) returned terminated = array.* Booleans are needed",
+            r"step\(1\) returned terminated = array.* return Booleans",
         ),
         (
             [(1, 0.0, False, "no", {})],
-            r"step\(1\) returned terminated = False and truncated = 'no' at step 1; Booleans",
+            r"step\(1\) returned terminated = False and truncated = 'no' at step 1; return Booleans",
         ),
         ([step_of(1), RuntimeError("motor lost")], r"step\(1\) raised RuntimeError at step 2: motor lost"),
     ],
@@ -612,7 +616,9 @@ def test_resets_that_fail():
 def test_episodes_shorter_than_the_horizon():
     product = stl.build_product(lake(table=False), stl.parse("!hole U[0,101] goal"))
     policy = stl.Policy(product, np.zeros(product.shape, dtype=int))
-    says = r"cut off \(truncated\) after 100 steps, .* at 101; make it with gymnasium.make\(…, max_episode_steps=101\)"
+    says = (
+        r"cut off \(truncated\) after 100 steps, .* needs 101; make it with gymnasium.make\(…, max_episode_steps=101\)"
+    )
     for ask in (
         lambda: stl.learn(product, episodes=1),
         lambda: stl.estimate(product, policy, runs=1),
@@ -628,11 +634,11 @@ def test_episodes_shorter_than_the_horizon():
     model = stl.from_gymnasium(Scripted((0, {}), cut), {"two": {2}})
     short, long = (stl.build_product(model, stl.parse(f"F[0,{h}] two")) for h in (3, 4))
     assert stl.estimate(short, stl.Policy(short, np.zeros(short.shape, dtype=int)), runs=2).satisfied == 0
-    with pytest.raises(ModelError, match="after 3 steps, and the task looks at 4; .*max_episode_steps=4"):
+    with pytest.raises(ModelError, match="after 3 steps, and the task needs 4; .*max_episode_steps=4"):
         stl.estimate(long, stl.Policy(long, np.zeros(long.shape, dtype=int)), runs=2)
     environment = simulator(model, np.random.default_rng(0))
     environment.reset()
-    with pytest.raises(ModelError, match="looks at more; .*max_episode_steps=…"):
+    with pytest.raises(ModelError, match="needs more; .*max_episode_steps=…"):
         [environment.step(0) for _ in range(4)]
 
 
@@ -649,14 +655,12 @@ def test_an_observation_before_and_at_the_end():
     environment = simulator(stl.from_gymnasium(Scripted((0, {}), answers)), np.random.default_rng(0))
     environment.reset()
     environment.step(0)
-    with pytest.raises(
-        ModelError, match="the observation 1 came both at the end of an episode and before one, .*apart"
-    ):
+    with pytest.raises(ModelError, match="the observation 1 occurred both during an episode and at its end, .*apart"):
         environment.step(0)
     again = Scripted((0, {}), [step_of(0, terminated=True)])
     environment = simulator(stl.from_gymnasium(again), np.random.default_rng(0))
     environment.reset()
-    with pytest.raises(ModelError, match="the observation 0 came both"):
+    with pytest.raises(ModelError, match="the observation 0 occurred both"):
         environment.step(0)
     apart = stl.from_gymnasium(Scripted((0, {}), answers), {"one": [1]}, {"x": [0, 1, 2]}, ends="apart")
     environment = simulator(apart, np.random.default_rng(0))
@@ -701,14 +705,14 @@ def test_labels_are_given_in_several_ways(given_as):
 @pytest.mark.parametrize(
     ("given_as", "says"),
     [
-        ([0, 1, 1], "label A lists 1 twice; for one value a state write True and False, not 1 and 0"),
+        ([0, 1, 1], "label A lists 1 twice; to give one value per state, write True and False, not 1 and 0"),
         ([True, False], "label A has 2 Booleans; give 3 in the order of the states"),
         ({True}, "label A has 1 Booleans"),
-        ([True, 2, False], "label A: True is no observation of Scripted, which has Discrete"),
-        ([0, 3], "label A: 3 is no observation"),
-        ([-1], "label A: -1 is no observation"),
-        ([1.0, 0.0, 0.0], "label A: 1.0 is no observation"),
-        ([(1,)], r"label A: \(1,\) is no observation"),
+        ([True, 2, False], "label A: True is not an observation of Scripted, which has Discrete"),
+        ([0, 3], "label A: 3 is not an observation"),
+        ([-1], "label A: -1 is not an observation"),
+        ([1.0, 0.0, 0.0], "label A: 1.0 is not an observation"),
+        ([(1,)], r"label A: \(1,\) is not an observation"),
         ("A", "label A is 'A'; give a function of an observation"),
         (3, "label A is 3; give a function"),
         ({1: True}, "label A is a dict of 1; give"),
@@ -722,7 +726,7 @@ def test_labels_that_could_mean_two_things_are_refused(given_as, says):
 
 def test_zero_and_one_of_two_states():
     two = Scripted((0, {}), observation_space=spaces.Discrete(2))
-    with pytest.raises(ModelError, match=r"label A is \[1, 0\]: that may list observations or give values"):
+    with pytest.raises(ModelError, match=r"label A is \[1, 0\], which can be a list of observations or of values"):
         stl.from_gymnasium(two, {"A": [1, 0]})
     assert stl.from_gymnasium(two, {"A": {0, 1}}).labels["A"].all()
     assert stl.from_gymnasium(two, {"A": [0]}).labels["A"].tolist() == [True, False]
@@ -735,7 +739,7 @@ def test_signals_are_numbers_of_each_state():
     assert (model.signals["sum"].tolist(), model.signals["x"].tolist()) == ([0, 1, 1, 2], [0, 1, 2, 3.5])
     assert model.labels["B"].tolist() == [False, True, True, False]
     for wrong in ("1234", {0, 1, 2, 3}, {0: 1}, ["a"] * 4, [1j] * 4, lambda o: "x"):
-        with pytest.raises(ModelError, match="signal x does not hold numbers.*; give 4 of them"):
+        with pytest.raises(ModelError, match="signal x does not contain numbers.*; give 4 of them"):
             stl.from_gymnasium(env, signals={"x": wrong})
     with pytest.raises(ModelError, match=r"signal x has shape \(3,\); one number for each of 4 states"):
         stl.from_gymnasium(env, signals={"x": [1, 2, 3]})
@@ -791,7 +795,7 @@ def test_actions_that_a_state_does_not_have():
     model = stl.MDP.from_arrays([go, back], {}, action_names=["go", "back"])
     env = stl.to_gymnasium(model)
     assert env.reset(seed=0)[1]["action_mask"].tolist() == [1, 0]
-    with pytest.raises(ModelError, match="action back is not available in state 0, which has go: follow info"):
+    with pytest.raises(ModelError, match="action back is not available in state 0, which has go; follow info"):
         env.step(1)
     assert env.step(0)[0] == 1
     assert env.step(1)[0] == 0

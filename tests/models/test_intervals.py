@@ -110,11 +110,15 @@ NAN = float("nan")
             "state 0, action 1: the lower ends sum to 1.1, more than 1; l",
         ),
         (LOWER, [[0.2, 0.7], UPPER[1]], "state 0, action 1: the upper ends sum to 0.9, less than 1; raise one of them"),
-        ([[0.1, 0.6], [0.4, 0.5]], UPPER, r"state 1, action 1: \[0.4, 0.3\] to state 0 is no interval of prob"),
-        ([[-0.1, 0.6], LOWER[1]], UPPER, r"state 0, action 1: \[-0.1, 0.4\] to state 0 is no interval"),
-        (LOWER, [[0.4, 1.1], UPPER[1]], r"\[0.6, 1.1\] to state 1 is no interval of probabilities; write 0 <= lower"),
-        (LOWER, [[NAN, 0.9], UPPER[1]], r"\[0.1, nan\] to state 0 is no interval"),
-        ([[NAN, 0.6], LOWER[1]], UPPER, r"\[nan, 0.4\] to state 0 is no interval"),
+        ([[0.1, 0.6], [0.4, 0.5]], UPPER, r"state 1, action 1: \[0.4, 0.3\] to state 0 is not an interval of prob"),
+        ([[-0.1, 0.6], LOWER[1]], UPPER, r"state 0, action 1: \[-0.1, 0.4\] to state 0 is not an interval"),
+        (
+            LOWER,
+            [[0.4, 1.1], UPPER[1]],
+            r"\[0.6, 1.1\] to state 1 is not an interval of probabilities; write 0 <= lower",
+        ),
+        (LOWER, [[NAN, 0.9], UPPER[1]], r"\[0.1, nan\] to state 0 is not an interval"),
+        ([[NAN, 0.6], LOWER[1]], UPPER, r"\[nan, 0.4\] to state 0 is not an interval"),
         (LOWER, [[0.0, 1.0], UPPER[1]], "state 0, action 1: the lower end 0.1 to state 0 is over the upper end 0"),
         ([[0.1, 0.6], [0.0, "x"]], UPPER, "lower ends of action 1 are not numbers"),
         (LOWER, [0.4, 0.9], r"upper ends of action 1 have shape \(2,\); a matrix"),
@@ -137,7 +141,7 @@ def test_shapes_must_agree():
     model = build()
     with pytest.raises(ModelError, match=r"the lower ends have shape \(2,\); one for each of 6 entries"):
         model.with_rows(intervals=Intervals(np.zeros(2), np.ones(2)))
-    with pytest.raises(ModelError, match=r"\[0, 0\] to state 0 is no interval .* leave out what cannot happen"):
+    with pytest.raises(ModelError, match=r"\[0, 0\] to state 0 is not an interval .* leave out what cannot happen"):
         model.with_rows(intervals=Intervals(np.zeros(6), np.array([0.0, 1, 1, 1, 1, 1])))
     lower = np.where(model.intervals.lower == 0.1, 0.3, model.intervals.lower)
     with pytest.raises(ModelError, match=r"the probability 0.25 to state 0 is outside \[0.3, 0.4\]"):

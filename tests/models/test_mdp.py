@@ -54,7 +54,7 @@ def test_models_of_the_strategy_are_distributions(model):
         ({"transitions": [STAY * 1j]}, "transitions of action 0 are not numbers"),
         ({"signals": {"x": [0.0]}}, r"x has shape \(1,\); one value for each of the 2 states"),
         ({"signals": {"x": [0.0, np.inf]}}, "signal x is inf in state 1; it must be finite"),
-        ({"signals": {"x": ["far", 1]}}, "signal x does not hold numbers"),
+        ({"signals": {"x": ["far", 1]}}, "signal x does not contain numbers"),
         ({"labels": {"A": [0.5, 1]}}, "label A has values other than true and false"),
         ({"labels": {"x": [0, 1]}}, "x names a signal and a label"),
         ({"initial": 2}, "the initial state 2 is not one of 0 … 1"),
@@ -86,7 +86,7 @@ def test_model_files_are_told_by_their_ending(tmp_path):
     with pytest.raises(FileError, match="no such model file"):
         stl.load_model(tmp_path / "none.xyz")
     (tmp_path / "model.xyz").write_text("")
-    with pytest.raises(FileError, match="no model format has the ending '.xyz'"):
+    with pytest.raises(FileError, match="no model format has the extension '.xyz'"):
         stl.load_model(tmp_path / "model.xyz")
 
 

@@ -98,7 +98,9 @@ def test_the_initial_distribution_is_a_row_too():
     assert [model.exact().initial_share(s) for s in range(4)] == [0, *[Fraction(1, 3)] * 3]
     assert model.initial.tolist() == [0, THIRD, THIRD, THIRD]
     assert "1 of 5 distributions" in model.notes["normalize"]
-    with pytest.raises(ModelError, match="initial distribution sums to 0.999999, not 1; rows that miss 1 by rounding"):
+    with pytest.raises(
+        ModelError, match="initial distribution sums to 0.999999, not 1; rows that miss 1 only by rounding"
+    ):
         stl.MDP.from_arrays([np.eye(4)], {}, initial=[0, 0.333333, 0.333333, 0.333333])
 
 

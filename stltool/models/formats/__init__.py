@@ -1,1 +1,1 @@
-"""Other tools' model files: one file a format, each a function from a path to an MDP."""
+"""Other tools' model files: one module per format, each with a function from a path to an MDP."""

@@ -2,15 +2,15 @@
 
     stl.from_gymnasium(gymnasium.make("FrozenLake-v1"), labels={"goal": {15}})
 
-Toy-text environments list their transitions, P[s][a] = [(probability, next state, reward, terminated), …]: they become
-exact MDPs. All others become black boxes (`MDP.black_box`): the adapter below resets and steps them.
+Toy-text environments list their transitions, P[s][a] = [(probability, next state, reward, terminated), …]; these become
+exact MDPs. All others become black boxes (`MDP.black_box`), which the adapter below resets and steps.
 
-After `terminated` a run stays in its last state, in the table (an absorbing row) and in a black box alike, so that
-windows which reach past the end read that state. An observation that comes both before an end and at it (a hand of
-Blackjack, stuck with) is no state of an MDP: `ends="apart"` makes two of each, S + s being s after the end.
+After `terminated`, a run stays in its last state, both in the table (an absorbing row) and in a black box, so windows
+that extend past the end read that state. An observation that occurs both during an episode and at its end (a hand in
+Blackjack after sticking) is not a state of an MDP: `ends="apart"` doubles the states, S + s being s after the end.
 
-An episode is seeded by one number of the run's generator, env.reset(seed=…): that generator is all that is kept between
-two episodes.
+Each episode is seeded with one number drawn from the run's generator, env.reset(seed=…), so that generator is the only
+state kept between episodes.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 
 def require_gymnasium() -> Any:
-    """The gymnasium package; MissingExtraError, saying how to install it, where it is missing."""
+    """The gymnasium package; MissingExtraError, with the command to install it, if it is missing."""
     return require("gymnasium", "a Gymnasium environment")
 
 
@@ -61,22 +61,22 @@ def from_gymnasium(
     action_names: Sequence[str] | None = None,
     normalize: bool = False,
 ) -> MDP:
-    """The MDP of a Gymnasium environment, S its observations, A its actions, in the order of its spaces.
+    """The MDP of a Gymnasium environment with S observations and A actions, in the order of its spaces.
 
     labels     name → function of an observation, returning a Boolean; or the observations where it holds; or S Booleans
     signals    name → function of an observation, returning a real; or S reals
-    table      "auto": the exact MDP where the environment lists its transitions, else a black box; True: the exact MDP
-               or an error; False: a black box, the table is not read
-    ends       "merged": runs end in states where none goes on, else a ModelError; "apart": 2·S states, S + s for runs
-               that have ended at observation s
+    table      "auto": the exact MDP if the environment lists its transitions, else a black box; True: the exact MDP or
+               an error; False: a black box, the table is not read
+    ends       "merged": no run continues from a state in which another ends, else a ModelError; "apart": 2·S states,
+               S + s for runs that have ended at observation s
     action_names   A names (default: the numbers of the actions)
     normalize  rescale rows of the table that miss a sum of 1 by at most 1/1000, so that they sum to 1 exactly: thirds
-               given as 0.333… become 1/3 (models/normalize.py); `notes` of the model tells what that changed
+               given as 0.333… become 1/3 (models/normalize.py); `notes` of the model reports what changed
 
-    An observation is a whole number for `Discrete` (from its `start`), a tuple of all components in their order for
-    `Tuple` and `MultiDiscrete`. A black box shares `env`: one run at a time. Raises ModelError, naming the space or the
-    row, where environment, labels or signals do not fit, where `table=True` and there is none, or where the environment
-    does what its table does not list: it is reset and stepped some hundred times to see that.
+    An observation is an integer for `Discrete` (from its `start`), and a tuple of all components in order for `Tuple`
+    and `MultiDiscrete`. A black box shares `env`: one run at a time. Raises ModelError, naming the space or the row, if
+    environment, labels or signals do not fit, if `table=True` and there is no table, or if the environment deviates
+    from its table: it is reset and stepped up to 2000 times to check this.
     """
     require_gymnasium()
     if not isinstance(table, bool) and not (isinstance(table, str) and table == "auto"):
@@ -110,7 +110,7 @@ def from_gymnasium(
         raise ModelError(f"{title}: {len(action_names)} action names for {n_actions} actions")
     missing = without_table(env, title, observations, first_action, n_actions)
     if table is True and missing:
-        raise ModelError(f"{missing}; use table=False: learn and estimate need no table")
+        raise ModelError(f"{missing}; use table=False (learn and estimate do not need a table)")
     if table is not False and not missing:
         matrices, initial = read_table(env, title, observations, n_actions, apart, normalize)
         return MDP.from_arrays(matrices, initial=initial, action_names=action_names, normalize=normalize, **facts)
@@ -129,12 +129,12 @@ def _twice(column: NDArray[Any], apart: bool) -> NDArray[Any]:
 
 
 def to_gymnasium(model: MDP, unavailable: Literal["error", "stay"] = "error") -> MDPEnv:
-    """The model as a `gymnasium.Env`: observations Discrete(S), actions Discrete(A), by the model's own numbers.
+    """The model as a `gymnasium.Env`: with observations Discrete(S) and actions Discrete(A), numbered as in the model.
 
-    Seeded by `reset(seed=…)`. Rewards are 0 and episodes do not end by themselves: wrap it for that, for instance in
-    `gymnasium.wrappers.TimeLimit`. Where a state has not every action, `info["action_mask"]` (A,) says which it has;
-    another one is a ModelError, or with `unavailable="stay"` leaves the state as it is, which is a move that the model
-    does not have. A black box's environment works too; a model with intervals raises SettingsError.
+    Seeded by `reset(seed=…)`. Rewards are 0 and episodes do not end by themselves; wrap the environment to change that,
+    for instance in `gymnasium.wrappers.TimeLimit`. `info["action_mask"]` (A,) marks the actions that are available in
+    the current state; any other raises ModelError, or with `unavailable="stay"` leaves the state unchanged, which is a
+    move that the model does not have. Black boxes work, too; a model with intervals raises SettingsError.
     """
     require_kind(model, MDP, "to_gymnasium's model")
     one_of(unavailable, "unavailable", ("error", "stay"))

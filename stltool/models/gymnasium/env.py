@@ -1,4 +1,4 @@
-"""An MDP as a Gymnasium environment. The only module that imports gymnasium when it is imported."""
+"""An MDP as a Gymnasium environment. The only module that imports gymnasium at import time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stltool.models.mdp import MDP
 
 
 class MDPEnv(gymnasium.Env[int, int]):
-    """See `to_gymnasium`. `info` holds the state's name and the mask (A,) int8 of its available actions."""
+    """See `to_gymnasium`. `info` contains the name of the state and the mask (A,) int8 of its available actions."""
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - the base class declares it so
 
@@ -25,7 +25,7 @@ class MDPEnv(gymnasium.Env[int, int]):
         self.action_space: Any = spaces.Discrete(model.n_actions)
         self._unavailable = unavailable
         self._sampler = sampler(model)
-        self._number = np.full((model.n_states, model.n_actions), -1)  # of an action among a state's available ones
+        self._number = np.full((model.n_states, model.n_actions), -1)  # index of an action among the available ones
         state = np.repeat(np.arange(model.n_states), np.diff(model.choice_start))
         self._number[state, model.choice_action] = np.arange(model.n_choices) - model.choice_start[state]
         self._environment: Environment | None = None
@@ -40,7 +40,7 @@ class MDPEnv(gymnasium.Env[int, int]):
 
     def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
         if self._environment is None:
-            raise ModelError("step before reset: call reset() first")
+            raise ModelError("step was called before reset; call reset() first")
         if not self.action_space.contains(action):
             raise ModelError(f"action {described(action)} is not one of 0 … {self.model.n_actions - 1}")
         number = int(self._number[self._state, action])
@@ -50,7 +50,7 @@ class MDPEnv(gymnasium.Env[int, int]):
             names = [self.model.action_names[a] for a in np.flatnonzero(self._number[self._state] >= 0)]
             raise ModelError(
                 f"action {self.model.action_names[action]} is not available in state "
-                f"{self.model.state_name(self._state)}, which has {', '.join(names)}: follow info['action_mask'], or "
+                f"{self.model.state_name(self._state)}, which has {', '.join(names)}; follow info['action_mask'], or "
                 "make the environment with unavailable='stay'"
             )
         return self._state, 0.0, False, False, self._info()

@@ -1,4 +1,4 @@
-"""A Gymnasium environment as a black box: what resets and steps over states' numbers, and says what went wrong."""
+"""A Gymnasium environment as a black box: reset and step over state indices, with errors that name the cause."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 from stltool.errors import ModelError
 from stltool.models.gymnasium.spaces import Observations
 
-_SEEDS = 2**31  # what every environment takes as a seed
+_SEEDS = 2**31  # every environment accepts seeds below this
 
 
 @dataclass(eq=False)
 class Shared:
-    """An environment and what all runs of it share.
+    """An environment, and what all runs of it share.
 
-    running    whose episode it is in
-    before, at_end   states that runs went on from, and ended in; disjoint unless ends are kept apart
+    running    the run whose episode is in progress
+    before, at_end   states from which runs continued, and in which they ended; disjoint unless ends are kept apart
     """
 
     env: Any
@@ -35,7 +35,7 @@ class Shared:
 class Episodes:
     """Episodes of an environment as runs of states: `reset()` and `step(i)` return a state's index.
 
-    `steps` is how long episodes will be, where known: an environment known to end them before is refused.
+    `steps` is the length of the episodes, if known: an environment known to cut them off earlier is refused.
     """
 
     def __init__(self, shared: Shared, rng: np.random.Generator, steps: int | None) -> None:
@@ -60,8 +60,8 @@ class Episodes:
     def step(self, action: int) -> int:
         if self._shared.running is not self:
             raise ModelError(
-                f"{self._title}: another run has reset this environment in the middle of an episode; runs that go on "
-                "at the same time need an environment each: call from_gymnasium for each"
+                f"{self._title}: another run has reset this environment in the middle of an episode; runs that "
+                "take place at the same time need separate environments; call from_gymnasium for each"
             )
         if self._terminated:
             return self._state
@@ -76,7 +76,7 @@ class Episodes:
         if not all(isinstance(flag, bool | np.bool_) for flag in answer[2:4]):
             raise ModelError(
                 f"{self._title}: {call} returned terminated = {answer[2]!r} and truncated = {answer[3]!r} at step "
-                f"{self._t}; Booleans are needed"
+                f"{self._t}; return Booleans"
             )
         self._terminated, self._truncated = bool(answer[2]), bool(answer[3])
         if self._terminated and self._shared.apart:
@@ -90,7 +90,7 @@ class Episodes:
     def _call(self, call: str, method: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
         try:
             return method(*arguments, **named)
-        except Exception as error:  # whatever goes wrong in there is the environment's
+        except Exception as error:  # any fault in there is the environment's
             what = f"{type(error).__name__} at step {self._t}: {error}"
             raise ModelError(f"{self._title}: {call} raised {what}") from error
 
@@ -99,32 +99,32 @@ class Episodes:
         if s < 0:
             raise ModelError(
                 f"{self._title}: {call} returned the observation {observation!r} at step {self._t}, which is not in "
-                f"its space {self._shared.observations.space}; mend the environment or its observation_space"
+                f"its space {self._shared.observations.space}; correct the environment or its observation_space"
             )
         return s
 
     def _note(self, s: int, one: set[int], other: set[int]) -> None:
-        """A state as one from which runs go on, or in which they end; never both, or no MDP is learned."""
+        """Note a state from which runs continue, or in which they end; if it is both, the observations form no MDP."""
         if s in other:
             observation = self._shared.observations.observation(s)
             raise ModelError(
-                f"{self._title}: the observation {observation} came both at the end of an episode and before one, so "
-                "observations are no states of an MDP; use ends='apart' (in a model file: ends = \"apart\")"
+                f"{self._title}: the observation {observation} occurred both during an episode and at its end, so "
+                "observations are not states of an MDP; use ends='apart' (in a model file: ends = \"apart\")"
             )
         one.add(s)
 
     def _too_short(self, length: int) -> ModelError:
         needed, option = ("more", "…") if self._steps is None else (str(self._steps), str(self._steps))
         return ModelError(
-            f"{self._title}: its episodes are cut off (truncated) after {length} steps, and the task looks at "
+            f"{self._title}: its episodes are cut off (truncated) after {length} steps, and the task needs "
             f"{needed}; make it with gymnasium.make(…, max_episode_steps={option}), in a model file under [options], "
             "or shorten the task's windows"
         )
 
 
 def old_api(title: str, call: str, answer: object, needed: str) -> ModelError:
-    """For an environment whose `reset` or `step` answers as those of the older gym package did."""
+    """For an environment whose `reset` or `step` answers as in the older gym package."""
     shown = f"{len(answer)} values" if isinstance(answer, tuple) else f"{type(answer).__name__} {answer!r}"
     return ModelError(
-        f"{title}: {call} returned {shown}, not {needed}; it follows the older gym API, so bring it to gymnasium's"
+        f"{title}: {call} returned {shown}, not {needed}; it follows the older gym API; port it to gymnasium"
     )

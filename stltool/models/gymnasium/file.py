@@ -2,25 +2,25 @@
 
     kind = "gymnasium"
     id = "FrozenLake-v1"
-    table = "auto"                 true: its transition table, or an error; false: a black box; "auto": what there is
+    table = "auto"                 true: its transition table, or an error; false: a black box; "auto": a table if any
     ends = "merged"                "apart": S more states, for runs that have ended at an observation
-    normalize = false              true: rescale rows of the table that miss a sum of 1 by rounding alone
+    normalize = false              true: rescale rows of the table that miss a sum of 1 only by rounding
     actions = ["left", "down", "right", "up"]      names, in the environment's order; default: their numbers
 
-    [options]                      handed to gymnasium.make as they stand
+    [options]                      passed to gymnasium.make unchanged
     is_slippery = true
 
     [labels]                       name = the observations where it holds, or a Boolean for each state
     goal = [15]
 
-    [coordinates]                  signals read off the state's number as digits, the last one running fastest:
+    [coordinates]                  signals that are the digits of the state's number, the last one varying fastest:
     row = 4                        state = 4 row + column; for Tuple and MultiDiscrete, its components
     column = 4
 
     [signals]                      name = a number for each state
     danger = [0, 0, 0, 0, 0, 1, …]
 
-Only environments that are installed and registered can be named: a file never makes anything be imported or evaluated.
+Only installed and registered environments can be named: a file never causes an import or an evaluation.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _KEYS = ("kind", "id", "table", "ends", "normalize", "actions", "options", "labe
 
 
 def gymnasium_from_table(table: Mapping[str, Any], default_name: str = "environment", normalize: bool = False) -> MDP:
-    """The MDP of the environment that a file's keys name. Raises ModelFaults with all that is wrong."""
+    """The MDP of the environment that a file describes. Raises ModelFaults listing all faults."""
     faults = Faults()
     for key in table:
         if key not in _KEYS:
@@ -87,16 +87,16 @@ def gymnasium_from_table(table: Mapping[str, Any], default_name: str = "environm
 
 
 def _make(name: object, options: Mapping[str, Any], faults: Faults) -> Any:
-    """The environment; None where it cannot be made."""
+    """The environment; None if it cannot be made."""
     gymnasium = require_gymnasium()
     before = faults.count
     if not isinstance(name, str) or not name:
         faults.add("id", f'id is {name!r}; write the name of an environment, such as id = "FrozenLake-v1"')
-    elif ":" in name:  # gymnasium would import what stands before it
+    elif ":" in name:  # gymnasium would import what precedes the colon
         faults.add(
             "id",
-            f"id is {name!r}: a file cannot have a module imported; write the name alone of an environment that is "
-            "registered, or use stl.from_gymnasium in Python",
+            f"id is {name!r}: a file cannot import a module; write only the name of a registered environment, "
+            "or use stl.from_gymnasium in Python",
         )
     else:
         try:
@@ -109,7 +109,7 @@ def _make(name: object, options: Mapping[str, Any], faults: Faults) -> Any:
         return None
     try:
         return gymnasium.make(name, **{"disable_env_checker": True} | plain)
-    except Exception as error:  # the environment's own, on options that it does not take
+    except Exception as error:  # raised by the environment for options that it does not accept
         shown = ", ".join(f"{key} = {value!r}" for key, value in plain.items()) or "none"
         faults.add("options", f"{name} cannot be made with the options {shown}: {error}")
         return None
@@ -125,13 +125,13 @@ def _plain(value: Any, key: str) -> Any:
         return {name: _plain(item, key) for name, item in value.items()}
     if isinstance(value, bool | int | str):
         return value
-    raise ModelError(f"option {key} is {value!r}; write a number, a text, true or false, or a list")
+    raise ModelError(f"option {key} is {value!r}; write a number, a string, true or false, or a list")
 
 
 def _coordinates(
     sizes: Mapping[str, Any], observations: Observations, faults: Faults
 ) -> dict[str, NDArray[np.float64]]:
-    """Signals (S,) from the digits of the state's number; of a compound space, from its components."""
+    """Signals (S,) from the digits of the state's number, or from the components of a compound space."""
     wrong = [name for name, size in sizes.items() if isinstance(size, bool) or not isinstance(size, int) or size < 1]
     for name in wrong:
         faults.add(("coordinates", name), f"coordinate {name} is {sizes[name]!r}; write how many values it has")

@@ -1,14 +1,14 @@
-"""Does an environment do what its table lists? Two thousand seeded steps of it, held against P.
+"""Does an environment behave as its table lists? Two thousand seeded steps of it are compared with P.
 
-Actions are chosen so that the walk goes, by the table, to the nearest pair of state and action that it has not tried.
-Each episode's start must have a positive probability, each step must be an outcome of P[s][a]: its successor, with its
-reward and its `terminated`. And outcomes must be as frequent as listed: with p_t the probability of the likeliest
-(successor, terminated) of the t-th row, and X_t = 1 where that one came, else 0, Σ (X_t − p_t) is a martingale under P
-however actions are chosen, so by the inequality of Azuma and Hoeffding
+Actions are chosen so that the walk heads, according to the table, for the nearest untried pair of state and action. The
+start of each episode must have a positive probability, and each step must be an outcome of P[s][a]: its successor, with
+its reward and its `terminated`. Outcomes must also be as frequent as listed: with p_t the probability of the likeliest
+(successor, terminated) of the t-th row, and X_t = 1 if that one occurred, else 0, Σ (X_t − p_t) is a martingale under P
+however the actions are chosen, so by the Azuma–Hoeffding inequality
 
     |Σ (X_t − p_t)| > √(n/2 · ln(2/δ))     with probability at most δ = 10⁻⁹.
 
-What the walk does not meet is believed, and so is what differs in frequency alone by less than this shows.
+Rows that the walk does not reach are trusted, and so are frequencies that differ by less than this bound detects.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ Outcome: TypeAlias = tuple[float, int, float, bool]
 
 Rows: TypeAlias = Sequence[Sequence[Sequence[Outcome]]]
 
-_STEPS, _EPISODE = 2000, 50  # in all, and of one episode at most
+_STEPS, _EPISODE = 2000, 50  # in total, and at most per episode
 _LOOK = 200  # states searched for an untried pair
 _DELTA = 1e-9
-_REMEDY = "use table=False (in a model file: table = false), a black box, or mend the table"
-# options of known environments that their tables leave out
+_REMEDY = "use table=False (in a model file: table = false), a black box, or correct the table"
+# options of known environments that their tables ignore
 _NOT_LISTED = {"fickle_passenger": "the passenger may change the destination on the way"}
 
 
 def require_listed(env: Any, title: str) -> None:
-    """ModelError where an environment has an option that its table is known to leave out."""
+    """ModelError if an environment has an option that its table is known to ignore."""
     inner = env.unwrapped
     for option, what in _NOT_LISTED.items():
         if getattr(inner, option, False):
@@ -52,7 +52,7 @@ def require_listed(env: Any, title: str) -> None:
 
 
 def require_replays(env: Any, title: str, rows: Rows, initial: NDArray[np.float64]) -> None:
-    """ModelError, naming state, action and what was seen, where the environment does what the table does not list."""
+    """ModelError, naming state, action and what was seen, if the environment does what the table does not list."""
     rng = np.random.default_rng(0)
     walk = _Walk(title, rows, initial, rng, _keeps_rewards(env))
     with _unseen(env) as stepped:
@@ -78,7 +78,7 @@ def _keeps_rewards(env: Any) -> bool:
 
 @contextmanager
 def _unseen(env: Any) -> Iterator[Any]:
-    """The environment, without the pictures that it would show to people at every step."""
+    """The environment, without the rendering for people at every step."""
     inner = env.unwrapped
     if getattr(inner, "render_mode", None) != "human" and "HumanRendering" not in _wrappers(env):
         yield env
@@ -102,13 +102,13 @@ def _wrappers(env: Any) -> list[str]:
 def _call(method: Any, title: str, call: str, *arguments: Any, **named: Any) -> Any:
     try:
         return method(*arguments, **named)
-    except Exception as error:  # whatever goes wrong in there is the environment's
-        raise ModelError(f"{title}: {call} raised {type(error).__name__}: {error}; mend the environment") from error
+    except Exception as error:  # any fault in there is the environment's
+        raise ModelError(f"{title}: {call} raised {type(error).__name__}: {error}; correct the environment") from error
 
 
 @dataclass(eq=False)
 class _Walk:
-    """What has been tried, and what came of it."""
+    """The pairs tried so far, and the outcomes."""
 
     title: str
     rows: Rows
@@ -132,13 +132,13 @@ class _Walk:
         if not known or not self.initial[state] > 0:
             seen = f"state {state}" if known else repr(answer)
             raise ModelError(
-                f"{self.title}: reset() started in {seen}, to which initial_state_distrib gives no probability; mend "
-                "that, or use table=False"
+                f"{self.title}: reset() started in {seen}, to which initial_state_distrib gives no probability; "
+                "correct it, or use table=False"
             )
         return state
 
     def choose(self, state: int) -> int:
-        """The first action on the way to the nearest pair that has not been tried, by the table."""
+        """The first action on the way to the nearest untried pair, according to the table."""
         queue, seen = deque([(state, -1)]), {state}
         while queue and len(seen) < _LOOK:
             s, first = queue.popleft()
@@ -153,7 +153,7 @@ class _Walk:
         return int(self.rng.integers(len(self.rows[state])))
 
     def actions(self, state: int) -> list[int]:
-        """Those that have not been tried in a state."""
+        """The actions that have not been tried in a state."""
         return self.untried.setdefault(state, list(range(len(self.rows[state]))))
 
     def step(self, state: int, action: int, answer: Any) -> tuple[int, bool]:
@@ -169,16 +169,16 @@ class _Walk:
         except TypeError:
             raise ModelError(
                 f"{self.title}: step({action}) returned the observation {observation!r}, which is not in its space; "
-                "mend the environment"
+                "correct the environment"
             ) from None
         outcomes = self.rows[state][action]
         fits = [p for p, to, _, ends in outcomes if (to, ends) == (s2, terminated)]
         worth = [r for _, to, r, ends in outcomes if (to, ends) == (s2, terminated)]
         if not fits or (self.rewards and not any(_same(reward, one) for one in worth)):
             raise ModelError(
-                f"{self.title}: its transition table is not what it does: action {action} in state {state} led to "
-                f"state {s2} with reward {reward} and terminated={terminated}, which P[{state}][{action}] does not "
-                f"list; {_REMEDY}"
+                f"{self.title}: its transition table does not describe its behaviour: action {action} in state {state} "
+                f"led to state {s2} with reward {reward} and terminated={terminated}, which P[{state}][{action}] "
+                f"does not list; {_REMEDY}"
             )
         share: dict[tuple[int, bool], float] = {}
         for p, to, _, ends in outcomes:
@@ -192,8 +192,9 @@ class _Walk:
     def require_frequencies(self) -> None:
         if abs(self.came - self.expected) > math.sqrt(self.steps / 2 * math.log(2 / _DELTA)):
             raise ModelError(
-                f"{self.title}: its transition table is not what it does: in {self.steps} steps the likeliest outcome "
-                f"of P[s][a] came {self.came:.0f} times, and by the table {self.expected:.0f} are expected; {_REMEDY}"
+                f"{self.title}: its transition table does not describe its behaviour: in {self.steps} steps the "
+                f"likeliest outcome of P[s][a] occurred {self.came:.0f} times, and the table predicts "
+                f"{self.expected:.0f}; {_REMEDY}"
             )
 
 

@@ -1,4 +1,4 @@
-"""Spaces of finitely many values ↔ numbers, and what users say of observations: labels and signals."""
+"""Spaces of finitely many values ↔ integers; labels and signals as users give them for observations."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ SignalGiven: TypeAlias = Callable[[Any], float] | ArrayLike
 
 
 def env_name(env: Any) -> str:
-    """Its id where it was made by one, else its class."""
+    """The id if the environment was made from one, else the name of its class."""
     spec = getattr(env, "spec", None)
     return str(spec.id) if spec is not None else type(getattr(env, "unwrapped", env)).__name__
 
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """An observation space of finitely many values ↔ states 0 … S−1; the last component runs fastest.
+    """An observation space of finitely many values ↔ states 0 … S−1; the last component varies fastest.
 
-    sizes, starts   (components,): how many values each component has, and its least one
+    sizes, starts   (components,): the number of values of each component, and the least one
     """
 
     space: Any
@@ -67,7 +67,7 @@ class Observations:
         return values[0] if self.plain else tuple(reversed(values))
 
     def index(self, observation: object) -> int:
-        """The state of an observation as the environment returns it; −1 where the space does not contain it."""
+        """The state of an observation as returned by the environment; −1 if the space does not contain it."""
         try:
             values = _values(self.space, observation)
         except (TypeError, ValueError):
@@ -111,24 +111,24 @@ class Observations:
             s = self._index(self._listed(item))
             if isinstance(item, bool | np.bool_) or s < 0:
                 raise ModelError(
-                    f"label {name}: {described(item)} is no observation of {self.title}, which has {self.space}"
+                    f"label {name}: {described(item)} is not an observation of {self.title}, which has {self.space}"
                 )
             if holds[s]:
                 raise ModelError(
-                    f"label {name} lists {described(item)} twice; for one value a state write True and False, "
-                    "not 1 and 0; to list observations, each once"
+                    f"label {name} lists {described(item)} twice; to give one value per state, write True and "
+                    "False, not 1 and 0; to list observations, write each only once"
                 )
             holds[s] = True
         like_values = self.plain and 0 < len(items) == self.n_states <= 2 and set(items) <= {0, 1}
         if like_values and not isinstance(given, set | frozenset | range):
             raise ModelError(
-                f"label {name} is {items}: that may list observations or give values; write a set of observations, or "
-                "True and False"
+                f"label {name} is {items}, which can be a list of observations or of values; write a set of "
+                "observations, or True and False"
             )
         return holds
 
     def _listed(self, item: Any) -> Sequence[int]:
-        """The components of an observation that a user wrote; none that fits where it is not one."""
+        """The components of an observation that a user gave; values outside the space if it is not one."""
         parts = [item] if self.plain else item
         try:
             values = [operator.index(part) for part in parts]
@@ -141,7 +141,7 @@ class Observations:
         values = [given(self.observation(s)) for s in range(self.n_states)] if callable(given) else given
         try:
             if isinstance(values, str | bytes | set | frozenset | Mapping):
-                raise ModelError(f"signal {name} does not hold numbers")
+                raise ModelError(f"signal {name} does not contain numbers")
             column = floats(values, f"signal {name}")
         except ModelError as error:
             raise ModelError(
@@ -153,7 +153,7 @@ class Observations:
 
 
 def _components(space: Any) -> list[tuple[int, int]] | None:
-    """(size, start) of each component, nested ones in their order; None where one of them is not discrete."""
+    """(size, start) of each component, nested ones in order; None if one of them is not discrete."""
     from gymnasium import spaces
 
     if isinstance(space, spaces.Discrete):
@@ -173,7 +173,7 @@ def _components(space: Any) -> list[tuple[int, int]] | None:
 
 
 def _values(space: Any, observation: Any) -> list[int]:
-    """The components of an observation; TypeError or ValueError where it is not formed as the space says."""
+    """The components of an observation; TypeError or ValueError if its form is not that of the space."""
     nested = getattr(space, "spaces", None)
     if nested is not None:
         if not isinstance(observation, tuple | list):
@@ -189,7 +189,7 @@ def _values(space: Any, observation: Any) -> list[int]:
 
 
 def actions_of(env: Any, title: str) -> tuple[int, int]:
-    """(the first action, how many there are)"""
+    """(the first action, the number of actions)"""
     from gymnasium import spaces
 
     space = getattr(env, "action_space", None)

@@ -1,7 +1,7 @@
 """The transition table of a toy-text environment, env.unwrapped.P[s][a] = [(probability, next state, reward,
 terminated), …] → matrices.
 
-A state that runs enter with `terminated` is absorbing: there they end, and stay. Probabilities are kept as given.
+A state that runs enter with `terminated` is absorbing: runs end and stay there. Probabilities are kept as given.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from stltool.models.gymnasium.replay import Outcome, require_listed, require_rep
 from stltool.models.gymnasium.spaces import Observations
 from stltool.models.normalize import HINT, MOST_MISSING
 
-_RESETS = 100  # that must agree before a first state counts as the only one
-# wrappers that leave observations, actions and dynamics as they are; a table has no time limit
+_RESETS = 100  # that must agree before a first state is considered the only one
+# wrappers that change neither observations nor actions nor dynamics; a table has no time limit
 _HARMLESS = {"TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "RecordEpisodeStatistics", "HumanRendering"}
 
 
 def without_table(env: Any, title: str, observations: Observations, first_action: int, n_actions: int) -> str:
-    """Why the environment's transitions are not listed; "" where they are."""
+    """Why the transitions of the environment are not listed; "" if they are."""
     wrapper, inner = env, getattr(env, "unwrapped", env)
     while wrapper is not inner:
         kind = type(wrapper)
         reward_only = any(base.__name__ == "RewardWrapper" for base in kind.__mro__)
         if not reward_only and not (kind.__module__.startswith("gymnasium.") and kind.__name__ in _HARMLESS):
-            return f"{title}: the wrapper {kind.__name__} may change what its transition table says"
+            return f"{title}: the wrapper {kind.__name__} may change what its transition table describes"
         wrapper = wrapper.env
     P = getattr(inner, "P", None)
     none = (
@@ -50,9 +50,9 @@ def without_table(env: Any, title: str, observations: Observations, first_action
 def read_table(
     env: Any, title: str, observations: Observations, n_actions: int, apart: bool, normalize: bool
 ) -> tuple[list[Any], NDArray[np.float64]]:
-    """A matrix per action, and the distribution of the first state; with `apart` over 2·S states, S + s ended in s.
+    """A matrix per action, and the initial distribution; with `apart` over 2·S states, S + s for runs ended in s.
 
-    The environment is replayed for some hundred steps (replay.py). `normalize` lets rows miss 1 by up to 1/1000.
+    The environment is run for up to 2000 steps as a check (replay.py). `normalize` lets rows miss 1 by up to 1/1000.
     """
     from scipy.sparse import coo_array
 
@@ -66,7 +66,7 @@ def read_table(
             if abs(total - 1) > (MOST_MISSING if normalize else 1e-9):
                 hint = f"; {HINT}" if abs(total - 1) <= MOST_MISSING else ""
                 raise ModelError(
-                    f"{title}: the probabilities of P[{s}][{a}] sum to {total:.12g}, not 1; mend the table, or use "
+                    f"{title}: the probabilities of P[{s}][{a}] sum to {total:.12g}, not 1; correct the table, or use "
                     f"table=False{hint}"
                 )
             rows[s][a] = [outcome for outcome in outcomes if outcome[0] > 0]
@@ -97,8 +97,8 @@ def _outcome(outcome: Any, title: str, s: int, a: int, n_states: int) -> Outcome
             raise ValueError
     except (TypeError, ValueError):
         raise ModelError(
-            f"{title}: P[{s}][{a}] holds {outcome!r}, which is no (probability, next state 0 … {n_states - 1}, reward, "
-            "terminated); mend the table, or use table=False"
+            f"{title}: P[{s}][{a}] contains {outcome!r}, which is not a (probability, next state 0 … {n_states - 1}, "
+            "reward, terminated); correct the table, or use table=False"
         ) from None
     return p, s2, reward, bool(terminated)
 
@@ -110,8 +110,8 @@ def _initial(env: Any, title: str, n_states: int) -> NDArray[np.float64]:
     first = {operator.index(env.reset(seed=seed)[0]) for seed in range(_RESETS)}
     if len(first) > 1:
         raise ModelError(
-            f"{title} has a transition table and starts in several states, but no initial_state_distrib (S,); "
-            "add that, or use table=False"
+            f"{title} has a transition table and starts in several states, but has no initial_state_distrib "
+            "(S,); add it, or use table=False"
         )
     point = np.zeros(n_states)
     point[first.pop()] = 1.0
@@ -119,8 +119,8 @@ def _initial(env: Any, title: str, n_states: int) -> NDArray[np.float64]:
 
 
 def _ends(rows: list[list[list[Outcome]]], first: list[int], title: str) -> set[int]:
-    """The states in which runs end, where they stay. ModelError where a run can be in one both before and at its end:
-    no MDP over these states does that."""
+    """The states in which runs end and stay. ModelError if a run can be in one of them both before and at its end:
+    no MDP over these states behaves like that."""
     going_on, todo = set(first), list(first)
     while todo:
         for _, s2, _, terminated in itertools.chain.from_iterable(rows[todo.pop()]):
@@ -133,8 +133,8 @@ def _ends(rows: list[list[list[Outcome]]], first: list[int], title: str) -> set[
         both = entered & going_on
         if both and s in going_on:
             raise ModelError(
-                f"{title}: state {min(both)} is reached both with terminated=True and before the end, so the table is "
-                "no MDP over these states; use ends='apart'"
+                f"{title}: state {min(both)} is reached both with terminated=True and before the end, so the table "
+                "is not an MDP over these states; use ends='apart'"
             )
         ends |= entered
-    return ends - going_on  # into the latter only states lead that no run reaches
+    return ends - going_on  # only unreachable states lead into those that runs continue from
