@@ -1,7 +1,11 @@
-"""Hypothesis strategies: random formulas, traces and MDPs that fit together through the same signal and label names."""
+"""Hypothesis strategies: random formulas, traces and MDPs that fit together through the same signal and label names.
+
+A strategy is made once for each set of options: Hypothesis examines a new one for longer than it draws from it.
+"""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -41,6 +45,11 @@ _VALUES = (-2.0, -1.0, 0.0, 0.5, 1.0, 2.0)  # few, so that comparisons meet thei
 
 def terms(signals: Sequence[str] = SIGNALS) -> st.SearchStrategy[Term]:
     """Arithmetic that has a value everywhere: no division, no root, small whole exponents."""
+    return _terms(tuple(signals))
+
+
+@functools.cache
+def _terms(signals: tuple[str, ...]) -> st.SearchStrategy[Term]:
     leaves = st.sampled_from(signals).map(Variable) | st.sampled_from([0.0, 0.5, 1.0, 2.0, 1e-10, 40.0]).map(Number)
 
     def grow(below: st.SearchStrategy[Term]) -> st.SearchStrategy[Term]:
@@ -57,12 +66,18 @@ def terms(signals: Sequence[str] = SIGNALS) -> st.SearchStrategy[Term]:
 
 def predicates(labels: Sequence[str] = LABELS, signals: Sequence[str] = SIGNALS) -> st.SearchStrategy[Formula]:
     """Boolean formulas of one state: labels, comparisons, constants under the Boolean operators."""
+    return _predicates(tuple(labels), tuple(signals))
+
+
+@functools.cache
+def _predicates(labels: tuple[str, ...], signals: tuple[str, ...]) -> st.SearchStrategy[Formula]:
     leaves: st.SearchStrategy[Formula] = st.sampled_from(labels).map(Label) | st.booleans().map(Constant)
     if signals:
         leaves |= st.builds(Comparison, st.sampled_from(COMPARATORS), terms(signals), terms(signals))
     return st.recursive(leaves, _boolean, max_leaves=4)
 
 
+@functools.cache
 def intervals(longest: int = 3) -> st.SearchStrategy[Interval]:
     """Windows [a, b] with b at most `longest`."""
     bounds = st.tuples(st.integers(0, longest), st.integers(0, longest))
@@ -76,7 +91,13 @@ def formulas(
     max_leaves: int = 8,
 ) -> st.SearchStrategy[Formula]:
     """Any bounded formula: F, G, U with windows [a, b], b at most `longest`, under the Boolean operators."""
+    return _formulas(tuple(labels), tuple(signals), longest, max_leaves)
 
+
+@functools.cache
+def _formulas(
+    labels: tuple[str, ...], signals: tuple[str, ...], longest: int, max_leaves: int
+) -> st.SearchStrategy[Formula]:
     def grow(below: st.SearchStrategy[Formula]) -> st.SearchStrategy[Formula]:
         return st.one_of(
             _boolean(below),
@@ -102,9 +123,28 @@ def flag_formulas(draw: st.DrawFn, labels: Sequence[str] = LABELS, longest: int 
     psi = predicates(labels, signals=())
     operators = st.sampled_from(_WINDOWED)
     parts: list[Formula] = [draw(operators)(window(), draw(psi)) for _ in range(draw(st.integers(1, 3)))]
-    body = draw(st.recursive(st.sampled_from(parts), _boolean, max_leaves=4))
+    body = _filled(draw(_shapes(len(parts))), parts)
     phi: Formula = draw(operators)(Interval(0, draw(st.integers(0, longest))), body)
     return Not(phi) if draw(st.booleans()) else phi
+
+
+@functools.cache
+def _shapes(n: int) -> st.SearchStrategy[Formula]:
+    """Boolean combinations of n parts, each a label with its number."""
+    return st.recursive(st.integers(0, n - 1).map(lambda i: Label(str(i))), _boolean, max_leaves=4)
+
+
+def _filled(shape: Formula, parts: Sequence[Formula]) -> Formula:
+    match shape:
+        case Label(name):
+            return parts[int(name)]
+        case Not(arg):
+            return Not(_filled(arg, parts))
+        case And(args) | Or(args):
+            return type(shape)(tuple(_filled(arg, parts) for arg in args))
+        case Implies(left, right) | Iff(left, right):
+            return type(shape)(_filled(left, parts), _filled(right, parts))
+    raise AssertionError(shape)
 
 
 def _boolean(below: st.SearchStrategy[Formula]) -> st.SearchStrategy[Formula]:
@@ -121,11 +161,11 @@ def traces(
     """A trace: name → array (n_steps,), few distinct values so that windows and borders are hit."""
 
     def column(values: Sequence[object]) -> list[object]:
-        return draw(st.lists(st.sampled_from(values), min_size=n_steps, max_size=n_steps))
+        return draw(_many(tuple(values), n_steps))
 
     trace: dict[str, NDArray[np.float64] | NDArray[np.bool_]] = {}
     for name in labels:
-        trace[name] = np.array(column([False, True]), dtype=np.bool_)
+        trace[name] = np.array(column((False, True)), dtype=np.bool_)
     for name in signals:
         trace[name] = np.array(column(_VALUES), dtype=np.float64)
     return trace
@@ -151,9 +191,9 @@ def models(
                 transitions[a, s] = draw(_distributions(n_states))
     return MDP.from_arrays(
         transitions,
-        {name: draw(st.lists(st.sampled_from(_VALUES), min_size=n_states, max_size=n_states)) for name in signals},
+        {name: draw(_many(_VALUES, n_states)) for name in signals},
         initial=draw(st.integers(0, n_states - 1)) if single_start else draw(_distributions(n_states)),
-        labels={name: draw(st.lists(st.booleans(), min_size=n_states, max_size=n_states)) for name in labels},
+        labels={name: draw(_many((False, True), n_states)) for name in labels},
         action_names=[f"act{a}" for a in range(n_actions)],
     )
 
@@ -168,7 +208,7 @@ def interval_models(draw: st.DrawFn, /, **options: Any) -> MDP:
     model = draw(models(**options))
     n_actions, n_states = model.n_actions, model.n_states
     lower, upper = (np.zeros((n_actions, n_states, n_states)) for _ in range(2))
-    steps = st.lists(st.integers(0, 4), min_size=n_states, max_size=n_states).map(lambda ns: np.array(ns) / 16)
+    steps = _many(tuple(range(5)), n_states).map(lambda ns: np.array(ns) / 16)
     rows = model.matrix().toarray()
     for s in range(n_states):
         for c in range(model.choice_start[s], model.choice_start[s + 1]):
@@ -177,7 +217,13 @@ def interval_models(draw: st.DrawFn, /, **options: Any) -> MDP:
     return MDP.from_intervals(lower, upper, model.signals, model.initial, model.labels, action_names=model.action_names)
 
 
+@functools.cache
 @st.composite
 def _distributions(draw: st.DrawFn, n: int) -> NDArray[np.float64]:
-    cuts = sorted(draw(st.lists(st.integers(0, 16), min_size=n - 1, max_size=n - 1)))
+    cuts = sorted(draw(_many(tuple(range(17)), n - 1)))
     return np.diff([0, *cuts, 16]) / 16
+
+
+@functools.cache
+def _many(values: tuple[Any, ...], n: int) -> st.SearchStrategy[list[Any]]:
+    return st.lists(st.sampled_from(values), min_size=n, max_size=n)
