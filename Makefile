@@ -2,14 +2,20 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint bench claims fuzz format clean
+.PHONY: demo test soak fuzz lint bench claims format clean
 
 demo: .venv/installed
 	$(BIN)/stltool run examples/factory/patrolling.stl --method cfer --episodes 1000 --seed 0 --out out/patrolling
 	@echo "open out/patrolling/report.html in a browser"
 
 test: .venv/installed-dev
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 --dist worksteal
+
+# random instances, statistics and mutations, MORE times as many as `make test` takes; SOAK=soak without Hypothesis' tests
+MORE ?= 30
+SOAK ?= soak or hypothesis
+soak: .venv/installed-dev
+	STLTOOL_MORE=$(MORE) $(BIN)/pytest -n 2 --dist worksteal -m "$(SOAK)"
 
 lint: .venv/installed-dev
 	$(BIN)/ruff check .

@@ -6,10 +6,20 @@ from hypothesis import HealthCheck, settings
 
 import stltool as stl
 
+MORE = float(os.environ.get("STLTOOL_MORE", "1"))
+
+
+def many(n: int) -> int:
+    """n random instances, mutations or runs; `make soak` asks for STLTOOL_MORE times as many."""
+    return max(1, round(n * MORE))
+
+
 settings.register_profile(
-    "stltool", deadline=None, print_blob=True, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much]
-)
-settings.load_profile("stltool")
+    "random", deadline=None, print_blob=True, max_examples=many(100),
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+)  # fmt: skip
+settings.register_profile("ci", settings.get_profile("random"), derandomize=True)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "random"))
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT / "tests" / "data"

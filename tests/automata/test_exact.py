@@ -13,6 +13,7 @@ from stltool.errors import SizeError
 from stltool.logic.formula import Always, And, Eventually, Interval, Label, Not, Or, Until, atoms, temporal_depth
 from stltool.testing import flag_formulas, formulas, traces
 from tests.automata.judging import every_trace, judge, judge_all, truth_of_all
+from tests.conftest import many
 
 EXACT = ("exact", "history")
 
@@ -42,7 +43,7 @@ def compiled(phi, encoding="exact"):
 
 @pytest.mark.parametrize("encoding", EXACT)
 @given(phi=st.one_of(formulas(), flag_formulas(equal=False)), data=st.data())
-@settings(max_examples=200)
+@settings(max_examples=many(200))
 def test_verdict_equals_the_slow_semantics(encoding, phi, data):
     automaton = compiled(phi, encoding)
     if automaton is None:
@@ -58,7 +59,7 @@ def test_verdict_equals_the_slow_semantics(encoding, phi, data):
 
 
 @given(phi=deep_formulas(), data=st.data())
-@settings(max_examples=80)
+@settings(max_examples=many(80))
 def test_deep_nesting_with_mixed_windows(phi, data):
     automaton = compiled(phi)
     if automaton is None:
@@ -71,7 +72,7 @@ def test_deep_nesting_with_mixed_windows(phi, data):
 
 
 @given(formulas(labels=("a", "b"), signals=(), longest=2, max_leaves=6))
-@settings(max_examples=60)
+@settings(max_examples=many(60))
 def test_every_single_trace_is_judged_right(phi):
     if stl.horizon(phi) > 4:
         return
@@ -177,7 +178,7 @@ def test_valuations_that_nothing_tells_apart_share_a_letter():
 
 
 @given(phi=formulas(labels=("a", "b"), signals=(), longest=3), data=st.data())
-@settings(max_examples=150)
+@settings(max_examples=many(150))
 def test_progress_keeps_the_meaning(phi, data):
     """trace ⊨ φ at 0  iff  the rest of the trace ⊨ progress(φ, first letter) at 0."""
     table = Residuals(atoms(phi))

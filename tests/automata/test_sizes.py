@@ -19,6 +19,7 @@ from stltool.automata.rows import distinct_rows
 from stltool.errors import SizeError
 from stltool.testing import formulas
 from tests.automata.judging import judge, truth_of_all
+from tests.conftest import many
 from tests.oracles import moore_partition
 
 
@@ -165,7 +166,7 @@ def test_refinement_by_changes_is_refinement_by_rounds():
 
 
 @given(phi=formulas(labels=("a", "b", "c"), signals=(), longest=4, max_leaves=5))
-@settings(max_examples=100)
+@settings(max_examples=many(100))
 def test_compiled_automata_are_minimal_and_reach_all_their_states(phi):
     try:
         automaton = stl.compile_automaton(phi, most_states=2000)
@@ -213,7 +214,7 @@ def test_distinct_rows_are_numpys(rows, kind):
 
 
 @given(seed=st.integers(0, 10**6), batch=st.sampled_from([1, 7, 1 << 20]))
-@settings(max_examples=60)
+@settings(max_examples=many(60))
 def test_reachable_pairs_are_those_that_words_lead_to(seed, batch):
     rng = np.random.default_rng(seed)
     left, right = (rng.integers(0, n, size=(2, n)).astype(np.int32) for n in (6, 9))

@@ -16,7 +16,7 @@ from stltool.automata.minimise import coarsest_partition, quotient
 from stltool.errors import SizeError
 from stltool.logic.formula import boolean_value
 from stltool.testing import formulas
-from tests.conftest import ROOT
+from tests.conftest import ROOT, many
 
 
 @st.composite
@@ -89,7 +89,7 @@ def test_histories_are_told_newest_first():
 
 
 @given(formulas(labels=("a", "b", "c"), signals=(), longest=2, max_leaves=4))
-@settings(max_examples=25)
+@settings(max_examples=many(25))
 def test_edges_carry_the_condition_that_takes_them(phi):
     automaton = stl.compile_automaton(phi)
     if automaton.n_states > 40:

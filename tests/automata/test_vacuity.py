@@ -31,6 +31,7 @@ from stltool.logic.formula import (
 )
 from stltool.logic.occurrences import occurrences
 from stltool.testing import formulas, traces
+from tests.conftest import many
 
 A = Label("a")
 VACUOUS = "is vacuous; with {} in its place, the task still means {}\n"
@@ -146,7 +147,7 @@ both_ways = pytest.mark.parametrize("evidence", ["with evidence", "proof alone"]
 
 @both_ways
 @given(phi=formulas(labels=("a", "b"), signals=(), longest=2, max_leaves=5))
-@settings(max_examples=120)
+@settings(max_examples=many(120))
 def test_every_answer_over_labels_is_that_of_brute_force(evidence, phi):
     if stl.horizon(phi) > 2:
         return
@@ -174,7 +175,7 @@ GRID = [{"x": x, "a": a} for x in (-2, -1, -0.5, 0, 0.25, 0.5, 0.75, 1, 1.5, 2, 
 
 @both_ways
 @given(phi=compared())
-@settings(max_examples=80)
+@settings(max_examples=many(80))
 def test_every_answer_over_one_variable_is_that_of_brute_force(evidence, phi):
     if stl.horizon(phi) > 1:
         return
@@ -184,7 +185,7 @@ def test_every_answer_over_one_variable_is_that_of_brute_force(evidence, phi):
 
 
 @given(phi=formulas(labels=("a",), longest=2, max_leaves=5), data=st.data())
-@settings(max_examples=120)
+@settings(max_examples=many(120))
 def test_no_trace_contradicts_a_warning(phi, data):
     """Whatever is compared with whatever."""
     found = meaning(phi)
@@ -198,7 +199,7 @@ def test_no_trace_contradicts_a_warning(phi, data):
 
 @both_ways
 @given(phi=formulas(labels=("a", "b"), signals=(), longest=2, max_leaves=6), effort=st.integers(0, 300))
-@settings(max_examples=100)
+@settings(max_examples=many(100))
 def test_giving_up_is_said_and_never_guessed(evidence, phi, effort):
     if stl.horizon(phi) > 2:
         return

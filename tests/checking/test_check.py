@@ -13,7 +13,7 @@ from stltool.errors import PolicyError, SizeError
 from stltool.logic.formula import Not
 from stltool.testing import flag_formulas, formulas, models
 from tests import oracles
-from tests.conftest import OUTSIDE, ROOT, needs_outside
+from tests.conftest import OUTSIDE, ROOT, many, needs_outside
 
 LABELS = ("a", "b", "c")
 
@@ -34,7 +34,7 @@ def close(result, exact):
 
 
 @given(products())
-@settings(max_examples=60)
+@settings(max_examples=many(60))
 def test_optimum_equals_the_tree_of_all_histories(product):
     model, phi = product.model, product.formula
     close(stl.check(product), oracles.optimum(model, phi))
@@ -42,7 +42,7 @@ def test_optimum_equals_the_tree_of_all_histories(product):
 
 
 @given(products(longest=1, max_states=2, single_start=True))
-@settings(max_examples=40)
+@settings(max_examples=many(40))
 def test_optimum_equals_the_enumeration_of_all_policies(product):
     model, phi = product.model, product.formula
     close(stl.check(product), oracles.enumerated_optimum(model, phi))
@@ -68,7 +68,7 @@ def random_policy(product, rng, timed, mixed):
 
 
 @given(products(), st.integers(0, 2**32 - 1), st.booleans(), st.booleans())
-@settings(max_examples=60)
+@settings(max_examples=many(60))
 def test_a_policys_value_equals_the_tree_of_its_runs(product, seed, timed, mixed):
     policy = random_policy(product, np.random.default_rng(seed), timed, mixed)
     result = stl.check(product, policy)

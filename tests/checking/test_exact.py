@@ -20,7 +20,7 @@ from stltool.checking.reach import first_steps
 from stltool.errors import ModelError, SettingsError, SizeError
 from stltool.testing import strategies
 from tests import oracles, qcomp
-from tests.conftest import DATA, OUTSIDE, needs_outside
+from tests.conftest import DATA, OUTSIDE, many, needs_outside
 
 FORMULAS = ["F[0,6] (A & B)", "G[0,5] F[0,2] A", "F[0,2] G[0,3] (A | B)", "A U[1,7] B", "G[0,3] (A -> F[1,3] B)"]
 DENOMINATORS = [1, 2, 10, 16, 300, 997, 10**6, 3 * 10**11, 10**17]
@@ -42,10 +42,11 @@ def policies(rng, product):
     yield stl.Policy(product, weights / weights.sum(axis=-1, keepdims=True))
 
 
+@pytest.mark.soak
 def test_no_enclosure_ever_misses_the_exact_value():
     """Thousands of answers: maximum, minimum, policies; doubles, fixed point, both engines."""
     answers = 0
-    for rng, product in instances(450, seed=1):
+    for rng, product in instances(many(150), seed=1):
         small = fixed_point(product.model) is not None
         for maximize, policy in ((True, None), (False, None), *((True, policy) for policy in policies(rng, product))):
             truth = oracles.layered_value(product, policy, maximize)
@@ -57,11 +58,12 @@ def test_no_enclosure_ever_misses_the_exact_value():
                     assert result.lower <= result.probability <= result.upper
                     assert result.upper - result.lower < (1e-13 if arithmetic != "fixed" else 1e-8)
                     answers += 1
-    assert answers > 5000
+    assert answers > many(2500)
 
 
+@pytest.mark.soak
 def test_the_fraction_is_the_fraction():
-    for rng, product in instances(180, seed=2):
+    for rng, product in instances(many(90), seed=2):
         for maximize, policy in ((True, None), (False, None), *((True, policy) for policy in policies(rng, product))):
             truth = oracles.layered_value(product, policy, maximize)
             result = stl.check(product, policy, maximize=maximize, exact=True)
@@ -74,7 +76,7 @@ def test_the_fraction_is_the_fraction():
                 assert oracles.layered_value(product, result.policy) == truth
 
 
-@settings(max_examples=60)
+@settings(max_examples=many(60))
 @given(st.data())
 def test_exact_optima_of_any_formula(data):
     """Against the tree of all histories and the slow semantics: automaton, product and arithmetic together."""
@@ -134,9 +136,9 @@ def test_an_exact_answer_needs_exact_rows():
 
 
 def test_weights_that_exceed_one_compound():
-    """Weights may sum to 1 + 1e-9; over 20000 steps that is not h times the excess but its power."""
+    """Weights may sum to 1 + 1e-9; over 10000 steps that is not h times the excess but its power."""
     model = stl.MDP.from_arrays([[["0.9999999999", "0.0000000001"], ["0", "1"]]] * 2, {"x": [0, 1]})
-    product = stl.build_product(model, stl.parse("G[0,20000] x < 1"))
+    product = stl.build_product(model, stl.parse("G[0,10000] x < 1"))
     weights = np.full((*product.shape, 2), 0.5 + 4.5e-10)
     policy = stl.Policy(product, weights)
     enclosed, exact = (stl.check(product, policy, exact=exact) for exact in (False, True))
@@ -192,7 +194,7 @@ def test_unknown_settings_are_named(patrolling):
         stl.check(patrolling, arithmetic="float")
 
 
-@settings(max_examples=40)
+@settings(max_examples=many(40))
 @given(strategies.models(), strategies.formulas(longest=2, max_leaves=3))
 def test_first_steps_are_breadth_first(model, phi):
     product = stl.build_product(model, phi)

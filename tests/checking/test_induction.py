@@ -19,6 +19,7 @@ from stltool.checking.induction.reached import Reached, Stretch
 from stltool.checking.induction.words import Words
 from stltool.choices import Table, Through
 from tests import dense
+from tests.conftest import many
 
 ENGINES = ("nodes", "words")
 FORMULAS = (
@@ -83,7 +84,8 @@ def held(arithmetic, value):
     return arithmetic.number(value) if isinstance(arithmetic, Digits) else int(value)
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(many(60)))
 def test_every_arithmetic_and_engine_gives_the_dense_value(seed):
     product, _ = random_product(seed)
     for maximize in (True, False):
@@ -113,7 +115,8 @@ def _table(choices, product):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(many(30)))
 def test_following_the_best_choices_gives_the_same_bits(seed, engine):
     product, _ = random_product(seed, most_states=20)
     for maximize in (True, False):
@@ -143,7 +146,8 @@ def test_a_policy_that_is_silent_where_it_can_be_is_found_out(engine, patrolling
 
 
 @pytest.mark.parametrize("form", ["stationary", "timed", "mixed"])
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(many(25)))
 def test_every_arithmetic_and_engine_gives_a_policys_value(seed, form):
     product, rng = random_product(seed)
     policy = random_policy(product, rng, form)
@@ -162,7 +166,8 @@ def test_every_arithmetic_and_engine_gives_a_policys_value(seed, form):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(many(30)))
 def test_what_is_open_and_sure_is_exact(seed, engine):
     """Open pairs are the reached ones strictly between 0 and 1, sure ones the 1s (of a minimum: the 0s)."""
     product, rng = random_product(seed, most_states=6)

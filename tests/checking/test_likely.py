@@ -15,6 +15,7 @@ from stltool.automata import TRUE, UNDECIDED
 from stltool.errors import PolicyError, SettingsError, SizeError
 from tests import oracles
 from tests.checking.test_check import products, random_policy
+from tests.conftest import many
 
 ALL = 10**6
 
@@ -59,7 +60,7 @@ def close(value, exact):
 
 
 @given(cases(), st.integers(1, 12))
-@settings(max_examples=60)
+@settings(max_examples=many(60))
 def test_runs_equal_the_enumeration(case, count):
     """The probabilities in order, every run one of those there are, the totals, and what is left to find."""
     product, policy, satisfied = case
@@ -86,7 +87,7 @@ def test_runs_equal_the_enumeration(case, count):
 
 
 @given(cases())
-@settings(max_examples=30)
+@settings(max_examples=many(30))
 def test_all_runs_together_are_the_verdict(case):
     """Every full history that violates (satisfies) the formula begins with exactly one of them; they add up to P."""
     product, policy, satisfied = case
@@ -114,7 +115,7 @@ def test_all_runs_together_are_the_verdict(case):
 
 
 @given(cases(), st.fractions(0, 1, max_denominator=64).filter(bool))
-@settings(max_examples=30)
+@settings(max_examples=many(30))
 def test_a_masss_set_is_smallest(case, mass):
     """No smaller set of runs, of all sets, has the mass; and the set has it."""
     product, policy, satisfied = case
@@ -141,7 +142,7 @@ def test_a_mass_that_a_set_has_exactly(mass, n):
 
 
 @given(cases())
-@settings(max_examples=30)
+@settings(max_examples=many(30))
 def test_certain_is_where_no_other_verdict_is_left(case):
     product, policy, satisfied = case
     every = all_runs(product, policy)

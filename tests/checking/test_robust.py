@@ -20,6 +20,7 @@ from stltool.policy import with_flags
 from stltool.testing import flag_formulas, formulas, interval_models, models
 from tests import dense, oracles
 from tests.checking.test_check import close, random_policy
+from tests.conftest import many
 
 QUESTIONS = [(maximize, nature) for maximize in (True, False) for nature in ("against", "with")]
 
@@ -38,7 +39,7 @@ def products(draw, longest=2, most=3, **options):
 
 
 @given(products())
-@settings(max_examples=25)
+@settings(max_examples=many(25))
 def test_values_equal_the_tree_of_all_histories(product):
     for maximize, nature in QUESTIONS:
         result = stl.robust_check(product, maximize=maximize, nature=nature)
@@ -48,7 +49,7 @@ def test_values_equal_the_tree_of_all_histories(product):
 
 
 @given(products(longest=1, most=2, max_states=2, single_start=True), st.sampled_from(QUESTIONS))
-@settings(max_examples=25)
+@settings(max_examples=many(25))
 def test_values_equal_the_enumeration_of_all_policies_and_natures(product, question):
     """Literally: the best over every policy of the worst over every strategy of nature, history-dependent both."""
     maximize, nature = question
@@ -77,7 +78,7 @@ def test_values_equal_the_enumeration_of_all_policies_and_natures(product, quest
 
 
 @given(products(), st.integers(0, 2**32 - 1), st.booleans(), st.booleans(), st.sampled_from(QUESTIONS))
-@settings(max_examples=40)
+@settings(max_examples=many(40))
 def test_a_policys_value_equals_the_tree_of_its_runs(product, seed, timed, mixed, question):
     maximize, nature = question
     policy = random_policy(product, np.random.default_rng(seed), timed, mixed)
@@ -114,7 +115,7 @@ def exact_nature(lower, upper, denominator, values, minimize):
 
 
 @given(st.integers(0, 2**32 - 1), st.booleans())
-@settings(max_examples=200)
+@settings(max_examples=many(200))
 def test_the_exact_greedy_takes_the_best_corner(seed, minimize):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 5))
@@ -127,12 +128,14 @@ def test_the_exact_greedy_takes_the_best_corner(seed, minimize):
     assert Fraction(greedy, 12) == (min if minimize else max)(worths)
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize("denominator", [10, 1000, 3**7, 10**17, 2**52])
 @pytest.mark.parametrize("n_block", [3, 12])
-def test_thousands_of_exact_values_lie_in_their_enclosures(denominator, n_block):
+@pytest.mark.parametrize("part", range(many(1)))
+def test_thousands_of_exact_values_lie_in_their_enclosures(denominator, n_block, part):
     """Many small models in one, ends read from fractions; the exact values in integers. Never outside, never wide."""
-    rng = np.random.default_rng(denominator + n_block)
-    n_blocks, horizon = 96 // n_block, 8
+    rng = np.random.default_rng((denominator, n_block, part))
+    n_blocks, horizon = 48 // n_block, 8
     n = n_blocks * n_block
     ends = np.zeros((2, 2, n, n), dtype=object)
     for s in range(n):
@@ -170,7 +173,7 @@ def test_thousands_of_exact_values_lie_in_their_enclosures(denominator, n_block)
             assert Fraction(result.lower) <= value <= Fraction(result.upper)
             assert result.upper - result.lower < 1e-12
             compared += 1
-    assert compared > 150
+    assert compared > 75
 
 
 @pytest.mark.parametrize("nature", ["against", "with"])
@@ -232,7 +235,7 @@ def test_the_weights_of_a_mixture_may_miss_one():
 
 
 @given(models(max_states=4), st.sampled_from(QUESTIONS))
-@settings(max_examples=60)
+@settings(max_examples=many(60))
 def test_points_as_intervals_are_the_ordinary_check(model, question):
     maximize, nature = question
     points = Intervals(model.probability.copy(), model.probability.copy())
@@ -246,7 +249,7 @@ def test_points_as_intervals_are_the_ordinary_check(model, question):
 
 
 @given(products(max_states=4, max_actions=3))
-@settings(max_examples=40)
+@settings(max_examples=many(40))
 def test_intervals_enclose_the_nominal_model(product):
     """max–min <= the nominal maximum <= max–max; and the same policy's values."""
     nominal = replace(product, model=product.model.nominal())
@@ -264,7 +267,7 @@ def test_intervals_enclose_the_nominal_model(product):
 
 
 @given(products(max_states=4), st.sampled_from(QUESTIONS))
-@settings(max_examples=60)
+@settings(max_examples=many(60))
 def test_wider_intervals_give_nature_more(product, question):
     maximize, nature = question
     model = product.model
@@ -278,7 +281,7 @@ def test_wider_intervals_give_nature_more(product, question):
 
 
 @given(products(max_states=4))
-@settings(max_examples=40)
+@settings(max_examples=many(40))
 def test_maximum_and_minimum_are_dual(product):
     """max–min of Φ = 1 − min–max of ¬Φ; max–max of Φ = 1 − min–min of ¬Φ."""
     negated = stl.build_product(product.model, Not(product.formula))
@@ -288,7 +291,7 @@ def test_maximum_and_minimum_are_dual(product):
 
 
 @given(products(max_states=4, max_actions=3), st.sampled_from(QUESTIONS))
-@settings(max_examples=40)
+@settings(max_examples=many(40))
 def test_the_optimal_policy_attains_the_optimum(product, question):
     options = dict(zip(("maximize", "nature"), question, strict=True))
     best = stl.robust_check(product, **options)
@@ -298,7 +301,7 @@ def test_the_optimal_policy_attains_the_optimum(product, question):
 
 
 @given(products(max_states=4, max_actions=3), st.integers(0, 2**32 - 1), st.sampled_from(QUESTIONS))
-@settings(max_examples=40)
+@settings(max_examples=many(40))
 def test_engines_agree_with_a_dense_one(product, seed, question):
     options = dict(zip(("maximize", "nature"), question, strict=True))
     minimal = options["maximize"] == (options["nature"] == "against")

@@ -12,6 +12,7 @@ from stltool.automata import TRUE, UNDECIDED
 from stltool.errors import SizeError
 from tests import oracles
 from tests.checking.test_check import products, random_policy
+from tests.conftest import many
 
 H = Fraction(1, 10**6)
 
@@ -76,7 +77,7 @@ def near(value):
 
 
 @given(cases(), st.data())
-@settings(max_examples=50)
+@settings(max_examples=many(50))
 def test_derivatives_equal_difference_quotients(case, data):
     product, policy = case
     model = product.model
@@ -98,7 +99,7 @@ def test_derivatives_equal_difference_quotients(case, data):
 
 
 @given(cases())
-@settings(max_examples=30)
+@settings(max_examples=many(30))
 def test_laws(case):
     """No tilt beats the steepest move; visits and choices count the same steps; where nobody goes nothing moves."""
     product, policy = case

@@ -20,6 +20,7 @@ from stltool.models.rows import Stored
 from stltool.randomness import Purpose
 from stltool.testing import flag_formulas, formulas, models
 from tests import oracles
+from tests.conftest import many
 
 
 def coin(p, rest="0"):
@@ -61,7 +62,7 @@ def followed(draw):
 
 
 @given(followed())
-@settings(max_examples=50)
+@settings(max_examples=many(50))
 def test_rollouts_counted_out_are_the_exact_probability(case):
     """Rows over sixteenths, weights over quarters: over all combinations of i/16 and i/4 the share is P, as a fraction.
 
@@ -260,7 +261,7 @@ def tail(n, k, p, above):
 
 
 @given(st.integers(1, 25), st.data())
-@settings(max_examples=50)
+@settings(max_examples=many(50))
 def test_bounds_have_the_binomial_tails_that_define_them(n, data):
     k = data.draw(st.integers(0, n))
     confidence = data.draw(st.sampled_from([0.5, 0.9, 0.99, 0.999999]))
@@ -297,18 +298,20 @@ def fails_at_most(count, n, share):
     return count <= stats.binom.ppf(0.999, n, share)
 
 
+@pytest.mark.soak
 def test_calibration_on_patrolling(patrolling):
     """The issue's promise: the interval contains the exact value as often as stated, each side failing half of it."""
     best = stl.check(patrolling)
     assert best.probability == pytest.approx(0.737948, abs=5e-7)
-    found = [stl.estimate(patrolling, best.policy, runs=150, confidence=0.9, seed=seed) for seed in range(1000)]
+    n = many(1000)
+    found = [stl.estimate(patrolling, best.policy, runs=150, confidence=0.9, seed=seed) for seed in range(n)]
     too_high = sum(result.lower > best.probability for result in found)
     too_low = sum(result.upper < best.probability for result in found)
-    assert fails_at_most(too_high, 1000, 0.05)
-    assert fails_at_most(too_low, 1000, 0.05)
-    assert too_high + too_low >= stats.binom.ppf(0.001, 1000, 0.05)  # and no wider than it need be
-    mean = sum(result.satisfied for result in found) / 150_000
-    assert mean == pytest.approx(best.probability, abs=4 * math.sqrt(0.25 / 150_000))
+    assert fails_at_most(too_high, n, 0.05)
+    assert fails_at_most(too_low, n, 0.05)
+    assert too_high + too_low >= stats.binom.ppf(0.001, n, 0.05)  # and no wider than it need be
+    mean = sum(result.satisfied for result in found) / (150 * n)
+    assert mean == pytest.approx(best.probability, abs=4 * math.sqrt(0.25 / (150 * n)))
 
 
 @pytest.mark.parametrize("p", [0.0, 0.004, 0.5, 0.97, 1.0])
@@ -349,7 +352,7 @@ def test_planned_runs_are_enough_whatever_is_seen(epsilon, confidence, side):
 
 
 @given(st.integers(1, 3000), st.sampled_from([0.25, 0.05, 0.005, 1e-6]))
-@settings(max_examples=30)
+@settings(max_examples=many(30))
 def test_the_worst_outcome_is_found_without_looking_at_all(n, share):
     k = np.arange(n)
     assert _excess(n, share) == pytest.approx((stats.beta.isf(share, k + 1, n - k) - k / n).max(), abs=1e-15)
@@ -398,7 +401,7 @@ def slow_sprt(verdicts, theta, margin, alpha, beta):
     ),
     st.sampled_from([("0.1", "0.2"), ("0.01", "0.3"), ("0.4", "0.05")]),
 )
-@settings(max_examples=300)
+@settings(max_examples=many(300))
 def test_the_sequential_test_is_its_definition(verdicts, cuts, region, errors):
     batches = [np.array(part, dtype=bool) for part in np.split(np.array(verdicts), sorted(cuts))]
     theta, margin, alpha, beta = map(float, region + errors)

@@ -16,7 +16,7 @@ from stltool.learning.problem import Problem
 from stltool.logic.fragment import check_fragment
 from stltool.testing import flag_formulas, interval_models, models
 from tests import oracles
-from tests.conftest import FACTORY
+from tests.conftest import FACTORY, many
 
 GAMMA = 0.9
 CLEAR = 1e-7  # the oracle's own rounding; choices that lose less are not told apart there
@@ -90,7 +90,7 @@ def compare(product, left, V, options):
 
 
 @given(flagged(equal=False))
-@settings(max_examples=50)
+@settings(max_examples=many(50))
 def test_choices_left_are_those_of_policy_iteration(product):
     reward = np.tile(chi_of(product), product.model.n_states)
     left, reached, sweeps = _discounted(product, GAMMA, 1e-9, None)
@@ -100,7 +100,7 @@ def test_choices_left_are_those_of_policy_iteration(product):
 
 
 @given(flagged(), st.sampled_from([0.5, 0.9, 0.99]), st.sampled_from([0.9, 0.1, 1e-3]))
-@settings(max_examples=60)
+@settings(max_examples=many(60))
 def test_stopping_early_never_drops_an_optimal_choice(product, gamma, tolerance):
     left, reached, _ = _discounted(product, gamma, tolerance, None)
     assert reached <= tolerance
@@ -141,7 +141,7 @@ def test_a_late_reward_is_not_dropped_when_iteration_stops_before_it_is_seen():
 
 
 @given(flagged(max_states=2, longest=1))
-@settings(max_examples=30)
+@settings(max_examples=many(30))
 def test_the_optimum_is_that_of_all_stationary_policies(product):
     assume(product.n_states <= 8)
     rows, reward = explicit(product), np.tile(chi_of(product), product.model.n_states)
@@ -152,7 +152,7 @@ def test_the_optimum_is_that_of_all_stationary_policies(product):
 
 
 @given(flagged(), st.sampled_from(["published", "paper"]))
-@settings(max_examples=30)
+@settings(max_examples=many(30))
 def test_neither_scale_nor_outer_operator_moves_the_optimum(product, scale):
     """The learners' rewards, as published and as printed, leave the same choices."""
     reward = stl.PublishedNaive(scale=scale).start(Problem.of(product), None, None).table.reward
@@ -197,7 +197,7 @@ def close(result, exact):
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([text for text in TASKS if "3)" not in text or "G[0,3)" in text]))
-@settings(max_examples=60)
+@settings(max_examples=many(60))
 def test_the_range_is_that_of_all_policies_of_the_choices_left(seed, text):
     product = random_product(seed, text)
     assert product.automaton.exact
@@ -221,7 +221,7 @@ def test_the_range_is_that_of_all_policies_of_the_choices_left(seed, text):
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([*TASKS, "G[0,3) (F[0,3) A & F[0,4) B)", "F[0,3) F[0,4) (A & !B)"]))
-@settings(max_examples=40)
+@settings(max_examples=many(40))
 def test_where_every_choice_is_left_the_range_is_that_of_all_policies(seed, text):
     product = random_product(seed, text)
     left = np.ones((1, product.model.n_choices, product.automaton.n_states), dtype=np.bool_)
@@ -245,7 +245,7 @@ def shown(fragment, trace, length):
 @given(st.integers(0, 2**32 - 1), st.sampled_from(TASKS))
 @example(2, TASKS[-2])  # windows that count from the shortest one on would tell other policies here
 @example(15, TASKS[-1])
-@settings(max_examples=60)
+@settings(max_examples=many(60))
 def test_episodes_maximise_the_number_of_starts_where_the_inner_formula_holds(seed, text):
     """Whole histories in Fractions: first the number of starts, then P, judged by the formula itself."""
     product = random_product(seed, text)
@@ -387,7 +387,7 @@ def test_tasks_without_flags_and_sizes_that_do_not_fit_are_refused(floor5, patro
 
 
 @given(interval_models(max_states=2))
-@settings(max_examples=5)
+@settings(max_examples=many(5))
 def test_intervals_are_refused(model):
     with pytest.raises(SettingsError, match="intervals"):
         stl.surrogate_optimum(stl.build_product(model, stl.parse("F[0,2) F[0,2) a")))

@@ -19,7 +19,7 @@ from stltool.checking.weighted import Criteria, Figure, best, of_policy
 from stltool.errors import InfeasibleError, NameLookupError, PolicyError, SettingsError, SizeError, SolverError
 from stltool.testing import flag_formulas, formulas, models
 from tests import oracles
-from tests.conftest import FACTORY
+from tests.conftest import FACTORY, many
 
 SMALL = Fraction(1, 10**7)
 ENCLOSED = Fraction(1, 10**12)
@@ -63,7 +63,7 @@ def encloses(figure, exact):
 
 
 @given(joints(n_tasks=3), st.data())
-@settings(max_examples=30)
+@settings(max_examples=many(30))
 def test_the_joint_automaton_tells_every_verdict_once(joint, data):
     """Along any run each task's verdict falls on the step at which its own automaton says so, and never again."""
     automaton = joint.automaton
@@ -100,7 +100,7 @@ def test_verdicts_that_an_automaton_forgets_are_kept():
 
 
 @given(joints(), st.lists(st.sampled_from([0.0, 0.25, 1.0, 3.0]), min_size=3, max_size=3))
-@settings(max_examples=20)
+@settings(max_examples=many(20))
 def test_the_best_weighted_sum_is_that_of_all_points(joint, weights):
     fuel = joint.model.signals["fuel"]
     criteria = Criteria(joint, ("fuel",))
@@ -137,7 +137,7 @@ def test_rows_that_do_not_sum_to_one_widen_the_enclosure(excess):
 
 
 @given(joints(n_tasks=1))
-@settings(max_examples=12)
+@settings(max_examples=many(12))
 def test_one_objective_is_backward_induction(joint):
     result = stl.tradeoff(joint, "task0")
     optimum = stl.check(joint.tasks[0])
@@ -148,7 +148,7 @@ def test_one_objective_is_backward_induction(joint):
 
 
 @given(joints(), st.fractions(0, 1, max_denominator=64))
-@settings(max_examples=20)
+@settings(max_examples=many(20))
 def test_the_constrained_optimum_is_the_best_mixture(joint, part):
     points = points_of(joint)
     low, high = min(y for _, y in points), max(y for _, y in points)
@@ -173,7 +173,7 @@ def test_the_constrained_optimum_is_the_best_mixture(joint, part):
 
 
 @given(joints(), st.fractions(0, 1, max_denominator=64))
-@settings(max_examples=15)
+@settings(max_examples=many(15))
 def test_a_budget_is_kept_by_the_best_mixture(joint, part):
     fuel = joint.model.signals["fuel"]
     points = {(p, -cost) for p, _, cost in points_of(joint, fuel)}
@@ -208,7 +208,7 @@ def expected_cost(result, cost):
 
 
 @given(joints(), st.fractions(0, 1, max_denominator=8), st.fractions(0, 1, max_denominator=8))
-@settings(max_examples=10)
+@settings(max_examples=many(10))
 def test_task_and_budget_together_are_certified(joint, part, other):
     """A mixture keeps both bounds; the certificate is above it and above every mixture that keeps them."""
     fuel = joint.model.signals["fuel"]
@@ -233,7 +233,7 @@ def test_task_and_budget_together_are_certified(joint, part, other):
 
 
 @given(joints())
-@settings(max_examples=20)
+@settings(max_examples=many(20))
 def test_the_front_is_that_of_all_points(joint):
     points = points_of(joint)
     front = stl.pareto(joint)
@@ -258,7 +258,7 @@ def test_the_front_is_that_of_all_points(joint):
 
 
 @given(joints(), st.floats(0, 1))
-@settings(max_examples=8)
+@settings(max_examples=many(8))
 def test_front_and_programme_agree(joint, part):
     front = stl.pareto(joint)
     low, high = front.corners[0].point[1], front.corners[-1].point[1]
@@ -532,7 +532,7 @@ def test_the_solver_prints_nothing(shift, capfd):
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0, 0.99), st.floats(0, 0.99))
-@settings(max_examples=8)
+@settings(max_examples=many(8))
 def test_the_programme_agrees_with_another_solver_and_with_its_own_multipliers(seed, part, other):
     """An interior-point solver finds the same value; the multipliers' bound, by backward induction, meets it."""
     import cvxpy as cp

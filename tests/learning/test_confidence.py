@@ -1,5 +1,6 @@
 """Confidence sequences against fractions: the martingale, the ends of intervals, and how often they are ever wrong."""
 
+import functools
 import itertools
 import math
 from decimal import Decimal, localcontext
@@ -87,15 +88,23 @@ def test_one_call_is_many_and_nothing_is_known_without_tries():
     assert upper[1] < upper[2]
 
 
+@functools.cache
+def intervals(longest, alpha):
+    """The ends of 0 … n successes in n tries, of n = 1 … longest."""
+    tries = np.repeat(np.arange(1, longest + 1), np.arange(2, longest + 2))
+    successes = np.concatenate([np.arange(n + 1) for n in range(1, longest + 1)])
+    cuts = np.cumsum(np.arange(2, longest + 1))
+    ends = entry_interval(successes, tries, -math.log(alpha))
+    return list(zip(*(np.split(array, cuts) for array in ends), strict=True))
+
+
 @pytest.mark.parametrize("p", [0.01, 0.3, 0.5, 0.93])
 @pytest.mark.parametrize("alpha", [0.5, 0.1])
 def test_an_interval_is_ever_wrong_no_more_often_than_stated(p, alpha):
     """Exactly: the probability that some n up to 400 has an interval without p, over all sequences."""
-    longest = 400
     alive, wrong = np.array([1.0]), 0.0
-    for n in range(1, longest + 1):
+    for lower, upper in intervals(400, alpha):
         alive = np.append(alive * (1 - p), 0) + np.append(0, alive * p)
-        lower, upper = entry_interval(np.arange(n + 1), np.full(n + 1, n), -math.log(alpha))
         outside = (p < lower) | (p > upper)
         wrong += alive[outside].sum()
         alive[outside] = 0

@@ -21,6 +21,7 @@ from stltool.product import with_outcome
 from stltool.testing import formulas, interval_models, models
 from tests import oracles
 from tests.checking.test_check import random_policy
+from tests.conftest import many
 
 SUPPORTS = ("unknown", "known")
 
@@ -141,7 +142,7 @@ def cases(draw):
 
 
 @given(cases(), st.sampled_from(SUPPORTS), st.sampled_from([0.01, 0.5, 0.99]), st.booleans(), st.booleans())
-@settings(max_examples=40)
+@settings(max_examples=many(40))
 def test_the_bound_is_its_equation(case, support, confidence, timed, mixed):
     product, counts, rng = case
     rows = polytopes(product.model, counts, 1 - confidence, support)
@@ -158,7 +159,7 @@ def test_the_bound_is_its_equation(case, support, confidence, timed, mixed):
 
 
 @given(cases(), st.integers(0, 2**32 - 1))
-@settings(max_examples=30)
+@settings(max_examples=many(30))
 def test_the_models_probabilities_are_never_read(case, seed):
     product, counts, rng = case
     model, policy = product.model, random_policy(product, rng, timed=True, mixed=False)
@@ -209,7 +210,7 @@ def test_a_known_graph_without_choice_is_a_guarantee():
 
 
 @given(cases(), st.sampled_from(SUPPORTS))
-@settings(max_examples=30)
+@settings(max_examples=many(30))
 def test_bounds_grow_with_data_and_shrink_with_confidence(case, support):
     product, counts, _ = case
     rows = list(zip(counts.choice.tolist(), counts.target.tolist(), counts.seen.tolist(), strict=True))
@@ -242,10 +243,11 @@ def coin(p):
     return stl.build_product(model, stl.parse("F[0,1] win"))
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize("alpha", [0.5, 0.2])
 def test_an_adversary_who_stops_at_the_worst_time_wins_no_more_often_than_stated(alpha):
     """Stops as soon as the bound is wrong, knowing the truth. It wins now and then: the test is a sharp one."""
-    p, runs, longest = 0.6, 1000, 200
+    p, runs, longest = 0.6, many(1000), 200
     product = coin(p)
     policy = stl.Policy(product, np.zeros(product.shape, dtype=int))
     rng = np.random.default_rng(7)
@@ -263,12 +265,13 @@ def test_an_adversary_who_stops_at_the_worst_time_wins_no_more_often_than_stated
     assert wins > 0.02 * runs
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize("support", SUPPORTS)
 def test_bounds_from_adaptive_data_hold_as_often_as_stated(support):
     """Explored greedily, stopped when the bound looks good, the policy chosen from the data; confidence 0.5."""
     rng = np.random.default_rng(3)
     wrong = positive = runs = 0
-    for _ in range(60):
+    for _ in range(many(60)):
         model = oracles.random_model(rng, 8)
         product = stl.build_product(model, stl.parse("F[0,2] A"))
         good = float(rng.random())
@@ -313,7 +316,7 @@ def test_policies_of_every_kind_are_judged(patrolling, flagged):
 
 
 @given(interval_models(max_states=3), st.integers(0, 99))
-@settings(max_examples=20)
+@settings(max_examples=many(20))
 def test_models_with_intervals_lend_their_graph(model, seed):
     product = stl.build_product(model, stl.parse("F[0,2] a"))
     rng = np.random.default_rng(seed)
@@ -402,7 +405,7 @@ def test_a_black_box_needs_no_rows_but_a_start(patrolling):
 
 
 @given(formulas(signals=(), longest=2, max_leaves=5), st.sampled_from([FALSE, TRUE]), st.data())
-@settings(max_examples=40)
+@settings(max_examples=many(40))
 def test_the_outcome_decides_what_is_undecided(phi, verdict, data):
     model = stl.MDP.from_arrays(
         [np.full((5, 5), 0.2)], {}, labels={"a": [0, 0, 1, 1, 0], "b": [0, 1, 0, 1, 0], "c": [0, 0, 0, 1, 1]}

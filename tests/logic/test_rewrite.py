@@ -31,6 +31,7 @@ from stltool.logic.formula import (
 from stltool.logic.rewrite import negation_normal_form, operator_count, simplify
 from stltool.testing import formulas, traces
 from stltool.testing.strategies import intervals
+from tests.conftest import many
 
 NAMES = {"labels": ("a", "b"), "signals": ("x", "y")}
 
@@ -115,7 +116,7 @@ REWRITINGS = (negation_normal_form, simplify)
 
 @pytest.mark.parametrize("rewrite", REWRITINGS)
 @given(phi=alike() | formulas(**NAMES), data=st.data())
-@settings(max_examples=250)
+@settings(max_examples=many(250))
 def test_truth_and_robustness_stay_on_every_trace_that_is_long_enough(rewrite, phi, data):
     new = rewrite(phi)
     t = data.draw(st.integers(0, 2))
@@ -127,7 +128,7 @@ def test_truth_and_robustness_stay_on_every_trace_that_is_long_enough(rewrite, p
 
 @pytest.mark.parametrize("rewrite", [*REWRITINGS, lambda phi: simplify(phi, cut=True)], ids=["nnf", "held", "cut"])
 @given(phi=alike(2, endless=True), data=st.data())
-@settings(max_examples=150)
+@settings(max_examples=many(150))
 def test_windows_without_an_end_and_windows_that_are_cut(rewrite, phi, data):
     new = rewrite(phi)
     trace = data.draw(traces(data.draw(st.integers(1, 3)), **NAMES))
@@ -139,7 +140,7 @@ def test_windows_without_an_end_and_windows_that_are_cut(rewrite, phi, data):
 
 
 @given(phi=alike(endless=True) | formulas(**NAMES))
-@settings(max_examples=250)
+@settings(max_examples=many(250))
 def test_normal_forms_are_normal(phi):
     assert is_nnf(negation_normal_form(phi))
     for cut in (False, True):

@@ -17,6 +17,7 @@ import stltool as stl
 from stltool.errors import MissingExtraError, ModelError, SettingsError
 from stltool.models.environment import simulator
 from stltool.models.gymnasium import replay
+from tests.conftest import many
 from tests.models.gymnasium_envs import Listed, Scripted
 
 LAKE = {"goal": {15}, "hole": {5, 7, 11, 12}}
@@ -245,7 +246,7 @@ def tables(draw):
     return {s: {a: row() for a in range(n_actions)} for s in range(n_states)}
 
 
-@settings(max_examples=100)
+@settings(max_examples=many(100))
 @given(tables())
 def test_tables_mean_what_their_episodes_do(P):
     """Against runs written down in Fractions: they stay where they end."""

@@ -26,7 +26,7 @@ from stltool.logic.formula import (
     Until,
     Variable,
 )
-from tests.conftest import DATA, OUTSIDE, needs_outside
+from tests.conftest import DATA, OUTSIDE, many, needs_outside
 from tests.monitoring.test_monitor import close
 
 RECORDED = tomllib.loads((DATA / "rtamt.toml").read_text(encoding="utf-8"))
@@ -156,7 +156,7 @@ def common_formulas():
     return st.recursive(comparisons, grow, max_leaves=6)
 
 
-@settings(max_examples=60)
+@settings(max_examples=many(60))
 @given(phi=common_formulas(), n=st.integers(2, 9), data=st.data())
 def test_rtamt_agrees_on_what_both_languages_have(phi, n, data):
     package = rtamt()

@@ -12,6 +12,7 @@ from stltool.reporting import monitor_data
 from stltool.reporting.drawing import COLOURS
 from stltool.reporting.figures import learning_curve, learning_curves, line_chart, pareto_front
 from stltool.reporting.monitor_figure import HOLDS, VIOLATED, monitored
+from tests.conftest import many
 from tests.reporting.svg import Picture, overlapping
 
 PROBABILITIES = st.floats(0, 1) | st.sampled_from([0.0, 0.5, 1 - 1e-3, 1 - 1e-9, 1.0])
@@ -37,7 +38,7 @@ def history(values, every=360):
 
 
 @given(st.lists(PROBABILITIES, min_size=2, max_size=70), st.none() | PROBABILITIES)
-@settings(max_examples=12)
+@settings(max_examples=many(12))
 @example([0.2, 1 - 1e-9, 1.0], 1.0)
 @example([1.0, 1.0], None)
 def test_a_learning_curve_and_its_optimum(values, optimum):
@@ -111,7 +112,7 @@ def fronts(draw):
 
 
 @given(fronts())
-@settings(max_examples=12)
+@settings(max_examples=many(12))
 @example([(1.0, 0.0), (0.0, 1.0)])
 @example([(0.999, 0.9901), (0.9989, 0.9921)])
 @example([(1.0, 1.0)])

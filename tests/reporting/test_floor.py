@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from stltool.reporting import report_data
 from stltool.reporting.floor import floor_map, visits
+from tests.conftest import many
 from tests.reporting import svg
 from tests.reporting.svg import overlapping
 
@@ -150,7 +151,7 @@ ROWS = st.integers(2, 7).flatmap(
 
 
 @given(ROWS, st.data())
-@settings(max_examples=25)
+@settings(max_examples=many(25))
 def test_what_a_floor_shows_is_what_it_was_given(rows, data):
     floor = layout(rows)
     states = st.integers(0, len(floor["column"]) - 1)

@@ -14,11 +14,11 @@ from stltool.reporting import encoding_data, encoding_rows, surrogate_data, surr
 from stltool.reporting.story import count_text, state_histories
 from stltool.testing import models
 from tests import oracles
-from tests.conftest import FACTORY
+from tests.conftest import FACTORY, many
 
 
 @given(models(max_states=4), st.integers(1, 4))
-@settings(max_examples=40)
+@settings(max_examples=many(40))
 def test_state_histories_are_the_paths_of_the_model(model, length):
     follows = {s: {s2 for row in oracles.choices(model, s) for s2, p in row if p} for s in range(model.n_states)}
     paths = [

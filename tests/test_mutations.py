@@ -1,0 +1,95 @@
+"""Faults put into the passes and kernels of a backward induction are found: by the tests named, in a copy of stltool."""
+
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from tests.conftest import MORE, ROOT
+
+INDUCTION = "tests/checking/test_induction.py"
+WORDS, TILES, EDGES = (f"kernels/{name}.py" for name in ("words", "tiles", "edges"))
+NODES, LAYERS = (f"checking/induction/{name}.py" for name in ("nodes", "layers"))
+
+# what is broken: file, a text that it has once, what stands there instead, where a test must fail
+MUTATIONS = {
+    "zero, one by one": (NODES, "slot != REST", "slot == SURE", INDUCTION),
+    "one, one by one: some successor instead of all": (
+        NODES, "makes_sure = np.logical_and", "makes_sure = np.logical_or", INDUCTION,
+    ),
+    "what mixtures may take, one by one": (NODES, "np.logical_and if self", "np.logical_or if self", INDUCTION),
+    "reach, one by one: a verdict too early": (NODES, "verdicts(t + 1)[child", "verdicts(t)[child", INDUCTION),
+    "layers that differ are taken for the same": (LAYERS, "and self._same_settled(here, ahead)", "", INDUCTION),
+    "reach: the last word is forgotten": (
+        WORDS, "range(max(g, 1), min(g + (1 << shift), n_words + 1))", "range(max(g, 1), min(g + (1 << shift), n_words))",
+        INDUCTION,
+    ),
+    "reach: bits that move into the next word are lost": (
+        WORDS, "if offset != ZERO and going >> (np.uint64(64) - offset) != ZERO:", "if False:", INDUCTION,
+    ),
+    "reach: the union is its last part": (
+        WORDS, "put(rows, d, at(rows, d) | at(bits, k))", "put(rows, d, at(bits, k))", INDUCTION,
+    ),
+    "zero: all that is reached": (WORDS, "                live &= here\n", "                live |= here\n", INDUCTION),
+    "zero: what lies ahead in the next word": (WORDS, "y |= at(ahead, d + 1) << back", "pass", INDUCTION),
+    "one: some successor instead of all": (
+        WORDS, "                        x &= at(certain,", "                        x |= at(certain,", INDUCTION,
+    ),
+    "one: what mixtures may take": (WORDS, "left &= taking | ~at(", "left &= taking & ~at(", INDUCTION),
+    "one: the last choice instead of the first": (WORDS, "left &= ~x\n", "left &= left\n", INDUCTION),
+    "lanes that are not active get numbers": (
+        TILES, "select(open_lanes, _settle(x, divisor, inverse), other)", "_settle(x, divisor, inverse)", INDUCTION,
+    ),
+    "sure lanes are like the rest": (TILES, "select(mask(at(certain, r)), sures, rests)", "rests", INDUCTION),
+    "lanes that are not listed are read": (
+        TILES, "mask(np.uint8((listed >> np.uint64(q)) & _BYTE))", "mask(np.uint8(_BYTE))", INDUCTION,
+    ),
+    "gather at an edge: one lane beside": (
+        TILES, "splat_at(row, PAD + np.int64(at(constant, e)))", "splat_at(row, PAD - 1 + np.int64(at(constant, e)))",
+        INDUCTION,
+    ),
+    "gather at an edge: a lane that is neither": (
+        TILES, "simple[letter, b] = most >= hi - lo", "simple[letter, b] = most >= hi - lo - 1", INDUCTION,
+    ),
+    "digits: the least instead of the greatest": (EDGES, "out[i, d]) == maximize", "out[i, d]) != maximize", INDUCTION),
+    "fixed point is not rounded up": (
+        "kernels/lanes.py", "    return sub(y, _to_integer(greater(sub(mul(y, d), x), sub(d, splat(np.int64(1))))))",
+        "    return y", INDUCTION,
+    ),
+    "nature spends more than there is": (EDGES, "min(width[e], left)", "width[e]", "tests/checking/test_robust.py"),
+}  # fmt: skip
+PROGRAM = """
+import sys
+sys.path.insert(0, sys.argv.pop(1))
+import stltool, pytest
+assert stltool.__file__.startswith(sys.path[0])
+sys.exit(pytest.main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("name", MUTATIONS)
+def test_every_mutation_changes_one_place(name):
+    file, old, new, _ = MUTATIONS[name]
+    source = (ROOT / "stltool" / file).read_text(encoding="utf-8")
+    assert source.count(old) == 1
+    assert new not in (old, source)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", list(MUTATIONS)[: None if MORE > 1 else 1])
+def test_a_mutation_is_found(name, tmp_path):
+    """`make test` tries the first alone: each takes some seconds, with the compiling of all kernels where it is in one."""
+    file, old, new, tests = MUTATIONS[name]
+    shutil.copytree(ROOT / "stltool", tmp_path / "stltool")  # with the machine code, where no kernel is changed
+    shutil.copytree(ROOT / "grammars", tmp_path / "grammars")
+    changed = tmp_path / "stltool" / file
+    changed.write_text(changed.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    options = ["-x", "-n", "0", "-p", "no:cacheprovider", "--tb", "line", "-m", "not slow", tests]
+    settings = {key: value for key, value in os.environ.items() if not key.startswith(("STLTOOL_", "PYTEST_"))}
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, tmp_path, *options], cwd=ROOT, env=settings, capture_output=True, text=True
+    )
+    assert done.returncode == 1, f"{done.stdout[-3000:]}{done.stderr[-3000:]}"  # pytest's for "tests failed"
+    assert "1 failed" in done.stdout
