@@ -8,6 +8,8 @@ demo: .venv/installed
 	$(BIN)/stltool run examples/factory/patrolling.stl --method cfer --episodes 1000 --seed 0 --out out/patrolling
 	@echo "open out/patrolling/report.html in a browser"
 
+# bytecode is kept, whatever the environment says: tests start dozens of processes
+test soak: export PYTHONDONTWRITEBYTECODE =
 test: .venv/installed-dev
 	$(BIN)/pytest -n 2 --dist worksteal
 

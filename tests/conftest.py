@@ -1,7 +1,9 @@
+import functools
 import os
 from pathlib import Path
 
 import pytest
+import typer.main
 from hypothesis import HealthCheck, settings
 
 import stltool as stl
@@ -20,6 +22,9 @@ settings.register_profile(
 )  # fmt: skip
 settings.register_profile("ci", settings.get_profile("random"), derandomize=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "random"))
+
+typer.main.get_command = functools.cache(typer.main.get_command)
+"""The command line is built once, not again for each command that a test runs in this process."""
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT / "tests" / "data"

@@ -1,4 +1,4 @@
-"""Faults put into the passes and kernels of a backward induction are found: by the tests named, in a copy of stltool."""
+"""Faults put into the passes and kernels of a backward induction are found, by the tests named here."""
 
 import os
 import shutil
@@ -23,7 +23,7 @@ MUTATIONS = {
     "reach, one by one: a verdict too early": (NODES, "verdicts(t + 1)[child", "verdicts(t)[child", INDUCTION),
     "layers that differ are taken for the same": (LAYERS, "and self._same_settled(here, ahead)", "", INDUCTION),
     "reach: the last word is forgotten": (
-        WORDS, "range(max(g, 1), min(g + (1 << shift), n_words + 1))", "range(max(g, 1), min(g + (1 << shift), n_words))",
+        WORDS, "n_words + 1)):\n                x = at(image, w)", "n_words)):\n                x = at(image, w)",
         INDUCTION,
     ),
     "reach: bits that move into the next word are lost": (
@@ -80,7 +80,7 @@ def test_every_mutation_changes_one_place(name):
 @pytest.mark.soak
 @pytest.mark.parametrize("name", list(MUTATIONS)[: None if MORE > 1 else 1])
 def test_a_mutation_is_found(name, tmp_path):
-    """`make test` tries the first alone: each takes some seconds, with the compiling of all kernels where it is in one."""
+    """In a copy of stltool. `make test` tries the first alone: each takes seconds, those of kernels compile all."""
     file, old, new, tests = MUTATIONS[name]
     shutil.copytree(ROOT / "stltool", tmp_path / "stltool")  # with the machine code, where no kernel is changed
     shutil.copytree(ROOT / "grammars", tmp_path / "grammars")
