@@ -1,14 +1,26 @@
-"""Re-check a certificate of stltool in exact integers, layer by layer: `python recheck.py FILE`.
+"""Re-check a certificate of stltool in exact integers, from the last step back: `python recheck.py FILE`.
 
-This file imports nothing of stltool and can be read, copied or rewritten on its own; docs/certificates.md has the
-format. It trusts nothing in the certificate: each transition of each layer is multiplied out once. What it proves: for
-the model and the automaton that the file lists, the claimed bounds hold. Whether those are the ones of a task file is
-for `stltool certify FILE TASK` to compare.
+This file imports nothing of stltool and can be read, copied or rewritten on its own; docs/certificates.md describes the
+format. It trusts nothing in the certificate. What it proves: for the model and the automaton that the file lists, the
+claimed bounds hold. Whether those are the ones of a task file is for `stltool certify FILE TASK` to compare.
 
-    claim      U_t(s,q) ≥ Σ p·U_{t+1}         L_t(s,q) ≤ Σ p·L_{t+1}        decided pairs are 1 or 0
-    maximum    for every choice               for the choice listed
-    minimum    for the choice listed          for every choice
-    policy     for the choice (or mixture) listed, both
+With s a model state, q an automaton state, D·p(c, s') the integers of choice c, and "goal" the verdict that counts,
+
+    V_t(s,q) = 1 or 0                                       if the verdict of q at step t is the goal, or the other one
+             = max_c or Σ_c weight(c) · Σ_s' p(c,s') · V_{t+1}(s', δ(letter of s', q))       otherwise
+
+(A minimum is 1 minus the maximum for the other verdict.) Two things are done, both backwards:
+
+  * What is certain follows from the model's graph. As sets of automaton states, one integer per model state:
+    `possible`, where some considered choice can lead to a goal, and `sure`, where some choice (of a policy: the listed
+    ones) leads to goals and sure pairs only. V is 0 outside `possible` and 1 in `sure`; the file lists neither.
+  * For the remaining pairs the file lists numbers v_t. They need not be right: how far each is from what one step makes
+    of v_{t+1} is measured in exact integers. With e_t the largest distance upwards at step t, |v_t − V_t| is at most
+    e_t + e_{t+1} + …, by induction, since averages and maxima move by no more than their arguments move. The same
+    holds downwards. So no number can be a lie; wrong ones only give wider bounds, and the claimed ones are refused.
+
+If a row sums to 1 − d, the missing d may lead anywhere; if it sums to 1 + d, any d of it may be too much: the largest d
+is added to the distance at each step, and distances grow by the largest factor 1 + d per step.
 """
 
 from __future__ import annotations
@@ -16,19 +28,29 @@ from __future__ import annotations
 import gzip
 import hashlib
 import json
-import os
 import re
+import struct
 import sys
 import zlib
-from collections.abc import Callable, Iterator
+from bisect import bisect_right
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
-from typing import Any, NoReturn
+from itertools import compress
+from typing import Any, NoReturn, TypeAlias
 
-FORMAT = "stltool-certificate-1"
-HEADER = ("format", "claim", "task", "formula", "encoding", "horizon", "model", "policy")
-FRACTION = re.compile(r"-?[0-9]+(/[0-9]+)?")
+FORMAT = "stltool-certificate-2"
+HEADER = {"format", "claim", "task", "formula", "encoding", "horizon", "model", "policy"}
+CLAIMS = ("maximum", "minimum", "policy")
+LINE = 2**23  # bytes of a line, at most
+DIGITS = 4300  # of a decimal number, at most
+BITS = 2**20  # of the integer that stands for 1, at most
+FINE = 2**64  # parts of a unit in which distances are counted
+PLACES = ((2**8, "B"), (2**16, "H"), (2**32, "I"))  # how places in a list of at most so many are held: 1, 2, 4 bytes
 DAMAGE = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, EOFError, MemoryError,
           zlib.error, gzip.BadGzipFile)  # fmt: skip
+
+Item: TypeAlias = dict[str, Any] | list[Any]
 
 
 class Refused(Exception):
@@ -36,7 +58,7 @@ class Refused(Exception):
 
 
 class NotACertificate(Refused):
-    """The file holds something else, or is damaged beyond reading."""
+    """The file contains something else, or is damaged beyond reading."""
 
 
 def require(holds: bool, problem: str) -> None:
@@ -45,148 +67,578 @@ def require(holds: bool, problem: str) -> None:
 
 
 def certify(path: str, progress: Callable[[int, int], None] | None = None) -> dict[str, Any]:
-    """Check every line of the certificate; returns its header with what was counted. Raises Refused, OSError.
+    """Check every line of the certificate. Returns its header with the bounds proved and what was counted.
 
-    `progress` is called with (layers done, layers in all).
+    `progress` is called with (steps done, steps in all). Raises Refused, OSError.
     """
     longest = sys.get_int_max_str_digits()
-    sys.set_int_max_str_digits(0)  # exact numbers are as long as they are
+    sys.set_int_max_str_digits(0)  # lengths are checked before numbers are read
     try:
-        return _certify(lines(path), progress or (lambda done, total: None))
+        return _certify(Lines(path), progress or (lambda done, total: None))
     except DAMAGE as error:
-        raise NotACertificate(f"not a certificate ({FORMAT}), or a damaged one: {error!r}") from None
+        raise NotACertificate(f"not a certificate ({FORMAT}), or a damaged one: {error!r}"[:500]) from None
     finally:
         sys.set_int_max_str_digits(longest)
 
 
-def lines(path: str) -> Iterator[dict[str, Any]]:
-    """The objects of the file in order, whole numbers only; the seal (a digest of all lines before it) at the end."""
-    with open(path, "rb") as plain:
-        packed = plain.read(2) == b"\x1f\x8b"
-    if os.path.getsize(path) == 0:
-        raise NotACertificate("the file is empty")
-    digest, seal = hashlib.sha256(), None
-    with gzip.open(path, "rb") if packed else open(path, "rb") as file:
-        for line in file:
-            require(seal is None, "there is text after the seal")
-            item = json.loads(line.decode(), parse_float=_not_whole, parse_constant=_not_whole, object_pairs_hook=_once)
-            seal = item.get("sha256")
-            if seal is None:
-                digest.update(line)
-                yield item
-            else:
-                require(len(item) == 1, "the seal says more than its digest")
-    require(seal is not None, "the file is cut off: its seal is missing")
-    require(seal == digest.hexdigest(), "the seal does not fit: the file was changed after it was written")
+# ------------------------------------------------------------------------------------------------ reading
 
 
-def _not_whole(text: str) -> NoReturn:
-    raise Refused(f"{text} is no whole number")
+class Lines:
+    """The file's lines in order, each an object or a list; its seal, a digest of all lines before it, is checked last.
+
+    `read` counts bytes. A line is read only up to the longest that may be.
+    """
+
+    def __init__(self, path: str) -> None:
+        self.path, self.read = path, 0
+
+    def __iter__(self) -> Iterator[Item]:
+        with open(self.path, "rb") as plain:
+            packed = plain.read(2) == b"\x1f\x8b"
+        digest, seal = hashlib.sha256(), None
+        with gzip.open(self.path, "rb") if packed else open(self.path, "rb") as file:
+            while line := file.readline(LINE + 1):
+                self.read += len(line)
+                if len(line) > LINE:
+                    raise NotACertificate(f"not a certificate ({FORMAT}): a line of more than {LINE} bytes")
+                require(seal is None, "there is text after the seal")
+                item = _DECODER.decode(line.decode())
+                seal = item.get("sha256") if type(item) is dict else None
+                if seal is None:
+                    digest.update(line)
+                    yield item
+                else:
+                    require(len(item) == 1, "the seal has other keys than its digest")
+        if not self.read:
+            raise NotACertificate("the file is empty")
+        require(seal is not None, "the file is cut off: its seal is missing")
+        require(seal == digest.hexdigest(), "the seal does not fit: the file was changed after it was written")
+
+
+class Blocks:
+    """An object of the file opens a block; the lists that follow are its rows."""
+
+    def __init__(self, items: Iterator[Item]) -> None:
+        self._items = items
+        self._next = next(items, None)
+
+    def opens(self, key: str) -> bool:
+        """Whether an object with this key comes next."""
+        return type(self._next) is dict and key in self._next
+
+    def head(self, keys: set[str]) -> dict[str, Any]:
+        """The object that comes next, which must have these keys and no others."""
+        head = self._next
+        if type(head) is not dict or {*head} != keys:
+            raise Refused(f"expected an object with the keys {', '.join(sorted(keys))}, found {head!r:.80}")
+        self._next = next(self._items, None)
+        return head
+
+    def rows(self) -> Iterator[list[Any]]:
+        while type(self._next) is list:
+            row, self._next = self._next, next(self._items, None)
+            yield row
+
+    def end(self) -> None:
+        require(self._next is None, "there are lines after the conclusion")
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    require(len(dict(pairs)) == len(pairs), "an object has one key twice")
-    return dict(pairs)
+    found = dict(pairs)
+    require(len(found) == len(pairs), "an object has one key twice")
+    return found
 
 
-def _whole(lists: list[Any]) -> bool:
-    """Whether lists, of lists, hold whole numbers alone."""
-    return all(type(item) is int or (type(item) is list and _whole(item)) for item in lists)
+def _whole(text: str) -> int:
+    require(len(text) <= DIGITS, f"a number has {len(text)} digits, more than {DIGITS}")
+    return int(text)
 
 
-def _certify(items: Iterator[dict[str, Any]], progress: Callable[[int, int], None]) -> dict[str, Any]:
-    header = next(items, {})
-    if header.get("format") != FORMAT:
-        raise NotACertificate(f"not a certificate ({FORMAT})")
-    model, automaton = next(items, {}), next(items, {})
-    told = {key: header[key] for key in HEADER}
-    require(set(header) == set(told), "the header has other keys than those of the format")
-    require(_whole([*model.values(), *automaton.values()]), "the model or the automaton holds more than whole numbers")
-    claim, horizon, D, Q = header["claim"], header["horizon"], model["denominator"], automaton["memory"]
-    letter, delta, start = automaton["letter"], automaton["delta"], automaton["start"]
-    verdict_rows, starts = dict(automaton["verdicts"]), [t for t, _ in automaton["verdicts"]]
+def _not_whole(text: str) -> NoReturn:
+    raise Refused(f"{text[:80]} is not an integer")
 
-    # a choice is its successors [(s', n)] and what its row lacks of 1 (below 0: exceeds), which may go anywhere
-    def choice(row: list[int]) -> tuple[list[tuple[int, int]], int]:
-        return list(zip(row[::2], row[1::2], strict=True)), D - sum(row[1::2])
 
-    choices = [[choice(row) for row in options] for options in model["choices"]]
-    entries = [entry for options in choices for successors, _ in options for entry in successors]
-    texts = [told[key] for key in ("task", "formula", "encoding", "model", "policy") if told[key] is not None]
-    require(all(isinstance(text, str) and text.isprintable() for text in texts), "the header's texts are not printable")
-    require(type(horizon) is int and horizon >= 0, f"the horizon {horizon!r} is no number of steps")
-    require(claim in ("maximum", "minimum", "policy"), f"unknown claim {claim!r}")
-    require(D > 0 and all(n >= 0 and 0 <= s < len(choices) for s, n in entries), "a transition is no probability")
-    require(all(choices) and len(letter) == len(choices), "a state has no choice, or no letter")
-    require(all(0 <= i < len(delta) for i in letter), "a letter is none of the automaton's")
-    require(all(len(row) == Q and all(0 <= q < Q for q in row) for row in delta), "the automaton's table is not whole")
-    require(starts == sorted(set(starts)) and starts[0] == 0, "the verdicts' steps do not ascend from 0")
-    require(all(len(row) == Q and {*row} <= {-1, 0, 1} for row in verdict_rows.values()), "the verdicts are not whole")
+_DECODER = json.JSONDecoder(
+    parse_int=_whole, parse_float=_not_whole, parse_constant=_not_whole, object_pairs_hook=_once
+)
+_HEX, _FRACTION = re.compile("[0-9a-f]+"), re.compile("(-?[0-9]+)(?:/([0-9]+))?")
 
-    def verdicts(t: int) -> list[int]:
-        row: list[int] = verdict_rows[max(first for first in starts if first <= t)]
+
+def integers(row: Any) -> bool:
+    """Whether it is a list of integers and nothing else."""
+    return type(row) is list and {*map(type, row)} <= {int}
+
+
+def hexadecimal(text: Any, most: int, what: str) -> int:
+    """The number that a text of at most `most` digits stands for."""
+    holds = type(text) is str and len(text) <= most and _HEX.fullmatch(text)
+    require(bool(holds), f"{what} is not a hexadecimal number of at most {most} digits")
+    return int(text, 16)
+
+
+def members(mask: int) -> list[int]:
+    """The elements of a set, which is held as the bits of an integer."""
+    bits = f"{mask:b}"
+    return [*compress(range(len(bits)), map(int, reversed(bits)))]
+
+
+def set_of(elements: Iterable[int], n: int) -> int:
+    """The set of elements below n."""
+    bits = bytearray(b"0" * (n + 1))
+    for i in elements:
+        bits[~i] = 49  # "1"
+    return int(bits, 2)
+
+
+# -------------------------------------------------------------------------------------- model and automaton
+
+
+class Letter:
+    """What an automaton does with one letter: `after` (δ), and where it comes from into a set.
+
+    Sets move by shifts: states that all move by the same amount, or all to the same state, are a piece.
+    """
+
+    def __init__(self, after: list[int]) -> None:
+        self.after = after
+        shifts, targets = Counter(r - q for q, r in enumerate(after)), Counter(after)
+        pieces = defaultdict(list)
+        for q, r in enumerate(after):
+            pieces[("by", r - q) if shifts[r - q] >= targets[r] else ("to", r)].append(q)
+        few = len(pieces) <= 256
+        self.pieces = [(*key, set_of(piece, len(after))) for key, piece in pieces.items()] if few else None
+
+    def before(self, ends: int) -> int:
+        """The set {q : δ(q) in `ends`}."""
+        if not ends:
+            return 0
+        if self.pieces is None:
+            bits = f"{ends:0{len(self.after)}b}"
+            return int("".join([bits[~r] for r in reversed(self.after)]), 2)
+        found = 0
+        for kind, amount, piece in self.pieces:
+            if kind == "by":
+                found |= (ends >> amount if amount >= 0 else ends << -amount) & piece
+            elif ends >> amount & 1:
+                found |= piece
+        return found
+
+
+class Model:
+    """The states of the file: share of the initial distribution, letter, and choices as (successors, integers).
+
+    A state without choices is one of which nothing is known but its letter. `near`: the successors of each.
+    """
+
+    def __init__(self, head: dict[str, Any], rows: Iterator[list[Any]]) -> None:
+        self.D, self.total = head["denominator"], head["initial_denominator"]
+        require(
+            integers([self.D, self.total]) and self.D > 0 < self.total, "the denominators are not positive integers"
+        )
+        self.share: dict[int, int] = {}
+        self.letter: dict[int, int] = {}
+        self.choices: dict[int, list[tuple[list[int], list[int]]]] = {}
+        last = -1
+        for row in rows:
+            where = f"model state {row[0]!r:.20}" if row else "the model"
+            require(len(row) > 2 and integers(row[:3]) and min(row[:3]) >= 0, f"{where}: no number, share and letter")
+            s, self.share[s], self.letter[s], *choices = row
+            require(s > last, f"{where}: not in ascending order")
+            pairs = all(integers(choice) and len(choice) > 1 and len(choice) % 2 == 0 for choice in choices)
+            require(pairs, f"{where}: a choice is not pairs of integers")
+            require(all(min(choice) >= 0 for choice in choices), f"{where}: a negative number")
+            self.choices[s] = [(choice[::2], choice[1::2]) for choice in choices]
+            last = s
+        self.near = {s: sorted({x for xs, _ in options for x in xs}) for s, options in self.choices.items()}
+        require(all(x in self.share for near in self.near.values() for x in near), "a successor is not listed")
+        require(bool(self.share), "the model has no states")
+        sums = [self.D, *(sum(numbers) for options in self.choices.values() for _, numbers in options)]
+        self.missing, self.excess = self.D - min(sums), max(sums) - self.D  # of a row, at most, over D
+
+    def reached(self, horizon: int) -> dict[int, int]:
+        """The first step at which runs can be in a model state, for those that they reach within that many steps."""
+        first = {s: 0 for s, share in self.share.items() if share}
+        newest, t = [*first], 0
+        while newest and t < horizon:
+            t += 1
+            newest = [*dict.fromkeys(x for s in newest for x in self.near[s] if x not in first)]
+            first |= dict.fromkeys(newest, t)
+        return first
+
+
+class Automaton:
+    """δ by letters, the state `start` before anything is read, and verdicts as sets, each from its step on."""
+
+    def __init__(self, head: dict[str, Any], rows: Iterator[list[Any]]) -> None:
+        self.size, n_letters, self.start, self.steps = (head[key] for key in ("states", "letters", "start", "verdicts"))
+        require(integers([self.size, n_letters, self.start]) and integers(self.steps), "the automaton is not integers")
+        require(
+            self.steps[:1] == [0] and self.steps == sorted({*self.steps}), "the verdicts' steps do not ascend from 0"
+        )
+        require(0 <= self.start < self.size, "the automaton's first state is not one of its states")
+        self.all = (1 << self.size) - 1
+        self.letters: list[Letter] = []
+        self.verdicts: list[tuple[int, int, int]] = []
+        for row in rows:
+            require(
+                integers(row) and len(row) == self.size, "a row of the automaton has not one integer for each state"
+            )
+            if len(self.letters) < n_letters:
+                require(min(row) >= 0 and max(row) < self.size, "the automaton leads to something that is not a state")
+                self.letters.append(Letter(row))
+            else:
+                require({*row} <= {-1, 0, 1}, "a verdict is not −1, 0 or 1")
+                true, false, undecided = (
+                    set_of((q for q, v in enumerate(row) if v == verdict), self.size) for verdict in (1, 0, -1)
+                )
+                self.verdicts.append((true, false, undecided))
+        require(len(self.letters) == n_letters, "the automaton has fewer letters than announced")
+        require(len(self.verdicts) == len(self.steps), "the automaton's verdicts are not those announced")
+
+    def period(self, t: int) -> int:
+        """The number of the verdicts that hold at step t: they do so from step steps[number] on."""
+        return bisect_right(self.steps, t) - 1
+
+
+# ------------------------------------------------------------------------------------------------- induction
+
+Listed: TypeAlias = dict[int, tuple[int, list[int], list[int]]]
+"""By model state: the set of automaton states that have a number, these in order, and their numbers."""
+Weights: TypeAlias = tuple[tuple[int, int], ...]
+"""Choices of a model state, each with its integer share."""
+Outcomes: TypeAlias = dict[tuple[int, Weights | None], dict[tuple[int, ...], int]]
+"""By model state and what is taken there: the outcome of the values of its successors, in order."""
+
+
+class Row(dict[int, int]):
+    """The values of a model state by automaton state: the numbers listed; what is certain, when it is asked for."""
+
+    def __init__(self, at: Induction, s: int) -> None:
+        _, states, numbers = at.values.get(s, (0, [], []))
+        super().__init__(zip(states, numbers, strict=True))
+        self._one, self._possible, self._sure = at.one, at.possible[s], at.sure[s]
+        self._place = f"step {at.t}, model state {s}"
+
+    def __missing__(self, q: int) -> int:
+        value = self._one if self._sure >> q & 1 else 0
+        certain = value or not self._possible >> q & 1
+        require(bool(certain), f"{self._place}, automaton state {q}: neither certain nor listed")
+        self[q] = value
+        return value
+
+
+class Rows(dict[int, Row]):
+    """The rows of all model states where an induction is, made when they are asked for."""
+
+    def __init__(self, at: Induction) -> None:
+        super().__init__()
+        self._at = at
+
+    def __missing__(self, s: int) -> Row:
+        row = self[s] = Row(self._at, s)
         return row
 
-    def expected(successors: list[tuple[int, int]], q: int) -> tuple[int, int]:
-        """Σ n·U and Σ n·L over the layer reached (`one`, `after`, `bounds`), from memory q."""
-        high = low = 0
-        for s, n in successors:
-            q2 = delta[letter[s]][q]
-            require(after[q2] >= 0 or s * Q + q2 in bounds, f"step {t}, state {s}, memory {q2}: not listed")
-            u, v = (one * after[q2],) * 2 if after[q2] >= 0 else bounds[s * Q + q2]
-            high, low = high + n * u, low + n * v
-        return high, low
 
-    t, one, after, pairs = horizon, 1, verdicts(horizon), 0
-    bounds: dict[int, tuple[int, int]] = {}  # s·Q + q → (U, L) in units of 1/one, at step t
-    while t > 0:
-        layer = next(items, {})
-        require(layer.get("t") == t - 1 and layer["one"] > 0, f"layer {t - 1} is missing")
-        require(
-            _whole([layer[key] for key in ("one", "at", "lower", "upper", "choice")]),
-            f"layer {t - 1}: no whole numbers",
-        )
-        now, unit = verdicts(t - 1), layer["one"]
-        found: dict[int, tuple[int, int]] = {}
-        for at, low, high, listed in zip(layer["at"], layer["lower"], layer["upper"], layer["choice"], strict=True):
-            (s, q), where = divmod(at, Q), f"step {t - 1}, state {at // Q}, memory {at % Q}"
-            options = choices[s]
-            weights = listed if isinstance(listed, list) else [int(c == listed) for c in range(len(options))]
-            require(at >= 0 and now[q] < 0 and at not in found, f"{where}: decided, or listed twice")
-            require(len(weights) == len(options) and min(weights) >= 0 < sum(weights), f"{where}: no such choice")
-            # what a row lacks may go where it is worth most, what it exceeds be taken there
-            considered = [(w, *o) for w, o in zip(weights, options, strict=True) if w or claim != "policy"]
-            taken = [(w, *expected(successors, q), lack) for w, successors, lack in considered]
-            highs = [(w, u + max(0, lack) * one) for w, u, _, lack in taken]
-            lows = [(w, v + min(0, lack) * one) for w, _, v, lack in taken]
-            total = sum(weights)
-            most = max(u for _, u in highs) * total if claim == "maximum" else sum(w * u for w, u in highs)
-            least = min(v for _, v in lows) * total if claim == "minimum" else sum(w * v for w, v in lows)
-            require(high * D * one * total >= most * unit, f"{where}: the upper bound is below what a step gives")
-            require(low * D * one * total <= least * unit, f"{where}: the lower bound is above what a step gives")
-            found[at] = high, low
-        t, one, after, bounds, pairs = t - 1, unit, now, found, pairs + len(found)
-        progress(horizon - t, horizon)
-    claimed, initial, total = next(items, {}), model["initial"], model["initial_denominator"]
-    require(next(items, None) is None, "there are lines after the conclusion")
-    lack = total - sum(n for _, n in initial)
-    require(total > 0 and 0 <= start < Q, "the start is not whole")
-    require(all(n >= 0 and 0 <= s < len(choices) for s, n in initial), "the start is no distribution")
-    high, low = expected(initial, start)
-    proved = {"lower": Fraction(low + min(0, lack) * one, one * total),
-              "upper": Fraction(high + max(0, lack) * one, one * total)}  # fmt: skip
-    require({*claimed} == {*proved}, "the conclusion is no lower and upper bound")
-    for key, bound in claimed.items():
-        require(isinstance(bound, str) and bool(FRACTION.fullmatch(bound)), f"{bound!r} is no fraction")
-        proves = proved[key] >= Fraction(bound) if key == "lower" else proved[key] <= Fraction(bound)
-        require(proves, f"the claimed {key} bound is not what is proved")
-    defect = max(Fraction(abs(lack), total), *(Fraction(abs(n), D) for options in choices for _, n in options))
-    return told | claimed | {"layers": horizon, "pairs": pairs, "defect": str(defect)}
+class Induction:
+    """All that is known of step t; numbers are in units of 1/one.
+
+    values    the numbers of pairs that the file lists      table     those that rows may refer to
+    possible, sure, and the sets that lead into them (before): a set for each model state
+    changed   the model states whose sets differ from those of step t + 1
+    moves     of a policy, by model state: sets of automaton states, and what is taken there, as choices with weights
+    far       the sums of the distances upwards and downwards so far, in units of 1/(one·FINE)
+    worst     the largest of them, and where it was
+    outcomes  what the last step compared made of values ahead, by model state and policy; `kept`: what this one made
+    work      how often sets of a model state were made, or its numbers compared; most_work() is its limit
+    """
+
+    def __init__(
+        self, model: Model, automaton: Automaton, claim: str, horizon: int, most_work: Callable[[], int]
+    ) -> None:
+        self.model, self.automaton, self.horizon, self.t = model, automaton, horizon, horizon
+        self.goal = claim != "minimum"
+        self.moves: dict[int, list[tuple[int, Weights]]] | None = {} if claim == "policy" else None
+        self.policy_from, self.named = horizon if claim == "policy" else 0, set[int]()
+        self.values: Listed = {}
+        self.table: list[int] = []
+        self.outcomes: Outcomes = {}
+        self.kept: Outcomes = {}
+        self.one, self.pairs, self.work, self.far, self.most_work = 1, 0, 0, [0, 0], most_work
+        self.worst = [(Fraction(0), "")] * 2
+        self.reached = model.reached(horizon)
+        self.leading_to: dict[int, list[int]] = defaultdict(list)
+        for s in self.reached:
+            for x in model.near[s]:
+                self.leading_to[x].append(s)
+        goal, other, _ = self.verdicts(horizon)
+        self.possible, self.sure = dict.fromkeys(model.share, automaton.all & ~other), dict.fromkeys(model.share, goal)
+        self.possible_before, self.sure_before = dict.fromkeys(model.share, 0), dict.fromkeys(model.share, 0)
+        self.changed = [*self.reached]
+
+    def verdicts(self, t: int) -> tuple[int, int, int]:
+        """The automaton states whose verdict at step t is the goal, the other one, undecided."""
+        true, false, undecided = self.automaton.verdicts[self.automaton.period(t)]
+        return (true, false, undecided) if self.goal else (false, true, undecided)
+
+    def follow(self, steps: Any, rows: Iterator[list[Any]]) -> None:
+        """Take the policy of the steps before this one."""
+        first = self._first_of(steps)
+        require(self.moves is not None and self.t == self.policy_from, f"step {self.t - 1}: a policy out of place")
+        assert self.moves is not None
+        self.named, self.moves, self.policy_from = {*self.moves}, defaultdict(list), first
+        last = 0
+        for s, mask, taken in rows:
+            where = f"the policy of step {first}, model state {s!r:.20}"
+            require(type(s) is int and s in self.model.share, f"{where}: no such state")
+            require(last <= s, f"{where}: not in ascending order")
+            last, n = s, len(self.model.choices[s])
+            if type(taken) is int:
+                require(0 <= taken < n, f"{where}: no such choice")
+                weights: Weights = ((taken, 1),)
+            else:
+                require(integers(taken) and len(taken) == n and min(taken) >= 0, f"{where}: not a mixture of choices")
+                weights = tuple((c, weight) for c, weight in enumerate(taken) if weight)
+            those = self._set(mask, where)
+            require(bool(weights), f"{where}: no choice")
+            require(not any(those & others for others, _ in self.moves[s]), f"{where}: two choices for one pair")
+            self.moves[s].append((those, weights))
+        self.named |= {*self.moves}
+
+    def go_back(self, layer: Any, scale: Any, known: Any, rows: Iterator[list[Any]]) -> None:
+        """Compare the numbers of a range of steps with what they make of each other, from the last of them back."""
+        first = self._first_of(layer)
+        where = f"steps {first} to {self.t - 1}"
+        require(first >= self.policy_from, f"{where}: there is no policy for the first of them")
+        growth = hexadecimal(scale, BITS // 4, f"{where}: the scale")
+        unit = self.one * growth
+        require(0 < unit.bit_length() <= BITS, f"{where}: the scale is 0 or too large")
+        require(type(known) is int and 0 <= known <= len(self.table), f"{where}: not so many numbers are known")
+        self.table = [number * growth for number in self.table[:known]]
+        here = self._listed(rows, len(f"{unit:x}"), where)
+        self.pairs += sum(len(states) for _, states, _ in here.values())
+        passed, distances = 0, [0, 0]
+        while self.t > first:
+            t, period = self.t - 1, self.automaton.period(self.t - 1)
+            new_verdicts = period != self.automaton.period(self.t)
+            again = {s for x in self.changed for s in self.leading_to[x]}
+            if passed == 0 or new_verdicts:
+                undecided = self.verdicts(t)[2]
+                for s, (those, _, _) in here.items():
+                    require(not those & ~undecided, f"step {t}, model state {s}: a number where the verdict is known")
+            # from the second step of a layer on, numbers are compared with themselves: only other sets change anything
+            wanted = here.keys() if passed < 2 else here.keys() & again
+            found = self._distances(here, wanted, growth, t)
+            distances = found if passed < 2 else [*map(max, distances, found)]
+            alike = passed > 1 and not again and not new_verdicts
+            n = self.t - max(first, self.automaton.steps[period]) if alike else 1
+            self.far = [far * growth + n * distance for far, distance in zip(self.far, distances, strict=True)]
+            self._sets(t, new_verdicts, again)
+            self.values, self.one, self.t, passed, growth = here, unit, self.t - n, passed + 1, 1
+            require(self.work <= self.most_work(), f"step {t}: this takes longer than the size of the file allows")
+
+    def bounds(self) -> tuple[Fraction, Fraction]:
+        """Of the claimed quantity, at step 0."""
+        model, automaton, rows = self.model, self.automaton, Rows(self)
+        entries = [
+            (n, s, automaton.letters[model.letter[s]].after[automaton.start]) for s, n in model.share.items() if n
+        ]
+        value = Fraction(sum(n * rows[s][q] for n, s, q in entries), self.one * model.total)
+        share = Fraction(sum(model.share.values()), model.total)
+        defect = Fraction(self.horizon * (model.missing + model.excess), model.D)
+        room = 1 - Fraction(self.horizon * model.excess, model.D)  # (1 + d)^h is at most 1 / (1 - h·d)
+        if room <= 0:
+            return Fraction(0), Fraction(1)
+        none, all_ = Fraction(0), Fraction(1)
+        high, low = ((Fraction(far, self.one * FINE) + defect) / room * max(share, all_) for far in self.far)
+        lower, upper = max(value - low - max(share - 1, none), none), min(value + high + max(1 - share, none), all_)
+        return (lower, upper) if self.goal else (1 - upper, 1 - lower)
+
+    def _first_of(self, steps: Any) -> int:
+        """Of a range of steps [first, last], which must end before this step."""
+        require(integers(steps) and len(steps) == 2, f"{steps!r:.80} is not a range of steps")
+        require(0 <= steps[0] <= steps[1] == self.t - 1, f"expected steps that end with {self.t - 1}, found {steps}")
+        return int(steps[0])
+
+    def _set(self, mask: Any, where: str) -> int:
+        found = hexadecimal(mask, self.automaton.size // 4 + 1, f"{where}: its set of automaton states")
+        require(0 < found <= self.automaton.all, f"{where}: not a set of automaton states")
+        return found
+
+    def _listed(self, rows: Iterator[list[Any]], width: int, where: str) -> Listed:
+        """The rows of a layer: first numbers of `width` digits each, which are added to the table, then pairs."""
+        found: Listed = {}
+        last, (places, code) = -1, PLACES[0]
+        for row in rows:
+            if len(row) == 1 and not found:
+                known = type(row[0]) is str and len(row[0]) % width == 0 and _HEX.fullmatch(row[0])
+                require(bool(known), f"{where}: expected numbers of {width} digits")
+                self.table += [int(row[0][i : i + width], 16) for i in range(0, len(row[0]), width)]
+                places, code = next(kind for kind in PLACES if len(self.table) <= kind[0])
+                continue
+            require(len(row) == 3, f"{where}: a row is not a model state, a set and places in the table")
+            s, mask, text = row
+            place = f"{where}, model state {s!r:.20}"
+            require(type(s) is int and len(self.model.choices.get(s, ())) > 0, f"{place}: no such state with choices")
+            require(last < s, f"{place}: not in ascending order")
+            last, those = s, self._set(mask, place)
+            states, size = members(those), (places.bit_length() - 1) // 4
+            known = type(text) is str and len(text) == size * len(states) and _HEX.fullmatch(text)
+            require(bool(known), f"{place}: expected {len(states)} places of {size} digits in the table")
+            which = struct.unpack(f">{len(states)}{code}", bytes.fromhex(text))
+            require(max(which) < len(self.table), f"{place}: there is no such number in the table")
+            found[s] = those, states, [*map(self.table.__getitem__, which)]
+        return found
+
+    def _distances(self, here: Listed, wanted: Iterable[int], growth: int, t: int) -> list[int]:
+        """How far numbers of some model states are, upwards and downwards, from what a step makes of those ahead."""
+        ahead, largest, where = Rows(self), [0, 0], [0, 0]
+        self.outcomes, self.kept = self.kept, {}
+        for s in wanted:
+            self.work += 1
+            for numbers, values, denominator in self._compared(s, here[s], ahead, t):
+                off = [value * growth - number * denominator for value, number in zip(values, numbers, strict=True)]
+                for side, distance in enumerate((max(off), -min(off))):
+                    if distance * FINE > largest[side] * denominator:
+                        largest[side], where[side] = -(-distance * FINE // denominator), s
+        for side, distance in enumerate(largest):
+            if distance and Fraction(distance, self.one * growth) > self.worst[side][0]:
+                self.worst[side] = Fraction(distance, self.one * growth), f"step {t}, model state {where[side]}"
+        return largest
+
+    def _compared(
+        self, s: int, listed: tuple[int, list[int], list[int]], ahead: Rows, t: int
+    ) -> Iterator[tuple[list[int], list[int], int]]:
+        """Numbers of a model state, what a step makes of the values ahead, and over which denominator."""
+        those, states, numbers = listed
+        if self.moves is None:
+            yield numbers, self._step(s, None, states, ahead), self.model.D
+            return
+        for where, weights in self.moves.get(s, ()):
+            if where & those:
+                taken = [where >> q & 1 for q in states]
+                values = self._step(s, weights, [*compress(states, taken)], ahead)
+                yield [*compress(numbers, taken)], values, self.model.D * sum(w for _, w in weights)
+                those &= ~where
+        require(not those, f"step {t}, model state {s}: a number where no choice is listed")
+
+    def _step(self, s: int, weights: Weights | None, states: list[int], ahead: Rows) -> list[int]:
+        """By automaton state: the largest Σ D·p·(value ahead) of all choices, or Σ weight · Σ D·p·(value ahead).
+
+        Pairs that lead to the same values have the same outcome, which is made once, and kept for the step before.
+        """
+        choices, near = self.model.choices[s], self.model.near[s]
+        if weights is not None:
+            choices = [choices[c] for c, _ in weights]
+            near = sorted({x for successors, _ in choices for x in successors})
+        after: dict[int, list[int]] = {}
+        values = []
+        for x in near:
+            if (letter := self.model.letter[x]) not in after:
+                after[letter] = [*map(self.automaton.letters[letter].after.__getitem__, states)]
+            values.append(map(ahead[x].__getitem__, after[letter]))
+        keys = [*zip(*values, strict=True)]
+        outcomes = self.outcomes.get((s, weights), {})
+        if new := {*keys}.difference(outcomes):
+            by_successor = dict(zip(near, zip(*new, strict=True), strict=True))
+            sums = []
+            for successors, integers_ in choices:
+                terms = [[n * value for value in by_successor[x]] for x, n in zip(successors, integers_, strict=True)]
+                sums.append(terms[0] if len(terms) == 1 else [*map(sum, zip(*terms, strict=True))])
+            if weights is not None:
+                weighed = ([weight * x for x in xs] for (_, weight), xs in zip(weights, sums, strict=True))
+                sums = [[*map(sum, zip(*weighed, strict=True))]]
+            outcomes |= zip(new, sums[0] if len(sums) == 1 else map(max, *sums), strict=True)
+        self.kept.setdefault((s, weights), {}).update({key: outcomes[key] for key in keys})
+        return [*map(outcomes.__getitem__, keys)]
+
+    def _sets(self, t: int, everywhere: bool, again: set[int]) -> None:
+        """Go on to the sets of step t. They can differ only where verdicts, the policy or a successor's sets do."""
+        model, letters, ends = self.model, self.automaton.letters, (self.possible, self.sure)
+        for x in self.changed:
+            letter = letters[model.letter[x]]
+            self.possible_before[x], self.sure_before[x] = (letter.before(sets[x]) for sets in ends)
+        goal, _, undecided = self.verdicts(t)
+        changed, some = [], self.reached if everywhere else again | self.named
+        for s in some:
+            if self.reached.get(s, self.t) <= t:
+                possible, sure = self._sets_before(s)
+                possible, sure = goal | undecided & possible, goal | undecided & sure
+                if possible != self.possible[s] or sure != self.sure[s]:
+                    self.possible[s], self.sure[s] = possible, sure
+                    changed.append(s)
+        self.work += len(some)
+        self.changed, self.named = changed, set()
+
+    def _sets_before(self, s: int) -> tuple[int, int]:
+        """The automaton states from which a considered choice can lead to a goal, and from which it surely does."""
+        choices, some, every = self.model.choices[s], 0, 0
+        if not choices:
+            return self.automaton.all, 0  # nothing is known of what follows
+        if self.moves is None:
+            for x in self.model.near[s]:
+                some |= self.possible_before[x]
+            for successors, _ in choices:
+                all_of_them = self.automaton.all
+                for x in successors:
+                    all_of_them &= self.sure_before[x]
+                every |= all_of_them
+            return some, every
+        unknown = self.automaton.all
+        for those, weights in self.moves.get(s, ()):
+            all_of_them = those
+            for x in {x for c, _ in weights for x in choices[c][0]}:
+                some |= those & self.possible_before[x]
+                all_of_them &= self.sure_before[x]
+            every, unknown = every | all_of_them, unknown & ~those
+        return some | unknown, every
+
+
+def _certify(lines: Lines, progress: Callable[[int, int], None]) -> dict[str, Any]:
+    blocks = Blocks(iter(lines))
+    if not blocks.opens("format") or (header := blocks.head(HEADER))["format"] != FORMAT:
+        raise NotACertificate(f"not a certificate ({FORMAT})")
+    claim, horizon = header["claim"], header["horizon"]
+    texts = [header[key] for key in ("task", "formula", "encoding", "model", "policy") if header[key] is not None]
+    require(all(type(text) is str and text.isprintable() for text in texts), "the header's texts are not printable")
+    require(claim in CLAIMS, f"unknown claim {claim!r:.80}")
+    require(type(horizon) is int and horizon >= 0, f"the horizon {horizon!r:.80} is not a number of steps")
+    model = Model(blocks.head({"denominator", "initial_denominator"}), blocks.rows())
+    automaton = Automaton(blocks.head({"states", "letters", "start", "verdicts"}), blocks.rows())
+    require(max(model.letter.values()) < len(automaton.letters), "a letter is not one of the automaton's")
+    induction = Induction(model, automaton, claim, horizon, lambda: 10**8 + 100 * lines.read)
+    while induction.t > 0:
+        if blocks.opens("policy"):
+            induction.follow(blocks.head({"policy"})["policy"], blocks.rows())
+        else:
+            induction.go_back(**blocks.head({"layer", "scale", "known"}), rows=blocks.rows())
+            progress(horizon - induction.t, horizon)
+    claimed, proved = blocks.head({"lower", "upper"}), induction.bounds()
+    blocks.end()
+    for i, key in enumerate(("lower", "upper")):
+        bound = _fraction(claimed[key], proved[i])
+        _, where = induction.worst[i if claim == "minimum" else 1 - i]
+        holds = proved[i] >= bound if key == "lower" else proved[i] <= bound
+        farthest = f"; numbers are farthest from what a step makes of those ahead at {where}" if where else ""
+        require(holds, f"the claimed {key} bound is not proved{farthest}")
+    initial = abs(model.total - sum(model.share.values()))
+    defect = max(Fraction(initial, model.total), Fraction(max(model.missing, model.excess), model.D))
+    return header | claimed | {"steps": horizon, "pairs": induction.pairs, "defect": str(defect)}
+
+
+def _fraction(text: Any, proved: Fraction) -> Fraction:
+    """A claimed bound, which is not much longer than the one proved."""
+    most = proved.numerator.bit_length() + proved.denominator.bit_length() + 1000
+    known = _FRACTION.fullmatch(text) if type(text) is str and len(text) <= most else None
+    require(known is not None, f"{text!r:.80} is not a fraction")
+    return Fraction(text)
 
 
 if __name__ == "__main__":
     if len(sys.argv) != 2 or sys.argv[1].startswith("-"):
-        print("usage: python recheck.py FILE    (exit code 0: proved, 1: refused, 2: no certificate)", file=sys.stderr)
+        print(
+            "usage: python recheck.py FILE    (exit code 0: proved, 1: refused, 2: not a certificate)", file=sys.stderr
+        )
         sys.exit(2)
     try:
         told = certify(sys.argv[1])

@@ -11,19 +11,15 @@ policies, whose weights (in proportion to the doubles given) enter as integers o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stltool.checking.induction import Digits, Integers, Layers, Recorder, Solution, solve
 from stltool.errors import ModelError
 from stltool.models import MDP
-from stltool.models.fractions import Integers as Numerators
-from stltool.models.fractions import over_one
 from stltool.models.normalize import HINT, MOST_MISSING
 from stltool.models.rows import Rows
 from stltool.sizes import require_memory, require_time
@@ -47,6 +43,19 @@ def exact_probability(
     Raises ModelError where the model's rows do not sum to 1 exactly, SizeError before it takes what is not there.
     """
     require_exact(model, layers.kinds)
+    arithmetic = exact_arithmetic(layers, maximize, in_digits=in_digits, memory_limit=memory_limit)
+    found = solve(layers, arithmetic, maximize, keep, recorder)
+    entries = [arithmetic.number(value) for value in found.entry]
+    shares = (model.initial_share(s) for s in layers.game.first.tolist())
+    total = sum((share * value for share, value in zip(shares, entries, strict=True)), Fraction(0))
+    values = np.array([float(Fraction(value, arithmetic.one)) for value in entries])
+    return total / arithmetic.one, replace(found, entry=values)
+
+
+def exact_arithmetic(
+    layers: Layers[Any, Any], maximize: bool, *, in_digits: bool = True, memory_limit: int | None = None
+) -> Digits | Integers:
+    """What computes without any rounding over these layers. Raises SizeError before it takes what is not there."""
     h, D = layers.game.horizon, layers.rows.denominator
     arithmetic: Digits | Integers
     if in_digits and D < _DIGITS_BELOW and not layers.allowed.mixed:
@@ -60,12 +69,7 @@ def exact_probability(
     remedy = "shorten the windows, round the probabilities to fewer digits, or take the enclosure without --exact"
     require_memory(24 * words * widest, what, remedy, memory_limit)
     require_time(pairs * layers.game.widest * (1 + words / 2), rate, what, remedy)
-    found = solve(layers, arithmetic, maximize, keep, recorder)
-    entries = [arithmetic.number(value) for value in found.entry]
-    shares = (model.initial_share(s) for s in layers.game.first.tolist())
-    total = sum((share * value for share, value in zip(shares, entries, strict=True)), Fraction(0))
-    values = np.array([float(Fraction(value, arithmetic.one)) for value in entries])
-    return total / arithmetic.one, replace(found, entry=values)
+    return arithmetic
 
 
 def require_exact(model: MDP, kinds: Rows) -> None:
@@ -85,32 +89,3 @@ def require_exact(model: MDP, kinds: Rows) -> None:
         'them as fractions, such as "1/3", or as decimals that sum to 1'
         + (f"; {HINT}" if abs(total - 1) <= MOST_MISSING else "")
     )
-
-
-def follower(model: MDP, table: NDArray[Any]) -> tuple[Callable[[Numerators], Numerators], int]:
-    """What a policy's table of one step makes of values (n_choices, Q): (S, Q), times the second result."""
-    if table.dtype.kind == "i":
-        chosen = model.choice_start[:-1, None] + np.maximum(table, 0)
-        return lambda per_choice: np.take_along_axis(per_choice, chosen, axis=0), 1
-    weight, shared = weights(table)
-    n_choices = np.diff(model.choice_start)
-
-    def mix(per_choice: Numerators) -> Numerators:
-        values: Numerators = np.zeros(table.shape[:2], dtype=object)
-        for i in range(table.shape[2]):
-            there = np.flatnonzero(n_choices > i)
-            values[there] += weight[there, :, i] * per_choice[model.choice_start[there] + i]
-        return values
-
-    return mix, shared
-
-
-def weights(table: NDArray[np.float64]) -> tuple[Numerators, int]:
-    """A mixture's weights (S, Q, C), each row scaled to sum to 1, as integers over one denominator."""
-    rows, which = np.unique(table.reshape(-1, table.shape[-1]), axis=0, return_inverse=True)
-    shares = []
-    for row in rows.tolist():
-        total = sum(map(Fraction, row))
-        shares += [Fraction(weight) / total for weight in row]
-    numerator, denominator = over_one(shares)
-    return numerator.astype(object).reshape(rows.shape)[which.ravel()].reshape(table.shape), denominator

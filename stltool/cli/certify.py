@@ -76,7 +76,7 @@ def certify(
         "P": question.get(proved["claim"], f"of the policy listed ({proved['policy']})"),
         "task": f"{proved['task']} := {proved['formula']}{'' if task else ' (as stated in the file, not proved)'}",
         "encoding": proved["encoding"],
-        "checked": f"{proved['pairs']} pairs of states in {proved['layers']} layers, in integers only",
+        "checked": f"{proved['pairs']} pairs of states between 0 and 1, over {proved['steps']} steps, in integers only",
         "rows": "sum to 1 exactly" if proved["defect"] == "0" else f"sum to 1 up to {proved['defect']}, allowed for",
         "compared": _compared(task, policy, bool(proved.get("nominal"))),
     })  # fmt: skip

@@ -48,7 +48,7 @@ def check(
             help="write the optimal policy: .npz, or .policy, which is written step by step and may exceed memory",
         ),
         Writes(),
-        Named("keep_policy", "leave --save-policy and --certificate out, or "),
+        Named("keep_policy", "leave --save-policy out, or "),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="continue the .policy file of an interrupted run")] = False,
     certificate: Annotated[
@@ -106,7 +106,7 @@ def check(
     if robust and cluster is not None:
         raise SettingsError("--cluster needs probabilities without intervals; add --nature nominal")
     where = {"cluster": cluster} if cluster is not None else {}
-    keep = save_policy is not None or (certificate is not None and chosen is None)
+    keep = save_policy is not None
     with progress_bar("checking", quiet=as_json) as bar:
         asked = fraction if chosen is None else {}
         optimum = judge(product, maximize=not minimize, keep_policy=keep, progress=bar, **asked, **to_file, **where)

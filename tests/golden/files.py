@@ -1,6 +1,5 @@
 """Refusals of model, trace, policy, certificate, sweep, checkpoint and report files, and of the arrays of models."""
 
-import copy
 import re
 from pathlib import Path
 
@@ -159,14 +158,19 @@ def certificates():
     path = Path("c.jsonl")
     stl.write_certificate(stl.check(product), path)
     *parts, _ = test_certificate.read(path)
-    for number, (change, _) in enumerate(rows(test_certificate.test_what_is_no_model_or_automaton_is_refused), start=1):
-        changed = copy.deepcopy(parts)
-        change(changed)
+    for number, (change, _) in enumerate(rows(test_certificate.test_what_is_not_of_the_format_is_refused), start=1):
+        changed = test_certificate.with_change(parts, change)
         yield f"certificate, changed {number}", refusal(stl.certify, test_certificate.write(path, changed))
+    of_policy = Path("p.jsonl")
+    stl.write_certificate(stl.check(product, stl.check(product).policy), of_policy)
+    *listed, _ = test_certificate.read(of_policy)
+    for number, (change, _) in enumerate(rows(test_certificate.test_what_is_not_a_policy_is_refused), start=1):
+        changed = test_certificate.with_change(listed, change)
+        yield f"certificate of a policy, changed {number}", refusal(stl.certify, test_certificate.write(path, changed))
     for given, changed in (
         ("without its last line", parts[:-1]),
         ("with its last line twice", [*parts, parts[-1]]),
-        ("without a layer", parts[:3] + parts[4:]),
+        ("without a layer", test_certificate.with_change(parts, lambda members: members.layers.pop(1))),
         ("without its header", parts[1:]),
         ("that claims 1", [*parts[:-1], {"lower": "1", "upper": "1"}]),
     ):

@@ -5,13 +5,13 @@ from stltool.checking.induction.arithmetic import Arithmetic, Digits, Doubles, F
 from stltool.checking.induction.blocks import solve_on_cluster
 from stltool.checking.induction.edges import OPEN, REST, SURE, Edges
 from stltool.checking.induction.graph import Game
-from stltool.checking.induction.induct import Engine, Solution, induct, layers_of, solve
+from stltool.checking.induction.induct import Engine, Solution, Way, induct, layers_of, solve
 from stltool.checking.induction.layers import Budget, Layers, Progress
 from stltool.checking.induction.reached import Stretch
-from stltool.checking.induction.recording import OnDisk, Recorder
+from stltool.checking.induction.recording import OnDisk, Passed, Recorder
 
 __all__ = [
     "EVERYTHING", "OPEN", "REST", "SURE", "Allowed", "Arithmetic", "Budget", "Digits", "Doubles", "Edges", "Engine",
-    "Fixed", "Following", "Game", "Integers", "Layers", "Nature", "OnDisk", "Progress", "Recorder", "Silent",
-    "Solution", "Stretch", "Values", "induct", "layers_of", "solve", "solve_on_cluster",
+    "Fixed", "Following", "Game", "Integers", "Layers", "Nature", "OnDisk", "Passed", "Progress", "Recorder",
+    "Silent", "Solution", "Stretch", "Values", "Way", "induct", "layers_of", "solve", "solve_on_cluster",
 ]  # fmt: skip

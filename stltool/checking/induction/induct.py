@@ -17,8 +17,9 @@ them.
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,36 +123,80 @@ def _solve(
     keep: type[np.unsignedinteger] | None,
     recorder: Recorder,
 ) -> Solution:
-    game, allowed, h = layers.game, layers.allowed, layers.game.horizon
-    assert layers.reached is not None  # which makes all rows
-    arithmetic.begin(layers.rows)
-    tiles = arithmetic.tiles(layers) if isinstance(layers, Words) and not allowed.mixed else None
-    ahead, values = layers.nothing(), arithmetic.start(h) if tiles is None else tiles.start()
-    before, swept = None, 0
-    at = recorder.resume(layers)
-    if at is not None:
-        before, ahead, values, swept = at.before, at.ahead, at.values, at.swept
-    for first, last, layer in layers.backwards(before, ahead):
-        t = last
-        while t >= first:
-            if tiles is None:
-                new, choice = _back(layers, arithmetic, t, layer, ahead, values, maximize, keep)
-            else:
-                new, choice = tiles.back(t, layer, ahead, values, keep is not None)
-            swept += 1
-            until = t
-            if layer is ahead and (tiles is not None or arithmetic.repeats) and np.array_equal(new, values):
-                until = max(first, game.automaton.alike(t + 1)[0] - 1, allowed.first_alike(t))
-            if keep is not None and choice is not None:
-                recorder.add(layers.listed(until, t, layer, choice))
-            ahead, values, t = layer, new, until - 1
-            recorder.passed(Passed(until, ahead, values, swept))
-            layers.budget.tell(until, h, back=True)
-    slots = layers.first_slots(ahead)
-    by_slot = values if tiles is None else tiles.values(ahead, values)
+    game = layers.game
+    way = Way(layers, arithmetic, maximize, keep)
+    at = recorder.resume(layers) or way.end()
+    for step in way.back(at):
+        if keep is not None and step.choice is not None:
+            recorder.add(layers.listed(step.first, step.last, step.at.ahead, step.choice))
+        at = step.at
+        recorder.passed(at)
+    slots = layers.first_slots(at.ahead)
     choices = recorded(game, recorder) if keep is not None else None
-    name = "nodes" if isinstance(layers, Nodes) else "words" if tiles is None else "tiles"
-    return Solution(by_slot[slots], slots < OPEN, choices, name, swept)
+    return Solution(way.by_slot(at)[slots], slots < OPEN, choices, way.engine, at.swept)
+
+
+class Step(NamedTuple):
+    """Steps first … last, which have the same values: `at` is the first of them. `choice`: the best, where kept.
+
+    again   whether the layer and its values are those of the steps after these
+    """
+
+    first: int
+    last: int
+    again: bool
+    choice: NDArray[Any] | None
+    at: Passed
+
+
+class Way:
+    """The way back over layers by an arithmetic; by tiles, where there is such a way.
+
+    engine  "nodes" | "words" | "tiles"
+    """
+
+    def __init__(
+        self,
+        layers: Layers[Any, Any],
+        arithmetic: Arithmetic,
+        maximize: bool,
+        keep: type[np.unsignedinteger] | None = None,
+    ) -> None:
+        self._layers, self._arithmetic, self._maximize, self._keep = layers, arithmetic, maximize, keep
+        assert layers.reached is not None  # which makes all rows
+        arithmetic.begin(layers.rows)
+        self._tiles = arithmetic.tiles(layers) if isinstance(layers, Words) and not layers.allowed.mixed else None
+        self.engine = "nodes" if isinstance(layers, Nodes) else "words" if self._tiles is None else "tiles"
+
+    def end(self) -> Passed:
+        """After the last step."""
+        h, tiles = self._layers.game.horizon, self._tiles
+        return Passed(h, self._layers.nothing(), self._arithmetic.start(h) if tiles is None else tiles.start(), 0)
+
+    def back(self, at: Passed) -> Iterator[Step]:
+        """From where it is to step 0."""
+        layers, game, allowed, tiles = self._layers, self._layers.game, self._layers.allowed, self._tiles
+        for first, last, layer in layers.backwards(at.before, at.ahead):
+            t = last
+            while t >= first:
+                if tiles is None:
+                    new, choice = _back(
+                        layers, self._arithmetic, t, layer, at.ahead, at.values, self._maximize, self._keep
+                    )
+                else:
+                    new, choice = tiles.back(t, layer, at.ahead, at.values, self._keep is not None)
+                until, repeats = t, tiles is not None or self._arithmetic.repeats
+                again = layer is at.ahead and repeats and np.array_equal(new, at.values)
+                if again:
+                    until = max(first, game.automaton.alike(t + 1)[0] - 1, allowed.first_alike(t))
+                at = Passed(until, layer, new, at.swept + 1)
+                yield Step(until, t, again, choice, at)
+                t = until - 1
+                layers.budget.tell(until, game.horizon, back=True)
+
+    def by_slot(self, at: Passed) -> Values:
+        """The values of a layer, as arithmetics have them."""
+        return at.values if self._tiles is None else self._tiles.values(at.ahead, at.values)
 
 
 def recorded(game: Game, recorder: Recorder) -> Choices:

@@ -158,13 +158,13 @@ class Layers(ABC, Generic[FLayer, Settled]):
 
     @abstractmethod
     def acting(self) -> I64:
-        """The numbers, among `rows`, of the states that a run can be in while it is undecided."""
+        """The model states that a run can be in while it is undecided, ascending."""
 
     @cached_property
     def kinds(self) -> Rows:
         """Rows that stand for all that runs meet, by lengths and probabilities: whichever the engine."""
         kinds = self.game.rows.kinds
-        return kinds if kinds is not None else self.rows.some(self.acting())
+        return kinds if kinds is not None else self.rows.some(self.asked.at(self.acting()))
 
     @abstractmethod
     def nothing(self) -> Settled:
@@ -188,6 +188,10 @@ class Layers(ABC, Generic[FLayer, Settled]):
     @abstractmethod
     def pairs(self, layer: Settled) -> tuple[I64, I64]:
         """(s, q) of the open pairs, in order."""
+
+    @abstractmethod
+    def pairs_reached(self, layer: FLayer) -> tuple[I64, I64]:
+        """(s, q) of a layer of `reached`, in order."""
 
     @abstractmethod
     def slots(self, layer: Settled, t: int, s: I64, q: I64) -> I64:

@@ -63,7 +63,7 @@ class Nodes(Layers[I64, Settled]):
         found = np.zeros(self.game.n_states, dtype=np.bool_)
         for _, _, layer in self.reached:
             found[self._split(layer)[0]] = True
-        return self.game.rows.at(np.flatnonzero(found))
+        return np.flatnonzero(found)
 
     def nothing(self) -> Settled:
         none = np.empty(0, dtype=np.int64)
@@ -74,6 +74,9 @@ class Nodes(Layers[I64, Settled]):
 
     def pairs(self, layer: Settled) -> tuple[I64, I64]:
         return self._split(layer.open)
+
+    def pairs_reached(self, layer: I64) -> tuple[I64, I64]:
+        return self._split(layer)
 
     def parts(self, layer: Settled) -> list[tuple[int, int]]:
         n = len(layer.open)

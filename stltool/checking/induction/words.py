@@ -219,7 +219,7 @@ class Words(Layers[Sets, Layer]):
         found = np.zeros(len(self.graph.states), dtype=np.bool_)
         for _, _, layer in self.reached:
             found[layer.states] = True
-        return self.rows.at(self.graph.states[found].astype(np.int64))
+        return self.graph.states[found].astype(np.int64)
 
     # --------------------------------------------------------------------------------------------- forward
 
@@ -394,6 +394,9 @@ class Words(Layers[Sets, Layer]):
 
     def pairs(self, layer: Layer) -> tuple[I64, I64]:
         return layer.open_sets.pairs(self.graph)
+
+    def pairs_reached(self, layer: Sets) -> tuple[I64, I64]:
+        return layer.pairs(self.graph)
 
     def sure_pairs(self, layer: Layer) -> tuple[I64, I64, I64]:
         """(s, q, choice) of the sure pairs, in order; choices are 0 where they are not kept."""

@@ -1,0 +1,493 @@
+"""What a certificate lists, item by item (docs/certificates.md): header, model, automaton, policy, numbers, bounds.
+
+The numbers are an approximation v of the values of open pairs. What is proved of them rests on their *distances*, which
+the reader measures: by how much v_t differs from what one step makes of v_{t+1}. Here they are bounded beforehand:
+
+    fixed point   U_t = opt_c ⌈Σ n·U_{t+1} / D⌉ is less than one unit too large, and not at all in sweeps that do not
+                  round (checking/fixed.py): upwards 0, downwards h − j units in all
+    doubles       a step of d terms (and m choices mixed) rounds n = d + 1 (+ 2m + 2) times, a share's own rounding
+                  included: γ_n = n·u/(1 − n·u) of its value, which is at most 1/(1 − h·(γ_n + the rows' excess)); two
+                  halves of a unit are added where numbers become integers
+    exact         N_t = V_t · D^(h−t): none
+
+A minimum is listed as the maximum of what is left of 1: its goal is the formula's failure.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import struct
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.automata import FALSE, TRUE
+from stltool.checking.fixed import FixedPoint, fixed_point
+from stltool.checking.induction import (
+    EVERYTHING,
+    OPEN,
+    Arithmetic,
+    Budget,
+    Digits,
+    Doubles,
+    Fixed,
+    Following,
+    Game,
+    Integers,
+    Layers,
+    Passed,
+    Values,
+    Way,
+    layers_of,
+)
+from stltool.checking.rational import exact_arithmetic
+from stltool.choices import Form, Indices
+from stltool.errors import SizeError
+from stltool.models import MDP
+from stltool.models.fractions import over_one
+from stltool.models.rows import Rows
+from stltool.policy import Policy
+from stltool.product import Product
+from stltool.recheck import BITS, DIGITS, FORMAT, PLACES
+
+Item: TypeAlias = dict[str, Any] | list[Any] | str
+"""A line of the file: an object, a list, or the text that stands for one."""
+Bounds: TypeAlias = tuple[Fraction, Fraction]
+I64: TypeAlias = NDArray[np.int64]
+Texts: TypeAlias = NDArray[np.bytes_]
+
+SMALLER = "shorten the windows, round the probabilities to fewer digits, or certify the result of a check without exact"
+_U = Fraction(1, 2**53)
+_UNIT = 2**55  # for doubles: four times as fine as they are next to 1
+_BLOCK = 2**24  # bits that masks are made of at a time
+_TABLE = 2**16  # numbers that layers share a table for; one layer may have more
+_NUMBERS = 2**20  # digits of numbers on a line
+_HEX = np.frombuffer(b"0123456789abcdef", dtype=np.uint8)
+
+
+# ---------------------------------------------------------------------------------------- task, model, automaton
+
+
+def header(product: Product, claim: str, policy: Policy | None) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "claim": claim,
+        "task": product.task_name,
+        "formula": str(product.formula),
+        "encoding": product.automaton.encoding,
+        "horizon": product.horizon,
+        "model": product.model.name,
+        "policy": policy.kind if policy is not None else None,
+    }
+
+
+def model_items(product: Product, layers: Layers[Any, Any]) -> Iterator[Item]:
+    """The denominators, then states of the model: number, initial share, letter.
+
+    Those in which runs can be undecided have their choices too; the others are where runs begin or are decided.
+    """
+    model, acting, rows = product.model, layers.acting(), acting_rows(layers)
+    first = layers.game.first
+    shares, total = over_one(model.initial_share(s) for s in first.tolist())
+    yield {"denominator": rows.denominator, "initial_denominator": total}
+    states = np.unique(np.concatenate([acting, rows.target, first]))
+    share_of = dict(zip(first.tolist(), shares.tolist(), strict=True))
+    choices_of = dict(zip(acting.tolist(), choices_listed(rows), strict=True))
+    for s, letter in zip(states.tolist(), product.letter[states].tolist(), strict=True):
+        yield [s, share_of.get(s, 0), letter, *choices_of.get(s, [])]
+
+
+def acting_rows(layers: Layers[Any, Any]) -> Rows:
+    """Of the states that runs can leave while they are undecided, in order."""
+    return layers.rows.some(layers.asked.at(layers.acting()))
+
+
+def choices_listed(rows: Rows) -> Iterator[list[list[int]]]:
+    """Of each state its choices, as successors and numerators in turn."""
+    pairs = itertools.chain.from_iterable(zip(rows.target.tolist(), rows.numerator.tolist(), strict=True))
+    lengths, counts = iter((2 * np.diff(rows.row_start)).tolist()), np.diff(rows.choice_start).tolist()
+    for n in counts:
+        yield [[*itertools.islice(pairs, length)] for length in itertools.islice(lengths, n)]
+
+
+def automaton_items(product: Product) -> Iterator[Item]:
+    """Sizes and steps, then δ for each letter, then the verdicts from each of the steps on."""
+    automaton = product.automaton
+    yield {
+        "states": automaton.n_states,
+        "letters": automaton.n_letters,
+        "start": int(automaton.initial),
+        "verdicts": automaton.verdict_starts.tolist(),
+    }
+    for row in itertools.chain(automaton.delta, automaton.verdict_rows):
+        yield row.tolist()
+
+
+# ------------------------------------------------------------------------------------------------------ policy
+
+
+def following(product: Product, policy: Policy, budget: Budget, exact: bool = True) -> Layers[Any, Any]:
+    """The layers of a policy's runs; unless `exact`, a mixture's weights are divided by their sum in doubles."""
+    form = policy.form if exact or policy.deterministic else _ToOne(policy.form)
+    return layers_of(Game.of(product), TRUE, Following(form), budget=budget)
+
+
+class PolicyItems:
+    """A policy's choices where its runs can be, in blocks of steps that it treats alike, from the last step back."""
+
+    def __init__(self, layers: Layers[Any, Any], product: Product, form: Form) -> None:
+        self._layers, self._product, self._form = layers, product, form
+        self._back = layers.reached.back()
+        self._next = next(self._back, None)
+
+    def before(self, t: int) -> tuple[int, Iterator[Item]]:
+        """The block that ends before step t: its first step, and its items."""
+        first = max(0, self._form.alike(t - 1)[0])
+        n_states, codes = self._product.automaton.n_states, np.empty(0, dtype=np.int64)
+        while self._next is not None and self._next.last >= first:
+            s, q = self._layers.pairs_reached(self._next.layer)
+            codes = np.union1d(codes, s * n_states + q)
+            if self._next.first < first:
+                break
+            self._next = next(self._back, None)
+        return first, self._items(first, t - 1, *np.divmod(codes, n_states))
+
+    def all(self) -> Iterator[Item]:
+        t = self._product.horizon
+        while t > 0:
+            t, items = self.before(t)
+            yield from items
+
+    def _items(self, first: int, last: int, s: I64, q: I64) -> Iterator[Item]:
+        yield {"policy": [first, last]}
+        taken = self._form.at(last, s, q)
+        n_choices, n_states = np.diff(self._product.model.choice_start), self._product.automaton.n_states
+        shares: list[list[int]] = []
+        if not self._form.deterministic:
+            rows, taken = np.unique(taken, axis=0, return_inverse=True)
+            shares, taken = [_integers(row) for row in rows.tolist()], taken.ravel()
+        order = np.lexsort((q, taken, s))
+        s, q, taken = s[order], q[order], taken[order]
+        begin = np.flatnonzero((np.diff(s, prepend=-1) != 0) | (np.diff(taken, prepend=-1) != 0))
+        masks = _masks(begin, q, n_states)
+        for state, mask, what in zip(s[begin].tolist(), masks, taken[begin].tolist(), strict=True):
+            yield [state, mask, shares[what][: n_choices[state]] if shares else what]
+
+
+def _integers(weights: list[float]) -> list[int]:
+    """Integers in the same proportions."""
+    shares = [Fraction(weight) for weight in weights]
+    whole = math.lcm(*(share.denominator for share in shares))
+    numbers = [int(share * whole) for share in shares]
+    common = math.gcd(*numbers)
+    return [number // common for number in numbers]
+
+
+@dataclass(frozen=True, eq=False)
+class _ToOne:
+    """A mixture whose weights are divided by their sum, which may be 1 only nearly."""
+
+    form: Form
+    deterministic = False
+
+    @property
+    def stationary(self) -> bool:
+        return self.form.stationary
+
+    def at(self, t: int, s: Indices, q: Indices) -> NDArray[Any]:
+        return _divided(self.form.at(t, s, q))
+
+    def row(self, t: int) -> NDArray[Any]:
+        return _divided(self.form.row(t))
+
+    def alike(self, t: int) -> tuple[int, int]:
+        return self.form.alike(t)
+
+
+def _divided(weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    divided: NDArray[np.float64] = weights / weights.sum(axis=-1, keepdims=True)
+    return divided
+
+
+# ----------------------------------------------------------------------------------------------------- numbers
+
+
+class Numbers(ABC):
+    """Values of open pairs as integers. `unit` is what stands for 1 in the last layer that was made."""
+
+    arithmetic: Arithmetic
+
+    @property
+    @abstractmethod
+    def unit(self) -> int: ...
+
+    @abstractmethod
+    def integers(self, values: Values) -> list[int]: ...
+
+    @abstractmethod
+    def places(self, values: Values, unit: int) -> tuple[int, Texts, I64]:
+        """How many numbers stay in the table, those to be added to it, as long as the unit, and each value's place."""
+
+    @abstractmethod
+    def bounds(self, layers: Layers[Any, Any], model: MDP, at_start: list[int]) -> Bounds:
+        """Of the goal's probability, by the values at the game's first pairs."""
+
+
+class Rounded(Numbers):
+    """Doubles or fixed point; `high` and `low` bound the sums of distances upwards and downwards."""
+
+    unit = 0
+
+    def __init__(self, arithmetic: Arithmetic, unit: int, high: Fraction, low: Fraction) -> None:
+        self.arithmetic, self.unit, self.high, self.low = arithmetic, unit, high, low
+        self._known = self._place = np.empty(0, dtype=np.int64)  # what is in the table, ascending, and where
+
+    @classmethod
+    def of(cls, layers: Layers[Any, Any], model: MDP) -> Rounded:
+        """In fixed point, where that proves more."""
+        in_doubles = cls._in_doubles(layers)
+        scale = None if layers.allowed.mixed else fixed_point(model, layers.kinds)
+        if scale is None:
+            return in_doubles
+        in_fixed = cls._in_fixed(scale, layers.game.horizon)
+        return in_fixed if in_fixed.low <= in_doubles.low + in_doubles.high else in_doubles
+
+    @classmethod
+    def _in_fixed(cls, scale: FixedPoint, h: int) -> Rounded:
+        low = Fraction(scale.roundings(h), scale.one)
+        return cls(Fixed(scale.denominator, scale.one, maximize=True), scale.one, Fraction(0), low)
+
+    @classmethod
+    def _in_doubles(cls, layers: Layers[Any, Any]) -> Rounded:
+        h, rows = layers.game.horizon, acting_rows(layers)
+        n = rows.longest + 1 + (2 * rows.most_choices + 2 if layers.allowed.mixed else 0)
+        gamma = n * _U / (1 - n * _U) if n * _U < 1 else Fraction(1)
+        _, excess = defects(rows)
+        room = 1 - h * (gamma + excess)
+        step = (gamma / room + Fraction(1, _UNIT)) * (1 + excess) + _U**2 if room > 0 else Fraction(1)
+        return cls(Doubles(maximize=True), _UNIT, h * step, h * step)
+
+    def integers(self, values: Values) -> list[int]:
+        found: list[int] = self._rounded(values).tolist()
+        return found
+
+    def places(self, values: Values, unit: int) -> tuple[int, Texts, I64]:
+        numbers, n = self._rounded(values), len(self._known)
+        at = np.searchsorted(self._known, numbers) if n else np.zeros(len(numbers), dtype=np.int64)
+        there = np.append(self._known, -1)[at] == numbers
+        first, number = _met(numbers[~there])
+        new = numbers[~there][first]
+        if n and n + len(new) > _TABLE:
+            self._known = self._place = np.empty(0, dtype=np.int64)
+            return self.places(values, unit)
+        places = np.append(self._place, 0)[at]
+        places[~there] = n + number
+        order = np.argsort(known := np.concatenate([self._known, new]))
+        self._known, self._place = known[order], np.append(self._place, np.arange(n, n + len(new)))[order]
+        return n, _digits(new[:, None], 63, len(f"{unit:x}")), places
+
+    def bounds(self, layers: Layers[Any, Any], model: MDP, at_start: list[int]) -> Bounds:
+        return _around(layers, model, Fraction(1, self.unit), at_start, self.high, self.low)
+
+    def _rounded(self, values: Values) -> I64:
+        whole: I64 = values if values.dtype.kind == "i" else np.rint(values * self.unit).astype(np.int64)
+        return whole
+
+
+class Exact(Numbers):
+    """Values without any rounding."""
+
+    def __init__(self, arithmetic: Digits | Integers) -> None:
+        self.arithmetic: Digits | Integers = arithmetic
+        self._known: dict[int, int] = {}  # the place in the table of each number, in units of 1/_unit
+        self._unit = 1
+
+    @property
+    def unit(self) -> int:
+        return self.arithmetic.one
+
+    def integers(self, values: Values) -> list[int]:
+        return [self.arithmetic.number(value) for value in values]
+
+    def places(self, values: Values, unit: int) -> tuple[int, Texts, I64]:
+        width = len(f"{unit:x}")
+        if isinstance(self.arithmetic, Digits):
+            texts = _digits(values, self.arithmetic.bits, width)
+        else:
+            texts = np.array([f"{value:0{width}x}" for value in values.tolist()], dtype=f"S{width}")
+        first, which = _met(texts)
+        texts = texts[first]
+        growth, self._unit = unit // self._unit, unit
+        known = {number * growth: place for number, place in self._known.items()}
+        n, numbers = len(known), [int(text, 16) for text in texts.tolist()]
+        new = np.array([number not in known for number in numbers], dtype=np.bool_)
+        if n and n + new.sum() > _TABLE:
+            known, n, new = {}, 0, np.ones(len(numbers), dtype=np.bool_)
+        places = np.array([known.setdefault(number, len(known)) for number in numbers], dtype=np.int64)
+        self._known = known
+        return n, texts[new], places[which]
+
+    def bounds(self, layers: Layers[Any, Any], model: MDP, at_start: list[int]) -> Bounds:
+        return _around(layers, model, Fraction(1, self.unit), at_start, Fraction(0), Fraction(0))
+
+
+def _met(values: NDArray[Any]) -> tuple[I64, I64]:
+    """Where each value stands first, in order, and each one's number among them."""
+    _, first, which = np.unique(values, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    number = np.empty_like(order)
+    number[order] = np.arange(len(order))
+    return first[order], number[which.ravel()]
+
+
+def _digits(limbs: I64, bits: int, width: int) -> Texts:
+    """Numbers of limbs (n, k) of so many bits each, the least first, as hexadecimal numbers of `width` digits each."""
+    found = np.zeros((len(limbs), width), dtype=np.uint8)
+    for i in range(width):
+        limb, shift = divmod(4 * i, bits)
+        digit = limbs[:, limb] >> shift if limb < limbs.shape[1] else np.zeros(len(limbs), dtype=np.int64)
+        if shift + 4 > bits and limb + 1 < limbs.shape[1]:
+            digit |= limbs[:, limb + 1] << (bits - shift)
+        found[:, width - 1 - i] = digit & 15
+    return _HEX[found].view(f"S{width}").ravel()
+
+
+def defects(rows: Rows) -> tuple[Fraction, Fraction]:
+    """What a row lacks of 1, and by what one exceeds it, at most."""
+    D = rows.denominator
+    sums = [D, *np.add.reduceat(rows.numerator, rows.row_start[:-1]).tolist()] if len(rows.target) else [D]
+    return Fraction(D - min(sums), D), Fraction(max(sums) - D, D)
+
+
+def _around(
+    layers: Layers[Any, Any], model: MDP, unit: Fraction, at_start: list[int], high: Fraction, low: Fraction
+) -> Bounds:
+    """Bounds of Σ ι·V_0 by distances in all, and by what rows and the initial distribution lack of 1 or exceed it."""
+    h, starts, total = layers.game.horizon, layers.game.first.tolist(), model.initial_total
+    value = sum((model.initial_share(s) * v for s, v in zip(starts, at_start, strict=True)), Fraction(0)) * unit
+    missing, excess = defects(acting_rows(layers))
+    room = 1 - h * excess
+    if room <= 0:
+        return Fraction(0), Fraction(1)
+    none, all_ = Fraction(0), Fraction(1)
+    high, low = ((far + h * (missing + excess)) / room * max(total, all_) for far in (high, low))
+    return max(value - low - max(total - 1, none), none), min(value + high + max(1 - total, none), all_)
+
+
+# ------------------------------------------------------------------------------------------------------ layers
+
+
+class Listing:
+    """Layers as lines, from the last step back."""
+
+    def __init__(self, numbers: Numbers, n_states: int) -> None:
+        self._numbers, self._n_states, self._unit = numbers, n_states, 1
+
+    def layer(self, first: int, last: int, s: I64, q: I64, values: Values, unit: int) -> Iterator[Item]:
+        """Steps first … last: the pairs (s, q), in order, and the values of each, as the arithmetic has them."""
+        if unit.bit_length() > BITS:
+            raise SizeError(f"numbers of {unit.bit_length()} bits are too long for a certificate; {SMALLER}")
+        known, new, places = self._numbers.places(values, unit)
+        yield {"layer": [first, last], "scale": f"{unit // self._unit:x}", "known": known}
+        self._unit = unit
+        for i in range(0, len(new), most := max(1, _NUMBERS // new.itemsize)):
+            yield [new[i : i + most].tobytes().decode()]
+        size, kind = next((size, kind) for most, size, kind in _PLACES if known + len(new) <= most)
+        begin = np.flatnonzero(np.diff(s, prepend=-1))
+        text = places.astype(kind).tobytes().hex()
+        cuts = (2 * size * np.append(begin, len(s))).tolist()
+        masks = _masks(begin, q, self._n_states)
+        for state, mask, (a, b) in zip(s[begin].tolist(), masks, itertools.pairwise(cuts), strict=True):
+            yield f'[{state},"{mask}","{text[a:b]}"]'
+
+
+_PLACES = tuple((most, struct.calcsize(code), np.dtype(f">u{struct.calcsize(code)}")) for most, code in PLACES)
+
+
+class Proof:
+    """All items but the conclusion, and the bounds that they prove, known after them."""
+
+    bounds: Bounds
+
+    def __init__(
+        self, product: Product, policy: Policy | None, claim: str, exact: bool, budget: Budget, memory_limit: int | None
+    ) -> None:
+        self._product, self._claim, self._header = product, claim, header(product, claim, policy)
+        if claim == "policy":
+            assert policy is not None
+            self.layers = following(product, policy, budget, exact)
+            self._policy: PolicyItems | None = PolicyItems(self.layers, product, policy.form)
+        else:
+            goal = FALSE if claim == "minimum" else TRUE
+            self.layers, self._policy = layers_of(Game.of(product), goal, EVERYTHING, budget=budget), None
+        self.numbers: Numbers
+        D = self.layers.rows.denominator
+        if D >= 10**DIGITS or (exact and product.horizon * D.bit_length() > BITS):
+            raise SizeError(
+                f"probabilities over a common denominator of {D.bit_length()} bits, over {product.horizon} steps, are "
+                f"too long for a certificate; {SMALLER}"
+            )
+        if exact:
+            self.numbers = Exact(exact_arithmetic(self.layers, True, memory_limit=memory_limit))
+        else:
+            self.numbers = Rounded.of(self.layers, product.model)
+
+    def items(self) -> Iterator[Item]:
+        """Those of the file, in order."""
+        yield self._header
+        yield from model_items(self._product, self.layers)
+        yield from automaton_items(self._product)
+        yield from self._steps()
+
+    def _steps(self) -> Iterator[Item]:
+        """Layer after layer; steps that share one are listed once, but for where the policy changes."""
+        t, policy_from = self._product.horizon, 0 if self._policy is None else self._product.horizon
+        listing = Listing(self.numbers, self._product.automaton.n_states)
+        for first, layer, values, one in self._stretches():
+            while t > first:
+                if t == policy_from and self._policy is not None:
+                    policy_from, items = self._policy.before(t)
+                    yield from items
+                begin = max(first, policy_from)
+                yield from listing.layer(begin, t - 1, *self.layers.pairs(layer), values[OPEN:], one)
+                t = begin
+
+    def _stretches(self) -> Iterator[tuple[int, Any, Values, int]]:
+        """The first step of each stretch that shares a layer, this, its values, and the unit of those."""
+        way = Way(self.layers, self.numbers.arithmetic, maximize=True)
+        at, first, unit, h = way.end(), self._product.horizon, 1, self._product.horizon
+        held: Passed | None = None  # steps from `first` on, which share a layer
+        for step in way.back(at):
+            empty = not self.layers.n_open(step.at.ahead)
+            if held is None:
+                held, first = at, step.last + 1  # from here on every verdict is known
+            if not step.again and not (empty and not self.layers.n_open(held.ahead)):
+                if first < h:
+                    yield first, held.ahead, way.by_slot(held), unit
+                held, unit = step.at, unit if empty else self.numbers.unit
+            at, first = step.at, step.first
+        held = at if held is None else held
+        if h:
+            yield 0, held.ahead, way.by_slot(held), unit
+        at_start = way.by_slot(at)[self.layers.first_slots(at.ahead)]
+        lower, upper = self.numbers.bounds(self.layers, self._product.model, self.numbers.integers(at_start))
+        self.bounds = (1 - upper, 1 - lower) if self._claim == "minimum" else (lower, upper)
+
+
+def _masks(begin: I64, q: I64, n_states: int) -> Iterator[str]:
+    """The sets q[begin[i]:begin[i+1]] of numbers below n_states, as the bits of hexadecimal numbers."""
+    ends = np.append(begin[1:], len(q))
+    width = 8 * (n_states // 8 + 1)
+    for rows in range(0, len(begin), most := max(1, _BLOCK // width)):
+        part = slice(begin[rows], ends[min(rows + most, len(begin)) - 1])
+        owner = np.repeat(np.arange(len(begin[rows : rows + most])), (ends - begin)[rows : rows + most])
+        bits = np.zeros((len(begin[rows : rows + most]), width), dtype=np.bool_)
+        bits[owner, width - 1 - q[part]] = True
+        packed = np.packbits(bits, axis=1)
+        yield from (row.tobytes().hex().lstrip("0") for row in packed)
