@@ -132,8 +132,9 @@ def require_certificate_of(path: str | Path, product: Product, policy: Policy | 
     With `policy`, its claim must also be about that policy, choice by choice. The bounds are not checked again here:
     call `stltool.certify` first.
     """
-    if product.model.intervals is not None:
+    if product.model.uncertain:
         product = replace(product, model=product.model.nominal())  # certificates are of one distribution
+    product.model.require_points()
     try:
         _require_same(path, product, policy)
     except (Refused, *DAMAGE) as error:
