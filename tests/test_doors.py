@@ -151,6 +151,7 @@ CALLS = {
     "load_model": lambda w: {"path": "model.toml"},
     "MDP.from_arrays": lambda w: {"transitions": [[[1]]], "signals": {}},
     "MDP.from_intervals": lambda w: {"lower": [[[1]]], "upper": [[[1]]], "signals": {}},
+    "MDP.from_function": lambda w: {"states": 2, "actions": 1, "step": lambda s, a: (s[:, None], s[:, None] * 0 + 1)},
     "MDP.black_box": lambda w: {"n_states": 1, "actions": 1, "environment": lambda rng: None},
     "MDP.place": lambda w: {"self": w.model, "choice": 0},
     "MDP.state_name": lambda w: {"self": w.model, "s": 0},
@@ -260,6 +261,10 @@ OWN = {
         "available": {"None", "array", "list"},
         "environment": {"function", "class"},
         "signals": MAPPING,
+    },
+    "MDP.from_function": {
+        "states": {"int"}, "actions": {"int", *LISTS}, "signals": MAPPING, "available": {"None"},
+        "denominator": {"None", "int"},
     },
     "MDP.from_arrays": {"transitions": {"array", *LISTS}},
     "build_joint_product": {"tasks": {"dict", *LISTS}},

@@ -17,11 +17,10 @@ from collections.abc import Iterable
 from fractions import Fraction
 
 from stltool.models import MDP
-from stltool.models.rows import Rows
+from stltool.models.rows import READ_EXACTLY, Rows
 from stltool.numbers import round_down, round_up
 
 _U = Fraction(1, 2**53)
-_EXACT_SUMS = 1_000_000  # transitions
 _UNDERFLOW = Fraction(1, 2**1073)
 _ANYTHING = Fraction(2**1100)  # more than any double
 
@@ -67,7 +66,7 @@ def sums_exactly(rows: Rows) -> bool:
 
     Of a part of a model's doubles the common denominator would depend on which part it is.
     """
-    return rows.given_exactly or (rows.parts is None and len(rows.target) <= _EXACT_SUMS)
+    return rows.given_exactly or (rows.parts is None and len(rows.target) <= READ_EXACTLY)
 
 
 def can_underflow(steps: int, smallest: float) -> bool:

@@ -32,9 +32,10 @@ from stltool.models.fractions import (
     over_one,
     parsed,
 )
+from stltool.models.function import Function, Step
 from stltool.models.intervals import Intervals
 from stltool.models.normalize import rescale
-from stltool.models.rows import ROW_TOLERANCE, Demand, Rows, Source, Stored, digest_arrays, hint, starts
+from stltool.models.rows import READ_EXACTLY, ROW_TOLERANCE, Demand, Rows, Source, Stored, digest_arrays, hint, starts
 from stltool.numbers import NumberError, exact, number_text
 from stltool.sizes import IntegerType, UnsignedType, integer_type, require_memory, require_numbered, unsigned_type
 
@@ -119,7 +120,8 @@ class MDP(Displayed):
     def some_rows(self) -> Rows | Demand:
         """For whoever needs a part of the rows: those in memory, or a source's, as they are asked for."""
         source = self.source
-        whole = not source.on_demand or "rows" in vars(self) or source.n_states * source.widest <= _FEW
+        few = _FEW if source.kinds is not None else READ_EXACTLY
+        whole = not source.on_demand or "rows" in vars(self) or source.n_states * source.widest <= few
         return self.rows if whole else Demand(source)
 
     @property
@@ -183,7 +185,8 @@ class MDP(Displayed):
 
     @property
     def n_transitions(self) -> int:
-        return len(self.rows.target) if "rows" in vars(self) else self.source.n_transitions
+        known = self.source.kinds is not None and "rows" not in vars(self)
+        return self.source.n_transitions if known else len(self.rows.target)
 
     @property
     def n_actions(self) -> int:
@@ -372,6 +375,54 @@ class MDP(Displayed):
         return cls._of_rows(rows, [], ends, signals, initial, labels, action_names, state_names, name)
 
     @classmethod
+    def from_function(
+        cls,
+        states: int,
+        actions: int | Sequence[str],
+        step: Step,
+        signals: Mapping[str, ArrayLike | Callable[[NDArray[np.int64]], ArrayLike]] | None = None,
+        initial: int | str | ArrayLike = 0,
+        labels: Mapping[str, ArrayLike | Callable[[NDArray[np.int64]], ArrayLike]] | None = None,
+        *,
+        available: ArrayLike | None = None,
+        denominator: int | None = None,
+        state_names: Sequence[str] | None = None,
+        name: str = "model",
+    ) -> MDP:
+        """An MDP whose rows a function computes when they are needed, so that they are never all in memory.
+
+        states        their number S;  actions  their number, or their names
+        step          step(s, a) → (successors, probabilities): for int64 arrays s and a of shape (n,), arrays of shape
+                      (n, k), in numpy or compiled by numba. Entries of probability 0 are left out, equal successors are
+                      added. It must return the same for the same pair every time.
+        denominator   probabilities are whole numbers over it, and exact; None: they are doubles
+        signals, labels   as in `from_arrays`, or functions of an array of states
+        available     (S, A) Booleans: which actions a state has (default: all)
+        initial, state_names   as in `from_arrays`
+
+        A row is checked when it is made: ModelError, naming state and action, where it is no distribution.
+        """
+        n_states = whole(states, "from_function's states", least=1)
+        names = _action_names(actions, "from_function's actions")
+        _require_numbered(n_states, len(names))
+        require_memory(40 * n_states, f"a model of {n_states} states", "count fewer states")
+        if not callable(step):
+            raise ModelError(f"step is {described(step)}; give a function of states and actions")
+        if denominator is not None:
+            denominator = whole(denominator, "from_function's denominator", 1, 2**53 - 1)
+        given_names = _names(state_names, "state_names")
+        start, exact_start = _initial(initial, n_states, given_names)
+        return cls(
+            Function(step, n_states, names, _available(available, (n_states, len(names))), denominator),
+            initial=start,
+            exact_initial=Shares(*over_one(exact_start)) if exact_start is not None else None,
+            **_columns(_of_states(signals, n_states), _of_states(labels, n_states), optional=True),
+            action_names=names,
+            state_names=given_names,
+            name=_name(name),
+        )
+
+    @classmethod
     def black_box(
         cls,
         n_states: int,
@@ -397,22 +448,17 @@ class MDP(Displayed):
         """
         n_states = whole(n_states, "n_states", least=1)
         if isinstance(actions, int | np.integer):
-            n_actions = whole(actions, "actions", least=0)
-            _require_room(n_states, n_actions)
-            actions = [str(a) for a in range(n_actions)]
-        names = tuple(texts(actions, "black_box's actions"))
+            _require_room(n_states, whole(actions, "actions", least=0))
+        names = _action_names(actions, "black_box's actions")
         _require_room(n_states, len(names))
-        if not names:
-            raise ModelError("the model has no action; give their number or their names")
         if not callable(environment):
             raise ModelError(
                 f"environment is {described(environment)}; give a function of a generator that returns one"
             )
         shape = (n_states, len(names))
         _require_numbered(*shape)
-        has = np.ones(shape, dtype=np.bool_) if available is None else _booleans(available, "available")
-        if has.shape != shape:
-            raise ModelError(f"available has shape {has.shape}, not {shape} (states, actions)")
+        given = _available(available, shape)
+        has = np.ones(shape, dtype=np.bool_) if given is None else given
         choice_start = np.concatenate([[0], np.cumsum(has.sum(axis=1))]).astype(np.int64)
         return cls(
             Stored(
@@ -503,6 +549,33 @@ def _require_room(n_states: int, n_actions: int) -> None:
     """SizeError, before anything is allocated, where a black box of that size would not fit."""
     what = f"a black box of {n_states} states with {n_actions} actions"
     require_memory(n_states * (40 + 20 * n_actions) + 100 * n_actions, what, "count fewer states and actions")
+
+
+def _action_names(actions: int | Sequence[str], what: str) -> tuple[str, ...]:
+    if isinstance(actions, int | np.integer):
+        n_actions = whole(actions, what, least=0)
+        require_numbered(n_actions, "actions", "give fewer")
+        actions = [str(a) for a in range(n_actions)]
+    names = tuple(texts(actions, what))
+    if not names:
+        raise ModelError("the model has no action; give their number or their names")
+    return names
+
+
+def _available(given: ArrayLike | None, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
+    if given is None:
+        return None
+    has = _booleans(given, "available")
+    if has.shape != shape:
+        raise ModelError(f"available has shape {has.shape}, not {shape} (states, actions)")
+    return has
+
+
+def _of_states(columns: Any, n_states: int) -> Any:
+    """Columns that are functions of states, evaluated."""
+    if not isinstance(columns, Mapping):
+        return columns
+    return {key: column(np.arange(n_states)) if callable(column) else column for key, column in columns.items()}
 
 
 def _columns(signals: object, labels: object, optional: bool = False) -> dict[str, Any]:

@@ -40,6 +40,7 @@ Place: TypeAlias = Callable[[int], str]
 """A choice, or a state, in the user's names."""
 
 ROW_TOLERANCE = 1e-9  # how far a row of doubles may sum from 1
+READ_EXACTLY = 1_000_000  # entries whose doubles are read as decimals
 _BYTES = 80  # an entry of rows, in all forms they have in an engine
 _BLOCK = 1 << 22  # entries that are made at a time where all are
 _SMALLER = "coarsen the grid, or give a part of the model"
@@ -254,7 +255,8 @@ class Source(ABC):
 
     @property
     @abstractmethod
-    def n_transitions(self) -> int: ...
+    def n_transitions(self) -> int:
+        """Entries of all rows; or the most there can be, where `kinds` are not known."""
 
     @property
     @abstractmethod

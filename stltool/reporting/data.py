@@ -49,7 +49,7 @@ def product_data(product: Product) -> dict[str, Any]:
         "initial_states": int(np.count_nonzero(model.initial)),
         "states": model.n_states,
         "actions": list(model.action_names),
-        "transitions": model.n_transitions if model.blackbox is None else None,  # unknown
+        "transitions": model.n_transitions if model.blackbox is None and model.kinds is not None else None,  # unknown
         "automaton_states": automaton.n_states,
         "letters": automaton.n_letters,
         "product_states": product.n_states,

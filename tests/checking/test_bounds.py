@@ -68,7 +68,7 @@ def test_defects_of_large_models_are_bounded_from_above(weights, excess):
     row = np.array(weights) / sum(weights) * (1 + excess)
     model = stl.MDP.from_arrays([np.tile(row, (len(row), 1))], {})
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bounds, "_EXACT_SUMS", 0)
+        patch.setattr(bounds, "READ_EXACTLY", 0)
         estimated = bounds.model_defects(model)[0]
     exact = abs(sum(map(Fraction, row.tolist())) - 1)
     assert exact <= estimated <= exact + Fraction(1, 10**14)

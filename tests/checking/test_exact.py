@@ -167,7 +167,7 @@ def test_large_models_in_doubles_are_not_read_as_fractions(monkeypatch):
     model = stl.MDP.from_arrays([[[0.5, 0.5], [0, 1]]], {"x": [0, 1]})
     product = stl.build_product(model, stl.parse("F[0,50] x > 0"))
     assert stl.check(product).arithmetic == "fixed"
-    monkeypatch.setattr(bounds, "_EXACT_SUMS", 2)
+    monkeypatch.setattr(bounds, "READ_EXACTLY", 2)
     monkeypatch.setattr(stl.MDP, "exact", None)
     result = stl.check(product)
     assert result.arithmetic == "double"
