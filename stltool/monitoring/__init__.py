@@ -1,9 +1,9 @@
-"""Recorded traces, judged: what the slow semantics says of one step, at every step of whole batches, fast.
+"""Monitoring of recorded traces: the verdicts of the slow semantics, at every step of whole batches, fast.
 
 files      a trace file → signals                       samples    arrays → traces, checked as they are read
 program    a formula → instructions                     comparisons  predicates over arrays, decided exactly
 blocks     the instructions over blocks of traces       offline    verdicts and robustness at every decided step
-online     the same sample by sample                    smooth     log-sum-exp robustness with its enclosure
+online     the same, sample by sample                   smooth     log-sum-exp robustness with its enclosure
 states     truth at the states of a model
 """
 

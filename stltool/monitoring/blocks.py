@@ -1,22 +1,23 @@
-"""A program over a block of traces: every instruction one pass, or O(log w) passes, over flat arrays.
+"""A program over a block of traces: every instruction is one pass, or O(log w) passes, over flat arrays.
 
-A block holds whole rows, sample t of row r at r·stride + t. F[a,b] and G[a,b] double the window: from
+A block contains whole rows, sample t of row r at r·stride + t. F[a,b] and G[a,b] double the window: from
 
     x_s(t) = max of x over t … t+s−1        x_{s+d}(t) = max(x_s(t), x_s(t+d))      for any d ≤ s
 
-and φ U[0,w−1] ψ = B_w doubles the pair of A_s(t) = min of φ over t … t+s−1 and B_s(t) = φ U[0,s−1] ψ:
+and φ U[0,w−1] ψ = B_w doubles the pair A_s(t) = min of φ over t … t+s−1 and B_s(t) = φ U[0,s−1] ψ:
 
     B_{s+d}(t) = max(B_s(t), min(A_s(t), B_s(t+d)))     A_{s+d}(t) = min(A_s(t), A_s(t+d))
     φ U[a,b] ψ at t = min(A_a(t), B_{b−a+1}(t+a))
 
-Without an end the rows touch (stride = steps): a window that leaves its row spoils only steps that nobody decides. With
-end "cut" or "hold" the rows have padding that each windowed operand fills for its reader: with the neutral element, or
-with the row's last value, which is the operand's value at every later step, since all samples are held there. Bounds
-beyond the row are the row's length n: windows are in the padding from there on. Windows to the end of the row are one
-pass of suffixes.
+With end "error" the rows touch (stride = steps): a window that leaves its row affects only steps that are not decided.
+With end "cut" or "hold" the rows have padding, which each windowed operand fills for its reader: with the neutral
+element, or with the row's last value, which is the operand's value at every later step, since all samples are held
+there. Bounds beyond the row are reduced to the row's length n, from where on windows are in the padding. Windows to the
+end of the row are one pass over suffixes.
 
-Truth runs on Booleans. Where a predicate has no value (1/0), the block runs again on −1, 0, 1 for false, unknown, true:
-the same lattice, so a verdict is unknown only if it hangs on what has no value (Kleene). In margins NaN spreads.
+Truth is computed in Booleans. If a predicate has no value (1/0), the block is run again on −1, 0, 1 for false, unknown,
+true: the same lattice, so a verdict is unknown only if it depends on an undefined value (Kleene). In margins, NaN
+propagates.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ BlockEnd = Literal["open", "cut", "hold"]
 class Block:
     """`columns` maps names to arrays (rows, steps): finite float64 for variables, Booleans for labels.
 
-    `wide` says that some variable may be so large that a difference of two is beyond the doubles.
+    `wide`: some variable may be so large that a difference of two is beyond the range of doubles.
     """
 
     columns: Mapping[str, Array]
@@ -61,7 +62,7 @@ class Algebra:
 
 
 def _negative(x: Array, out: Array) -> None:
-    np.subtract(0.0, x, out=out)  # 0 for 0, never −0.0: extrema shall not depend on the order of their operands
+    np.subtract(0.0, x, out=out)  # 0 for 0, never −0.0: extrema must not depend on the order of their operands
 
 
 BOOLEANS = Algebra(np.bool_, np.logical_not, False, True)
@@ -84,9 +85,9 @@ class Machine:
         self._pools: dict[type, _Pool] = {}
 
     def run(self, block: Block) -> list[Array]:
-        """Truth, then margins, of what was asked: arrays (rows, decided steps), valid until the next run.
+        """Truth, then margins, as requested: arrays (rows, decided steps), valid until the next run.
 
-        Truth is of Booleans, or of −1, 0, 1 from the first gap on; a margin that does not exist is NaN.
+        Truth is in Booleans, or in −1, 0, 1 from the first gap on; a margin that does not exist is NaN.
         """
         truth, margins = self._asked
         with np.errstate(all="ignore"):
@@ -119,7 +120,7 @@ class Machine:
             case Predicate() as predicate:
                 self._judge(predicate, block, views[0] if truth else None, views[-1][1] if margins else None)
             case None:
-                raise ValueError("an atom instruction without its atom")
+                raise ValueError("an atom instruction without an atom")
 
     def _judge(
         self, predicate: Predicate, block: Block, truth: tuple[Algebra, Array] | None, margins: Array | None
@@ -146,7 +147,7 @@ class Machine:
 
 
 class _Pool:
-    """Buffers of one size, used again."""
+    """Reusable buffers of one size."""
 
     __slots__ = ("dtype", "free", "size")
 
@@ -158,11 +159,11 @@ class _Pool:
         return self.free.pop() if self.free else np.zeros(self.size, dtype=self.dtype)
 
 
-_Operand: TypeAlias = tuple[Array, bool]  # a value's buffer, and whether it ends here: then it may be written over
+_Operand: TypeAlias = tuple[Array, bool]  # a value's buffer, and whether this is its last use
 
 
 class _Tape:
-    """The values of a program's instructions over one block, in one algebra; a value's buffer is free after its end."""
+    """The values of a program's instructions over one block, in one algebra; buffers are freed after the last use."""
 
     def __init__(self, machine: Machine, block: Block, algebra: Algebra) -> None:
         self.algebra, self.block, self.instructions = algebra, block, machine.program.instructions
@@ -190,7 +191,7 @@ class _Tape:
         return buffer[: self.length].reshape(self.block.rows, self.stride)
 
     def step(self, number: int, now: Instruction) -> None:
-        """Compute the value of an operator, and free what ends."""
+        """Compute the value of an operator, and free values after their last use."""
         if now.op == "atom":
             return
         same = len(now.args) == 2 and now.args[0] == now.args[1]
@@ -205,7 +206,7 @@ class _Tape:
                 self.pool.free.append(buffer)
 
     def _operator(self, now: Instruction, operands: list[_Operand], count: int) -> Array:
-        """The operator's value; its operands have `count` places. Operands that end are written over, or freed."""
+        """The operator's value; its operands have `count` entries. Operands used for the last time are freed."""
         match now.op:
             case "not":
                 out = self._out(operands)
@@ -225,7 +226,7 @@ class _Tape:
                     return self._suffixes(_FOLD[now.op], operands[0], a)
                 return self._window(_FOLD[now.op], operands[0], count, a, b - a + 1)
             case "until":
-                for buffer, _ in operands:  # beyond the end no witness, whatever the left side is
+                for buffer, _ in operands:  # no witness beyond the end, whatever the left side is
                     self._fill(buffer, self.algebra.least)
                 return self._until(operands, count, *self._bounds(now))
             case "atom":
@@ -241,7 +242,7 @@ class _Tape:
         return min(now.a, n), n if now.b is None else min(now.b, n)
 
     def _looks_past_the_end(self, now: Instruction) -> int:
-        """How much padding an operator needs: windows to the end of the row only have to start in it."""
+        """The padding that an operator needs; windows to the end of the row only have to start in it."""
         a, b = self._bounds(now)
         return a if b == self.block.steps and now.op in ("eventually", "always") else b
 
@@ -252,7 +253,7 @@ class _Tape:
             rows[:, n:] = neutral if self.block.end == "cut" else rows[:, n - 1 : n]
 
     def _out(self, operands: list[_Operand]) -> Array:
-        """A buffer for the result: that of an operand that ends, place by place; the others that end are freed."""
+        """A buffer for the result: that of an operand used for the last time, if any; other such operands are freed."""
         ending = [buffer for buffer, ends in operands if ends]
         self.pool.free += ending[1:]
         return ending[0] if ending else self.pool.take()

@@ -1,23 +1,23 @@
-"""Comparisons over arrays, decided as the slow semantics decides them, which computes in fractions of decimals.
+"""Comparisons over arrays, decided exactly as in the slow semantics, which computes in fractions.
 
-Terms are computed in doubles, each value v̂ with a bound E on its distance from the value that the semantics has (first
-order terms as in [Higham02, §3.3]; u = 2⁻⁵³ the unit roundoff):
+Terms are computed in doubles, each value v̂ with a bound E on its distance from the value in the semantics (first-order
+terms as in [Higham02, §3.3]; u = 2⁻⁵³ the unit roundoff):
 
     number, signal   E = 4u|v̂|                  a double is at most u|v̂| from the decimal it prints as
     a + b, a − b     E = Ea + Eb + 4u|v̂|
     a · b            E = |a|Eb + |b|Ea + Ea·Eb + 4u|v̂|
-    a / b            E = (Ea + |v̂|Eb) / (|b| − Eb) + 4u|v̂|            where |b| > Eb
-    sqrt a           E = Ea / v̂ + 4u|v̂|                               where a > Ea
+    a / b            E = (Ea + |v̂|Eb) / (|b| − Eb) + 4u|v̂|            if |b| > Eb
+    sqrt a           E = Ea / v̂ + 4u|v̂|                               if a > Ea
     a ^ c            E = |c| max((|a| ± Ea)^(c−1)) Ea + 32u|v̂|         c a constant, away from the border at 0
     min, max, abs, − E = max of the operands'
 
-and ∞ elsewhere. A sample whose margin |left − right| exceeds twice the bound is decided: the semantics rounds in places
-itself (after a root), by no more than these bounds. The others, few where data are not made of borders, are judged one
-by one by the semantics, each combination of values once. Comparisons without arithmetic are exact in doubles, which
-order as the decimals they print as.
+and ∞ otherwise. A sample whose margin |left − right| exceeds twice the bound is decided (the semantics itself sometimes
+rounds, after a root, by no more than these bounds). The remaining samples, few unless data often lie on borders, are
+judged one by one with the slow semantics, each combination of values once. Comparisons without arithmetic are exact in
+doubles, whose order is that of the decimals they print as.
 
-A margin is within 2E + 4u|margin| of the semantics'; where a sample was judged one by one it is the semantics' own. So
-its sign is right: > 0 implies true, < 0 implies false.
+A margin is within 2E + 4u|margin| of that in the semantics, and equal to it for samples judged one by one. So its sign
+is right: > 0 implies true, < 0 implies false.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ Bounded: TypeAlias = tuple[Values, Values]  # values and their bounds
 _COMPARE: dict[Comparator, np.ufunc] = {
     "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "==": np.equal, "!=": np.not_equal,
 }  # fmt: skip
-_REMEMBERED = 1 << 14  # samples judged one by one that are kept
+_REMEMBERED = 1 << 14  # cached results of samples judged one by one
 _U = 2.0**-53
-_TINY = 1e-322  # covers what underflow loses
+_TINY = 1e-322  # covers losses by underflow
 _WIDER = 1.25  # covers the rounding of the bounds themselves
 _LARGEST_EXPONENT = 1000.0
 
@@ -74,11 +74,11 @@ class Predicate:
     def judge(
         self, columns: Mapping[str, Floats], truth: NDArray[np.bool_] | None, margin: Floats | None, wide: bool
     ) -> tuple[NDArray[np.bool_] | None, bool]:
-        """Write truth and signed margin of every sample into the arrays given, of the columns' shape.
+        """Write truth and signed margin of every sample into the given arrays, which have the shape of the columns.
 
-        Returns where a term has no value, None for nowhere: truth is then false, the margin NaN; and whether some
-        margin is NaN because it is beyond the doubles, which without arithmetic can only be where `wide` says so. To be
-        called under `np.errstate(all="ignore")`.
+        Returns a mask of samples where a term has no value (truth is then false, the margin NaN), None if there are
+        none; and whether some margin is NaN because it is beyond the range of doubles, which without arithmetic is
+        possible only if `wide`. To be called under `np.errstate(all="ignore")`.
         """
         if not self.names:
             return self._constant(truth, margin)
@@ -97,7 +97,7 @@ class Predicate:
     def at_one_sample(self) -> Callable[[Mapping[str, float]], tuple[float, bool]]:
         """A function from one sample, name → value, to the margin and truth that `judge` finds for it.
 
-        It raises TraceError where there is none.
+        It raises TraceError if there is none.
         """
         node = self.node
         if not self.plain:
@@ -163,9 +163,9 @@ class Predicate:
         return unknown, True
 
     def error(self, columns: Mapping[str, Floats]) -> Values:
-        """A bound on what separates the margins that `judge` finds from the semantics', for every sample."""
+        """For every sample, a bound on the distance of the margin that `judge` finds from that in the semantics."""
         error = self._sides(columns)[2] if self.names else np.float64(0.0)
-        return np.where(np.isfinite(error), error, 0.0)  # where there is no bound, samples are judged one by one
+        return np.where(np.isfinite(error), error, 0.0)  # without a bound, samples are judged one by one
 
     def _sides(self, columns: Mapping[str, Floats]) -> tuple[Values, Values, Values]:
         """Left and right values, and the bound on the error of their difference."""
@@ -173,7 +173,7 @@ class Predicate:
         return left, right, 2 * _WIDER * (ea + eb) + 4 * _U * np.abs(left - right) + _TINY
 
     def _settle(self, *sample: float) -> tuple[bool | None, float]:
-        """Truth and margin of one sample by the slow semantics; None and NaN where there is none."""
+        """Truth and margin of one sample by the slow semantics; None and NaN if there is none."""
         signal = {name: [value] for name, value in zip(self.names, sample, strict=True)}
         try:
             true = satisfies(self.node, signal)
@@ -213,7 +213,7 @@ def _subtract(a: Values, b: Values, out: Floats) -> None:
 
 
 def _is_plain(term: Term) -> bool:
-    """A signal or a number, with no arithmetic to round."""
+    """A signal or a number, without arithmetic that could round."""
     return isinstance(term, Variable | Number) or (isinstance(term, Negate) and _is_plain(term.arg))
 
 

@@ -1,10 +1,10 @@
-"""A trace file → signals: CSV, NumPy's .npz, Parquet, by the file's ending.
+"""A trace file → signals: CSV, NumPy's .npz, Parquet, by the file extension.
 
     load_trace("log.csv")  →  {"x": float64 (n_steps,), "door": bool (n_steps,), …}
 
-CSV has two readers. The fast one, `numpy.loadtxt`, is trusted with files in which every line break ends a
-row and every separator ends a cell, and only where it finds nothing to object to. Everything else goes to the slow
-reader, which accepts the same files and knows the line, the column and the text of what is wrong.
+CSV has two readers. The fast one, `numpy.loadtxt`, is used only for files in which every line break ends a row and
+every separator ends a cell, and only if it reports no error. All others go to the slow reader, which accepts the same
+files and reports the line, the column and the text of a fault.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ Signals: TypeAlias = dict[str, NDArray[Any]]
 
 _SEPARATORS = {",": "a comma", ";": "a semicolon", "\t": "a tab"}
 _TRUTH = {"true": True, "false": False}
-_LONGEST_LINE = 1 << 20  # characters of a header; a longer one is no header
-_SAMPLE = 1 << 16  # bytes that tell how long a file's lines are
-_LABEL_WIDTH = 8  # bytes of a label's cell that the fast reader keeps
-_PIECE = 1 << 18  # decimals whose texts are in memory at a time
-_COPIES = 2.5  # of the table, at most, while it is read
+_LONGEST_LINE = 1 << 20  # characters of a header; anything longer is not a header
+_SAMPLE = 1 << 16  # bytes from which the length of a line is estimated
+_LABEL_WIDTH = 8  # bytes that the fast reader keeps of a label's cell
+_PIECE = 1 << 18  # decimals whose texts are in memory at once
+_COPIES = 2.5  # of the table in memory, at most, while it is read
 _NEEDED = "every step needs a number"
 _REMEDY = "give a shorter part of the trace, or name fewer signals"
 
@@ -47,17 +47,17 @@ _REMEDY = "give a shorter part of the trace, or name fewer signals"
 def load_trace(path: str | Path, names: Iterable[str] | None = None) -> Signals:
     """The signals of a trace file: name → array (n_steps,) of numbers or Booleans; of an .npz also (n_traces, n_steps).
 
-    The ending says what it is: `.csv` or `.tsv` (a line of names, then a row a step; cells are numbers, which become
-    doubles, or true and false), `.npz` (an array a signal) or `.parquet` (a column a signal; needs pyarrow). With
-    `names` only those signals are read, and what else the file holds need not be numbers. Raises FileError where the
-    file is not what its ending says, TraceError with the place where its content is no trace, NameLookupError where a
-    name is missing, SizeError before memory is taken that there is not.
+    The extension determines the format: `.csv` or `.tsv` (a line of names, then a row per step; cells are numbers,
+    which become doubles, or true and false), `.npz` (an array per signal) or `.parquet` (a column per signal; needs
+    pyarrow). With `names`, only those signals are read, and other columns need not be numbers. Raises FileError if the
+    file does not have the format of its extension, TraceError, with the position, if its content is not a trace,
+    NameLookupError if a name is missing, and SizeError before allocating more memory than there is.
     """
     path = path_of(path, "load_trace's path")
     wanted = None if names is None else list(dict.fromkeys(texts(names, "load_trace's names")))
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
-        raise FileError(f"{path}: a trace is read from {', '.join(_READERS)} files; name one of them")
+        raise FileError(f"{path}: not a trace file; traces are read from {', '.join(_READERS)} files")
     if not path.exists():
         raise FileError(f"{path}: there is no such trace file")
     if not path.is_file():
@@ -66,7 +66,7 @@ def load_trace(path: str | Path, names: Iterable[str] | None = None) -> Signals:
 
 
 def _chosen(path: Path, known: Sequence[str], names: Sequence[str] | None, what: str) -> list[str]:
-    """The names to read: all that are there, or those asked for."""
+    """The names to read: all names in the file, or those requested."""
     there = set(known)
     for name in names or ():
         if name not in there:
@@ -76,7 +76,7 @@ def _chosen(path: Path, known: Sequence[str], names: Sequence[str] | None, what:
 
 @contextmanager
 def _faults(path: Path, what: str, *kinds: type[Exception]) -> Iterator[None]:
-    """What the system and a format's library find wrong, as a FileError."""
+    """Turn errors of the system and of a format's library into a FileError."""
     caught: tuple[type[Exception], ...] = (OSError, *kinds)
     try:
         yield
@@ -90,12 +90,12 @@ def _faults(path: Path, what: str, *kinds: type[Exception]) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class _Table:
-    """What the first two lines of a CSV file say."""
+    """What the first two lines of a CSV file determine."""
 
     path: Path
     separator: str
     header: list[str]
-    body: int  # where the data begin, in bytes after the mark of UTF-8 if there is one
+    body: int  # where the data begin, in bytes after the byte order mark, if any
     labels: frozenset[str]  # the columns whose first cell is true or false
 
 
@@ -114,35 +114,35 @@ def _csv_table(path: Path) -> _Table:
     with _opened(path) as file:
         line = file.readline(_LONGEST_LINE).removeprefix("\ufeff")
         if "\0" in line:
-            raise FileError(f"{path}: not a CSV file: it holds binary data (a zero byte in line 1)")
+            raise FileError(f"{path}: not a CSV file: it contains binary data (a zero byte in line 1)")
         bad = next((ord(c) & 0xFF for c in line if "\udc80" <= c <= "\udcff"), None)
         if bad is not None:
             raise FileError(f"{path}: not a CSV file: byte {bad:#04x} in line 1 is not UTF-8 text; save it as UTF-8")
         if len(line) == _LONGEST_LINE:
-            raise FileError(f"{path}: not a CSV file: line 1 has over a million characters; line 1 names the signals")
+            raise FileError(f"{path}: not a CSV file: line 1 has over a million characters; it should name the signals")
         if not line.strip():
             what = "line 1 is empty" if line else "the file is empty"
-            raise TraceError(f"{path}: {what}; line 1 names the signals, such as: t,x,door")
+            raise TraceError(f"{path}: {what}; write the names of the signals there, such as t,x,door")
         separator, header = _csv_header(path, line)
         first = next((row for _, row in _rows(path, file, separator, 1)), None)
     if first is None:
-        raise TraceError(f"{path}: no data below the header; write a row a step")
+        raise TraceError(f"{path}: no data below the header; write a row per step")
     labels = frozenset(name for name, cell in zip(header, first, strict=False) if cell.strip().lower() in _TRUTH)
     return _Table(path, separator, header, len(line.encode()), labels)
 
 
 def _csv_header(path: Path, line: str) -> tuple[str, list[str]]:
-    """The separator and the names that the first line says."""
+    """The separator and the names in the first line."""
     where = f"{path}, line 1"
     pieces = line.split('"')
     if len(pieces) % 2 == 0:
-        raise TraceError(f"{where}: a quote is not closed in this line of names")
+        raise TraceError(f"{where}: a quote is not closed; close it on the same line")
     outside = "".join(pieces[::2])
     separators = [separator for separator in _SEPARATORS if separator in outside.strip("\r\n")]
     if len(separators) > 1:
         found = " and ".join(_SEPARATORS[separator] for separator in separators)
         raise TraceError(
-            f"{where}: {found} could both separate the names; use one, and put names with another in quotes"
+            f"{where}: {found} could both separate the names; use one, and quote names that contain the other"
         )
     separator = separators[0] if separators else ","
     header = [name.strip() for name in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
@@ -153,22 +153,22 @@ def _csv_header(path: Path, line: str) -> tuple[str, list[str]]:
         if name in seen:
             raise TraceError(f"{where}: two columns are named {name}; every column needs a name of its own")
         if _is_value(name):
-            raise TraceError(f"{where}: {name} stands where a name should; put a line with the columns' names on top")
+            raise TraceError(f"{where}: expected a name, found {name}; put a line with the names of the columns first")
         seen.add(name)
     return separator, header
 
 
 def _is_plain(table: _Table, wanted: Sequence[str]) -> bool:
-    """Whether lines are rows: no quotes, and no empty lines but at the end. SizeError where it would not fit."""
+    """Whether lines are rows: no quotes, and no empty lines except at the end. SizeError if the table would not fit."""
     with table.path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         zero = data.find(b"\0")
         if zero >= 0:
-            raise FileError(f"{table.path}: not a CSV file: it holds binary data (a zero byte at offset {zero})")
+            raise FileError(f"{table.path}: not a CSV file: it contains binary data (a zero byte at offset {zero})")
         start = table.body + 3 * data[:3].startswith(b"\xef\xbb\xbf")
         sample = data[start : start + _SAMPLE]
         rows = (len(data) - start) * (sample.count(b"\n") or sample.count(b"\r") or 1) / len(sample)
         width = np.dtype(_cell_types(table, wanted)).itemsize
-        require_memory(rows * width * _COPIES, f"{table.path}, some {rows:.3g} rows,", _REMEDY)
+        require_memory(rows * width * _COPIES, f"{table.path}, about {rows:.3g} rows,", _REMEDY)
         if data.find(b'"', start) >= 0:
             return False
         gaps = [place for place in (data.find(gap, start) for gap in (b"\n\n", b"\n\r", b"\r\r")) if place >= 0]
@@ -176,7 +176,7 @@ def _is_plain(table: _Table, wanted: Sequence[str]) -> bool:
 
 
 def _cell_types(table: _Table, wanted: Sequence[str]) -> list[tuple[str, str]]:
-    """What the fast reader makes of each column; of what nobody asked for it keeps a byte."""
+    """The type in which the fast reader reads each column; a single byte for columns not requested."""
     asked = set(wanted)
     return [
         (f"{i}", "S1" if name not in asked else f"S{_LABEL_WIDTH}" if name in table.labels else "f8")
@@ -185,7 +185,7 @@ def _cell_types(table: _Table, wanted: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _read_fast(table: _Table, wanted: Sequence[str]) -> Signals | None:
-    """The columns by numpy.loadtxt; None where it, or the text of a label, needs a closer look."""
+    """The columns read by numpy.loadtxt; None if an error, or the text of a label, needs a closer look."""
     try:
         cells = np.loadtxt(
             table.path, dtype=_cell_types(table, wanted), delimiter=table.separator, skiprows=1, comments=None,
@@ -200,7 +200,7 @@ def _read_fast(table: _Table, wanted: Sequence[str]) -> Signals | None:
         if name in table.labels:
             texts, which = np.unique(column, return_inverse=True)
             if any(len(text) == _LABEL_WIDTH for text in texts.tolist()):
-                return None  # more may have stood there than was kept
+                return None  # the cell may have been longer than what was kept
             truths = [_TRUTH.get(text.decode("latin-1").strip().lower()) for text in texts.tolist()]
             if None in truths:
                 return None
@@ -213,7 +213,7 @@ def _read_fast(table: _Table, wanted: Sequence[str]) -> Signals | None:
 
 
 def _read_slowly(table: _Table, wanted: Sequence[str]) -> Signals:
-    """The columns cell by cell: what is wrong is told with its line and its column."""
+    """The columns read cell by cell; faults are reported with line and column."""
     asked = set(wanted)
     places = [(i, name, name in table.labels) for i, name in enumerate(table.header) if name in asked]
     columns: dict[str, array[Any]] = {name: array("b" if name in table.labels else "d") for name in wanted}
@@ -238,7 +238,7 @@ def _read_slowly(table: _Table, wanted: Sequence[str]) -> Signals:
 
 
 def _rows(path: Path, file: IO[str], separator: str, before: int) -> Iterator[tuple[int, list[str]]]:
-    """The rows, each with the line that it ends on; empty lines are none at the end, and an error elsewhere."""
+    """The rows, each with the line it ends on; empty lines are ignored at the end, and an error elsewhere."""
     reader = csv.reader(file, delimiter=separator, skipinitialspace=True, strict=True)
     empty = None
     while True:
@@ -253,18 +253,18 @@ def _rows(path: Path, file: IO[str], separator: str, before: int) -> Iterator[tu
             empty = line if empty is None else empty
             continue
         if empty is not None:
-            raise TraceError(f"{path}, line {empty}: an empty line among the rows; every step needs its row")
+            raise TraceError(f"{path}, line {empty}: an empty line between rows; remove it, or write a row")
         yield line, row
 
 
 def _opened(path: Path) -> IO[str]:
-    """The text; what is not UTF-8 is kept as lone surrogates, which harm nobody in a column that nobody asks for."""
+    """The text; bytes that are not UTF-8 become lone surrogates, which are harmless in columns not requested."""
     return path.open(encoding="utf-8", errors="surrogateescape", newline="")
 
 
 def _truth(text: str) -> bool:
     if text.strip().lower() not in _TRUTH:
-        raise NumberError(f"{shown(text)} is neither true nor false, as the cells above are")
+        raise NumberError(f"{shown(text)} is neither true nor false, unlike the cells above")
     return _TRUTH[text.strip().lower()]
 
 
@@ -279,11 +279,11 @@ def _is_value(text: str) -> bool:
 
 
 def _objection(text: str, label: bool, why: str) -> str:
-    """What is wrong with a cell, and what to write; `why` it is no value of its column."""
+    """The fault of a cell, with the remedy; `why` it is not a value of its column."""
     if not text.strip():
         return "an empty cell; every step needs a value"
     if not label and text.strip().lower() in _TRUTH:
-        return f"{shown(text)} is not a number, as the cells above are; write 1 or 0"
+        return f"{shown(text)} is not a number, unlike the cells above; write 1 or 0"
     return f"{why}; {_NEEDED}" if "finite" in why else why
 
 
@@ -296,7 +296,7 @@ def _count(n: int, what: str) -> str:
 
 def _read_npz(path: Path, names: list[str] | None) -> Signals:
     if not zipfile.is_zipfile(path):
-        raise FileError(f"{path}: not an .npz file, as numpy.savez writes")
+        raise FileError(f"{path}: not an .npz file; write one with numpy.savez")
     broken = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, RuntimeError)
     with _faults(path, "an .npz file", *broken), np.load(path, allow_pickle=False) as file:
         wanted = _chosen(path, file.files, names, "array")
@@ -306,16 +306,16 @@ def _read_npz(path: Path, names: list[str] | None) -> Signals:
             shapes[name], dtype = _npy_header(file.zip, name)
             where = f"{path}, array {name}"
             if dtype.kind not in "biuf":
-                kind = "Python objects, which are not read" if dtype.kind == "O" else f"{dtype}"
-                raise TraceError(f"{where}: it holds {kind}; save numbers or Booleans")
+                kind = "Python objects, which are never loaded" if dtype.kind == "O" else f"{dtype}"
+                raise TraceError(f"{where}: it contains {kind}; save numbers or Booleans")
             if len(shapes[name]) not in (1, 2):
                 raise TraceError(f"{where}: its shape is {shapes[name]}; (n_steps,) or (n_traces, n_steps) is needed")
             if 0 in shapes[name]:
-                raise TraceError(f"{where}: its shape is {shapes[name]}; it holds no sample")
+                raise TraceError(f"{where}: its shape is {shapes[name]}; it contains no sample")
             if shapes[name] != shapes[wanted[0]]:
                 raise TraceError(
                     f"{where}: its shape is {shapes[name]}, that of {wanted[0]} is {shapes[wanted[0]]}; "
-                    "a trace's signals have one shape"
+                    "give all signals of a trace the same shape"
                 )
             taken += math.prod(shapes[name]) * dtype.itemsize
         require_memory(taken, f"{path}", _REMEDY)
@@ -329,7 +329,7 @@ def _read_npz(path: Path, names: list[str] | None) -> Signals:
 
 
 def _npy_header(archive: zipfile.ZipFile, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Shape and type of an array, before it is read."""
+    """Shape and type of an array, without reading it."""
     members = archive.namelist()
     with archive.open(name if name in members else f"{name}.npy") as member:
         version = np.lib.format.read_magic(member)
@@ -349,11 +349,11 @@ def _read_parquet(path: Path, names: list[str] | None) -> Signals:
                 raise TraceError(f"{path}: two columns are named {name}; every column needs a name of its own")
         wanted = _chosen(path, schema.names, names, "column")
         if not rows:
-            raise TraceError(f"{path}: it holds no row; a trace has a row a step")
+            raise TraceError(f"{path}: it contains no rows; write a row per step")
         for name in wanted:
             kind = schema.field(name).type
             if not (pa.types.is_boolean(kind) or _is_numeric(pa, kind)):
-                raise TraceError(f"{path}, column {name}: it holds {kind}; numbers or Booleans are needed")
+                raise TraceError(f"{path}, column {name}: it contains {kind}; write numbers or Booleans")
         require_memory(rows * 8 * len(wanted) * _COPIES, f"{path}, {rows} rows,", _REMEDY)
         return {name: _arrow_column(path, name, file.read(columns=[name]).column(name), pa) for name in wanted}
 
@@ -374,8 +374,8 @@ def _arrow_column(path: Path, name: str, column: Any, pa: Any) -> NDArray[Any]:
 
 
 def _of_decimals(column: Any, pa: Any) -> NDArray[np.float64]:
-    """The double nearest to each decimal. Arrow's own cast multiplies by a power of ten, and one in ten is the next one
-    (3694.20 becomes 3694.2000000000003); the texts of decimals are read rightly.
+    """The double nearest to each decimal. Arrow's own cast multiplies by a power of ten, and for one decimal in ten
+    is wrong in the last place (3694.20 becomes 3694.2000000000003); decimals as text are read correctly.
     """
     values = np.empty(len(column))
     for start in range(0, len(column), _PIECE):

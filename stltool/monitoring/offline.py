@@ -1,14 +1,14 @@
-"""Truth and robustness at every step of whole batches of traces: what `satisfies` and `robustness` say, fast.
+"""Truth and robustness at every step of whole batches of traces: the results of `satisfies` and `robustness`, fast.
 
-A step t is decided by the samples t … t + horizon(φ). With n steps:
+Step t is decided by the samples t … t + horizon(φ). With n steps:
 
     end "error"   the n − horizon(φ) decided steps
     end "cut"     all n steps; windows are cut at the end of the trace, an empty one is the neutral element (F false,
                   G true, U without witness)
     end "hold"    all n steps; the last sample is held
 
-Formulas look ahead only: the steps before n − horizon(φ) are the same for all three, and the others depend on the last
-horizon(φ) samples alone. So both parts are judged on their own (blocks.py), in blocks that fit the cache.
+Formulas only look ahead: the steps before n − horizon(φ) are the same in all three cases, and the others depend only on
+the last horizon(φ) samples. So both parts are judged separately (blocks.py), in blocks that fit the cache.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from stltool.monitoring.samples import End, Traces, read_traces
 
 Semantics = Literal["both", "boolean", "robustness"]
 
-_MARGINS = 1 << 14  # samples a block: the buffers of a few values stay in the second cache
+_MARGINS = 1 << 14  # samples per block: the buffers of a few values stay in the L2 cache
 _TRUTH = 1 << 17
 
 _CUT, _HOLD = named("end", 'end="cut"'), named("end", 'end="hold"')
@@ -42,9 +42,9 @@ _CUT, _HOLD = named("end", 'end="cut"'), named("end", 'end="hold"')
 class MonitorResult(Displayed):
     """Truth and robustness at the decided steps.
 
-    verdicts     Booleans (n_decided,) for one trace, (n_traces, n_decided) for a batch; None if not asked
-    robustness   float64 of the same shape; None if not asked
-    horizon      steps after a step that can matter; None for a formula with an interval without end
+    verdicts     Booleans (n_decided,) for one trace, (n_traces, n_decided) for a batch; None if not requested
+    robustness   float64 of the same shape; None if not requested
+    horizon      number of later steps that a verdict depends on; None for a formula with an interval without end
     n_steps      samples of each trace
     """
 
@@ -57,7 +57,7 @@ class MonitorResult(Displayed):
 
     def _card(self) -> Card:
         some = self.verdicts if self.verdicts is not None else self.robustness
-        assert some is not None  # one of the two was asked for
+        assert some is not None  # one of the two was requested
         traces = counted(len(some), "trace") if some.ndim == 2 else "1 trace"
         facts: dict[str, object] = {}
         if self.verdicts is not None:
@@ -76,9 +76,9 @@ class MonitorResult(Displayed):
 
     @property
     def first_violation(self) -> int | NDArray[np.int64] | None:
-        """The first step with verdict false: None for none; of a batch an array (n_traces,), with -1 for none.
+        """The first step with verdict false: None if there is none; for a batch an array (n_traces,), with -1 for none.
 
-        SettingsError where verdicts were not asked.
+        SettingsError if verdicts were not requested.
         """
         if self.verdicts is None:
             raise SettingsError('there are no verdicts; monitor with semantics="both" or "boolean"')
@@ -96,13 +96,13 @@ def monitor(
     """Truth and robustness of φ at every decided step of one trace or of a batch.
 
     `signals` maps every name of φ to an array (n_steps,) or (n_traces, n_steps), all of one shape: reals for variables,
-    Booleans (or 0 / 1) for labels. What is decided at the end: see the module's text. Verdicts are those of
+    Booleans (or 0 / 1) for labels. For the end of the trace, see the module docstring. Verdicts are those of
     `satisfies`, exactly; robustness is in doubles, within a few units in the last place of the numbers compared, and
     its sign is right: > 0 implies true, < 0 implies false.
 
-    Raises TraceError where traces are too short, unequal, not numbers, not finite, or give a predicate no value (naming
-    trace and step; in verdicts alone, only where one hangs on it), NameLookupError where a name is missing,
-    StlSyntaxError where an interval has no end and `end` is "error".
+    Raises TraceError, naming trace and step, if traces are too short, of unequal lengths, not numbers, not finite, or
+    give a predicate no value (if only verdicts are requested: if a verdict depends on it), NameLookupError if a name is
+    missing, and StlSyntaxError if an interval has no end and `end` is "error".
     """
     one_of(semantics, "semantics", get_args(Semantics))
     formula, traces = prepare(phi, signals, end, "monitor")
@@ -115,7 +115,7 @@ def monitor(
 
 
 def judge(formula: Formula, traces: Traces, end: End, truth: bool, margins: bool) -> list[NDArray[Any]]:
-    """Verdicts, then margins, (n_traces, n_decided) each, of what is asked."""
+    """Verdicts, then margins, (n_traces, n_decided) each, as requested."""
     decided = decided_steps(traces, end)
     outs: list[NDArray[Any]] = [np.empty((traces.n_traces, decided), np.bool_)] * truth
     outs += [np.empty((traces.n_traces, decided))] * margins
@@ -129,25 +129,25 @@ def judge(formula: Formula, traces: Traces, end: End, truth: bool, margins: bool
 
 
 def prepare(phi: Formula | Task, signals: Mapping[str, ArrayLike], end: End, caller: str) -> tuple[Formula, Traces]:
-    """The formula and the traces it reads. Raises what `monitor` says, but for what samples are."""
+    """The formula and the traces it reads. Raises what `monitor` raises, except for faults of single samples."""
     formula = formula_of(phi, f"{caller}'s formula")
     mapping(signals, f"{caller}'s signals", oracle.SIGNALS)
     program = compile_formula(formula)
     one_of(end, "end", get_args(End))
     if end == "error" and program.horizon is None:
-        horizon(formula)  # raises, with the place of the interval without end
+        horizon(formula)  # raises, with the position of the interval without end
     return formula, read_traces(program, signals)
 
 
 def decided_steps(traces: Traces, end: End) -> int:
-    """How many steps are decided; TraceError for none because the traces are too short."""
+    """The number of decided steps; TraceError if there is none because the traces are too short."""
     if end != "error":
         return traces.n_steps
     h = traces.program.horizon
     assert h is not None
     if traces.n_steps <= h:
         raise TraceError(
-            f"the traces have {traces.n_steps} samples; this formula needs {h + 1} (its horizon is {h}): give longer "
+            f"the traces have {traces.n_steps} samples; this formula needs {h + 1} (its horizon is {h}); give longer "
             f"ones, or {_CUT} to cut windows at the end of the trace, or {_HOLD} to hold the last sample"
         )
     return traces.n_steps - h
@@ -159,13 +159,13 @@ def decided_steps(traces: Traces, end: End) -> int:
 def refuse_unknown(
     found: NDArray[Any], phi: Formula, traces: Traces, first_row: int, first_step: int, end: End
 ) -> None:
-    """TraceError where the truth or margin that a block found at some step does not exist."""
+    """TraceError if the truth or margin at some step of a block does not exist."""
     for row, step in np.argwhere(_unknown(found))[:1].tolist():
         _blame(phi, traces, first_row + row, first_step + step, end, margins=found.dtype == np.float64)
 
 
 def _unknown(values: NDArray[Any]) -> NDArray[np.bool_]:
-    """Where there is no margin, or no truth among −1, 0, 1."""
+    """The entries without a margin, or without truth among −1, 0, 1."""
     if values.dtype == np.bool_:
         return np.zeros_like(values)
     unknown: NDArray[np.bool_] = np.isnan(values) if values.dtype == np.float64 else values == 0
@@ -173,7 +173,7 @@ def _unknown(values: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def _blame(phi: Formula, traces: Traces, row: int, step: int, end: End, margins: bool) -> NoReturn:
-    """Raise the error of a predicate that leaves φ without truth (or margin) at this step."""
+    """Raise the error of a predicate because of which φ has no truth (or margin) at this step."""
     if not is_temporal(phi):
         sample = {name: [float(array[row, step])] for name, array in traces.arrays.items()}
         try:
@@ -192,7 +192,7 @@ def _blame(phi: Formula, traces: Traces, row: int, step: int, end: End, margins:
 
 
 def _looks(phi: Formula, n: int) -> list[tuple[int, int]]:
-    """For every operand the first and the last step after the present one that it is looked at, of n."""
+    """For every operand, the first and the last later step at which it is evaluated, of n."""
     match phi:
         case Eventually(interval, _) | Always(interval, _):
             return [(interval.a, n if interval.b is None else interval.b)]

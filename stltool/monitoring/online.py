@@ -1,9 +1,9 @@
-"""Truth and robustness of a running trace: every step as soon as its samples are there.
+"""Truth and robustness of a running trace: every step as soon as its samples have arrived.
 
-Step t is decided by sample t + horizon(φ). The program of φ runs once a sample; at time t an instruction of horizon h
-computes its value at step t − h, from operands that wait in a queue where their horizons are shorter. Windows of fixed
-width w are aggregated by two stacks over an associative ∘, three applications a sample amortised and at most w values
-held [Tangwongsan15, §2]:
+Step t is decided by sample t + horizon(φ). The program of φ runs once per sample; at time t an instruction of horizon h
+computes its value at step t − h, from operands that wait in a queue if their horizons are shorter. Windows of fixed
+width w are aggregated by two stacks over an associative ∘, with three applications per sample, amortised, and at most w
+stored values [Tangwongsan15, §2]:
 
     F[a,b] φ       max of φ over w = b−a+1 steps                                       G[a,b]: min
     φ U[0,w−1] ψ   B of (A₁,B₁) ∘ (A₂,B₂) = (min(A₁,A₂), max(B₁, min(A₁,B₂))) over the pairs (φ,ψ) of w steps
@@ -55,10 +55,10 @@ class Decision(NamedTuple):
 
 
 class OnlineMonitor(Displayed):
-    """Judges a trace sample by sample; memory and time a sample do not grow with the trace.
+    """Judges a trace sample by sample; memory and time per sample do not grow with the trace.
 
-    What has been decided after n samples is what `monitor` says of these n samples with end "error", bit for bit, and
-    with `finish(end)` what it says with that end. Raises StlSyntaxError where an interval has no end.
+    The decisions after n samples are, bit for bit, those of `monitor` for these n samples with end "error"; with
+    `finish(end)` they are those with that end. Raises StlSyntaxError if an interval has no end.
     """
 
     def __init__(self, phi: Formula | Task) -> None:
@@ -80,14 +80,14 @@ class OnlineMonitor(Displayed):
 
     @property
     def stored(self) -> int:
-        """How many samples and values are held: at most a few times the horizon an operator."""
+        """The number of stored samples and values: per operator, at most a few times the horizon."""
         return len(self._last) + self._network.stored
 
     def feed(self, sample: Mapping[str, Any]) -> list[Decision]:
-        """Take the next sample, a value for every name of φ; the decisions that it brings, at most one.
+        """Take the next sample, a value for every name of φ; returns the decisions that it yields, at most one.
 
-        Raises NameLookupError where a name is missing, TraceError where a value is no finite number (a label: neither
-        true nor false), or gives a predicate no value or no margin. A refused sample leaves the monitor as it was.
+        Raises NameLookupError if a name is missing, TraceError if a value is not a finite number (for a label: neither
+        true nor false), or gives a predicate no value or no margin. A refused sample leaves the monitor unchanged.
         """
         mapping(sample, "feed's sample", "{'x': 0.5}")
         values = self._read(sample)
@@ -103,7 +103,7 @@ class OnlineMonitor(Displayed):
         return [Decision(self.n_steps - 1 - self.horizon, value[1], value[0])]
 
     def finish(self, end: Literal["cut", "hold"] = "cut") -> list[Decision]:
-        """The decisions of the remaining steps, were the trace to end here. The monitor may be fed on."""
+        """The decisions of the remaining steps if the trace ended here. The monitor can still be fed."""
         one_of(end, "end", ("cut", "hold"))
         n = len(self._last)
         if n == 0:
@@ -145,7 +145,7 @@ class OnlineMonitor(Displayed):
             if not isinstance(value, _NUMBERS) or isinstance(value, np.longdouble):
                 raise TraceError(f"{name} is {described(value)} at step {self.n_steps}; give a float")
             if isinstance(value, int | np.integer) and abs(int(value)) > WHOLE:
-                why = "whole numbers beyond 2^53 may have no double; give a float"
+                why = "integers beyond 2^53 may not be representable as a double; give a float"
                 raise TraceError(f"{name} is {value} at step {self.n_steps}: {why}")
         real = float(value)
         if not math.isfinite(real):
@@ -172,7 +172,7 @@ def _atom(atom: Atom) -> Callable[[Sample], _Value]:
 
 
 class _Queue:
-    """A value that waits for others of the same step: `push` gives the one pushed `delay` times ago."""
+    """A value that waits for others of the same step: `push` returns the one pushed `delay` times ago."""
 
     def __init__(self, delay: int) -> None:
         self.delay = delay
@@ -187,7 +187,7 @@ class _Queue:
 
 
 class _Window:
-    """The aggregate of the last `width` values, once there are as many: two stacks, the older one of suffixes."""
+    """The aggregate of the last `width` values, once there are that many: two stacks, the older one of suffixes."""
 
     def __init__(self, width: int, combine: Callable[[Any, Any], Any]) -> None:
         self.width, self.combine = width, combine
@@ -219,7 +219,7 @@ _State: TypeAlias = _Queue | _Window
 
 
 class _Network:
-    """The program over a stream. A node runs from the time on at which its operands' first values are there."""
+    """The program over a stream. A node runs once the first values of its operands exist."""
 
     def __init__(self, instructions: tuple[Instruction, ...]) -> None:
         self.values: list[Any] = [None] * len(instructions)
@@ -237,7 +237,7 @@ class _Network:
         return sum(len(state) for state in self.states)
 
     def advance(self, atoms: list[tuple[int, _Value]]) -> Any:
-        """The next sample's atoms → the value of the formula that is known now, if there is one."""
+        """The atoms of the next sample → the value of the formula that is now known, if any."""
         values, time = self.values, self.time
         for i, value in atoms:
             values[i] = value
@@ -288,7 +288,7 @@ class _Network:
         return len(self.values) - 1
 
     def _delay(self, arg: int, start: int, delay: int) -> int:
-        """Where the value of `arg`, known from time `start` on, stands `delay` samples later."""
+        """The register of the value of `arg`, known from time `start` on, `delay` samples later."""
         if delay == 0:
             return arg
         if (arg, delay) not in self._delayed:

@@ -1,4 +1,4 @@
-"""A formula as a flat list of instructions, equal sub-formulas once: what monitors run over arrays or over a stream.
+"""A formula as a flat list of instructions, without repeated sub-formulas; monitors run it over arrays or streams.
 
 Instruction i computes the value of one sub-formula at every step from the values of earlier ones:
 
@@ -9,8 +9,8 @@ Instruction i computes the value of one sub-formula at every step from the value
     eventually[a,b] i      max of i over t+a … t+b       always: min
     until[a,b] i j         max over u in t+a … t+b of min(j at u, min of i over t … u−1)
 
-with −1 < 1 for false and true, or with signed margins: both are lattices, so one program serves both. `ends` names the
-values that nothing reads later; their memory is free from there on.
+with −1 < 1 for false and true, or with signed margins: both are lattices, so one program serves both. `ends` lists the
+values that are not read later; their memory can be reused.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Atom: TypeAlias = Constant | Label | Predicate
 
 
 class Instruction(NamedTuple):
-    """One operator; `args` are numbers of earlier instructions, `horizon` is None from an interval without end on."""
+    """One operator; `args` are numbers of earlier instructions, `horizon` is None above an interval without end."""
 
     op: Op
     args: tuple[int, ...]
@@ -55,7 +55,7 @@ class Instruction(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """The instructions, the last one being the formula itself, and the names it reads with their first places."""
+    """The instructions, the last one being the formula itself, and the names it reads with their first positions."""
 
     instructions: tuple[Instruction, ...]
     variables: Mapping[str, Span | None]
@@ -96,7 +96,7 @@ def _compile(key: _Same) -> Program:
 @dataclass(slots=True)
 class _Compiler:
     instructions: list[Instruction] = field(default_factory=list)
-    numbers: dict[object, int] = field(default_factory=dict)  # what an instruction computes → its number
+    numbers: dict[object, int] = field(default_factory=dict)  # an instruction's key → its index
     visited: dict[int, int] = field(default_factory=dict)  # id of a node → number: hashing nodes would be quadratic
     variables: dict[str, Span | None] = field(default_factory=dict)
     labels: dict[str, Span | None] = field(default_factory=dict)
@@ -162,7 +162,7 @@ class _Compiler:
         return self.numbers[key]
 
     def program(self) -> Program:
-        """The instructions in order, each with the values that end there."""
+        """The instructions in order, each with the values last used there."""
         seen: set[int] = set()
         for i in reversed(range(len(self.instructions))):
             now = self.instructions[i]

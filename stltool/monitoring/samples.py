@@ -1,6 +1,6 @@
-"""What users hand to a monitor, read and checked: arrays of one shape, samples that are finite numbers or truth values.
+"""The arrays that users give to a monitor, checked: they have one shape, and samples are finite numbers or Booleans.
 
-Samples are checked block by block, while they are in the cache for judging anyway.
+Samples are checked block by block, while they are in the cache for judging.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from stltool.sizes import require_memory
 
 End = Literal["error", "cut", "hold"]
 
-WHOLE = 2**53  # whole numbers up to here are doubles
-_WIDE = 2.0**969  # a difference of two samples below, or of one and any double, does not overflow
+WHOLE = 2**53  # integers up to here are exact in doubles
+_WIDE = 2.0**969  # differences of samples below this, or of one and any double, do not overflow
 
 
 @dataclass(frozen=True, slots=True)
 class Traces:
-    """The arrays of the names that a formula reads, (n_traces, n_steps) each, of the types they were given in."""
+    """The arrays of the names that a formula reads, (n_traces, n_steps) each, in the types given."""
 
     arrays: Mapping[str, NDArray[Any]]
     program: Program
     n_traces: int
     n_steps: int
     batch: bool
-    first_step: int = 0  # what to call the first sample in messages
+    first_step: int = 0  # the number of the first sample in messages
 
     def place(self, row: int, step: int) -> str:
-        """`trace 3, step 17`, or without the trace where there is but one."""
+        """`trace 3, step 17`, or without the trace if there is only one."""
         step += self.first_step
         return f"trace {row}, step {step}" if self.batch else f"step {step}"
 
@@ -46,7 +46,7 @@ class Traces:
         return replace(self, arrays=arrays, n_traces=1, n_steps=self.n_steps - first)
 
     def held(self, steps: int) -> Traces:
-        """With the last sample held for so many steps more."""
+        """With the last sample held for this many more steps."""
         require_memory(
             8.0 * len(self.arrays) * self.n_traces * (self.n_steps + steps),
             f"{self.n_traces} traces held for {steps} steps", "shorten the windows, or cut them",
@@ -55,13 +55,13 @@ class Traces:
         return replace(self, arrays=arrays, n_steps=self.n_steps + steps)
 
     def blocks(self, end: End, samples: int) -> Iterator[tuple[Block, slice, int]]:
-        """Blocks of about so many samples that decide every step once: each with its rows and its first decided step.
+        """Blocks of about this many samples that decide every step once, each with its rows and its first decided step.
 
-        Steps with the horizon before them in "open" blocks; if `end` is not "error", the others from the last
+        Steps whose horizon is within the trace are in "open" blocks; if `end` is not "error", the others from the last
         horizon(φ) samples, cut or held.
         """
         n, rows, h = self.n_steps, self.n_traces, self.program.horizon
-        tail = n if h is None or n <= samples else min(h, n)  # short traces are judged in one go
+        tail = n if h is None or n <= samples else min(h, n)  # short traces are judged at once
         if h is not None and n > h and (end == "error" or tail < n):
             width = max(samples, 4 * h)
             if n <= width + h:
@@ -82,7 +82,7 @@ class Traces:
             given = array[rows, steps]
             if name in self.program.labels:
                 columns[name] = self._label(name, given, rows, steps)
-            if name in self.program.variables:  # of a name that is both, the reals serve
+            if name in self.program.variables:  # a name that is both is read as reals
                 columns[name] = column = self._variable(name, given, rows, steps)
                 if not -_WIDE < np.minimum.reduce(column, axis=None) <= np.maximum.reduce(column, axis=None) < _WIDE:
                     self._refuse(name, ~np.isfinite(column), rows, steps, "monitors judge finite samples")
@@ -99,7 +99,7 @@ class Traces:
 
     def _variable(self, name: str, given: NDArray[Any], rows: slice, steps: slice) -> NDArray[np.float64]:
         if given.dtype.kind in "iu" and given.dtype.itemsize == 8:
-            why = "whole numbers beyond 2^53 may have no double; give floats"
+            why = "integers beyond 2^53 may not be representable as doubles; give floats"
             self._refuse(name, (given > WHOLE) | (given < -WHOLE), rows, steps, why)
         return np.ascontiguousarray(given, dtype=np.float64)
 
@@ -117,7 +117,7 @@ def _groups(rows: int, size: int) -> Iterator[slice]:
 def read_traces(program: Program, signals: Mapping[str, ArrayLike]) -> Traces:
     """The arrays of a program's names, (n_steps,) or (n_traces, n_steps); their samples are checked in `blocks`.
 
-    Raises NameLookupError where a name is missing, TraceError where an array is not of numbers, or shapes differ.
+    Raises NameLookupError if a name is missing, TraceError if an array is not numeric, or shapes differ.
     """
     arrays: dict[str, NDArray[Any]] = {}
     for name, span in {**program.variables, **program.labels}.items():
@@ -125,10 +125,10 @@ def read_traces(program: Program, signals: Mapping[str, ArrayLike]) -> Traces:
             message = f"the traces have no signal {name}; {near_misses(name, signals)}"
             raise NameLookupError(span.show(message) if span else message)
         arrays[name] = _as_array(name, signals[name])
-    # a formula without names still has steps: those of whatever traces there are
+    # a formula without names still has steps: those of any given trace
     shaped = arrays or {name: _as_array(name, values) for name, values in signals.items()}
     if not shaped:
-        raise TraceError("there is no signal to take the number of steps from; give one")
+        raise TraceError("there are no signals, so the number of steps is unknown; give one")
     first, shape = next((name, array.shape) for name, array in shaped.items())
     for name, array in shaped.items():
         if array.shape != shape:
@@ -148,13 +148,14 @@ def _as_array(name: str, values: ArrayLike) -> NDArray[Any]:
     except ValueError:
         raise TraceError(f"the traces of signal {name} have unequal lengths; monitor each on its own") from None
     if array.dtype.kind not in "biuf" or array.dtype.itemsize > 8:
-        raise TraceError(f"signal {name} holds {array.dtype}, not numbers that fit a double; give floats or Booleans")
+        raise TraceError(f"signal {name} is of {array.dtype}, not numbers that fit a double; give floats or Booleans")
     if array.ndim not in (1, 2):
         raise TraceError(f"signal {name} has shape {array.shape}; give (n_steps,) or (n_traces, n_steps)")
     if isinstance(values, np.ndarray) and type(values) is not np.ndarray and np.ma.is_masked(values):
         raise TraceError(f"signal {name} has masked samples; fill them, or leave these traces out")
     if not isinstance(values, np.ndarray) and array.dtype.kind == "f" and (np.abs(array) >= WHOLE).any():
-        for value in np.asarray(values, dtype=object).flat:  # among floats, numpy rounds whole numbers silently
+        for value in np.asarray(values, dtype=object).flat:  # numpy silently rounds integers among floats
             if isinstance(value, int) and abs(value) > WHOLE:
-                raise TraceError(f"signal {name} holds {value}: whole numbers beyond 2^53 may have no double")
+                why = "integers beyond 2^53 may not be representable as doubles"
+                raise TraceError(f"signal {name} contains {value}: {why}")
     return array

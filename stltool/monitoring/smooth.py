@@ -5,22 +5,22 @@
     smax(x₁ … x_n) = 1/β log Σ exp(βx_i)           max ≤ smax ≤ max + log(n)/β
     smin(x₁ … x_n) = −1/β log Σ exp(−βx_i)         min − log(n)/β ≤ smin ≤ min
 
-in the place of every max and min of the robustness: F, or: smax; G, and: smin. smax is associative, so windows are put
-together of disjoint windows of 2^k steps, in O(log w) passes (disjoint, as it counts twice what overlaps). Until is put
-together in the same way, of the pairs of blocks.py:
+in place of every max and min of the robustness: F, or: smax; G, and: smin. smax is associative, so windows are composed
+of disjoint windows of 2^k steps, in O(log w) passes (disjoint, since overlaps would count twice). Until is composed in
+the same way from the pairs of blocks.py:
 
     (A₁,B₁) ∘ (A₂,B₂) = (smin(A₁,A₂), smax(B₁, smin(A₁,B₂)))
 
-which is no soft extremum over all witnesses: smin does not distribute over smax, and that one costs n·w.
+which is not a soft extremum over all witnesses: smin does not distribute over smax, and that extremum would cost n·w.
 
 Bounds. Each value v of a formula at a step comes with O, N, U, M such that the exact robustness r obeys
 
     v − O − log(N)/β ≤ r ≤ v + U + log(M)/β
 
 smax of such values: O = max O_i, N = Σ N_i, since nested smax are one flat smax; U = max(U_i + log(M_i)/β), M = 1. smin
-is its mirror. The four depend on the step (windows may be cut at the end), not on the trace. Rounding: a soft extremum
+is symmetric. The four depend on the step (windows may be cut at the end), not on the trace. Rounding: a soft extremum
 of two doubles is off by less than 64u(|v| + log(2)/β), u = 2⁻⁵³, and extrema are 1-Lipschitz, so these add up along the
-deepest path; the margins' own errors (comparisons.py) come on top, for every trace its largest.
+deepest path; the margins' own errors (comparisons.py) are added, the largest for each trace.
 """
 
 from __future__ import annotations
@@ -77,9 +77,9 @@ class SmoothRobustness(Displayed):
 def smooth_robustness(
     phi: Formula | Task, signals: Mapping[str, ArrayLike], beta: float, end: End = "error"
 ) -> SmoothRobustness:
-    """Robustness with log-sum-exp in the place of max and min [Wang24, eq. 8], β from 1e-100 to 1e100.
+    """Robustness with log-sum-exp in place of max and min [Wang24, eq. 8], β from 1e-100 to 1e100.
 
-    Signals and ends as for `monitor`, whose errors it raises too; SettingsError for another β. Under "hold" a held
+    Signals and ends are as for `monitor`, and so are errors; SettingsError for β out of range. Under "hold" a held
     sample counts once for every step of a window, so an interval without end is refused there.
     """
     if not 1e-100 <= (beta := float(real(beta, "beta", "10"))) <= 1e100:
@@ -107,9 +107,9 @@ def smooth_robustness(
 
 @dataclass(frozen=True, slots=True)
 class _Soft:
-    """Values (rows, steps), with O, log N, U, log M of the module's text: (steps,) each, or numbers for all steps.
+    """Values (rows, steps), with O, log N, U, log M of the module docstring: (steps,) each, or numbers for all steps.
 
-    `size` (rows, 1) is at least every finite |v|, `error` (rows, 1) at least what rounding has moved a value.
+    `size` (rows, 1) is at least every finite |v|, `error` (rows, 1) bounds the effect of rounding on a value.
     """
 
     values: Floats
@@ -134,7 +134,7 @@ class _Soft:
         return _Soft(-self.values, self.under, self.log_m, self.over, self.log_n, self.size, self.error)
 
     def padded(self, steps: int, value: float) -> _Soft:
-        """With so many steps of a neutral element behind: it counts nothing."""
+        """With this many steps of a neutral element appended, which count as nothing."""
         values = np.hstack([self.values, np.full((len(self.values), steps), value)])
         over, under = (np.append(bound, np.zeros(steps)) for bound in (self.over, self.under))
         log_n, log_m = (np.append(count, np.full(steps, -np.inf)) for count in (self.log_n, self.log_m))
@@ -142,7 +142,7 @@ class _Soft:
 
 
 def _run(instructions: tuple[Instruction, ...], block: Block, beta: float) -> tuple[Floats, Floats, Floats]:
-    """Soft robustness at the block's decided steps, and the exact one's lower and upper bounds."""
+    """Soft robustness at the block's decided steps, and lower and upper bounds on the exact one."""
     soft = _Machine(block, beta)
     values: dict[int, _Soft] = {}
     for number, now in enumerate(instructions):
@@ -219,11 +219,11 @@ class _Machine:
             case _:
                 assert_never(atom)
         finite = np.where(np.isfinite(values), np.abs(values), 0.0)
-        zeros = np.zeros(n) if self.block.end == "cut" else np.float64(0.0)  # whole windows are alike
+        zeros = np.zeros(n) if self.block.end == "cut" else np.float64(0.0)  # all windows are full, hence equal
         return _Soft(values, zeros, zeros, zeros, zeros, np.max(finite, axis=1, keepdims=True), error)
 
     def closed(self, bound: Bound, log_count: Bound) -> Bound:
-        """`bound` + log(count)/β, rounded up; an empty count is one of no error."""
+        """`bound` + log(count)/β, rounded up; an empty count has no error."""
         closed: Bound = (bound + np.maximum(log_count, 0.0) / self.beta) * _WIDER
         return closed
 
@@ -243,7 +243,7 @@ class _Machine:
         return -self.smax(-x, -y)
 
     def window(self, x: _Soft, width: int) -> _Soft:
-        """smax over t … t+width−1, put together of disjoint windows of 2^k steps, the shortest first."""
+        """smax over t … t+width−1, composed of disjoint windows of 2^k steps, the shortest first."""
         result, covered, span = x, 0, 1
         while True:
             if width & span:
@@ -256,7 +256,7 @@ class _Machine:
             span *= 2
 
     def until(self, A: _Soft, B: _Soft, width: int) -> _Soft:
-        """left U[0,width−1] right, of disjoint pairs in the same way."""
+        """left U[0,width−1] right, from disjoint pairs in the same way."""
         firsts, result, covered, span = A, B, 0, 1
         while True:
             if width & span:
@@ -272,7 +272,7 @@ class _Machine:
 
 
 def _soft_maximum(x: Floats, y: Floats, beta: float) -> Floats:
-    """1/β log(exp(βx) + exp(βy)); infinities are what max makes of them, NaN spreads."""
+    """1/β log(exp(βx) + exp(βy)); infinities behave as under max, and NaN propagates."""
     high = np.maximum(x, y)
     apart = high - np.minimum(x, y)
     np.fmax(apart, 0.0, out=apart)  # equal infinities

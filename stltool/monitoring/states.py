@@ -1,4 +1,4 @@
-"""Boolean formulas over arrays: the truth of ψ at every state of a model, exactly as the slow semantics has it."""
+"""Boolean formulas over arrays: the truth of ψ at every state of a model, exactly as in the slow semantics."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ Booleans: TypeAlias = NDArray[np.bool_]
 def truth(psi: Formula, signals: Mapping[str, Reals], labels: Mapping[str, Booleans], n: int) -> Booleans:
     """The truth of a formula without temporal operators at each of n states, (n,) bool.
 
-    `signals` and `labels` hold arrays (n,) for every name in ψ. A state is to ψ what a trace of one step is to a
-    monitor. Raises TraceError at a state whose truth hangs on a term without value.
+    `signals` and `labels` contain arrays (n,) for every name in ψ. A state is judged like a trace of one step. Raises
+    TraceError if the truth at a state depends on a term without a value.
     """
     if is_temporal(psi):
         raise ValueError(f"{psi} is temporal; it has no truth at a single state")

@@ -1,4 +1,4 @@
-"""Results → JSON, HTML, terminal. The HTML page is made from the JSON alone, so it can be made again."""
+"""Results → JSON, HTML, terminal. The HTML page is made from the JSON only, so it can be rebuilt."""
 
 from stltool.reporting.curves import write_history
 from stltool.reporting.data import check_data, estimate_data, product_data, report_data, training_data

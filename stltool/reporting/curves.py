@@ -1,4 +1,4 @@
-"""Learning curves: a run's as a CSV file, and several runs' as median and quartiles."""
+"""Learning curves: of one run as a CSV file, and of several runs as median and quartiles."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def write_history(training: Training, path: str | Path) -> None:
 
 
 def require_history_file(path: str | Path) -> None:
-    """An error, before the work, where a learning curve could not be written after it."""
+    """Raise an error, before the work, if the learning curve could not be written after it."""
     require_own(path, "learning curve", _is_history)
     require_folder(Path(path).parent)
 
@@ -39,7 +39,7 @@ def _is_history(path: Path) -> bool:
 
 
 def write_csv(path: str | Path, heading: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """A CSV file, whole or not at all; None is an empty cell."""
+    """Write a CSV file, whole or not at all; None is an empty cell."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(heading)
@@ -48,10 +48,10 @@ def write_csv(path: str | Path, heading: Sequence[str], rows: Iterable[Sequence[
 
 
 def quartile_curves(curves: Sequence[tuple[Sequence[int], Sequence[float]]]) -> dict[str, list[float]]:
-    """Curves (steps, probabilities), one a seed, as steps, q1, median and q3 over the seeds.
+    """Curves (steps, probabilities), one per seed, as steps, q1, median and q3 over the seeds.
 
-    From where every seed has been evaluated, at each seed's evaluations: a seed's probability is its latest, and one
-    that stopped early keeps that of the policy that it stopped with.
+    The points are the evaluations of all seeds, from where every seed has been evaluated: the probability of a seed is
+    its latest, and a seed that stopped early keeps that of its final policy.
     """
     steps = np.unique(np.concatenate([np.asarray(at) for at, _ in curves]))
     steps = steps[steps >= max(at[0] for at, _ in curves)]

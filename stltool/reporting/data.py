@@ -1,4 +1,4 @@
-"""Results as plain data: what `--json` prints and what a report is made from."""
+"""Results as plain data: printed by `--json`, and the source of reports."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from stltool.reporting.runs import likely_data, sensitivity_data
 
 FORMAT, SWEEP_FORMAT = "stltool-report-1", "stltool-sweep-1"
 _LIKELY, _SENSITIVE = 5, 5  # runs and states that a report shows
-_MOST_EDGES = 1e7  # of the unfolded product, at most: some seconds; beyond, `stltool why` may still be asked
+_MOST_EDGES = 1e7  # of the unfolded product, at most (some seconds); beyond, `stltool why` can still be used
 
 
 def product_data(product: Product) -> dict[str, Any]:
@@ -72,7 +72,7 @@ def part_data(automaton: TaskAutomaton) -> list[dict[str, Any]]:
 
 
 def encoding_sizes(automaton: TaskAutomaton) -> dict[str, Any]:
-    """How many states the other encodings of the same formula would have; None where there is no such encoding."""
+    """How many states the other encodings of the same formula would have; None if there is no such encoding."""
     flags: int | None
     try:
         flags = math.prod(part.tau + 1 for part in check_fragment(automaton.formula).parts)
@@ -83,10 +83,10 @@ def encoding_sizes(automaton: TaskAutomaton) -> dict[str, Any]:
 
 
 def disagreement_data(automaton: TaskAutomaton) -> dict[str, Any] | None:
-    """A shortest trace on which an automaton and its formula disagree, told by labels and comparisons; None if none.
+    """A shortest trace on which an automaton and its formula disagree, in labels and comparisons; None if none.
 
-    Only valuations that the automaton knows occur: with a model, those of its states. Without one, comparisons are
-    taken as independent of each other. Raises SizeError when the search would be too large.
+    Only valuations that the automaton accepts occur: with a model, those of its states. Without one, comparisons are
+    treated as independent of each other. Raises SizeError if the search would be too large.
     """
     leaves = list(dict.fromkeys(n for n in walk(automaton.formula) if isinstance(n, Label | Comparison)))
     valuations = all_valuations(len(leaves))
@@ -147,7 +147,7 @@ def estimate_data(
     policy: Policy,
     exact: CheckResult | None = None,
 ) -> dict[str, Any]:
-    """One statistical check, flat; `exact` is the same policy's exact check, to be shown beside it."""
+    """One statistical check, flat; `exact` is the exact check of the same policy, shown next to it."""
     inside, decided = None, {}
     if isinstance(result, SequentialTest):
         decided = {"holds": result.verdict == "holds"}
@@ -167,7 +167,7 @@ def estimate_data(
 
 
 def _finite(data: dict[str, Any]) -> dict[str, Any]:
-    """JSON has no infinity: a ratio that is infinite is left out."""
+    """JSON has no infinity: an infinite ratio is omitted."""
     return {key: value for key, value in data.items() if not (isinstance(value, float) and math.isinf(value))}
 
 
@@ -200,20 +200,20 @@ def report_data(
     guarantees: Sequence[Guarantee | Estimate | dict[str, Any]] = (),
     product: Product | None = None,
 ) -> dict[str, Any]:
-    """Everything a report shows. `source` is the task file's text, `command` what repeats the run.
+    """Everything a report shows. `source` is the text of the task file, `command` the command that repeats the run.
 
-    `estimates` of the policy shown (the given one, else the optimal one) stand beside its exact probability, and so do
-    `guarantees` for it from data: as found, or as `guarantee_data` tells them. A black box has no results: its report
-    opens with the first of `guarantees`, of the policy of `training`, on `product` (default: the policy's own).
+    `estimates` of the policy shown (the given one, else the optimal one) appear next to its exact probability, and so
+    do `guarantees` for it from data: as found, or in the form of `guarantee_data`. A black box has no results: its
+    report opens with the first of `guarantees`, for the policy of `training`, on `product` (default: the policy's own).
     """
     if results:
         shown = next((r for r in results if r.question == "policy"), results[0])
         policy, home = shown.policy, results[0].product
     elif training is not None and guarantees:
-        policy, home = training.policy, cast(Product, training.policy.home)  # learners know no joint products
+        policy, home = training.policy, cast(Product, training.policy.home)  # learners do not support joint products
     else:
         raise SettingsError(
-            "a report needs at least one check result, or of a black box a training and a guarantee for its policy"
+            "a report needs at least one check result, or, for a black box, a training and a guarantee for its policy"
         )
     product = product if product is not None else home
     for result in results:
@@ -221,9 +221,9 @@ def report_data(
             product.model.digest(),
             product.automaton.digest(),
         ):
-            raise SettingsError("the results of one report belong to one model and one task; write one report for each")
+            raise SettingsError("the results belong to several models or tasks; write one report for each")
     optima = {r.nature: r for r in reversed(results) if r.question != "policy"}
-    points = product.model.intervals is None  # else there is no one distribution to sample from
+    points = product.model.intervals is None  # else there is no single distribution to sample from
     return {
         "format": FORMAT,
         "version": metadata.version("stltool"),
@@ -241,7 +241,7 @@ def report_data(
 
 
 def _why_data(product: Product, policy: Policy) -> dict[str, Any] | None:
-    """The most probable violating runs and the most sensitive states; None where finding them could take long."""
+    """The most probable violating runs and the most sensitive states; None if finding them could take long."""
     branches = 1 if policy.deterministic else policy.table.shape[-1]
     successors = product.model.n_transitions / product.model.n_choices
     if product.horizon * product.n_states * branches * successors > _MOST_EDGES:

@@ -1,4 +1,4 @@
-"""What a task says, as plain data: its tree and horizon, the fragment of [Wang24], misreadings, sizes."""
+"""A task explained as plain data: its tree and horizon, the fragment of [Wang24], possible misreadings, sizes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from stltool.models import MDP
 from stltool.product import build_product
 from stltool.reporting.data import disagreement_data, encoding_sizes, part_data, product_data
 
-_MOST_NODES = 500  # of a tree, told
+_MOST_NODES = 500  # nodes of a tree that are listed
 
 _SIGNS: dict[type, str] = {
     Not: "!", And: "&", Or: "|", Implies: "->", Iff: "<->", Eventually: "F", Always: "G", Until: "U",
@@ -42,13 +42,13 @@ _SIGNS: dict[type, str] = {
 
 
 def explain(task: Formula | Task, *, model: MDP | None = None, encoding: Encoding = "exact") -> dict[str, Any]:
-    """What a task says, as JSON-able data; with a model also the sizes of the automaton and the product on it.
+    """The structure of a task as JSON-compatible data; with a model also the sizes of automaton and product.
 
-    `tree` nests the operators: each has its `operator`, `horizon`, place (`line`, `column`) and `operands`.
-    `ambiguities` are texts that other tools would read differently; `meaning` says whether the task can hold and fail
-    at all and which of its parts do not matter, before any model, and `warnings` the same in words. `fragment` is the
-    decomposition along the paper's fragment, or its refusal, which names the smallest sub-formula at fault; `automaton`
-    is there where no automaton could be built.
+    `tree` nests the operators: each has its `operator`, `horizon`, position (`line`, `column`) and `operands`.
+    `ambiguities` are texts that other tools would read differently; `meaning` states whether the task can hold and fail
+    at all and which of its parts are vacuous, before any model, and `warnings` states the same in words. `fragment` is
+    the decomposition along the paper's fragment, or its refusal, which names the smallest sub-formula at fault;
+    `automaton` is present if no automaton could be built.
     """
     require(model, MDP, "explain's model", optional=True)
     one_of(encoding, "encoding", ENCODINGS)
@@ -75,7 +75,7 @@ def explain(task: Formula | Task, *, model: MDP | None = None, encoding: Encodin
 
 
 def _text_data(task: Task) -> dict[str, Any]:
-    from stltool.logic.lint import ambiguities  # which reads trees of lark, slow to load
+    from stltool.logic.lint import ambiguities  # imports lark, which is slow to load
 
     steps = horizon(task.formula) if is_bounded(task.formula) else None
     return {
@@ -91,7 +91,7 @@ def _text_data(task: Task) -> dict[str, Any]:
 
 
 def tree_data(phi: Formula) -> dict[str, Any]:
-    """The operators of a formula, nested, each with its horizon and place; cut after the first few hundred."""
+    """The operators of a formula, nested, each with its horizon and position; cut after the first few hundred."""
     budget = [_MOST_NODES]
     return _tree(phi, budget)
 

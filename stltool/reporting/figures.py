@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _CURVE, _OPTIMUM = "#2166ac", "#b2182b"
-_HIGH = 0.98  # a curve that comes as high shows its distance from 1, too
-_MARKED = 300  # evaluations, at most, that are marked one by one
-_POINT, _SMALL = 1e-9, 0.3  # a front that reaches over more and less of both axes than these is shown enlarged
+_HIGH = 0.98  # a curve that gets this high shows its distance from 1, too
+_MARKED = 300  # at most this many evaluations are marked one by one
+_POINT, _SMALL = 1e-9, 0.3  # a front that spans more than the first and less than the second is enlarged
 _POWERS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 @drawing()
 def learning_curve(history: Sequence[Mapping[str, Any]], optimum: float | None = None) -> str:
-    """Exact probability of the greedy policy over environment steps, with the optimum; where it comes near 1, also
+    """Exact probability of the greedy policy over environment steps, with the optimum; if it comes near 1, also
     1 − P on a logarithmic axis. `history`: `steps` and `probability` of each evaluation."""
     steps, values = (_reals([point[key] for point in history]) for key in ("steps", "probability"))
     near = bool(values.max() >= _HIGH and (values < 1).any())
@@ -51,7 +51,7 @@ def learning_curve(history: Sequence[Mapping[str, Any]], optimum: float | None =
 
 
 def _distance_axis(axes: Axes, steps: Any, distances: Any, least: float | None) -> None:
-    """A logarithmic axis of 1 − P over whole powers of ten; where that is 0, a triangle at its lower end."""
+    """A logarithmic axis of 1 − P over integer powers of ten; a triangle at its lower end for 0."""
     positive = [*distances[distances > 0], *([least] if least else [])]
     low = 10 ** np.floor(np.log10(min(positive)) - 0.1)
     axes.set(yscale="log", ylim=(low, 1.3 * 10 ** np.ceil(np.log10(max(positive)))), ylabel="1 − P(task)")
@@ -69,7 +69,7 @@ def _distance_axis(axes: Axes, steps: Any, distances: Any, least: float | None) 
 
 @drawing()
 def pareto_front(data: dict[str, Any], kind: str) -> str | bytes:
-    """The corners of a front (`front_data`) and what lies below them; a small front is shown enlarged.
+    """The corners of a front (`front_data`) and the area below them; a small front is shown enlarged.
 
     `kind` is svg, png or pdf.
     """
@@ -98,14 +98,14 @@ def pareto_front(data: dict[str, Any], kind: str) -> str | bytes:
     axes.locator_params(nbins=5)
     axes.grid(alpha=0.25)
     axes.legend(loc="lower left", frameon=False)
-    return picture(figure, kind, "front", "the pairs of probabilities that two tasks can have at best")
+    return picture(figure, kind, "front", "the best pairs of probabilities for two tasks")
 
 
 @drawing()
 def learning_curves(data: dict[str, Any], kind: str) -> str | bytes:
-    """A sweep's exact learning curves, a panel a scenario: median and quartiles over the seeds, the optimum dashed.
+    """A sweep's exact learning curves, a panel per scenario: median and quartiles over the seeds, the optimum dashed.
 
-    Where curves coincide, each is seen beside the narrower ones on it. `kind` is svg, png or pdf.
+    Where curves coincide, each remains visible under the narrower ones on it. `kind` is svg, png or pdf.
     """
     from stltool.reporting.sweeps import panel_title
 
@@ -165,7 +165,7 @@ def line_chart(chart: Mapping[str, Any], salt: str) -> str:
 
 
 def _reals(values: object) -> NDArray[np.float64]:
-    """Numbers; ValueError for texts, of which matplotlib would make an axis."""
+    """Numbers; ValueError for strings, which matplotlib would turn into a categorical axis."""
     return np.array(values, dtype=np.float64)
 
 

@@ -1,7 +1,8 @@
-"""The floor of a grid world with its labels, and a run on it: in each cell the steps at which the run was there.
+"""The floor of a grid world with its labels, and a run on it: each cell shows the steps at which the run is there.
 
-However long a run is, what it says of a cell stands in that cell: steps in a row are one range, ranges that do not fit
-are left out from the middle, and a cell too small for text has a dot. Arrows are the moves between cells, each once.
+However long a run is, its steps in a cell are written in that cell: consecutive steps form one range, ranges that do
+not fit are omitted from the middle, and a cell too small for text has a dot. Arrows are the moves between cells, each
+drawn once.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ if TYPE_CHECKING:
 _LABEL_COLOURS = ("#9ecae1", "#fdae6b", "#a1d99b", "#bcbddc", "#fa9fb5", "#fee391", "#c7e9c0", "#d9d9d9")
 _BLOCKED, _GRID, _RUN = "#4a4a4a", "#cccccc", "#b2182b"
 _LEFT, _RIGHT, _BOTTOM, _TOP, _LEGEND = 0.55, 0.15, 0.5, 0.15, 1.5  # inches around the floor
-_SMALL = 22.0  # points; a smaller cell has no text, and a legend says what the colours are
-_TEXT = 5.0  # points; smaller text is not read
-_MOST = 100  # ranges that a cell has room for
-_CENTRE = 0.44  # of a cell's height, where its steps stand; its caption is above
-_CAPITALS, _LINE = 0.73, 1.2  # of a font's size: the height of capitals and digits, and from line to line
+_SMALL = 22.0  # points; a smaller cell has no text, and a legend explains the colours
+_TEXT = 5.0  # points; smaller text is illegible
+_MOST = 100  # ranges that fit into a cell
+_CENTRE = 0.44  # of a cell's height: the position of its steps; its caption is above
+_CAPITALS, _LINE = 0.73, 1.2  # of a font's size: the height of capitals and digits, and the line spacing
 
 Cell: TypeAlias = tuple[int, int]
 """Column and row."""
@@ -44,7 +45,7 @@ class _Sheet:
     points: float
 
     def write(self, x: float, y: float, text: str, size: float, name: str, **style: Any) -> None:
-        """A line of text with its capitals' lower edge at y."""
+        """A line of text with its baseline at y."""
         self.axes.text(x, y, text, fontsize=size, va="baseline", gid=name, **style)
 
     def shapes(self, shapes: Sequence[Points], name: str, closed: bool = True, **style: Any) -> None:
@@ -56,8 +57,8 @@ class _Sheet:
 
 @drawing()
 def floor_map(floor: dict[str, Any], states: Sequence[int] | None = None, salt: str = "floor") -> str:
-    """The floor as SVG, with the run through `states`. `floor`: width and height in cells; of each state its `column`
-    and `row`; `labels`, the states of each; `initial` states. Cells that no state stands for are blocked."""
+    """The floor as SVG, with the run through `states`. `floor`: width and height in cells; for each state its `column`
+    and `row`; `labels` with their states; `initial` states. Cells without a state are blocked."""
     width, height = floor["width"], floor["height"]
     cells: list[Cell] = list(zip(floor["column"], floor["row"], strict=True))
     side = max(width, height, 1)
@@ -89,7 +90,7 @@ def floor_map(floor: dict[str, Any], states: Sequence[int] | None = None, salt: 
 
 
 def _every(points: float) -> int:
-    """Every how many cells an axis has a number: 1, 2, 5, 10, …"""
+    """The distance in cells between numbers on an axis: 1, 2, 5, 10, …"""
     steps = (k * int(10**e) for e in itertools.count() for k in (1, 2, 5))
     return next(n for n in steps if n * points >= 20)
 
@@ -99,7 +100,7 @@ def _colour(i: int) -> str:
 
 
 def _captions(floor: dict[str, Any], cells: Sequence[Cell]) -> dict[Cell, str]:
-    """What is written in each cell: its labels, and "start" where a run can start."""
+    """The caption of each cell: its labels, and "start" if a run can start there."""
     found: dict[Cell, list[str]] = {}
     for name, states in [*floor["labels"].items(), ("start", floor["initial"])]:
         for s in states:
@@ -108,7 +109,7 @@ def _captions(floor: dict[str, Any], cells: Sequence[Cell]) -> dict[Cell, str]:
 
 
 def _legend(floor: dict[str, Any], states: Sequence[int] | None) -> list[Patch]:
-    """What the colours of cells without captions are."""
+    """The legend for the colours of cells without captions."""
     patches = [Patch(facecolor=_colour(i), label=shown(name, 20)) for i, name in enumerate(floor["labels"])]
     if states is not None and len(states):
         patches.append(Patch(facecolor="white", edgecolor=_RUN, label="the run's start"))
@@ -117,7 +118,7 @@ def _legend(floor: dict[str, Any], states: Sequence[int] | None) -> list[Patch]:
 
 
 def _draw_cells(sheet: _Sheet, floor: dict[str, Any], cells: Sequence[Cell]) -> None:
-    """Free cells white, those of a label in its colour; a cell of several labels is parted between them."""
+    """Free cells white, those of a label in its colour; a cell with several labels is divided between them."""
     style: dict[str, Any] = {"edgecolor": _GRID, "linewidth": 0.6, "zorder": 1}
     sheet.shapes([_box(*cell, 1, 1) for cell in cells], "cells", facecolor="white", **style)
     labelled: dict[Cell, list[int]] = {}
@@ -134,7 +135,7 @@ def _draw_cells(sheet: _Sheet, floor: dict[str, Any], cells: Sequence[Cell]) -> 
 
 
 def _draw_captions(sheet: _Sheet, captions: dict[Cell, str], moves: Sequence[tuple[Cell, Cell]]) -> None:
-    """In a cell's upper left corner; in its right one where a diagonal move passes the left one alone."""
+    """Captions in the upper left corner of a cell; in the right one if a diagonal move passes only the left one."""
     size = min(10.0, max(_TEXT, 0.15 * sheet.points))
     passed = {(max(c, d), max(r, q)) for (c, r), (d, q) in moves if abs(c - d) == abs(r - q) == 1}
     for (column, row), text in captions.items():
@@ -145,9 +146,9 @@ def _draw_captions(sheet: _Sheet, captions: dict[Cell, str], moves: Sequence[tup
 
 
 def _draw_moves(sheet: _Sheet, moves: Sequence[tuple[Cell, Cell]]) -> None:
-    """Lines from cell to cell, each beside that of the move back, with heads at the border.
+    """Arrows from cell to cell, each next to that of the move back, with heads at the border.
 
-    Those of diagonal moves are in the upper cell: the lower one has its caption there.
+    The heads of diagonal moves are in the upper cell, since the lower one has its caption there.
     """
     lines, heads = [], []
     for a, b in moves:
@@ -207,7 +208,7 @@ def visits(path: Sequence[Cell]) -> dict[Cell, list[tuple[int, int]]]:
 def _steps_text(
     ranges: Sequence[tuple[int, int]], wide: float, high: float, largest: float
 ) -> tuple[list[str], float] | None:
-    """The lines and the size of a text with the ranges, within so many points; None where none would be legible."""
+    """The lines and the size of a text with the ranges, within so many points; None if none would be legible."""
     texts = [str(a) if a == b else f"{a}–{b}" for a, b in ranges]
     sizes = np.arange(min(9.0, max(_TEXT, largest)), _TEXT - 0.01, -0.5).tolist()
     for words, size in itertools.chain(((_listed(texts), size) for size in sizes), _shorter(texts, sizes[-1])):
@@ -222,7 +223,7 @@ def _listed(texts: Sequence[str]) -> list[str]:
 
 
 def _shorter(texts: Sequence[str], size: float) -> Iterator[tuple[list[str], float]]:
-    """The first ranges, the last one and how many there are; ever fewer of them, then the beginning alone."""
+    """The first ranges, the last one and their number; ever fewer of them, finally only the beginning."""
     for some in range(min(len(texts) - 2, _MOST), 0, -1):
         yield [*_listed(texts[:some]), "…", texts[-1], f"({len(texts)}×)"], size
     yield [f"{texts[0]}, …" if len(texts) > 1 else f"{texts[0].split('–')[0]}–…"], size
@@ -230,7 +231,7 @@ def _shorter(texts: Sequence[str], size: float) -> Iterator[tuple[list[str], flo
 
 
 def _wrapped(words: Sequence[str], size: float, points: float, most: int) -> list[str] | None:
-    """Words in as few lines as they fit in; None where that is more than `most`, or a word longer than a line."""
+    """Words in as few lines as possible; None if these are more than `most`, or a word is longer than a line."""
     lines = [""]
     for word in words:
         longer = f"{lines[-1]} {word}".strip()

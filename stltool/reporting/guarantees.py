@@ -1,4 +1,4 @@
-"""Guarantees from data as plain data, and as the rows that terminal and report show beside the exact value."""
+"""Guarantees from data as plain data, and as the rows that terminal and report show next to the exact value."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def guarantee_data(found: Guarantee | Estimate) -> dict[str, Any]:
             "assumes": found.assumes,
         }
     elif found.side == "upper":
-        raise SettingsError('an estimate of side "upper" guarantees nothing; make it with side="lower"')
+        raise SettingsError('an estimate with side="upper" gives no lower bound; make it with side="lower"')
     else:
         details = {
             "source": "fresh runs",
@@ -37,7 +37,7 @@ def guarantee_data(found: Guarantee | Estimate) -> dict[str, Any]:
 
 
 def guarantee_rows(guarantees: Sequence[dict[str, Any]], checks: Sequence[dict[str, Any]] = ()) -> list[dict[str, Any]]:
-    """What is shown of `guarantee_data`; the exact check of the policy, where `checks` have one, comes first."""
+    """The rows shown for `guarantee_data`, preceded by the exact check of the policy if `checks` has one."""
     rows = [
         {
             "guaranteed_by": "exact check",

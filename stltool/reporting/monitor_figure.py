@@ -1,7 +1,7 @@
 """A monitored trace as a picture: signals with their predicates, labels, robustness and verdicts over one time axis.
 
-More samples than the picture has columns are drawn by envelopes, never by leaving some out: a curve goes through the
-least and the greatest value of each column, and a column with any violated step is violated.
+If there are more samples than columns in the picture, envelopes are drawn and no sample is omitted: a curve goes
+through the least and the greatest value of each column, and a column with any violated step is violated.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ if TYPE_CHECKING:
 Reals: TypeAlias = NDArray[np.float64]
 Booleans: TypeAlias = NDArray[np.bool_]
 
-COLUMNS = 1500  # of the time axis, each a step or an envelope of several
+COLUMNS = 1500  # columns of the time axis, each a step or an envelope of several
 PANELS, LANES, PREDICATES = 8, 12, 6  # signals, labels, and predicates on one signal, at most
 HOLDS, VIOLATED, UNJUDGED = "#0072b2", "#d55e00", "#cccccc"  # Okabe and Ito's blue and vermillion
 _PREDICATES = ("#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a7000", "#7f7f7f")
 _LABEL, _SMALL, _TINT = "#5f7f9f", 8, 0.11
-_LARGEST = 1e100  # what is beyond is drawn there: matplotlib computes with differences
-_TALL = 88  # points of a panel, along which a signal's name is written
+_LARGEST = 1e100  # larger values are drawn here: matplotlib computes differences
+_TALL = 88  # height of a panel in points, along which a signal's name is written
 _LONGEST = 120  # characters of a formula in the title; half of it in a legend
 
 
@@ -55,8 +55,8 @@ _LONGEST = 120  # characters of a formula in the title; half of it in a legend
 class Threshold:
     """Where on a signal's axis the truth of a comparison changes, and on which side it is true.
 
-    `side` is "above" or "below" the one value, "between" or "outside" of two, and "anywhere" where the signal alone
-    does not tell.
+    `side` is "above" or "below" one value, "between" or "outside" two, and "anywhere" if the signal alone does not
+    determine it.
     """
 
     values: tuple[float, ...] = ()
@@ -84,7 +84,7 @@ def monitor_figure(
     trace: int | None = None,
     at: int | None = None,
 ) -> Figure:
-    """One trace (of a batch: `trace`) as a matplotlib figure; step `at` or the first violation is marked."""
+    """One trace (in a batch: number `trace`) as a matplotlib figure; step `at` or the first violation is marked."""
     verdicts, robustness = both(result)
     if trace is not None:
         verdicts, robustness = verdicts[trace], robustness[trace]
@@ -112,7 +112,7 @@ def monitor_figure(
         if panel.get_legend_handles_labels()[0]:
             legend = panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.05), fontsize=_SMALL, frameon=False)
             for handle in legend.legend_handles:
-                handle.set_alpha(1.0)  # where a tint would hardly show
+                handle.set_alpha(1.0)  # a tint would hardly be visible
     hidden = [
         f"{drawn} of the {all_} {what} are shown"
         for drawn, all_, what in ((len(panels), len(names), "signals"), (len(lanes), len(labels), "labels"))
@@ -147,7 +147,7 @@ def _signal_panel(
     comparisons: Sequence[Comparison],
     colours: dict[Comparison, str],
 ) -> None:
-    """The curve, each predicate's thresholds dashed, and its side of them tinted at the steps where it holds."""
+    """The curve, with each predicate's thresholds dashed, and its side of them tinted at steps where it holds."""
     values = signals[name].astype(np.float64)
     xs, ys = envelope(values)
     few, whole = len(values) <= 150, len(xs) == len(values)
@@ -161,7 +161,7 @@ def _signal_panel(
         text = shown(str(node), _LONGEST // 2)
         try:
             truth = monitor(node, signals, semantics="boolean").verdicts
-        except TraceError:  # no value at a step that the formula does not look at, such as 1/0
+        except TraceError:  # no value, such as 1/0, at a step that the formula does not evaluate
             truth, text = np.zeros(len(values), dtype=np.bool_), f"{text} (has gaps)"
         assert truth is not None  # asked for
         for i, (bottom, top) in enumerate(_sides(test, low, high)):
@@ -176,7 +176,7 @@ def _signal_panel(
 
 
 def _bands(axes: Axes, truth: Booleans, bottom: float, top: float, colour: str, label: str | None) -> None:
-    """Light where a column has a step that holds, less light where all its steps do."""
+    """A light tint for columns with a step that holds, a stronger one if all their steps do."""
     some, every = coarse(truth, np.logical_or), coarse(truth, np.logical_and)
     for ranges, text, name in ((some, label, "some"), (every, None, "every")):
         axes.broken_barh(
@@ -185,7 +185,7 @@ def _bands(axes: Axes, truth: Booleans, bottom: float, top: float, colour: str, 
 
 
 def _sides(test: Threshold, low: float, high: float) -> list[tuple[float, float]]:
-    """What of a panel from `low` to `high` is tinted."""
+    """The tinted ranges of a panel from `low` to `high`."""
     first, *rest = [min(max(level, low), high) for level in test.values] or [low]
     match test.side:
         case "above":
@@ -201,7 +201,7 @@ def _sides(test: Threshold, low: float, high: float) -> list[tuple[float, float]
 
 
 def _limits(values: Reals, levels: Sequence[float]) -> tuple[float, float]:
-    """What of the axis to show: all values, and those levels beside which they are more than a flat line."""
+    """The range of the axis: all values, and those levels next to which they are more than a flat line."""
     low, high = float(values.min()), float(values.max())
     reach = 3 * (high - low) or math.inf
     near = [level for level in levels if max(low - reach, -_LARGEST) <= level <= min(high + reach, _LARGEST)]
@@ -242,7 +242,7 @@ def _robustness_panel(axes: Axes, robustness: Reals) -> None:
 
 
 def _verdict_strip(axes: Axes, verdicts: Booleans, n_steps: int) -> None:
-    """Violated steps stand taller than others, so that they are told apart without colours too."""
+    """Violated steps are drawn taller than others, so that they can be distinguished without colours."""
     violated = coarse(~verdicts, np.logical_or)
     holding = coarse(verdicts, np.logical_and)
     if len(holding):
@@ -258,14 +258,14 @@ def _verdict_strip(axes: Axes, verdicts: Booleans, n_steps: int) -> None:
 
 
 def _mark(panels: Iterable[Axes], step: int | None, verdicts: Booleans, first: bool) -> None:
-    """A dotted line through all panels at the first violation, or at the step that was asked for."""
+    """A dotted line through all panels at the first violation, or at the requested step."""
     if step is None:
         return
     colour = HOLDS if verdicts[step] else VIOLATED
     *_, strip = panels
     for panel in panels:
         panel.axvline(step, color=colour, linewidth=1.0, linestyle=":", zorder=4, gid="mark")
-    text = f"first violated: step {step}" if first else f"asked: step {step}"
+    text = f"first violated: step {step}" if first else f"selected: step {step}"
     strip.plot(step, 1.3, marker="v", color=colour, markersize=7, linestyle="", clip_on=False, label=text, gid="first")
 
 

@@ -21,10 +21,10 @@ _RANGES, _TRACES = 5, 20  # rows of the terminal's tables
 
 
 def monitor_data(result: MonitorResult, task: Task, trace: str | Path, at: int | None = None) -> dict[str, Any]:
-    """Verdicts and robustness of all judged steps, or of step `at` alone, with what they come to.
+    """Verdicts and robustness of all judged steps, or only of step `at`, with a summary.
 
-    Of a batch, `verdicts` and `robustness` are lists of lists, the other figures are over all of its traces, and `each`
-    has them trace by trace. Raises SettingsError where `at` is no judged step.
+    For a batch, `verdicts` and `robustness` are lists of lists, the other figures are over all traces, and `each` has
+    them trace by trace. Raises SettingsError if `at` is not a judged step.
     """
     whole = both(result)
     judged = whole[0].shape[-1]
@@ -53,14 +53,14 @@ def monitor_data(result: MonitorResult, task: Task, trace: str | Path, at: int |
 
 
 def both(result: MonitorResult) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Verdicts and robustness; SettingsError where only one of them was asked for."""
+    """Verdicts and robustness; SettingsError if only one of them was requested."""
     if result.verdicts is None or result.robustness is None:
-        raise SettingsError('verdicts and robustness are both shown; monitor with semantics="both"')
+        raise SettingsError('verdicts and robustness are both needed; monitor with semantics="both"')
     return result.verdicts, result.robustness
 
 
 def _figures(verdicts: NDArray[np.bool_], robustness: NDArray[np.float64], start: int) -> dict[str, Any]:
-    """What the judged steps of one trace come to; they count from `start`."""
+    """A summary of the judged steps of one trace, which are counted from `start`."""
     violations = np.flatnonzero(~verdicts)
     least = int(robustness.argmin())
     return {
@@ -98,7 +98,7 @@ def _jsonable(values: NDArray[np.float64]) -> list[float | str]:
 
 
 def monitor_facts(data: dict[str, Any]) -> dict[str, str]:
-    """The terminal's first lines: what was judged and what came of it."""
+    """The terminal's first lines: what was judged, and the result."""
     judged, at, traces = data["judged"], data["at"], data["traces"]
     last = judged - 1
     horizon = "none: an interval has no end" if data["horizon"] is None else f"{data['horizon']}"
@@ -129,8 +129,8 @@ def monitor_facts(data: dict[str, Any]) -> dict[str, str]:
 
 _ENDS = {
     "error": "",
-    "cut": "; windows are cut where the trace ends",
-    "hold": "; the last sample is held where the trace ends",
+    "cut": "; windows are cut at the end of the trace",
+    "hold": "; the last sample is held at the end of the trace",
 }
 
 
@@ -157,7 +157,7 @@ def true_ranges(truth: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def trace_rows(data: dict[str, Any]) -> tuple[list[dict[str, Any]], int]:
-    """The first traces of a batch, a row each, and how many more there are."""
+    """The first traces of a batch, one per row, and how many more there are."""
     rows = []
     for number, figures in enumerate(data["each"][:_TRACES]):
         row = {"trace": number, f"step {data['at'] or 0}": _verdict(figures["verdict"])}
@@ -170,7 +170,7 @@ def trace_rows(data: dict[str, Any]) -> tuple[list[dict[str, Any]], int]:
 
 
 def step_lines(data: dict[str, Any], trace: int | None) -> Iterator[str]:
-    """Every judged step of one trace, a line each, below a heading."""
+    """Every judged step of one trace, one per line, below a heading."""
     verdicts, robustness = data["verdicts"], data["robustness"]
     if trace is not None:
         verdicts, robustness = verdicts[trace], robustness[trace]
@@ -182,24 +182,24 @@ def step_lines(data: dict[str, Any], trace: int | None) -> Iterator[str]:
 
 
 def shown_trace(data: dict[str, Any], asked: int | None) -> int | None:
-    """Which trace of a batch to show: the one asked for, else the first that violates, else the first. None: no batch.
+    """Which trace of a batch to show: the requested one, else the first violating one, else the first. None: no batch.
 
-    Raises SettingsError where there is no such trace.
+    Raises SettingsError if there is no such trace.
     """
     traces = data["traces"]
     if traces is None:
         if asked is not None:
-            raise SettingsError(f"--trace {asked}: {data['trace']} holds a single trace; leave --trace out")
+            raise SettingsError(f"--trace {asked}: {data['trace']} contains a single trace; leave out --trace")
         return None
     if asked is not None:
         if not 0 <= asked < traces:
-            raise SettingsError(f"--trace {asked}: {data['trace']} holds traces 0 … {traces - 1}")
+            raise SettingsError(f"--trace {asked}: {data['trace']} contains traces 0 … {traces - 1}")
         return asked
     return next((number for number, figures in enumerate(data["each"]) if not figures["holds"]), 0)
 
 
 def robustness_text(value: float | str) -> str:
-    """Robustness as people read it; 0 has no sign."""
+    """Robustness in readable form; 0 has no sign."""
     return f"{float(value) + 0.0:.6g}"
 
 
@@ -215,7 +215,7 @@ def _count(n: int, what: str) -> str:
 
 
 def require_monitor_picture(path: Path) -> None:
-    """An error, before the work, where a picture could not be written after it."""
+    """Raise an error, before the work, if the picture could not be written after it."""
     require_picture(path, PICTURES)
 
 
@@ -227,7 +227,7 @@ def write_monitor_picture(
     trace: int | None = None,
     at: int | None = None,
 ) -> None:
-    """Signals, robustness and verdicts over time, of a batch those of `trace`; the old file or the new one."""
+    """Signals, robustness and verdicts over time, for a batch those of `trace`; written whole or not at all."""
     from stltool.reporting.monitor_figure import monitored
 
     require_monitor_picture(path)

@@ -1,4 +1,4 @@
-"""Report data → one self-contained HTML page; written with the JSON it was made from."""
+"""Report data → one self-contained HTML page; written together with the JSON it was made from."""
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ def report(
     guarantees: Sequence[Guarantee | Estimate] = (),
     product: Product | None = None,
 ) -> None:
-    """Write a page at `path` (.html) and beside it the JSON that it is made from.
+    """Write a page at `path` (.html), and next to it the JSON that it is made from.
 
-    results     checks of one task on one model; those of a given policy are shown beside the optimum
-    training    its learning curve
-    source, command   the task file's text, and what repeats the run
+    results     checks of one task on one model; those of a given policy are shown next to the optimum
+    training    a training, for its learning curve
+    source, command   the text of the task file, and the command that repeats the run
     seed        of the run that is shown
     estimates   of the policy shown (the given one, else the optimal one), from runs
     guarantees  for the policy shown, from data. A black box has no results: `stl.report([], training, path,
                 guarantees=[found])` reports the policy of `training`, on `product` (default: the policy's own)
 
-    Raises SettingsError for results of several tasks or models, FileError where the files cannot be written.
+    Raises SettingsError for results of several tasks or models, FileError if the files cannot be written.
     """
     if isinstance(training, str | PathLike):
         raise ArgumentError(
@@ -87,34 +87,35 @@ def write_report(data: dict[str, Any], path: str | Path) -> None:
     """Both files of a report, each whole or not at all; the page is made before either is written."""
     path = Path(path)
     if path.suffix.lower() == ".json":
-        raise FileError(f"{path}: the page needs a name of its own, such as {path.with_suffix('.html').name}")
+        other = path.with_suffix(".html").name
+        raise FileError(f"{path}: the page would replace its JSON file; use another name, such as {other}")
     page = render(data)
     write_atomically(path.with_suffix(".json"), json.dumps(data, indent=1) + "\n")
     write_atomically(path, page)
 
 
 def load_report(path: str | Path) -> dict[str, Any]:
-    """The data of a report's JSON file."""
+    """The data in a report's JSON file."""
     text = read_text(path, "report")
     try:
         data = json.loads(text)
         if data["format"] not in (FORMAT, SWEEP_FORMAT):
             raise KeyError
-        render(data)  # whatever is missing or of another type shows here
+        render(data)  # fails if anything is missing or of another type
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError, jinja2.TemplateError):
         raise FileError(
-            f"{path}: not a report's JSON ({FORMAT}, {SWEEP_FORMAT}); write one with stltool run or sweep"
+            f"{path}: not the JSON file of a report ({FORMAT}, {SWEEP_FORMAT}); write one with stltool run or sweep"
         ) from None
     return dict(data)
 
 
 def render(data: dict[str, Any]) -> str:
-    """The HTML page. The pictures in it are made here, from numbers and names; nothing is loaded from elsewhere, and a
-    content security policy allows nothing but the page's own style sheet."""
+    """The HTML page. Its pictures are made here, from numbers and names; nothing is loaded from elsewhere, and the
+    content security policy allows only the page's own style sheet."""
     if data["format"] == SWEEP_FORMAT:
         return render_sweep(data)
-    why = data.get("why")  # reports of earlier versions have none
-    found = data.get("guarantees")  # nor these
+    why = data.get("why")  # missing in reports of earlier versions
+    found = data.get("guarantees")  # these, too
     return _page(
         "report.html",
         data=data,
@@ -130,7 +131,7 @@ def render(data: dict[str, Any]) -> str:
 
 
 def curve_picture(data: dict[str, Any]) -> str | None:
-    """The learning curve of a report, where it has an exact one."""
+    """The learning curve of a report, if it has an exact one."""
     from stltool.reporting.figures import learning_curve
 
     if not data["training"] or not data["checks"]:
@@ -140,7 +141,7 @@ def curve_picture(data: dict[str, Any]) -> str | None:
 
 
 def run_picture(data: dict[str, Any]) -> str | None:
-    """The floor of a report with the run that was sampled, where the model has a floor."""
+    """The floor of a report with the sampled run, if the model has a floor."""
     from stltool.reporting.floor import floor_map
 
     run = data["run"]
@@ -148,7 +149,7 @@ def run_picture(data: dict[str, Any]) -> str | None:
 
 
 def likely_picture(data: dict[str, Any]) -> str | None:
-    """The floor with the most probable violation, where there is one."""
+    """The floor with the most probable violation, if there is one."""
     from stltool.reporting.floor import floor_map
 
     runs = data["why"]["runs"] if data.get("why") else []
@@ -156,7 +157,7 @@ def likely_picture(data: dict[str, Any]) -> str | None:
 
 
 def render_sweep(data: dict[str, Any]) -> str:
-    """The HTML page of a sweep (`sweep_data`), as `render` makes it."""
+    """The HTML page of a sweep (`sweep_data`), as made by `render`."""
     from stltool.reporting import sweeps
     from stltool.reporting.figures import learning_curves, line_chart
 

@@ -12,7 +12,7 @@ from stltool.product import Product
 
 
 def likely_data(result: LikelyRuns) -> dict[str, Any]:
-    """The most probable runs of a verdict, in the user's names; `share` is of the verdict's probability."""
+    """The most probable runs of a verdict, in the user's names; `share` is of the probability of the verdict."""
     return {
         "satisfied": result.satisfied,
         "verdict_probability": result.probability,
@@ -25,7 +25,7 @@ def likely_data(result: LikelyRuns) -> dict[str, Any]:
 
 
 def _run_data(product: Product, run: LikelyRun, whole: float) -> dict[str, Any]:
-    """State i was left by action i; `remembered` is what was known before the verdict fell, None if at once."""
+    """State i was left by action i; `remembered` describes the automaton state before the verdict, None at step 0."""
     model = product.model
     return {
         "probability": run.probability,
@@ -53,14 +53,14 @@ def trace_text(states: Sequence[str], labels: Sequence[Sequence[str]], actions: 
 
 
 def verdict_text(run: dict[str, Any]) -> str:
-    """When a run's verdict fell: violated at step 7 (certain from step 3)."""
+    """When a run was decided: violated at step 7 (certain from step 3)."""
     verdict = "satisfied" if run["satisfied"] else "violated"
     early = f" (certain from step {run['certain_from']})" if run["certain_from"] < run["step"] else ""
     return f"{verdict} at step {run['step']}{early}"
 
 
 def sensitivity_data(result: Sensitivity, count: int) -> list[dict[str, Any]]:
-    """The `count` states whose success probability moves P most, with those actions; none that does not move it."""
+    """The `count` states whose success probability moves P most, with those actions; none that do not move it."""
     return [
         dataclasses.asdict(row) | {"actions": [dataclasses.asdict(a) for a in row.actions if a.derivative]}
         for row in result.ranked(count)

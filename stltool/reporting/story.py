@@ -1,7 +1,7 @@
 """The two claims of [Wang24] about representation, as plain data: surrogate against task, flags against histories.
 
-`surrogate_data` and `encoding_data` give the numbers; `surrogate_rows` and `encoding_rows` make of them, scenario by
-scenario, the rows of a table for the terminal or a page.
+`surrogate_data` and `encoding_data` give the numbers; `surrogate_rows` and `encoding_rows` turn these, scenario by
+scenario, into the rows of a table for the terminal or a page.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from stltool.product import Product, build_product
 from stltool.sizes import bytes_text
 
 _BUILT = 5 * 10**8  # bytes: histories that need more are counted, not built
-_SHORT = 10**7  # counts below are written whole
+_SHORT = 10**7  # counts below are written in full
 
 
 def surrogate_data(result: SurrogateResult) -> dict[str, Any]:
-    """One reading of the surrogate, and what its optimal policies are worth for the task, bounds included."""
+    """One reading of the surrogate, and P of its optimal policies for the task, with bounds."""
     judged = {
         "at_random": result.at_random,
         "least": result.least,
@@ -54,14 +54,14 @@ def surrogate_data(result: SurrogateResult) -> dict[str, Any]:
 
 
 def encoding_data(product: Product, memory_limit: int = _BUILT) -> dict[str, Any]:
-    """What each way to remember the past takes, for a task of the paper's fragment; counts are exact, however large.
+    """The size of each encoding of the past, for a task of the paper's fragment; counts are exact, however large.
 
     flags, exact, history   the paper's flags, the exact automaton, the histories of τ letters (automata/history.py):
                             states of the automaton and of the product, entries of a stationary Q(s, q, a), its bytes
     state_histories         sequences of τ model states, what a τ-MDP remembers: `all`, |Σ|^τ as the paper counts;
                             `possible` along transitions; entries and bytes of a Q-table on the possible ones
     optimum                 P* on the exact product
-    history_optimum         P* again, on histories; None, and why in `history_refused`, over `memory_limit` bytes
+    history_optimum         P* again, on histories; None, and why in `history_refused`, if over `memory_limit` bytes
     Raises FragmentError for a task that has no flags.
     """
     model, phi = product.model, product.formula
@@ -108,7 +108,7 @@ def state_histories(model: MDP, length: int) -> list[int]:
 
 
 def _sizes(model: MDP, automaton_states: int | float) -> dict[str, int] | None:
-    """None where there are more states than a double counts."""
+    """None if there are more states than a double can count."""
     if automaton_states == float("inf"):
         return None
     states = int(automaton_states)
@@ -121,9 +121,9 @@ def _sizes(model: MDP, automaton_states: int | float) -> dict[str, int] | None:
 
 
 def surrogate_rows(scenarios: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[dict[str, str]]:
-    """A row for each scenario, from its readings as by `surrogate_data`, the same ones in every scenario.
+    """A row for each scenario, from its readings as given by `surrogate_data`, the same ones in every scenario.
 
-    A gap is P* less P: of ties broken at random, and of the worst policy that is optimal for the surrogate.
+    A gap is P* minus P: with ties broken at random, and for the worst policy that is optimal for the surrogate.
     """
     rows = []
     for name, readings in scenarios.items():
@@ -141,7 +141,7 @@ def reading_text(reading: Mapping[str, Any]) -> str:
 
 
 def story_sections(products: Sequence[tuple[str, Product]]) -> list[dict[str, Any]]:
-    """Both tables as sections of a sweep's page, for those tasks, by their scenario's name, that have flags."""
+    """Both tables as sections of a sweep's page, for the tasks, by scenario name, that have flags."""
     inside = [(name, product) for name, product in products if _has_flags(product)]
     if not inside:
         return []
@@ -153,8 +153,8 @@ def story_sections(products: Sequence[tuple[str, Product]]) -> list[dict[str, An
     return [
         {
             "title": "The surrogate's gap",
-            "text": "P* less the exact P of policies that are optimal for the paper's surrogate reward: of ties broken "
-            "at random, and of the worst of them.",
+            "text": "P* minus the exact P of policies that are optimal for the paper's surrogate reward: with ties "
+            "broken at random, and for the worst of them.",
             "rows": surrogate_rows(gaps),
         },
         {
@@ -175,14 +175,14 @@ def _has_flags(product: Product) -> bool:
 
 
 def gap_text(reading: Mapping[str, Any], which: str) -> str:
-    """P* less the P of `which` policies; "none" where their enclosures meet."""
+    """P* minus the P of `which` policies; "none" if their enclosures overlap."""
     if reading[f"{which}_upper"] >= reading["optimum_lower"]:
         return "none"
     return f"{reading['optimum'] - reading[which]:.2g}"
 
 
 def encoding_rows(scenarios: Mapping[str, Mapping[str, Any]]) -> list[dict[str, str]]:
-    """A row for each scenario; values as by `encoding_data`."""
+    """A row for each scenario; values as given by `encoding_data`."""
     rows = []
     for name, data in scenarios.items():
         histories, letters = data["state_histories"], data["history"]
@@ -204,5 +204,5 @@ def encoding_rows(scenarios: Mapping[str, Mapping[str, Any]]) -> list[dict[str, 
 
 
 def count_text(n: int) -> str:
-    """A whole number, in three digits where it is long."""
+    """An integer, in three digits if it is long."""
     return str(n) if n < _SHORT else f"{Decimal(n):.3g}"

@@ -18,7 +18,7 @@ from stltool.reporting.curves import quartile_curves, write_csv
 from stltool.reporting.data import SWEEP_FORMAT
 from stltool.reporting.story import story_sections
 
-_NEAR = 0.99  # of the optimum: where a method is said to have learned the task
+_NEAR = 0.99  # fraction of the optimum from which a task is considered learned
 
 
 def sweep_data(
@@ -26,8 +26,8 @@ def sweep_data(
 ) -> dict[str, Any]:
     """Everything that a sweep's report shows; scenarios and methods without a finished run are left out.
 
-    `sections` stand below the table: {"title": …, "text": …, "rows": [{column: value}], "figure": …} each, with what
-    `figures.line_chart` draws, or None; before them those of reporting/story.py, where the sweep asks for its story.
+    `sections` appear below the table: {"title": …, "text": …, "rows": [{column: value}], "figure": …} each, the figure
+    as for `figures.line_chart`, or None; before them those of reporting/story.py, if the sweep requests its story.
     """
     sweep = result.sweep
     found: dict[tuple[str, str], list[RunResult]] = {}
@@ -86,7 +86,7 @@ def _scenario_data(scenario: Scenario) -> dict[str, Any]:
 def _result_data(
     sweep: Sweep, scenario: Scenario, method: Method, runs: list[RunResult], optimum: float
 ) -> dict[str, Any]:
-    """One scenario with one method, over its seeds; `settings` are all that the runs had, `budget` the runs' own."""
+    """One scenario with one method, over its seeds; `settings` are those of the learner, `budget` those of the runs."""
     learner, budget = sweep.settled(scenario, method)
     final = np.array([run.probability[-1] for run in runs])
     q1, median, q3 = np.quantile(final, [0.25, 0.5, 0.75]).tolist()
@@ -117,7 +117,7 @@ def _result_data(
 
 
 def failures_data(failures: Sequence[Failure]) -> list[dict[str, Any]]:
-    """Failed runs, those of one scenario, method and reason together."""
+    """Failed runs, grouped by scenario, method and reason."""
     grouped: dict[tuple[str, str, str], list[int]] = {}
     for failure in failures:
         grouped.setdefault((failure.scenario, failure.method, failure.message), []).append(failure.seed)
@@ -135,7 +135,7 @@ def failure_text(failure: dict[str, Any]) -> str:
 
 
 def result_rows(data: dict[str, Any]) -> list[dict[str, str]]:
-    """The table, a row a scenario and method, as text."""
+    """The table as text, one row per scenario and method."""
     some_published = any(result["published"] is not None for result in data["results"])
     rows = []
     for result in data["results"]:
@@ -158,7 +158,7 @@ def result_rows(data: dict[str, Any]) -> list[dict[str, str]]:
 
 
 def _figure(value: float | None) -> str:
-    """Four decimals; below 1 never 1."""
+    """Four decimals; a value below 1 is never shown as 1."""
     if value is None:
         return ""
     return f"{min(value, 0.9999) if value < 1 else value:.4f}"
@@ -173,7 +173,7 @@ def panel_title(scenario: dict[str, Any]) -> str:
 def write_sweep(data: dict[str, Any], folder: str | Path) -> list[Path]:
     """report.html, report.json, table.csv, curves.csv, figure.svg and figure.png; their paths.
 
-    Each is written whole or not at all; the page and the pictures are made before any is.
+    Each is written whole or not at all; page and pictures are made before any file is written.
     """
     from stltool.reporting.figures import learning_curves
     from stltool.reporting.page import render

@@ -1,4 +1,4 @@
-"""Learning curves as TensorBoard events, a folder for each run."""
+"""Learning curves as TensorBoard events, one folder per run."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from stltool.learning.trainer import Point
 from stltool.product import Product
 from stltool.reporting.data import training_data
 
-_LEAST = 2.0**-53  # doubles below 1 are that far from it at least
+_LEAST = 2.0**-53  # the distance of 1 from the next double below
 _UNSAFE = re.compile(r"[^\w.+-]+", re.ASCII)
 
 
 def require_tensorboard(folder: str | Path) -> None:
-    """An error, before the work, where TensorBoard is not installed or its folder could not be written."""
+    """Raise an error, before the work, if TensorBoard is not installed or its folder could not be written."""
     require("tensorboard", "a learning curve in TensorBoard", "write --history FILE.csv")
     require_folder(folder)
 
 
 def write_tensorboard(training: Training, folder: str | Path) -> Path:
-    """The learning curve as TensorBoard events in a new folder of its own in `folder`; returns that folder.
+    """The learning curve as TensorBoard events in a new folder inside `folder`; returns the new folder.
 
-    Scalars over environment steps, each at the time when it was evaluated: `episode`, and where the model is known
+    Scalars over environment steps, each at the time when it was evaluated: `episode`, and if the model is known
     `probability/P`, `probability/1-P` and `probability/log10(1-P)`. TensorBoard keeps single precision, in which
-    1 − 1e-9 is 1: what is left to 1 is computed in doubles. Method and settings are hyperparameters.
+    1 − 1e-9 is 1, so distances from 1 are computed in doubles. Method and settings are hyperparameters.
     """
     require_tensorboard(folder)
     from tensorboard.compat.proto.event_pb2 import Event, SourceMetadata
@@ -44,7 +44,7 @@ def write_tensorboard(training: Training, folder: str | Path) -> Path:
     writer = RecordWriter(buffer)
     source = SourceMetadata(writer="stltool")
     writer.write(Event(wall_time=times[0], file_version="brain.Event:2", source_metadata=source).SerializeToString())
-    home = cast(Product, training.policy.home)  # learners know no joint products
+    home = cast(Product, training.policy.home)  # learners do not support joint products
     for summary in _descriptions(data, f"{home.task_name} := {home.formula}", times):
         writer.write(Event(wall_time=times[0], summary=summary).SerializeToString())
     for point in training.history:
@@ -55,7 +55,7 @@ def write_tensorboard(training: Training, folder: str | Path) -> Path:
 
 
 def _new_folder(folder: Path, what: str, data: Mapping[str, Any], finished: float) -> Path:
-    """A name that says which run it is, and that no other run has: patrolling-cfer-seed0-20260131-235959."""
+    """A unique name that identifies the run: patrolling-cfer-seed0-20260131-235959."""
     published = "-published" if data["faithful"] else ""
     stamp = time.strftime("%Y%m%d-%H%M%S", time.localtime(finished))
     name = _UNSAFE.sub("-", f"{what}{published}-seed{data['seed']}-{stamp}")
@@ -80,11 +80,11 @@ def _event(point: Point) -> Any:
 
 
 def _descriptions(data: Mapping[str, Any], task: str, times: list[float]) -> Iterator[Any]:
-    """Summaries of what was run: the task as text, method and settings as hyperparameters."""
+    """Summaries of the run: the task as text, method and settings as hyperparameters."""
     from tensorboard.plugins.hparams.summary_v2 import hparams_pb
     from tensorboard.plugins.text.summary_v2 import text_pb
 
     named = {key: data[key] for key in ("method", "faithful", "seed")} | data["budget"] | data["settings"]
     plain = {key: value if isinstance(value, bool | int | float | str) else str(value) for key, value in named.items()}
-    yield text_pb("task", f"    {task}")  # indented: as it stands, not Markdown
+    yield text_pb("task", f"    {task}")  # indented: verbatim, not Markdown
     yield hparams_pb(plain, trial_id=f"{data['method']}-{data['seed']}-{times[-1]}", start_time_secs=times[0])

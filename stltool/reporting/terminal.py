@@ -1,4 +1,4 @@
-"""What the terminal shows: progress on stderr, tables on stdout."""
+"""Terminal output: progress on stderr, tables on stdout."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from stltool.numbers import bound_texts, probability_text
 from stltool.reporting.runs import trace_text, verdict_text
 from stltool.streams import printable
 
-_PATIENCE = 2.0  # seconds without a word
+_PATIENCE = 2.0  # seconds without output
 Advance = Callable[..., None]
 """Called with (done, total), or while learning (episode, episodes, environment steps, exact probability or None)."""
 
 
 @contextmanager
 def progress_bar(title: str, quiet: bool = False) -> Iterator[Advance | None]:
-    """A bar on a terminal; in a log, where nobody watches, a line at every tenth and at least every ten seconds.
+    """A bar on a terminal; in a log, a line at every tenth and at least every ten seconds.
 
-    `quiet` shows no bar, and in a log only what takes longer than that.
+    `quiet` shows no bar, and in a log only stages that take longer than that.
     """
     console = Console(stderr=True)
     if not console.is_terminal:
@@ -71,7 +71,7 @@ def _notes(steps: int, probability: float | None) -> list[str]:
 
 @contextmanager
 def sweep_bar(quiet: bool = False) -> Iterator[Callable[[SweepProgress], None] | None]:
-    """Runs done, environment steps a second and time left; in a log a line at every tenth of the runs."""
+    """Runs done, environment steps per second and time left; in a log, a line at every tenth of the runs."""
     console = Console(stderr=True, highlight=False)
     start = time.perf_counter()
 
@@ -105,13 +105,13 @@ def sweep_bar(quiet: bool = False) -> Iterator[Callable[[SweepProgress], None] |
 
 @contextmanager
 def kernels_ready(quiet: bool = False) -> Iterator[None]:
-    """Announce it where kernels are compiled in this block; mostly they are only loaded, and nothing is said."""
+    """Announce that kernels are compiled in this block; usually they are only loaded, and nothing is printed."""
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     status = console.status("")
 
     def tell(kept: bool) -> None:
-        after = "once for this version" if kept else "in every run: set NUMBA_CACHE_DIR to a folder you can write to"
-        message = f"compiling the numerical kernels, some seconds, {after}"
+        after = "once for this version" if kept else "in every run; set NUMBA_CACHE_DIR to a writable folder"
+        message = f"compiling the numerical kernels (some seconds, {after})"
         if quiet:
             return
         if console.is_terminal:
@@ -130,7 +130,7 @@ def kernels_ready(quiet: bool = False) -> Iterator[None]:
 
 @contextmanager
 def working(title: str, quiet: bool = False) -> Iterator[None]:
-    """Tell on stderr what goes on: while it does, or in a log, where nobody watches, once it takes long."""
+    """Show on stderr what is going on: on a terminal at once, in a log only if it takes long."""
     console = Console(stderr=True, soft_wrap=True, highlight=False)
     if not console.is_terminal:
         with LOG.stage(title, patience=None if quiet else _PATIENCE):
@@ -143,7 +143,7 @@ def working(title: str, quiet: bool = False) -> Iterator[None]:
 
 
 def print_checks(checks: list[dict[str, Any]]) -> None:
-    """Probabilities with their bounds, a row a check; lines are never cut."""
+    """Probabilities with their bounds, one row per check; lines are never cut."""
     rows: list[tuple[str, ...]] = [("", "P", "lower bound", "upper bound", "gap", "status")]
     rows += [
         (
@@ -160,7 +160,7 @@ def print_checks(checks: list[dict[str, Any]]) -> None:
 
 
 def print_facts(facts: dict[str, Any]) -> None:
-    """Name and value, a line each; lines are never cut."""
+    """Name and value, one per line; lines are never cut."""
     _print_columns([(name, str(value)) for name, value in facts.items()])
 
 
@@ -172,7 +172,7 @@ def print_table(rows: list[dict[str, Any]]) -> None:
 
 
 def print_tree(data: dict[str, Any]) -> None:
-    """A formula's operators, nested, each with its horizon (a line each; lines are never cut)."""
+    """A formula's operators, nested, each with its horizon (one per line; lines are never cut)."""
     from rich.tree import Tree
 
     def label(node: dict[str, Any]) -> Text:
@@ -189,7 +189,7 @@ def print_tree(data: dict[str, Any]) -> None:
 
 
 def print_likely(data: dict[str, Any], count: int) -> None:
-    """The most probable runs of a verdict, three lines a run, the first `count` of them."""
+    """The first `count` of the most probable runs of a verdict, three lines per run."""
     verdict, found = "satisfied" if data["satisfied"] else "violated", data["runs"]
     whole = probability_text(data["verdict_probability"])
     if not found:
@@ -197,7 +197,7 @@ def print_likely(data: dict[str, Any], count: int) -> None:
         return
     runs = "1 run" if len(found) == 1 else f"{len(found)} runs"
     if data["exhausted"]:
-        told = f"in {runs}, all there are"
+        told = f"in {runs} (there are no others)"
     elif data["asked_mass"] is None:
         told = f"{100 * data['covered']:.3g} % of it in the most probable {runs}"
     elif data["status"] == "complete":
@@ -218,10 +218,10 @@ def print_likely(data: dict[str, Any], count: int) -> None:
 
 
 def print_sensitive(rows: list[dict[str, Any]]) -> None:
-    """States by what their success probability does to P, with the actions that tell most."""
+    """States by the effect of their success probability on P, with the most relevant actions."""
     print()
     if not rows:
-        print_facts({"sensitive": "no state; no success probability moves P"})
+        print_facts({"sensitive": "no state; no success probability affects P"})
     print_table(
         [
             {
@@ -254,7 +254,7 @@ def print_json(data: dict[str, Any]) -> None:
 
 
 def print_text(text: str) -> None:
-    """A file's text as a file would hold it: UTF-8, whatever the terminal's encoding."""
+    """Print the text of a file in UTF-8, whatever the terminal's encoding."""
     sys.stdout.flush()
     sys.stdout.buffer.write(text.encode())
 
@@ -265,10 +265,10 @@ def error(message: str) -> None:
 
 
 def note(message: str) -> None:
-    """What was done on request, on stderr, where it does not mix with results."""
+    """Report something done on request, on stderr, where it does not mix with results."""
     print(f"note: {message}", file=sys.stderr)
 
 
 def warn(message: str) -> None:
-    """What the user should know of, on stderr, where it does not mix with results."""
+    """Report something the user should know, on stderr, where it does not mix with results."""
     print(f"warning: {message}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""Trade-offs and fronts as plain data, and a front as a picture: .svg or .png by the file's ending."""
+"""Trade-offs and fronts as plain data, and a front as a picture: .svg or .png, by the file extension."""
 
 from __future__ import annotations
 
@@ -73,16 +73,16 @@ def front_data(front: Front) -> dict[str, Any]:
 
 
 def require_picture(path: str | Path, endings: Sequence[str] = _PICTURES) -> None:
-    """An error, before the work, where a picture could not be written after it."""
+    """Raise an error, before the work, if the picture could not be written after it."""
     path = Path(path)
     if path.suffix.lower() not in endings:
         named = f"{', '.join(endings[:-1])} or {endings[-1]}"
-        raise SettingsError(f"{path}: a picture is written as {named}; name one of them")
+        raise SettingsError(f"{path}: pictures are written as {named}; use one of these extensions")
     require_output(path)
 
 
 def write_front_picture(front: Front, path: str | Path) -> None:
-    """The front as a picture, the old file or the new one."""
+    """Write the front as a picture, whole or not at all."""
     from stltool.reporting.figures import pareto_front
 
     require_picture(path)

@@ -380,7 +380,7 @@ def test_other_bad_input_ends_with_code_2(stltool, tmp_path):
         (["run", PATROLLING, "--set", "memory=99999999999999"], "a replay memory of 99999999999999 transitions"),
         (["learn", PATROLLING, *SMALL, "-e", "1", "--out", tmp_path / "q.csv"], "a policy is saved as .npz"),
         (["learn", PATROLLING, *SMALL, "-e", "1", "--out", tmp_path], "not a regular file"),
-        (["report", no_model], "not a report's JSON"),
+        (["report", no_model], "not the JSON file of a report"),
         (["check"], "Missing argument"),
         (["chek", PATROLLING], "No such command"),
     ]

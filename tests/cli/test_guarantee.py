@@ -104,6 +104,6 @@ def test_reports_take_guarantees_as_found_and_do_without(patrolling):
     assert "<h2>Guarantees</h2>" not in render(report_data([best]))
     del data["guarantees"]  # as earlier versions wrote it
     assert "<h2>Guarantees</h2>" not in render(data)
-    with pytest.raises(SettingsError, match='side "upper" guarantees nothing'):
+    with pytest.raises(SettingsError, match='side="upper" gives no lower bound'):
         report_data([best], guarantees=[stl.estimate(patrolling, best.policy, runs=100, side="upper")])
     assert guarantee_rows([]) == []

@@ -114,9 +114,9 @@ def test_the_end_of_the_trace(stltool, log):
     for end, verdict in (("cut", True), ("hold", False)):
         code, out, _ = stltool("monitor", "G[1,2] x < 0", log, "--end", end, "--at", 4, "--json")
         assert json.loads(out)["verdict"] is verdict
-    assert "horizon     2; windows are cut where the trace ends\n" in stltool(
+    assert "horizon     2; windows are cut at the end of the trace\n" in stltool(
         "monitor", "G[0,2] x > 0", log, "--end", "cut")[1]  # fmt: skip
-    assert "horizon     2; the last sample is held where the trace ends\n" in stltool(
+    assert "horizon     2; the last sample is held at the end of the trace\n" in stltool(
         "monitor", "G[0,2] x > 0", log, "--end", "hold")[1]  # fmt: skip
     code, out, _ = stltool("monitor", "F[0,1] door -> G[0,0] x > -9", log, "--end", "hold", "--steps")
     assert code == 0
@@ -218,16 +218,16 @@ def test_bad_input_ends_with_code_2(stltool, log, batch, tmp_path, monkeypatch):
         (["when > 0", log], "line 2, column when: 'Mon' is not a number"),
         (["x & door", log], "compare it, as in x > 0"),
         (["x > 0", "none.csv"], "none.csv: there is no such trace file"),
-        (["x > 0", "task.stl"], "task.stl: a trace is read from .csv, .tsv, .npz, .parquet files"),
+        (["x > 0", "task.stl"], "task.stl: not a trace file; traces are read from .csv, .tsv, .npz, .parquet files"),
         (["x > 0", log, "--end", "wrap"], "--end wrap: choose error, cut, hold"),
         (["x > 0", log, "--at", 5], "--at 5: steps 0 … 4 of these 5 samples are judged; --end cut or hold judges"),
         (["x > 0", log, "--at", -1], "--at -1: steps 0 … 4 of these 5 samples are judged"),
         (["x > 0", log, "--at", 5, "--end", "cut"], "--at 5: steps 0 … 4 of these 5 samples are judged"),
         (["x > 0", log, "--trace", 0], "--trace 0 selects the trace for --plot or --steps; add one of them"),
-        (["x > 0", log, "--trace", 0, "--steps"], "log.csv holds a single trace; leave --trace out"),
-        (["x > 0", batch, "--trace", 3, "--steps"], f"--trace 3: {batch} holds traces 0 … 2"),
+        (["x > 0", log, "--trace", 0, "--steps"], "log.csv contains a single trace; leave out --trace"),
+        (["x > 0", batch, "--trace", 3, "--steps"], f"--trace 3: {batch} contains traces 0 … 2"),
         (["x > 0", log, "--steps", "--json"], "--steps lists what --json contains already; keep one of them"),
-        (["x > 0", "none.csv", "--plot", "t.jpg"], "t.jpg: a picture is written as .png, .svg or .pdf; name"),
+        (["x > 0", "none.csv", "--plot", "t.jpg"], "t.jpg: pictures are written as .png, .svg or .pdf; use"),
         (["x > 0", "none.csv", "--plot", "folder.png"], "folder.png: cannot be written: it is not a regular file"),
         (["x > 0", "none.csv", "--plot", "task.stl/t.png"], "task.stl: cannot be a folder for results"),
     ]  # fmt: skip

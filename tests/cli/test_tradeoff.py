@@ -95,7 +95,7 @@ def test_tradeoff_prints_and_saves(stltool, front, tmp_path):
         (["pareto", "--tasks", "charging,charging"], "two tasks are called charging"),
         (["pareto", "--tasks", "charging,resting"], "resting"),
         (["pareto", *BOTH, "--points", "1"], "at least the best of either task"),
-        (["pareto", *BOTH, "--plot", "front.pdf"], "a picture is written as .svg or .png"),
+        (["pareto", *BOTH, "--plot", "front.pdf"], "pictures are written as .svg or .png"),
         (["tradeoff", "--objective", "resting"], "resting"),
         (["tradeoff", "--objective", "charging", "--require", "patrolling=0.9"], 'write --require "patrolling>=0.9"'),
         (["tradeoff", "--objective", "charging", "--require", "patrolling>=much"], "'much' is not a number"),

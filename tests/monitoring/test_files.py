@@ -73,7 +73,7 @@ def test_columns_that_nobody_asks_for_need_not_be_numbers(write):
         assert stl.load_trace(path, []) == {}
         with pytest.raises(TraceError, match="line 2, column when: 'Mon' is not a number"):
             stl.load_trace(path)
-        with pytest.raises(TraceError, match="line 3, column y: '2' is neither true nor false, as the cells above are"):
+        with pytest.raises(TraceError, match="line 3, column y: '2' is neither true nor false, unlike the cells above"):
             stl.load_trace(path, ["x", "y"])
     with pytest.raises(NameLookupError, match=r"t.csv: there is no column nope; known names: empty, not"):
         stl.load_trace(write("x,not,empty\n1,2,3\n"), ["x", "nope"])
@@ -84,25 +84,25 @@ def test_columns_that_nobody_asks_for_need_not_be_numbers(write):
 @pytest.mark.parametrize(
     ("text", "kind", "says"),
     [
-        ("", TraceError, "t.csv: the file is empty; line 1 names the signals, such as: t,x,door"),
+        ("", TraceError, "t.csv: the file is empty; write the names of the signals there, such as t,x,door"),
         ("\ufeff", TraceError, "the file is empty"),
-        ("\n1,2\n", TraceError, "line 1 is empty; line 1 names the signals"),
-        ("x,y\n", TraceError, "no data below the header; write a row a step"),
+        ("\n1,2\n", TraceError, "line 1 is empty; write the names of the signals"),
+        ("x,y\n", TraceError, "no data below the header; write a row per step"),
         ("x,y\n \n\n", TraceError, "no data below the header"),
-        ("1,2\n3,4\n", TraceError, "line 1: 1 stands where a name should; put a line with the columns' names on top"),
-        ("x,true\n3,4\n", TraceError, "line 1: true stands where a name should"),
+        ("1,2\n3,4\n", TraceError, "line 1: expected a name, found 1; put a line with the names of the columns first"),
+        ("x,true\n3,4\n", TraceError, "line 1: expected a name, found true"),
         ("x,,y\n1,2,3\n", TraceError, "line 1: column 2 has no name; every column needs one"),
         ("x,y, x\n1,2,3\n", TraceError, "line 1: two columns are named x; every column needs a name of its own"),
         ("x;y,z\n1;2,3\n", TraceError, "line 1: a comma and a semicolon could both separate the names; use one"),
-        ('x,"y\n1,2\n', TraceError, "line 1: a quote is not closed in this line of names"),
+        ('x,"y\n1,2\n', TraceError, "line 1: a quote is not closed; close it on the same line"),
         ("x,y\n1,2\n1\n", TraceError, "line 3: 1 cell where the header names 2 columns"),
         ("x,y\n1,2\n1,2,3\n1\n", TraceError, "line 3: 3 cells where the header names 2 columns"),
         ("x\n1\n1,2\n", TraceError, "line 3: 2 cells where the header names 1 column"),
-        ("x,y\n1,2\n\n3,4\n", TraceError, "line 3: an empty line among the rows; every step needs its row"),
-        ("x,y\r\n1,2\r\n\r\n3,4\r\n", TraceError, "line 3: an empty line among the rows"),
-        ("x,y\r1,2\r\r3,4\r", TraceError, "line 3: an empty line among the rows"),
-        ("x,y\n1,2\n\n3,4\n\r\n", TraceError, "line 3: an empty line among the rows"),
-        ("x\n1\n  \n3\n", TraceError, "line 3: an empty line among the rows"),
+        ("x,y\n1,2\n\n3,4\n", TraceError, "line 3: an empty line between rows; remove it, or write a row"),
+        ("x,y\r\n1,2\r\n\r\n3,4\r\n", TraceError, "line 3: an empty line between rows"),
+        ("x,y\r1,2\r\r3,4\r", TraceError, "line 3: an empty line between rows"),
+        ("x,y\n1,2\n\n3,4\n\r\n", TraceError, "line 3: an empty line between rows"),
+        ("x\n1\n  \n3\n", TraceError, "line 3: an empty line between rows"),
         ("x,y\n1,2\n1,\t\n", TraceError, "line 3, column y: an empty cell"),
         ("x,y\n1,2\n1,\n", TraceError, "line 3, column y: an empty cell; every step needs a value"),
         ("x\ty\n1\t2\n \t1\n", TraceError, "line 3, column x: an empty cell; every step needs a value"),
@@ -111,20 +111,20 @@ def test_columns_that_nobody_asks_for_need_not_be_numbers(write):
         ("x,y\n1,2\n٣,1\n", TraceError, "line 3, column x: '٣' is not a number"),
         ("x,y\n1,2\n0x10,1\n", TraceError, "line 3, column x: '0x10' is not a number"),
         ("x;y\n1;2\n1;2,5\n", TraceError, "line 3, column y: '2,5' is not a number; write it with a decimal point"),
-        ("x,y\n1,2\n1,True\n", TraceError, "line 3, column y: 'True' is not a number, as the cells above are; write"),
+        ("x,y\n1,2\n1,True\n", TraceError, "line 3, column y: 'True' is not a number, unlike the cells above; write"),
         ("x\ntrue\nfalsehood\n", TraceError, "line 3, column x: 'falsehood' is neither true nor false"),
         (f"x\n1\n{'a' * 40} \n", TraceError, f"line 3, column x: '{'a' * 40}' is not a number"),
         (f"x\n1\n{'a' * 50}\n", TraceError, f"line 3, column x: '{'a' * 40}…' is not a number"),
         ('x,y\n"1",2\n3,"4\n', TraceError, "line 3: unexpected end of data; close every quote"),
         ('x,y\n"1"0,2\n', TraceError, "line 2: ',' expected after"),
         ('x,y\n1,2\n"1"0,2\n', TraceError, "line 3: ',' expected after '\"'; close every quote"),
-        ("x,y\n1,2\n3,\0\n", FileError, "not a CSV file: it holds binary data (a zero byte at offset 10)"),
-        ("x\0,y\n1,2\n", FileError, "not a CSV file: it holds binary data (a zero byte in line 1)"),
+        ("x,y\n1,2\n3,\0\n", FileError, "not a CSV file: it contains binary data (a zero byte at offset 10)"),
+        ("x\0,y\n1,2\n", FileError, "not a CSV file: it contains binary data (a zero byte in line 1)"),
         (b"x,y\n1,2\n3,\xe9\n", TraceError, "line 3, column y: '\\udce9' is not a number"),
         (b"x,\xe9\n1,2\n", FileError, "not a CSV file: byte 0xe9 in line 1 is not UTF-8 text; save it as UTF-8"),
         (b"x,\x80\n1,2\n", FileError, "not a CSV file: byte 0x80 in line 1"),
         (b"x,\xff\n1,2\n", FileError, "not a CSV file: byte 0xff in line 1"),
-        (b"\xff\xfex\0,\0y\0\n\0", FileError, "not a CSV file: it holds binary data (a zero byte in line 1)"),
+        (b"\xff\xfex\0,\0y\0\n\0", FileError, "not a CSV file: it contains binary data (a zero byte in line 1)"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_told_with_its_place(write, text, kind, says):
@@ -141,7 +141,7 @@ def test_a_decimal_comma_is_told_from_other_slips(write):
 
 
 def test_a_header_without_end(write):
-    with pytest.raises(FileError, match="line 1 has over a million characters; line 1 names the signals"):
+    with pytest.raises(FileError, match="line 1 has over a million characters; it should name the signals"):
         stl.load_trace(write("x," * 600_000))
 
 
@@ -246,13 +246,19 @@ def test_npz_single_traces_and_batches(tmp_path):
 @pytest.mark.parametrize(
     ("arrays", "says"),
     [
-        ({"x": np.array([1, "a"], dtype=object)}, "array x: it holds Python objects, which are not read; save numbers"),
-        ({"x": np.array(["a"])}, "array x: it holds <U1; save numbers or Booleans"),
-        ({"x": np.ones(2, complex)}, "array x: it holds complex128; save numbers"),
+        (
+            {"x": np.array([1, "a"], dtype=object)},
+            "array x: it contains Python objects, which are never",
+        ),
+        ({"x": np.array(["a"])}, "array x: it contains <U1; save numbers or Booleans"),
+        ({"x": np.ones(2, complex)}, "array x: it contains complex128; save numbers"),
         ({"x": np.float64(1)}, "array x: its shape is (); (n_steps,) or (n_traces, n_steps) is needed"),
         ({"x": np.ones((1, 2, 3))}, "array x: its shape is (1, 2, 3); (n_steps,) or (n_traces, n_steps) is needed"),
-        ({"x": np.ones((0, 3))}, "array x: its shape is (0, 3); it holds no sample"),
-        ({"x": np.ones(3), "y": np.ones((2, 3))}, "array y: its shape is (2, 3), that of x is (3,); a trace's signals"),
+        ({"x": np.ones((0, 3))}, "array x: its shape is (0, 3); it contains no sample"),
+        (
+            {"x": np.ones(3), "y": np.ones((2, 3))},
+            "array y: its shape is (2, 3), that of x is (3,); give all",
+        ),
     ],
 )
 def test_arrays_that_are_no_signals_are_refused_by_name(tmp_path, arrays, says):
@@ -278,7 +284,7 @@ def test_what_is_not_finite_in_an_npz_is_told_with_its_place(tmp_path, bad, says
 
 
 def test_files_that_are_no_npz(tmp_path, write):
-    with pytest.raises(FileError, match="not an .npz file, as numpy.savez writes"):
+    with pytest.raises(FileError, match="not an .npz file; write one with numpy.savez"):
         stl.load_trace(write("x\n1\n", "t.npz"))
     with zipfile.ZipFile(tmp_path / "z.npz", "w") as archive:
         archive.writestr("notes.txt", "no array")
@@ -308,7 +314,7 @@ def test_parquet(tmp_path):
         "door": ("b", ["True", "False"]), "x": ("i", ["1", "2"]), "a.b": ("f", ["0.5", "1.0"]),
         "d": ("f", ["0.25", "3.0"]),
     }  # fmt: skip
-    with pytest.raises(TraceError, match="column when: it holds string; numbers or Booleans are needed"):
+    with pytest.raises(TraceError, match="column when: it contains string; write numbers or Booleans"):
         stl.load_trace(path)
     with pytest.raises(NameLookupError, match="there is no column door2; did you mean door?"):
         stl.load_trace(path, ["door2"])
@@ -355,7 +361,7 @@ def test_a_parquet_price_is_what_it_says(tmp_path):
 @pytest.mark.parametrize("kind", ["int64", "uint64"])
 def test_parquet_integers_that_are_no_doubles(tmp_path, kind):
     path = parquet(tmp_path / "t.parquet", x=np.array([5, 2**53 + 1], kind))
-    with pytest.raises(TraceError, match="signal x is 9007199254740993 at step 1: whole numbers beyond"):
+    with pytest.raises(TraceError, match="signal x is 9007199254740993 at step 1: integers beyond"):
         stl.monitor(stl.parse("x > 0"), stl.load_trace(path))
 
 
@@ -369,9 +375,9 @@ def test_parquet_that_is_no_trace(tmp_path, write):
         stl.load_trace(gaps, ["door"])
     with pytest.raises(TraceError, match="row 1, column y: nan is not a finite number; every step needs a number"):
         stl.load_trace(gaps, ["y"])
-    with pytest.raises(TraceError, match="it holds no row; a trace has a row a step"):
+    with pytest.raises(TraceError, match="it contains no rows; write a row per step"):
         stl.load_trace(parquet(tmp_path / "none.parquet", x=np.array([], float)))
-    with pytest.raises(TraceError, match="column x: it holds list<"):
+    with pytest.raises(TraceError, match="column x: it contains list<"):
         stl.load_trace(parquet(tmp_path / "lists.parquet", x=[[1, 2]]))
     with pytest.raises(FileError, match="cannot be read as a Parquet file: "):
         stl.load_trace(write("x\n1\n", "t.parquet"))
@@ -395,7 +401,7 @@ def test_parquet_without_pyarrow(write, monkeypatch):
 
 
 def test_files_that_are_none(tmp_path, write):
-    with pytest.raises(FileError, match=r"t.xlsx: a trace is read from .csv, .tsv, .npz, .parquet files; name one"):
+    with pytest.raises(FileError, match=r"t.xlsx: not a trace file; traces are read from .csv, .tsv, .npz"):
         stl.load_trace(write("", "t.xlsx"))
     for ending in (".csv", ".npz", ".parquet"):
         with pytest.raises(FileError, match=f"none{ending}: there is no such trace file"):

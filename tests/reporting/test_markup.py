@@ -210,7 +210,7 @@ def test_markup_is_no_figure(swept, tmp_path, figure):
     data = copy.deepcopy(swept)
     data["sections"][0]["figure"] = figure
     (tmp_path / "report.json").write_text(json.dumps(data))
-    with pytest.raises(FileError, match="not a report's JSON"):
+    with pytest.raises(FileError, match="not the JSON file of a report"):
         load_report(tmp_path / "report.json")
 
 

@@ -83,7 +83,7 @@ def test_a_batch_is_its_traces(rows, at):
     assert shown_trace(batch, None) == (violating[0] if violating else 0)
     assert shown_trace(batch, len(rows) - 1) == len(rows) - 1
     for wrong in (-1, len(rows)):
-        with pytest.raises(SettingsError, match=rf"--trace {wrong}: t.npz holds traces 0 … {len(rows) - 1}"):
+        with pytest.raises(SettingsError, match=rf"--trace {wrong}: t.npz contains traces 0 … {len(rows) - 1}"):
             shown_trace(batch, wrong)
 
 
@@ -101,7 +101,7 @@ def test_a_formula_without_horizon():
     phi = Always(Interval(0, None), stl.parse("x > 0"))
     data = monitor_data(stl.monitor(phi, signals, end="cut"), stl.Task("formula", phi), "t.csv")
     assert (data["horizon"], data["verdicts"]) == (None, [False, False, True])
-    assert monitor_facts(data)["horizon"] == "none: an interval has no end; windows are cut where the trace ends"
+    assert monitor_facts(data)["horizon"] == "none: an interval has no end; windows are cut at the end of the trace"
 
 
 @given(VERDICTS)
@@ -322,7 +322,7 @@ def test_an_asked_step_and_a_trace_of_a_batch():
     assert bars(x, "x != 9") == [(-0.5, 2.5, low, high)]
     assert levels(x) == [-2, 2, 9]
     assert figure.get_suptitle().startswith("trace 1: step 1 holds, robustness 1\n")
-    assert texts(verdict) == ["holds", "violated", "asked: step 1"]
+    assert texts(verdict) == ["holds", "violated", "selected: step 1"]
     [mark] = [line for line in x.lines if line.get_linestyle() == ":"]
     assert (mark.get_xdata(), mark.get_color()) == ([1, 1], HOLDS)
     whole = monitor_figure(result, signals, task, trace=0)

@@ -117,7 +117,7 @@ def test_check_data_has_the_promised_keys(results):
 
 def test_results_of_different_products_do_not_mix(results, floor5):
     other = stl.check(stl.build_product(floor5, stl.parse("F[0,5) A")))
-    with pytest.raises(SettingsError, match="one model and one task"):
+    with pytest.raises(SettingsError, match="several models or tasks"):
         report_data([results[0][0], other])
     with pytest.raises(SettingsError, match="at least one check"):
         report_data([])
@@ -126,7 +126,7 @@ def test_results_of_different_products_do_not_mix(results, floor5):
 @pytest.mark.parametrize("text", ["", "{}", "[1]", '{"format": "stltool-report-1"}', '{"format": "other"}'])
 def test_what_is_no_report(tmp_path, text):
     (tmp_path / "report.json").write_text(text)
-    with pytest.raises(FileError, match="not a report's JSON"):
+    with pytest.raises(FileError, match="not the JSON file of a report"):
         load_report(tmp_path / "report.json")
 
 

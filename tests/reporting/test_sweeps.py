@@ -147,7 +147,7 @@ def test_the_page_has_it_all_and_is_made_again_from_its_json(result, tmp_path):
     assert load_report(paths[1]) == json.loads(json.dumps(data))
     assert render(load_report(paths[1])) == page
     (tmp_path / "half.json").write_text(json.dumps({**data, "scenarios": None}))
-    with pytest.raises(FileError, match="not a report's JSON"):
+    with pytest.raises(FileError, match="not the JSON file of a report"):
         load_report(tmp_path / "half.json")
 
 
