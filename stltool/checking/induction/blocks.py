@@ -295,11 +295,10 @@ def _joined(parts: Sequence[Sets]) -> Sets:
 
 
 def _whole(block: Block, own: Back | None, pieces: Sequence[Ahead], engine: Words, tiles: Tiles) -> Ahead:
-    """The layer ahead of all states that a block knows, by its own numbers."""
+    """The layer ahead of all states that a block knows, by its own numbers: in the order of the pieces."""
     ahead = [piece for piece in pieces if len(piece[0].states)]
     if own is not None and len(own.layer.states):
         ahead.append((own.layer, own.values))
-    ahead.sort(key=_first_state)
     layers = [layer for layer, _ in ahead]
     if not layers:
         return engine.nothing(), tiles.start()
@@ -317,10 +316,6 @@ def _whole(block: Block, own: Back | None, pieces: Sequence[Ahead], engine: Word
         None,
     )
     return joined, np.concatenate([values for _, values in ahead])
-
-
-def _first_state(piece: Ahead) -> int:
-    return int(piece[0].states[0])
 
 
 # -------------------------------------------------------------------------------------------------------- the client

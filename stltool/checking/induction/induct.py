@@ -175,7 +175,7 @@ class Way:
 
     def back(self, at: Passed) -> Iterator[Step]:
         """From where it is to step 0."""
-        layers, game, allowed, tiles = self._layers, self._layers.game, self._layers.allowed, self._tiles
+        layers, tiles = self._layers, self._tiles
         for first, last, layer in layers.backwards(at.before, at.ahead):
             t = last
             while t >= first:
@@ -185,14 +185,13 @@ class Way:
                     )
                 else:
                     new, choice = tiles.back(t, layer, at.ahead, at.values, self._keep is not None)
-                until, repeats = t, tiles is not None or self._arithmetic.repeats
+                repeats = tiles is not None or self._arithmetic.repeats
                 again = layer is at.ahead and repeats and np.array_equal(new, at.values)
-                if again:
-                    until = max(first, game.automaton.alike(t + 1)[0] - 1, allowed.first_alike(t))
+                until = first if again else t
                 at = Passed(until, layer, new, at.swept + 1)
                 yield Step(until, t, again, choice, at)
                 t = until - 1
-                layers.budget.tell(until, game.horizon, back=True)
+                layers.budget.tell(until, layers.game.horizon, back=True)
 
     def by_slot(self, at: Passed) -> Values:
         """The values of a layer, as arithmetics have them."""
