@@ -32,7 +32,7 @@ MUTATIONS = {
         WORDS, "rows[j * width + d] |= going", "rows[j * width + d] = going", INDUCTION,
     ),
     "reach: what is decided": (WORDS, "x = at(image, w) & at(undecided, w)", "x = at(image, w)", INDUCTION),
-    "a block forgets its own": (BLOCKS, "before.sent.get(block.number, _NOTHING), *received", "*received, *()", CLUSTER),
+    "a block forgets its own": (BLOCKS, "sent.get(block.number, _NOTHING)", "sent.get(-1, _NOTHING)", CLUSTER),
     "reach: the last word is forgotten": (
         WORDS, "n_words + 1)):\n                x = at(image, w)", "n_words)):\n                x = at(image, w)",
         INDUCTION,
