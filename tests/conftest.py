@@ -1,12 +1,17 @@
+import contextlib
 import functools
+import hashlib
 import os
+import tempfile
 from pathlib import Path
 
 import pytest
 import typer.main
+from filelock import FileLock, Timeout
 from hypothesis import HealthCheck, settings
 
 import stltool as stl
+from stltool.kernels.cache import KernelCache
 
 MORE = float(os.environ.get("STLTOOL_MORE", "1"))
 
@@ -65,3 +70,38 @@ def flagged(floor5):
     """The same with the paper's flags, which are exact here."""
     task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 5, "tau": 5})
     return stl.build_product(floor5, task, encoding="paper")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def each_kernel_is_compiled_once(worker_id, testrun_uid):
+    """Of the processes that share the tests, one compiles a kernel, and the others wait and load it."""
+    if worker_id == "master":
+        yield
+        return
+    folder = Path(tempfile.gettempdir(), f"stltool-tests-{testrun_uid}")
+    load, save, held = KernelCache.load_overload, KernelCache.save_overload, {}
+
+    def load_overload(self, sig, target_context):
+        found = load(self, sig, target_context)
+        if found is not None or self.cache_path is None:
+            return found
+        key = hashlib.sha256(repr((self.cache_path, self._name, sig)).encode()).hexdigest()[:16]
+        lock = FileLock(folder / key)
+        with contextlib.suppress(Timeout):  # of who cannot compile it, or was killed
+            lock.acquire(timeout=60)
+        held[self._name, sig] = lock
+        found = load(self, sig, target_context)
+        if found is not None:
+            held.pop((self._name, sig)).release()
+        return found
+
+    def save_overload(self, sig, data):
+        save(self, sig, data)
+        if lock := held.pop((self._name, sig), None):
+            lock.release()
+
+    folder.mkdir(exist_ok=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(KernelCache, "load_overload", load_overload)
+        patch.setattr(KernelCache, "save_overload", save_overload)
+        yield

@@ -1,5 +1,6 @@
 """Which truth assignments can occur: nothing is missing, and nothing is superfluous where one variable is compared."""
 
+import functools
 import itertools
 import math
 
@@ -62,12 +63,16 @@ def test_nothing_is_superfluous_where_one_variable_is_compared(data):
     number = st.sampled_from(["0", "0.5", "-1", "3 / 4", "2 * 1"])
     texts = st.builds("{} {} {}".format, st.sampled_from(["x", "-x", "2 * x", "x + 1", "1 - x", "x / 2"]),
                       st.sampled_from(COMPARATORS), number)  # fmt: skip
-    read = [stl.parse(text) for text in data.draw(st.lists(texts, min_size=1, max_size=4))] + [Label("a")]
-    grid = np.arange(-6, 6.01, 1 / 16)  # holds every border, and values on both sides of each
-    brute = {
-        tuple(stl.satisfies(leaf, {"x": [x], "a": [a]}) for leaf in read) for x in grid for a in (False, True)
-    }  # fmt: skip
-    assert rows(read) == brute
+    drawn = data.draw(st.lists(texts, min_size=1, max_size=4))
+    brute = {(*truths, a) for truths in zip(*map(over_the_grid, drawn), strict=True) for a in (False, True)}
+    assert rows([*map(stl.parse, drawn), Label("a")]) == brute
+
+
+@functools.cache
+def over_the_grid(text):
+    """Whether a comparison holds at x = −6 … 6: every border, and values on both sides of each."""
+    leaf = stl.parse(text)
+    return [stl.satisfies(leaf, {"x": [x]}) for x in np.arange(-6, 6.01, 1 / 16)]
 
 
 @pytest.mark.parametrize(
