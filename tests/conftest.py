@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, settings
 
 import stltool as stl
 from stltool.kernels.cache import KernelCache
+from tests import slow
 
 MORE = float(os.environ.get("STLTOOL_MORE", "1"))
 
@@ -39,6 +40,13 @@ OUTSIDE = Path(os.environ.get("STLTOOL_OUTSIDE_DATA", ROOT.parent / "shared" / "
 FACTORY = ROOT / "examples" / "factory"
 PATROLLING = str(FACTORY / "patrolling.stl")
 SMALL = ["-p", "T=5", "-p", "tau=5"]
+
+
+def pytest_collection_modifyitems(items):
+    listed = slow.listed()
+    for item in items:
+        if slow.of_all_parameters(item.nodeid) in listed:
+            item.add_marker("slow")
 
 
 def needs_outside(name: str) -> pytest.MarkDecorator:

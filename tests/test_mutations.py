@@ -103,7 +103,7 @@ def test_a_mutation_is_found(name, tmp_path):
     shutil.copytree(ROOT / "grammars", tmp_path / "grammars")
     changed = tmp_path / "stltool" / file
     changed.write_text(changed.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
-    options = ["-x", "-n", "0", "-p", "no:cacheprovider", "--tb", "line", "-m", "not slow", tests]
+    options = ["-x", "-n", "0", "-p", "no:cacheprovider", "--tb", "line", tests]
     settings = {key: value for key, value in os.environ.items() if not key.startswith(("STLTOOL_", "PYTEST_"))}
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, tmp_path, *options], cwd=ROOT, env=settings, capture_output=True, text=True

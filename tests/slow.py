@@ -1,0 +1,77 @@
+"""Which tests are marked slow, so that the others take a minute: `python -m tests.slow` measures and lists them again.
+
+tests/slow.txt has a test a line, the longest first: processor seconds of all its parameters together, on one machine
+and one day, with the processes that it starts.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+import psutil
+import pytest
+
+LIST = Path(__file__).with_name("slow.txt")
+REST = 50.0  # processor seconds of all others
+_OUT = "STLTOOL_SLOW_OUT"
+
+
+def listed():
+    """The slow tests, as file::function."""
+    return {line.split()[1] for line in LIST.read_text(encoding="utf-8").splitlines()}
+
+
+def of_all_parameters(nodeid):
+    return nodeid.partition("[")[0]
+
+
+class Stopwatch:
+    """Of a process that runs tests: what each of them takes."""
+
+    def __init__(self, out):
+        self._out, self._taken = out, Counter()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item, nextitem):
+        before = sum(psutil.Process().cpu_times()[:4])
+        ran = yield
+        self._taken[of_all_parameters(item.nodeid)] += sum(psutil.Process().cpu_times()[:4]) - before
+        return ran
+
+    def pytest_sessionfinish(self):
+        (self._out / f"{os.getpid()}.json").write_text(json.dumps(self._taken))
+
+
+def pytest_configure(config):
+    if _OUT in os.environ:
+        config.pluginmanager.register(Stopwatch(Path(os.environ[_OUT])))
+
+
+def lines_of(taken, rest=REST):
+    """The longest, until the others take no more than `rest`."""
+    left = sum(taken.values())
+    for name, seconds in sorted(taken.items(), key=lambda entry: (-entry[1], entry[0])):
+        if left <= rest:
+            return
+        left -= seconds
+        yield f"{seconds:6.2f} {name}\n"
+
+
+def main():
+    taken = Counter()
+    with tempfile.TemporaryDirectory() as out:
+        command = [sys.executable, "-m", "pytest", "-n", "2", "-p", "tests.slow"]
+        for _ in range(2):  # the first compiles kernels for whichever test comes first
+            done = subprocess.run(command, env={**os.environ, _OUT: out})
+        assert done.returncode == 0, "the list stays as it was"
+        for path in sorted(Path(out).iterdir(), key=lambda path: path.stat().st_mtime)[-2:]:
+            taken.update(json.loads(path.read_text()))
+    LIST.write_text("".join(lines_of(taken)), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,14 @@
+"""What is listed as slow is what takes long."""
+
+from tests import slow
+
+
+def test_the_longest_are_listed_until_the_others_are_short():
+    taken = {"a.py::one": 5.0, "a.py::two": 0.5, "b.py::three": 30.0, "b.py::four": 0.25}
+    assert list(slow.lines_of(taken, rest=1)) == [" 30.00 b.py::three\n", "  5.00 a.py::one\n"]
+    assert list(slow.lines_of(taken, rest=6)) == [" 30.00 b.py::three\n"]
+    assert list(slow.lines_of(taken, rest=40)) == []
+
+
+def test_parameters_count_together():
+    assert slow.of_all_parameters("a.py::one[x[0]-y]") == "a.py::one" == slow.of_all_parameters("a.py::one")
