@@ -1,4 +1,4 @@
-"""Policies learned without the model: one learner a file; what they share is one schedule, replay and trainer."""
+"""Policies learned without the model: one learner per file; they share a schedule, a replay memory and a trainer."""
 
 from stltool.learning.cfer import Cfer, PublishedCfer
 from stltool.learning.cfper import PublishedCfper

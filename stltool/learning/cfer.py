@@ -1,12 +1,12 @@
 """cfer: counterfactual experience replay [Wang24, Alg. 1 and eq. 14].
 
-One real transition (s, a, s') is evidence for every automaton state q at once, since δ and the labels are known: as
-published, each such tuple enters the memory; corrected, the memory holds real transitions only, and one of them
-updates every open (t, q) it speaks for in one vector operation, the episode backwards.
+One real transition (s, a, s') is evidence for every automaton state q at once, since δ and the labels are known. As
+published, each such tuple enters the memory. In the corrected version, the memory contains only real transitions, and
+each of them updates all open pairs (t, q) that it is evidence for in one vector operation, backwards along the episode.
 
-Corrected, exploring is count-based: what was never tried in this state comes first; then, with chance ε and when the
-task is violated already, what was tried least. The policy that is judged weighs values with n / (n + κ), n visits of
-the choice: what was seen once is not preferred to what has proved itself.
+The corrected version explores by counts: actions never tried in this state come first; then, with probability ε and
+once the task is violated, those tried least. The policy that is judged weighs values by n / (n + κ) for n visits of the
+choice: a choice seen once is not preferred to one that has proved itself.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ class PublishedCfer(Counterfactual):
 
 @dataclass(frozen=True, kw_only=True)
 class Cfer(Clocked, Learner["CferRun"]):
-    """Exact objective, every open (t, q) updated from each real transition, replay of real transitions."""
+    """Exact objective; each real transition updates every open pair (t, q); replay of real transitions."""
 
     name: ClassVar[str] = "cfer"
 
-    decay: float = setting(50.0, "n_d of the chance to explore, end + (start − end)·exp(−episode / n_d)", above=0)
-    memory: int = setting(100_000, "transitions that the replay memory holds; the oldest leave first", least=1)
+    decay: float = setting(50.0, "n_d of the exploration probability end + (start − end)·exp(−episode / n_d)", above=0)
+    memory: int = setting(100_000, "capacity of the replay memory in transitions; the oldest leave first", least=1)
     replays: int = setting(600, "real transitions replayed after each episode", least=0)
 
     def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> CferRun:
@@ -80,16 +80,16 @@ class Cfer(Clocked, Learner["CferRun"]):
         table.require_visits(counts)
         s, a, s2 = state.memory.checked(int(counts.seen.sum())).T
         if (a >= state.problem.n_choices[s]).any():
-            raise ValueError("the memory holds a choice that its state does not have")
+            raise ValueError("the memory contains a choice that its state does not have")
         again = Counts(counts.n_choices, counts.n_states)
         again.add(state.problem.first_choice[s] + a, s2)
         if not counts.contains(again):
-            raise ValueError("the memory holds transitions that were never counted")
+            raise ValueError("the memory contains transitions that were never counted")
 
 
 @dataclass(frozen=True)
 class CferRun:
-    """What a run changes."""
+    """The state of a run."""
 
     problem: Problem
     table: ClockedTable

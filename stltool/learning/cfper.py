@@ -1,6 +1,6 @@
-"""cfper: cfer whose tuples are drawn with weight exp(−‖f̃ − f‖₁): flags near the factual ones come up more often.
+"""cfper: cfer whose tuples are drawn with weight exp(−‖f̃ − f‖₁): flags near the factual ones are drawn more often.
 
-Only as published: the corrected cfer keeps no counterfactual tuples that could be preferred to others.
+Only as published: the corrected cfer stores no counterfactual tuples that could be weighted.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""Checkpoints: everything a run is made of between two episodes, so that it goes on to the same bits.
+"""Checkpoints: the complete state of a run between two episodes, so that it can be resumed exactly.
 
-An .npz file without pickle: a JSON header (what the run is, how far it is, the generators' states, a digest of the
+An .npz file without pickle: a JSON header (the run, its progress, the states of the generators, a digest of the
 content) and the arrays of history, counts and learner. It is replaced atomically: a run killed at any moment leaves the
-last one whole.
+last checkpoint intact.
 
-A file is believed only after all of this holds, which is before any kernel sees an entry: it is of this run (task,
-model, method, settings, seed); its arrays are those that a run of this learner has, with their types and shapes, and
-none is unpacked that declares others; the content has its digest; entries are in range; and they add up, the counts to
-the steps, the learner's arrays to the counts (`Learner.check`).
+A file is accepted, before any kernel sees an entry, only if all of this holds: it belongs to this run (task, model,
+method, settings, seed); its arrays are those of a run of this learner, with their types and shapes, and none that
+declares others is unpacked; the digest matches; entries are in range; and they are consistent: counts with steps, and
+the arrays of the learner with the counts (`Learner.check`).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def save_checkpoint(
     trainer: Trainer,
     generators: Sequence[np.random.Generator],
 ) -> None:
-    """Write the run `what` (its task, model, method and settings, by name) as it stands."""
+    """Save the current state of the run `what` (its task, model, method and settings, by name)."""
     arrays = {f"learner {name}": kept.values for name, kept in kept_arrays(trainer).items()}
     arrays |= {f"counts {name}": array for name, array in trainer.counts.arrays().items()}
     points = progress.history
@@ -67,14 +67,14 @@ def packed(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> byt
     text = json.dumps({**header, "digest": _digest(header, arrays)})
     members = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     members["header"] = np.frombuffer(text.encode("utf-8"), dtype=np.uint8)
-    np.savez(buffer, **members)  # type: ignore[arg-type]  # numpy's stub takes every name for allow_pickle
+    np.savez(buffer, **members)  # type: ignore[arg-type]  # numpy's stub takes any name for allow_pickle
     return buffer.getvalue()
 
 
 def load_checkpoint(
     path: Path, what: Mapping[str, Any], trainer: Trainer, generators: Sequence[np.random.Generator]
 ) -> Progress:
-    """Restore the run; SettingsError where the file is damaged, of another version, or of another run."""
+    """Restore the run; SettingsError if the file is damaged, of another version, or of another run."""
     try:
         with open_arrays(path, "checkpoint") as members:
             header = _header(members)
@@ -102,8 +102,8 @@ def load_checkpoint(
 
 
 def require_checkpoint(path: str | Path | None, resume: bool) -> None:
-    """An error, before the work, where a checkpoint could not be written, or would replace a run that was not asked for
-    again."""
+    """Raise an error, before the work, if a checkpoint could not be written, or would replace a run that is not to be
+    resumed."""
     if path is None:
         if resume:
             raise SettingsError(
@@ -117,7 +117,7 @@ def require_checkpoint(path: str | Path | None, resume: bool) -> None:
 
 
 def require_generators(generators: Sequence[np.random.Generator]) -> None:
-    """SettingsError where a generator's state is of a kind that is not checked when it is read."""
+    """SettingsError if a generator is of a kind whose state is not checked when it is read."""
     for generator in generators:
         kind = type(generator.bit_generator).__name__
         if kind not in _GENERATORS:
@@ -130,7 +130,7 @@ def require_generators(generators: Sequence[np.random.Generator]) -> None:
 
 
 def kept_arrays(trainer: Trainer) -> dict[str, Kept]:
-    """The learner's arrays, by name, with the ranges that they have; SettingsError where they cannot be kept."""
+    """The learner's arrays, by name, with their ranges; SettingsError if they cannot be stored."""
     if trainer.state is None:
         return {}
     arrays = trainer.learner.arrays(trainer.state)
@@ -139,7 +139,7 @@ def kept_arrays(trainer: Trainer) -> dict[str, Kept]:
         if one.values.dtype.kind not in "biuf":
             raise SettingsError(
                 f"{trainer.learner.name} cannot be checkpointed: its array {name} is of {one.values.dtype}; "
-                "keep numbers or Booleans"
+                "use numbers or Booleans"
             )
     return kept
 
@@ -151,7 +151,7 @@ def _header(members: Members) -> dict[str, Any]:
     except RecursionError:
         raise ValueError("its header is nested too deeply") from None
     if not isinstance(header, dict) or "format" not in header:
-        raise ValueError("its header does not say what it is")
+        raise ValueError("its header is incomplete")
     return header
 
 
@@ -160,7 +160,7 @@ def _require_format(path: Path, header: dict[str, Any]) -> None:
     if version != FORMAT:
         raise SettingsError(
             f"{path} has the format {version!r}, and this version of stltool reads {FORMAT!r}; "
-            "finish the run with the version that began it, or start again"
+            "finish the run with the version that started it, or start again"
         )
     expected = {"format", "what", "episode", "steps", "status", "generators", "digest"}
     if header.keys() != expected or not isinstance(header["what"], dict) or not isinstance(header["generators"], list):
@@ -174,14 +174,14 @@ def _require_same(path: Path, header: dict[str, Any], what: Mapping[str, Any]) -
         if was != here:
             raise SettingsError(
                 f"{path} is of another run: its {name.removeprefix('setting ')} is {was}, here it is {here}; "
-                "resume it as it was begun, or give another checkpoint file"
+                "resume it with the original arguments, or give another checkpoint file"
             )
 
 
 def _require_length(path: Path, header: dict[str, Any], trainer: Trainer) -> None:
     episode, steps, episodes = _index(header, "episode"), _index(header, "steps"), trainer.budget.episodes
     if episode > episodes:
-        raise SettingsError(f"{path} is {episode} episodes old already; {named('episodes')} is {episodes}, give more")
+        raise SettingsError(f"{path} has {episode} episodes already, and {named('episodes')} is {episodes}; give more")
     if steps > episode * trainer.length:
         raise ValueError(f"{episode} episodes cannot take {steps} steps")
 
@@ -204,12 +204,12 @@ def _arrays(members: Members, header: dict[str, Any], trainer: Trainer) -> dict[
     }
     strange = set(members.names) ^ {*schema, "header"}
     if strange:
-        raise ValueError(f"it has not the arrays of {trainer.learner.name}: {', '.join(sorted(strange))}")
+        raise ValueError(f"its arrays are not those of {trainer.learner.name}: {', '.join(sorted(strange))}")
     return {name: members.read(name, *expected) for name, expected in schema.items()}
 
 
 def _progress(header: dict[str, Any], arrays: Mapping[str, NDArray[Any]], trainer: Trainer) -> Progress:
-    """How far the run is, its learning curve included."""
+    """The progress of the run, including its learning curve."""
     episode, steps, status = _index(header, "episode"), _index(header, "steps"), header["status"]
     if status is not None and status not in get_args(Status):
         raise ValueError(f"its status is {status!r}")
@@ -229,9 +229,9 @@ def _progress(header: dict[str, Any], arrays: Mapping[str, NDArray[Any]], traine
         raise ValueError("its learning curve does not reach its end")
     known = ~np.isnan(values)
     if (known != trainer.knows).any() and trainer.state is not None:
-        raise ValueError("its learning curve is of a model that is known otherwise")
+        raise ValueError("its learning curve does not fit what is known of the model")
     if not ((values[known] >= 0) & (values[known] <= 1)).all() or not np.isfinite(times).all():
-        raise ValueError("its learning curve holds a number that is not a probability")
+        raise ValueError("its learning curve contains a number that is not a probability")
     points = zip(at.tolist(), of.tolist(), values.tolist(), times.tolist(), strict=True)
     history = [Point(e, s, None if math.isnan(p) else p, when) for e, s, p, when in points]
     return Progress(episode, steps, history, status)
@@ -278,7 +278,7 @@ def _index(header: dict[str, Any], name: str) -> int:
 
 
 def _digest(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
-    """SHA-256 of the whole content, against damage; forgers can compute it too."""
+    """SHA-256 of the whole content, against damage, not against forgery."""
     found = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
     for name in sorted(arrays):
         array = np.asarray(arrays[name], order="C")

@@ -1,29 +1,30 @@
 """Confidence sequences: intervals for probabilities that hold at every number of tries at once.
 
-A choice's successors x₁, x₂, … are independent draws of its distribution P, however it was decided to try the choice
-again, or to stop: that only says how many of them are seen. So what holds at all n at once, holds at the n at hand.
+A choice's successors x₁, x₂, … are independent draws from its distribution P, however it was decided to try the
+choice again, or to stop: that only determines how many of them are seen. So what holds at all n at once also holds at
+the n at hand.
 
-**An entry** p = P(s), of which k of n tries are a sample. Against p stands a coin of unknown bias, Beta(½, ½) its
-mixture [Krichevsky81]:
+**An entry** p = P(s), of which k of n tries are a sample. Compare p with a coin of unknown bias, mixed over
+Beta(½, ½) [Krichevsky81]:
 
     M_n(p) = ∫ θᵏ(1−θ)ⁿ⁻ᵏ dBeta(θ; ½, ½) / (pᵏ(1−p)ⁿ⁻ᵏ) = B(k+½, n−k+½) / (π · pᵏ(1−p)ⁿ⁻ᵏ),        M₀ = 1
 
-is a nonnegative martingale: the mixture says success with (k+½)/(n+1), so
+is a nonnegative martingale: the mixture predicts success with probability (k+½)/(n+1), so
 
     E[M_{n+1} / M_n] = p · (k+½)/((n+1)p) + (1−p) · (n−k+½)/((n+1)(1−p)) = 1.
 
-By Ville's inequality P(some n has M_n(p) ≥ 1/α) ≤ α. All p with M_n(p) < 1/α are an interval around k/n, whose
-both ends so cost α together; it is some √(ln n) wider than one for a single n fixed beforehand.
+By Ville's inequality P(some n has M_n(p) ≥ 1/α) ≤ α. All p with M_n(p) < 1/α are an interval around k/n, so both
+ends together cost α; it is wider by a factor of order √(ln n) than one for a single n fixed beforehand.
 
 **What was not seen.** A is the set of the j successors seen in n tries, of N possible ones. For a fixed set A, of mass
-1 − u outside, P(the first n tries stay in A) = (1−u)ⁿ; the bound 1 − β^(1/n) falls with n, so it first fails at one n₀,
-and it is ever wrong only where n₀ tries stay in A: probability below β. No mixture is needed. A being random, all sets
-are bounded at once: β = α / (j(j+1)·C(N, j)) for each of the C(N, j) sets of j states, Σ_j 1/(j(j+1)) < 1 in all. Hence
+1 − u outside, P(the first n tries stay in A) = (1−u)ⁿ; the bound 1 − β^(1/n) decreases with n, so it first fails at an
+n₀, and it is ever wrong only if n₀ tries stay in A: probability below β. No mixture is needed. As A is random, all sets
+are bounded at once: β = α / (j(j+1)·C(N, j)) for each of the C(N, j) sets of j states, Σ_j 1/(j(j+1)) < 1. Hence
 
     P(outside A) ≤ 1 − exp(−(ln C(N, j) + ln j(j+1) + ln 1/α) / n)        for all n at once, up to α.
 
 **Rounding.** Ends come from bisection: an end is moved only to values that are outside by more than `_SLACK` of the
-terms' sizes, a hundred times what gammaln is off by. So an interval is too wide by that, never too narrow.
+terms' sizes, a hundred times the error of gammaln. So an interval may be too wide by that, but is never too narrow.
 
 Sources: [Ville39] [Robbins70] [Howard21].
 """
@@ -43,12 +44,12 @@ _BISECTIONS = 60
 
 
 def entry_interval(successes: Whole, tries: Whole, log_inverse: Floats | float) -> tuple[Floats, Floats]:
-    """(lower, upper) ends (n,) around probabilities of which `successes` of `tries` are a sample; [0, 1] without any.
+    """(lower, upper) ends (n,) around probabilities of which `successes` of `tries` are a sample; [0, 1] without tries.
 
     `log_inverse` is ln(1/α): an interval misses its probability at any number of tries with probability at most α.
     """
     rows = np.stack(np.broadcast_arrays(successes, tries, log_inverse), axis=1)
-    distinct, place = np.unique(rows, axis=0, return_inverse=True)  # few: samples are small numbers
+    distinct, place = np.unique(rows, axis=0, return_inverse=True)  # few: samples are small integers
     k, n, level = distinct.T
     lower, upper = _lower_end(k, n, level), np.minimum(np.nextafter(1 - _lower_end(n - k, n, level), 2), 1)
     return lower[place.ravel()], upper[place.ravel()]
@@ -67,7 +68,7 @@ def unseen_mass(seen: Whole, tries: Whole, possible: int, log_inverse: float) ->
 
 
 def _lower_end(k: Floats, n: Floats, log_inverse: Floats) -> Floats:
-    """The largest p below k/n, up to the slack, with M_n(p) ≥ 1/α; 0 where there is none."""
+    """The largest p below k/n, up to the slack, with M_n(p) ≥ 1/α; 0 if there is none."""
     from scipy.special import betaln, gammaln
 
     mixture = betaln(k + 0.5, n - k + 0.5) - np.log(np.pi)

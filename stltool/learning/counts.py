@@ -1,4 +1,4 @@
-"""How often each transition was seen: what a model can be estimated from, and bounded (learning/guarantee.py)."""
+"""How often each transition was seen: the data from which a model is estimated and bounded (learning/guarantee.py)."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from stltool.display import Card, Displayed, counted
 from stltool.errors import SettingsError
 
-_WAITING = 1 << 16  # transitions that wait to be counted together
+_WAITING = 1 << 16  # transitions buffered before they are counted together
 _MOST = np.iinfo(np.int64).max
 
 
 class Counts(Displayed):
     """Sparse counts of (choice, successor); a choice is a model state with one of its available actions.
 
-    `choice`, `target` and `seen` are the rows, sorted by choice, then target; reading them counts what waits.
+    `choice`, `target` and `seen` are the rows, sorted by choice, then target; reading them counts buffered transitions.
     """
 
     def __init__(self, n_choices: int, n_states: int) -> None:
@@ -27,7 +27,7 @@ class Counts(Displayed):
                 raise SettingsError(f"{name} is {value!r}; give an integer from 1")
         self.n_choices, self.n_states = int(n_choices), int(n_states)
         if self.n_choices * self.n_states > _MOST:
-            raise SettingsError(f"{n_choices} choices of {n_states} states are too many to be counted")
+            raise SettingsError(f"{n_choices} choices of {n_states} states are too many to count; use a smaller model")
         self._codes = np.empty(0, dtype=np.int64)  # choice · n_states + target, ascending
         self._seen = np.empty(0, dtype=np.int64)
         self._waiting: list[NDArray[np.int64]] = []
@@ -44,7 +44,7 @@ class Counts(Displayed):
     def add(self, choice: ArrayLike, target: ArrayLike) -> None:
         """Count transitions: choices (n,) and their successors (n,).
 
-        Raises SettingsError, counting none of them, unless both are integers in range and equally many.
+        Raises SettingsError, counting none of them, unless both are integers in range and of equal number.
         """
         choices = _indices("choice", choice, self.n_choices)
         targets = _indices("target", target, self.n_states)
@@ -53,7 +53,7 @@ class Counts(Displayed):
         self.add_known(choices, targets)
 
     def add_known(self, choice: NDArray[np.int64], target: NDArray[Any]) -> None:
-        """The same where they are known to be in range."""
+        """The same if they are known to be in range."""
         self._waiting.append(choice * self.n_states + target)
         self._n_waiting += len(choice)
         if self._n_waiting > _WAITING:
@@ -83,7 +83,7 @@ class Counts(Displayed):
     @property
     def visits(self) -> NDArray[np.int64]:
         """(n_choices,): how often each choice was taken."""
-        # whole numbers all along: weights of bincount would be doubles
+        # integers throughout: weights of bincount would be doubles
         visits = np.zeros(self.n_choices, dtype=np.int64)
         np.add.at(visits, self.choice, self.seen)
         return visits
@@ -103,7 +103,7 @@ class Counts(Displayed):
         return {"codes": self._codes, "seen": self._seen}
 
     def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Take what `arrays` gave; ValueError where it cannot have given that."""
+        """Restore the result of `arrays`; ValueError if it cannot be one."""
         codes, seen = arrays["codes"], arrays["seen"]
         for name, array in (("codes", codes), ("seen", seen)):
             if array.dtype != np.int64 or array.ndim != 1 or len(array) != len(codes):
@@ -112,7 +112,7 @@ class Counts(Displayed):
         if outside.any() or (codes[1:] <= codes[:-1]).any():
             raise ValueError("the counted transitions are out of range or out of order")
         if (seen < 1).any() or sum(seen.tolist()) > _MOST:
-            raise ValueError("transitions were seen less often than once, or too often to be counted")
+            raise ValueError("a transition was seen less than once, or too often to be counted")
         self._codes, self._seen = codes.copy(), seen.copy()
         self._waiting, self._n_waiting, self._single = [], 0, []
 

@@ -1,6 +1,6 @@
-"""One episode, as a learner plays it: the state that it is in, the automaton's state, and `step`.
+"""One episode, as a learner plays it: the model state, the automaton state, and `step`.
 
-Every transition is counted before `step` returns. Episodes that run whole in a compiled kernel are `record`ed.
+Every transition is counted before `step` returns. Episodes that run entirely in a compiled kernel are `record`ed.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ class Episode:
     """An episode that has begun, of at most `length` steps.
 
     number    counted from 0
-    length    the steps there can be; `over` when they are done
-    rng       where a learner's random numbers come from
-    t, s, q   the present step, model state, and automaton state after reading it
-    verdict   whether the task is satisfied; None until the run decides it. Steps may still be taken then, to explore
+    length    the maximum number of steps; `over` when they are done
+    rng       the source of the learner's random numbers
+    t, s, q   the current step, model state, and automaton state after reading it
+    verdict   whether the task is satisfied; None until the run is decided. Further steps may still be taken, to explore
     """
 
     __slots__ = (
@@ -60,14 +60,14 @@ class Episode:
 
     @property
     def n_choices(self) -> int:
-        """How many choices the present state has."""
+        """The number of choices in the current state."""
         return self._n_choices[self.s]
 
     def step(self, choice: int) -> None:
         """Take a choice (0 … n_choices − 1): t, s, q and verdict change.
 
-        Raises SettingsError where there is no such choice or no step left, ModelError where the environment returns
-        something that is no state.
+        Raises SettingsError if there is no such choice or no step left, ModelError if the environment returns
+        something that is not a state.
         """
         s = self.s
         try:
@@ -96,7 +96,7 @@ class Episode:
                 self.verdict = bool(verdict == TRUE)
 
     def record(self, states: NDArray[np.int32], actions: NDArray[np.int32]) -> None:
-        """All steps of an episode that a kernel took: states (n+1,) and choices (n,). No verdict is kept of them."""
+        """All steps of an episode that a kernel took: states (n+1,) and choices (n,). No verdict is stored."""
         self._counts.add_known(self._problem.first_choice[states[:-1]] + actions, states[1:])
         self._states, self._actions = states, actions
         self.t, self.s = len(actions), int(states[-1])

@@ -1,4 +1,4 @@
-"""Ctrl-C between two episodes: a run that is to be kept is not cut in the middle of one."""
+"""Ctrl-C between two episodes: a run that is to be saved is not interrupted in the middle of one."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Interrupt:
 
 @contextmanager
 def interruptible(deferred: bool) -> Iterator[Interrupt]:
-    """Where `deferred`, the first SIGINT only sets `asked`; the second one interrupts at once, as usual.
+    """If `deferred`, the first SIGINT only sets `asked`; the second one interrupts at once, as usual.
 
-    Nothing changes outside the main thread, or where the process handles or ignores SIGINT in a way of its own.
+    Nothing changes outside the main thread, or if the process handles or ignores SIGINT in its own way.
     """
     interrupt = Interrupt()
     usual = signal.getsignal(signal.SIGINT)

@@ -1,4 +1,4 @@
-"""An array that a checkpoint keeps, with the range of its values."""
+"""An array that a checkpoint stores, with the range of its values."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """`values` are read back into place when `least` ≤ them ≤ `most` (numbers, or arrays that broadcast).
+    """`values` are read back in place if they lie between `least` and `most` (numbers, or arrays that broadcast).
 
-    What is infinite when a run starts stays so; nothing else may be infinite, and nothing is NaN.
+    Entries that are infinite when a run starts stay so; no others may be infinite, and none is NaN.
     """
 
     values: NDArray[Any]

@@ -1,4 +1,4 @@
-"""`learn`: a policy for a product, from something that only resets and steps."""
+"""`learn`: a policy for a product, from an environment that can only be reset and stepped."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ from stltool.randomness import Purpose, generator, require_seed
 from stltool.sizes import require_time
 
 _SHOWN = 10  # points of the learning curve in a notebook
-_RATE = 1e6  # environment steps a second, roughly
+_RATE = 1e6  # environment steps per second, roughly
 
 Shown = Callable[[int, int, int, float | None], None]
-"""Called once an episode with (episode, episodes, environment steps, exact probability so far or None)."""
+"""Called once per episode with (episode, episodes, environment steps, exact probability so far or None)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Training(Displayed):
     """A finished run: the policy at the end, the exact learning curve that led there, the transitions it saw.
 
-    learner    the method with the settings that were used; budget: those that belong to the run
+    learner    the method with its settings; budget: the settings of the run
     status     how it ended: "complete" (all episodes), "within the gap" (`stop_gap`), "out of steps" (`most_steps`), or
                "nothing to learn" (the first state decides the task, so all policies are equally good)
-    seconds    wall time, of a resumed run since it was resumed
+    seconds    wall time, for a resumed run since it was resumed
     """
 
     policy: Policy
@@ -65,7 +65,7 @@ class Training(Displayed):
 
     def _card(self) -> Card:
         home = self.policy.home
-        assert isinstance(home, Product)  # learners know no joint products
+        assert isinstance(home, Product)  # learners do not support joint products
         last = self.history[-1].probability
         step = -(-len(self.history) // _SHOWN)
         points = self.history[::-step][::-1]
@@ -93,12 +93,12 @@ class Training(Displayed):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The method's settings by name, as they were used."""
+        """The settings of the method by name."""
         return recorded(self.learner)
 
     @property
     def stopped_early(self) -> bool:
-        """Whether `stop_gap` or `most_steps` ended it before its episodes were over."""
+        """Whether `stop_gap` or `most_steps` ended it before its last episode."""
         return self.status in ("within the gap", "out of steps") and self.episodes < self.budget.episodes
 
     @property
@@ -131,25 +131,25 @@ def learn(
     progress: Shown | None = None,
     **settings: Any,
 ) -> Training:
-    """Learn a policy without knowing the probabilities.
+    """Learn a policy without knowledge of the probabilities.
 
     method        a learner, such as `Cfer(replays=50)` or one of your own (docs/learning.md); or a name: "cfer",
                   "model-based", "naive", "naive-er" (exact objective, γ = 1, Q carries the clock), with `faithful=True`
                   "naive", "naive-er", "cfer", "cfper" as published (docs/reproduction.md)
     settings      with a name: fields of its class, such as `replays=50`
     episodes      training episodes
-    evaluate_every   episodes between two exact evaluations of the learned policy, the points of the learning curve
-    most_steps    end before an episode that could take more environment steps than this in all
-    stop_gap      end as soon as an evaluation is within this of the exact optimum (a known model only)
-    seed          an integer from 0; every random choice comes from it: same seed, same result
+    evaluate_every   episodes between exact evaluations of the learned policy, the points of the learning curve
+    most_steps    stop before the total of environment steps could exceed this
+    stop_gap      stop once an evaluation is within this of the exact optimum (known models only)
+    seed          an integer from 0, the source of all random choices: same seed, same result
     environment   anything whose `reset()` and `step(i)` (the i-th available action of the current state) return the
-                  index of a state as the model counts them. Default: the model, sampled
-    checkpoint    a file that holds the whole run every `checkpoint_every` seconds, at its end, and when it is
-                  interrupted (Ctrl-C); `resume=True` goes on from it, where there is one, to the same bits as an
-                  undisturbed run
+                  index of a state of the model. Default: the model, sampled
+    checkpoint    a file to which the whole run is saved every `checkpoint_every` seconds, at its end, and when it is
+                  interrupted (Ctrl-C); `resume=True` continues from it, if it exists, with bit for bit the same result
+                  as an uninterrupted run
 
-    Raises SettingsError for what does not fit together, ModelError where the environment returns no state, FileError
-    where the checkpoint cannot be written; all but the second before the first episode.
+    Raises SettingsError for inconsistent arguments, ModelError if the environment does not return a state, and
+    FileError if the checkpoint cannot be written; all but the second before the first episode.
     """
     require_door("learn", product)
     flag(faithful, "learn's faithful")
@@ -166,7 +166,7 @@ def learn(
     start = time.perf_counter()
     rng, rng_of_environment = (generator(seed, one) for one in (Purpose.LEARNER, Purpose.LEARNING_ENVIRONMENT))
     decided = _decided(product, known_start=environment is None)
-    # as published, a policy remembers the flags of [Wang24]; whatever it remembers, `product` judges
+    # as published, a policy is over the flags of [Wang24]; it is always judged on `product`
     home = with_flags(product) if learner.published and decided is None else product
     length = product.horizon + 2 if learner.published else product.horizon
     _require_length(budget, length)
@@ -198,7 +198,7 @@ def learn(
 
 
 def _learner(method: str | Learner[Any], faithful: bool, settings: dict[str, Any]) -> Learner[Any]:
-    """The learner that is asked for, by name or as it is."""
+    """The requested learner, given by name or as an object."""
     if isinstance(method, str):
         return make(class_of(method, faithful), settings)
     if isinstance(method, type) and issubclass(method, Learner):
@@ -207,10 +207,10 @@ def _learner(method: str | Learner[Any], faithful: bool, settings: dict[str, Any
         raise SettingsError(f"method is {described(method)}; give a learner, or one of the names {', '.join(METHODS)}")
     require_learner(method)
     if faithful:
-        raise SettingsError("faithful=True chooses among names; a learner is what its class is: leave it out")
+        raise SettingsError("faithful=True selects among names; leave it out if method is a learner")
     if settings:
         raise SettingsError(
-            f"{', '.join(settings)}: settings are given to the learner itself, as in {type(method).__name__}"
+            f"{', '.join(settings)}: give settings to the learner itself, as in {type(method).__name__}"
             f"({next(iter(settings))}=…)"
         )
     recorded(method)
@@ -236,13 +236,13 @@ def _environment(product: Product, given: Resettable | None, rng: np.random.Gene
 
 @dataclass(frozen=True)
 class _Decided:
-    """The task's probability where the first state decides it; None where that depends on an unknown first state."""
+    """The probability of a task decided by its first state; None if that state is unknown."""
 
     value: float | None
 
 
 def _decided(product: Product, known_start: bool) -> _Decided | None:
-    """Whether every run is decided at its first state; None where one is not."""
+    """Whether every run is decided at its first state; None if one is not."""
     known_start = known_start and product.model.blackbox is None
     states = np.flatnonzero(product.model.initial) if known_start else np.arange(product.model.n_states)
     verdicts = first_verdicts(product, states)
@@ -255,7 +255,7 @@ def _decided(product: Product, known_start: bool) -> _Decided | None:
 
 
 class _Judge:
-    """`evaluate` and `enough` of a trainer: exact where the model is known."""
+    """`evaluate` and `enough` of a trainer: exact if the model is known."""
 
     def __init__(self, home: Product, product: Product, budget: Budget) -> None:
         self.known = product.model.blackbox is None
@@ -276,7 +276,7 @@ class _Judge:
 
 
 def _identity(product: Product, learner: Learner[Any], budget: Budget, seed: int) -> dict[str, Any]:
-    """What a checkpoint must be of, by name. Not the number of episodes: a resumed run may be given more."""
+    """The properties, by name, that a checkpoint must share; not the number of episodes, which may be increased."""
     limits = recorded(budget)
     del limits["episodes"]
     return {
@@ -287,12 +287,12 @@ def _identity(product: Product, learner: Learner[Any], budget: Budget, seed: int
 
 
 class _Checkpoint:
-    """The file of one run: what it is resumed from, and what saves it from time to time."""
+    """The checkpoint file of a run: resuming from it, and saving to it."""
 
     def __init__(self, path: Path, what: dict[str, Any], trainer: Trainer, every: float, interrupt: Interrupt) -> None:
         if trainer.environment.generator is None:
             raise SettingsError(
-                "a run is resumed to the same bits only where the environment's random numbers are known; "
+                "a run can be resumed exactly only if the environment's random numbers are known; "
                 f"give an Environment with its generator, or leave {named('checkpoint')} out"
             )
         self._path, self._what, self._trainer, self._every, self._interrupt = path, what, trainer, every, interrupt
@@ -302,14 +302,14 @@ class _Checkpoint:
         self._last = time.monotonic()
 
     def begin(self) -> Progress:
-        """How far the run is."""
+        """The progress of the run."""
         path = self._path
         if not path.exists():
             return Progress()
         return load_checkpoint(path, self._what, self._trainer, self._generators)
 
     def save(self, now: Progress) -> None:
-        """Between two episodes: write the run when it is time, when it ends, and before an interrupt."""
+        """Between two episodes: save the run when it is time, at its end, and before an interrupt."""
         due = time.monotonic() - self._last >= self._every
         if due or self._trainer.ends(now) or self._interrupt.asked:
             save_checkpoint(self._path, self._what, now, self._trainer, self._generators)

@@ -1,12 +1,12 @@
-"""What a method is: a frozen dataclass whose fields are its settings, with five hooks.
+"""The interface of a method: a frozen dataclass whose fields are its settings, with five hooks.
 
     start     begins a run: returns the state that its learning changes, whatever that is
     episode   plays one episode, and learns from it
-    policy    the policy that the run has arrived at
-    arrays    what a checkpoint keeps of the state                         (optional)
-    check     whether what a checkpoint kept fits together                 (optional)
+    policy    the current policy of the run
+    arrays    the arrays of the state that a checkpoint stores             (optional)
+    check     whether stored arrays are consistent                         (optional)
 
-A learner holds no state: the same object can be used for any number of runs. docs/learning.md shows one.
+A learner has no state: the same object can be used for any number of runs. docs/learning.md shows one.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ State = TypeVar("State")
 
 
 class Learner(ABC, Generic[State]):
-    """A method with its settings; see the module's text. Subclasses are frozen dataclasses.
+    """A method with its settings; see the module docstring. Subclasses are frozen dataclasses.
 
-    name        how the method is called in reports and on the command line; default: the class's name
-    published   whether it is run as [Wang24] did: the policy remembers the paper's flags, and episodes take T + τ
-                transitions, two more than the task looks ahead
+    name        the name of the method in reports and on the command line; default: the class's name
+    published   whether it is run as in [Wang24]: the policy remembers the paper's flags, and episodes take T + τ
+                transitions, two more than the horizon
     """
 
     name: ClassVar[str] = ""
@@ -55,7 +55,7 @@ class Learner(ABC, Generic[State]):
 
     @abstractmethod
     def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> State:
-        """The state of a new run. `counts` always holds every transition seen so far, the present episode's too."""
+        """The state of a new run. `counts` always contains all transitions so far, including the current episode."""
 
     @abstractmethod
     def episode(self, state: State, episode: Episode) -> None:
@@ -63,12 +63,12 @@ class Learner(ABC, Generic[State]):
 
     @abstractmethod
     def policy(self, state: State) -> NDArray[Any]:
-        """The policy to be judged, which does not explore: a table as `Policy` takes it."""
+        """The policy to be judged, which does not explore: a table as accepted by `Policy`."""
 
     def arrays(self, state: State) -> Mapping[str, NDArray[Any] | Kept]:
-        """Everything that learning has changed, to be written to a checkpoint and to be read back into place.
+        """Everything that learning has changed, to be written to a checkpoint and read back in place.
 
-        Arrays of fixed shapes, or `Kept` where their values have a range. Default: the state, where it is a dict.
+        Arrays of fixed shapes, or `Kept` for values with a range. Default: the state, if it is a dict.
         """
         if not isinstance(state, Mapping) or not all(isinstance(array, np.ndarray) for array in state.values()):
             raise SettingsError(
@@ -78,7 +78,7 @@ class Learner(ABC, Generic[State]):
         return state
 
     def check(self, state: State) -> None:
-        """Raise ValueError, with a sentence, where arrays read from a checkpoint contradict each other."""
+        """Raise ValueError, with a sentence, if arrays read from a checkpoint contradict each other."""
 
 
 def require_learner(learner: Learner[Any]) -> None:
@@ -91,11 +91,11 @@ def require_learner(learner: Learner[Any]) -> None:
 
 
 def rarest(visits: NDArray[Any], chance: float) -> int:
-    """The choice taken least, ties broken by `chance` in [0, 1): count-based exploring."""
+    """The choice taken least, ties broken by `chance` in [0, 1): count-based exploration."""
     least = np.flatnonzero(visits == visits.min())
     return int(least[int(chance * len(least))])
 
 
 def summary(cls: type[Learner[Any]]) -> str:
-    """The method in a line: the first of its class's documentation."""
+    """The method in one line: the first line of its class docstring."""
     return next(iter((cls.__doc__ or "").strip().splitlines()), "")

@@ -1,4 +1,4 @@
-"""The methods by name: which class each is, and which settings it has."""
+"""The methods by name, with their classes and settings."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _BY_NAME = {(cls.name, cls.published): cls for cls in LEARNERS}
 
 
 def class_of(method: str, faithful: bool) -> type[Learner[Any]]:
-    """The class of a method by its name; SettingsError where there is none."""
+    """The class of a method by its name; SettingsError if there is none."""
     if method not in METHODS:
         raise SettingsError(f"there is no method {method!r}; {near_misses(method, METHODS)}")
     if (method, faithful) not in _BY_NAME:
@@ -54,14 +54,14 @@ def require_setting(cls: type[Learner[Any]], name: str, also: tuple[str, ...] = 
         where = ", ".join(_described(other) for other in others)
         raise SettingsError(
             f"{_described(cls)} has no setting {name}; {where} {'has' if len(others) == 1 else 'have'} it. Leave it "
-            f"out, or take one of these"
+            f"out, or use one of these"
         )
     meant = near_misses(name, (*known, *settings_of(Budget)))
     raise SettingsError(f"{_described(cls)} has no setting {name!r}; {meant}")
 
 
 def methods_text() -> str:
-    """All methods, their settings and defaults, and what each setting means: for the command line."""
+    """All methods, their settings and defaults, and the meaning of each setting, for the command line."""
     lines = ["Methods, their settings and defaults (--set NAME=VALUE):"]
     for cls in LEARNERS:
         option = " --faithful" if cls.published else ""

@@ -1,10 +1,10 @@
-"""model-based: learned transition counts, optimism where nothing is known, planning with the checker's kernels.
+"""model-based: learned transition counts, optimism about the unknown, planning with the kernels of the checker.
 
 Acting (R-max [Brafman02]): a choice taken fewer than `known_after` times leads to a paradise that
-satisfies the task; others follow their counted frequencies. Paradise is worth a thousandth less than 1, the later the
-less: what is as good as sure comes first, and exploring is not put off. The plan is made anew whenever a choice becomes
-known, and at every episode's beginning. When the task is violated already, the rest of the episode takes what was tried
-least.
+satisfies the task; others follow their counted frequencies. Paradise is worth a thousandth less than 1, and less the
+later it is entered: near-certain success comes first, and exploring is not postponed. The plan is recomputed whenever a
+choice becomes known, and at the beginning of every episode. Once the task is violated, the rest of the episode takes
+the choices tried least.
 
 The policy that is judged trusts counts with caution: of n(s,a) visits, successor s' has the share n(s,a,s') / (n + κ),
 and the rest fails. So a choice seen once is not preferred to one that has proved itself many times.
@@ -28,17 +28,17 @@ from stltool.learning.problem import Problem
 from stltool.learning.settings import setting
 from stltool.sizes import Numbers, require_memory
 
-_HAIR = 1e-3  # what paradise lacks of 1: far above rounding, below what is worth exploring for
+_HAIR = 1e-3  # how much less than 1 paradise is worth: far above rounding, below any gain worth exploring for
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelBased(Learner["Planner"]):
-    """Acts on an optimistic plan over the counted transitions, is judged by a cautious one."""
+    """Acts on an optimistic plan over the counted transitions; a cautious plan gives the judged policy."""
 
     name: ClassVar[str] = "model-based"
 
-    known_after: int = setting(1, "visits after which a choice is planned with as counted, not as paradise", least=1)
-    caution: float = setting(0.1, "κ of the judged policy's trust n / (n + κ) in a choice seen n times", least=0)
+    known_after: int = setting(1, "visits after which planning uses the counts of a choice, not optimism", least=1)
+    caution: float = setting(0.1, "κ in the judged policy's weight n / (n + κ) for a choice seen n times", least=0)
 
     def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> Planner:
         return Planner(problem, counts)
@@ -75,7 +75,7 @@ class ModelBased(Learner["Planner"]):
 
 
 class Planner:
-    """Plans over the transitions counted so far; `plan` (h, S, N) is the one that is acted on."""
+    """Plans over the transitions counted so far; `plan` (h, S, N) is the current plan."""
 
     def __init__(self, problem: Problem, counts: Counts) -> None:
         automaton, S = problem.automaton, problem.n_states

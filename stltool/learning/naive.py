@@ -21,7 +21,7 @@ from stltool.learning.tables import ClockedTable
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedNaive(Published):
-    """Q(s, q, a) on the surrogate reward, one update a step, no memory."""
+    """Q(s, q, a) on the surrogate reward; one update per step, no memory."""
 
     name: ClassVar[str] = "naive"
 
@@ -31,7 +31,7 @@ class Clocked(Decaying):
     """The settings of a Q-table that carries the clock, on the exact objective."""
 
     least_step: float = setting(0.02, "smallest learning rate, α = max(least_step, 1/n)", above=0, most=1)
-    caution: float = setting(0.1, "κ of the judged policy's trust n / (n + κ) in a choice seen n times", least=0)
+    caution: float = setting(0.1, "κ in the judged policy's weight n / (n + κ) for a choice seen n times", least=0)
 
     def table(self, problem: Problem, count_every_entry: bool) -> ClockedTable:
         return ClockedTable(problem, self.least_step, self.caution, count_every_entry)
@@ -39,7 +39,7 @@ class Clocked(Decaying):
 
 @dataclass(frozen=True, kw_only=True)
 class Naive(Clocked, Learner["NaiveRun"]):
-    """Q_t(s, q, a) on the exact objective, the visited entry only."""
+    """Q_t(s, q, a) on the exact objective; only the visited entry is updated."""
 
     name: ClassVar[str] = "naive"
 
@@ -69,7 +69,7 @@ class Naive(Clocked, Learner["NaiveRun"]):
 
 @dataclass(frozen=True)
 class NaiveRun:
-    """What a run changes."""
+    """The state of a run."""
 
     table: ClockedTable
     counts: Counts

@@ -21,7 +21,7 @@ from stltool.learning.tables import ClockedTable
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedNaiveER(Replaying):
-    """No online update; at steps 0, period, … of the episode draw `batch` with replacement."""
+    """No online update; at steps 0, period, … of an episode, `batch` transitions are drawn with replacement."""
 
     name: ClassVar[str] = "naive-er"
     online: ClassVar[bool] = False
@@ -66,9 +66,9 @@ class NaiveER(Batches, Clocked, Learner["ReplayRun"]):
         table.check()
         t, s, q, a, s2, q2 = memory.checked(int(state.counts.seen.sum())).T
         if (a >= problem.n_choices[s]).any() or (problem.automaton.delta[problem.letter[s2], q] != q2).any():
-            raise ValueError("the memory holds a step that cannot be taken")
+            raise ValueError("the memory contains an impossible step")
         if not table.is_open(t, s, q).all():
-            raise ValueError("the memory holds a step from where the task is decided")
+            raise ValueError("the memory contains a step after the task was decided")
         if int(table.visits.sum(dtype=np.int64)) % self.batch:
             raise ValueError(f"visits do not add up to batches of {self.batch}")
         visited = table.visits.max(axis=2) > 0
@@ -77,14 +77,14 @@ class NaiveER(Batches, Clocked, Learner["ReplayRun"]):
 
 
 def _pairs(problem: Problem) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """State and number within it of every choice."""
+    """State of every choice, and its index within that state."""
     s = np.repeat(np.arange(problem.n_states), problem.n_choices)
     return s, np.arange(len(s)) - problem.first_choice[s]
 
 
 @dataclass(frozen=True)
 class ReplayRun:
-    """What a run changes."""
+    """The state of a run."""
 
     problem: Problem
     table: ClockedTable

@@ -1,7 +1,7 @@
 """Work spread over processes: this one, some of this machine, or a dask cluster's.
 
-A process that dies is replaced, and its work is done again elsewhere; work whose process dies again and again is given
-up. Results come back in any order.
+A process that dies is replaced, and its work is repeated elsewhere; work whose process dies repeatedly is given up.
+Results come back in any order.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from distributed import Client
 
 _DEATHS = 3  # of processes at one piece of work, before it is given up
-_DIED = "its worker process died again and again; is there too little memory for so many workers?"
-_GUARD = 'a script that starts workers does so under if __name__ == "__main__":, for each of them imports it'
+_DIED = "its worker process died repeatedly; use fewer workers if memory is short"
+_GUARD = 'start workers under if __name__ == "__main__":, since each of them imports the script'
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -34,7 +34,7 @@ _Result = TypeVar("_Result")
 def require_main_process() -> None:
     """SettingsError in a worker that, while it starts, imports a script that would start workers again."""
     if getattr(multiprocessing.current_process(), "_inheriting", False):
-        raise SettingsError(f"a worker process would start workers of its own; {_GUARD}")
+        raise SettingsError(f"a worker process would start further workers; {_GUARD}")
 
 
 def spread(
@@ -67,7 +67,7 @@ class _Worker(Generic[_Item, _Result]):
             with _for_children():
                 self.started = self._pool.submit(os.getpid)  # the process starts here
         except OSError as error:
-            raise SettingsError(f"a worker process did not start: {error.strerror}; take fewer workers") from None
+            raise SettingsError(f"a worker process did not start: {error.strerror}; use fewer workers") from None
 
     def submit(self, work: Callable[[_Item], _Result], item: _Item) -> Future[_Result]:
         """The work's future, whose exception is a BrokenExecutor where the process has died."""
@@ -94,7 +94,7 @@ def _processes(
     with ExitStack() as stack:
         workers: list[_Worker[_Item, _Result]] = [stack.enter_context(closing(_Worker())) for _ in range(n_workers)]
         if any(isinstance(worker.started.exception(), BrokenExecutor) for worker in workers):
-            raise SettingsError(f"the worker processes did not start; {_GUARD}, or take 1 worker")
+            raise SettingsError(f"the worker processes did not start; {_GUARD}, or use 1 worker")
         waiting = deque((item, 0) for item in items)  # with how many processes died of it
         under_way: dict[Future[_Result], tuple[_Worker[_Item, _Result], _Item, int]] = {}
         while waiting or under_way:

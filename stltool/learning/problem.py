@@ -1,4 +1,4 @@
-"""What a learner knows: the task's automaton, the labels, and how many actions each state has. No probability."""
+"""What a learner knows: the task automaton, the labels, and the number of actions per state; no probabilities."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Problem:
 
     @property
     def choice_type(self) -> IntegerType:
-        """As the model's."""
+        """As in the model."""
         return integer_type(self.most_choices - 1)
 
     @property
@@ -45,10 +45,10 @@ class Problem:
 
     @functools.cached_property
     def first_choice(self) -> NDArray[np.int64]:
-        """(n_states + 1,): where each state's choices begin, when all are counted through."""
+        """(n_states + 1,): where each state's choices begin, when all are numbered consecutively."""
         return np.concatenate([[0], np.cumsum(self.n_choices)]).astype(np.int64)
 
     @functools.cached_property
     def lists(self) -> tuple[list[int], list[int], list[int]]:
-        """letter, n_choices and first_choice as lists: a step at a time they are faster."""
+        """letter, n_choices and first_choice as lists, which are faster for single steps."""
         return self.letter.tolist(), self.n_choices.tolist(), self.first_choice[:-1].tolist()

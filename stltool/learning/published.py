@@ -29,7 +29,7 @@ from stltool.sizes import require_memory
 
 @dataclass(frozen=True, kw_only=True)
 class Published(Decaying, Learner["PublishedRun"]):
-    """One of the published methods; see the module's text."""
+    """One of the published methods; see the module docstring."""
 
     published: ClassVar[bool] = True
     online: ClassVar[bool] = True
@@ -41,7 +41,7 @@ class Published(Decaying, Learner["PublishedRun"]):
     gamma: float = setting(0.999, "discount", least=0, most=1)
     scale: str = setting(
         "published",
-        "the reward under an outer G: χ − 0.5 (published, what the authors ran) or χ − 0.9 (paper, what they print)",
+        "the reward under an outer G: χ − 0.5 (published: as the authors ran it) or χ − 0.9 (paper: as printed)",
         choices=("published", "paper"),
     )
 
@@ -57,7 +57,7 @@ class Published(Decaying, Learner["PublishedRun"]):
             state.step_by_step(episode, explore, epsilon, draws)
 
     def _draws(self, episode: Episode) -> NDArray[np.float64]:
-        """(replays, batch): the numbers by which an episode's replays draw."""
+        """(replays, batch): the random numbers for the replays of an episode."""
         return np.empty((0, 0))
 
     def memory_of(self, problem: Problem) -> Replay:
@@ -87,14 +87,14 @@ class Replaying(Batches, Published):
 
 @dataclass(frozen=True, kw_only=True)
 class Counterfactual(Replaying):
-    """A published method whose memory holds counterfactual tuples."""
+    """A published method whose memory contains counterfactual tuples."""
 
     counterfactual: ClassVar[bool] = True
 
     factual_share: float | None = setting(
         None,
-        "share of each batch drawn from factual tuples alone, which a memory of their own holds (the closing question "
-        "of [Wang24]); none: as published",
+        "share of each batch drawn only from factual tuples, kept in a separate memory (the closing question of "
+        "[Wang24]); none: as published",
         least=0,
         most=1,
     )
@@ -148,7 +148,7 @@ class PublishedRun:
         self.problem, self.replay = problem, method.memory_of(problem)
 
     def whole(self, episode: Episode, explore: NDArray[np.float64], epsilon: float, draws: NDArray[np.float64]) -> None:
-        """An episode in a simulated model at once: what step by step would give, to the bit."""
+        """An episode in a simulated model at once: bit for bit the same as step by step."""
         from stltool.kernels import learning
 
         environment, automaton, n = episode.environment, self.problem.automaton, len(explore)
@@ -164,7 +164,7 @@ class PublishedRun:
     def step_by_step(
         self, episode: Episode, explore: NDArray[np.float64], epsilon: float, draws: NDArray[np.float64]
     ) -> None:
-        """The same where only reset and step are to be had. s₀ is not read, as published."""
+        """The same with only reset and step. s₀ is not read, as published."""
         delta, q = self.problem.automaton.delta, self.problem.automaton.initial
         for t, (u, chance) in enumerate(explore.tolist()):
             s, a = episode.s, self.choice(episode.s, q, u < epsilon, chance)

@@ -1,4 +1,4 @@
-"""A first-in first-out memory of transitions, rows of whole numbers."""
+"""A first-in, first-out memory of transitions, rows of integers."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from stltool.sizes import require_memory
 class Batches:
     """The settings of a method that replays batches from a memory."""
 
-    memory: int = setting(1000, "transitions that the replay memory holds; the oldest leave first", least=1)
-    period: int = setting(4, "steps between two replays of an episode", least=1)
-    batch: int = setting(64, "transitions drawn, with replacement, at each replay", least=1)
+    memory: int = setting(1000, "capacity of the replay memory in transitions; the oldest leave first", least=1)
+    period: int = setting(4, "steps between replays within an episode", least=1)
+    batch: int = setting(64, "transitions drawn with replacement at each replay", least=1)
 
 
 class ReplayMemory:
@@ -34,7 +34,7 @@ class ReplayMemory:
         return int(self._place[1])
 
     def add(self, rows: NDArray[np.int32]) -> None:
-        """Append rows (n, width); the oldest leave."""
+        """Append rows (n, width); the oldest are dropped."""
         capacity, start = len(self.rows), int(self._place[0])
         kept = rows[-capacity:]
         self.rows[(start + np.arange(len(kept))) % capacity] = kept

@@ -1,6 +1,6 @@
-"""Settings as the fields of frozen dataclasses: each declared once, with its range and what it means.
+"""Settings as the fields of frozen dataclasses: each declared once, with its range and meaning.
 
-From the declaration come the checks, what `--set NAME=VALUE` accepts, and the tables of `--help` and docs/learning.md.
+The declaration yields the checks, what `--set NAME=VALUE` accepts, and the tables of `--help` and docs/learning.md.
 A learner's fields are its method's settings; what belongs to a run, whatever its method, is a `Budget`.
 """
 
@@ -20,7 +20,7 @@ from stltool.arguments import LARGEST, described
 from stltool.errors import SettingsError, named
 from stltool.numbers import double, whole
 
-_KINDS: dict[Any, str] = {int: "an integer", float: "a number", str: "a text", bool: "true or false"}
+_KINDS: dict[Any, str] = {int: "an integer", float: "a number", str: "text", bool: "true or false"}
 
 
 def setting(
@@ -38,7 +38,7 @@ def setting(
 
 @dataclass(frozen=True)
 class _Declared:
-    """What `setting` was told."""
+    """The arguments of `setting`."""
 
     text: str = ""
     least: float = -math.inf
@@ -49,7 +49,7 @@ class _Declared:
 
 @dataclass(frozen=True)
 class Setting:
-    """A setting with all that is known of it. `kind` is int, float, str or bool; None: anything, unchecked."""
+    """A setting with its declaration. `kind` is int, float, str or bool; None: anything, unchecked."""
 
     name: str
     default: Any
@@ -64,7 +64,7 @@ class Setting:
 
     @property
     def range(self) -> str:
-        """What it may be, in words: "an integer from 1"."""
+        """Its range in words: "an integer from 1"."""
         declared, ends = self.declared, []
         if declared.choices is not None:
             return " or ".join(declared.choices)
@@ -81,7 +81,7 @@ class Setting:
         return f"{words}, or none" if self.optional else words
 
     def checked(self, value: Any) -> Any:
-        """The value as a plain int, float, str or bool; SettingsError where it is out of range."""
+        """The value as a plain int, float, str or bool; SettingsError if it is out of range."""
         if value is None and self.optional:
             return None
         fine, plain = _plain(value, self.kind)
@@ -95,7 +95,7 @@ class Setting:
         return plain
 
     def read(self, text: str) -> Any:
-        """The value that a text spells; SettingsError with the range where it spells none."""
+        """The value parsed from text; SettingsError, with the range, if there is none."""
         if self.optional and text == "none":
             return None
         value: Any = text
@@ -110,7 +110,7 @@ class Setting:
 
 
 def _plain(value: Any, kind: type | None) -> tuple[bool, Any]:
-    """Whether it is of that kind, and the value as Python's own type: numpy's numbers are fine, true is no number."""
+    """Whether it is of that kind, and the value as Python's type: numpy's numbers are fine, true is not a number."""
     if kind is int:
         fine = isinstance(value, int | np.integer) and not isinstance(value, bool) and abs(int(value)) <= LARGEST
         return fine, int(value) if fine else value
@@ -164,30 +164,28 @@ def shown_value(value: Any) -> str:
 
 
 def recorded(owner: Any) -> dict[str, Any]:
-    """All settings with their values, as JSON holds them. SettingsError for a value that JSON cannot hold."""
+    """All settings with their values, in JSON-compatible form. SettingsError for a value that JSON cannot represent."""
     values = {field.name: getattr(owner, field.name) for field in dataclasses.fields(owner)}
     for name, value in values.items():
         try:
             json.dumps(value, allow_nan=False)
         except (TypeError, ValueError):
             raise SettingsError(
-                f"{name} of {type(owner).__name__} is {described(value)}; a setting is recorded, so it must be a "
-                "finite number, a text, true, false, None, or a list or dict of these"
+                f"{name} of {type(owner).__name__} is {described(value)}; settings are recorded, so it must be a "
+                "finite number, text, true, false, None, or a list or dict of these"
             ) from None
     return values
 
 
 @dataclass(frozen=True, kw_only=True)
 class Budget:
-    """How long a run of any method goes on, and how often its policy is judged."""
+    """How long a run of any method continues, and how often its policy is evaluated."""
 
     episodes: int = setting(1000, "training episodes", least=1)
-    evaluate_every: int = setting(20, "episodes between two exact evaluations of the learned policy", least=1)
-    most_steps: int | None = setting(
-        None, "end before an episode that could take more environment steps than this in all", least=1
-    )
+    evaluate_every: int = setting(20, "episodes between exact evaluations of the learned policy", least=1)
+    most_steps: int | None = setting(None, "stop before the total of environment steps could exceed this", least=1)
     stop_gap: float | None = setting(
-        None, "end as soon as an evaluation is within this of the exact optimum (a known model only)", least=0, most=1
+        None, "stop once an evaluation is within this of the exact optimum (known models only)", least=0, most=1
     )
 
     def __post_init__(self) -> None:

@@ -1,9 +1,9 @@
-"""Sweeps: every scenario with every method and every seed, the same bits however they are run.
+"""Sweeps: every scenario with every method and every seed, with the same result however they are run.
 
 A run is a pure function of its content: formula, model, method, settings, seed. A digest of these, the stored format
 and the version of stltool is its *key*. A finished run is one file, `runs/<scenario>/<method>/seed-<n>.json`, written
-whole or not at all, with its key; one with another key counts as not done. So a sweep that was killed anywhere goes on
-where it stopped, and ends in the same bytes as one that was not; wall times stand in files of their own.
+whole or not at all, with its key; a file with another key counts as not done. So a sweep that was killed at any point
+continues where it stopped, and ends in the same bytes as one that was not; wall times are stored in separate files.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from stltool.product import Product, build_product
 FORMAT = "stltool-run-1"
 _MOST_SEEDS = 1_000_000
 _SHOWN = 10  # rows of results in a notebook
-_PROBE = 10  # episodes that an estimate of time is made from
+_PROBE = 10  # episodes from which times are estimated
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Method:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Scenario(Displayed):
-    """A task on a model, with settings; `published` are figures by method id, to be shown beside the sweep's."""
+    """A task on a model, with settings; `published` are figures by method id, shown next to those of the sweep."""
 
     id: str
     task: Task
@@ -102,7 +102,7 @@ class Run:
 
     @functools.cached_property
     def key(self) -> str:
-        """A SHA-256 over what the result depends on."""
+        """A SHA-256 of everything that the result depends on."""
         learner, budget = self.learner, self.budget
         content = [FORMAT, self.version, self.formula, self.model.digest(), learner.name, learner.published,
                    recorded(learner), recorded(budget), self.seed]  # fmt: skip
@@ -110,7 +110,7 @@ class Run:
 
     @property
     def work(self) -> float:
-        """What the run costs beside others, very roughly: its steps."""
+        """The relative cost of the run, very roughly: its steps."""
         return float(self.budget.episodes) * (horizon(parse(self.formula)) + 2)
 
 
@@ -138,7 +138,7 @@ class Failure(NamedTuple):
 
 
 class SweepProgress(NamedTuple):
-    """Runs done and to do in this call, environment steps so far, and about which share of the time is over."""
+    """Runs done and to do in this call, environment steps so far, and roughly the share of the time that has passed."""
 
     done: int
     total: int
@@ -178,7 +178,7 @@ class Sweep(Displayed):
         methods: Sequence[str] | None = None,
         seeds: int | Sequence[int] | None = None,
     ) -> Sweep:
-        """A part of the sweep, in its order; `seeds` as in the file: a number, or which, also such as it has not."""
+        """A part of the sweep, in its order; `seeds` as in the file: a number or a list, which may contain others."""
         scenarios = texts(scenarios, "select's scenarios") if scenarios is not None else None
         methods = texts(methods, "select's methods") if methods is not None else None
         return dataclasses.replace(
@@ -189,8 +189,8 @@ class Sweep(Displayed):
         )
 
     def settled(self, scenario: Scenario, method: Method) -> tuple[Learner[Any], Budget]:
-        """The learner and the budget of a method in a scenario: the sweep's settings, over them the scenario's, over
-        them the method's. Of the first two, each method takes what it has."""
+        """The learner and the budget of a method in a scenario: the sweep's settings, overridden by the
+        scenario's, overridden by the method's. Of the first two, each method uses those it has."""
         shared = {**self.settings, **scenario.settings}
         budget, _ = split({**shared, **method.settings})
         own = {name: value for name, value in shared.items() if name in settings_of(method.learner)}
@@ -210,7 +210,7 @@ class Sweep(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SweepResult(Displayed):
-    """What is finished of a sweep, in its order, and what failed; `skipped` runs were finished before."""
+    """The finished runs of a sweep, in order, and the failed ones; `skipped` runs were finished earlier."""
 
     sweep: Sweep
     runs: list[RunResult]
@@ -247,8 +247,8 @@ def run_sweep(
     cluster    the address of a dask scheduler whose workers do the runs instead; results come back here
     progress   called when a run is done
 
-    Raises SettingsError where workers or cluster cannot be had, FileError where another sweep uses the folder. What
-    fails within a run is among the result's failures, and the others go on. Interrupted, it loses the runs under way.
+    Raises SettingsError if workers or cluster are not available, FileError if another sweep uses the folder. A run that
+    fails is listed among the failures of the result, and the others continue. An interrupt loses the unfinished runs.
     """
     require(sweep, Sweep, "run_sweep's sweep")
     folder = path_of(folder, "run_sweep's folder")
@@ -284,15 +284,15 @@ def run_sweep(
 
 
 def finished_runs(sweep: Sweep, folder: str | Path) -> SweepResult:
-    """What `folder` has of the sweep; nothing is run."""
+    """The runs of the sweep in `folder`; nothing is run."""
     finished, _ = _plan(sweep, Path(folder))
     return SweepResult(sweep, list(finished.values()), [], len(finished))
 
 
 def estimated_seconds(sweep: Sweep, folder: str | Path) -> dict[tuple[str, str], float]:
-    """Seconds that one seed of each scenario and method still to be run takes, roughly, from a few episodes of it.
+    """Approximate seconds per seed for each scenario and method still to be run, from a few episodes of it.
 
-    Three short runs tell what a start, an episode and an evaluation take.
+    Three short runs measure a start, an episode and an evaluation.
     """
     from stltool.kernels import warm_up
 
@@ -310,21 +310,21 @@ def estimated_seconds(sweep: Sweep, folder: str | Path) -> dict[tuple[str, str],
 
 
 def _seconds(run: Run, episodes: int, evaluate_every: int) -> float:
-    """Wall time of the run with other settings, the better of two; 0 where it fails."""
+    """Wall time of the run with other settings, the better of two; 0 if it fails."""
     short = dataclasses.replace(run.budget, episodes=episodes, evaluate_every=evaluate_every)
     outcomes = [_execute(dataclasses.replace(run, budget=short)) for _ in range(2)]
     return min(outcome.seconds if isinstance(outcome, RunResult) else 0.0 for outcome in outcomes)
 
 
 def read_seeds(given: Any) -> tuple[int, ...]:
-    """Seeds as a number of them (3: 0, 1, 2) or as a list of different whole numbers from 0."""
+    """Seeds as a number of them (3: 0, 1, 2) or as a list of different integers from 0."""
     if type(given) is int and given > _MOST_SEEDS:
-        raise SettingsError(f"{named('seeds')} is {described(given)}; write how many, up to {_MOST_SEEDS}")
+        raise SettingsError(f"{named('seeds')} is {described(given)}; write a number up to {_MOST_SEEDS}")
     seeds = list(range(given)) if type(given) is int else given
     fine = isinstance(seeds, list | tuple) and all(type(seed) is int and seed >= 0 for seed in seeds)
     if not fine or not seeds or len(set(seeds)) < len(seeds):
         raise SettingsError(
-            f"{named('seeds')} is {described(given)}; write how many, or a list of different integers from 0"
+            f"{named('seeds')} is {described(given)}; write a number of seeds, or a list of different integers from 0"
         )
     return tuple(seeds)
 
@@ -333,7 +333,7 @@ def read_seeds(given: Any) -> tuple[int, ...]:
 
 
 class _Pace:
-    """Which share of the time is over: a run takes what its scenario and method took so far, or what `work` says."""
+    """The share of the time that has passed: runs are expected to take as long as earlier ones, or by `work`."""
 
     def __init__(self, waiting: Sequence[Run]) -> None:
         self._left: dict[tuple[str, str], int] = {}
@@ -364,15 +364,15 @@ def _execute(run: Run) -> RunResult | str:
     try:
         here = metadata.version("stltool")
         if here != run.version:
-            return f"the worker has stltool {here}, and the sweep is of {run.version}; install the same on both"
+            return f"the worker has stltool {here}, and the sweep has {run.version}; install the same version on both"
         _warm_up_once()
         start = time.perf_counter()
         product = build_product(run.model, parse(run.formula))
         training = learn(product, run.learner, seed=run.seed, **recorded(run.budget))
     except StlToolError as error:
         return str(error)
-    except Exception:  # our own fault: told whole, and the other runs go on
-        return f"a fault of stltool, please report it:\n{traceback.format_exc()}"
+    except Exception:  # our own fault: reported in full, and the other runs continue
+        return f"a bug in stltool, please report it:\n{traceback.format_exc()}"
     table = training.policy.table
     sha = hashlib.sha256(f"{table.dtype.str}{table.shape}".encode() + np.ascontiguousarray(table).tobytes())
     return RunResult(
@@ -406,12 +406,12 @@ def _store(folder: Path, run: Run, result: RunResult) -> None:
     write_atomically(clock, json.dumps({"key": run.key, "seconds": result.seconds}) + "\n")
     content = {"format": FORMAT, "key": run.key, **dataclasses.asdict(result)}
     del content["seconds"]
-    write_atomically(place, json.dumps(content, indent=1) + "\n")  # last: where it stands the run is finished
+    write_atomically(place, json.dumps(content, indent=1) + "\n")  # last: its existence marks the run as finished
 
 
 def _plan(sweep: Sweep, folder: Path) -> tuple[dict[str, RunResult], list[Run]]:
-    """What is finished, and what is to be run. Seed by seed, the longest first, each seed in its turn:
-    there is something of everything soon, and no long run is left for the end.
+    """The finished runs, and those to be run: seed by seed, the longest first within each seed, so that every part has
+    early results and no long run is left for the end.
     """
     finished, waiting = {}, []
     for run in sweep.runs():
@@ -426,7 +426,7 @@ def _plan(sweep: Sweep, folder: Path) -> tuple[dict[str, RunResult], list[Run]]:
 
 
 def _stored(folder: Path, run: Run) -> RunResult | None:
-    """The finished run, None where there is none or one of another key."""
+    """The finished run, None if there is none, or one with another key."""
     place, clock = _place(folder, run)
     key = run.key
     try:
@@ -436,11 +436,11 @@ def _stored(folder: Path, run: Run) -> RunResult | None:
         del content["format"]
         return RunResult(**content, seconds=float(timed["seconds"]))
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
-        return None  # not there, or no file of ours: run again
+        return None  # missing, or not a file of ours: run again
 
 
 def _locked(folder: Path) -> Any:
-    """The folder's lock, which ends with the process that holds it."""
+    """The lock of the folder, which is released when the process that holds it ends."""
     from filelock import FileLock, Timeout
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -449,7 +449,7 @@ def _locked(folder: Path) -> Any:
         return lock.acquire(timeout=0)
     except Timeout:
         raise FileError(
-            f"{folder}: another sweep is running there; wait for its end, or name another folder (--out)"
+            f"{folder}: another sweep is running there; wait until it ends, or name another folder (--out)"
         ) from None
 
 

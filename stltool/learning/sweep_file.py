@@ -1,10 +1,10 @@
-"""A sweep's file (TOML) → Sweep, read strictly: a key that nobody knows is an error.
+"""A sweep file (TOML) → Sweep, read strictly: unknown keys are errors.
 
 [sweep]
 name = "small"                   results go to out/small
 seeds = 10                       how many (0 … 9), or a list
-settings = { episodes = 4000 }   for all runs: of stl.learn (episodes, evaluate_every, most_steps, stop_gap), and of
-                                 methods, each of which takes those that it has
+settings = { episodes = 4000 }   for all runs: those of stl.learn (episodes, evaluate_every, most_steps, stop_gap), and
+                                 those of methods, each of which uses the ones it has
 columns = 4                      panels in a row of the figure
 story = false                    show the surrogate's gap and the encodings' sizes, too
 
@@ -12,7 +12,7 @@ story = false                    show the surrogate's gap and the encodings' siz
 name = "cfer"                    a method of stl.learn
 id = "cfer"                      its name here; default: the method's
 faithful = true
-settings = { batch = 64 }        of this method alone; over the scenario's, which are over the sweep's
+settings = { batch = 64 }        for this method only; they override the scenario's, which override the sweep's
 
 [[scenario]]
 id = "P1"
@@ -21,7 +21,7 @@ model = "floor-5x5.toml"         default: the task file's model line
 definition = "patrolling"        default: the task file's last one
 params = { T = 10, tau = 10 }
 settings = { episodes = 4000 }
-published = { cfer = 0.826 }     figures to be shown beside, by method id
+published = { cfer = 0.826 }     published figures shown for comparison, by method id
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ from stltool.models import MDP, load_model
 _SWEEP = ("name", "seeds", "settings", "columns", "story")
 _METHOD = ("id", "name", "faithful", "settings")
 _SCENARIO = ("id", "task", "model", "definition", "params", "settings", "published")
-_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")  # names of folders, everywhere
+_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")  # valid folder names on all systems
 _MISSING = object()
 
 
 def load_sweep(path: str | Path) -> Sweep:
-    """Read a sweep's file, its tasks and models. Raises a StlToolError that names file, place and key."""
+    """Read a sweep's file, its tasks and models. Raises a StlToolError that names file, position and key."""
     path = path_of(path, "load_sweep's path")
     try:
         table = tomllib.loads(read_text(path, "sweep file"), parse_float=Decimal)
@@ -84,7 +84,7 @@ def _sweep(table: dict[str, Any], path: Path) -> Sweep:
     _different([scenario.id for scenario in scenarios], "scenario", "rename one")
     columns = _take(head, "columns", int, where, min(4, math.ceil(math.sqrt(len(scenarios)))))
     if columns < 1:
-        raise SettingsError(f"{where}: columns is {columns}; it must be a whole number from 1")
+        raise SettingsError(f"{where}: columns is {columns}; it must be an integer from 1")
     settings = _settings(head, where, [method.learner for method in methods])
     return Sweep(
         name, tuple(scenarios), tuple(methods), seeds, settings, columns, _take(head, "story", bool, where, False)
@@ -164,12 +164,12 @@ def _entries(table: dict[str, Any], key: str) -> list[dict[str, Any]]:
 
 
 def _take(table: dict[str, Any], key: str, kind: type | tuple[type, ...], where: str, default: Any = _MISSING) -> Any:
-    """The value of a key, of that type; true and false are no numbers."""
+    """The value of a key, of that type; true and false are not numbers."""
     value = table.get(key, default)
     if value is _MISSING:
         raise SettingsError(f"{where} has no {key}; add it")
     kinds = kind if isinstance(kind, tuple) else (kind,)
-    if isinstance(value, Decimal):  # params alone are exact
+    if isinstance(value, Decimal):  # only params are exact
         value = float(value)
         if float in kinds:
             table[key] = value
@@ -179,7 +179,7 @@ def _take(table: dict[str, Any], key: str, kind: type | tuple[type, ...], where:
     return value
 
 
-_KINDS = {str: "text in quotes", int: "a whole number", float: "a number", bool: "true or false", list: "a list",
+_KINDS = {str: "text in quotes", int: "an integer", float: "a number", bool: "true or false", list: "a list",
           dict: "a table"}  # fmt: skip
 
 
@@ -191,13 +191,13 @@ def _known(table: dict[str, Any], keys: Collection[str], where: str) -> None:
 
 def _id(text: str, where: str) -> str:
     if not _ID.fullmatch(text):
-        raise SettingsError(f"{where} is {text!r}; it names a folder: letters, digits and . _ + - after the first")
+        raise SettingsError(f"{where} is {text!r}; it names a folder; use letters, digits, and inside . _ + -")
     return text
 
 
 def _different(ids: list[str], kind: str, remedy: str) -> None:
     seen: set[str] = set()
     for one in ids:
-        if one.lower() in seen:  # on some machines Seed and seed are one folder
-            raise SettingsError(f"two {kind}s are called {one} (large and small letters apart); {remedy}")
+        if one.lower() in seen:  # on some systems, Seed and seed are the same folder
+            raise SettingsError(f"two {kind}s are called {one} (ignoring case); {remedy}")
         seen.add(one.lower())

@@ -36,7 +36,7 @@ class SurrogateTable:
 
     @property
     def greatest(self) -> float:
-        """What no value can exceed in size: a discounted sum of rewards, rounding allowed for."""
+        """A bound on the size of values: a discounted sum of rewards, with allowance for rounding."""
         discount = self.kernel.gamma
         bound = float(abs(self.reward).max()) / (1 - discount) if discount < 1 else float(np.finfo(np.float64).max)
         return min(bound * (1 + 1e-6), float(np.finfo(np.float64).max))
@@ -49,9 +49,9 @@ class SurrogateTable:
 
 
 class ClockedTable:
-    """Q_t(s, q, a) on the exact objective: γ = 1, value 1 or 0 where the verdict falls, learned backwards in t.
+    """Q_t(s, q, a) on the exact objective: γ = 1, value 1 or 0 where a run is decided, learned backwards in t.
 
-    Kept for *entries* only: the pairs (t, q) in which a run that has just read the state's letter can be with nothing
+    Stored only for *entries*: the pairs (t, q) in which a run that has just read the state's letter can be with nothing
     decided, later steps first. Q (S, C, E) and V (S, E+2): the last two are 0 and 1, the values of verdicts. Values
     start at 0; step sizes are max(least_step, 1/n).
 
@@ -134,7 +134,7 @@ class ClockedTable:
         return {"Q": Kept(self.Q, 0, 1), "V": Kept(self.V, 0, 1), "visits": Kept(self.visits, 0)}
 
     def check(self) -> None:
-        """ValueError where the arrays contradict each other."""
+        """ValueError if the arrays contradict each other."""
         n_choices, E = self._problem.n_choices, self.Q.shape[2]
         available = np.arange(self.Q.shape[1]) < n_choices[:, None]
         best = np.where(available[:, :, None], self.Q, 0).max(axis=1)
@@ -146,7 +146,7 @@ class ClockedTable:
         per_entry = self.visits if self.visits.ndim == 3 else self.visits[:, :, None]
         tried = (per_entry > 0) & entries[:, None, :]
         if self.Q[~tried].any():
-            raise ValueError("Q has values for what was never tried")
+            raise ValueError("Q has values for choices that were never tried")
         if self.visits.ndim == 3 and self.visits[~tried].any():
             raise ValueError("visits are of steps at which the task is decided")
 

@@ -1,7 +1,7 @@
-"""The one training loop: episodes, evaluation of the learner's policy at intervals.
+"""The training loop: episodes, with evaluations of the learner's policy at intervals.
 
-Between two episodes everything that a run is made of is in `Progress`, the counts, the arrays that the learner keeps,
-and two generators: what a checkpoint holds. Evaluations never follow exploring traces: they judge the policy table.
+Between two episodes, the state of a run consists of `Progress`, the counts, the arrays that the learner keeps, and two
+generators: the content of a checkpoint. Evaluations do not use exploratory traces: they judge the policy table.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ Status: TypeAlias = Literal["complete", "within the gap", "out of steps", "nothi
 
 @dataclass(frozen=True)
 class Point:
-    """One evaluation: after so many episodes and environment steps, the policy's exact probability.
+    """One evaluation: the policy's exact probability after a number of episodes and environment steps.
 
-    None where the model is not known. `time` is when it was evaluated, in seconds since 1970; runs that differ in it
-    alone are equal.
+    The probability is None if the model is not known. `time` is when it was evaluated, in seconds since 1970; runs that
+    differ only in it are equal.
     """
 
     episode: int
@@ -40,7 +40,7 @@ class Point:
 
 @dataclass
 class Progress:
-    """How far a run is. `status` says how it ended; None while it may go on."""
+    """The progress of a run. `status` states how it ended; None while it can continue."""
 
     episode: int = 0
     steps: int = 0
@@ -52,8 +52,8 @@ class Progress:
 class Trainer:
     """A run of episodes of at most `length` steps.
 
-    state      what the learner learns; None where there is nothing to learn
-    evaluate   the exact probability of a policy table; None where it cannot be known, so unless `knows`
+    state      the state of the learner; None if there is nothing to learn
+    evaluate   the exact probability of a policy table; None if it cannot be known, that is, unless `knows`
     enough     whether that probability ends the run
     The learner never sees more than the states that `environment` reports.
     """
@@ -77,8 +77,8 @@ class Trainer:
         shown: Callable[[int, int, int, float | None], None] | None = None,
         between: Callable[[Progress], None] | None = None,
     ) -> None:
-        """Go on to the budget's end. shown(episode, episodes, steps, probability) and between(progress) are called
-        after every episode."""
+        """Continue to the end of the budget. After every episode, shown(episode, episodes, steps, probability) and
+        between(progress) are called."""
         budget, learner, state = self.budget, self.learner, self.state
         while progress.status is None and progress.episode < budget.episodes:
             episode = Episode(self.problem, self.environment, self.counts, self.rng, progress.episode, self.length)
@@ -104,6 +104,6 @@ class Trainer:
         return progress.status is not None or progress.episode >= self.budget.episodes
 
     def _out_of_steps(self, progress: Progress) -> bool:
-        """Whether another episode could take more steps than there may be."""
+        """Whether another episode could exceed the allowed number of steps."""
         most = self.budget.most_steps
         return most is not None and progress.steps + self.length > most

@@ -380,9 +380,9 @@ def test_exploration_decays_between_its_ends():
         ({"resume": True}, "needs the checkpoint"),
         (
             {"method": stl.Cfer(), "replays": 3},
-            r"replays: settings are given to the learner itself, as in Cfer\(replays",
+            r"replays: give settings to the learner itself, as in Cfer\(replays",
         ),
-        ({"method": stl.Cfer(), "faithful": True}, "faithful=True chooses among names"),
+        ({"method": stl.Cfer(), "faithful": True}, "faithful=True selects among names"),
     ],
 )
 def test_impossible_settings_are_refused(patrolling, arguments, says):
@@ -505,7 +505,7 @@ def test_what_an_own_learner_does_wrong_is_told(patrolling, tmp_path):
     for choice, says in told.items():
         with pytest.raises(SettingsError, match=says):
             stl.learn(patrolling, Odd(choice=choice))
-    with pytest.raises(SettingsError, match=r"choice of Odd is an array of shape \(2,\); a setting is recorded"):
+    with pytest.raises(SettingsError, match=r"choice of Odd is an array of shape \(2,\); settings are recorded"):
         stl.learn(patrolling, Odd(choice=np.zeros(2)))
     with pytest.raises(SettingsError, match="Odd cannot be checkpointed: its array kept is of <U1"):
         stl.learn(patrolling, Odd(keep="x", turns=1), episodes=1, checkpoint=tmp_path / "x.ckpt")

@@ -57,7 +57,7 @@ def test_work_that_kills_its_workers_is_given_up(tmp_path):
     done = subprocess.run([sys.executable, script, log], capture_output=True, text=True, cwd=ROOT)
     assert (done.returncode, done.stderr) == (0, "")
     assert [line.split("; ")[0] for line in done.stdout.splitlines()] == [
-        "deadly: its worker process died again and again", "faulty: the worker could not run it: ValueError: no good",
+        "deadly: its worker process died repeatedly", "faulty: the worker could not run it: ValueError: no good",
         *(f"fine{i}: FINE{i}" for i in range(6)),
     ]  # fmt: skip
     lines = sorted(log.read_text().splitlines())
@@ -158,7 +158,7 @@ def test_a_process_that_cannot_start_is_told(monkeypatch):
         raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
 
     monkeypatch.setattr(ProcessPoolExecutor, "submit", no_more)
-    with pytest.raises(SettingsError, match="did not start: Resource temporarily unavailable; take fewer workers"):
+    with pytest.raises(SettingsError, match="did not start: Resource temporarily unavailable; use fewer workers"):
         list(pool.spread(str, [1, 2], 2))
 
 

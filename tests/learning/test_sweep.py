@@ -227,7 +227,9 @@ def test_another_version_does_not_answer_for_this_one(write, tmp_path):
     object.__setattr__(sweep, "runs", lambda: runs)
     result = stl.run_sweep(sweep, tmp_path / "out", workers=1)
     assert not result.runs
-    assert all("the sweep is of 0.0.1; install the same on both" in failure.message for failure in result.failures)
+    assert all(
+        "the sweep has 0.0.1; install the same version on both" in failure.message for failure in result.failures
+    )
 
 
 def test_a_faulty_learner_does_not_stop_the_sweep(write, tmp_path, monkeypatch):
@@ -241,7 +243,7 @@ def test_a_faulty_learner_does_not_stop_the_sweep(write, tmp_path, monkeypatch):
     result = stl.run_sweep(stl.load_sweep(write()), tmp_path / "out", workers=1)
     assert {run.seed for run in result.runs} == {0}
     assert {failure.seed for failure in result.failures} == {1}
-    assert all("a fault of stltool" in f.message and "ZeroDivisionError" in f.message for f in result.failures)
+    assert all("a bug in stltool" in f.message and "ZeroDivisionError" in f.message for f in result.failures)
 
 
 def test_parts_of_a_sweep(write):
@@ -291,7 +293,7 @@ def test_what_is_finished_and_how_long_the_rest_takes(write, tmp_path):
     [
         ("seeds = 2", "seeds = 0", SettingsError, "[sweep]: seeds is 0"),
         ("seeds = 2", "seeds = [1, 1]", SettingsError, "[sweep]: seeds is [1, 1]"),
-        ("seeds = 2", "seeds = true", SettingsError, "[sweep]: seeds is True; it must be a whole number or a list"),
+        ("seeds = 2", "seeds = true", SettingsError, "[sweep]: seeds is True; it must be an integer or a list"),
         ("seeds = 2", "seed = 2", SettingsError, "[sweep]: unknown key seed; did you mean seeds?"),
         ("seeds = 2", "story = 1", SettingsError, "[sweep]: story is 1; it must be true or false"),
         ("seeds = 2", "columns = 0", SettingsError, "columns is 0"),
