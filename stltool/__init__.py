@@ -14,24 +14,24 @@
     >>> stl.check(product, run.policy).probability <= best.upper
     True
 
-One straight way through the house, and the map in reading order:
+The path through the package, and a map in reading order:
 
     logic/        text → Formula: grammar, parser, printer, rewriting, semantics (the oracle), the paper's fragment
     monitoring/   recorded traces → truth and robustness at every step
-    automata/     Formula → TaskAutomaton: what must be remembered to judge a run; what a formula means at all
-    models/       a file, arrays or a Gymnasium environment → MDP; MDP → something that only resets and steps
+    automata/     Formula → TaskAutomaton: the memory needed to judge a run; whether a formula can hold and fail at all
+    models/       a file, arrays or a Gymnasium environment → MDP; MDP → an environment to reset and step
     product.py    MDP × TaskAutomaton, never built as a matrix
     policy.py     a table over (t?, s, q), saved and loaded without pickle
     checking/     the exact probability of the best policy, or of a given one, with bounds; estimates from runs
-    recheck.py    certificates of those bounds re-checked; imports nothing of stltool
-    learning/     policies from experience alone, and what their data guarantee
+    recheck.py    re-checks certificates of those bounds; imports nothing from stltool
+    learning/     policies from experience only, and guarantees from its data
     reporting/    results → JSON, HTML, terminal
     cli/          the same from the command line
     kernels/      numba loops; testing/  Hypothesis strategies for users' own tests
 
 "The paper" is [Wang24]: S. Wang, Xunyuan Yin, S. Li and Xiang Yin, Tractable Reinforcement Learning for Signal Temporal
 Logic Tasks With Counterfactual Experience Replay, IEEE Control Systems Letters 8, 2024, DOI 10.1109/LCSYS.2024.3397844.
-docs/references.md lists this and the other keys in brackets; docs/semantics.md has the definitions that all follow.
+docs/references.md lists this and the other keys in brackets; docs/semantics.md has the definitions behind it all.
 """
 
 import sys
@@ -40,11 +40,11 @@ import lazy_loader
 
 __version__ = "0.1.0"
 
-# __init__.pyi says which names there are, and where each is loaded from when first used: `import stltool` stays light
+# __init__.pyi lists the public names and where each is loaded from on first use, so that `import stltool` stays light
 _load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> object:
-    if name not in __all__:  # told so that Python adds "Did you mean"
+    if name not in __all__:  # raised such that Python adds "Did you mean"
         raise AttributeError(f"module 'stltool' has no attribute {name!r}", name=name, obj=sys.modules[__name__])
     return _load(name)

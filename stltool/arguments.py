@@ -1,9 +1,9 @@
-"""What public functions take, checked at their doors: one sentence names what was given, what is needed, what to write.
+"""Checks of the arguments of public functions: one sentence states what was given, what is needed, and what to write.
 
     require(product, Product, "check's product")
     ArgumentError: check's product is an MDP, not a Product; build one: stl.build_product(model, task)
 
-Kinds are told by their names, so that this file needs none of the classes: what users mix up stands in one table.
+Classes are identified by name, so that this file imports none of them; common mix-ups are listed in a table.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _LONGEST = 40  # characters of a value in a message
 
 _WORDS = {"str": "text", "Iterable": "a list", "Mapping": "a mapping"}
 
-# what makes an object of this kind
+# how to obtain an object of this kind
 _MAKE = {
     "Formula": "write one: stl.parse('F[0,5] A')",
     "Task": "read one: stl.load_task(path), or stl.parse_task(text)",
@@ -40,14 +40,14 @@ _MAKE = {
     "Mapping": "write one: {name: values}",
 }
 
-# (needed, given) → what was probably meant
+# (needed, given) → the probable intention
 _MEANT = {
     ("Formula", "str"): "parse it: stl.parse(text)",
     ("Formula", "Path"): "load it: stl.load_task(path)",
     ("Formula", "Product"): "take the product's: product.formula",
     ("Formula", "TaskAutomaton"): "take the automaton's: automaton.formula",
     ("Formula", "Expression"): "compare it: stl.signal('x') > 0.5",
-    ("Formula", "MDP"): "give the task; where both are asked for, the model comes first",
+    ("Formula", "MDP"): "give the task; if both are needed, the model comes first",
     ("Task", "str"): "read it: stl.load_task(path), or stl.parse_task(text)",
     ("Task", "Path"): "read it: stl.load_task(path)",
     ("MDP", "str"): "load it: stl.load_model(path)",
@@ -77,9 +77,9 @@ _MEANT = {
 def require(
     value: object, kinds: type | tuple[type, ...], what: str, remedy: str | None = None, *, optional: bool = False
 ) -> None:
-    """ArgumentError unless `value` is of one of these kinds, or None where it is optional.
+    """ArgumentError unless `value` is of one of these kinds, or None if it is optional.
 
-    `what` names the argument ("check's policy"); without a `remedy` the tables above say what to write.
+    `what` names the argument ("check's policy"); without a `remedy`, the tables above provide it.
     """
     if isinstance(value, kinds) or (optional and value is None):
         return
@@ -92,16 +92,16 @@ def require(
 
 
 def flag(value: object, what: str) -> bool:
-    """True or False; ArgumentError for anything else, so that no text is taken for True."""
+    """True or False; ArgumentError for anything else, so that no string counts as True."""
     if isinstance(value, bool) or type(value).__name__ == "bool":  # numpy's, too
         return bool(value)
     raise ArgumentError(f"{what} is {described(value)}, not a flag; write True or False")
 
 
 def whole(value: object, what: str, least: int | None = None, most: int | None = None) -> int:
-    """`value` as an int, which does not wrap as numpy's narrow ones do: callers go on with what this returns.
+    """`value` as a Python int, which does not wrap like numpy's narrow types; callers use the result.
 
-    SettingsError for anything else than an integer, or one out of range, which 64 bits bound.
+    SettingsError for anything but an integer, or for one out of range (at most 64 bits).
     """
     good = isinstance(value, Integral) and not isinstance(value, bool)
     number = int(value) if good else 0  # type: ignore[call-overload]
@@ -142,28 +142,28 @@ def function(value: object, what: str) -> None:
 
 
 def path(value: object, what: str) -> Path:
-    """The path that a text or a path object names; ArgumentError for anything else."""
+    """The path given as a string or a path object; ArgumentError for anything else."""
     if not isinstance(value, str | PathLike) or "\0" in str(value):
         raise ArgumentError(f"{what} is {described(value)}, not a path; write one in quotes, or as pathlib.Path")
     return Path(value)
 
 
 def mapping(value: object, what: str, example: str, *, optional: bool = False) -> Mapping[str, Any]:
-    """A mapping from names, or a data frame; nothing where it is optional and None."""
+    """A mapping from names, or a data frame; empty if it is optional and None."""
     if optional and value is None:
         return {}
     if isinstance(value, type) or not (hasattr(value, "keys") and hasattr(value, "__getitem__")):
         none = " or None" if optional else ""
-        raise ArgumentError(f"{what} are {described(value)}, not a mapping{none}; write for example {example}")
+        raise ArgumentError(f"{what} are {described(value)}, not a mapping{none}; write, for example, {example}")
     for key in value.keys():  # noqa: SIM118 - of a data frame, too
-        require(key, str, f"a name in {what}", f"write for example {example}")
+        require(key, str, f"a name in {what}", f"write, for example, {example}")
     return cast(Mapping[str, Any], value)
 
 
 def texts(value: object, what: str) -> list[str]:
-    """Names, one after another; numbers among them count as their texts."""
+    """A list of names; numbers in it are converted to strings."""
     if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
-        raise ArgumentError(f"{what} are {described(value)}, not a list; write for example ['a', 'b']")
+        raise ArgumentError(f"{what} are {described(value)}, not a list; write, for example, ['a', 'b']")
     names = list(value)
     for name in names:
         if not isinstance(name, str | Integral):
@@ -187,7 +187,7 @@ def described(value: object) -> str:
     if isinstance(value, Real | Decimal | complex):
         try:
             text = str(value)
-        except ValueError:  # Python writes no integer of more than some thousand digits
+        except ValueError:  # Python does not print integers of more than a few thousand digits
             return "a number of thousands of digits"
         return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
     if isinstance(value, type):
@@ -206,7 +206,7 @@ def described(value: object) -> str:
 
 
 def kind_name(kind: type) -> str:
-    """What users call a class: all nodes of formulas are a Formula."""
+    """The user's name for a class: all formula nodes are a Formula."""
     return str(getattr(kind, "KIND", kind.__name__))
 
 

@@ -1,4 +1,4 @@
-"""Arrays in .npz files of others: every member is measured before it is unpacked, and nothing is unpickled."""
+"""Arrays from untrusted .npz files: every member is measured before it is unpacked, and nothing is unpickled."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from stltool.errors import FileError, StlToolError
 
 
 class Members:
-    """The arrays of an open file, by name. What is at fault raises ValueError."""
+    """The arrays of an open file, by name. Faults raise ValueError."""
 
     def __init__(self, archive: zipfile.ZipFile) -> None:
         self._archive = archive
@@ -26,16 +26,16 @@ class Members:
         self.names = tuple(name.removesuffix(".npy") for name in names)
 
     def read(self, name: str, dtype: Any, shape: tuple[int | None, ...], most: int | None = None) -> NDArray[Any]:
-        """The array `name`, unpacked only if it declares that type and shape, and holds `most` entries at most.
+        """The array `name`, unpacked only if it declares that type and shape, and has at most `most` entries.
 
-        None in a shape stands for any length, so that `most` is needed.
+        None in a shape stands for any length; `most` is then required.
         """
         if name not in self.names:
             raise ValueError(f"it has no array {name}")
         with self._archive.open(f"{name}.npy") as member:
             version = np.lib.format.read_magic(member)
             if version != (1, 0):
-                raise ValueError(f"{name} is in a format of another version")
+                raise ValueError(f"{name} has another format version")
             there, fortran, declared = np.lib.format.read_array_header_1_0(member)
             fits = len(there) == len(shape) and all(n in (None, m) for n, m in zip(shape, there, strict=True))
             if declared != np.dtype(dtype) or fortran or not fits:
@@ -43,19 +43,19 @@ class Members:
                 raise ValueError(f"{name} is {declared} of shape {there}; it must be {np.dtype(dtype)} of {wanted}")
             entries = math.prod(there)
             if most is not None and entries > most:
-                raise ValueError(f"{name} has {entries} entries; there can be {most} at most")
+                raise ValueError(f"{name} has {entries} entries; at most {most} are possible")
             size = entries * np.dtype(dtype).itemsize
             data = member.read(size + 1)
         if len(data) != size:
-            raise ValueError(f"{name} does not hold as many entries as it declares")
+            raise ValueError(f"{name} does not contain as many entries as it declares")
         return np.frombuffer(data, dtype=dtype).reshape(there).copy()
 
 
 @contextmanager
 def open_arrays(path: Path, what: str) -> Iterator[Members]:
-    """The arrays of a file. Whatever is wrong with it raises ValueError, FileError where it cannot be read.
+    """The arrays of a file. Faults in it raise ValueError, or FileError if it cannot be read.
 
-    A damaged archive fails in many ways (zlib, struct, numpy's header, encryption): all of them are the file's.
+    A damaged archive fails in many ways (zlib, struct, numpy's header, encryption); all are faults of the file.
     """
     try:
         file = path.open("rb")

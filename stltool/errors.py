@@ -1,7 +1,7 @@
-"""What can be wrong with a user's input: one base class, one child per kind.
+"""Faults in a user's input: a base class, and a child per kind.
 
-Every message says where (file, line, column, the line and a caret), what (the value), and what to write instead.
-The command line prints the message and leaves with exit code 2; nobody sees a traceback for a typing slip.
+Every message states where (file, line, column, the line and a caret), what (the value), and what to write instead.
+The command line prints the message and ends with exit code 2; nobody sees a traceback for a typing error.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ import difflib
 import re
 from collections.abc import Callable, Iterable, Sequence
 
-MOST_FAULTS = 20  # of a text that are told
+MOST_FAULTS = 20  # faults of a text that are listed
 
 
 class StlToolError(Exception):
     """The user's input is at fault. `str(error)` is the whole message, ready to print.
 
-    Arguments that it names (`named`) are spelled as Python spells them; `reworded` spells them as others do.
+    Arguments that it names (`named`) are spelled as in Python; `reworded` changes the spelling.
     """
 
     def __init__(self, message: object = "") -> None:
@@ -28,21 +28,20 @@ _NAMED = re.compile("\x02(\\w+)\x1f([^\x03]*)\x03")
 
 
 def reworded(error: StlToolError, spell: Callable[[str, str], str]) -> str:
-    """An error's message with `spell(argument, text)` in the place of every text that names an argument."""
+    """An error's message with `spell(argument, text)` in place of every text that names an argument."""
     return _NAMED.sub(lambda found: spell(found[1], found[2]), error._marked)
 
 
 def named(argument: str, text: str | None = None) -> str:
     """An argument of a public function in a message: its name, or `text`, such as "resume=True".
 
-    A text that is more than that ("use keep_policy=False, or ") is advice; it is not shown to those who cannot follow
-    it, for they have no such option.
+    A longer text ("use keep_policy=False, or ") is advice, which is not shown to users who have no such option.
     """
     return f"\x02{argument}\x1f{argument if text is None else text}\x03"
 
 
 class ArgumentError(StlToolError, TypeError):
-    """A public function was given something of another kind than it takes."""
+    """An argument of a public function is of the wrong type."""
 
 
 class StlSyntaxError(StlToolError):
@@ -78,7 +77,7 @@ class RefusedError(CertificateError):
 
 
 class SizeError(StlToolError):
-    """What was asked for would not fit; raised before any memory is taken."""
+    """The request would not fit into memory; raised before any memory is allocated."""
 
 
 class SettingsError(StlToolError):
@@ -86,7 +85,7 @@ class SettingsError(StlToolError):
 
 
 class InfeasibleError(StlToolError):
-    """No policy meets the constraints that were asked for."""
+    """No policy meets the given constraints."""
 
 
 class SolverError(StlToolError):
@@ -94,11 +93,11 @@ class SolverError(StlToolError):
 
 
 class MissingExtraError(StlToolError):
-    """A package is needed that a plain install of stltool does not bring."""
+    """A package is needed that a plain installation of stltool does not include."""
 
 
 class FileError(StlToolError):
-    """A file cannot be read or written, or holds something else than its name says."""
+    """A file cannot be read or written, or its content does not match its name."""
 
 
 class InexactEncodingWarning(UserWarning):
@@ -106,9 +105,9 @@ class InexactEncodingWarning(UserWarning):
 
 
 def all_told(messages: Sequence[str], count: int | None = None) -> str:
-    """What is wrong with a text, one fault below the other: the first `MOST_FAULTS`, and how many there are.
+    """The faults of a text, one below the other: the first `MOST_FAULTS`, and their number.
 
-    `count` is their number where `messages` are only the first of them.
+    `count` is the total if `messages` are only the first of them.
     """
     count = len(messages) if count is None else count
     shown = list(messages[:MOST_FAULTS])
@@ -119,7 +118,7 @@ def all_told(messages: Sequence[str], count: int | None = None) -> str:
 
 
 def near_misses(name: str, known: Iterable[str]) -> str:
-    """A sentence that helps: what `name` may have meant among the names there are."""
+    """A hint: the existing names that `name` may have meant."""
     names = sorted(set(known))
     close = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
     close += [n for n in names if n.lower() == name.lower() and n not in close]
@@ -128,4 +127,4 @@ def near_misses(name: str, known: Iterable[str]) -> str:
     if names:
         shown = ", ".join(names[:12]) + (", …" if len(names) > 12 else "")
         return f"known names: {shown}"
-    return "there are no names to choose from"
+    return "no names are defined"

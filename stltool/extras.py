@@ -1,4 +1,4 @@
-"""Packages that a plain install does not bring, each by its extra; where one is missing, the error names the extra."""
+"""Packages that a plain installation does not include, with their extras; errors for missing ones name the extra."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ EXTRAS = {"distributed": "cluster", "gymnasium": "gymnasium", "pyarrow": "parque
 
 
 def require(package: str, what: str, otherwise: str = "") -> Any:
-    """Import an extra's package. Raises MissingExtraError where that fails.
+    """Import an extra's package. Raises MissingExtraError if that fails.
 
-    what       what needs the package ("a sweep on a cluster"); the message begins with it
-    otherwise  what to do without it ("write the trace as .csv")
+    what       the feature that needs the package ("a sweep on a cluster"); it begins the message
+    otherwise  the alternative ("write the trace as .csv")
     """
     try:
         return importlib.import_module(package)

@@ -1,4 +1,4 @@
-"""Reading text and writing results: the old file or the new one, never half of it."""
+"""Reading text and writing results: files are replaced as a whole or not at all."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import IO
 
 from stltool.errors import FileError
 
-_TRIAL = 1 << 16  # bytes that a folder for results must have room for
+_TRIAL = 1 << 16  # bytes that must fit into a results folder
 
 
 def read_bytes(path: str | Path, what: str) -> bytes:
@@ -25,19 +25,19 @@ def read_bytes(path: str | Path, what: str) -> bytes:
 
 
 def read_text(path: str | Path, what: str, most: int | None = None) -> str:
-    """The text of a file, or a FileError that says why it has none. `what` names the file's role ("task file").
+    """The text of a file, or a FileError with the reason. `what` names the file's role ("task file").
 
     A file of more than `most` bytes is not read at all.
     """
     if most is not None and Path(path).is_file() and (size := Path(path).stat().st_size) > most:
-        raise FileError(f"{path}: not a {what}: it has {size} bytes, and a {what} at most {most}")
+        raise FileError(f"{path}: not a {what}: it has {size} bytes, and a {what} has at most {most}")
     return text_of(read_bytes(path, what), path, what)
 
 
 def text_of(data: bytes, path: str | Path, what: str) -> str:
-    """The text that a file's bytes are, or a FileError that says why they are none."""
+    """The text encoded by the bytes of a file, or a FileError with the reason."""
     if b"\0" in data:
-        raise FileError(f"{path}: not a {what}: it holds binary data (a zero byte at offset {data.index(0)})")
+        raise FileError(f"{path}: not a {what}: it contains binary data (a zero byte at offset {data.index(0)})")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -48,14 +48,14 @@ def text_of(data: bytes, path: str | Path, what: str) -> str:
 
 
 def write_atomically(path: str | Path, data: bytes | str) -> None:
-    """Write `data` beside `path` and move it into place, so that a crash leaves the old file."""
+    """Write `data` next to `path` and move it into place, so that a crash leaves the old file."""
     with atomic_file(path) as file:
         file.write(data.encode("utf-8", errors="backslashreplace") if isinstance(data, str) else data)
 
 
 @contextmanager
 def atomic_file(path: str | Path) -> Iterator[IO[bytes]]:
-    """A binary file beside `path` that takes its place when the block ends well, and vanishes when it does not."""
+    """A binary file next to `path` that replaces it if the block succeeds, and is removed if it fails."""
     path = Path(path).resolve()  # through a link, to what it names
     require_replaceable(path)
     temporary = None
@@ -78,13 +78,13 @@ def atomic_file(path: str | Path) -> Iterator[IO[bytes]]:
 
 
 def require_replaceable(path: Path) -> None:
-    """FileError where something else than a regular file has that name: a folder, a pipe, a device."""
+    """FileError if `path` exists and is not a regular file but a folder, a pipe or a device."""
     if path.exists() and not path.is_file():
         raise FileError(f"{path}: cannot be written: it is not a regular file; name another")
 
 
 def require_own(path: str | Path, what: str, known: Callable[[Path], bool]) -> None:
-    """FileError where a file is there, not empty, and not a `what` ("policy") as `known` judges: it would be lost."""
+    """FileError if a non-empty file exists that is not a `what` ("policy") according to `known`: it would be lost."""
     path = Path(path)
     require_replaceable(path)
     if path.exists() and path.stat().st_size > 0 and not known(path):
@@ -92,29 +92,31 @@ def require_own(path: str | Path, what: str, known: Callable[[Path], bool]) -> N
 
 
 def require_output(path: str | Path) -> None:
-    """FileError before the work, where a result file could not be written after it; makes nothing."""
+    """FileError, before the work, if a result file could not be written after it; creates nothing."""
     path = Path(path).resolve()  # through a link, to what it names
     require_replaceable(path)
     require_folder(path.parent)
 
 
 def require_folder(path: str | Path) -> None:
-    """FileError before the work, where a folder for its results could not be made or written after it.
+    """FileError, before the work, if a results folder could not be created or written after it.
 
-    Tried with a file that has no name and is gone afterwards: nothing is made.
+    Tried with an unnamed temporary file; nothing is left behind.
     """
     existing = Path(path).resolve()
     while not existing.exists():
         existing = existing.parent
     if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
-        raise FileError(f"{path}: cannot be a folder for results: {existing} is no folder to write in; name another")
+        fault = f"{existing} is not a writable directory"
+        raise FileError(f"{path}: cannot create the results folder: {fault}; name another")
     try:
         with tempfile.TemporaryFile(dir=existing) as file:
             file.write(bytes(_TRIAL))
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:
-        raise FileError(f"{path}: cannot be a folder for results: {existing}: {error.strerror}; name another") from None
+        fault = f"{existing}: {error.strerror}"
+        raise FileError(f"{path}: cannot create the results folder: {fault}; name another") from None
 
 
 def _umask() -> int:

@@ -1,7 +1,7 @@
-"""Progress where nobody watches a terminal: lines on stderr, one at least every ten seconds, whatever goes on.
+"""Progress in logs: lines on stderr, at least one every ten seconds, whatever is running.
 
-What runs is a stack of stages; the innermost tells its title and how far it is. A thread speaks when nothing was said
-for `EVERY` seconds, so a single step that takes an hour is heard of, too.
+The work in progress is a stack of stages; the innermost reports its title and progress. A thread prints a line if none
+was printed for `EVERY` seconds, so a single step that takes an hour is reported, too.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ EVERY = 10.0  # seconds
 
 @dataclass
 class Stage:
-    """What is going on: since when, and how far it is. The first line is due after `patience` seconds."""
+    """A stage of work: its start and progress. The first line is due after `patience` seconds."""
 
     title: str
     began: float
@@ -28,7 +28,7 @@ class Stage:
 
 
 class Log:
-    """`write` prints a line, `clock` tells seconds; without `watched`, nothing is said unless `beat` is called."""
+    """`write` prints a line, `clock` returns seconds; without `watched`, nothing is printed unless `beat` is called."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class Log:
 
     @contextmanager
     def stage(self, title: str, patience: float | None = None) -> Iterator[Stage]:
-        """Something that may take long. `patience` where its first line is to come earlier than usual."""
+        """A stage that may take long; `patience` if its first line should come earlier than usual."""
         with self._lock:
             stage = Stage(title, self._clock(), EVERY if patience is None else patience)
             if not self._stages:
@@ -52,7 +52,7 @@ class Log:
             self._stages.append(stage)
             if self._watched and len(self._stages) == 1:
                 threading.Thread(target=self._watch, daemon=True).start()
-        self._changed.set()  # its first line may be due before others are
+        self._changed.set()  # its first line may be due earlier than others
         try:
             yield stage
         finally:
@@ -61,13 +61,13 @@ class Log:
             self._changed.set()
 
     def say(self, line: str) -> None:
-        """A line of its own; the next one is due `EVERY` seconds later."""
+        """Print a line; the next one is due `EVERY` seconds later."""
         with self._lock:
             self._last = self._clock()
             self._write(line)
 
     def beat(self) -> float:
-        """Speak if a line is due; seconds until the next one is, infinite when nothing goes on."""
+        """Print a line if one is due; returns seconds until the next one, infinite if no stage is active."""
         with self._lock:
             if not self._stages:
                 return float("inf")
@@ -83,8 +83,8 @@ class Log:
             return EVERY
 
     def _watch(self) -> None:
-        """The thread, for as long as there is a stage."""
-        with suppress(OSError, ValueError):  # stderr is gone: nobody to speak to
+        """The thread, running as long as there is a stage."""
+        with suppress(OSError, ValueError):  # stderr is closed
             while True:
                 self._changed.clear()
                 wait = self.beat()
@@ -98,4 +98,4 @@ def _print(line: str) -> None:
 
 
 LOG = Log(_print)
-"""Of this process."""
+"""The log of this process."""

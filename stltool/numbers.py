@@ -1,14 +1,14 @@
-"""Numbers as they are written ↔ exact values: the one place where they are read, printed and rounded.
+"""Numbers as written ↔ exact values: the only module that reads, prints and rounds them.
 
     number    an integer, a decimal, or a fraction of two integers:   7   -0.25   .5   1e-3   2/3
 
-Every text that holds a number is read here (task files, -p, --at-least, model files, arrays of fractions, traces, the
-command line's options), so all of them accept the same texts and mean the same value. Digits are 0 to 9: no
-underscores, no other alphabet's digits, no decimal comma. A decimal means that decimal, not its nearest double; a
-double given as a number means the shortest decimal that names it (0.1 is 1/10).
+All texts with numbers are read here (task files, -p, --at-least, model files, arrays of fractions, traces, the command
+line's options), so all of them accept the same texts and mean the same value. Digits are 0 to 9: no
+underscores, no other alphabet's digits, no decimal comma. A decimal means that decimal, not the nearest double; a
+double given as a number means the shortest decimal that identifies it (0.1 is 1/10).
 
-One limit, `LIMIT`, keeps a slip of the pen from filling the memory: 1000 digits, and sizes between 1e-1000 and 1e1000.
-What is printed by `number_text` is read back to the same value by `read`.
+A limit, `LIMIT`, keeps a typing error from filling the memory: 1000 digits, and sizes between 1e-1000 and 1e1000.
+`read` restores the exact value that `number_text` printed.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ MOST_DIGITS = 1000
 LIMIT = f"numbers have at most {MOST_DIGITS} digits, and sizes between 1e-{MOST_DIGITS} and 1e{MOST_DIGITS} or 0"
 
 Exactable: TypeAlias = "int | float | str | Decimal | Fraction"
-"""What has an exact value: doubles mean their shortest decimal."""
+"""Types with an exact value: doubles mean their shortest decimal."""
 
 _DECIMAL = re.compile(r"([+-]?)(?:(\d+)(?:\.(\d*))?|\.(\d+))(?:[eE]([+-]?\d+))?", re.ASCII)
 _FRACTION = re.compile(r"([+-]?)(\d+)[ \t]*/[ \t]*(\d+)", re.ASCII)
@@ -40,7 +40,7 @@ _SHOWN = 40  # characters of a text that a message repeats
 
 
 class NumberError(ValueError):
-    """What is wrong with a text where a number should be: "'1_0' is not a number; write it without underscores"."""
+    """The fault of a text where a number is expected: "'1_0' is not a number; write it without underscores"."""
 
 
 # ------------------------------------------------------------------------------------------------------------ reading
@@ -71,7 +71,7 @@ def exact(value: object) -> Fraction:
         return value
     if isinstance(value, bool):
         raise NumberError(f"{value} is not a number")
-    if isinstance(value, int) and value.bit_length() > 4 * MOST_DIGITS:  # too long to be written as a text at all
+    if isinstance(value, int) and value.bit_length() > 4 * MOST_DIGITS:  # too long to be printed at all
         raise NumberError(f"an integer of {value.bit_length()} bits is out of range: {LIMIT}")
     if not isinstance(value, str | Real | Decimal):
         raise NumberError(f"{described(value)} is not a number")
@@ -79,7 +79,7 @@ def exact(value: object) -> Fraction:
 
 
 def whole(text: str) -> int:
-    """An integer. Raises NumberError where the text is none."""
+    """An integer. Raises NumberError for other texts."""
     bare = text.strip()
     if _WHOLE.fullmatch(bare) is None:
         raise NumberError(f"{shown(text)} is not an integer" + _remedy(text))
@@ -89,17 +89,17 @@ def whole(text: str) -> int:
 
 
 def index(text: str) -> int:
-    """The number of a state, a line or the like: digits alone. Raises NumberError where the text is none."""
+    """The number of a state, a line or the like: only digits. Raises NumberError for other texts."""
     if not (text.isascii() and text.isdigit()) or len(text) > _LONGEST_INDEX:
-        raise NumberError(f"{shown(text)} is not an index; write digits alone")
+        raise NumberError(f"{shown(text)} is not an index; write only digits")
     return int(text)
 
 
 def double(text: str) -> float:
-    """The double nearest to a number, however many digits it has. Raises NumberError where it has none."""
+    """The double nearest to a number, however many digits it has. Raises NumberError if there is none."""
     bare = text.strip()
     try:
-        # what float reads in ASCII without underscores, to a finite number, is a decimal
+        # ASCII text without underscores that float reads as a finite number is a decimal
         value = float(bare) if bare.isascii() and "_" not in bare else math.nan
     except ValueError:
         value = math.nan
@@ -110,12 +110,12 @@ def double(text: str) -> float:
     except OverflowError:  # of a fraction
         value = math.inf
     if math.isinf(value):
-        raise NumberError(f"{shown(text)} is too large for a double, of which the largest is {sys.float_info.max:.6g}")
+        raise NumberError(f"{shown(text)} is too large for a double; the largest is {sys.float_info.max:.6g}")
     return value
 
 
 def shortest(value: float) -> Fraction:
-    """The shortest decimal that names a finite double, exactly."""
+    """The shortest decimal that identifies a finite double, exactly."""
     return Fraction(repr(float(value)))
 
 
@@ -132,7 +132,7 @@ def _value(text: str, sign: str, digits: str, power: str = "0", places: int = 0)
 
 
 def shown(text: str) -> str:
-    """A text in quotes, cut where it is long."""
+    """A text in quotes, cut if it is long."""
     text = text.strip()
     return repr(text if len(text) <= _SHOWN else text[:_SHOWN] + "…")
 
@@ -146,7 +146,7 @@ def _objection(text: str) -> str:
 
 
 def _remedy(text: str) -> str:
-    """What to write instead of the slips that people make."""
+    """What to write instead, for common slips."""
     for wrong, instead, says in (
         ("_", "", "write it without underscores"),
         (",", ".", "write it with a decimal point"),
@@ -169,7 +169,7 @@ def _is_number(text: str) -> bool:
 
 
 def number_text(value: Fraction) -> str:
-    """The decimal that a number is, or the fraction where that is shorter or the only way; `read` takes it back."""
+    """A number as a decimal, or as a fraction if that is shorter or the only way; `read` restores it."""
     with long_numbers():
         decimal = _decimal_text(value)
         fraction = str(value)
@@ -179,7 +179,7 @@ def number_text(value: Fraction) -> str:
 
 
 def _decimal_text(value: Fraction) -> str | None:
-    """None where the decimal does not end, or within the limit of digits only."""
+    """The number as a decimal; None if it does not terminate, or only with too many digits."""
     rest, powers = value.denominator, []
     for factor in (2, 5):
         count = 0
@@ -202,7 +202,7 @@ def _decimal_text(value: Fraction) -> str | None:
 
 
 def fraction_text(value: Fraction, longest: int | None = None) -> str:
-    """A fraction whole, or what it is like where it has more than `longest` characters."""
+    """A fraction in full, or its length if it has more than `longest` characters."""
     with long_numbers():
         whole_text = str(value)
     if longest is None or len(whole_text) <= longest:
@@ -212,7 +212,7 @@ def fraction_text(value: Fraction, longest: int | None = None) -> str:
 
 @contextmanager
 def long_numbers() -> Iterator[None]:
-    """Let integers of any length be written, which Python limits to some thousand digits."""
+    """Allow printing integers of any length, which Python limits to a few thousand digits."""
     longest = sys.get_int_max_str_digits()
     sys.set_int_max_str_digits(0)
     try:
@@ -222,7 +222,7 @@ def long_numbers() -> Iterator[None]:
 
 
 def probability_text(value: float) -> str:
-    """A probability with digits that tell it from 0 and 1."""
+    """A probability with enough digits to distinguish it from 0 and 1."""
     if 0.999 < value < 1:
         return f"1 − {1 - value:.3g}"
     return f"{value:.6g}"
@@ -232,29 +232,29 @@ def probability_text(value: float) -> str:
 
 
 def round_down(value: Fraction) -> float:
-    """The largest double that is not above."""
+    """The largest double not above the value."""
     nearest = float(value)
     return nearest if Fraction(nearest) <= value else math.nextafter(nearest, -math.inf)
 
 
 def round_up(value: Fraction) -> float:
-    """The smallest double that is not below."""
+    """The smallest double not below the value."""
     nearest = float(value)
     return nearest if Fraction(nearest) >= value else math.nextafter(nearest, math.inf)
 
 
 def floor_text(bound: float | Fraction, digits: int = 6) -> str:
-    """A lower bound in so many digits, rounded down."""
+    """A lower bound with this many digits, rounded down."""
     return f"{_in_digits(bound, digits, ROUND_FLOOR):f}"
 
 
 def ceiling_text(bound: float | Fraction, digits: int = 6) -> str:
-    """An upper bound in so many digits, rounded up."""
+    """An upper bound with this many digits, rounded up."""
     return f"{_in_digits(bound, digits, ROUND_CEILING):f}"
 
 
 def bound_texts(lower: float | Fraction, upper: float | Fraction) -> tuple[str, str]:
-    """An enclosure in 17 digits, rounded outwards: what is printed encloses too."""
+    """An enclosure in 17 digits, rounded outwards, so that the printed interval encloses, too."""
     return str(_in_digits(lower, 17, ROUND_FLOOR)), str(_in_digits(upper, 17, ROUND_CEILING))
 
 

@@ -108,7 +108,7 @@ class Policy(Displayed):
             given = np.asarray(table)
         except ValueError:
             raise PolicyError(
-                "the policy's table is not an array: its rows have unequal lengths; give one row for each state"
+                "the policy's table is not an array: its rows have unequal lengths; give one row per state"
             ) from None
         self.form = Table(_checked(product, given))
 
@@ -217,7 +217,7 @@ class Policy(Displayed):
         require_policy_file(path)
         if path.suffix.lower() == ".policy":
             if not isinstance(self.form, Choices):
-                raise PolicyError(f"{path}: .policy files hold policies that check has found; save this one as .npz")
+                raise PolicyError(f"{path}: .policy files are for policies found by check; save this one as .npz")
             partial = path.with_name(path.name + ".partial")
             writer = LayeredWriter(partial, layered_header(self.home))
             for layer in self.form.layers[::-1]:
@@ -309,7 +309,7 @@ class Policy(Displayed):
         s = _find_rows(path, keys[:, :n_signals], signals, "state")
         q = _find_rows(path, keys[:, n_signals:], automaton.registers.astype(np.float64), "automaton state")
         if len(np.unique(s * automaton.n_states + q)) < len(s):
-            raise PolicyError(f"{path}: two rows speak of the same state")
+            raise PolicyError(f"{path}: two rows are for the same state")
         q_values = np.zeros((*product.shape, model.n_actions))
         q_values[s, q] = values[:, [names.index(name) for name in model.action_names]]
         return greedy(product, q_values)
@@ -333,7 +333,7 @@ def require_policy_file(path: str | Path) -> None:
     path = Path(path)
     require_replaceable(path)
     if path.suffix.lower() not in (".npz", ".policy"):
-        raise PolicyError(f"{path}: a policy is saved as .npz or .policy; name it so")
+        raise PolicyError(f"{path}: policies are saved as .npz or .policy; use one of these extensions")
     require_own(path, "policy", _is_policy)
     require_folder(path.parent)
 
@@ -353,7 +353,7 @@ def _is_policy(path: Path) -> bool:
 def silence(product: Product, s: int, q: int, t: int) -> PolicyError:
     """The error for a policy that says nothing about a place it can reach, in the user's names."""
     where = product.describe(s * product.automaton.n_states + q, t)
-    return PolicyError(f"the policy says nothing about {where}, which it can reach; give it an action there")
+    return PolicyError(f"the policy defines no action at {where}, which is reachable under it; give it an action there")
 
 
 def load_policy(path: str | Path, product: Product) -> Policy:
@@ -421,7 +421,7 @@ def _checked(product: Product | JointProduct, table: NDArray[Any]) -> NDArray[An
         kept = np.maximum(table, -1) if table.dtype.kind == "i" else table
         return np.ascontiguousarray(kept, dtype=product.model.choice_type)
     if table.dtype.kind != "f":
-        raise PolicyError(f"the policy's table holds {table.dtype}; whole numbers (choices) or weights are needed")
+        raise PolicyError(f"the policy's table has type {table.dtype}; give integers (choices) or floats (weights)")
     if table.shape not in ((*base, most), (*timed, most)):
         raise PolicyError(
             f"the policy's weights have shape {table.shape}; {(*base, most)} or {(*timed, most)} is needed"
@@ -432,8 +432,8 @@ def _checked(product: Product | JointProduct, table: NDArray[Any]) -> NDArray[An
     if bad.any():
         where = tuple(int(i) for i in np.argwhere(bad)[0])
         raise PolicyError(
-            f"the policy's weights {table[where].tolist()} are no distribution over the {n_choices[where[-2]]} choices "
-            f"of {product.describe(where[-2] * base[1] + where[-1])}"
+            f"the policy's weights {table[where].tolist()} are not a distribution over the {n_choices[where[-2]]} "
+            f"choices of {product.describe(where[-2] * base[1] + where[-1])}"
         )
     return np.ascontiguousarray(table, dtype=np.float64)
 
@@ -494,7 +494,7 @@ def _read_q_table(path: str | Path) -> tuple[list[str], tuple[NDArray[np.float64
         keys.append(key)
         values.append(value)
     if not keys:
-        raise PolicyError(f"{path}: the Q-table has no row")
+        raise PolicyError(f"{path}: the Q-table has no rows")
     return names, (np.array(keys), np.array(values))
 
 
@@ -504,7 +504,7 @@ def _find_rows(
     """For every wanted row the index of the one known row equal to it."""
     rounded = {_key(row): i for i, row in enumerate(known.tolist())}
     if len(rounded) < len(known):
-        raise PolicyError(f"{path}: the model's signals do not tell its states apart, so a Q-table cannot name them")
+        raise PolicyError(f"{path}: the model's signals do not distinguish its states, so no Q-table can name them")
     found = np.empty(len(wanted), dtype=np.int64)
     for number, row in enumerate(wanted.tolist()):
         index = rounded.get(_key(row))

@@ -1,4 +1,4 @@
-"""MDP × TaskAutomaton: never built as a matrix, and the way back from an index to the user's names.
+"""MDP × TaskAutomaton, never built as a matrix, with the way back from an index to the user's names.
 
 A product state is a pair (s, q): model state s just read, automaton state q after reading it. Its index is s·|Q| + q.
 """
@@ -28,10 +28,10 @@ from stltool.source import Span
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Product(Displayed):
-    """What learners and checkers work on.
+    """The object that learners and checkers work on.
 
     letter        (n_model_states,) int32: the automaton's letter L(s) of each model state
-    task_name     the definition's name where the formula came from a task file
+    task_name     the name of the definition if the formula came from a task file
     """
 
     model: MDP
@@ -85,10 +85,10 @@ def first_verdicts(product: Product, states: NDArray[np.int64]) -> NDArray[np.in
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JointProduct(Displayed):
-    """Several tasks over one model, remembered together: what trade-offs are made on.
+    """Several tasks over one model, tracked together: the object that trade-offs work on.
 
-    tasks     their products, each with a name of its own
-    automaton what is remembered of all of them, the step included
+    tasks     their products, with distinct names
+    automaton the joint automaton, which also counts steps
     letter    (n_model_states,) int32: the joint letter of each model state
     """
 
@@ -126,10 +126,10 @@ class JointProduct(Displayed):
         )
 
     def task(self, name: str) -> int:
-        """The number of the task of that name; NameLookupError where there is none."""
+        """The number of the task of that name; NameLookupError if there is none."""
         require(name, str, "a task's name")
         if name not in self.names:
-            raise NameLookupError(f"there is no task {name} here; {near_misses(name, self.names)}")
+            raise NameLookupError(f"there is no task {name}; {near_misses(name, self.names)}")
         return self.names.index(name)
 
     def describe(self, index: int, t: int | None = None) -> str:
@@ -238,9 +238,9 @@ def build_joint_product(
     encoding: Encoding = "exact",
     memory_limit: int | None = None,
 ) -> JointProduct:
-    """Bind several tasks to one model and remember them together.
+    """Bind several tasks to one model and track them together.
 
-    `tasks` are named by their definitions, or by the mapping. Raises SettingsError where two have one name, SizeError
+    `tasks` are named by their definitions, or by the mapping. Raises SettingsError if two have the same name, SizeError
     before allocating what would not fit, and what `build_product` raises for each.
     """
     require(model, MDP, "build_joint_product's model")
@@ -259,7 +259,7 @@ def build_joint_product(
     names = [name for name, _ in named]
     for name in names:
         if names.count(name) > 1:
-            raise SettingsError(f"two tasks are called {name}; give each a name of its own, in a mapping for example")
+            raise SettingsError(f"two tasks are called {name}; give them distinct names, for example in a mapping")
     products = tuple(
         replace(build_product(model, task, encoding, memory_limit), task_name=name) for name, task in named
     )

@@ -1,10 +1,10 @@
-"""Random numbers: one seed, a stream of its own for every purpose.
+"""Random numbers: one seed, with a separate stream for every purpose.
 
-A stream is the generator of `SeedSequence(seed, spawn_key=(purpose, …))`. Different keys give streams that behave as
-independent ones, so what a learner saw and the runs that judge its policy are independent even under the same seed.
+A stream is the generator of `SeedSequence(seed, spawn_key=(purpose, …))`. Streams of different keys behave as if
+independent, so a learner's data and the runs that judge its policy are independent even under the same seed.
 
-Seeds stay below 2¹²⁸: the sequence appends a key to the seed's words, so that a longer seed could spell another one's
-key.
+Seeds stay below 2¹²⁸: the sequence appends a key to the seed's words, so a longer seed could equal a shorter one with
+its key.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _MOST_BITS = 128
 
 @unique
 class Purpose(IntEnum):
-    """What a stream is for. A number is never given to another purpose: results of a seed would change."""
+    """The purpose of a stream. Numbers are never reassigned, since the results of a seed would change."""
 
     LEARNING_ENVIRONMENT = 0
     """The first states and successors that a learner sees."""
@@ -36,15 +36,15 @@ class Purpose(IntEnum):
 
 
 def generator(seed: int, purpose: Purpose, *part: int) -> np.random.Generator:
-    """The stream of that seed for that purpose; of its own for every `part` (a block of runs, say).
+    """The stream of a seed for a purpose, and separate for every `part` (a block of runs, say).
 
-    Raises SettingsError where `seed` is not an integer from 0 to 2¹²⁸ − 1.
+    Raises SettingsError if `seed` is not an integer from 0 to 2¹²⁸ − 1.
     """
     return np.random.default_rng(np.random.SeedSequence(require_seed(seed), spawn_key=(int(purpose), *part)))
 
 
 def require_seed(seed: int) -> int:
-    """The seed as a Python int; SettingsError where it is none. NumPy's integers are fine, Booleans are not."""
+    """The seed as a Python int; SettingsError if it is not one. NumPy's integers are fine, Booleans are not."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed < 1 << _MOST_BITS:
         raise SettingsError(f"{named('seed')} is {described(seed)}; give an integer from 0 (below 2^{_MOST_BITS})")
     return int(seed)

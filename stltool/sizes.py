@@ -1,7 +1,7 @@
-"""Sizes before memory and time: what would not fit, or never end, is refused with the numbers and the ways out.
+"""Size checks: requests that would not fit into memory, or would take too long, are refused with figures and remedies.
 
-The one place that decides how wide integers are: states, letters and automaton states are numbered in int32, and more
-of them than that holds are refused; choices are as wide as the model needs (`integer_type`); whatever counts is int64.
+This module also decides the width of integers: states, letters and automaton states are numbered in int32, and larger
+numbers are refused; choices are as wide as the model needs (`integer_type`); counters are int64.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from stltool.errors import SettingsError, SizeError
 
 _USABLE = 0.8  # of the memory that is free now
 _MOST_DAYS = 7
-_MOST_NUMBERED = 2**31 - 2  # so that one more, and the number of all, are int32 too
+_MOST_NUMBERED = 2**31 - 2  # so that one more, and the total, still fit int32
 
 IntegerType: TypeAlias = type[np.int16] | type[np.int32] | type[np.int64]
 UnsignedType: TypeAlias = type[np.uint8] | type[np.uint16] | type[np.uint32]
 Numbers: TypeAlias = NDArray[np.signedinteger[Any]]
-"""Integers of a type that holds them."""
+"""Integers of a sufficient type."""
 
 
 def integer_type(largest: int) -> IntegerType:
-    """The type for numbers from −1 (none) to `largest`: int16 where that holds them, else int32, else int64."""
+    """The type for numbers from −1 (none) to `largest`: int16 if sufficient, else int32, else int64."""
     for candidate in (np.int16, np.int32):
         if largest <= np.iinfo(candidate).max:
             return candidate
@@ -39,16 +39,16 @@ def unsigned_type(largest: int) -> UnsignedType:
 
 
 def require_numbered(n: int, what: str, remedy: str) -> None:
-    """Raise SizeError, before they are numbered, when n things are more than int32 can number."""
+    """Raise SizeError, before they are numbered, if n things are more than int32 can number."""
     if n > _MOST_NUMBERED:
         raise SizeError(f"{n} {what} are more than can be numbered (at most {_MOST_NUMBERED}); {remedy}")
 
 
 def memory_limit(given: int | None = None) -> int:
-    """Bytes that may be taken: `given`, or four fifths of what is free.
+    """Bytes that may be allocated: `given`, or four fifths of the free memory.
 
-    Free is what the machine has available, and no more than limits of the operating system leave: `ulimit -v`, and a
-    container's memory.
+    This is the memory available on the machine, within the limits of the operating system: `ulimit -v`, and the memory
+    of a container.
     """
     if given is not None:
         return require_limit(given)
@@ -59,7 +59,7 @@ def memory_limit(given: int | None = None) -> int:
 
 
 def _left_by_ulimit() -> list[int]:
-    """What `ulimit -v` leaves of this process's address space, where it is set."""
+    """The address space that `ulimit -v` leaves to this process, if it is set."""
     import psutil
 
     try:
@@ -71,7 +71,7 @@ def _left_by_ulimit() -> list[int]:
 
 
 def _left_by_container(root: Path = Path("/sys/fs/cgroup")) -> list[int]:
-    """What this process's control groups (version 2) leave, each one up to the root that has a limit."""
+    """The memory that this process's control groups (version 2), up to the root, leave if they have limits."""
     try:
         own = next(line for line in Path("/proc/self/cgroup").read_text().splitlines() if line.startswith("0::"))
         group = root / own.removeprefix("0::").strip().lstrip("/")
@@ -90,7 +90,7 @@ def _left_by_container(root: Path = Path("/sys/fs/cgroup")) -> list[int]:
 
 
 def require_limit(given: object) -> int:
-    """A limit in bytes that was given; SettingsError for anything else than a number from 0."""
+    """A limit in bytes that was given; SettingsError for anything but a number from 0."""
     limit = real(given, "memory_limit", "2e9")
     if limit < 0:
         raise SettingsError(f"memory_limit is {given}; give bytes from 0, such as 2e9")
@@ -98,7 +98,7 @@ def require_limit(given: object) -> int:
 
 
 def require_memory(needed: float, what: str, remedy: str, limit: int | None = None) -> None:
-    """Raise SizeError, before anything is allocated, when `needed` bytes are over the limit."""
+    """Raise SizeError, before anything is allocated, if `needed` bytes are over the limit."""
     allowed = memory_limit(limit)
     if needed > allowed:
         raise SizeError(
@@ -107,7 +107,7 @@ def require_memory(needed: float, what: str, remedy: str, limit: int | None = No
 
 
 def bytes_text(n: float) -> str:
-    """A number of bytes as people read it: 1.5 GB."""
+    """A number of bytes in readable form: 1.5 GB."""
     n, unit = float(min(n, 10**300)), "B"
     for larger in ("kB", "MB", "GB", "TB", "PB"):
         if n < 1000:
@@ -117,7 +117,7 @@ def bytes_text(n: float) -> str:
 
 
 def require_time(operations: float, rate: float, what: str, remedy: str) -> None:
-    """Raise SizeError when `operations` at `rate` a second would run for more than a week."""
+    """Raise SizeError if `operations` at `rate` per second would take more than a week."""
     days = operations / rate / 86400
     if days > _MOST_DAYS:
         raise SizeError(f"{what} would take about {days:.3g} days; {remedy}")

@@ -1,4 +1,4 @@
-"""Where a piece of text stands, and how to show it: file, line, column, the line and a caret."""
+"""Positions of texts, and how to show them: file, line, column, the line and a caret."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Source:
 
     @property
     def lines(self) -> str:
-        """The text with every line end, old Macs' too, as a line feed; places stay."""
+        """The text with every line end, even that of old Macs, as a line feed; positions are unchanged."""
         return re.sub(r"\r(?!\n)", "\n", self.text)
 
 
@@ -46,14 +46,14 @@ class Span:
         return self.source.text[self.start : self.end]
 
     def show(self, message: str) -> str:
-        """The message with its place, the line, and carets under the span."""
+        """The message with its position, the line, and carets under the span."""
         begin = self.source.lines.rfind("\n", 0, self.start) + 1
         stop = self.source.lines.find("\n", begin)
         line = self.source.text[begin:] if stop < 0 else self.source.text[begin:stop]
         line = line.rstrip("\r")
         indent = "".join("\t" if c == "\t" else " " for c in line[: self.start - begin])
         width = max(1, min(self.end, begin + len(line)) - self.start)
-        if len(line) > 160:  # a window around the place; nobody reads a screenful to find a caret
+        if len(line) > 160:  # only the surroundings: nobody reads a screenful to find a caret
             cut = max(0, self.start - begin - 60)
             line, indent = line[cut : cut + 140], indent[cut:]
             width = max(1, min(width, 140 - len(indent)))

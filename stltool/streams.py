@@ -1,7 +1,7 @@
 """The standard streams as the command line needs them, whatever they are connected to.
 
-Where a stream's encoding lacks a character (a redirect on Windows, `PYTHONIOENCODING=ascii`), a readable stand-in is
-printed: tau, x, ->, <=. Where nobody reads on (`| head`), the rest is dropped, and the exit code stays what it is.
+If a stream's encoding lacks a character (a redirect on Windows, `PYTHONIOENCODING=ascii`), a readable substitute is
+printed: tau, x, ->, <=. If the reader has stopped (`| head`), the rest is dropped, and the exit code is unchanged.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _STAND_INS = {
 
 
 def prepare() -> None:
-    """Make stdout and stderr print what they can, and outlive their reader."""
+    """Make stdout and stderr print what they can, and survive a reader that stops."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if not isinstance(stream, io.TextIOWrapper):
@@ -30,7 +30,7 @@ def prepare() -> None:
         stream.flush()
         try:
             raw = None if stream.isatty() else _Outlet(stream.fileno(), "wb", closefd=False)
-        except OSError:  # not connected to a file: a test's
+        except OSError:  # not connected to a file, as in tests
             raw = None
         if raw is None:
             stream.reconfigure(errors="stltool")
@@ -46,7 +46,7 @@ def printable(text: str) -> str:
 
 
 class _Outlet(io.FileIO):
-    """A file that goes nowhere once it cannot be written: without a word where nobody reads on."""
+    """A file that discards output once it cannot be written; silently if the reader has stopped."""
 
     def write(self, data: Any) -> int:
         try:
@@ -55,13 +55,13 @@ class _Outlet(io.FileIO):
             nothing = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nothing, self.fileno())
             os.close(nothing)
-            if error.errno not in (errno.EPIPE, errno.EINVAL):  # the latter is a closed pipe's on Windows
+            if error.errno not in (errno.EPIPE, errno.EINVAL):  # on Windows, EINVAL means a closed pipe
                 raise
             return super().write(data)
 
 
 def stand_in(character: str) -> str:
-    """What an encoding prints that lacks the character: one or a few ASCII characters."""
+    """The substitute for a character that an encoding lacks: one or a few ASCII characters."""
     if character in _STAND_INS:
         return _STAND_INS[character]
     words = unicodedata.name(character, "").split()

@@ -74,10 +74,10 @@ def test_pickles_are_never_loaded(patrolling, tmp_path):
     [
         (np.zeros((3, 3), dtype=int), r"shape \(3, 3\); \(18, 36\) or \(8, 18, 36\) is needed"),
         (np.full((18, 36), 9), "takes choice 9 in state .*, which has 9, counted from 0"),
-        (np.full((18, 36, 9), 0.2), "are no distribution over the 9 choices"),
-        (np.full((18, 36, 9), np.nan), "are no distribution"),
+        (np.full((18, 36, 9), 0.2), "are not a distribution over the 9 choices"),
+        (np.full((18, 36, 9), np.nan), "are not a distribution"),
         (np.full((18, 36, 8), 1 / 8), r"weights have shape \(18, 36, 8\)"),
-        (np.full((18, 36), "N"), "whole numbers"),
+        (np.full((18, 36), "N"), "give integers"),
     ],
 )
 def test_tables_that_do_not_fit(flagged, table, says):
@@ -112,7 +112,7 @@ def test_a_q_table_is_its_greedy_policy(flagged, tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (",stay,N\n", "the Q-table has no row"),
+        (",stay,N\n", "the Q-table has no rows"),
         (",stay,N\n[0.3 0.1 0 0],1,2\n", "the model's actions are stay, N, S"),
         ("HEAD\n[0.3 0.1 0 0],1,2\n", "line 2: not a row"),
         ("HEAD\n[0.3 0.1 0 zero],1,2,3,4,5,6,7,8,9\n", "line 2: not a row"),
@@ -120,7 +120,7 @@ def test_a_q_table_is_its_greedy_policy(flagged, tmp_path):
         ("HEAD\n[0.3 0.1 0],1,2,3,4,5,6,7,8,9\n", "the index has 3 numbers; 2 signals"),
         ("HEAD\n[0.31 0.1 0 0],1,2,3,4,5,6,7,8,9\n", "row 1: there is no state 0.31 0.1"),
         ("HEAD\n[0.3 0.1 0 6],1,2,3,4,5,6,7,8,9\n", "row 1: there is no automaton state 0 6"),
-        ("HEAD\n" + "[0.3 0.1 0 0],1,2,3,4,5,6,7,8,9\n" * 2, "two rows speak of the same state"),
+        ("HEAD\n" + "[0.3 0.1 0 0],1,2,3,4,5,6,7,8,9\n" * 2, "two rows are for the same state"),
     ],
 )
 def test_bad_q_tables_are_refused(flagged, tmp_path, text, says):
@@ -134,7 +134,7 @@ def test_bad_q_tables_are_refused(flagged, tmp_path, text, says):
 def test_any_negative_entry_says_nothing(patrolling, entry):
     policy = stl.Policy(patrolling, np.full(patrolling.shape, entry))
     assert (policy.table == -1).all()
-    with pytest.raises(PolicyError, match="says nothing about step 0"):
+    with pytest.raises(PolicyError, match="defines no action at step 0"):
         stl.check(patrolling, policy)
 
 
@@ -192,7 +192,7 @@ def test_signals_that_do_not_tell_states_apart(tmp_path):
     product = stl.build_product(model, stl.parse("F[0,2) A"))
     path = tmp_path / "q.csv"
     path.write_text(",0\n[1 0],3\n")
-    with pytest.raises(PolicyError, match="do not tell its states apart"):
+    with pytest.raises(PolicyError, match="do not distinguish its states"):
         stl.load_policy(path, product)
 
 

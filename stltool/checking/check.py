@@ -396,9 +396,9 @@ def undefined(product: Product, policy: Policy) -> PolicyError:
     first = list(places.items())[:_NAMED]
     shown = " | ".join(product.describe(s * product.automaton.n_states + q, t) for (s, q), t in first)
     more = f" | and {len(places) - _NAMED} more" if len(places) > _NAMED else ""
-    unreached = f" ({others} others it cannot reach)" if others else ""
+    unreached = f" ({others} others are not)" if others else ""
     return PolicyError(
-        f"the policy says nothing about {shown}{more}, which it can reach{unreached}; add an action there"
+        f"the policy defines no action at {shown}{more}, which is reachable under it{unreached}; add an action there"
     )
 
 

@@ -170,9 +170,9 @@ def test_undefined_states_are_named_when_they_can_be_reached(patrolling):
     table = stl.check(patrolling).policy.table.copy()
     s = int(patrolling.model.initial.argmax())
     table[0, s, :] = -1
-    with pytest.raises(PolicyError, match=r"says nothing about step 0, state \(1,0\); x = 0.3, y = 0.1"):
+    with pytest.raises(PolicyError, match=r"defines no action at step 0, state \(1,0\); x = 0.3, y = 0.1"):
         stl.check(patrolling, stl.Policy(patrolling, table))
-    with pytest.raises(PolicyError, match="says nothing about step 0"):
+    with pytest.raises(PolicyError, match="defines no action at step 0"):
         stl.sample_run(patrolling, stl.Policy(patrolling, table), seed=0)
     table = stl.check(patrolling).policy.table.copy()
     table[0, s - 1, :] = -1  # never there at step 0
@@ -182,7 +182,7 @@ def test_undefined_states_are_named_when_they_can_be_reached(patrolling):
 def test_silent_places_are_told_apart(patrolling):
     """Reachable ones first, by name; the others by number."""
     table = np.full((8, *patrolling.shape), -1, dtype=np.int16)
-    with pytest.raises(PolicyError, match=r"nothing about step 0, state \(1,0\).*, which it can reach \(467 others"):
+    with pytest.raises(PolicyError, match=r"no action at step 0, state \(1,0\).*, which is reachable under it \(467"):
         stl.check(patrolling, stl.Policy(patrolling, table))
     table = stl.check(patrolling).policy.table[0].copy()  # stationary
     corners = [patrolling.model.state_names.index(name) for name in ("(0,0)", "(4,4)")]
@@ -192,9 +192,9 @@ def test_silent_places_are_told_apart(patrolling):
     with pytest.raises(PolicyError) as refusal:
         stl.check(patrolling, stl.Policy(patrolling, table))
     message = str(refusal.value)
-    assert "about step 1, state (0,0)" in message
+    assert "at step 1, state (0,0)" in message
     assert "state (4,4)" not in message
-    assert "others it cannot reach" in message
+    assert "others are not" in message
 
 
 def test_an_enormous_horizon_is_no_more_than_the_steps_until_all_repeat(floor5):

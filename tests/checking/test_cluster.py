@@ -127,7 +127,7 @@ def test_a_killed_worker_is_survived(cluster, patrolling):
 def test_where_a_policy_is_silent_a_worker_says_so(cluster, patrolling):
     table = np.full(patrolling.shape, -1)
     policy = stl.Policy(patrolling, table)
-    with pytest.raises(PolicyError, match="says nothing about"):
+    with pytest.raises(PolicyError, match="defines no action at"):
         stl.check(patrolling, policy, cluster=cluster.scheduler_address)
 
 

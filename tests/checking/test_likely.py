@@ -285,13 +285,13 @@ def test_undefined_places_are_named_the_reachable_first(patrolling):
     start = int(patrolling.model.initial.argmax())
     table[1, start] = -1
     table[0, start - 1, 0] = -1  # never there at step 0
-    with pytest.raises(PolicyError, match=r"nothing about step 1, state \(1,0\); .*which it can reach \(\d+ others"):
+    with pytest.raises(PolicyError, match=r"no action at step 1, state \(1,0\); .*which is reachable under it \(\d+ "):
         stl.likely_runs(patrolling, stl.Policy(patrolling, table))
     table = stl.check(patrolling).policy.table.copy()
     table[0, start - 1, 0] = -1
     assert stl.likely_runs(patrolling, stl.Policy(patrolling, table)).runs == stl.likely_runs(patrolling).runs
     silent = stl.Policy(patrolling, np.full(patrolling.shape, -1))
-    with pytest.raises(PolicyError, match=rf"state \(1,0\); .*\({patrolling.n_states - 1} others it cannot reach\)"):
+    with pytest.raises(PolicyError, match=rf"state \(1,0\); .*\({patrolling.n_states - 1} others are not\)"):
         stl.sensitivity(patrolling, silent)
 
 

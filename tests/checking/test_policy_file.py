@@ -62,7 +62,7 @@ def test_saving_and_loading_is_the_identity(patrolling, tmp_path):
         assert np.array_equal(mine, theirs)
     again.save(tmp_path / "again.npz")
     assert np.array_equal(stl.load_policy(tmp_path / "again.npz", patrolling).table, best.table)
-    with pytest.raises(PolicyError, match=r"\.policy files hold policies that check has found"):
+    with pytest.raises(PolicyError, match=r"\.policy files are for policies found by check"):
         stl.Policy(patrolling, best.table).save(tmp_path / "dense.policy")
 
 

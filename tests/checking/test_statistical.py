@@ -170,7 +170,7 @@ def test_a_silent_policy_is_named_only_where_it_is_reached(patrolling):
     table[0, s, :] = -1
     environment = simulator(patrolling.model, np.random.default_rng(0))
     for black_box in (None, environment):
-        with pytest.raises(PolicyError, match=r"says nothing about step 0, state \(1,0\); x = 0.3, y = 0.1"):
+        with pytest.raises(PolicyError, match=r"defines no action at step 0, state \(1,0\); x = 0.3, y = 0.1"):
             stl.estimate(patrolling, stl.Policy(patrolling, table), runs=100, environment=black_box)
 
 

@@ -84,16 +84,16 @@ def test_targets_are_tried_before_the_work(stltool, tmp_path, monkeypatch, comma
     (tmp_path / "old.ckpt").write_text("")
     out = tmp_path / ("p.npz" if command == "learn" else "out")
     cases = [
-        (["--checkpoint", tmp_path / "file" / "x"], "is no folder to write in"),
+        (["--checkpoint", tmp_path / "file" / "x"], "is not a writable directory"),
         (["--checkpoint", tmp_path], "it is not a regular file"),
         (["--checkpoint", tmp_path / "old.ckpt"], "exists; resume it"),
         (["--resume"], "--resume needs the checkpoint to continue from; give --checkpoint FILE"),
     ]
     if command == "learn":
         cases += [
-            (["--history", tmp_path / "file" / "x.csv"], "is no folder to write in"),
+            (["--history", tmp_path / "file" / "x.csv"], "is not a writable directory"),
             (["--history", tmp_path], "it is not a regular file"),
-            (["--tensorboard", tmp_path / "file"], "is no folder to write in"),
+            (["--tensorboard", tmp_path / "file"], "is not a writable directory"),
         ]
     for options, says in cases:
         code, shown, err = stltool(command, PATROLLING, *SMALL, "--out", out, *options)

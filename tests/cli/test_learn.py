@@ -38,5 +38,5 @@ def test_tensorboard_events_in_a_folder_of_each_run(stltool, tmp_path):
     code, out, err = stltool("learn", PATROLLING, *SMALL, "--episodes", 10**6, "--out", tmp_path / "q.npz",
                              "--tensorboard", tmp_path / "file")  # fmt: skip
     assert (code, out) == (2, "")
-    assert "cannot be a folder for results" in err
+    assert "cannot create the results folder" in err
     assert not (tmp_path / "q.npz").exists()

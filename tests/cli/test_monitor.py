@@ -229,7 +229,7 @@ def test_bad_input_ends_with_code_2(stltool, log, batch, tmp_path, monkeypatch):
         (["x > 0", log, "--steps", "--json"], "--steps lists what --json contains already; keep one of them"),
         (["x > 0", "none.csv", "--plot", "t.jpg"], "t.jpg: pictures are written as .png, .svg or .pdf; use"),
         (["x > 0", "none.csv", "--plot", "folder.png"], "folder.png: cannot be written: it is not a regular file"),
-        (["x > 0", "none.csv", "--plot", "task.stl/t.png"], "task.stl: cannot be a folder for results"),
+        (["x > 0", "none.csv", "--plot", "task.stl/t.png"], "task.stl: cannot create the results folder"),
     ]  # fmt: skip
     for arguments, says in cases:
         code, out, err = stltool("monitor", *arguments)

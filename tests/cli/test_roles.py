@@ -190,7 +190,7 @@ def test_every_file_that_a_command_writes_is_known_before(stltool, folder, name)
         ("check", "--certificate", "trace.csv", "does not contain a certificate"),
         ("learn", "--history", "trace.csv", "does not contain a learning curve"),
         ("export", "--out", "trace.csv", "Graphviz files end in .dot or .gv"),
-        ("learn", "--out", "trace.csv", "a policy is saved as .npz"),
+        ("learn", "--out", "trace.csv", "policies are saved as .npz"),
     ],
 )
 def test_files_of_another_kind_are_not_lost(stltool, folder, name, option, file, says):

@@ -103,7 +103,7 @@ def test_bad_input_ends_with_code_2(stltool, tmp_path):
         (["--mass", 0.5, "--most", 0], "most is 0"),
         (["--states", -1], "--states is -1; it must be an integer from 0"),
         (["--minimize", "--policy", silent], "keep one of them"),
-        (["--policy", silent], "the policy says nothing about step 0, state (1,0)"),
+        (["--policy", silent], "the policy defines no action at step 0, state (1,0)"),
         (["--policy", tmp_path / "none.npz"], "there is no such policy file"),
     ]
     for arguments, says in cases:

@@ -362,7 +362,7 @@ def test_what_does_not_belong_together_is_refused(patrolling, floor10):
     with pytest.raises(PolicyError, match="is for the task"):
         stl.guarantee(patrolling, stl.check(another).policy, counts)
     silent = stl.Policy(patrolling, np.full(patrolling.shape, -1))
-    with pytest.raises(PolicyError, match=r"the policy says nothing about step 0, state \(1,0\)"):
+    with pytest.raises(PolicyError, match=r"the policy defines no action at step 0, state \(1,0\)"):
         stl.guarantee(patrolling, silent, counts)
     with pytest.raises(SizeError, match="a policy's table"):
         stl.guarantee(patrolling, silent, counts, memory_limit=10)

@@ -164,7 +164,7 @@ def test_a_process_that_cannot_start_is_told(monkeypatch):
 
 def test_clusters_that_do_not_answer(sweep_file, tmp_path, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(pool, "_PATIENCE", 0.2)
+    monkeypatch.setattr("stltool.cluster._PATIENCE", 0.2)
     sweep = stl.load_sweep(sweep_file)
     for address, says in [("nonsense", "missing port"), ("x://h:1", "unknown address scheme"), ("", "missing port")]:
         with pytest.raises(SettingsError, match=f"no dask scheduler answers at {address}: {says}"):

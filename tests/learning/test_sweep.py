@@ -270,7 +270,7 @@ def test_one_sweep_at_a_time_in_a_folder(write, tmp_path):
     with pytest.raises(SettingsError, match="workers is 0"):
         stl.run_sweep(sweep, out, workers=0)
     (tmp_path / "file").write_text("")
-    with pytest.raises(FileError, match="cannot be a folder"):
+    with pytest.raises(FileError, match="cannot create the results folder"):
         stl.run_sweep(sweep, tmp_path / "file", workers=1)
 
 

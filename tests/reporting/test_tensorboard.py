@@ -92,19 +92,19 @@ def test_a_black_box_has_no_probability(training, tmp_path):
 def test_where_nothing_can_be_written_is_told_before_the_work(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("mine")
     for folder in (tmp_path / "file", tmp_path / "file" / "events"):
-        with pytest.raises(FileError, match="cannot be a folder for results"):
+        with pytest.raises(FileError, match="cannot create the results folder"):
             require_tensorboard(folder)
     require_tensorboard(tmp_path / "new" / "events")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]  # trying leaves nothing
     if Path("/proc/self").is_dir():
-        with pytest.raises(FileError, match="cannot be a folder for results: /proc: "):
+        with pytest.raises(FileError, match="cannot create the results folder: /proc: "):
             require_tensorboard("/proc/events")  # not even for root
 
     def full(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(FileError, match=r"cannot be a folder for results: .*: No space left on device; name another"):
+    with pytest.raises(FileError, match=r"cannot create the results folder: .*: No space left on device; name another"):
         require_tensorboard(tmp_path / "events")
 
 
