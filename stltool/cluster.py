@@ -6,15 +6,39 @@ import logging
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
+from importlib import metadata
 from typing import TYPE_CHECKING
 
 from stltool.errors import SettingsError, SizeError
 from stltool.extras import require
+from stltool.kernels.jit import SOURCES
 
 if TYPE_CHECKING:
     from distributed import Client
 
 _PATIENCE = 20.0  # seconds to wait for a scheduler
+
+
+def _require_workers(client: Client, cluster: str) -> None:
+    """SettingsError unless there are workers, and all of them compute what we would."""
+    try:
+        client.wait_for_workers(1, timeout=_PATIENCE)
+    except TimeoutError:
+        raise SettingsError(
+            f"the dask scheduler at {cluster} has no workers; start some: dask worker {cluster}"
+        ) from None
+    mine = this_version()
+    for worker, found in client.run(this_version, on_error="return").items():
+        if found != mine:
+            what = f"stltool {found}" if isinstance(found, str) else f"no stltool ({found})"
+            raise SettingsError(
+                f"the dask worker at {worker} has {what}, not stltool {mine} as here; install the same on both"
+            )
+
+
+def this_version() -> str:
+    """What tells this stltool from others: bits are the same where it is the same."""
+    return f"{metadata.version('stltool')} ({SOURCES})"
 
 
 @contextmanager
@@ -40,6 +64,7 @@ def connected(cluster: str, what: str, otherwise: str) -> Iterator[Client]:
         ) from None
     with client:
         try:
+            _require_workers(client, cluster)
             yield client
         except KilledWorker as error:
             raise SizeError(

@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,23 +29,19 @@ _LONGEST_HEADER = 2**20
 class LayeredWriter:
     """Writes a file layer by layer; `index` is what is in it. With an `index`, goes on with a file that has more."""
 
-    def __init__(self, path: Path, header: dict[str, Any], index: list[tuple[int, ...]] | None = None) -> None:
-        line, self._begin = _first_line(header)
+    def __init__(self, file: IO[bytes], header: dict[str, Any], index: list[tuple[int, ...]] | None = None) -> None:
+        line, begin = _first_line(header)
         self.index: list[tuple[int, ...]] = index or []
-        self._choice = np.dtype(header["choice"])
-        try:
-            self._file = path.open("r+b" if index is not None else "wb")
-            if index is None:
-                self._file.write(line)
-            else:
-                end = self._begin
-                if index:
-                    _, _, offset, words, choices = index[-1]
-                    end = offset + 16 * words + _padded(choices * self._choice.itemsize)
-                self._file.truncate(end)
-                self._file.seek(end)
-        except OSError as error:
-            raise FileError(f"{path}: cannot be written: {error.strerror}") from None
+        self._file, self._choice = file, np.dtype(header["choice"])
+        if index is None:
+            file.write(line)
+            return
+        end = begin
+        if index:
+            _, _, offset, words, choices = index[-1]
+            end = offset + 16 * words + _padded(choices * self._choice.itemsize)
+        file.truncate(end)
+        file.seek(end)
 
     def add(self, listed: Listed) -> None:
         offset = self._file.tell()
@@ -56,18 +52,10 @@ class LayeredWriter:
         self._file.write(b"\0" * (_padded(choice.nbytes) - choice.nbytes))
         self.index.append((listed.first, listed.last, offset, len(listed.keys), len(choice)))
 
-    def flush(self) -> None:
-        self._file.flush()
-        os.fsync(self._file.fileno())
-
     def finish(self) -> None:
+        """The index, after which nothing is added."""
         offset = self._file.tell()
         self._file.write(json.dumps(self.index).encode() + offset.to_bytes(8, "little") + _END)
-        self.flush()
-        self.close()
-
-    def close(self) -> None:
-        self._file.close()
 
 
 def _first_line(header: dict[str, Any]) -> tuple[bytes, int]:

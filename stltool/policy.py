@@ -19,7 +19,6 @@ import csv
 import io
 import json
 import math
-import os
 import warnings
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -35,7 +34,15 @@ from stltool.automata import Encoding
 from stltool.choices import Choices, Form, Table, Through
 from stltool.display import Card, Displayed
 from stltool.errors import InexactEncodingWarning, PolicyError, StlToolError, near_misses
-from stltool.files import read_bytes, read_text, require_folder, require_own, require_replaceable, write_atomically
+from stltool.files import (
+    atomic_file,
+    read_bytes,
+    read_text,
+    require_folder,
+    require_own,
+    require_replaceable,
+    write_atomically,
+)
 from stltool.layered import LayeredWriter, is_layered, read_header, read_layers
 from stltool.numbers import double
 from stltool.product import JointProduct, Product, build_joint_product, build_product, joined
@@ -218,12 +225,11 @@ class Policy(Displayed):
         if path.suffix.lower() == ".policy":
             if not isinstance(self.form, Choices):
                 raise PolicyError(f"{path}: .policy files are for policies found by check; save this one as .npz")
-            partial = path.with_name(path.name + ".partial")
-            writer = LayeredWriter(partial, layered_header(self.home))
-            for layer in self.form.layers[::-1]:
-                writer.add(layer)
-            writer.finish()
-            os.replace(partial, path)
+            with atomic_file(path) as file:
+                writer = LayeredWriter(file, layered_header(self.home))
+                for layer in self.form.layers[::-1]:
+                    writer.add(layer)
+                writer.finish()
             return
         header = json.dumps({"format": FORMAT, **asdict(self.binding)})
         buffer = io.BytesIO()

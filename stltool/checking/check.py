@@ -6,10 +6,9 @@ The optimum over all policies, history-dependent and randomised ones included, i
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -39,9 +38,11 @@ from stltool.checking.induction import (
     Recorder,
     Silent,
     Solution,
+    key_of,
     layers_of,
     solve,
     solve_on_cluster,
+    stopped_in,
 )
 from stltool.checking.rational import exact_probability, require_exact
 from stltool.choices import Form, Table, own_table
@@ -162,9 +163,10 @@ def check(
     `exact=True` adds the fraction itself. `arithmetic="auto"` takes fixed point where its enclosure is the narrower
     one, doubles elsewhere. `keep_policy=False` leaves the optimal policy out. `values="all"` adds the value of
     beginning in each of the model's states. `policy_file`, named .policy, is where the optimal policy goes while it is
-    found, so that it need not fit into memory; every `save_every` seconds what is needed to go on is saved beside it,
-    and `resume=True` goes on from there, to the same bits. `engine` and `threads` (default: all cores) change no bit of
-    the result; nor does `cluster`, the address of a dask scheduler whose workers compute instead (docs/large.md).
+    found, so that it need not fit into memory; every `save_every` seconds, and where Ctrl-C ends it, what is needed to
+    go on is saved beside it, and `resume=True` goes on from there, to the same bits. `engine` and `threads` (default:
+    all cores) change no bit of the result; nor does `cluster`, the address of a dask scheduler whose workers compute
+    instead (docs/large.md).
 
     Raises PolicyError when the policy belongs to another task or model, or says nothing about a state it reaches;
     ModelError when an exact answer is asked of rows that do not sum to 1; SizeError before allocating what would not
@@ -197,7 +199,7 @@ def check(
     asked = _Question(judge, judged, maximize, keep, values is not None, engine, threads, budget)
     asked.cluster = cluster
     if path is not None:
-        asked.to_disk = (path, every, resume)
+        asked.goes_to(path, every, resume, "exact" if exact else arithmetic)
     fraction = None
     used: Literal["double", "fixed", "rational"]
     try:
@@ -279,7 +281,8 @@ class _Question:
     ) -> None:
         self.product, self.policy, self.maximize, self.keep = product, policy, maximize, keep
         self._made = (Game.of(product, everywhere), engine, threads, budget)
-        self.to_disk: tuple[Path, float, bool] | None = None
+        self._recorder: Callable[[str], Recorder] | None = None
+        self._begun: str | None = None
         self.cluster: str | None = None
 
     @cached_property
@@ -299,7 +302,7 @@ class _Question:
     def enclosed(self, arithmetic: str) -> tuple[float, float, float, Literal["double", "fixed"], Solution]:
         """(value, lower, upper, the arithmetic it took, the solution)"""
         scale = None
-        if arithmetic != "double" and (self.policy is None or self.policy.deterministic):
+        if arithmetic != "double" and self._begun != "double" and (self.policy is None or self.policy.deterministic):
             scale = fixed_point(self.product.model, self._kinds)
         if scale is not None and (arithmetic == "fixed" or self._narrower(scale)):
             found = self._solved(Fixed(scale.denominator, scale.one, self.maximize), "fixed")
@@ -325,21 +328,22 @@ class _Question:
         """(n_states,) where runs may begin everywhere."""
         return found.entry.astype(np.float64)
 
-    def recorder(self, arithmetic: str) -> Recorder | None:
-        """Where the policy goes: None, into memory."""
-        if self.to_disk is None:
-            return None
-        path, every, resume = self.to_disk
+    def goes_to(self, path: Path, every: float, resume: bool, arithmetic: str) -> None:
+        """The policy goes to this file; a stopped run that is resumed goes on in the arithmetic it had come to."""
         header = layered_header(self.product)
         question = [header, self.maximize, arithmetic, len(self._made[0].first), SOURCES]
-        key = hashlib.sha256(json.dumps(question).encode()).hexdigest()
-        return OnDisk(path, header, key, every, resume)
+        self._begun = stopped_in(path, question, resume)
+        self._recorder = lambda used: OnDisk(path, header, key_of(question, used), every, resume)
+
+    def recorder(self, arithmetic: str) -> Recorder | None:
+        """Where the policy goes: None, into memory."""
+        return self._recorder(arithmetic) if self._recorder is not None else None
 
     def _solved(self, arithmetic: Doubles | Fixed, name: str) -> Solution:
         if self.cluster is None:
             return solve(self.layers, arithmetic, self.maximize, self.keep, self.recorder(name))
         (game, _, _, budget), recorder = self._made, self.recorder(name)
-        with connected(self.cluster, "checking on a cluster", "leave it out") as client:
+        with connected(self.cluster, "checking on a cluster", f"leave {named('cluster')} out") as client:
             return solve_on_cluster(client, game, arithmetic, *self._allowed(), self.keep, recorder, budget)
 
     def _starts(self) -> NDArray[np.int64]:

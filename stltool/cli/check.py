@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +12,7 @@ import typer
 from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, PolicyFile, TaskFile, TaskName
 from stltool.cli.roles import Writes
-from stltool.cli.steps import NATURES, judge_by, make_product, read_probability
+from stltool.cli.steps import NATURES, judge_by, make_product, read_probability, resumable
 from stltool.cli.words import Named
 from stltool.errors import SettingsError
 from stltool.numbers import bound_texts, fraction_text
@@ -22,6 +23,13 @@ _VERDICTS = {
     False: "does not hold",
     None: "undecided: the bound lies inside the enclosure; add --exact",
 }
+
+
+def _policy_files(path: Path) -> list[Path]:
+    """A policy file, and what stands beside it while it is written."""
+    from stltool.checking.induction import files_beside
+
+    return [path, *files_beside(path)] if path.suffix.lower() == ".policy" else [path]
 
 
 @app.command("stltool check patrolling.stl -p T=20 --at-least 0.95")
@@ -47,7 +55,7 @@ def check(
             metavar="FILE",
             help="write the optimal policy: .npz, or .policy, which is written step by step and may exceed memory",
         ),
-        Writes(),
+        Writes(_policy_files),
         Named("keep_policy", "leave --save-policy out, or "),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="continue the .policy file of an interrupted run")] = False,
@@ -107,7 +115,11 @@ def check(
         raise SettingsError("--cluster needs probabilities without intervals; add --nature nominal")
     where = {"cluster": cluster} if cluster is not None else {}
     keep = save_policy is not None
-    with progress_bar("checking", quiet=as_json) as bar:
+    state = _policy_files(save_policy)[-1] if save_policy is not None else None
+    with (
+        resumable(state, "the first state was saved") if streamed else nullcontext(),
+        progress_bar("checking", quiet=as_json) as bar,
+    ):
         asked = fraction if chosen is None else {}
         optimum = judge(product, maximize=not minimize, keep_policy=keep, progress=bar, **asked, **to_file, **where)
     result = optimum if chosen is None else judge(product, chosen, maximize=not minimize, **fraction, **where)

@@ -236,7 +236,7 @@ def this_command(*more: str) -> str:
 
 
 @contextmanager
-def resumable(checkpoint: Path | None) -> Iterator[None]:
+def resumable(checkpoint: Path | None, nothing_before: str = "the end of the first episode") -> Iterator[None]:
     """On Ctrl-C, report what is kept and the command that continues; exit code 130."""
     from stltool.reporting.terminal import error
 
@@ -246,7 +246,7 @@ def resumable(checkpoint: Path | None) -> Iterator[None]:
         if checkpoint is None:
             error("interrupted; nothing is kept (with --checkpoint FILE, a run can be resumed)")
         elif not checkpoint.exists():
-            error("interrupted before the end of the first episode; there is nothing to resume")
+            error(f"interrupted before {nothing_before}; there is nothing to resume")
         else:
             more = [] if "--resume" in sys.argv else ["--resume"]
             error(f"interrupted; the run is kept in {checkpoint}; resume it with\n{this_command(*more)}")

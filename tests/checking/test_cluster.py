@@ -12,7 +12,7 @@ import stltool as stl
 from stltool.automata import FALSE, TRUE
 from stltool.checking.fixed import fixed_point
 from stltool.checking.induction import EVERYTHING, Budget, Doubles, Fixed, Following, Game, induct, solve_on_cluster
-from stltool.cluster import connected
+from stltool.cluster import _require_workers, connected, this_version
 from stltool.errors import PolicyError, SettingsError, SizeError
 from tests.checking.test_induction import random_policy, random_product
 
@@ -160,3 +160,26 @@ def test_what_a_cluster_does_not_do(settings, message, patrolling, tmp_path, mon
 def test_what_goes_wrong_on_a_cluster_is_told(error, kind, message, cluster):
     with pytest.raises(kind, match=message), connected(cluster.scheduler_address, "a check", "leave it out"):
         raise error
+
+
+def test_a_scheduler_without_workers_is_told():
+    def wait_for_workers(n, timeout):
+        raise TimeoutError
+
+    client = SimpleNamespace(wait_for_workers=wait_for_workers)
+    with pytest.raises(SettingsError, match=r"tcp://s:1 has no workers; start some: dask worker tcp://s:1"):
+        _require_workers(client, "tcp://s:1")
+
+
+@pytest.mark.parametrize(
+    ("found", "message"),
+    [
+        ("0.0.9 (another)", r"the dask worker at tcp://b:2 has stltool 0\.0\.9 \(another\), not stltool .* as here"),
+        (ModuleNotFoundError("No module named 'stltool'"), r"has no stltool \(No module named 'stltool'\)"),
+    ],
+)
+def test_workers_of_another_version_are_refused(found, message):
+    versions = {"tcp://a:1": this_version(), "tcp://b:2": found}
+    client = SimpleNamespace(wait_for_workers=lambda n, timeout: None, run=lambda task, on_error: versions)
+    with pytest.raises(SettingsError, match=message):
+        _require_workers(client, "tcp://s:1")

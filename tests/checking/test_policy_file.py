@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -86,15 +87,100 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bits(product, tmp_path, monk
     assert sorted(os.listdir(tmp_path)) == ["best.policy"]
 
 
-def test_the_state_of_another_question_is_not_used(product, patrolling, tmp_path, monkeypatch):
-    path = tmp_path / "best.policy"
+def stopped(product, path, monkeypatch, after=5, **options):
+    """A run is stopped, and leaves these files."""
     with monkeypatch.context() as patch:
-        stop_after(patch, 5)
+        stop_after(patch, after)
         with pytest.raises(Stop):
-            stl.check(product, engine="words", policy_file=path, save_every=0)
-    for asked, options in ((product, {"maximize": False}), (patrolling, {})):
-        found = stl.check(asked, engine="words", policy_file=path, resume=True, **options)
-        assert found.probability == stl.check(asked, **options).probability
+            stl.check(product, engine="words", policy_file=path, save_every=0, **options)
+    return {name: (path.parent / name).read_bytes() for name in os.listdir(path.parent)}
+
+
+def test_work_of_a_stopped_run_is_never_replaced(product, patrolling, tmp_path, monkeypatch):
+    path = tmp_path / "best.policy"
+    files = stopped(product, path, monkeypatch)
+    assert sorted(files) == ["best.policy.partial", "best.policy.state"]
+    for asked, options, message in (
+        (product, {}, "holds a stopped run; resume it"),
+        (product, {"resume": True, "maximize": False}, "a stopped run of another question"),
+        (product, {"resume": True, "arithmetic": "double"}, "a stopped run of another question"),
+        (patrolling, {"resume": True}, "a stopped run of another question"),
+    ):
+        with pytest.raises(SettingsError, match=message):
+            stl.check(asked, engine="words", policy_file=path, **options)
+    stl.check(product).policy.save(path)
+    path.unlink()
+    assert files == {name: (tmp_path / name).read_bytes() for name in os.listdir(tmp_path)}
+    (tmp_path / "mine.policy.partial").write_text("my own notes")
+    with pytest.raises(FileError, match=r"mine\.policy\.partial: .* would be lost"):
+        stl.check(product, policy_file=tmp_path / "mine.policy")
+    assert (tmp_path / "mine.policy.partial").read_text() == "my own notes"
+
+
+def test_doubles_after_fixed_point_are_resumed_as_doubles(patrolling, tmp_path, monkeypatch):
+    """Where fixed point has too few digits, doubles follow: a run stopped in these does not begin in the other."""
+    monkeypatch.setattr(import_module("stltool.checking.check"), "_SHARP", -1.0)
+    first = stl.check(patrolling, engine="words", arithmetic="fixed")
+    wanted = stl.check(patrolling, engine="words")
+    assert (wanted.arithmetic, wanted.certain) == ("double", False)
+    path = tmp_path / "best.policy"
+    stopped(patrolling, path, monkeypatch, after=first.sweeps + 5)
+    begun = []
+    writer = recording.LayeredWriter.__init__
+    monkeypatch.setattr(
+        recording.LayeredWriter, "__init__", lambda self, *given: (begun.append(given[-1]), writer(self, *given))[1]
+    )
+    found = stl.check(patrolling, engine="words", policy_file=path, resume=True)
+    assert (found.lower, found.upper, found.sweeps) == (wanted.lower, wanted.upper, wanted.sweeps)
+    assert len(begun) == 1
+    assert begun[0]
+    assert np.array_equal(found.policy.table, wanted.policy.table)
+
+
+def test_an_interrupt_saves_what_is_needed_to_go_on(product, tmp_path, monkeypatch):
+    """It comes amid a step, when a layer is in the file already, and long before the next state is due."""
+    wanted, path = stl.check(product, engine="words"), tmp_path / "best.policy"
+    add, added = recording.OnDisk.add, []
+
+    def interrupted(self, listed):
+        add(self, listed)
+        added.append(listed)
+        if len(added) == 7:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(recording.OnDisk, "add", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            stl.check(product, engine="words", policy_file=path)
+    assert sorted(os.listdir(tmp_path)) == ["best.policy.partial", "best.policy.state"]
+    steps = []
+    found = stl.check(
+        product, engine="words", policy_file=path, resume=True, progress=lambda done, _: steps.append(done)
+    )
+    assert (found.probability, found.lower, found.upper) == (wanted.probability, wanted.lower, wanted.upper)
+    assert len([n for n in steps if n > product.horizon]) <= wanted.sweeps - 6
+    assert np.array_equal(found.policy.table, wanted.policy.table)
+    assert os.listdir(tmp_path) == ["best.policy"]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_end_before_the_first_state_leaves_nothing(patrolling, tmp_path, monkeypatch, engine):
+    monkeypatch.setattr(recording.OnDisk, "add", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        stl.check(patrolling, engine=engine, policy_file=tmp_path / "best.policy")
+    assert os.listdir(tmp_path) == []
+
+
+def test_folders_are_made_and_links_followed(patrolling, tmp_path):
+    deep, link = tmp_path / "a" / "b" / "best.policy", tmp_path / "link.policy"
+    link.symlink_to(deep)
+    found = stl.check(patrolling, policy_file=link)
+    assert (link.is_symlink(), os.listdir(deep.parent)) == (True, ["best.policy"])
+    written = deep.read_bytes()
+    deep.unlink()
+    found.policy.save(link)
+    assert (link.is_symlink(), os.listdir(deep.parent)) == (True, ["best.policy"])
+    assert deep.read_bytes() == written
 
 
 def test_a_killed_process_leaves_what_the_next_one_goes_on_from(tmp_path):

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -75,6 +76,40 @@ def test_without_a_checkpoint_it_says_how_to_have_one(stltool, tmp_path, interru
     code, out, err = stltool(*learning(tmp_path, "lost"))
     assert (code, out) == (130, "")
     assert err == "error: interrupted; nothing is kept (with --checkpoint FILE, a run can be resumed)\n"
+
+
+def test_a_check_that_goes_to_a_file_is_kept_and_goes_on(stltool, tmp_path, monkeypatch):
+    """SIGINT comes in the middle of the eighth step back, by the kernels that a large product takes."""
+    from stltool.checking.induction import recording
+
+    induct = import_module("stltool.checking.induction.induct")
+    add, seen = recording.OnDisk.add, []
+
+    def interrupted(self, listed):
+        seen.append(listed)
+        if len(seen) in (1, 9):
+            signal.raise_signal(signal.SIGINT)
+        add(self, listed)
+
+    monkeypatch.setattr(induct, "FEW", 0)
+    monkeypatch.setattr(induct, "FEW_LOADED", 0)
+    previous = signal.signal(signal.SIGINT, signal.default_int_handler)
+    arguments = ["check", PATROLLING, "--save-policy", tmp_path / "a best.policy", "--json"]
+    again = shlex.join(["stltool", *map(str, arguments), "--resume"])
+    with monkeypatch.context() as patch:
+        patch.setattr(recording.OnDisk, "add", interrupted)
+        early = stltool(*arguments)
+        kept = stltool(*arguments)
+    signal.signal(signal.SIGINT, previous)
+    assert early == (130, "", "error: interrupted before the first state was saved; there is nothing to resume\n")
+    state = tmp_path / "a best.policy.state"
+    assert kept == (130, "", f"error: interrupted; the run is kept in {state}; resume it with\n{again}\n")
+    code, _, err = stltool(*arguments)
+    assert (code, f"{state} holds a stopped run; resume it (--resume), or delete it" in err) == (2, True)
+    code, out, _ = stltool(*shlex.split(again)[1:])
+    wanted = json.loads(stltool("check", PATROLLING, "--json")[1])
+    assert (code, json.loads(out)["probability"]) == (0, wanted["probability"])
+    assert [path.name for path in tmp_path.iterdir()] == ["a best.policy"]
 
 
 @pytest.mark.parametrize("command", ["learn", "run"])

@@ -8,10 +8,11 @@ from stltool.checking.induction.graph import Game
 from stltool.checking.induction.induct import Engine, Solution, Way, induct, layers_of, solve
 from stltool.checking.induction.layers import Budget, Layers, Progress
 from stltool.checking.induction.reached import Stretch
-from stltool.checking.induction.recording import OnDisk, Passed, Recorder
+from stltool.checking.induction.recording import OnDisk, Passed, Recorder, files_beside, key_of, stopped_in
 
 __all__ = [
     "EVERYTHING", "OPEN", "REST", "SURE", "Allowed", "Arithmetic", "Budget", "Digits", "Doubles", "Edges", "Engine",
     "Fixed", "Following", "Game", "Integers", "Layers", "Nature", "OnDisk", "Passed", "Progress", "Recorder",
-    "Silent", "Solution", "Stretch", "Values", "Way", "induct", "layers_of", "solve", "solve_on_cluster",
+    "Silent", "Solution", "Stretch", "Values", "Way", "files_beside", "induct", "key_of", "layers_of", "solve",
+    "solve_on_cluster", "stopped_in",
 ]  # fmt: skip

@@ -333,7 +333,7 @@ def solve_on_cluster(
     n_blocks: int | None = None,
 ) -> Solution:
     """What `solve` finds, by the client's workers, in n_blocks, or one for each of their threads."""
-    recorder = recorder or InMemory()
+    recorder, whole = recorder or InMemory(), False
     try:
         recorder.resume(None)
         work = _Work(client, game, arithmetic, goal, allowed, keep, budget, n_blocks)
@@ -341,9 +341,10 @@ def solve_on_cluster(
         parts = work.at_start(ahead)
         entry, certain = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         choices = recorded(game, recorder) if keep is not None else None
+        whole = True
         return Solution(entry, certain, choices, "cluster", swept)
     finally:
-        recorder.close()
+        recorder.close(whole)
 
 
 def _reached(work: _Work, budget: Budget) -> list[Reaching]:

@@ -109,11 +109,12 @@ def solve(
     recorder: Recorder | None = None,
 ) -> Solution:
     """Back over the layers, which were made for the same choices to be kept; `recorder` is where these go."""
-    recorder = recorder or InMemory()
+    recorder, found = recorder or InMemory(), None
     try:
-        return _solve(layers, arithmetic, maximize, keep, recorder)
+        found = _solve(layers, arithmetic, maximize, keep, recorder)
+        return found
     finally:
-        recorder.close()
+        recorder.close(found is not None)
 
 
 def _solve(

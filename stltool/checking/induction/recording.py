@@ -2,27 +2,31 @@
 
 The file is written as a layered policy file (stltool/layered.py), under the name with `.partial` until it is whole.
 Beside it `.state` holds what the induction needs to go on: the layer ahead with its values, and how much of the file
-belongs to it. The pass forward is made again, since it gives the same layers. A state is of one question, told by a
-key; what goes on from it gives the same bits.
+belongs to it. It is written from time to time, and when something ends the induction early, such as Ctrl-C. The pass
+forward is made again, since it gives the same layers. A state is of one question, told by a key, and of the arithmetic
+that was at work; what goes on from it gives the same bits. A state that is not resumed is never replaced.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import IO, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.checking.induction.words import Layer, Words
 from stltool.choices import Listed
-from stltool.errors import FileError
-from stltool.files import atomic_file
-from stltool.layered import LayeredWriter, read_layers, require_index
+from stltool.errors import FileError, PolicyError, SettingsError, named
+from stltool.files import atomic_file, require_own, require_replaceable
+from stltool.layered import LayeredWriter, read_header, read_layers, require_index
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +53,8 @@ class Recorder(Protocol):
     def layers(self) -> Sequence[Listed]:
         """What was added, in ascending order of steps."""
 
-    def close(self) -> None:
-        """The induction ended, one way or another."""
+    def close(self, whole: bool) -> None:
+        """The induction ended; not whole: early."""
 
 
 class InMemory:
@@ -71,7 +75,7 @@ class InMemory:
     def layers(self) -> list[Listed]:
         return self._found[::-1]
 
-    def close(self) -> None:
+    def close(self, whole: bool) -> None:
         return
 
 
@@ -81,56 +85,88 @@ _LAYER = ("states", "start", "word", "open", "sure", "tiles", "sure_choice")
 class OnDisk:
     """A file of the policy (see the module's text).
 
-    header  its first line          key    what tells this question from others
+    header  its first line          key    what tells this question and arithmetic from others (`key_of`)
     every   seconds between states  again  whether to go on from a state of this key, where there is one
     """
 
     def __init__(self, path: Path, header: dict[str, Any], key: str, every: float, again: bool) -> None:
         self.path, self._key, self._every = path, key, every
-        self._partial, self._state = (path.with_name(path.name + ending) for ending in (".partial", ".state"))
+        self._path = path.resolve()  # through a link, to what it names
+        self._partial, self._state = files_beside(path)
         self._header, self._again = header, again
+        self._file: IO[bytes] | None = None
         self._writer: LayeredWriter | None = None
+        self._at: tuple[Passed, int] | None = None  # where it is, and how many layers the file had there
         self._last = time.monotonic()
 
     def resume(self, layers: Any) -> Passed | None:
         found = self._saved(layers) if self._again and isinstance(layers, Words) else None
-        if found is None:
-            self._writer = LayeredWriter(self._partial, self._header)
-            return None
-        at, index = found
-        self._writer = LayeredWriter(self._partial, self._header, index)
+        at, index = found if found is not None else (None, None)
+        with self._writing():
+            if at is None:
+                self._state.unlink(missing_ok=True)
+            self._partial.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self._partial.open("wb" if index is None else "r+b")
+            self._writer = LayeredWriter(self._file, self._header, index)
         return at
 
     def add(self, listed: Listed) -> None:
         assert self._writer is not None
-        self._writer.add(listed)
+        with self._writing():
+            self._writer.add(listed)
 
     def passed(self, at: Passed) -> None:
-        by_tiles = isinstance(at.ahead, Layer) and at.values.shape == (8 * at.ahead.n_tiles,)
-        if by_tiles and time.monotonic() - self._last >= self._every:
-            self._save(at)
-            self._last = time.monotonic()
+        assert self._writer is not None
+        if isinstance(at.ahead, Layer) and at.values.shape == (8 * at.ahead.n_tiles,):  # by tiles
+            self._at = (at, len(self._writer.index))
+            if time.monotonic() - self._last >= self._every:
+                self._save()
+                self._last = time.monotonic()
 
     def layers(self) -> list[Listed]:
         assert self._writer is not None
-        self._writer.finish()
-        os.replace(self._partial, self.path)
-        self._state.unlink(missing_ok=True)
+        with self._writing():
+            self._writer.finish()
+            self._sync()
+            os.replace(self._partial, self._path)
+            self._state.unlink(missing_ok=True)
+        self._at = None
         return read_layers(self.path)[1]
 
-    def close(self) -> None:
-        if self._writer is not None:
-            self._writer.close()
+    def close(self, whole: bool) -> None:
+        if self._at is not None and not whole:
+            with suppress(FileError):  # a disk that is full, of which the caller hears already
+                self._save()
+        if self._file is not None:
+            with suppress(OSError):
+                self._file.close()
+            if not self._state.exists():  # nothing goes on from it
+                self._partial.unlink(missing_ok=True)
 
-    def _save(self, at: Passed) -> None:
+    def _save(self) -> None:
         assert self._writer is not None
-        self._writer.flush()
+        assert self._at is not None
+        at, n_layers = self._at
+        with self._writing():
+            self._sync()
         arrays: dict[str, Any] = {name: getattr(at.ahead, name) for name in _LAYER}
         numbers = np.array([at.before, at.swept], dtype=np.int64)
-        index = np.array(self._writer.index, dtype=np.int64).reshape(-1, 5)
+        index = np.array(self._writer.index[:n_layers], dtype=np.int64).reshape(-1, 5)
         key = np.frombuffer(self._key.encode(), dtype=np.uint8)
         with atomic_file(self._state) as file:
             np.savez(file, key=key, numbers=numbers, index=index, values=at.values, **arrays)
+
+    def _sync(self) -> None:
+        assert self._file is not None
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise FileError(f"{self._partial}: cannot be written: {error.strerror}") from None
 
     def _saved(self, layers: Words) -> tuple[Passed, list[tuple[int, ...]]] | None:
         """The state that is there, and what of the file belongs to it; None where there is none of this question."""
@@ -152,7 +188,57 @@ class OnDisk:
             ahead = Layer(*(arrays.get(name) for name in _LAYER))  # type: ignore[arg-type]  # checked in the next line
             layers.require(ahead, values)
         except Exception:  # a damaged archive fails in many ways, all of them the file's
-            raise FileError(
-                f"{self._state}: not a state of this version that belongs to {self.path.name}; delete it to begin anew"
-            ) from None
+            raise _damaged(self._state, self.path) from None
         return Passed(before, ahead, values, swept), index
+
+
+def files_beside(path: Path) -> list[Path]:
+    """The policy while it is written, and the state."""
+    path = path.resolve()
+    return [path.with_name(path.name + ending) for ending in (".partial", ".state")]
+
+
+def key_of(question: Sequence[Any], arithmetic: str) -> str:
+    """What a state of this question in this arithmetic is told by."""
+    return f"{hashlib.sha256(json.dumps(question).encode()).hexdigest()} {arithmetic}"
+
+
+def stopped_in(path: Path, question: Sequence[Any], again: bool) -> str | None:
+    """The arithmetic in which a stopped run is to be continued; None where there is none.
+
+    Raises SettingsError where the work of a stopped run would be lost: it is not to be continued, or belongs to another
+    question. FileError where what is there is not ours.
+    """
+    partial, state = files_beside(path)
+    require_own(partial, "policy that is being written", _begins_as_ours)
+    require_replaceable(state)
+    if not state.exists():
+        return None
+    try:
+        with np.load(state, allow_pickle=False) as saved:
+            key = str(saved["key"].tobytes().decode())
+    except Exception:  # as above
+        raise _damaged(state, path) from None
+    if not again:
+        raise SettingsError(
+            f"{state} holds a stopped run; resume it ({named('resume', 'resume=True')}), or delete it to begin again"
+        )
+    known, _, arithmetic = key.partition(" ")
+    if known != key_of(question, "").strip():
+        raise SettingsError(
+            f"{state} holds a stopped run of another question (other task, model, options or version of stltool); "
+            "repeat that one, or delete the file to begin again"
+        )
+    return arithmetic
+
+
+def _damaged(state: Path, path: Path) -> FileError:
+    return FileError(f"{state}: not a state of this version that belongs to {path.name}; delete it to begin anew")
+
+
+def _begins_as_ours(path: Path) -> bool:
+    try:
+        read_header(path)
+    except PolicyError:
+        return False
+    return True
