@@ -35,7 +35,7 @@ Step = Annotated[
 ]
 PolicyFile = Annotated[
     Path | None,
-    typer.Option("--policy", help="policy file (.npz) or Q-table (.csv); default: the best policy"),
+    typer.Option("--policy", help="policy file (.npz, .policy) or Q-table (.csv); default: the best policy"),
     Reads("policy"),
 ]
 Params = Annotated[
