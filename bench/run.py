@@ -9,6 +9,7 @@ from importlib import metadata
 from pathlib import Path
 
 import automata
+import certificates
 import goals
 import loading
 import monitors
@@ -61,6 +62,12 @@ lines = [
     "What each column counts: bench/windows.py.",
     "",
     *windows.table(),
+    "",
+    "## Certificates written and re-checked, CPU seconds and bytes, beside an older commit",
+    "",
+    "What each column counts: bench/certificates.py.",
+    "",
+    *certificates.table(),
 ]
 text = "\n".join(lines) + "\n"
 print(text)

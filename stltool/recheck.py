@@ -45,6 +45,7 @@ CLAIMS = ("maximum", "minimum", "policy")
 LINE = 2**23  # bytes of a line, at most
 DIGITS = 4300  # of a decimal number, at most
 BITS = 2**20  # of the integer that stands for 1, at most
+WORK = 10**8  # sets of model states that are made, at most, and 100 more for each byte
 FINE = 2**64  # parts of a unit in which distances are counted
 PLACES = ((2**8, "B"), (2**16, "H"), (2**32, "I"))  # how places in a list of at most so many are held: 1, 2, 4 bytes
 DAMAGE = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, EOFError, MemoryError,
@@ -468,13 +469,12 @@ class Induction:
     def _listed(self, rows: Iterator[list[Any]], width: int, where: str) -> Listed:
         """The rows of a layer: first numbers of `width` digits each, which are added to the table, then pairs."""
         found: Listed = {}
-        last, (places, code) = -1, PLACES[0]
+        last = -1
         for row in rows:
             if len(row) == 1 and not found:
                 known = type(row[0]) is str and len(row[0]) % width == 0 and _HEX.fullmatch(row[0])
                 require(bool(known), f"{where}: expected numbers of {width} digits")
                 self.table += [int(row[0][i : i + width], 16) for i in range(0, len(row[0]), width)]
-                places, code = next(kind for kind in PLACES if len(self.table) <= kind[0])
                 continue
             require(len(row) == 3, f"{where}: a row is not a model state, a set and places in the table")
             s, mask, text = row
@@ -482,7 +482,8 @@ class Induction:
             require(type(s) is int and len(self.model.choices.get(s, ())) > 0, f"{place}: no such state with choices")
             require(last < s, f"{place}: not in ascending order")
             last, those = s, self._set(mask, place)
-            states, size = members(those), (places.bit_length() - 1) // 4
+            code = next(code for most, code in PLACES if len(self.table) <= most)
+            states, size = members(those), 2 * struct.calcsize(f">{code}")
             known = type(text) is str and len(text) == size * len(states) and _HEX.fullmatch(text)
             require(bool(known), f"{place}: expected {len(states)} places of {size} digits in the table")
             which = struct.unpack(f">{len(states)}{code}", bytes.fromhex(text))
@@ -606,7 +607,7 @@ def _certify(lines: Lines, progress: Callable[[int, int], None]) -> dict[str, An
     model = Model(blocks.head({"denominator", "initial_denominator"}), blocks.rows())
     automaton = Automaton(blocks.head({"states", "letters", "start", "verdicts"}), blocks.rows())
     require(max(model.letter.values()) < len(automaton.letters), "a letter is not one of the automaton's")
-    induction = Induction(model, automaton, claim, horizon, lambda: 10**8 + 100 * lines.read)
+    induction = Induction(model, automaton, claim, horizon, lambda: WORK + 100 * lines.read)
     while induction.t > 0:
         if blocks.opens("policy"):
             induction.follow(blocks.head({"policy"})["policy"], blocks.rows())

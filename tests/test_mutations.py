@@ -17,6 +17,7 @@ OPEN, AGREE, VALUES = (
     )
 )  # fmt: skip
 WORDS, TILES, EDGES = (f"kernels/{name}.py" for name in ("words", "tiles", "edges"))
+RECHECK, CERTIFICATE = "recheck.py", "tests/checking/test_certificate.py"
 NODES, LAYERS, REACHED, BLOCKS = (f"checking/induction/{name}.py" for name in ("nodes", "layers", "reached", "blocks"))
 
 # what is broken: file, a text that it has once, what stands there instead, where a test must fail
@@ -74,6 +75,37 @@ MUTATIONS = {
     "fixed point is not rounded up": (
         "kernels/lanes.py", "    return sub(y, _to_integer(greater(sub(mul(y, d), x), sub(d, splat(np.int64(1))))))",
         "    return y", VALUES,
+    ),
+    "the checker of certificates: some successor is sure instead of all": (
+        RECHECK, "                    all_of_them &= self.sure_before[x]\n                every",
+        "                    all_of_them |= self.sure_before[x]\n                every", CERTIFICATE,
+    ),
+    "the checker: what follows a state without choices is impossible": (
+        RECHECK, "return self.automaton.all, 0", "return 0, 0", CERTIFICATE,
+    ),
+    "the checker: what a policy does where nothing is listed is impossible": (
+        RECHECK, "return some | unknown, every", "return some, every", CERTIFICATE,
+    ),
+    "the checker: distances downwards are forgotten": (
+        RECHECK, "(max(off), -min(off))", "(max(off), max(off))", CERTIFICATE,
+    ),
+    "the checker: a layer is not compared with itself": (
+        RECHECK, "wanted = here.keys() if passed < 2 else", "wanted = here.keys() if passed < 1 else", CERTIFICATE,
+    ),
+    "the checker: distances of steps that repeat count once": (
+        RECHECK, "far * growth + n * distance", "far * growth + distance", CERTIFICATE,
+    ),
+    "the checker: numbers where the verdict is known": (
+        RECHECK, "require(not those & ~undecided,", "require(True,", CERTIFICATE,
+    ),
+    "the checker: what rows are missing is forgotten": (
+        RECHECK, "model.missing + model.excess), model.D)", "model.excess), model.D)", CERTIFICATE,
+    ),
+    "the checker: outcomes of other values are taken": (
+        RECHECK, "{*keys}.difference(outcomes)", "{*keys} if not outcomes else set()", CERTIFICATE,
+    ),
+    "the checker: sets of the step before stay": (
+        RECHECK, "again = {s for x in self.changed for s in self.leading_to[x]}", "again = set()", CERTIFICATE,
     ),
     "nature spends more than there is": (EDGES, "min(width[e], left)", "width[e]", "tests/checking/test_robust.py"),
 }  # fmt: skip

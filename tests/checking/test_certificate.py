@@ -20,7 +20,7 @@ from stltool.checking.induction import layers_of
 from stltool.errors import CertificateError, FileError, RefusedError, SizeError
 from stltool.reporting import check_data
 from tests import oracles
-from tests.conftest import ROOT
+from tests.conftest import ROOT, many
 
 FORMULAS = ["F[0,3] (A & B)", "G[0,2] F[0,1] A", "A U[1,3] B", "F[0,3] A & G[0,2] (A -> F[1,2] B)"]
 
@@ -34,7 +34,8 @@ def results(seed, denominators=(1, 10, 300, 10**6, 3 * 10**17), count=20):
         weights = rng.random((product.horizon, *product.shape, 2))
         weights[..., 0] *= rng.integers(0, 2, product.shape)  # some choices are never taken
         mixed = stl.Policy(product, weights / weights.sum(axis=-1, keepdims=True))
-        for policy, maximize in ((None, True), (None, False), (mixed, True)):
+        table = rng.integers(0, 2, (product.horizon, *product.shape)[i % 2 :]).astype(np.int16)
+        for policy, maximize in ((None, True), (None, False), (mixed, True), (stl.Policy(product, table), True)):
             for exact in (False, True):
                 yield stl.check(product, policy, maximize=maximize, exact=exact)
 
@@ -116,7 +117,7 @@ def write(path, parts, seal=True):
 
 def test_certificates_prove_their_results(tmp_path):
     path = tmp_path / "c.jsonl"
-    for result in results(seed=1):
+    for result in results(seed=1, count=many(15)):
         stl.write_certificate(result, path)
         proved = stl.certify(str(path))
         require_certificate_of(path, result.product, result.policy if result.question == "policy" else None)
@@ -133,9 +134,78 @@ def test_certificates_prove_their_results(tmp_path):
             assert result.lower <= upper
 
 
+def test_tables_of_any_length(tmp_path, monkeypatch):
+    """Tables that start anew when they are full, and places of any number of digits."""
+    path = tmp_path / "c.jsonl"
+    for result in results(seed=6, count=4):
+        stl.write_certificate(result, path)
+        bounds = stl.certify(path)
+        with monkeypatch.context() as patched:
+            patched.setattr(proof, "_TABLE", 5)
+            few = ((2, "B"), (4, "H"), (2**32, "I"))
+            patched.setattr(recheck, "PLACES", few)
+            sizes = [(most, size, kind) for (most, _), (_, size, kind) in zip(few, proof._PLACES, strict=True)]
+            patched.setattr(proof, "_PLACES", sizes)
+            patched.setattr(proof, "_NUMBERS", 30)
+            stl.write_certificate(result, path)
+            assert stl.certify(path) == bounds
+        known = [part["known"] for part in read(path) if isinstance(part, dict) and "known" in part]
+        assert max(known, default=0) <= 5
+
+
+def test_sets_move_through_any_letter():
+    rng = np.random.default_rng(7)
+    for n in (1, 5, 64, 700):
+        for after in (
+            rng.integers(0, n, n),
+            rng.permutation(n),
+            np.minimum(np.arange(n) + 3, n - 1),
+            np.zeros(n, dtype=int),
+        ):
+            letter = recheck.Letter(after.tolist())
+            for density in (0, 0.1, 0.9, 1):
+                ends = recheck.set_of(np.flatnonzero(rng.random(n) < density).tolist(), n)
+                assert recheck.members(letter.before(ends)) == [q for q in range(n) if ends >> int(after[q]) & 1]
+
+
+def test_a_forged_certificate_cannot_take_for_ever(tmp_path, monkeypatch):
+    """Two states that follow one another, and a verdict on the last: what is certain changes at every step."""
+    path, names = tmp_path / "c.jsonl", ("task", "formula", "encoding", "model", "policy")
+    for horizon in (101, 10**15):
+        parts = [
+            {"format": recheck.FORMAT, "claim": "maximum", "horizon": horizon, **dict.fromkeys(names)},
+            {"denominator": 1, "initial_denominator": 1}, [0, 1, 0, [1, 1]], [1, 0, 1, [0, 1]],
+            {"states": 2, "letters": 2, "start": 0, "verdicts": [0, horizon]}, [0, 0], [1, 1], [-1, -1], [0, 1],
+            {"layer": [0, horizon - 1], "scale": "1", "known": 0}, {"lower": "1", "upper": "1"},
+        ]  # fmt: skip
+        write(path, parts)
+        if horizon == 101:
+            assert (stl.certify(path)["pairs"], truth_of(parts[:-1])) == (0, (1, 1))
+    monkeypatch.setattr(recheck, "WORK", 1000)
+    with pytest.raises(RefusedError, match="step .*: this takes longer than the size of the file allows"):
+        stl.certify(path)
+
+
+def test_damaged_bytes_are_noticed(tmp_path, patrolling):
+    path, rng = tmp_path / "c.jsonl", random.Random(8)
+    stl.write_certificate(stl.check(patrolling), path)
+    whole, packed = path.read_bytes(), gzip.compress(path.read_bytes())
+    for _ in range(many(60)):
+        damaged = bytearray(whole)
+        i = rng.randrange(len(whole))
+        damaged[i : i + rng.choice([0, 1, 1, 40])] = rng.choice([b"", b"0", b"\n", b"\xff", b"9" * 50, b"[1]"])
+        if damaged != whole:
+            path.write_bytes(damaged)
+            with pytest.raises(CertificateError):
+                stl.certify(path)
+            path.write_bytes(packed[: i % len(packed)])
+            with pytest.raises(CertificateError):
+                stl.certify(path)
+
+
 def test_engines_write_the_same(tmp_path, monkeypatch):
     few, words = tmp_path / "few.jsonl", tmp_path / "words.jsonl"
-    for result in results(seed=5, count=10):
+    for result in results(seed=5, count=5):
         stl.write_certificate(result, few)
         with monkeypatch.context() as patched:
             patched.setattr(proof, "layers_of", functools.partial(layers_of, engine="words"))
@@ -165,7 +235,7 @@ def test_no_changed_entry_becomes_a_lie(tmp_path):
     """Entries are changed one by one. Unsealed, each is refused; resealed, what is still accepted is still true."""
     path, rng = tmp_path / "c.jsonl", random.Random(2)
     accepted = refused = 0
-    for result in results(seed=3, denominators=(10, 16), count=4):
+    for result in results(seed=3, denominators=(10, 16), count=many(4)):
         stl.write_certificate(result, path)
         parts = read(path)
         *content, seal = parts
@@ -256,6 +326,30 @@ def test_a_layer_of_many_steps_must_fit_itself(tmp_path):
         stl.certify(write(path, [*parts[:begin], together, numbers, more, *rows, *parts[end:]]))
     with pytest.raises(RefusedError, match="expected steps that end with 6, found"):
         stl.certify(write(path, [*parts[: begin + 3], *parts[end:]]))
+
+
+def test_what_numbers_are_off_by_counts_at_every_step(tmp_path):
+    """One number for 50 steps, whose distance from what a step makes of it is a sixtieth."""
+    model = stl.MDP.from_arrays([[["2/3", "1/3"], [0, 1]]], {"x": [0, 1]})
+    path = tmp_path / "c.jsonl"
+    stl.write_certificate(stl.check(stl.build_product(model, stl.parse("F[0,50] x > 0"))), path)
+    *parts, _ = read(path)
+    begin = next(i for i, part in enumerate(parts) if isinstance(part, dict) and "layer" in part)
+    truth, _ = truth_of(parts[:-1])
+    state, mask, _ = next(part for part in parts[begin:] if isinstance(part, list) and len(part) == 3)
+    number, little = Fraction(19, 20), Fraction(1, 10**9)
+    lines = [*parts[:begin], {"layer": [0, 49], "scale": "14", "known": 0}, ["13"], [state, mask, "00"]]
+    apart = [{**lines[begin], "layer": [49, 49]}, *lines[begin + 1 :]]
+    for steps in ([48, 48], [0, 47]):
+        apart += [{"layer": steps, "scale": "1", "known": 1}, [state, mask, "00"]]
+    for listed in (lines, [*parts[:begin], *apart]):
+        for upper in (number, number + Fraction(2, 60), number + Fraction(48, 60)):
+            with pytest.raises(RefusedError, match="the claimed upper bound is not proved"):
+                stl.certify(write(path, [*listed, {"lower": "0", "upper": str(min(upper, truth - little))}]))
+    last = Fraction(1, 3)  # which is what the last step makes of the verdicts
+    stl.certify(write(path, [*lines, {"lower": str(last - little), "upper": "1"}]))
+    with pytest.raises(RefusedError, match="the claimed lower bound is not proved"):
+        stl.certify(write(path, [*lines, {"lower": str(last + little), "upper": "1"}]))
 
 
 def test_only_what_runs_reach_of_a_model_is_listed(tmp_path):
