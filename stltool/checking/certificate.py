@@ -10,7 +10,7 @@ import hashlib
 import itertools
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -20,7 +20,7 @@ import numpy as np
 
 from stltool.arguments import function, require
 from stltool.arguments import path as path_of
-from stltool.checking.check import CheckResult, undefined
+from stltool.checking.check import CheckResult, require_for_cluster, undefined
 from stltool.checking.induction import Budget, Progress, Silent
 from stltool.checking.proof import (
     SMALLER,
@@ -32,6 +32,7 @@ from stltool.checking.proof import (
     following,
     header,
 )
+from stltool.cluster import connected
 from stltool.errors import CertificateError, FileError, RefusedError, SizeError
 from stltool.files import atomic_file, require_folder, require_own
 from stltool.numbers import long_numbers
@@ -42,12 +43,18 @@ from stltool.recheck import certify as recheck
 
 
 def write_certificate(
-    result: CheckResult, path: str | Path, memory_limit: int | None = None, progress: Progress | None = None
+    result: CheckResult,
+    path: str | Path,
+    memory_limit: int | None = None,
+    progress: Progress | None = None,
+    *,
+    cluster: str | None = None,
 ) -> tuple[Fraction, Fraction]:
     """Write what proves bounds of a result: JSON lines, packed where the name ends in .gz. Returns the bounds.
 
     They come from a computation of their own, so they may differ from the result's in the last digits; of an exact
-    result they are the exact value. The result need not have kept its policy.
+    result they are the exact value. The result need not have kept its policy. `cluster`, the
+    address of a dask scheduler: its workers compute the numbers; the file is the same.
 
     Raises SizeError before it takes memory that is not there, or where the certificate would be too large for its
     reader.
@@ -59,12 +66,21 @@ def write_certificate(
     product.model.require_points()
     if policy is not None:
         product, policy = policy.on(product)
+    require(cluster, str, "write_certificate's cluster", "write the scheduler's address in quotes", optional=True)
     exact = result.fraction is not None
+    if cluster is not None:
+        require_for_cluster(exact, policy)
     what = f"certifying {product.n_states} product states over {product.horizon} steps"
-    with long_numbers(), atomic_file(path) as file, _packed(file, path) as out:
+    with ExitStack() as open_things:
+        client = None
+        if cluster is not None:
+            client = open_things.enter_context(connected(cluster, "a certificate on a cluster", "leave it out"))
+        open_things.enter_context(long_numbers())
+        out = open_things.enter_context(_packed(open_things.enter_context(atomic_file(path)), path))
         seal = hashlib.sha256()
+        budget = Budget(what, memory_limit, progress)
         try:
-            proof = Proof(product, policy, result.question, exact, Budget(what, memory_limit, progress), memory_limit)
+            proof = Proof(product, policy, result.question, exact, budget, memory_limit, client)
             for item in proof.items():
                 seal.update(_write(out, item))
         except Silent:

@@ -187,7 +187,7 @@ def check(
     every = float(real(save_every, "check's save_every"))
     require(cluster, str, "check's cluster", "write the scheduler's address in quotes", optional=True)
     if cluster is not None:
-        _fits_cluster(exact, policy, resume, engine, threads)
+        require_for_cluster(exact, policy, resume, engine, threads)
     path = _policy_file(policy_file, policy, keep_policy, resume)
     if exact and product.model.kinds is not None:
         require_exact(product.model, product.model.kinds)
@@ -237,7 +237,10 @@ def _policy_file(given: str | Path | None, policy: Policy | None, keep_policy: b
     return path
 
 
-def _fits_cluster(exact: bool, policy: Policy | None, resume: bool, engine: Engine, threads: int | None) -> None:
+def require_for_cluster(
+    exact: bool, policy: Policy | None, resume: bool = False, engine: Engine = "auto", threads: int | None = None
+) -> None:
+    """SettingsError for what is computed on one machine alone."""
     mixes = policy is not None and not policy.deterministic
     for given, name in (
         (exact, named("exact", "exact=True")),

@@ -22,7 +22,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +34,10 @@ from stltool.checking.induction import (
     OPEN,
     Arithmetic,
     Budget,
+    ClusterWay,
     Digits,
     Doubles,
+    Engine,
     Fixed,
     Following,
     Game,
@@ -44,6 +46,7 @@ from stltool.checking.induction import (
     Passed,
     Values,
     Way,
+    Words,
     layers_of,
 )
 from stltool.checking.rational import exact_arithmetic
@@ -55,6 +58,9 @@ from stltool.models.rows import Rows
 from stltool.policy import Policy
 from stltool.product import Product
 from stltool.recheck import BITS, DIGITS, FORMAT, PLACES
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 Item: TypeAlias = dict[str, Any] | list[Any] | str
 """A line of the file: an object, a list, or the text that stands for one."""
@@ -132,10 +138,12 @@ def automaton_items(product: Product) -> Iterator[Item]:
 # ------------------------------------------------------------------------------------------------------ policy
 
 
-def following(product: Product, policy: Policy, budget: Budget, exact: bool = True) -> Layers[Any, Any]:
+def following(
+    product: Product, policy: Policy, budget: Budget, exact: bool = True, engine: Engine = "auto"
+) -> Layers[Any, Any]:
     """The layers of a policy's runs; unless `exact`, a mixture's weights are divided by their sum in doubles."""
     form = policy.form if exact or policy.deterministic else _ToOne(policy.form)
-    return layers_of(Game.of(product), TRUE, Following(form), budget=budget)
+    return layers_of(Game.of(product), TRUE, Following(form), engine=engine, budget=budget)
 
 
 class PolicyItems:
@@ -416,16 +424,26 @@ class Proof:
     bounds: Bounds
 
     def __init__(
-        self, product: Product, policy: Policy | None, claim: str, exact: bool, budget: Budget, memory_limit: int | None
+        self,
+        product: Product,
+        policy: Policy | None,
+        claim: str,
+        exact: bool,
+        budget: Budget,
+        memory_limit: int | None,
+        client: Client | None = None,
     ) -> None:
+        self._client = client
         self._product, self._claim, self._header = product, claim, header(product, claim, policy)
+        engine: Engine = "auto" if client is None else "words"
+        self._policy: PolicyItems | None = None
         if claim == "policy":
             assert policy is not None
-            self.layers = following(product, policy, budget, exact)
-            self._policy: PolicyItems | None = PolicyItems(self.layers, product, policy.form)
+            self.layers = following(product, policy, budget, exact, engine)
+            self._policy = PolicyItems(self.layers, product, policy.form)
         else:
             goal = FALSE if claim == "minimum" else TRUE
-            self.layers, self._policy = layers_of(Game.of(product), goal, EVERYTHING, budget=budget), None
+            self.layers = layers_of(Game.of(product), goal, EVERYTHING, engine=engine, budget=budget)
         self.numbers: Numbers
         D = self.layers.rows.denominator
         if D >= 10**DIGITS or (exact and product.horizon * D.bit_length() > BITS):
@@ -458,9 +476,17 @@ class Proof:
                 yield from listing.layer(begin, t - 1, *self.layers.pairs(layer), values[OPEN:], one)
                 t = begin
 
+    def _way(self) -> Way | ClusterWay:
+        arithmetic = self.numbers.arithmetic
+        if self._client is None:
+            return Way(self.layers, arithmetic, maximize=True)
+        assert isinstance(self.layers, Words)
+        assert isinstance(arithmetic, Doubles | Fixed)
+        return ClusterWay(self._client, self.layers, arithmetic)
+
     def _stretches(self) -> Iterator[tuple[int, Any, Values, int]]:
         """The first step of each stretch that shares a layer, this, its values, and the unit of those."""
-        way = Way(self.layers, self.numbers.arithmetic, maximize=True)
+        way = self._way()
         at, first, unit, h = way.end(), self._product.horizon, 1, self._product.horizon
         held: Passed | None = None  # steps from `first` on, which share a layer
         for step in way.back(at):

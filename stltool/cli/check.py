@@ -127,7 +127,7 @@ def check(
         optimum.policy.save(save_policy)
     if certificate is not None:
         with progress_bar("writing the certificate", quiet=as_json) as bar:
-            proved = stl.write_certificate(result, certificate, progress=bar)
+            proved = stl.write_certificate(result, certificate, progress=bar, cluster=cluster)
     data = check_data(result, optimum)
     if uncertain:
         data["nature"] = nature or "against"

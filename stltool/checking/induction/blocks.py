@@ -13,11 +13,10 @@ worker that dies takes nothing with it that dask does not compute again.
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -27,13 +26,13 @@ from numpy.typing import NDArray
 from stltool.automata import UNDECIDED
 from stltool.checking.induction.allowed import Allowed
 from stltool.checking.induction.arithmetic import Doubles, Fixed, Values
-from stltool.checking.induction.edges import OPEN
+from stltool.checking.induction.edges import OPEN, REST, SURE
 from stltool.checking.induction.graph import I32, I64, Automaton, Game
-from stltool.checking.induction.induct import Solution, recorded
+from stltool.checking.induction.induct import Solution, Step, recorded
 from stltool.checking.induction.layers import Budget
-from stltool.checking.induction.recording import InMemory, Recorder
+from stltool.checking.induction.recording import InMemory, Passed, Recorder
 from stltool.checking.induction.tiled import Tiles
-from stltool.checking.induction.words import Graph, Layer, Moves, Sets, Words
+from stltool.checking.induction.words import Graph, Layer, Moves, Sets, Words, lanes_of
 from stltool.choices import Listed
 from stltool.models.fractions import Shares
 from stltool.models.rows import Chances, Rows
@@ -139,7 +138,7 @@ def begin(block: Block) -> Forward:
     """F_0."""
     engine = block.engine()
     sets = engine._initial()
-    sets = dataclasses.replace(sets, states=block.known[sets.states])
+    sets = replace(sets, states=block.known[sets.states])
     return Forward(sets, False, _sent(block, engine, 0, sets))
 
 
@@ -176,12 +175,12 @@ def back(block: Block, t: int, sets: Sets, own: Back | None, *pieces: Ahead) -> 
     engine = block.engine()
     tiles = block.arithmetic.tiles(engine)
     layer, values = _whole(block, own, pieces, engine, tiles)
-    here = engine._settled(dataclasses.replace(sets, states=block.local(sets.states)), layer, t)
+    here = engine._settled(replace(sets, states=block.local(sets.states)), layer, t)
     found, best = tiles.back(t, here, layer, values, block.choices is not None)
     listed = None
     if block.choices is not None and best is not None:
         listed = engine.listed(t, t, here, best)[2:]
-    here = dataclasses.replace(here, states=block.known[here.states])
+    here = replace(here, states=block.known[here.states])
     same = own is not None and engine._same_settled(here, own.layer) and np.array_equal(found, own.values)
     return Back(here, found, same, listed)
 
@@ -231,6 +230,10 @@ def choices_of(result: Back) -> tuple[NDArray[Any], ...] | None:
     return result.listed
 
 
+def layer_of(result: Back) -> Ahead:
+    return result.layer, result.values
+
+
 _IN_FLIGHT = 8  # steps submitted before the answers about earlier ones are known
 _NOTHING = Sets(
     np.empty(0, dtype=np.int32), np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint64)
@@ -244,7 +247,7 @@ def _sent(block: Block, engine: Words, t: int, sets: Sets) -> dict[int, Sets]:
     if not len(sets.states):
         return {}
     moves, scratch = engine.moves, engine.crew.first
-    inner = dataclasses.replace(sets, states=block.local(sets.states))
+    inner = replace(sets, states=block.local(sets.states))
     if engine.allowed.everything:
         n = scratch.unite(inner, 0, len(inner.states))
     else:
@@ -299,15 +302,21 @@ def _whole(block: Block, own: Back | None, pieces: Sequence[Ahead], engine: Word
     ahead = [piece for piece in pieces if len(piece[0].states)]
     if own is not None and len(own.layer.states):
         ahead.append((own.layer, own.values))
-    layers = [layer for layer, _ in ahead]
-    if not layers:
+    if not ahead:
         return engine.nothing(), tiles.start()
+    layer, values = _put_together(ahead)
+    return replace(layer, states=block.local(layer.states)), values
+
+
+def _put_together(parts: Sequence[Ahead]) -> Ahead:
+    """One layer of several, in their order."""
+    layers = [layer for layer, _ in parts]
     words = np.cumsum([0, *(len(layer.word) for layer in layers)])
     counts = np.cumsum([0, *(layer.n_tiles for layer in layers)])
     start = [layer.start[:-1] + w for layer, w in zip(layers, words, strict=False)]
     numbers = [layer.tiles[:-1] + n for layer, n in zip(layers, counts, strict=False)]
     joined = Layer(
-        block.local(np.concatenate([layer.states for layer in layers])),
+        np.concatenate([layer.states for layer in layers]),
         np.concatenate([*start, words[-1:]]),
         np.concatenate([layer.word for layer in layers]),
         np.concatenate([layer.open for layer in layers]),
@@ -315,7 +324,7 @@ def _whole(block: Block, own: Back | None, pieces: Sequence[Ahead], engine: Word
         np.concatenate([*numbers, counts[-1:]]),
         None,
     )
-    return joined, np.concatenate([values for _, values in ahead])
+    return joined, np.concatenate([values for _, values in parts])
 
 
 # -------------------------------------------------------------------------------------------------------- the client
@@ -337,7 +346,12 @@ def solve_on_cluster(
     try:
         recorder.resume(None)
         work = _Work(client, game, arithmetic, goal, allowed, keep, budget, n_blocks)
-        ahead, swept = _back_over(work, _reached(work, budget), recorder, budget)
+        ahead, swept = None, 0
+        for step in _back(work, _reached(work, budget), budget):
+            ahead, swept = step.results, swept + 1
+            if keep is not None:
+                chosen = zip(*work.told(step.choices), strict=True)
+                recorder.add(Listed(step.first, step.last, *(np.concatenate(arrays) for arrays in chosen)))
         parts = work.at_start(ahead)
         entry, certain = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         choices = recorded(game, recorder) if keep is not None else None
@@ -345,6 +359,38 @@ def solve_on_cluster(
         return Solution(entry, certain, choices, "cluster", swept)
     finally:
         recorder.close(whole)
+
+
+class ClusterWay:
+    """As `Way`, by the workers of a cluster: of every step the layer and its values come back."""
+
+    engine = "cluster"
+
+    def __init__(self, client: Client, layers: Words, arithmetic: Doubles | Fixed, n_blocks: int | None = None) -> None:
+        self._layers, self._ends = layers, arithmetic.ends(0)
+        game, goal, allowed, budget = layers.game, layers.goal, layers.allowed, layers.budget
+        self._work = _Work(client, game, arithmetic, goal, allowed, None, budget, n_blocks)
+        self._dtype = np.int64 if isinstance(arithmetic, Fixed) else np.float64
+
+    def end(self) -> Passed:
+        """After the last step."""
+        return Passed(self._layers.game.horizon, self._layers.nothing(), np.empty(0, dtype=self._dtype), 0)
+
+    def back(self, at: Passed) -> Iterator[Step]:
+        """From the last step to step 0."""
+        for step in _back(self._work, _reached(self._work, self._layers.budget), self._layers.budget):
+            if not step.again:
+                parts = [part for part in self._work.told(self._work.ask(layer_of, step.results)) if len(part[1])]
+                layer, values = _put_together(parts) if parts else (self._layers.nothing(), at.values[:0])
+                at = Passed(step.first, layer, values, at.swept + 1)
+            else:
+                at = replace(at, before=step.first, swept=at.swept + 1)
+            yield Step(step.first, step.last, step.again, None, at)
+
+    def by_slot(self, at: Passed) -> Values:
+        """The values of a layer, as arithmetics have them."""
+        ends = np.array([self._ends[REST], self._ends[SURE]], dtype=self._dtype)
+        return np.concatenate([ends, at.values[lanes_of(at.ahead, at.ahead.open)]])
 
 
 def _reached(work: _Work, budget: Budget) -> list[Reaching]:
@@ -375,33 +421,41 @@ def _reached(work: _Work, budget: Budget) -> list[Reaching]:
     return stretches
 
 
-def _back_over(
-    work: _Work, stretches: list[Reaching], recorder: Recorder, budget: Budget
-) -> tuple[list[Future[Back]] | None, int]:
-    """The results of the first step, and the steps back that were computed."""
-    game, allowed, swept = work.game, work.allowed, 0
-    ahead: list[Future[Back]] | None = None
-    flight: deque[tuple[int, int, list[Future[Back]], list[Future[bool]], list[Future[Any]]]] = deque()
-    latest, steps = ahead, _back_from(stretches, game.horizon)
+class BackStep(NamedTuple):
+    """Steps first … last, which have the same values: the results of every block; as `Step` of one machine."""
+
+    first: int
+    last: int
+    again: bool
+    results: list[Future[Back]]
+    choices: list[Future[Any]]
+
+
+def _back(work: _Work, stretches: list[Reaching], budget: Budget) -> Iterator[BackStep]:
+    """Every step back that is computed, from the last."""
+    game, allowed = work.game, work.allowed
+    latest: list[Future[Back]] | None = None
+    flight: deque[tuple[int, BackStep, list[Future[bool]]]] = deque()
+    steps = _back_from(stretches, game.horizon)
     while True:
         for first, t, sets in itertools.islice(steps, _IN_FLIGHT - len(flight)):
             latest = work.back(t, sets, latest)
-            flight.append((first, t, latest, work.ask(is_same, latest), work.ask(choices_of, latest)))
+            choices = [] if work.keep is None else work.ask(choices_of, latest)
+            flight.append((first, BackStep(t, t, False, latest, choices), work.ask(is_same, latest)))
         if not flight:
-            return ahead, swept
-        first, t, ahead, same, choices = flight.popleft()
-        swept += 1
-        until = t
+            return
+        first, step, same = flight.popleft()
+        t = step.last
         if all(work.told(same)) and game.automaton.keeps_numbers(t):
             until = max(first, game.automaton.alike(t + 1)[0] - 1, allowed.first_alike(t))
+            step = step._replace(first=until, again=True)
             if until < t:
                 flight.clear()
-                latest, steps = ahead, _back_from(stretches, until)
-        if work.keep is not None:
-            recorder.add(Listed(until, t, *(np.concatenate(parts) for parts in zip(*work.told(choices), strict=True))))
-        while stretches and stretches[-1].first >= until:
+                latest, steps = step.results, _back_from(stretches, until)
+        yield step
+        while stretches and stretches[-1].first >= step.first:
             stretches.pop()
-        budget.tell(until, game.horizon, back=True)
+        budget.tell(step.first, game.horizon, back=True)
 
 
 def _back_from(stretches: list[Reaching], before: int) -> Iterator[tuple[int, int, list[Future[Sets]]]]:
