@@ -24,7 +24,9 @@ import numpy as np
 
 import stltool as stl
 from stltool import kernels
-from stltool.checking.unfold import Unfolding
+from stltool.automata import TRUE
+from stltool.checking.induction import Doubles
+from stltool.checking.unfold import Unfolding, flows
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 FACTORY, PAPER = EXAMPLES / "factory", EXAMPLES / "paper"
@@ -131,11 +133,12 @@ def why() -> None:
     print(f"{own.shape[0]} × {own.shape[1]} product states, {own.horizon} steps")
     print(f"{own.n_states * own.horizon / 1e6:.1f} million (t, s, q)")
     for name, policy in (("optimal", best), ("uniform", stl.Policy(own, np.full((*own.shape, 9), 1 / 9)))):
-        unfolded = Unfolding(own, policy)
-        edges = sum(len(unfolded.edges(t).child) for t in range(len(unfolded.layers) - 1)) / 1e6
+        unfolded = Unfolding(own, policy, Doubles(True), TRUE, live=False)
+        steps = flows(unfolded.layers, unfolded.stretches, unfolded.start)
+        edges = sum(len(part.child) for _, part, _, _ in steps) / 1e6
         _, runs = timed(lambda policy=policy: stl.likely_runs(own, policy, count=1000))
         _, derivatives = timed(lambda policy=policy: stl.sensitivity(own, policy))
-        places = spaced(sum(map(len, unfolded.layers)))
+        places = spaced(unfolded.layers.size()[1])
         print(f"{name}: {places} places, {edges:.0f} million edges, runs {runs:.2f} s, derivatives {derivatives:.2f} s")
     satisfying = stl.likely_runs(own, best, satisfied=True, mass=0.9, most=10_000)
     print(f"10000 satisfying runs cover {satisfying.covered:.2f}")

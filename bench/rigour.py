@@ -1,6 +1,6 @@
 """Numbers one can stand on: enclosures and exact fractions, their cost beside a plain sweep and Storm.
 
-enclosure  `check` with its enclosure (fixed point) against backward induction in doubles alone, horizon 1000
+enclosure  `check` with its enclosure (fixed point) against the induction in doubles alone, horizon 1000
 exact      QComp's resource-gathering (F<=200 success) as a fraction, against Storm's exact engine on the same model
 """
 
@@ -12,12 +12,9 @@ import time
 from fractions import Fraction
 from pathlib import Path
 
-import numpy as np
-
 import stltool as stl
 from stltool import kernels
-from stltool.checking.backward import induct, sweeper
-from stltool.kernels import rational
+from stltool.checking.induction import Doubles, Game, induct
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.append(str(ROOT))
@@ -29,11 +26,9 @@ def enclosure_row() -> str:
     model = stl.load_model(ROOT / "examples" / "factory" / "floor-10x10.toml")
     product = stl.build_product(model, stl.parse("G[0,991] (F[0,9] A & F[0,9] B)"))
     assert product.horizon == 1000
-    plain_sweeps, table = sweeper(product, "numba"), np.zeros(product.shape, dtype=np.int16)
 
     def plain() -> float:
-        step = lambda t, W, out: plain_sweeps.optimum(W, True, out, table)  # noqa: E731
-        return float(induct(product, plain_sweeps, step, None)[0])
+        return float(induct(Game.of(product), Doubles(maximize=True)).entry[0])
 
     def enclosed() -> stl.CheckResult:
         return stl.check(product, keep_policy=False, arithmetic="fixed")
@@ -104,7 +99,6 @@ def _drn(model: stl.MDP) -> str:
 
 def table() -> list[str]:
     kernels.warm_up(learning=False)
-    rational.warm_up()
     return ["| what | against | figure |", "|---|---|---|", enclosure_row(), exact_row()]
 
 

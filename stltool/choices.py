@@ -1,8 +1,10 @@
-"""How a policy holds what it does at (t, s, q): three forms with one access.
+"""How a policy holds what it does at (t, s, q): forms with one access.
 
     Table    a dense table: choices (S, Q), or (h, S, Q) by step, negative where there is none; weights (…, C) of a
              mixture
     Choices  choices by step, kept only where they matter: what `check` finds
+    Mixtures weights by step of the pairs listed, another form's choices elsewhere
+    ByLayer  another form's, where automaton states are numbered layer by layer and so know the step
     Through  another form that remembers in its own way: memory (Q,) says as which automaton state of its own
 
 Choices are numbers within their state: i is its i-th available action.
@@ -22,6 +24,7 @@ from stltool.display import Card, Displayed
 from stltool.sizes import IntegerType
 
 I64: TypeAlias = NDArray[np.int64]
+F64: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.signedinteger[Any]]
 
 
@@ -42,6 +45,9 @@ class Form(Protocol):
 
     def alike(self, t: int) -> tuple[int, int]:
         """The first and the last step of those around t that surely do the same."""
+
+    def mixtures(self) -> F64:
+        """(k, C) the weights that occur, each mixture's in ascending order and once; only of what mixes."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,6 +78,9 @@ class Table(Displayed):
     def alike(self, t: int) -> tuple[int, int]:
         return (0, _ALWAYS) if self.stationary else (t, t)
 
+    def mixtures(self) -> F64:
+        return distinct(np.sort(self.table.reshape(-1, self.table.shape[-1]), axis=1))[0]
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Through(Displayed):
@@ -100,16 +109,141 @@ class Through(Displayed):
     def alike(self, t: int) -> tuple[int, int]:
         return self.form.alike(t)
 
+    def mixtures(self) -> F64:
+        return self.form.mixtures()
+
+
+class Mixed(NamedTuple):
+    """Steps first … last of a mixture: pairs' codes s·Q + q (n,) ascending, rows (k, C) of weights, and the row of each
+    pair: which (n,)."""
+
+    first: int
+    last: int
+    codes: I64
+    rows: F64
+    which: I64
+
+
+class Mixtures(Displayed):
+    """Weights by step, of the pairs listed; wherever else a run can be, what `otherwise` does.
+
+    shape   (S, Q)
+    layers  in ascending order of their steps, which do not overlap
+    """
+
+    deterministic = False
+    stationary = False
+
+    def __init__(self, shape: tuple[int, int], layers: Sequence[Mixed], otherwise: Form, n_choices: int) -> None:
+        self.shape, self.layers, self.otherwise, self.n_choices = shape, tuple(layers), otherwise, n_choices
+        self._first = np.array([layer.first for layer in layers], dtype=np.int64)
+
+    def _card(self) -> Card:
+        n = sum(len(layer.codes) for layer in self.layers)
+        return Card(f"Mixtures: {n} in {len(self.layers)} layers")
+
+    def at(self, t: int, s: Indices, q: Indices) -> F64:
+        found: F64 = self.otherwise.at(t, s, q)
+        if self.otherwise.deterministic:
+            weights = np.zeros((len(s), self.n_choices))
+            np.put_along_axis(weights, found[:, None].astype(np.int64), 1.0, axis=1)
+            found = weights
+        layer = self._layer(t)
+        if layer is not None and len(layer.codes):
+            wanted = np.asarray(s, dtype=np.int64) * self.shape[1] + q
+            place = np.minimum(np.searchsorted(layer.codes, wanted), len(layer.codes) - 1)
+            there = layer.codes[place] == wanted
+            found[there] = layer.rows[layer.which[place[there]]]
+        return found
+
+    def row(self, t: int) -> F64:
+        s, q = np.divmod(np.arange(self.shape[0] * self.shape[1]), self.shape[1])
+        return self.at(t, s, q).reshape(*self.shape, self.n_choices)
+
+    def alike(self, t: int) -> tuple[int, int]:
+        layer = self._layer(t)
+        first, last = (t, t) if layer is None else (layer.first, layer.last)
+        other = self.otherwise.alike(t)
+        return max(first, other[0]), min(last, other[1])
+
+    def mixtures(self) -> F64:
+        others = np.eye(1, self.n_choices) if self.otherwise.deterministic else self.otherwise.mixtures()
+        return distinct(np.sort(np.concatenate([others, *(layer.rows for layer in self.layers)]), axis=1))[0]
+
+    def _layer(self, t: int) -> Mixed | None:
+        i = int(np.searchsorted(self._first, t, side="right")) - 1
+        return self.layers[i] if i >= 0 and t <= self.layers[i].last else None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ByLayer(Displayed):
+    """What `form` does at step t in automaton state q, as one of a joint automaton's states: offsets[t] + q.
+
+    Before the first offset and from the last layer on, where no action is taken, the first choice.
+    """
+
+    form: Form
+    offsets: I64
+    shape: tuple[int, int]
+
+    stationary = True
+
+    def _card(self) -> Card:
+        return Card(f"ByLayer: {self.form!r}"[:100])
+
+    @property
+    def deterministic(self) -> bool:
+        return self.form.deterministic
+
+    def at(self, t: int, s: Indices, q: Indices) -> NDArray[Any]:
+        step = np.searchsorted(self.offsets, q, side="right") - 1
+        none = self.form.at(0, np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
+        found = np.zeros((len(s), *none.shape[1:]), dtype=none.dtype)
+        if not self.deterministic:
+            found[:, 0] = 1.0
+        for u in np.unique(step[(step >= 0) & (step < len(self.offsets) - 2)]).tolist():
+            there = np.flatnonzero(step == u)
+            found[there] = self.form.at(u, np.asarray(s)[there], np.asarray(q)[there] - self.offsets[u])
+        return found
+
+    def row(self, t: int) -> NDArray[Any]:
+        s, q = np.divmod(np.arange(self.shape[0] * self.shape[1]), self.shape[1])
+        found = self.at(t, s, q)
+        return found.reshape(*self.shape, *found.shape[1:])
+
+    def alike(self, t: int) -> tuple[int, int]:
+        return 0, _ALWAYS
+
+    def mixtures(self) -> F64:
+        return self.form.mixtures()
+
+
+def mixed(before: Mixed | None, t: int, codes: I64, weights: F64) -> Mixed:
+    """The layer of step t, of pairs' weights (n, C); that of step t + 1 drawn out to it where they are the same."""
+    rows, which = distinct(weights)
+    if (
+        before is not None
+        and np.array_equal(before.codes, codes)
+        and np.array_equal(before.rows, rows)
+        and np.array_equal(before.which, which)
+    ):
+        return before._replace(first=t)
+    return Mixed(t, t, codes, rows, which)
+
+
+def distinct(rows: F64) -> tuple[F64, I64]:
+    """(the different rows of a matrix, which of them each row is); few of many are found in no time."""
+    # rows are told apart by a number each, and where two share one, by themselves: that is slower by far
+    bits = np.ascontiguousarray(rows).view(np.uint64)
+    number = bits @ (2 * np.arange(1, rows.shape[1] + 1, dtype=np.uint64) ** 9 + 1)
+    _, first, which = np.unique(number, return_index=True, return_inverse=True)
+    found, which = rows[first], which.ravel()
+    if not np.array_equal(found[which], rows):
+        found, which = np.unique(rows, axis=0, return_inverse=True)
+    return found, which.ravel()
+
 
 _ALWAYS = 2**62
-
-
-def own_table(form: Form) -> NDArray[Any]:
-    """The dense table that a form is, or sees through: all that it ever does."""
-    while isinstance(form, Through):
-        form = form.form
-    assert isinstance(form, Table)
-    return form.table
 
 
 class Listed(NamedTuple):
@@ -222,6 +356,17 @@ class Choices(Displayed):
             place, bit = place[there], bit[there]
             found[there] = choice[rank[place] + np.bitwise_count(bits[place] & (bit - np.uint64(1)))]
         return found
+
+    def mixtures(self) -> F64:
+        raise NotImplementedError  # it does not mix
+
+    def resized(self, shape: tuple[int, int]) -> Choices:
+        """The same over more or fewer states, or automaton states; what is listed must be there."""
+        n_words, layers = -(-shape[1] // 64), []
+        for layer in self.layers:
+            s, word = np.divmod(layer.keys, self.n_words)
+            layers.append(layer._replace(keys=s * n_words + word))
+        return Choices(shape, self.horizon, layers, self.kind)
 
     def row(self, t: int) -> NDArray[Any]:
         table = np.zeros((self.shape[0], 64 * self.n_words), dtype=self.kind)

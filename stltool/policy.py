@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 from stltool.arguments import path as path_of
 from stltool.arguments import require, whole
 from stltool.automata import Encoding
-from stltool.choices import Choices, Form, Table, Through
+from stltool.choices import ByLayer, Choices, Form, Mixtures, Table, Through
 from stltool.display import Card, Displayed
 from stltool.errors import InexactEncodingWarning, PolicyError, StlToolError, near_misses
 from stltool.files import (
@@ -108,7 +108,7 @@ class Policy(Displayed):
     def __init__(self, product: Product | JointProduct, table: NDArray[Any] | Form) -> None:
         require(product, (Product, JointProduct), "Policy's product")
         self.home = product
-        if isinstance(table, Table | Choices | Through):
+        if isinstance(table, Table | Choices | Mixtures | ByLayer | Through):
             self.form: Form = table
             return
         try:

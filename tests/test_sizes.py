@@ -5,6 +5,7 @@ import math
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,9 @@ from scipy import sparse
 
 import stltool as stl
 from stltool import sizes
+from stltool.automata import TRUE
 from stltool.automata.samples import truth_along
-from stltool.checking.reach import first_steps
+from stltool.checking.induction import Game, layers_of
 from stltool.errors import SizeError
 from stltool.learning.problem import Problem
 from stltool.learning.tables import ClockedTable
@@ -169,12 +171,12 @@ def test_operands_are_counted_whatever_their_number(n):
 
 
 @pytest.mark.parametrize("last", [2**15 - 2, 2**15 - 1, 2**31 - 2, 2**31 - 1, 2**40])
-def test_first_steps_of_any_horizon(last):
+def test_steps_of_any_horizon(last):
     product = stl.build_product(stl.MDP.from_arrays(**line(4)), stl.parse(f"F[0,{last}] B"))
-    first = first_steps(product)
-    assert first.max() == last + 1  # the states that cannot be entered
-    assert first.min() == 0
-    assert sorted(first.min(axis=1)) == [0, 1, 2, 3]
+    assert layers_of(Game.of(product), TRUE).reached.last == 2
+    late = replace(product, model=stl.MDP.from_arrays([np.eye(4)], {}, labels=product.model.labels))
+    assert layers_of(Game.of(late), TRUE).reached.last == last - 1  # A for ever
+    assert stl.check(late).probability == 0
 
 
 # ------------------------------------------------------------------------------------- integers that a caller brings

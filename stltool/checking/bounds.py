@@ -16,7 +16,6 @@ import math
 from collections.abc import Iterable
 from fractions import Fraction
 
-from stltool.models import MDP
 from stltool.models.rows import READ_EXACTLY, Rows
 from stltool.numbers import round_down, round_up
 
@@ -37,12 +36,6 @@ def roundings(sweeps: int, row_length: int, choices_mixed: int = 0) -> int:
 def defect(rows: Iterable[Iterable[float]]) -> Fraction:
     """The largest |Σ row − 1|, exactly."""
     return max((abs(sum(map(Fraction, row), Fraction(0)) - 1) for row in rows), default=Fraction(0))
-
-
-def model_defects(model: MDP) -> tuple[Fraction, Fraction]:
-    """The largest defect of a row, and of the initial distribution; an upper bound where exact sums would take long."""
-    kinds = model.kinds
-    return row_defect(kinds if kinds is not None else model.rows), model.initial_defect
 
 
 def row_defect(rows: Rows) -> Fraction:

@@ -1,7 +1,7 @@
 """`check`: the best probability over all policies, or a given policy's, with its enclosure.
 
 The optimum over all policies, history-dependent and randomised ones included, is reached by a deterministic policy of
-(t, s, q); it comes with the result. A stationary policy can be strictly worse.
+(t, s, q); it comes with the result. A stationary policy can be strictly worse (checking/stationary.py).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from stltool.checking.induction import (
     stopped_in,
 )
 from stltool.checking.rational import exact_probability, require_exact
-from stltool.choices import Form, Table, own_table
+from stltool.choices import Form, Table
 from stltool.cluster import connected
 from stltool.display import NATURES, Card, Displayed
 from stltool.errors import PolicyError, SettingsError, named
@@ -368,28 +368,24 @@ class _Question:
         return scale.roundings(h) / scale.one < roundings(h, self._kinds.longest) * 2.0**-52
 
     def _in_doubles(self, found: Solution) -> tuple[float, float, float]:
-        model, h, kinds = self.product.model, self.product.horizon, self._kinds
+        model = self.product.model
         value = math.fsum(model.initial[np.flatnonzero(model.initial)] * found.entry[self._starts()])
-        mixed, weight_defect, smallest = 0, Fraction(0), min(kinds.least, least_positive(model.initial))
-        if self.policy is not None and not self.policy.deterministic:
-            weights = _distinct_mixtures(own_table(self.policy.form))
-            mixed, weight_defect = weights.shape[1], defect(weights.tolist())
-            smallest = min(smallest, least_positive(weights))
-        missing = h * (row_defect(kinds) + weight_defect) + model.initial_defect
-        missing = compounded(missing, missing)
-        underflow = can_underflow((2 if mixed else 1) * h + 1, smallest)
-        lower, upper = enclose(value, roundings(h, kinds.longest, mixed), missing, underflow)
-        return min(max(value, 0.0), 1.0), lower, upper
+        mixed = self.policy is not None and not self.policy.deterministic
+        mixtures = self.policy.form.mixtures() if self.policy is not None and mixed else None
+        return min(max(value, 0.0), 1.0), *double_bounds(self.product, self._kinds, value, mixtures)
 
 
-def _distinct_mixtures(table: Floats) -> Floats:
-    """The mixtures of a table (…, C), each once and in ascending order of its weights: few, so their sums are quick."""
-    rows = np.sort(table.reshape(-1, table.shape[-1]), axis=1)
-    # rows are told apart by a number each, and where two share one, by themselves: that is slower by far
-    number = rows.view(np.uint64) @ (2 * np.arange(1, rows.shape[1] + 1, dtype=np.uint64) ** 9 + 1)
-    _, first, which = np.unique(number, return_index=True, return_inverse=True)
-    distinct: Floats = rows[first]
-    return distinct if np.array_equal(distinct[which.ravel()], rows) else np.unique(rows, axis=0)
+def double_bounds(product: Product, kinds: Rows, value: float, mixtures: Floats | None = None) -> tuple[float, float]:
+    """The enclosure of an induction's value in doubles, over rows of these kinds; `mixtures` (k, C) of the policy."""
+    h, initial = product.horizon, product.model.initial
+    mixed, weight_defect, smallest = 0, Fraction(0), min(kinds.least, least_positive(initial))
+    if mixtures is not None:
+        mixed, weight_defect = mixtures.shape[1], defect(mixtures.tolist())
+        smallest = min(smallest, least_positive(mixtures))
+    missing = h * (row_defect(kinds) + weight_defect) + product.model.initial_defect
+    missing = compounded(missing, missing)
+    underflow = can_underflow((2 if mixed else 1) * h + 1, smallest)
+    return enclose(value, roundings(h, kinds.longest, mixed), missing, underflow)
 
 
 def undefined(product: Product, policy: Policy) -> PolicyError:

@@ -22,8 +22,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.checking.backward import Floats
-from stltool.checking.weighted import Choices, Criteria, Weights
+from stltool.checking.check import Floats
+from stltool.checking.induction import OPEN, Stretch
+from stltool.checking.weighted import Criteria
+from stltool.choices import Choices, Mixed, Mixtures, mixed
 from stltool.display import counted
 from stltool.errors import SizeError, SolverError, named
 from stltool.sizes import require_memory
@@ -44,7 +46,7 @@ class Programme:
 
     flow      (n_rows, n_variables) sparse, inflow (n_rows,): flow·x = inflow
     reward    (n_criteria, n_variables) sparse, constant (n_criteria,): the criteria are reward·x + constant
-    nodes     for each step the places (s, column of the layer) that can be reached
+    nodes     for each step the pairs (s, automaton state of the layer) that can be reached
     firsts    for each step the number of its first variable
     """
 
@@ -75,14 +77,18 @@ def programme(criteria: Criteria, most_variables: int = MOST_VARIABLES) -> Progr
     """Count, then build. SizeError where there are more variables than `most_variables`, or memory is short."""
     from scipy.sparse import coo_array, csr_array
 
-    joint = criteria.joint
+    joint, layers = criteria.joint, criteria.layers
     model, automaton, letter, n_tasks = joint.model, joint.automaton, joint.letter, len(joint.tasks)
-    nodes = _reachable(criteria)
-    n_choices, lengths = np.diff(model.choice_start), np.diff(model.row_start)
-    successors = np.add.reduceat(lengths, model.choice_start[:-1])
-    counts = [int(n_choices[s].sum()) for s, _ in nodes]
-    n_variables, n_rows = sum(counts), sum(len(s) for s, _ in nodes)
-    nonzeros = n_variables + sum(int(successors[s].sum()) for s, _ in nodes)
+    n_choices = np.diff(model.choice_start)
+    rows = layers.rows
+    per_state = np.diff(rows.row_start[rows.choice_start])
+    n_variables = n_rows = nonzeros = 0
+    for stretch in layers.backwards():
+        s, _ = layers.pairs(stretch.layer)
+        times = stretch.last + 1 - stretch.first
+        choices, successors = int(n_choices[s].sum()), int(per_state[layers.asked.at(s)].sum())
+        n_rows, n_variables = n_rows + times * len(s), n_variables + times * choices
+        nonzeros += times * (choices + successors)
     what = f"a linear programme of {n_variables} variables, {n_rows} rows and up to {nonzeros} non-zeros"
     if n_variables > most_variables:
         raise SizeError(
@@ -91,41 +97,45 @@ def programme(criteria: Criteria, most_variables: int = MOST_VARIABLES) -> Progr
         )
     require_memory(_BYTES * nonzeros, what, "shorten the windows, or coarsen the grid or the time step")
 
-    firsts = np.cumsum([0, *counts]).tolist()
-    above = 0  # rows of the layers before
+    steps = [stretch.layer for stretch in [*layers.backwards()][::-1] for _ in _steps(stretch)]
+    nodes = [layers.pairs(layer) for layer in steps]
+    firsts = np.cumsum([0, *(int(n_choices[s].sum()) for s, _ in nodes)]).tolist()
+    rows_before = np.cumsum([0, *(len(s) for s, _ in nodes)]).tolist()
     entries: list[tuple[NDArray[np.int64], NDArray[np.int64], Floats]] = []
     reward = np.zeros((len(criteria), n_variables))
     savings = criteria.savings()
-    for t, (s, j) in enumerate(nodes):
-        layer = automaton.layers[t]
-        node = np.repeat(np.arange(len(s)), n_choices[s])
-        variable = firsts[t] + np.arange(len(node))
-        choice = _ranges(model.choice_start[s], n_choices[s])
-        entries.append((above + node, variable, np.ones(len(node))))
-        above += len(s)
-        owner = np.repeat(np.arange(len(node)), lengths[choice])
-        row = _ranges(model.row_start[choice], lengths[choice])
-        p, target, column = model.probability[row], model.target[row], j[node[owner]]
-        reads = letter[target]
-        for i in range(n_tasks):
-            reward[i, variable] = np.bincount(owner, p * layer.holds[i][reads, column], len(node))
-        reward[n_tasks:, variable] = savings[:, s[node]]
-        if t + 1 < len(nodes):
-            place = np.full((model.n_states, len(automaton.layers[t + 1].states)), -1, dtype=np.int64)
-            place[nodes[t + 1]] = np.arange(len(nodes[t + 1][0]))
-            following = place[target, layer.delta[reads, column]]
-            kept = following >= 0
-            entries.append((above + following[kept], variable[owner[kept]], -p[kept]))
+    for t, (here, ahead) in enumerate(zip(steps, [*steps[1:], layers.nothing()], strict=False)):
+        variables, row = firsts[t], rows_before[t]
+        for lo, hi in layers.parts(here):
+            edges = layers.edges(here, ahead, t, lo, hi)
+            node = np.repeat(np.arange(len(edges)), np.diff(edges.choices))
+            variable = variables + np.arange(len(node))
+            entries.append((row + node, variable, np.ones(len(node))))
+            owner = np.repeat(np.arange(len(node)), np.diff(edges.start))
+            p, column = rows.probability[edges.entry], edges.q[node[owner]]
+            reads = letter[rows.target[edges.entry]]
+            for i in range(n_tasks):
+                holds = automaton.layers[t].holds[i]
+                reward[i, variable] = np.bincount(owner, p * holds[reads, column], len(node))
+            reward[n_tasks:, variable] = savings[:, edges.s[node]]
+            kept = edges.child >= OPEN
+            entries.append((rows_before[t + 1] + edges.child[kept] - OPEN, variable[owner[kept]], -p[kept]))
+            variables, row = variables + len(node), row + len(edges)
     none: tuple[NDArray[np.int64], NDArray[np.int64], Floats] = (np.empty(0, int), np.empty(0, int), np.empty(0))
-    rows, columns, data = (np.concatenate(parts) for parts in zip(none, *entries, strict=True))
+    row_of, columns, data = (np.concatenate(parts) for parts in zip(none, *entries, strict=True))
     inflow = np.zeros(n_rows)
-    if nodes:
-        inflow[: len(nodes[0][0])] = model.initial[nodes[0][0]]
-    constant = np.zeros(len(criteria))
     start = np.flatnonzero(model.initial)
+    if nodes:
+        place = np.searchsorted(start, nodes[0][0])
+        inflow[: len(place)] = model.initial[start[place]]
+    constant = np.zeros(len(criteria))
     constant[:n_tasks] = automaton.start.holds[:, letter[start], 0] @ model.initial[start]
-    flow = csr_array(coo_array((data, (rows, columns)), shape=(n_rows, n_variables)))
+    flow = csr_array(coo_array((data, (row_of, columns)), shape=(n_rows, n_variables)))
     return Programme(criteria, flow, inflow, csr_array(reward), constant, nodes, firsts)
+
+
+def _steps(stretch: Stretch) -> range:
+    return range(stretch.first, stretch.last + 1)
 
 
 def solve(lp: Programme, objective: int, bounds: Mapping[int, float], most_iterations: int | None = None) -> Solution:
@@ -169,52 +179,23 @@ def solve(lp: Programme, objective: int, bounds: Mapping[int, float], most_itera
     return Solution(np.maximum(np.array(x.value), 0), np.maximum(duals, 0) / scale)
 
 
-def policy_of(lp: Programme, x: Floats, otherwise: Choices) -> Weights:
-    """x normalised at every place it reaches; `otherwise` where it does not."""
-    n_choices = np.diff(lp.criteria.joint.model.choice_start)
-    policy = []
-    for t, chosen in enumerate(otherwise):
-        weights = np.zeros((*chosen.shape, int(n_choices.max())))
-        np.put_along_axis(weights, chosen[:, :, None].astype(np.int64), 1.0, axis=2)
-        s, j = lp.nodes[t]
+def policy_of(lp: Programme, x: Floats, otherwise: Choices) -> Mixtures:
+    """x normalised in every pair it reaches, by step and the automaton states of its layer; elsewhere `otherwise`."""
+    model = lp.criteria.joint.model
+    n_choices, n_states = np.diff(model.choice_start), lp.criteria.game.automaton.n_states
+    layers: list[Mixed] = []
+    for t in range(len(lp.nodes) - 1, -1, -1):
+        s, q = lp.nodes[t]
         node = np.repeat(np.arange(len(s)), n_choices[s])
-        measure = np.zeros((len(s), weights.shape[2]))
+        measure = np.zeros((len(s), model.most_choices))
         measure[node, _ranges(np.zeros_like(s), n_choices[s])] = x[lp.firsts[t] : lp.firsts[t + 1]]
         total = measure.sum(axis=1, keepdims=True)
         reached = total[:, 0] > 0
         measure = measure[reached] / total[reached]
         measure[measure < _NOISE] = 0
-        weights[s[reached], j[reached]] = measure / measure.sum(axis=1, keepdims=True)
-        policy.append(weights)
-    return policy
-
-
-def _reachable(criteria: Criteria) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """For each step t < h the places (s, column) that a run can be in; without costs, those with a verdict to come."""
-    from scipy.sparse import csr_array
-
-    joint = criteria.joint
-    model, letter, automaton = joint.model, joint.letter, joint.automaton
-    own = csr_array((np.ones(model.n_choices), np.arange(model.n_choices), model.choice_start))  # state → its choices
-    back = csr_array((own @ model.matrix()).T)
-    s = np.flatnonzero(model.initial)
-    j = automaton.start.delta[letter[s], 0].astype(np.int64)
-    nodes = []
-    for t in range(joint.horizon):
-        layer = automaton.layers[t]
-        if not criteria.costs:
-            open_ = ~layer.decided[j]
-            s, j = s[open_], j[open_]
-        nodes.append((s, j))
-        if t + 1 == joint.horizon:
-            break
-        here = np.zeros((model.n_states, len(layer.states)))
-        here[s, j] = 1.0
-        after, column = np.nonzero(back @ here)
-        there = np.zeros((model.n_states, len(automaton.layers[t + 1].states)), dtype=np.bool_)
-        there[after, layer.delta[letter[after], column]] = True
-        s, j = np.nonzero(there)
-    return nodes
+        measure /= measure.sum(axis=1, keepdims=True)
+        layers.append(mixed(None, t, (s * n_states + q)[reached], measure))
+    return Mixtures((model.n_states, n_states), layers[::-1], otherwise, model.most_choices)
 
 
 def _ranges(starts: NDArray[np.int64], lengths: NDArray[np.int64]) -> NDArray[np.int64]:

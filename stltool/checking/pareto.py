@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from stltool.arguments import function, real, require, whole
-from stltool.checking.backward import Progress
+from stltool.checking.induction import Progress
 from stltool.checking.weighted import Criteria, Figure, best, probability
 from stltool.display import Card, Displayed, counted, probability_text
 from stltool.errors import SettingsError, named

@@ -217,6 +217,9 @@ class _ToOne:
     def alike(self, t: int) -> tuple[int, int]:
         return self.form.alike(t)
 
+    def mixtures(self) -> NDArray[np.float64]:
+        return _divided(self.form.mixtures())
+
 
 def _divided(weights: NDArray[np.float64]) -> NDArray[np.float64]:
     divided: NDArray[np.float64] = weights / weights.sum(axis=-1, keepdims=True)

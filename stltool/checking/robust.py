@@ -44,7 +44,6 @@ from stltool.checking.bounds import compounded, defect, enclose
 from stltool.checking.check import CheckResult, undefined
 from stltool.checking.induction import EVERYTHING, Budget, Engine, Following, Game, Progress, Silent, layers_of, solve
 from stltool.checking.induction import Nature as NaturesChoice
-from stltool.choices import own_table
 from stltool.errors import SettingsError, named
 from stltool.models.rows import Rows
 from stltool.policy import Policy, require_door
@@ -113,9 +112,8 @@ def robust_check(
     value = math.fsum(product.model.initial[np.flatnonzero(product.model.initial)] * found.entry)
     weight_defect, mixed = Fraction(0), 0
     if judged is not None and not judged.deterministic:
-        weights = own_table(judged.form)
-        mixed = weights.shape[-1]
-        weight_defect = defect(np.unique(weights.reshape(-1, mixed), axis=0).tolist())
+        weights = judged.form.mixtures()
+        mixed, weight_defect = weights.shape[1], defect(weights.tolist())
     initial_defect = product.model.initial_defect
     a_sweep = (8 * longest + 2 * mixed) * _U + 2 * _defect(layers.kinds) + 2 * weight_defect
     growth = product.horizon * weight_defect + initial_defect  # what defects of weights make of earlier errors

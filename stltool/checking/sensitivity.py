@@ -21,21 +21,23 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import get_args
 
 import numpy as np
 
-from stltool.arguments import function, whole
+from stltool.arguments import function, one_of, whole
 from stltool.automata import TRUE
-from stltool.checking.backward import Floats, Progress
 from stltool.checking.check import or_optimal
-from stltool.checking.unfold import Unfolding
+from stltool.checking.induction import Doubles, Engine, Game, Progress
+from stltool.checking.unfold import Floats, Unfolding, flows
 from stltool.display import Card, Displayed, probability_text
 from stltool.policy import Policy
 from stltool.product import Product
-from stltool.sizes import require_memory
+from stltool.sizes import require_memory, require_time
 
 _SHOWN = 10  # states in a notebook
+_RATE, _STEP = 1e7, 500  # edges a second, and how many a step costs whatever it has, roughly
 
 
 @dataclass(frozen=True)
@@ -136,6 +138,7 @@ def sensitivity(
     product: Product,
     policy: Policy | None = None,
     *,
+    engine: Engine = "auto",
     memory_limit: int | None = None,
     progress: Progress | None = None,
 ) -> Sensitivity:
@@ -144,6 +147,7 @@ def sensitivity(
     Raises PolicyError where the policy says nothing about a place it reaches or belongs to another task, SizeError
     before taking memory that is not there.
     """
+    one_of(engine, "engine", get_args(Engine))
     function(progress, "sensitivity's progress")
     product, policy = or_optimal("sensitivity", product, policy, memory_limit).on(product)
     model = product.model
@@ -153,26 +157,28 @@ def sensitivity(
         "coarsen the grid",
         memory_limit,
     )
-    unfolding = Unfolding(product, policy, memory_limit, progress)
-    values = unfolding.probabilities(TRUE)
+    game = replace(Game.of(product), rows=model.rows, kept={})  # its edges have the model's numbers
+    unfolding = Unfolding(
+        product, policy, Doubles(True), TRUE, game=game,
+        live=False, engine=engine, limit=memory_limit, progress=progress,
+    )  # fmt: skip
+    pairs = unfolding.layers.size()[1]
+    require_time(
+        pairs * unfolding.layers.game.widest + _STEP * unfolding.steps, _RATE,
+        f"derivatives along {pairs} pairs, all steps together", "shorten the windows",
+    )  # fmt: skip
     gradient, visits, times = np.zeros(model.n_transitions), np.zeros(model.n_states), np.zeros(model.n_choices)
-    reach = unfolding.start
-    for t in range(len(unfolding.layers) - 1):
-        nodes = unfolding.undecided(t)
-        np.add.at(visits, unfolding.layers[t][nodes] // product.automaton.n_states, reach[nodes])
-        edges = unfolding.edges(t)
-        flow = reach[edges.source] * edges.weight
-        moved = flow * model.probability[edges.entry]
-        np.add.at(gradient, edges.entry, flow * values[t + 1][edges.child])
-        np.add.at(times, edges.choice, moved)
-        reach = np.zeros(len(unfolding.layers[t + 1]))
-        np.add.at(reach, edges.child, moved)
+    for t, edges, here, flow in flows(unfolding.layers, unfolding.stretches, unfolding.start):
+        np.add.at(visits, edges.s, here)
+        np.add.at(times, edges.choice, flow)
+        per_edge = np.repeat(flow, np.diff(edges.start))
+        np.add.at(gradient, edges.entry, per_edge * unfolding.values(t + 1)[edges.child])
     tilt, steepest = _per_choice(product, gradient)
     per_state = model.choice_start[:-1]
     return Sensitivity(
         product=product,
         policy=policy,
-        probability=math.fsum(unfolding.start * values[0]),
+        probability=math.fsum(unfolding.start * unfolding.entry),
         gradient=gradient,
         tilt=tilt,
         derivative=np.add.reduceat(tilt, per_state),

@@ -31,8 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.arguments import described, function, one_of, real, require, whole
-from stltool.checking.backward import Progress
 from stltool.checking.check import or_optimal
+from stltool.checking.induction import Progress
 from stltool.checking.rollouts import Rollouts, Verdicts
 from stltool.display import Card, Displayed
 from stltool.errors import SettingsError, named

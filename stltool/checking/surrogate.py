@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
@@ -37,10 +37,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.arguments import function, one_of, real
-from stltool.automata import TRUE, UNDECIDED
-from stltool.checking.backward import Floats, Progress, sweeper
-from stltool.checking.bounds import model_defects
-from stltool.checking.check import CheckResult, check
+from stltool.automata import FALSE, TRUE, UNDECIDED
+from stltool.checking.bounds import row_defect
+from stltool.checking.check import CheckResult, Floats, check
+from stltool.checking.induction import (
+    Among,
+    Budget,
+    Doubles,
+    Edges,
+    Engine,
+    Game,
+    Probabilities,
+    Progress,
+    Single,
+    Values,
+    layers_of,
+    solve,
+)
+from stltool.checking.induction.arithmetic import select
+from stltool.choices import Form, Mixed, Mixtures, Table, Through, mixed
 from stltool.display import Card, Displayed
 from stltool.errors import SettingsError, named
 from stltool.logic.fragment import check_fragment
@@ -50,8 +65,9 @@ from stltool.sizes import require_memory, require_time
 
 Reading = Literal["discounted", "episode"]
 READINGS: tuple[Reading, ...] = ("discounted", "episode")
+Indices: TypeAlias = NDArray[np.int64]
 Left: TypeAlias = NDArray[np.bool_]
-"""(1 or h, choices, Q): whether a choice of the model may be in an optimal policy at (t, s, q)."""
+"""(choices, Q): whether a choice of the model may be in an optimal policy at (s, q)."""
 
 _RATE = 2e8  # multiply-adds a second, roughly
 _EPSILON = 2.0**-52
@@ -135,27 +151,31 @@ def surrogate_optimum(
     check_fragment(product.formula)
     home = replace(with_flags(product), task_name=product.task_name)
     product.model.require_points()
-    layers = 1 if reading == "discounted" else home.horizon
-    cells = layers * home.model.n_choices * home.automaton.n_states
-    require_memory(
-        2 * cells
-        + 8 * layers * home.n_states * home.model.most_choices
-        + 2 * np.dtype(home.model.choice_type).itemsize * home.horizon * home.n_states,
-        f"the surrogate's optimal choices over {home.n_states} product states",
-        "shorten the windows",
-        memory_limit,
-    )
+    model = home.model
     if reading == "discounted":
+        require_memory(
+            8 * home.automaton.n_states * (4 * model.n_choices + model.n_states * model.most_choices),
+            f"value iteration on {home.n_states} product states",
+            "shorten the windows",
+            memory_limit,
+        )
         left, reached, sweeps = _discounted(home, gamma, tolerance, progress)
+        form: Form = _uniform(home, left)
     else:
-        left, reached, sweeps = _episode(home, progress)
-    policy = _uniform(home, left, reading == "discounted")
+        budget = Budget(f"the surrogate's optimal choices on {home.n_states} product states", memory_limit, progress)
+        form, reached = _episode(home, budget)
+        sweeps = home.horizon
+    policy = Policy(home, form)
     judge = home
     if not home.automaton.exact:
         judge = product if product.automaton.exact else build_product(product.model, product.formula)
     both, memory = (home, np.arange(home.automaton.n_states)) if judge is home else joined(judge, home)
-    at_random = check(judge, policy)
-    least, greatest = (check(both, _extreme(both, left[:, :, memory], maximize)) for maximize in (False, True))
+    at_random = check(judge, policy, memory_limit=memory_limit)
+    allowed = form if both is home else Through(form, memory)
+    least, greatest = (
+        check(both, _extreme(both, allowed, maximize, memory_limit), memory_limit=memory_limit)
+        for maximize in (False, True)
+    )
     status = "complete"
     if reading == "discounted" and reached > tolerance:
         status = f"rounding: choices that lose up to {reached:.2g} are not told apart from optimal ones"
@@ -167,7 +187,7 @@ def surrogate_optimum(
         at_random=at_random,
         least=least,
         greatest=greatest,
-        optimum=check(judge, keep_policy=False),
+        optimum=check(judge, keep_policy=False, memory_limit=memory_limit),
         tolerance=reached,
         sweeps=sweeps,
         seconds=time.perf_counter() - start,
@@ -181,14 +201,13 @@ def _discounted(home: Product, gamma: float, tolerance: float, progress: Progres
     most = 1 + max(1, math.ceil(math.log(asked) / math.log(gamma)))  # Δ₁ spans at most 1
     work = most * home.model.n_transitions * home.automaton.n_states
     require_time(work, _RATE, f"value iteration of {most} sweeps", "take a smaller gamma, or shorten the windows")
-    chi, unit, swept = _chi(home), _unit(home), sweeper(home, "numba")
-    values, out, W = (np.zeros(home.shape) for _ in range(3))
-    best = np.empty(home.shape, dtype=home.model.choice_type)
-    sweeps, threshold = 0, math.inf
+    chi, unit, matrix, start = _chi(home), _unit(home), home.model.matrix(), home.model.choice_start[:-1]
+    state, after = np.arange(home.model.n_states)[:, None], home.automaton.delta[home.letter]
+    values = np.zeros(home.shape)
     for sweeps in range(1, most + 1):
-        reward_to_go = gamma * values + chi
-        swept.gather(reward_to_go, W)
-        swept.optimum(W, True, out, best)
+        W = (gamma * values + chi)[state, after]
+        options = matrix @ W
+        out = np.maximum.reduceat(options, start, axis=0)
         change = out - values
         span, error = float(change.max() - change.min()), unit * float(np.abs(W).max())
         threshold = gamma / (1 - gamma) * (span + 2 * error) + 2 * error
@@ -197,27 +216,73 @@ def _discounted(home: Product, gamma: float, tolerance: float, progress: Progres
         if span <= max(asked, 4 * error):
             break
         values = out - (out.max() + out.min()) / 2
-    return _left(home, W, out, threshold)[None], threshold, sweeps
+    left: Left = np.repeat(out, np.diff(home.model.choice_start), axis=0) - options <= threshold
+    return left, threshold, sweeps
 
 
-def _episode(home: Product, progress: Progress | None) -> tuple[Left, float, int]:
-    """The same of backward induction, layer by layer; χ counts from the first full window on."""
-    h, fragment = home.horizon, check_fragment(home.formula)
-    chi, unit, swept = _chi(home), _unit(home), sweeper(home, "numba")
-    first = max(part.tau for part in fragment.parts) - 1
-    values, W = np.zeros(home.shape), np.empty(home.shape)
-    best = np.empty(home.shape, dtype=home.model.choice_type)
-    left = np.empty((h, home.model.n_choices, home.automaton.n_states), dtype=np.bool_)
-    error = 0.0
-    for t in range(h - 1, -1, -1):
-        swept.gather(values + chi if t + 1 >= first else values, W)
-        values = np.empty(home.shape)
-        swept.optimum(W, True, values, best)
-        error += unit * float(W.max())
-        left[t] = _left(home, W, values, 2 * error)
-        if progress is not None:
-            progress(h - t, h)
-    return left, 2 * error, h
+class _Starts(Single):
+    """The flags' automaton, where nothing is decided before the horizon, and then whether χ holds."""
+
+    def __init__(self, home: Product) -> None:
+        super().__init__(home.automaton)
+        self._nothing = np.full(self.n_states, UNDECIDED, dtype=np.int8)
+
+    def verdicts(self, t: int) -> NDArray[np.int8]:
+        return self._automaton.verdicts(t) if t == self.horizon else self._nothing
+
+    def alike(self, t: int) -> tuple[int, int]:
+        return (t, t) if t == self.horizon else (0, self.horizon - 1)
+
+
+class _Counted(Probabilities):
+    """The expected number of steps with χ from step `first` on, this step's included; `layers` are what is left."""
+
+    repeats = False
+
+    def __init__(self, home: Product, first: int, within: Callable[[Indices, Indices], Indices]) -> None:
+        super().__init__(True)
+        self._first, self._chi, self._unit, self._most = first, _chi(home), _unit(home), home.model.most_choices
+        self._within = within
+        self._at, self._parts, self.error = -1, list[tuple[Indices, Floats]](), 0.0
+        self.layers: list[Mixed] = []
+        self._n_states = home.automaton.n_states
+
+    def back(self, t: int, edges: Edges, ahead: Values, maximize: bool, keep: bool) -> tuple[Values, None]:
+        if t != self._at:
+            self._at, self._parts = t, []
+            self.error += self._unit * float(ahead.max())
+        sums = self.sums(t, edges, ahead)
+        values, _ = select(sums, edges, True, False)
+        count = np.diff(edges.choices)
+        owner = np.repeat(np.arange(len(edges)), count)
+        left = values[owner] - sums <= 2 * self.error
+        weights = np.zeros((len(edges), self._most))
+        weights[owner, self._within(edges.s[owner], edges.choice)] = left
+        weights /= weights.sum(axis=1, keepdims=True)
+        self._parts.append((edges.s * self._n_states + edges.q, weights))
+        return (values + self._chi[edges.q] if t >= self._first else values), None
+
+    def layer(self, t: int, values: Sequence[Values]) -> Values:
+        if self._parts:
+            codes, weights = (np.concatenate(parts) for parts in zip(*self._parts, strict=True))
+            found = mixed(self.layers[-1] if self.layers else None, t, codes, weights)
+            if found.last > t:
+                self.layers[-1] = found
+            else:
+                self.layers.append(found)
+        return super().layer(t, values)
+
+
+def _episode(home: Product, budget: Budget, engine: Engine = "auto") -> tuple[Form, float]:
+    """(uniform over the choices left, the tolerance); χ counts from the first full window on."""
+    game = replace(Game.of(home), automaton=_Starts(home), kept={})
+    layers = layers_of(game, TRUE, engine=engine, live=False, sure=False, budget=budget)
+    first = max(part.tau for part in check_fragment(home.formula).parts) - 1
+    counted = _Counted(home, first, layers.within)
+    solve(layers, counted, True)
+    everything = np.ones((home.model.n_choices, 1), dtype=np.bool_)
+    elsewhere = Through(_uniform(home, everything), np.zeros(home.automaton.n_states, dtype=np.int64))
+    return Mixtures(home.shape, counted.layers[::-1], elsewhere, home.model.most_choices), 2 * counted.error
 
 
 def _chi(home: Product) -> Floats:
@@ -227,47 +292,30 @@ def _chi(home: Product) -> Floats:
 
 
 def _unit(home: Product) -> float:
-    """How far a computed sweep of W may be from the exact one, the defects of rows included, as a share of max |W|."""
-    longest = int(np.diff(home.model.row_start).max())
-    return (longest + 4) * _EPSILON + float(model_defects(home.model)[0])
+    """How far a computed step may be from the exact one, the defects of rows included, as a share of the largest
+    value."""
+    kinds = home.model.kinds if home.model.kinds is not None else home.model.rows
+    return (kinds.longest + 5) * _EPSILON + float(row_defect(kinds))
 
 
-def _left(home: Product, W: Floats, best: Floats, threshold: float) -> Left:
-    """(choices, Q): the choices whose value is within the threshold of the best one's."""
-    owner = np.repeat(np.arange(home.model.n_states), np.diff(home.model.choice_start))
-    left: Left = best[owner] - home.model.matrix() @ W <= threshold
-    return left
-
-
-def _uniform(home: Product, left: Left, stationary: bool) -> Policy:
-    """The policy that is uniform over the choices left."""
+def _uniform(home: Product, left: Left) -> Table:
+    """Uniform over the choices left, (choices, Q)."""
     model = home.model
     owner = np.repeat(np.arange(model.n_states), np.diff(model.choice_start))
-    number = np.arange(model.n_choices) - model.choice_start[owner]
-    weights = np.zeros((len(left), *home.shape, home.model.most_choices))
-    for c, (s, i) in enumerate(zip(owner.tolist(), number.tolist(), strict=True)):
-        weights[:, s, :, i] = left[:, c]
+    weights = np.zeros((model.n_states, left.shape[1], model.most_choices))
+    weights[owner, :, np.arange(model.n_choices) - model.choice_start[owner]] = left
     weights /= weights.sum(axis=-1, keepdims=True)
-    return Policy(home, weights[0] if stationary else weights)
+    return Table(weights)
 
 
-def _extreme(judge: Product, left: Left, maximize: bool) -> Policy:
-    """The policy of (t, s, q) with the greatest (least) P among those that take only choices left."""
-    model, automaton = judge.model, judge.automaton
-    matrix, start = model.matrix(), model.choice_start[:-1]
-    owner = np.repeat(np.arange(model.n_states), np.diff(model.choice_start))
-    number = np.arange(model.n_choices) - model.choice_start[owner]
-    state, after = np.arange(model.n_states)[:, None], automaton.delta[judge.letter]
-    optimum: Callable[..., Floats] = np.maximum.reduceat if maximize else np.minimum.reduceat
-    table = np.zeros((judge.horizon, *judge.shape), dtype=model.choice_type)
-    values = np.zeros(judge.shape)
-    values[:, automaton.verdicts(judge.horizon) == TRUE] = 1.0
-    for t in range(judge.horizon - 1, -1, -1):
-        options = matrix @ values[state, after]
-        options[~left[min(t, len(left) - 1)]] = -1.0 if maximize else 2.0
-        values = optimum(options, start, axis=0)
-        attained = np.where(options == values[owner], number[:, None], model.n_choices)
-        table[t] = np.minimum.reduceat(attained, start, axis=0)
-        verdicts = automaton.verdicts(t)
-        values[:, verdicts != UNDECIDED] = verdicts[verdicts != UNDECIDED]
-    return Policy(judge, table)
+def _extreme(
+    judge: Product, form: Form, maximize: bool, memory_limit: int | None = None, engine: Engine = "auto"
+) -> Policy:
+    """The policy of (t, s, q) with the greatest (least) P among those that take only choices that `form` may take."""
+    budget = Budget(f"the choices left on {judge.n_states} product states", memory_limit)
+    keep, goal = judge.model.unsigned_choice_type, TRUE if maximize else FALSE
+    # where no choice changes anything, one must still be among those left: so it is listed
+    layers = layers_of(Game.of(judge), goal, Among(form), engine=engine, live=False, keep=keep, budget=budget)
+    choices = solve(layers, Doubles(maximize), maximize, keep).choices
+    assert choices is not None
+    return Policy(judge, choices)

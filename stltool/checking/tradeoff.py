@@ -22,9 +22,10 @@ from fractions import Fraction
 import numpy as np
 
 from stltool.arguments import flag, function, mapping, real, require, whole
-from stltool.checking.backward import Progress
+from stltool.checking.induction import Progress
 from stltool.checking.occupation import MOST_VARIABLES, Programme, Solution, policy_of, programme, solve
-from stltool.checking.weighted import Choices, Criteria, Figure, Weights, best, cost, of_policy, probability
+from stltool.checking.weighted import Criteria, Figure, best, cost, of_policy, probability
+from stltool.choices import ByLayer, Choices
 from stltool.display import Card, Displayed, counted, probability_text
 from stltool.errors import InfeasibleError, SettingsError, SolverError, named
 from stltool.numbers import number_text, round_up
@@ -125,10 +126,9 @@ def tradeoff(
     for name, bound in budget.items():
         if bound < 0:
             raise SettingsError(f"E[{name}] <= {_text(bound)}: a budget is a finite number, at least 0")
-    if keep_policy:
-        most_choices = int(np.diff(joint.model.choice_start).max())
+    if keep_policy:  # files hold it as a table
         require_memory(
-            4 * 8 * math.prod(joint.shape) * most_choices,
+            4 * 8 * math.prod(joint.shape) * joint.model.most_choices,
             f"a policy over {joint.shape[0]} model states × {joint.shape[1]} joint automaton states",
             named("keep_policy", "use keep_policy=False, or ") + "shorten the windows",
         )
@@ -143,8 +143,8 @@ def tradeoff(
         solution = asked.solve(lp, goal, room, margin)
         multipliers = dict(zip(room, solution.multipliers.tolist(), strict=True))
         upper, otherwise = asked.certificate(goal, multipliers)
-        weights = policy_of(lp, solution.x, otherwise)
-        probabilities, costs = asked.told(of_policy(criteria, weights))
+        form = policy_of(lp, solution.x, otherwise)
+        probabilities, costs = asked.told(of_policy(criteria, form))
         status = asked.status(probabilities, costs)
         if status == "complete" or not any(room.values()):
             break
@@ -157,10 +157,8 @@ def tradeoff(
         costs=costs,
         bound=min(1.0, round_up(upper)),
         multipliers=dict(zip((*at_least, *budget), multipliers.values(), strict=True)),
-        policy=_as_policy(joint, weights) if keep_policy else None,
-        randomised=sum(
-            int(((layer[place] > 0).sum(axis=1) > 1).sum()) for layer, place in zip(weights, lp.nodes, strict=True)
-        ),
+        policy=Policy(joint, ByLayer(form, joint.automaton.offsets, joint.shape)) if keep_policy else None,
+        randomised=sum(int(((layer.rows > 0).sum(axis=1) > 1)[layer.which].sum()) for layer in form.layers),
         size=lp.size,
         status=status,
         seconds=time.perf_counter() - started,
@@ -198,7 +196,7 @@ class _Asked:
         """The highest that each constrained criterion can be; InfeasibleError where that is below its floor."""
         highest = {}
         for i, floor in self.floors.items():
-            top = best(self.criteria, np.eye(len(self.criteria))[i], progress)[0]
+            top = best(self.criteria, np.eye(len(self.criteria))[i])[0]
             if Fraction(top.upper) < floor:
                 raise InfeasibleError(f"{self.text(i)} cannot be met: {self.possible(i, Fraction(top.upper), 'its')}")
             highest[i] = Fraction(top.upper)
@@ -290,13 +288,3 @@ class _Asked:
 
 def _text(bound: float | Fraction) -> str:
     return number_text(bound) if isinstance(bound, Fraction) else repr(bound)
-
-
-def _as_policy(joint: JointProduct, weights: Weights) -> Policy:
-    """The policy over the joint automaton's states; before s₀ and after the horizon, where none is asked, the first."""
-    offsets = joint.automaton.offsets
-    table = np.zeros((*joint.shape, int(np.diff(joint.model.choice_start).max())))
-    table[:, [0, *range(offsets[-2], offsets[-1])], 0] = 1.0
-    for first, layer in zip(offsets, weights, strict=False):
-        table[:, first : first + layer.shape[1]] = layer
-    return Policy(joint, table)

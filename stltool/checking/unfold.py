@@ -1,151 +1,156 @@
-"""The part of the layered product (t, s, q) that a policy reaches: an acyclic graph, told layer by layer.
+"""What a policy reaches, unfolded over the steps, with the values of an arithmetic at every step.
 
     layer 0      {(s, δ(L(s), q₀)) : ι(s) > 0}
     layer t + 1  {(s', δ(L(s'), q)) : (s,q) undecided in layer t, π_t(c|s,q) > 0, p(s'|c) > 0}
 
-A node whose verdict has fallen has no edges. Layers are kept, 8 bytes a node; edges are made again whenever a pass asks
-for them, since making them costs a few gathers and keeping them about fifty bytes each.
+A pair whose verdict is decided has no edges. The layers are those of one induction (checking/induction), so steps that
+repeat share them and their values; edges are made again when a pass asks for them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata import UNDECIDED
-from stltool.checking.backward import Floats, Progress
 from stltool.checking.check import undefined
+from stltool.checking.induction import (
+    OPEN,
+    Arithmetic,
+    Budget,
+    Edges,
+    Engine,
+    Following,
+    Game,
+    Layers,
+    Progress,
+    Silent,
+    Stretch,
+    Values,
+    Way,
+    layers_of,
+)
+from stltool.choices import Form
 from stltool.policy import Policy
 from stltool.product import Product
-from stltool.sizes import memory_limit, require_memory, require_time
 
-Indices = NDArray[np.int64]
-
-_RATE = 1e7  # edges a second, roughly
-_EDGE_BYTES, _LAYER_BYTES = 100, 500  # while a layer's edges are made; of an empty layer
-
-
-@dataclass(frozen=True, eq=False)
-class Edges:
-    """Edges from one layer to the next, ordered by their source; n edges, of m sources.
-
-    start    (m,) where each source's edges begin
-    source   (n,) position in the layer            child  (n,) position in the next one
-    choice   (n,) the model's choice               entry  (n,) index into the model's target and probability
-    weight   (n,) the policy's probability of the choice: 1 where it is deterministic
-    """
-
-    start: Indices
-    source: Indices
-    child: Indices
-    choice: Indices
-    entry: Indices
-    weight: Floats
+Floats = NDArray[np.float64]
 
 
 class Unfolding:
-    """The layers that `policy` reaches on `product`; the last one has only decided nodes.
+    """The pairs that `policy` reaches on `product`, undecided; with `live` those from which `goal` is possible.
 
-    start    probabilities of layer 0's nodes
-    layers   one array a step: indices s·|Q| + q of product states, ascending
-    bytes    what the layers take, at 24 bytes a node: the index and two numbers that passes keep
+    product, start   (k,) the probability of each of the model's first states
+    steps   how many steps have such pairs
+    game    the product's, by default
+    kept    what is kept of an arithmetic's values by slots (n + 2, …): all of them by default
 
-    Raises PolicyError, naming the places, where the policy says nothing about a node it reaches; SizeError before
+    Raises PolicyError, naming the pairs, where the policy defines no action in one that it reaches; SizeError before
     taking memory over the limit (default: four fifths of what is free).
     """
 
     def __init__(
-        self, product: Product, policy: Policy, limit: int | None = None, progress: Progress | None = None
+        self,
+        product: Product,
+        policy: Policy,
+        arithmetic: Arithmetic,
+        goal: int,
+        *,
+        live: bool,
+        game: Game | None = None,
+        kept: Callable[[Values], Any] | None = None,
+        engine: Engine = "auto",
+        limit: int | None = None,
+        progress: Progress | None = None,
     ) -> None:
         product.model.require_points()
-        require_time(
-            product.horizon * product.model.n_transitions * product.automaton.n_states,
-            _RATE,
-            f"unfolding {product.n_states} product states over {product.horizon} steps",
-            "shorten the windows",
-        )
-        self.product, self.policy = product, policy
-        self._limit = memory_limit(limit)
-        model, automaton = product.model, product.automaton
-        first = np.flatnonzero(model.initial)
-        self.start = model.initial[first]
-        self.layers = [first * automaton.n_states + automaton.delta[product.letter[first], automaton.initial]]
-        self.bytes = 0
-        for t in range(product.horizon):
-            self.bytes += 24 * len(self.layers[-1]) + _LAYER_BYTES
-            nodes = self.undecided(t)
-            if policy.deterministic and (policy.row(t)[self._split(t, nodes)] < 0).any():
-                raise undefined(product, policy)
-            reached = np.zeros(product.n_states, dtype=np.bool_)
-            reached[self._expand(t, nodes)[-1]] = True
-            self.layers.append(np.flatnonzero(reached))
-            if progress is not None:
-                progress(t + 1, product.horizon)
-            if not len(self.undecided(t + 1)):
-                break
+        self.product = product
+        game = game or Game.of(product)
+        keep = kept or (lambda values: values)
+        budget = Budget(f"unfolding {product.n_states} product states", limit, progress)
+        self.start: Floats = product.model.initial[game.first]
+        try:
+            self.layers = layers_of(
+                game, goal, Following(policy.form), engine=engine, live=live, sure=False, budget=budget
+            )
+            way = Way(self.layers, arithmetic, True)
+            at = way.end()
+            self._found: list[tuple[int, Any, Any]] = []  # (first step, layer, what is kept of its values)
+            self._nothing = (0, at.ahead, keep(way.by_slot(at)))
+            for step in way.back(at):
+                at = step.at
+                self._keep(step.first, at.ahead, keep(way.by_slot(at)))
+            self.entry = way.by_slot(at)[self.layers.first_slots(at.ahead)]
+        except Silent:
+            raise undefined(product, policy) from None
+        self.steps = self.layers.reached.last + 1
+        self._found.reverse()
+        self._first = [first for first, _, _ in self._found]
 
-    def verdicts(self, t: int) -> NDArray[np.int8]:
-        """The verdict of every node of layer t."""
-        found: NDArray[np.int8] = self.product.automaton.verdicts(t)[self.layers[t] % self.product.automaton.n_states]
-        return found
+    def layer(self, t: int) -> Any:
+        """The layer of step t."""
+        return self._at(t)[1]
 
-    def undecided(self, t: int) -> Indices:
-        """Positions in layer t of the nodes that have edges."""
-        return np.flatnonzero(self.verdicts(t) == UNDECIDED)
+    def values(self, t: int) -> Any:
+        """What is kept of the values of step t."""
+        return self._at(t)[2]
 
-    def probabilities(self, verdict: int) -> list[Floats]:
-        """The probability of that verdict from every node, layer by layer: backward induction on what is reached."""
-        probability = self.product.model.probability
-        values: list[Floats] = []
-        for t in range(len(self.layers) - 1, -1, -1):
-            here = (self.verdicts(t) == verdict).astype(np.float64)
-            nodes = self.undecided(t)
-            if len(nodes):
-                edges = self.edges(t)
-                share = edges.weight * probability[edges.entry] * values[-1][edges.child]
-                here[nodes] = np.add.reduceat(share, edges.start)
-            values.append(here)
-        return values[::-1]
+    @property
+    def stretches(self) -> list[Stretch]:
+        """All layers, from step 0 on."""
+        ends = [*self._first[1:], self.steps]
+        return [Stretch(first, end - 1, layer) for (first, layer, _), end in zip(self._found, ends, strict=False)]
 
-    def edges(self, t: int, nodes: Indices | None = None) -> Edges:
-        """The edges from layer t to layer t + 1: of the nodes at these positions, undecided all, or of every one."""
-        if nodes is None:
-            nodes = self.undecided(t)
-        pick, choice, entry, weight, index = self._expand(t, nodes)
-        child = np.searchsorted(self.layers[t + 1], index)
-        start = np.searchsorted(pick, np.arange(len(nodes)))
-        return Edges(start, nodes[pick], child, choice, entry, weight)
+    def _keep(self, first: int, layer: Any, values: Any) -> None:
+        """Takes room for them, as far as the budget allows."""
+        new = not self._found or self._found[-1][1] is not layer
+        n_bytes = sum(x.nbytes for x in (values if isinstance(values, tuple) else (values,)))
+        n_bytes += (self.layers.n_bytes(layer) if new else 0) + _STEP_BYTES
+        self.layers.budget.take(n_bytes, first, self.layers.game.horizon)
+        self._found.append((first, layer, values))
 
-    def _split(self, t: int, nodes: Indices) -> tuple[Indices, Indices]:
-        s, q = np.divmod(self.layers[t][nodes], self.product.automaton.n_states)
-        return s, q
+    def _at(self, t: int) -> tuple[int, Any, Any]:
+        return self._found[bisect_right(self._first, t) - 1] if t < self.steps else self._nothing
 
-    def _expand(self, t: int, nodes: Indices) -> tuple[Indices, Indices, Indices, Floats, Indices]:
-        """For every edge: which of `nodes` it leaves, choice, entry, weight, and the product state it leads to."""
-        model, automaton = self.product.model, self.product.automaton
-        s, q = self._split(t, nodes)
-        table = self.policy.row(t)[s, q]
-        if self.policy.deterministic:
-            pick, i = np.arange(len(nodes)), table.astype(np.int64)
-            weight = np.ones(len(nodes))
-        else:
-            pick, i = np.nonzero(table)
-            weight = table[pick, i]
-        choice = model.choice_start[s[pick]] + i
-        length = model.row_start[choice + 1] - model.row_start[choice]
-        n_edges = int(length.sum())
-        require_memory(
-            self.bytes + _EDGE_BYTES * n_edges + self.product.n_states,
-            f"unfolding {sum(map(len, self.layers))} nodes of {t + 1} steps, {n_edges} edges in the last",
-            "shorten the windows, or coarsen the grid or the time step",
-            self._limit,
-        )
-        which = np.repeat(np.arange(len(choice)), length)
-        entry = np.arange(n_edges) + (model.row_start[choice] - np.cumsum(length) + length)[which]
-        target = model.target[entry]
-        index = (
-            target.astype(np.int64) * automaton.n_states + automaton.delta[self.product.letter[target], q[pick[which]]]
-        )
-        return pick[which], choice[which], entry, weight[which], index
+
+_STEP_BYTES = 500  # of a step whose layer is empty
+
+
+def flows(
+    layers: Layers[Any, Any], stretches: Sequence[Stretch], start: Floats, form: Form | None = None
+) -> Iterator[tuple[int, Edges, Floats, Floats]]:
+    """(t, edges, the probability of each pair (n,), of each choice (m,)) step by step, as edges come in parts.
+
+    stretches  of the layers, from step 0 on; start (k,) the probability of each of the game's first states
+    form       what is done where the layers are of several choices: deterministic
+    """
+    reach: Floats = np.empty(0)
+    made: tuple[Any, Any] = (None, None)  # the layers whose edges are kept
+    kept: list[Edges] = []
+    for i, (first, last, here) in enumerate(stretches):
+        following = stretches[i + 1].layer if i + 1 < len(stretches) else layers.nothing()
+        if not i:
+            reach = np.zeros(OPEN + layers.n_open(here))
+            np.add.at(reach, layers.first_slots(here), start)
+        for t in range(first, last + 1):
+            ahead = here if t < last else following
+            if made[0] is not here or made[1] is not ahead:
+                made, kept = (here, ahead), [layers.edges(here, ahead, t, lo, hi) for lo, hi in layers.parts(here)]
+            after, at = np.zeros(OPEN + layers.n_open(ahead)), OPEN
+            for edges in kept:
+                share = reach[at : at + len(edges)]
+                flow = np.repeat(share, np.diff(edges.choices))
+                if form is not None:
+                    taken = np.zeros(len(edges.choice), dtype=np.bool_)
+                    taken[edges.choices[:-1] + form.at(t, edges.s, edges.q)] = True
+                    flow = np.where(taken, flow, 0.0)
+                elif edges.weight is not None:
+                    flow = flow * edges.weight
+                yield t, edges, share, flow
+                moved = np.repeat(flow, np.diff(edges.start)) * layers.rows.probability[edges.entry]
+                np.add.at(after, edges.child, moved)
+                at += len(edges)
+            reach = after

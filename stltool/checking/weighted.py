@@ -17,29 +17,39 @@ sum to come. Source: the weighted reward of [Etessami08], over a finite horizon.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.checking.backward import Floats, Progress
-from stltool.checking.bounds import around, can_underflow, compounded, defect, model_defects, roundings
+from stltool.automata import TRUE
+from stltool.checking.bounds import around, can_underflow, compounded, defect, roundings, row_defect
+from stltool.checking.check import Floats
+from stltool.checking.induction import (
+    EVERYTHING,
+    Allowed,
+    Arithmetic,
+    Budget,
+    Edges,
+    Engine,
+    Following,
+    Game,
+    Layers,
+    Values,
+    layers_of,
+    solve,
+)
+from stltool.choices import Choices, Form
 from stltool.errors import NameLookupError, SettingsError, near_misses
 from stltool.models import MDP
-from stltool.models.rows import least_positive
+from stltool.models.rows import Rows, least_positive
 from stltool.numbers import round_down, round_up
 from stltool.product import JointProduct
-from stltool.sizes import Numbers, require_memory, require_time
-
-Choices: TypeAlias = list[Numbers]
-"""(S, n_t) for each step t < h: the choice's number within its state."""
-
-Weights: TypeAlias = list[Floats]
-"""(S, n_t, C) for each step t < h: the probability of each choice."""
+from stltool.sizes import require_memory, require_time
 
 _LARGEST_COST = 1e100  # over the horizon
 _RATE = 5e8  # multiply-adds a second, roughly, on one core
@@ -64,6 +74,7 @@ class Criteria:
 
     joint: JointProduct
     costs: tuple[str, ...] = ()
+    engine: Engine = "auto"
 
     def __post_init__(self) -> None:
         self.joint.model.require_points()
@@ -71,28 +82,31 @@ class Criteria:
             most = float(cost_values(self.joint.model, name).max())
             if most * self.joint.horizon > _LARGEST_COST:
                 raise SettingsError(f"cost {name} is up to {most:g} a step; scale the signal to numbers below 1e9")
-        S, horizon = self.joint.model.n_states, self.joint.horizon
-        itemsize = np.dtype(self.joint.model.choice_type).itemsize
-        widest = max(len(layer.states) for layer in self.joint.automaton.layers)
-        require_memory(
-            8 * 3 * len(self) * S * widest + itemsize * S * self.joint.automaton.n_states,
-            f"sweeping {S} model states × up to {widest} joint automaton states",
-            "shorten the windows",
+
+    @cached_property
+    def game(self) -> Game:
+        """Without costs runs end where every verdict has fallen; its automaton states are numbered by layer."""
+        return Game.of_joint(self.joint, paying=bool(self.costs))
+
+    @cached_property
+    def layers(self) -> Layers[Any, Any]:
+        """The undecided pairs of all runs. SizeError before they, or sums over them, take what is not there."""
+        return self.layers_along(EVERYTHING, self.joint.model.unsigned_choice_type)
+
+    def layers_along(self, allowed: Allowed, keep: type[np.unsignedinteger] | None) -> Layers[Any, Any]:
+        """The same along certain choices."""
+        budget = Budget(f"the criteria of {len(self.joint.tasks)} tasks")
+        layers = layers_of(
+            self.game, TRUE, allowed, engine=self.engine, live=False, sure=False, keep=keep, budget=budget
         )
-        require_time(
-            len(self) * self.joint.model.n_transitions * self.joint.automaton.n_states,
-            _RATE,
-            f"sweeping {horizon} layers of up to {widest} joint automaton states",
-            "shorten the windows",
-        )
+        widest, pairs = layers.size()
+        what, remedy = f"weighted sums over {pairs} pairs, all steps together", "shorten the windows"
+        require_memory(32 * (len(self) + 1) * widest, what, remedy)
+        require_time((len(self) + 1) * pairs * self.game.widest, _RATE, what, remedy)
+        return layers
 
     def __len__(self) -> int:
         return len(self.joint.tasks) + len(self.costs)
-
-    @cached_property
-    def defects(self) -> tuple[Fraction, Fraction]:
-        """Of a row, and of the initial distribution."""
-        return model_defects(self.joint.model)
 
     @property
     def most_saved(self) -> list[Fraction]:
@@ -124,77 +138,88 @@ def cost_values(model: MDP, name: str) -> Floats:
     return values
 
 
-def best(
-    criteria: Criteria, weights: Sequence[float], progress: Progress | None = None
-) -> tuple[Figure, list[Figure], Choices]:
-    """max over all policies of Σ w_i·criterion_i, the criteria of a policy that attains it, and its choices."""
-    joint, n = criteria.joint, len(criteria)
-    rows, S = _rows(joint.model), joint.model.n_states
-    from stltool.kernels import sweep as kernels
+def best(criteria: Criteria, weights: Sequence[float]) -> tuple[Figure, list[Figure], Choices]:
+    """max over all policies of Σ w_i·criterion_i, the criteria of a policy that attains it, and its choices.
 
-    chosen: Choices = []
-
-    def sweep(t: int, W: Floats, out: Floats) -> None:
-        choice = np.zeros(W.shape[1:], dtype=joint.model.choice_type)
-        kernels.optimum(*rows, W[0], True, 0, S, out[0], choice)
-        for i in range(1, n + 1):
-            kernels.policy(*rows, W[i], choice, 0, S, out[i])
-        chosen.append(choice)
-
-    given = np.vstack([np.asarray(weights, dtype=np.float64), np.eye(n)])
-    values = _induct(criteria, given, sweep, progress)
+    Choices are by step and by the automaton states of its layer.
+    """
+    given = np.vstack([np.asarray(weights, dtype=np.float64), np.eye(len(criteria))])
+    values, chosen = _values(criteria, given, criteria.layers, criteria.joint.model.unsigned_choice_type)
+    assert chosen is not None
     figures = [_figure(criteria, row, value) for row, value in zip(given, values, strict=True)]
-    return figures[0], figures[1:], chosen[::-1]
+    return figures[0], figures[1:], chosen
 
 
-def of_policy(criteria: Criteria, policy: Weights) -> list[Figure]:
-    """All criteria of a policy."""
-    joint = criteria.joint
-    rows, S = _rows(joint.model), joint.model.n_states
-    from stltool.kernels import sweep as kernels
-
-    def sweep(t: int, W: Floats, out: Floats) -> None:
-        for W_i, out_i in zip(W, out, strict=True):
-            kernels.mixture(*rows, W_i, policy[t], 0, S, out_i)
-
+def of_policy(criteria: Criteria, form: Form) -> list[Figure]:
+    """All criteria of a policy by step and the automaton states of its layer."""
     given = np.eye(len(criteria))
-    values = _induct(criteria, given, sweep, None)
-    n_choices = int(np.diff(joint.model.choice_start).max())
-    mixed = [layer[(layer > 0).sum(axis=2) > 1] for layer in policy]
-    weight_defect = max((defect(rows.tolist()) for rows in mixed), default=Fraction(0))
-    least = min((least_positive(rows) for rows in mixed), default=1.0)
+    values, _ = _values(criteria, given, criteria.layers_along(Following(form), None), None)
+    if form.deterministic:
+        return [_figure(criteria, row, value) for row, value in zip(given, values, strict=True)]
+    mixtures = form.mixtures()
+    mixtures = mixtures[(mixtures > 0).sum(axis=1) > 1]
+    weight_defect = defect(mixtures.tolist())
+    n_choices, least = criteria.joint.model.most_choices, least_positive(mixtures)
     return [
         _figure(criteria, row, value, n_choices, weight_defect, least) for row, value in zip(given, values, strict=True)
     ]
 
 
-def _rows(model: MDP) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32], Floats]:
-    return model.choice_start, model.row_start, model.target, model.probability
-
-
-def _induct(
-    criteria: Criteria, given: Floats, sweep: Callable[[int, Floats, Floats], None], progress: Progress | None
-) -> list[float]:
-    """The values of weighted sums, `given` (M, n), swept together: `sweep(t, W, out)` with W and out (M, S, n_t)."""
+def _values(
+    criteria: Criteria, given: Floats, layers: Layers[Any, Any], keep: type[np.unsignedinteger] | None
+) -> tuple[list[float], Choices | None]:
+    """The values of weighted sums, `given` (M, n), and the choices that are best for the first."""
     joint, n_tasks = criteria.joint, len(criteria.joint.tasks)
-    model, automaton, letter = joint.model, joint.automaton, joint.letter
-    paid = given[:, n_tasks:] @ criteria.savings()  # (M, S)
-    values = np.zeros((len(given), model.n_states, 1))
-    state = np.arange(model.n_states)[:, None]
-    for t in range(joint.horizon - 1, -1, -1):
-        layer = automaton.layers[t]
-        W = np.ascontiguousarray(values[:, state, layer.delta[letter]])
-        W += np.tensordot(given[:, :n_tasks], layer.holds.astype(np.float64), 1)[:, letter]
-        values = np.empty_like(W)
-        sweep(t, W, values)
-        values += paid[:, :, None]
-        if progress is not None:
-            progress(joint.horizon - t, joint.horizon)
-    start = np.flatnonzero(model.initial)
-    first = automaton.start
-    total = values[:, start, first.delta[letter[start], 0]]
-    total += given[:, :n_tasks] @ first.holds[:, letter[start], 0]
-    return [math.fsum(model.initial[start] * row) for row in total]
+    found = solve(layers, _Sums(criteria, given), True, keep)
+    start = criteria.game.first
+    at_once = given[:, :n_tasks] @ joint.automaton.start.holds[:, joint.letter[start], 0]
+    shares = joint.model.initial[start]
+    return [math.fsum(shares * row) for row in found.entry.T + at_once], found.choices
+
+
+class _Sums(Arithmetic):
+    """M columns: weighted sums, `given` (M, n); the first is maximised, the others follow its choices."""
+
+    repeats = False  # pairs may be numbered alike and rewards differ
+
+    def __init__(self, criteria: Criteria, given: Floats) -> None:
+        joint, self._n_tasks = criteria.joint, len(criteria.joint.tasks)
+        self._given, self._automaton = given, joint.automaton
+        self._letter = joint.letter
+        self._paid = (given[:, self._n_tasks :] @ criteria.savings()).T.copy()  # (S, M)
+        self._reward: tuple[Any, Floats] = (None, np.empty((0, 0, 0)))
+
+    def begin(self, rows: Rows) -> None:
+        super().begin(rows)
+        self._reads = self._letter[rows.target]
+
+    def ends(self, t: int) -> tuple[Values, Values]:
+        nothing = np.zeros(len(self._given))
+        return nothing, nothing
+
+    def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
+        raise NotImplementedError  # choices are compared as they are added up
+
+    def back(
+        self, t: int, edges: Edges, ahead: Values, maximize: bool, keep: bool
+    ) -> tuple[Values, NDArray[np.int64] | None]:
+        from stltool.kernels import edges as kernels
+
+        out, best = np.zeros((len(edges), len(self._given))), np.zeros(len(edges), dtype=np.int64)
+        weight = np.empty(0) if edges.weight is None else edges.weight
+        kernels.sums(
+            edges.choices, edges.start, edges.entry, edges.child, edges.q, self.rows.probability, self._reads,
+            self._falls(t), ahead, weight, 0, len(edges), out, best,
+        )  # fmt: skip
+        return out + self._paid[edges.s], best if edges.weight is None else None
+
+    def _falls(self, t: int) -> Floats:
+        """(letters, n_t, M): what verdicts add that fall on reading a letter after step t, and are true."""
+        layer = self._automaton.layers[t]
+        if self._reward[0] is not layer:
+            falls = np.einsum("mi,ilq->lqm", self._given[:, : self._n_tasks], layer.holds.astype(np.float64))
+            self._reward = (layer, np.ascontiguousarray(falls))
+        return self._reward[1]
 
 
 def _figure(
@@ -206,19 +231,17 @@ def _figure(
     least: float = 1.0,
 ) -> Figure:
     joint, n_tasks = criteria.joint, len(criteria.joint.tasks)
-    model, h = joint.model, joint.horizon
-    longest = int(np.diff(model.row_start).max())
+    model, h, kinds = joint.model, joint.horizon, criteria.layers.kinds
     # a sweep adds the reward on the way and the one of the state; a reward is a sum of products itself
-    n_roundings = roundings(h, longest + 2, choices_mixed) + len(criteria) + 6
+    n_roundings = roundings(h, kinds.longest + 2, choices_mixed) + len(criteria) + 6
     savings = criteria.savings()
     most = sum((Fraction(w) for w in weights[:n_tasks].tolist()), Fraction(0))
     for w, saved in zip(weights[n_tasks:].tolist(), savings, strict=True):
         most += Fraction(w) * h * Fraction(float(saved.max(initial=0.0)))
-    row_defect, start_defect = criteria.defects
-    missing = h * (row_defect + weight_defect) + start_defect
+    missing = h * (row_defect(kinds) + weight_defect) + model.initial_defect
     missing = most * compounded(missing, missing)
     factors = (2 if choices_mixed else 1) * h + 3
-    underflow = can_underflow(factors, min(least, least_positive(model.probability, model.initial, weights, savings)))
+    underflow = can_underflow(factors, min(least, kinds.least, least_positive(model.initial, weights, savings)))
     lower, upper = around(value, n_roundings, missing, underflow)
     return Figure(value, round_down(max(lower, Fraction(0))), round_up(max(upper, Fraction(0))))
 

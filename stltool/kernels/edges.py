@@ -7,6 +7,8 @@ and the slot child[k] ahead. `best` gets the number of each pair's first best ch
              D more than the layer ahead; Σ n = D and D · 2^bits ≤ 2^62, so sums of digits fit and carries run once
     nature   opt { Σ_k p_k · V[child_k] : lower_k ≤ p_k ≤ lower_k + width_k, Σ_k p_k = 1 }, the budget 1 − Σ lower
              handed out in the order of V, ascending where nature minimises; equal values go by the entry's number
+    sums     M weighted sums at once: Σ p_k · (V[child_k] + reward[letter_k, q]), of the choice that is best for the
+             first of them, or mixed by `weight`
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from numpy.typing import NDArray
 from stltool.kernels.jit import kernel
 
 F64: TypeAlias = NDArray[np.float64]
+I32: TypeAlias = NDArray[np.int32]
 I64: TypeAlias = NDArray[np.int64]
 
 
@@ -81,3 +84,27 @@ def nature(
             left -= take
             total += (lower[e] + take) * abs(key[k])
         out[j] = 1.0 if total > 1.0 else total
+
+
+@kernel
+def sums(
+    choices: I64, start: I64, entry: I64, child: I64, q: I64, probability: F64, reads: I32, reward: F64, ahead: F64,
+    weight: F64, lo: int, hi: int, out: F64, best: I64,
+) -> None:  # fmt: skip
+    """reads[e]: the letter that entry e of the model leads to; reward (letters, Q, M); weight (choices,), or empty."""
+    n, mixed = ahead.shape[1], len(weight) > 0
+    total = np.empty(n)
+    for i in range(lo, hi):
+        for j in range(choices[i], choices[i + 1]):
+            total[:] = 0.0
+            for k in range(start[j], start[j + 1]):
+                e = entry[k]
+                p, value, paid = probability[e], ahead[child[k]], reward[reads[e], q[i]]
+                for m in range(n):
+                    total[m] += p * (value[m] + paid[m])
+            if mixed:
+                for m in range(n):
+                    out[i, m] += weight[j] * total[m]
+            elif j == choices[i] or total[0] > out[i, 0]:
+                best[i] = j - choices[i]
+                out[i] = total

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from stltool.kernels.jit import kernel
 from stltool.kernels.rollout import inversion
-from stltool.kernels.sweep import one_state, optimum
-from stltool.kernels.tuples import Replay, Surrogate, Tables
+from stltool.kernels.tuples import Replay, Surrogate, Tables, one_state
 
 F64: TypeAlias = NDArray[np.float64]
 I32: TypeAlias = NDArray[np.int32]
@@ -165,7 +164,7 @@ def clocked_transitions(
 
 def warm_up() -> None:
     """Compile or load every kernel here that Python calls, on a model of one state and one step."""
-    env = Tables(*one_state()[:3], np.ones(1), np.ones(1))
+    env = Tables(*one_state(), np.ones(1), np.ones(1))
     rows, place, one = np.zeros((1, 5), dtype=np.int32), np.zeros(2, dtype=np.int64), np.ones(1)
     whole = np.zeros((1, 1), dtype=np.int32)
     replay = Replay(True, 1, rows, one, place, whole[0], whole, True, np.ones((1, 1)), 1, rows, place)
@@ -181,7 +180,3 @@ def warm_up() -> None:
     clocked_update(Q, V, visits, 0, 0, 0, 1, 0.0, 0.1)
     n, rows = np.ones(1, dtype=np.int64), np.zeros((1, 3), dtype=np.int32)
     clocked_transitions(Q, V, visits[0], letter, n, whole[None], n, 0.1, rows)
-    start, row_start, target, probability = one_state()
-    learned = start.copy(), row_start.copy(), target.copy(), probability.copy()  # a learned model is not read-only
-    layer = np.zeros((1, 1))
-    optimum(*learned, layer, True, 0, 1, layer.copy(), np.zeros((1, 1), dtype=np.int16))

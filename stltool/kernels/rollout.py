@@ -9,14 +9,15 @@ Runs are independent, so processors look up several at a time; the loop over ste
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.kernels.jit import kernel
-from stltool.kernels.sweep import Choices, one_state
+from stltool.kernels.tuples import one_state
 
+Choices: TypeAlias = NDArray[np.signedinteger[Any]]  # int16 where that holds them
 F64: TypeAlias = NDArray[np.float64]
 I8: TypeAlias = NDArray[np.int8]
 I32: TypeAlias = NDArray[np.int32]
@@ -81,7 +82,7 @@ def move(
 
 def warm_up() -> None:
     """Compile or load every kernel here, on a model of one state."""
-    rows, sums = one_state()[:3], np.ones(1)
+    rows, sums = one_state(), np.ones(1)
     index, choice, u = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int16), np.zeros(1)
     pick(np.zeros((1, 1), dtype=np.int16), index, index, choice)
     mix(np.ones((1, 1, 1)), u, index, index, choice)

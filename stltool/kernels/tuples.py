@@ -18,6 +18,15 @@ class Tables(NamedTuple):
     first: NDArray[np.float64]
 
 
+def one_state() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
+    """choice_start, row_start, target of a model of one state, to warm kernels up: read-only as a model's arrays, which
+    numba tells apart."""
+    rows = np.array([0, 1], dtype=np.int64), np.array([0, 1], dtype=np.int64), np.zeros(1, dtype=np.int32)
+    for array in rows:
+        array.setflags(write=False)
+    return rows
+
+
 class Surrogate(NamedTuple):
     """Q (S, N, C) on the surrogate reward (N,), with its learning rate and discount."""
 

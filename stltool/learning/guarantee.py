@@ -40,8 +40,9 @@ from numpy.typing import NDArray
 from stltool.arguments import function, one_of, require, whole
 from stltool.automata import FALSE, TRUE
 from stltool.checking import robust_check
-from stltool.checking.backward import Progress
+from stltool.checking.induction import Progress
 from stltool.checking.statistical import require_confidence
+from stltool.choices import Choices
 from stltool.display import Card, Displayed, counted
 from stltool.errors import SettingsError
 from stltool.learning.confidence import Floats, Whole, entry_interval, unseen_mass
@@ -51,7 +52,6 @@ from stltool.models.rows import Stored
 from stltool.numbers import exact, floor_text
 from stltool.policy import Policy, require_door
 from stltool.product import Product, first_verdicts, with_outcome
-from stltool.sizes import require_memory
 
 Support: TypeAlias = Literal["unknown", "known"]
 
@@ -147,14 +147,15 @@ def guarantee(
     extended = with_outcome(judge, _of_intervals(model, initial, counts, visits, confidence, support), FALSE)
     result = robust_check(
         extended,
-        _extended(rebased, extended, memory_limit) if rebased is not None else None,
+        Policy(extended, rebased.form) if rebased is not None else None,  # in what is added all is decided
         nature="against",
         memory_limit=memory_limit,
         progress=progress,
     )
     if policy is None:
         assert result.policy is not None
-        policy = Policy(product, result.policy.table[:, :-1, :-1])
+        assert isinstance(result.policy.form, Choices)
+        policy = Policy(product, result.policy.form.resized(product.shape))
     return Guarantee(
         lower=max(result.lower, _decided(product, initial)),
         confidence=float(confidence),
@@ -272,20 +273,3 @@ def _log_inverse(events: int, alpha: Fraction) -> float:
     """ln(events / α): every one of the events gets an equal share of α."""
     share = alpha / max(events, 1)
     return math.log(share.denominator) - math.log(share.numerator)
-
-
-def _extended(policy: Policy, product: Product, memory_limit: int | None) -> Policy:
-    """The policy with any choice in the additional state, where all is decided."""
-    require_memory(
-        policy.table.nbytes, f"a policy's table for {product.n_states} product states", "shorten the windows",
-        memory_limit,
-    )  # fmt: skip
-    axis = policy.table.ndim - (2 if policy.deterministic else 3)  # of the states; the automaton's come next
-    table = np.zeros(
-        (*policy.table.shape[:axis], *product.shape, *policy.table.shape[axis + 2 :]), dtype=policy.table.dtype
-    )
-    if not policy.deterministic:
-        table[..., 0] = 1.0
-    inner = (..., slice(-1), slice(-1)) if policy.deterministic else (..., slice(-1), slice(-1), slice(None))
-    table[inner] = policy.table
-    return Policy(product, table)

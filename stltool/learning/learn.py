@@ -15,6 +15,7 @@ from stltool.arguments import described, flag, function, real
 from stltool.arguments import path as path_of
 from stltool.automata import TRUE, UNDECIDED
 from stltool.checking import check
+from stltool.choices import Form
 from stltool.display import Card, Displayed, counted, probability_text
 from stltool.errors import SettingsError, named
 from stltool.learning.checkpoint import (
@@ -190,7 +191,9 @@ def learn(
             if save is not None:
                 save(so_far)
         trainer.run(so_far, shown=progress, between=save)
-    table = learner.policy(state) if state is not None else np.zeros(home.shape, dtype=np.int64)
+    table: NDArray[Any] | Form = np.zeros(home.shape, dtype=np.int64)
+    if state is not None:
+        table = learner.policy(state)
     return Training(
         Policy(home, table), so_far.history, learner, budget, seed, counts, time.perf_counter() - start,
         so_far.status or "complete",
@@ -268,7 +271,7 @@ class _Judge:
         self._gap = budget.stop_gap
         self._best = check(product, keep_policy=False).probability if budget.stop_gap is not None else 0.0
 
-    def evaluate(self, table: NDArray[Any]) -> float | None:
+    def evaluate(self, table: NDArray[Any] | Form) -> float | None:
         return check(self._product, Policy(self._home, table)).probability if self.known else None
 
     def enough(self, value: float) -> bool:

@@ -19,6 +19,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.choices import Form
 from stltool.display import Card
 from stltool.errors import SettingsError
 from stltool.learning.counts import Counts
@@ -62,8 +63,8 @@ class Learner(ABC, Generic[State]):
         """Play one episode: `episode.step(choice)` until it is over, or earlier. All randomness from `episode.rng`."""
 
     @abstractmethod
-    def policy(self, state: State) -> NDArray[Any]:
-        """The policy to be judged, which does not explore: a table as accepted by `Policy`."""
+    def policy(self, state: State) -> NDArray[Any] | Form:
+        """The policy to be judged, which does not explore: a table, or a form, as accepted by `Policy`."""
 
     def arrays(self, state: State) -> Mapping[str, NDArray[Any] | Kept]:
         """Everything that learning has changed, to be written to a checkpoint and read back in place.

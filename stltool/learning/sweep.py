@@ -26,6 +26,7 @@ import numpy as np
 
 from stltool.arguments import described, function, require, texts, whole
 from stltool.arguments import path as path_of
+from stltool.choices import Choices
 from stltool.display import Card, Displayed, counted, listed, probability_text
 from stltool.errors import FileError, SettingsError, StlToolError, named, near_misses
 from stltool.files import require_folder, write_atomically
@@ -373,8 +374,9 @@ def _execute(run: Run) -> RunResult | str:
         return str(error)
     except Exception:  # our own fault: reported in full, and the other runs continue
         return f"a bug in stltool, please report it:\n{traceback.format_exc()}"
-    table = training.policy.table
-    sha = hashlib.sha256(f"{table.dtype.str}{table.shape}".encode() + np.ascontiguousarray(table).tobytes())
+    form, sha = training.policy.form, hashlib.sha256()
+    for array in form.arrays().values() if isinstance(form, Choices) else [training.policy.table]:
+        sha.update(f"{array.dtype.str}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
     return RunResult(
         run.scenario, run.method, run.seed,
         [point.episode for point in training.history],

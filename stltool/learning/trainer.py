@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.choices import Form
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
 from stltool.learning.learner import Learner
@@ -67,7 +68,7 @@ class Trainer:
     counts: Counts
     length: int
     knows: bool
-    evaluate: Callable[[NDArray[Any]], float | None]
+    evaluate: Callable[[NDArray[Any] | Form], float | None]
     enough: Callable[[float], bool]
 
     def run(

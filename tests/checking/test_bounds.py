@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.checking import bounds
 from stltool.checking.bounds import can_underflow, enclose, roundings
-from stltool.checking.check import _distinct_mixtures
+from stltool.choices import Table
 
 
 @given(
@@ -69,7 +69,7 @@ def test_defects_of_large_models_are_bounded_from_above(weights, excess):
     model = stl.MDP.from_arrays([np.tile(row, (len(row), 1))], {})
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bounds, "READ_EXACTLY", 0)
-        estimated = bounds.model_defects(model)[0]
+        estimated = bounds.row_defect(model.rows)
     exact = abs(sum(map(Fraction, row.tolist())) - 1)
     assert exact <= estimated <= exact + Fraction(1, 10**14)
 
@@ -78,7 +78,7 @@ def test_defects_of_large_models_are_bounded_from_above(weights, excess):
 def test_distinct_mixtures_are_all_of_them(seed, n, choices):
     """Against a set of tuples: a mixture left out would leave its defect out of the bound."""
     table = np.random.default_rng(seed).integers(0, 3, size=(n, 2, choices)) / 3
-    found = list(map(tuple, _distinct_mixtures(table).tolist()))
+    found = list(map(tuple, Table(table).mixtures().tolist()))
     assert len(found) == len(set(found))
     assert set(found) == {tuple(sorted(row)) for row in table.reshape(-1, choices).tolist()}
 
@@ -90,4 +90,4 @@ def test_mixtures_that_share_a_number_are_told_apart():
     assert (one != other).all()
     factors = 2 * np.arange(1, 3, dtype=np.uint64) ** 9 + 1
     assert one.view(np.uint64) @ factors == other.view(np.uint64) @ factors
-    assert len(_distinct_mixtures(np.array([[one, other]]))) == 2
+    assert len(Table(np.array([[one, other]])).mixtures()) == 2

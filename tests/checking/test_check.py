@@ -1,4 +1,4 @@
-"""`check` against the enumeration of all history-dependent policies, its laws, and the numpy twin."""
+"""`check` against the enumeration of all history-dependent policies, and its laws."""
 
 import dataclasses
 from fractions import Fraction

@@ -16,7 +16,6 @@ from stltool.checking import bounds
 from stltool.checking.fixed import fixed_point
 from stltool.checking.induction import EVERYTHING, Following, Game, layers_of
 from stltool.checking.rational import exact_probability
-from stltool.checking.reach import first_steps
 from stltool.errors import ModelError, SettingsError, SizeError
 from stltool.testing import strategies
 from tests import oracles, qcomp
@@ -192,22 +191,6 @@ def test_what_would_not_fit_is_refused_first(floor5):
 def test_unknown_settings_are_named(patrolling):
     with pytest.raises(SettingsError, match="arithmetic is 'float'; choose auto, double or fixed"):
         stl.check(patrolling, arithmetic="float")
-
-
-@settings(max_examples=many(40))
-@given(strategies.models(), strategies.formulas(longest=2, max_leaves=3))
-def test_first_steps_are_breadth_first(model, phi):
-    product = stl.build_product(model, phi)
-    h = product.horizon
-    expected = np.full(product.shape, h + 1)
-    layer = {(s, product.enter(s, product.automaton.initial)) for s, _ in oracles.initial(model)}
-    for t in range(h + 1):
-        for place in layer:
-            expected[place] = min(expected[place], t)
-        layer = {
-            (n, product.enter(n, q)) for s, q in layer for row in oracles.choices(model, s) for n, p in row if p > 0
-        }
-    assert (first_steps(product) == expected).all()
 
 
 # --------------------------------------------------------------------------------------------------------- QComp

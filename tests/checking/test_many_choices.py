@@ -162,7 +162,8 @@ def test_learned_tables(wide):
 
     counts, learner = Counts(product.model.n_choices, 2), ModelBased()
     counts.add(np.full(100, n - 1), np.ones(100, dtype=np.int64))
-    assert learner.policy(learner.start(problem, counts, np.random.default_rng(0)))[0, 0, q] == n - 1
+    form = learner.policy(learner.start(problem, counts, np.random.default_rng(0)))
+    assert form.at(0, np.array([0]), np.array([q])).tolist() == [n - 1]
 
 
 def test_a_policy_from_counts(wide):

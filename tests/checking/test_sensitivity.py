@@ -76,6 +76,16 @@ def near(value):
     return pytest.approx(value, rel=1e-8, abs=1e-8)
 
 
+@given(cases())
+@settings(max_examples=40)
+def test_engines_find_the_same_to_the_bit(case):
+    product, policy = case
+    nodes, words = (stl.sensitivity(product, policy, engine=engine) for engine in ("nodes", "words"))
+    assert nodes.probability == words.probability
+    for name in ("gradient", "tilt", "visits", "times"):
+        assert np.array_equal(getattr(nodes, name), getattr(words, name))
+
+
 @given(cases(), st.data())
 @settings(max_examples=many(50))
 def test_derivatives_equal_difference_quotients(case, data):

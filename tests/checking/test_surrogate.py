@@ -10,12 +10,14 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.checking.surrogate import _discounted, _extreme
+from stltool.checking.induction import Budget
+from stltool.checking.surrogate import _discounted, _episode, _extreme, _uniform
+from stltool.choices import Table
 from stltool.errors import FragmentError, SettingsError, SizeError
 from stltool.learning.problem import Problem
 from stltool.logic.fragment import check_fragment
 from stltool.testing import flag_formulas, interval_models, models
-from tests import oracles
+from tests import dense, oracles
 from tests.conftest import FACTORY, many
 
 GAMMA = 0.9
@@ -84,9 +86,9 @@ def compare(product, left, V, options):
         for c, value in enumerate(values):
             loses = V[i] - value
             if loses > CLEAR:
-                assert not left[0, start[s] + c, q]
+                assert not left[start[s] + c, q]
             if loses < 1e-10:
-                assert left[0, start[s] + c, q]
+                assert left[start[s] + c, q]
 
 
 @given(flagged(equal=False))
@@ -109,9 +111,9 @@ def test_stopping_early_never_drops_an_optimal_choice(product, gamma, tolerance)
         s, q = divmod(i, product.automaton.n_states)
         for c, value in enumerate(values, start=product.model.choice_start[s]):
             if V[i] - value < 1e-10:
-                assert left[0, c, q]
+                assert left[c, q]
             if V[i] - value > 2 * tolerance:
-                assert not left[0, c, q]
+                assert not left[c, q]
 
 
 def test_a_late_reward_is_not_dropped_when_iteration_stops_before_it_is_seen():
@@ -137,7 +139,7 @@ def test_a_late_reward_is_not_dropped_when_iteration_stops_before_it_is_seen():
     coarse, _, sweeps = _discounted(product, 0.99, 0.6, None)
     fine, _, _ = _discounted(product, 0.99, 1e-9, None)
     assert sweeps < 14
-    assert (fine[0, :2, 0].tolist(), coarse[0, :2, 0].tolist()) == ([False, True], [True, True])
+    assert (fine[:2, 0].tolist(), coarse[:2, 0].tolist()) == ([False, True], [True, True])
 
 
 @given(flagged(max_states=2, longest=1))
@@ -206,7 +208,7 @@ def test_the_range_is_that_of_all_policies_of_the_choices_left(seed, text):
     start = product.model.choice_start
 
     def kept(t, s, q):
-        return [c for c in range(start[s + 1] - start[s]) if left[0, start[s] + c, q]]
+        return [c for c in range(start[s + 1] - start[s]) if left[start[s] + c, q]]
 
     least, greatest = among(product, kept)
     close(result.least, least)
@@ -224,10 +226,37 @@ def test_the_range_is_that_of_all_policies_of_the_choices_left(seed, text):
 @settings(max_examples=many(40))
 def test_where_every_choice_is_left_the_range_is_that_of_all_policies(seed, text):
     product = random_product(seed, text)
-    left = np.ones((1, product.model.n_choices, product.automaton.n_states), dtype=np.bool_)
-    for maximize in (False, True):
-        found = stl.check(product, _extreme(product, left, maximize))
+    every = _uniform(product, np.ones((product.model.n_choices, product.automaton.n_states), dtype=np.bool_))
+    for maximize, engine in itertools.product((False, True), ("nodes", "words")):
+        found = stl.check(product, _extreme(product, every, maximize, engine=engine))
         assert found.probability == pytest.approx(stl.check(product, maximize=maximize).probability, abs=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from(TASKS))
+@settings(max_examples=40)
+def test_only_choices_left_are_taken_and_the_best_of_them(seed, text):
+    """Any choices left, by step: the extremes of all policies of these, in fractions, and by every engine."""
+    product, rng = random_product(seed, text), np.random.default_rng(seed)
+    weights = (
+        rng.integers(2, size=(product.horizon, *product.shape, 2)) + np.eye(2)[rng.integers(2, size=product.shape)]
+    )
+    form = Table(weights / weights.sum(axis=-1, keepdims=True))
+    extremes = among(product, lambda t, s, q: np.flatnonzero(form.row(t)[s, q]))
+    for (maximize, exact), engine in itertools.product(enumerate(extremes), ("nodes", "words")):
+        policy = _extreme(product, form, bool(maximize), engine=engine)
+        close(stl.check(product, policy), exact)
+        for t, pairs in enumerate(dense.reached(product, policy)):
+            for s, q in pairs:
+                assert form.row(t)[s, q][policy.row(t)[s, q]] > 0
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from(TASKS))
+@settings(max_examples=30)
+def test_engines_leave_the_same_choices_of_episodes(seed, text):
+    product = random_product(seed, text)
+    one, other = (_episode(product, Budget("choices"), engine)[0] for engine in ("nodes", "words"))
+    for t in range(product.horizon):
+        assert np.array_equal(one.row(t), other.row(t))
 
 
 def shown(fragment, trace, length):
@@ -380,7 +409,7 @@ def test_impossible_settings_are_refused(patrolling, arguments, says):
 def test_tasks_without_flags_and_sizes_that_do_not_fit_are_refused(floor5, patrolling):
     with pytest.raises(FragmentError, match="until"):
         stl.surrogate_optimum(stl.build_product(floor5, stl.parse("F[0,3) (A U[0,2) B)")))
-    with pytest.raises(SizeError, match="the surrogate's optimal choices over"):
+    with pytest.raises(SizeError, match="value iteration on 648 product states"):
         stl.surrogate_optimum(patrolling, memory_limit=1000)
     with pytest.raises(SizeError, match="value iteration of"):
         stl.surrogate_optimum(patrolling, gamma=1 - 1e-12)

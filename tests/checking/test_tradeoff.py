@@ -16,6 +16,7 @@ from stltool.automata.joint import DECIDED
 from stltool.checking.occupation import policy_of, programme, solve
 from stltool.checking.pareto import Corner, _undominated
 from stltool.checking.weighted import Criteria, Figure, best, of_policy
+from stltool.choices import Table
 from stltool.errors import InfeasibleError, NameLookupError, PolicyError, SettingsError, SizeError, SolverError
 from stltool.testing import flag_formulas, formulas, models
 from tests import oracles
@@ -115,9 +116,61 @@ def test_the_best_weighted_sum_is_that_of_all_points(joint, weights):
     assert near < ENCLOSED
     for i, w in enumerate(exact[1:]):
         encloses(best(criteria, [float(x) for x in w])[0], max(p[i] for p in points))
-    n_choices = int(np.diff(joint.model.choice_start).max())
-    policy = [np.eye(n_choices)[choice] for choice in chosen]
-    assert [f.value for f in of_policy(criteria, policy)] == pytest.approx([f.value for f in each], abs=1e-13)
+    weights = np.eye(joint.model.most_choices)[[chosen.row(t) for t in range(joint.horizon)]]
+    for form in (chosen, Table(weights)):
+        assert [f.value for f in of_policy(criteria, form)] == pytest.approx([f.value for f in each], abs=1e-13)
+
+
+@given(joints(), st.lists(st.sampled_from([0.0, 0.25, 1.0, 3.0]), min_size=3, max_size=3), st.integers(0, 2**32 - 1))
+@settings(max_examples=25)
+def test_engines_agree_on_weighted_sums_to_the_bit(joint, weights, seed):
+    one, other = (Criteria(joint, ("fuel",), engine) for engine in ("nodes", "words"))
+    found, again = best(one, weights), best(other, weights)
+    assert found[:2] == again[:2]
+    for (name, mine), theirs in zip(found[2].arrays().items(), again[2].arrays().values(), strict=True):
+        assert np.array_equal(mine, theirs), name
+    shares = np.random.default_rng(seed).dirichlet(
+        np.ones(joint.model.most_choices), size=(joint.horizon, *found[2].shape)
+    )
+    shares *= np.arange(joint.model.most_choices) < np.diff(joint.model.choice_start)[:, None, None]
+    form = Table(shares / shares.sum(axis=-1, keepdims=True))
+    assert of_policy(one, form) == of_policy(other, form)
+    assert programme(one).size == programme(other).size
+    assert abs(programme(one).flow - programme(other).flow).nnz == 0
+
+
+@given(joints(), st.integers(0, 2**32 - 1))
+@settings(max_examples=25)
+def test_criteria_of_any_mixture_are_those_of_its_histories(joint, seed):
+    """Weights by step and automaton state, in fractions over all runs."""
+    criteria, automaton, model = Criteria(joint, ("fuel",)), joint.automaton, joint.model
+    shape = (joint.horizon, model.n_states, criteria.game.automaton.n_states, model.most_choices)
+    shares = np.random.default_rng(seed).integers(1, 4, size=shape).astype(float)
+    shares *= np.arange(model.most_choices) < np.diff(model.choice_start)[:, None, None]
+    form = Table(shares / shares.sum(axis=-1, keepdims=True))
+    most, fuel = float(model.signals["fuel"].max()), model.signals["fuel"]
+
+    def walk(t, s, j):
+        """The criteria to come after step t."""
+        if t == joint.horizon:
+            return [Fraction(0)] * 3
+        total, layer = [Fraction(0), Fraction(0), Fraction(most - fuel[s])], automaton.layers[t]
+        entry = [Fraction(float(w)) for w in form.row(t)[s, j]]
+        for i, row in enumerate(oracles.choices(model, s)):
+            for n, p in row:
+                after = walk(t + 1, n, int(layer.delta[joint.letter[n], j]))
+                falls = [*layer.holds[:, joint.letter[n], j].tolist(), 0]
+                for m in range(3):
+                    total[m] += entry[i] / sum(entry) * p * (after[m] + falls[m])
+        return total
+
+    exact = [Fraction(0)] * 3
+    for s, p in oracles.initial(model):
+        after = walk(0, s, int(automaton.start.delta[joint.letter[s], 0]))
+        falls = [*automaton.start.holds[:, joint.letter[s], 0].tolist(), 0]
+        exact = [x + p * (a + f) for x, a, f in zip(exact, after, falls, strict=True)]
+    for figure, value in zip(of_policy(criteria, form), exact, strict=True):
+        encloses(figure, value)
 
 
 @pytest.mark.parametrize("excess", [9e-10, -8e-10])
@@ -127,7 +180,7 @@ def test_rows_that_do_not_sum_to_one_widen_the_enclosure(excess):
     model = stl.MDP.from_arrays(rows, {"x": [0, 1]}, labels={"A": [1, 1]})
     joint = stl.build_joint_product(model, {"A": stl.parse("G[0,3] A"), "B": stl.parse("G[0,3] x < 0.5")})
     top, (sure, _), chosen = best(Criteria(joint), (4, 0))
-    followed = of_policy(Criteria(joint), [np.ones((*choice.shape, 1)) for choice in chosen])[0]
+    followed = of_policy(Criteria(joint), Table(np.ones((joint.horizon, *chosen.shape, 1))))[0]
     for figure, most in ((sure, 1), (followed, 1), (top, 4)):
         assert figure.lower <= most <= figure.upper
         assert figure.upper - figure.lower == pytest.approx(2 * 3 * most * abs(excess), rel=0.01)
@@ -335,10 +388,10 @@ def test_the_solvers_noise_is_no_draw(shift):
     lp = programme(criteria)
     x = solve(lp, 0, {}).x
     otherwise = best(criteria, (1, 0))[2]
-    clean = policy_of(lp, x, otherwise)[0]
+    clean = policy_of(lp, x, otherwise).row(0)
     first = slice(lp.firsts[0], lp.firsts[1])  # step 0 is reached surely
     x[first] += 1e-10 * np.random.default_rng(0).random(first.stop)
-    noisy = policy_of(lp, x, otherwise)[0]
+    noisy = policy_of(lp, x, otherwise).row(0)
     assert np.array_equal(noisy, clean)
     assert set(clean.ravel()) == {0.0, 1.0}
 

@@ -68,29 +68,22 @@ def words(process):
 # ----------------------------------------------------------------------------------------------- never out of date
 
 
-def test_a_kernels_callers_in_other_files_change_with_it(tmp_path):
+def test_a_kernels_callers_in_other_files_change_with_it(package):
     """Three processes of some two seconds each, most of it numba's own import and compiling."""
     code = """
-import numpy as np
-from stltool.kernels import fixed, jit
+from stltool.kernels import jit
+from stltool.kernels.outer import outer
 
 told = []
 with jit.compiling(told.append):
-    start, one = np.array([0, 1]), np.ones(1, dtype=np.int64)
-    out, W = np.zeros((1, 1), dtype=np.int64), np.full((1, 1), 5)
-    best = np.zeros((1, 1), dtype=np.int16)
-    fixed.optimum(start, start, np.zeros(1, dtype=np.int32), one, 1, W, True, 0, 1, out, best)
-print(int(out[0, 0]), told)
+    value = outer(1)
+print(value, told)
 """
-    package = tmp_path / "stltool" / "kernels"
-    shutil.copytree(ROOT / "stltool", package.parent, ignore=shutil.ignore_patterns("__pycache__"))
-    assert words(started(package, code)) == ["5", "[True]"]
+    assert words(started(package, code)) == ["20", "[True]"]
     (before,) = package.glob("__pycache__/numba-*")
-    assert words(started(package, code)) == ["5", "[]"]  # loaded
-    source = (package / "sweep.py").read_text(encoding="utf-8")
-    assert source.count("total[q] += p * row[q]") == 1
-    (package / "sweep.py").write_text(source.replace("p * row[q]", "p * row[q] + 2"), encoding="utf-8")
-    assert words(started(package, code)) == ["7", "[True]"]
+    assert words(started(package, code)) == ["20", "[]"]  # loaded
+    (package / "inner.py").write_text(INNER.replace("x + 1", "x + 2"))
+    assert words(started(package, code)) == ["30", "[True]"]
     (after,) = package.glob("__pycache__/numba-*")  # the old one is gone
     assert after != before
 

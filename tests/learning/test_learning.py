@@ -227,7 +227,7 @@ def test_optimism_goes_for_what_is_unknown_and_caution_does_not(patrolling):
     q = product.enter(0, product.automaton.initial)
     for action, successor, times in ((0, 1, 5), (1, 2, 1), (2, 2, 9)):
         state.counts.add([action] * times, [successor] * times)  # state 0's choices are the first
-    assert learner.policy(state)[0, 0, q] == 2
+    assert int(learner.policy(state).at(0, np.array([0]), np.array([q]))[0]) == 2
     taken = []
     environment = Environment(lambda: 0, lambda action: taken.append(action) or action)
     episode = Episode(Problem.of(product), environment, state.counts, np.random.default_rng(0), 0, 1)
@@ -236,7 +236,7 @@ def test_optimism_goes_for_what_is_unknown_and_caution_does_not(patrolling):
     state.counts.add([2] * 40, [1] * 40)
     learner.episode(state, Episode(Problem.of(product), environment, state.counts, np.random.default_rng(0), 0, 1))
     assert taken == [2, 1]
-    assert learner.policy(state)[0, 0, q] == 1
+    assert int(learner.policy(state).at(0, np.array([0]), np.array([q]))[0]) == 1
 
 
 def test_values_are_fixed_where_the_verdict_has_fallen(patrolling):

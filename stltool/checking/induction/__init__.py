@@ -1,10 +1,19 @@
 """The one backward induction (induct.py): engines that say where to compute, arithmetics that say how."""
 
-from stltool.checking.induction.allowed import EVERYTHING, Allowed, Following, Silent
-from stltool.checking.induction.arithmetic import Arithmetic, Digits, Doubles, Fixed, Integers, Nature, Values
+from stltool.checking.induction.allowed import EVERYTHING, Allowed, Among, Following, Silent
+from stltool.checking.induction.arithmetic import (
+    Arithmetic,
+    Digits,
+    Doubles,
+    Fixed,
+    Integers,
+    Nature,
+    Probabilities,
+    Values,
+)
 from stltool.checking.induction.blocks import ClusterWay, solve_on_cluster
 from stltool.checking.induction.edges import OPEN, REST, SURE, Edges
-from stltool.checking.induction.graph import Game
+from stltool.checking.induction.graph import Game, Single
 from stltool.checking.induction.induct import Engine, Solution, Way, induct, layers_of, solve
 from stltool.checking.induction.layers import Budget, Layers, Progress
 from stltool.checking.induction.reached import Stretch
@@ -12,8 +21,8 @@ from stltool.checking.induction.recording import OnDisk, Passed, Recorder, files
 from stltool.checking.induction.words import Words
 
 __all__ = [
-    "EVERYTHING", "OPEN", "REST", "SURE", "Allowed", "Arithmetic", "Budget", "ClusterWay", "Digits", "Doubles", "Edges",
-    "Engine", "Fixed", "Following", "Game", "Integers", "Layers", "Nature", "OnDisk", "Passed", "Progress", "Recorder",
-    "Silent", "Solution", "Stretch", "Values", "Way", "Words", "files_beside", "induct", "key_of", "layers_of", "solve",
-    "solve_on_cluster", "stopped_in",
+    "EVERYTHING", "OPEN", "REST", "SURE", "Allowed", "Among", "Arithmetic", "Budget", "ClusterWay", "Digits",
+    "Doubles", "Edges", "Engine", "Fixed", "Following", "Game", "Integers", "Layers", "Nature", "OnDisk", "Passed",
+    "Probabilities", "Progress", "Recorder", "Silent", "Single", "Solution", "Stretch", "Values", "Way", "Words",
+    "files_beside", "induct", "key_of", "layers_of", "solve", "solve_on_cluster", "stopped_in",
 ]  # fmt: skip

@@ -105,8 +105,8 @@ def row_sums(terms: Values, start: NDArray[np.int64]) -> Values:
 _LONG = 64  # terms; longer rows are added one by one
 
 
-class Doubles(Arithmetic):
-    """Probabilities in doubles."""
+class Probabilities(Arithmetic):
+    """Probabilities in doubles, for whoever wants the sums of all choices."""
 
     def __init__(self, maximize: bool) -> None:
         self._ends = (0.0, 1.0) if maximize else (1.0, 0.0)
@@ -116,6 +116,10 @@ class Doubles(Arithmetic):
 
     def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
         return row_sums(self.rows.probability[edges.entry] * ahead[edges.child], edges.start)
+
+
+class Doubles(Probabilities):
+    """Probabilities in doubles."""
 
     def tiles(self, engine: Words) -> Tiles:
         return Tiles(engine, engine.rows.probability, 1, self._ends, self._ends[SURE] == 1.0)

@@ -36,6 +36,12 @@ class Edges:
     def __len__(self) -> int:
         return len(self.choices) - 1
 
+    @property
+    def nbytes(self) -> int:
+        weight = 0 if self.weight is None else self.weight.nbytes
+        arrays = (self.s, self.q, self.choices, self.choice, self.start, self.entry, self.child)
+        return sum(array.nbytes for array in arrays) + weight
+
 
 @dataclass(frozen=True, eq=False)
 class Fan:

@@ -186,8 +186,7 @@ class Way:
                     )
                 else:
                     new, choice = tiles.back(t, layer, at.ahead, at.values, self._keep is not None)
-                repeats = tiles is not None or self._arithmetic.repeats
-                again = layer is at.ahead and repeats and np.array_equal(new, at.values)
+                again = layer is at.ahead and self._arithmetic.repeats and np.array_equal(new, at.values)
                 until = first if again else t
                 at = Passed(until, layer, new, at.swept + 1)
                 yield Step(until, t, again, choice, at)
@@ -223,6 +222,8 @@ def _back(
             found, choice = arithmetic.back(t, edges, values, maximize, keep is not None)
             values_found.append(found)
             if choice is not None:
+                if not layers.allowed.everything:  # so far counted among those allowed
+                    choice = layers.within(edges.s, edges.choice[edges.choices[:-1] + choice])
                 choices.append(choice)
     by_slot = arithmetic.layer(t, values_found)
     return by_slot, np.concatenate(choices).astype(keep) if choices else np.empty(0, dtype=keep)

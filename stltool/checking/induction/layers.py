@@ -156,6 +156,11 @@ class Layers(ABC, Generic[FLayer, Settled]):
         """Those there are by now."""
         return self.asked.rows
 
+    def within(self, s: I64, choice: I64) -> I64:
+        """The number within its state of each choice, which edges give by its number among `rows`."""
+        here = self.asked.at(s)
+        return choice - self.asked.choice_start[here]
+
     @abstractmethod
     def acting(self) -> I64:
         """The model states that a run can be in while it is undecided, ascending."""
@@ -184,6 +189,10 @@ class Layers(ABC, Generic[FLayer, Settled]):
 
     @abstractmethod
     def n_open(self, layer: Settled) -> int: ...
+
+    @abstractmethod
+    def n_bytes(self, layer: Settled) -> int:
+        """What it takes in memory."""
 
     @abstractmethod
     def pairs(self, layer: Settled) -> tuple[I64, I64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,7 @@ from stltool.checking.induction.allowed import Allowed
 from stltool.checking.induction.edges import OPEN, REST, SURE, Edges
 from stltool.checking.induction.graph import I64, Game
 from stltool.checking.induction.layers import Budget, Layers
-from stltool.checking.induction.reached import Reached
+from stltool.checking.induction.reached import Reached, Stretch
 from stltool.choices import Listed, listed
 from stltool.models.rows import Demand, Rows
 
@@ -65,12 +66,20 @@ class Nodes(Layers[I64, Settled]):
             found[self._split(layer)[0]] = True
         return np.flatnonzero(found)
 
+    def backwards(self, before: int | None = None, ahead: Settled | None = None) -> Iterator[Stretch]:
+        self._kept = 0
+        return super().backwards(before, ahead)
+
     def nothing(self) -> Settled:
         none = np.empty(0, dtype=np.int64)
         return Settled(none, none, none, None, none, none)
 
     def n_open(self, layer: Settled) -> int:
         return len(layer.open)
+
+    def n_bytes(self, layer: Settled) -> int:
+        arrays = (layer.open, layer.sure, layer.sure_choice, layer.listed, layer.slot)
+        return sum(array.nbytes for array in arrays) + (layer.edges.nbytes if layer.edges is not None else 0)
 
     def pairs(self, layer: Settled) -> tuple[I64, I64]:
         return self._split(layer.open)
@@ -143,8 +152,7 @@ class Nodes(Layers[I64, Settled]):
         owner = np.searchsorted(choices, first, side="right") - 1
         _, which = np.unique(owner, return_index=True)
         number = np.zeros(len(layer), dtype=np.int64)
-        from_here = self.asked.choice_start[self.asked.at(edges.s[owner[which]])]
-        number[owner[which]] = choice[first[which]] - from_here
+        number[owner[which]] = self.within(edges.s[owner[which]], choice[first[which]])
         kept = None
         if self._kept + len(slot) <= _KEPT:
             self._kept += len(slot)

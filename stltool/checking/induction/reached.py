@@ -34,6 +34,11 @@ class Reached:
     def __len__(self) -> int:
         return len(self._steps)
 
+    @property
+    def last(self) -> int:
+        """The last step that has a layer; −1 where none has."""
+        return self._steps[-1][1] if self._steps else -1
+
     def add(self, first: int, last: int, layer: Any, n_bytes: int) -> None:
         """The next stretch, whose layer takes n_bytes."""
         i = len(self._steps)

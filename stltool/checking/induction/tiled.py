@@ -47,7 +47,7 @@ class Tiles:
         engine, graph, moves = self._engine, self._engine.graph, self._engine.moves
         sets, slot = here.open_sets, engine.crew.turn(ahead)
         masks = engine.allowed.masks(t, graph, sets)
-        decided, undecided, maps = self._row(t + 1), moves.where(t + 1, UNDECIDED), moves.by_tiles(t)
+        decided, undecided, maps = self.decided(t + 1), moves.where(t + 1, UNDECIDED), moves.by_tiles(t)
         out = np.empty(8 * here.n_tiles, dtype=self.dtype)
         best = np.empty(8 * here.n_tiles if keep else 0, dtype=engine.choices or np.uint8)
         rest, sure = self.ends
@@ -75,8 +75,14 @@ class Tiles:
         """The layer's values by slots, as an arithmetic has them."""
         return np.concatenate([np.array(self.ends, dtype=self.dtype), values[lanes_of(layer, layer.open)]])
 
-    def _row(self, t: int) -> Values:
-        """Its value for each automaton state that is not listed after step t, with room on both sides."""
+    def at(self, row: Values) -> Values:
+        """What a row of `decided` says of automaton states, without the room on its sides."""
+        from stltool.kernels import tiles
+
+        return row[tiles.PAD :]
+
+    def decided(self, t: int) -> Values:
+        """The value of each automaton state that is not listed after step t, with room on both sides."""
         from stltool.kernels import tiles
 
         automaton = self._engine.game.automaton

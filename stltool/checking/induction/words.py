@@ -139,15 +139,16 @@ class Layer:
 class Moves:
     """An automaton's moves and verdicts as rows of words, all of one width."""
 
-    def __init__(self, automaton: Automaton) -> None:
+    def __init__(self, automaton: Automaton, alike: Moves | None = None) -> None:
+        """`alike`: of an automaton with the same moves, whose preparations serve here too."""
         self.automaton = automaton
         self.n_words = -(-automaton.n_states // 64)
         self.shift = 3  # groups of eight words, what `Lanes` take at once, or of more, so that 64 bits tell them apart
         while self.n_words + 2 > 64 << self.shift:
             self.shift += 1
         self.width = -(-(self.n_words + 2) >> self.shift) << self.shift
-        self._pieces: dict[int, Pieces] = {}
-        self._maps: dict[int, Maps] = {}
+        self._pieces: dict[int, Pieces] = {} if alike is None else alike._pieces
+        self._maps: dict[int, Maps] = {} if alike is None else alike._maps
         self._rows: dict[tuple[int, int], U64] = {}
 
     def pieces(self, t: int) -> Pieces:
@@ -201,10 +202,12 @@ class Words(Layers[Sets, Layer]):
         self.choices = choices
         prepared: tuple[Graph, Moves] | None = game.kept.get("words")
         if prepared is None:
-            prepared = Graph.of(game, lambda n: self.budget.take(n, 0, game.horizon)), Moves(game.automaton)
+            graph = Graph.of(game, lambda n: self.budget.take(n, 0, game.horizon))
+            prepared = graph, Moves(game.automaton, game.kept.get("moves"))
             if len(prepared[0].target) <= _KEPT:
                 game.kept["words"] = prepared
         self.graph, self.moves = prepared
+        game.kept["moves"] = self.moves
         self.mode = words.PLAIN if allowed.everything else words.MIXED if allowed.mixed else words.RESTRICTED
         self.crew = Crew(self, threads)
         n = len(self.graph.states)
@@ -369,6 +372,10 @@ class Words(Layers[Sets, Layer]):
     def n_open(self, layer: Layer) -> int:
         return int(np.bitwise_count(layer.open).sum(dtype=np.int64))
 
+    def n_bytes(self, layer: Layer) -> int:
+        arrays = (layer.states, layer.start, layer.word, layer.open, layer.sure, layer.tiles)
+        return sum(array.nbytes for array in arrays) + 16 * len(layer.word)  # and its keys and ranks, once asked for
+
     def parts(self, layer: Layer) -> list[tuple[int, int]]:
         graph, n = self.graph, len(layer.states)
         if self.allowed.mixed:  # mixtures are over one denominator a step
@@ -439,8 +446,7 @@ class Words(Layers[Sets, Layer]):
         s, weight = graph.states[s].astype(np.int64), None
         if self.allowed.mixed:
             owner = np.repeat(np.arange(n), np.diff(choices))
-            number = choice - graph.rows.choice_start[graph.rows.at(s)[owner]]
-            weight = self.allowed.weights(t, s[owner], q[owner], number)
+            weight = self.allowed.weights(t, s[owner], q[owner], self.within(s[owner], choice))
         return Edges(s, q, choices, choice, weight, start, entry, child)
 
 

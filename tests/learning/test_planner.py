@@ -1,0 +1,108 @@
+"""The model-based learner's plans against backward induction over all states, memories and steps, bit for bit."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import stltool as stl
+from stltool.automata import TRUE, UNDECIDED
+from stltool.checking.induction import Single
+from stltool.checking.induction.anywhere import Anywhere
+from stltool.checking.induction.nodes import Nodes
+from stltool.checking.induction.words import Words
+from stltool.learning.counts import Counts
+from stltool.learning.model_based import _HAIR, Planner
+from stltool.learning.problem import Problem
+from tests.checking.test_check import products
+
+
+def counted(product, rng, share):
+    """Some transitions of some choices, wherever they lead."""
+    model = product.model
+    counts = Counts(model.n_choices, model.n_states)
+    tried = np.flatnonzero(rng.random(model.n_choices) < share)
+    choice = np.repeat(tried, rng.integers(1, 6, size=len(tried)))
+    counts.add(choice, rng.integers(model.n_states, size=len(choice)))
+    return counts
+
+
+def dense(product, counts, known_after, caution, since, optimistic):
+    """The first best choices (h, S, Q) of steps since … h−1, each sum added in order, outside last."""
+    problem, automaton = Problem.of(product), product.automaton
+    h, S, visits = automaton.horizon, problem.n_states, counts.visits
+    known = {}
+    for c, s, n in zip(counts.choice.tolist(), counts.target.tolist(), counts.seen.tolist(), strict=True):
+        known.setdefault(c, []).append((s, n))
+    values = (automaton.verdicts(h) == TRUE) * np.ones((S, 1))
+    table = np.zeros(problem.shape, dtype=int)
+    for t in range(h - 1, since - 1, -1):
+        verdicts, new = automaton.verdicts(t), np.empty_like(values)
+        outside = 1.0 - _HAIR * (1 + t / h) if optimistic else 0.0
+        for s, q in np.ndindex(values.shape):
+            sums = []
+            for c in range(problem.first_choice[s], problem.first_choice[s + 1]):
+                total, trusted = 0.0, visits[c] >= known_after
+                for x, n in known[c] if trusted else ():
+                    total += n / (visits[c] + caution) * values[x, product.enter(x, q)]
+                if not trusted or caution:
+                    total += (caution / (visits[c] + caution) if trusted else 1.0) * outside
+                sums.append(total)
+            table[t, s, q] = int(np.argmax(sums))
+            new[s, q] = max(sums) if verdicts[q] == UNDECIDED else verdicts[q] == TRUE
+        values = new
+    return table
+
+
+def required(product, counts, known_after, caution, since, optimistic, kinds):
+    problem = Problem.of(product)
+    anywhere = Anywhere(Single(product.automaton), problem.letter, np.uint8)
+    wanted = dense(product, counts, known_after, caution, since, optimistic)
+    for kind in kinds:
+        planner = Planner(problem, counts, kind)
+        plan = planner.induct(planner.rows(counts.visits, known_after, caution), optimistic, since)
+        for t in range(since, product.horizon):
+            s, q = np.divmod(anywhere.codes(t), product.automaton.n_states)
+            assert np.array_equal(plan.at(t - since, s, q), wanted[t, s, q]), kind
+
+
+@given(products(max_states=4), st.integers(0, 2**32 - 1), st.booleans(), st.integers(0, 1), st.data())
+@settings(max_examples=50)
+def test_plans_are_those_of_all_pairs(product, seed, optimistic, share, data):
+    if product.horizon == 0:
+        return
+    counts = counted(product, np.random.default_rng(seed), 0.3 + 0.7 * share)
+    known_after, caution = data.draw(st.integers(1, 3)), data.draw(st.sampled_from([0.0, 0.1, 2.0]))
+    since = data.draw(st.integers(0, product.horizon))
+    if optimistic:
+        caution = 0.0
+    else:
+        known_after = 1
+    required(product, counts, known_after, caution, since, optimistic, (Nodes, Words))
+
+
+@pytest.mark.parametrize("optimistic", [True, False])
+def test_more_memory_than_a_word_holds(optimistic):
+    model = stl.MDP.from_arrays([np.eye(3)] * 2, {}, labels={"a": [1, 0, 0], "b": [0, 1, 0]}, initial=0)
+    product = stl.build_product(model, stl.parse("G[0,4] (F[0,11] a & F[0,11] b)"))
+    assert product.automaton.n_states > 64
+    counts = counted(product, np.random.default_rng(5), 0.7)
+    required(product, counts, 1, 0.0 if optimistic else 0.1, product.horizon - 12, optimistic, (Nodes, Words))
+
+
+@given(products(max_states=4))
+@settings(max_examples=40)
+def test_wherever_a_run_can_be_is_planned_for(product):
+    """F_t has whatever a run reaches, and both engines hold the same."""
+    anywhere = Anywhere(Single(product.automaton), product.letter, np.uint8)
+    automaton, n = product.automaton, product.automaton.n_states
+    pairs = {(s, product.enter(s, automaton.initial)) for s in range(product.model.n_states)}
+    for t in range(product.horizon):
+        pairs = {(s, q) for s, q in pairs if automaton.verdicts(t)[q] == UNDECIDED}
+        assert set(anywhere.codes(t).tolist()) == {s * n + q for s, q in pairs}
+        layer = anywhere.layer(t)
+        bits = np.unpackbits(layer.open.view(np.uint8), bitorder="little").reshape(-1, 64)
+        where, bit = np.nonzero(bits)
+        owner = np.repeat(layer.states, np.diff(layer.start))
+        assert {(int(owner[w]), int(64 * layer.word[w] + b)) for w, b in zip(where, bit, strict=True)} == pairs
+        pairs = {(x, product.enter(x, q)) for _, q in pairs for x in range(product.model.n_states)}
