@@ -19,8 +19,9 @@ from stltool.learning.settings import settings_of
 # classes whose objects functions make, so that their constructors are no doors
 RESULTS = {
     "CheckResult", "Estimate", "Fragment", "Front", "Guarantee", "JointProduct", "LikelyRuns", "MDP", "Meaning",
-    "MonitorResult", "Product", "Run", "Sensitivity", "SequentialTest", "SmoothRobustness", "StlToolError",
-    "Learner", "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton", "Tradeoff", "Training", "Decision",
+    "MonitorResult", "Product", "Run", "Sensitivity", "SequentialTest", "SmoothRobustness", "StationaryResult",
+    "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton", "Tradeoff",
+    "Training", "Decision",
 }  # fmt: skip
 
 # called from within, or in inner loops with indices of their own
@@ -182,6 +183,7 @@ CALLS = {
     "likely_runs": lambda w: {"product": w.product},
     "sensitivity": lambda w: {"product": w.product},
     "Sensitivity.ranked": lambda w: {"self": stl.sensitivity(w.product)},
+    "stationary": lambda w: {"product": w.product},
     "surrogate_optimum": lambda w: {"product": w.product, "gamma": 0.5},
     "tradeoff": lambda w: {"joint": w.joint, "objective": "one"},
     "pareto": lambda w: {"joint": w.joint},
@@ -225,7 +227,7 @@ TAKES = {
     **dict.fromkeys(("source", "command", "step"), TEXT),
     **dict.fromkeys(("labels", "params", "budget"), MAPPING),
     **dict.fromkeys(("names", "action_names", "state_names"), NAMES),
-    **dict.fromkeys(("letters", "chi", "estimates", "guarantees"), LISTS),
+    **dict.fromkeys(("letters", "chi", "estimates", "guarantees", "stationary"), LISTS),
     **{key: {"array", "list"} for key in ("table", "transitions", "lower", "upper")},
     "b": {"int", "None"},
     "environment": {"None"},

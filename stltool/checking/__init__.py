@@ -7,13 +7,14 @@ from stltool.checking.pareto import Front, pareto
 from stltool.checking.robust import robust_check
 from stltool.checking.sampling import Run, sample_run
 from stltool.checking.sensitivity import Sensitivity, sensitivity
+from stltool.checking.stationary import StationaryResult, stationary
 from stltool.checking.statistical import Estimate, SequentialTest, estimate, estimate_from, sprt, sprt_from
 from stltool.checking.surrogate import SurrogateResult, surrogate_optimum
 from stltool.checking.tradeoff import Tradeoff, tradeoff
 
 __all__ = [
     "CheckResult", "Estimate", "Front", "LikelyRun", "LikelyRuns", "Run", "Sensitivity", "SequentialTest",
-    "SurrogateResult", "Tradeoff", "certify", "check", "estimate", "estimate_from", "likely_runs", "pareto",
-    "require_certificate_of", "robust_check", "sample_run", "sensitivity", "sprt", "sprt_from", "surrogate_optimum",
-    "tradeoff", "write_certificate",
+    "StationaryResult", "SurrogateResult", "Tradeoff", "certify", "check", "estimate", "estimate_from", "likely_runs",
+    "pareto", "require_certificate_of", "robust_check", "sample_run", "sensitivity", "sprt", "sprt_from", "stationary",
+    "surrogate_optimum", "tradeoff", "write_certificate",
 ]  # fmt: skip

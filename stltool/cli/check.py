@@ -13,7 +13,6 @@ from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, PolicyFile, TaskFile, TaskName
 from stltool.cli.roles import Writes
 from stltool.cli.steps import NATURES, judge_by, make_product, read_probability, resumable
-from stltool.cli.words import Named
 from stltool.errors import SettingsError
 from stltool.numbers import bound_texts, fraction_text
 
@@ -39,6 +38,15 @@ def check(
     minimize: Annotated[
         bool, typer.Option("--minimize", help="the minimum over all policies instead of the maximum")
     ] = False,
+    stationary: Annotated[
+        bool,
+        typer.Option(
+            "--stationary", help="judge the best policy found whose action depends on state and memory, not on the step"
+        ),
+    ] = False,
+    memoryless: Annotated[
+        bool, typer.Option("--memoryless", help="judge the best policy found whose action depends on the state alone")
+    ] = False,
     exact: Annotated[
         bool, typer.Option("--exact", help="compute the probability as a fraction, without rounding")
     ] = False,
@@ -56,7 +64,6 @@ def check(
             help="write the optimal policy: .npz, or .policy, which is written step by step and may exceed memory",
         ),
         Writes(_policy_files),
-        Named("keep_policy", "leave --save-policy out, or "),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="continue the .policy file of an interrupted run")] = False,
     certificate: Annotated[
@@ -85,7 +92,7 @@ def check(
     import stltool as stl
     from stltool.checking.certificate import require_certificate_file
     from stltool.policy import require_policy_file
-    from stltool.reporting import check_data
+    from stltool.reporting import check_data, stationary_data
     from stltool.reporting.terminal import print_checks, print_facts, print_json, progress_bar
 
     bounds: list[tuple[str, str, Fraction]] = [
@@ -93,6 +100,9 @@ def check(
         for option, text in (("--at-least", at_least), ("--at-most", at_most))
         if text is not None
     ]
+    clockless = stationary or memoryless
+    if clockless and (policy is not None or (stationary and memoryless)):
+        raise SettingsError("--stationary, --memoryless and --policy each say which policy is judged; give one of them")
     streamed = save_policy is not None and save_policy.suffix.lower() == ".policy"
     if save_policy is not None:
         require_policy_file(save_policy)
@@ -106,6 +116,11 @@ def check(
     robust = uncertain and nature != "nominal"
     if robust and (exact or certificate is not None):
         raise SettingsError("--exact and --certificate need probabilities without intervals; add --nature nominal")
+    if clockless and robust:
+        option = "--stationary" if stationary else "--memoryless"
+        raise SettingsError(f"{option} needs probabilities without intervals; add --nature nominal")
+    if clockless and streamed:
+        raise SettingsError(f"--save-policy {save_policy}: policies that do not know the step are saved as .npz")
     fraction = {"exact": True} if exact else {}
     chosen = stl.load_policy(policy, product) if policy is not None else None
     to_file = {"policy_file": save_policy, "resume": resume} if streamed else {}
@@ -113,8 +128,17 @@ def check(
         raise SettingsError(f"--save-policy {save_policy}: for interval probabilities, policies are saved as .npz")
     if robust and cluster is not None:
         raise SettingsError("--cluster needs probabilities without intervals; add --nature nominal")
+    if clockless and cluster is not None:
+        raise SettingsError("--cluster is for the optimum and for given policies; leave it or the other option out")
     where = {"cluster": cluster} if cluster is not None else {}
     keep = save_policy is not None
+    found = None
+    if clockless:
+        with progress_bar("searching", quiet=as_json) as bar:
+            found = stl.stationary(
+                product, memory="automaton" if stationary else "none", maximize=not minimize, progress=bar
+            )
+        chosen = found.policy
     state = _policy_files(save_policy)[-1] if save_policy is not None else None
     with (
         resumable(state, "the first state was saved") if streamed else nullcontext(),
@@ -123,14 +147,17 @@ def check(
         asked = fraction if chosen is None else {}
         optimum = judge(product, maximize=not minimize, keep_policy=keep, progress=bar, **asked, **to_file, **where)
     result = optimum if chosen is None else judge(product, chosen, maximize=not minimize, **fraction, **where)
-    if save_policy is not None and optimum.policy is not None and not streamed:
-        optimum.policy.save(save_policy)
+    kept = found.policy if found is not None else optimum.policy
+    if save_policy is not None and kept is not None and not streamed:
+        kept.save(save_policy)
     if certificate is not None:
         with progress_bar("writing the certificate", quiet=as_json) as bar:
             proved = stl.write_certificate(result, certificate, progress=bar, cluster=cluster)
     data = check_data(result, optimum)
     if uncertain:
         data["nature"] = nature or "against"
+    if found is not None:
+        data["stationary"] = stationary_data(found)
     verdicts = []
     for option, text, bound in bounds:
         holds = result.at_least(bound) if option == "--at-least" else result.at_most(bound)
@@ -148,6 +175,12 @@ def check(
         if uncertain:
             print_facts({"nature": NATURES[data["nature"]]})
         print_checks([check_data(optimum), data] if chosen is not None else [data])
+        if found is not None:
+            limit = bound_texts(found.bound, found.bound)[0 if minimize else 1]
+            print_facts({
+                found.kind: found.status,
+                "bound": f"no deterministic {found.kind} policy has {'less' if minimize else 'more'} than {limit}",
+            })  # fmt: skip
         if result.certainty is not None:
             print_facts({"certain": result.certainty})
         if result.fraction is not None:

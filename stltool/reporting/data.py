@@ -15,7 +15,16 @@ from stltool.automata import TaskAutomaton, compile_automaton
 from stltool.automata.compare import disagreement
 from stltool.automata.compile import all_valuations, atoms_of
 from stltool.automata.history import history_states
-from stltool.checking import CheckResult, Estimate, Run, SequentialTest, likely_runs, sample_run, sensitivity
+from stltool.checking import (
+    CheckResult,
+    Estimate,
+    Run,
+    SequentialTest,
+    StationaryResult,
+    likely_runs,
+    sample_run,
+    sensitivity,
+)
 from stltool.errors import FragmentError, SettingsError
 from stltool.learning import Guarantee, Training
 from stltool.learning.settings import recorded
@@ -141,6 +150,25 @@ def check_data(result: CheckResult, optimum: CheckResult | None = None) -> dict[
     }
 
 
+def stationary_data(found: StationaryResult) -> dict[str, Any]:
+    """A search among policies that do not know the step: what it found, its bound, and the candidates."""
+    return {
+        "kind": found.kind,
+        "probability": found.probability,
+        "lower": found.best.lower,
+        "upper": found.best.upper,
+        "optimum": found.optimum.probability,
+        "gap": found.gap,
+        "bound": found.bound,
+        "proved": found.proved,
+        "status": found.status,
+        "evaluated": len(found.candidates),
+        "candidates": [dataclasses.asdict(candidate) for candidate in found.candidates],
+        "relaxations": found.nodes,
+        "seconds": found.seconds,
+    }
+
+
 def estimate_data(
     result: Estimate | SequentialTest,
     product: Product,
@@ -198,12 +226,14 @@ def report_data(
     seed: int = 0,
     estimates: Sequence[Estimate] = (),
     guarantees: Sequence[Guarantee | Estimate | dict[str, Any]] = (),
+    stationary: Sequence[StationaryResult] = (),
     product: Product | None = None,
 ) -> dict[str, Any]:
     """Everything a report shows. `source` is the text of the task file, `command` the command that repeats the run.
 
     `estimates` of the policy shown (the given one, else the optimal one) appear next to its exact probability, and so
-    do `guarantees` for it from data: as found, or in the form of `guarantee_data`. A black box has no results: its
+    do `guarantees` for it from data: as found, or in the form of `guarantee_data`. `stationary` are
+    searches among policies that do not know the step. A black box has no results: its
     report opens with the first of `guarantees`, for the policy of `training`, on `product` (default: the policy's own).
     """
     if results:
@@ -216,7 +246,7 @@ def report_data(
             "a report needs at least one check result, or, for a black box, a training and a guarantee for its policy"
         )
     product = product if product is not None else home
-    for result in results:
+    for result in (*results, *(found.optimum for found in stationary)):
         if (result.product.model.digest(), result.product.automaton.digest()) != (
             product.model.digest(),
             product.automaton.digest(),
@@ -233,6 +263,7 @@ def report_data(
         "checks": [check_data(result, optima.get(result.nature)) for result in results],
         "estimates": [{**dataclasses.asdict(estimate), "statement": estimate.statement} for estimate in estimates],
         "guarantees": [found if isinstance(found, dict) else guarantee_data(found) for found in guarantees],
+        "stationary": [stationary_data(found) for found in stationary],
         "training": training_data(training) if training is not None else None,
         "run": _run_data(product, policy, seed) if policy is not None and points else None,
         "why": _why_data(product, policy) if policy is not None and points and results else None,
@@ -242,7 +273,7 @@ def report_data(
 
 def _why_data(product: Product, policy: Policy) -> dict[str, Any] | None:
     """The most probable violating runs and the most sensitive states; None if finding them could take long."""
-    branches = 1 if policy.deterministic else policy.table.shape[-1]
+    branches = 1 if policy.deterministic else product.model.most_choices
     successors = product.model.n_transitions / product.model.n_choices
     if product.horizon * product.n_states * branches * successors > _MOST_EDGES:
         return None

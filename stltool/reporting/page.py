@@ -15,7 +15,7 @@ import jinja2
 
 from stltool.arguments import described, require
 from stltool.arguments import path as path_of
-from stltool.checking import CheckResult, Estimate
+from stltool.checking import CheckResult, Estimate, StationaryResult
 from stltool.display import NATURES
 from stltool.errors import ArgumentError, FileError
 from stltool.files import read_text, write_atomically
@@ -38,6 +38,7 @@ def report(
     seed: int = 0,
     estimates: Sequence[Estimate] = (),
     guarantees: Sequence[Guarantee | Estimate] = (),
+    stationary: Sequence[StationaryResult] = (),
     product: Product | None = None,
 ) -> None:
     """Write a page at `path` (.html), and next to it the JSON that it is made from.
@@ -47,6 +48,7 @@ def report(
     source, command   the text of the task file, and the command that repeats the run
     seed        of the run that is shown
     estimates   of the policy shown (the given one, else the optimal one), from runs
+    stationary  what the best policies have that do not know the step
     guarantees  for the policy shown, from data. A black box has no results: `stl.report([], training, path,
                 guarantees=[found])` reports the policy of `training`, on `product` (default: the policy's own)
 
@@ -70,6 +72,7 @@ def report(
         seed=require_seed(seed),
         estimates=_each(estimates, Estimate, "estimates"),
         guarantees=_each(guarantees, (Guarantee, Estimate), "guarantees"),
+        stationary=_each(stationary, StationaryResult, "stationary"),
         product=product,
     )
     write_report(data, target)

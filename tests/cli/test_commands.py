@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from fractions import Fraction
 
 import pytest
 
@@ -179,6 +180,45 @@ def test_the_optimal_policy_can_be_saved_and_checked(stltool, tmp_path):
     assert stltool("check", PATROLLING, *SMALL, "--save-policy", policy)[0] == 0
     _, out, _ = stltool("check", PATROLLING, *SMALL, "--policy", policy, "--json")
     assert json.loads(out)["gap"] == 0
+
+
+@pytest.mark.parametrize("kind", ["stationary", "memoryless"])
+def test_policies_that_do_not_know_the_step(stltool, tmp_path, kind):
+    task, policy = FACTORY / "tradeoff.stl", tmp_path / "p.npz"
+    options = ("--task", "charging", "-p", "T=3", f"--{kind}")
+    code, out, err = stltool("check", task, *options, "--save-policy", policy, "--exact", "--json")
+    assert (code, err) == (0, "")
+    data = json.loads(out)
+    model = stl.load_model(FACTORY / "floor-5x5.toml")
+    product = stl.build_product(model, stl.load_task(task, {"T": 3}, "charging"))
+    found = stl.stationary(product, memory="automaton" if kind == "stationary" else "none")
+    assert data["stationary"]["kind"] == kind
+    assert data["stationary"]["bound"] == found.bound
+    assert data["probability"] == pytest.approx(found.probability)
+    assert float(Fraction(data["exact"])) == data["probability"]
+    code, out, _ = stltool("check", task, *options[:-1], "--policy", policy, "--json")
+    assert json.loads(out)["probability"] == pytest.approx(found.probability, abs=1e-12)
+    code, out, _ = stltool("check", task, *options, "--minimize", "--at-most", "0.5")
+    assert code == 0
+    assert f"no deterministic {kind} policy has less than 0" in out
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--memoryless"], "each say which policy is judged; give one of them"),
+        (["--policy", "p.npz"], "each say which policy is judged"),
+        (["--save-policy", "p.policy"], "policies that do not know the step are saved as .npz"),
+        (["--cluster", "tcp://127.0.0.1:9"], "--cluster is for the optimum and for given policies"),
+        (["--model", str(FACTORY / "floor-5x5-uncertain.toml")], "needs probabilities without intervals"),
+    ],
+)
+def test_stationary_with_what_does_not_fit(stltool, tmp_path, monkeypatch, options, says):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = stltool("check", FACTORY / "patrolling.stl", "--stationary", *options)
+    assert (code, out) == (2, "")
+    assert says in " ".join(err.split())
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_run_learns_checks_and_reports(stltool, tmp_path):

@@ -28,6 +28,8 @@ FAULTY = [
         ["--at-least", "much"], ["--model", "row.toml"], ["--polcy", "p.npz"], ["--nature", "with"], ["--nominal"],
         ["--model", "floor-5x5-uncertain.toml", "--nature", "kind"],
         ["--model", "floor-5x5-uncertain.toml", "--exact"],
+        ["--model", "floor-5x5-uncertain.toml", "--memoryless"], ["--stationary", "--memoryless"],
+        ["--stationary", "--save-policy", "p.policy"],
     )),
     ["check", "bare.stl"], ["check", "none.stl"], ["check"], ["chek", "patrolling.stl"],
     *(["run", "patrolling.stl", *options] for options in (

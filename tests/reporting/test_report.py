@@ -60,6 +60,21 @@ def test_a_report_without_training_or_floor():
     assert "P = 0.5" in page
 
 
+def test_a_report_says_what_a_clock_is_worth(patrolling, floor5, tmp_path):
+    found = [stl.stationary(patrolling, memory=memory, most=2) for memory in ("automaton", "none")]
+    stl.report(stl.check(patrolling), None, tmp_path / "report.html", stationary=found)
+    page = html.unescape((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert "Without a clock" in page
+    data = load_report(tmp_path / "report.json")["stationary"]
+    for row, one in zip(data, found, strict=True):
+        assert (row["kind"], row["bound"], row["gap"]) == (one.kind, one.bound, one.gap)
+        assert one.status in page
+    assert f"{sum(len(one.candidates) for one in found)} such policies were evaluated" in page
+    other = stl.stationary(stl.build_product(floor5, stl.parse("F[0,2] A")), most=0)
+    with pytest.raises(SettingsError, match="belong to one model and one task"):
+        report_data([stl.check(patrolling)], stationary=[other])
+
+
 def test_a_report_tells_why_it_fails(results):
     checks, run = results
     data = report_data(checks, run)
