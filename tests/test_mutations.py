@@ -106,6 +106,23 @@ MUTATIONS = {
     ),
     "the checker: sets of the step before stay": (
         RECHECK, "again = {s for x in self.changed for s in self.leading_to[x]}", "again = set()", CERTIFICATE,
+    "sums: a verdict's reward is forgotten": (
+        EDGES, "p * (value[m] + paid[m])", "p * value[m]", "tests/checking/test_tradeoff.py",
+    ),
+    "flows: a mixture's weights": (
+        "checking/unfold.py", "flow = flow * edges.weight", "pass", "tests/checking/test_sensitivity.py",
+    ),
+    "choices left are counted among those left": (
+        "checking/induction/induct.py", "if not layers.allowed.everything:", "if False:",
+        "tests/checking/test_surrogate.py",
+    ),
+    "plans: what they are worth outside, later": (
+        "learning/model_based.py", "(1 + (self._since + t) / self._h)", "(1 + t / self._h)",
+        "tests/learning/test_planner.py",
+    ),
+    "stationary: half of the branches": (
+        "checking/stationary.py", "for alone in (True, False):", "for alone in (True,):",
+        "tests/checking/test_stationary.py",
     ),
     "nature spends more than there is": (EDGES, "min(width[e], left)", "width[e]", "tests/checking/test_robust.py"),
 }  # fmt: skip

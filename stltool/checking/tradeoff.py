@@ -200,6 +200,8 @@ class _Asked:
             if Fraction(top.upper) < floor:
                 raise InfeasibleError(f"{self.text(i)} cannot be met: {self.possible(i, Fraction(top.upper), 'its')}")
             highest[i] = Fraction(top.upper)
+            if progress is not None:
+                progress(len(highest), len(self.floors))
         return highest
 
     def require_together(self, lp: Programme, highest: Mapping[int, Fraction]) -> dict[int, bool]:

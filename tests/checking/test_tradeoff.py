@@ -418,10 +418,14 @@ def test_a_front_that_stops_early_says_so(shift):
         assert above >= corner.point[0] - 1e-12
 
 
-def test_progress_counts_points_and_sweeps(shift):
+def test_progress_counts_points_and_constraints(shift):
     calls = []
     stl.pareto(shift, points=3, progress=lambda done, total: calls.append((done, total)))
     assert calls == [(1, 3), (2, 3), (3, 3)]
+    calls.clear()
+    bounds = {"at_least": {"patrolling": 0.1}, "budget": {"x": 100}}
+    stl.tradeoff(shift, "charging", **bounds, progress=lambda done, total: calls.append((done, total)))
+    assert calls == [(1, 2), (2, 2)]
 
 
 # --------------------------------------------------------------------------------------------------- policies

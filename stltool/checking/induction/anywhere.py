@@ -9,7 +9,6 @@ told apart as certain. Plans may begin at any step: `Later` counts an automaton'
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -76,12 +75,6 @@ class Anywhere:
             moves, after = automaton.moves(t), np.zeros_like(after)
             for q in np.flatnonzero(here.any(axis=0)).tolist():
                 after[letters, moves[letters, q]] = True
-
-    @cached_property
-    def pairs(self) -> int:
-        """Of all steps together."""
-        per_letter = np.bincount(self.letter, minlength=int(self.letter.max()) + 1)
-        return sum(int(per_letter @ here.sum(axis=1)) for here in self._reached)
 
     def layers(self, kind: type[Layers[Any, Any]], game: Game, since: int, budget: Budget) -> Layers[Any, Any]:
         """Those of steps from `since` on, for a game over `Later`, held as Nodes or as Words, on one thread."""
