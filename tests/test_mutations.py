@@ -106,6 +106,7 @@ MUTATIONS = {
     ),
     "the checker: sets of the step before stay": (
         RECHECK, "again = {s for x in self.changed for s in self.leading_to[x]}", "again = set()", CERTIFICATE,
+    ),
     "sums: a verdict's reward is forgotten": (
         EDGES, "p * (value[m] + paid[m])", "p * value[m]", "tests/checking/test_tradeoff.py",
     ),
