@@ -60,7 +60,7 @@ def connected(cluster: str, what: str, otherwise: str) -> Iterator[Client]:
         client = Client(cluster, timeout=_PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         raise SettingsError(
-            f"no dask scheduler answers at {cluster}: {error}; write for example tcp://host:8786"
+            f"no dask scheduler answers at {cluster}: {error}; write, for example, tcp://host:8786"
         ) from None
     with client:
         try:

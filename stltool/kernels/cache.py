@@ -1,16 +1,16 @@
-"""Machine code of the kernels on disk: where it is kept, and how.
+"""Machine code of the kernels on disk: where and how it is stored.
 
-The places, the first that can be written to: the folder that NUMBA_CACHE_DIR names, `__pycache__` beside the sources,
-the user's cache folder. Places before it that cannot be written to are read, so that whoever installs for others can
-compile for them. Without any, each process compiles for itself.
+It is stored in the first writable location of: the folder named by NUMBA_CACHE_DIR, `__pycache__` next to the sources,
+the user's cache folder. Earlier locations that are not writable are read, so that an administrator can compile for
+others. Without any, each process compiles for itself.
 
-Each kernel and signature has its own files, written at once and replaced whole: processes that compile at the same time
-write the same, and none waits for another. (In numba's own layout two signatures that are compiled at the same time can
-get one file.) A damaged file is compiled again. No disk full and no folder that vanished ends a run.
+Each kernel and signature has its own files, written at once and replaced as a whole: processes that compile at the same
+time write the same content, and none waits for another. (In numba's own layout, two signatures compiled at the same
+time can get the same file.) A damaged file is compiled again. Neither a full disk nor a vanished folder ends a run.
 
-Folders of other sources at the same place are removed: nothing that starts from now on can use them. A process that
-still runs with the older sources has loaded what it needs, or compiles it again. Folders of the same sources and
-another compiler (several Pythons over one checkout) stay until nobody has used them for a month.
+Folders of other sources in the same location are removed: no new process can use them. A process still running with
+the older sources has loaded what it needs, or compiles it again. Folders of the same sources and another compiler
+(several Pythons sharing a checkout) stay until they have not been used for a month.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from numba.core.compiler import CompileResult
 
 from stltool.kernels.jit import HERE, SOURCES, tell_compiling
 
-config = cast(Any, _numba_config)  # its settings are made when it is imported
+config = cast(Any, _numba_config)  # its settings are created at import
 
 _UNUSED = 30 * 86400  # seconds
 _TOUCHED = 86400
@@ -44,16 +44,16 @@ _CODE_SETTINGS = ("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK", "DEBU
 
 
 def compiler() -> str:
-    """A digest of all that compiles, and is set for it; the processor is part of each file's key."""
+    """A digest of the compiler and its settings; the processor is part of each file's key."""
     versions = (numba.__version__, llvmlite.__version__, np.__version__, sys.version, sys.flags.optimize)
     settings = [getattr(config, name, None) for name in _CODE_SETTINGS]
     return hashlib.sha256(repr((versions, settings)).encode()).hexdigest()[:16]
 
 
 def folders() -> tuple[list[Path], Path | None]:
-    """The folders that can have code of these sources and this compiler; the one to write to, None where there is none.
+    """The folders that can contain code of these sources and this compiler; and the one to write to, None if none.
 
-    The last of the first is the second.
+    The latter is the last of the former.
     """
     name = f"numba-{SOURCES}-{compiler()}"
     readable: list[Path] = []
@@ -68,7 +68,7 @@ def folders() -> tuple[list[Path], Path | None]:
 
 
 def _places() -> Iterator[Path]:
-    mine = hashlib.sha256(os.fsencode(HERE.resolve())).hexdigest()[:16]  # another installation's sources are others
+    mine = hashlib.sha256(os.fsencode(HERE.resolve())).hexdigest()[:16]  # different for another installation
     if config.CACHE_DIR:
         yield Path(config.CACHE_DIR, f"stltool-{mine}")
     yield HERE / "__pycache__"
@@ -87,7 +87,7 @@ def _can_write(folder: Path) -> bool:
 
 
 def _clean(place: Path, mine: Path) -> None:
-    """Remove what cannot be used again from a place; see the module's text."""
+    """Remove what cannot be used again from a location; see the module docstring."""
     now = time.time()
     with contextlib.suppress(OSError):
         if now - mine.stat().st_mtime > _TOUCHED:
@@ -98,11 +98,11 @@ def _clean(place: Path, mine: Path) -> None:
                 shutil.rmtree(folder, ignore_errors=True)
 
 
-_folders = functools.cache(folders)  # once a process
+_folders = functools.cache(folders)  # once per process
 
 
 class KernelCache(_Cache):
-    """What numba's dispatcher asks for a kernel's machine code, and gives it to."""
+    """The cache from which numba's dispatcher loads a kernel's machine code, and in which it saves it."""
 
     def __init__(self, name: str, on_disk: bool) -> None:
         self._name, self._on_disk = name, on_disk
@@ -119,19 +119,19 @@ class KernelCache(_Cache):
                 found = self._file(folder, sig, target_context.codegen()).load(self._key(sig, target_context.codegen()))
                 if found is not None:
                     return CompileResult._rebuild(target_context, *found)
-            except Exception:  # a damaged file fails in many ways; it is replaced when the kernel has been compiled
+            except Exception:  # a damaged file fails in many ways; it is replaced once the kernel is compiled
                 continue
         tell_compiling(kept=self.cache_path is not None)
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         folder = _folders()[1] if self._on_disk else None
-        if folder is None or data.library.has_dynamic_globals or data.lifted:  # the latter cannot be kept
+        if folder is None or data.library.has_dynamic_globals or data.lifted:  # these cannot be stored
             return
         with contextlib.suppress(OSError):
             folder.mkdir(parents=True, exist_ok=True)
             file = self._file(folder, sig, data.codegen)
-            file.flush()  # numba reads the old index before it writes a new one: a damaged one must not be there
+            file.flush()  # numba reads the old index before it writes a new one, so a damaged one must be gone
             file.save(self._key(sig, data.codegen), data._reduce())
 
     @staticmethod

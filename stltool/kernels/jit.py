@@ -1,12 +1,12 @@
-"""The one decorator of all kernels: numba compiles them, and what is kept on disk is never older than the sources.
+"""The decorator of all kernels: numba compiles them, and machine code on disk is never older than the sources.
 
-numba's own cache compares the file of the function that it kept, not the files of the functions that it calls, although
-their code is compiled into it: after an edit or an upgrade of a callee its callers in other files would go on with the
-old one. So machine code is kept in a folder of its own for each state of *all* sources here and of the compiler:
+numba's own cache compares the file of the stored function, but not the files of the functions it calls, although their
+code is compiled into it: after an edit or an upgrade of a callee, its callers in other files would keep using the old
+one. So machine code is stored in a separate folder for each state of *all* sources here and of the compiler:
 
     <place>/numba-<digest of the sources>-<digest of the compiler>/
 
-kernels/cache.py says which places there are. This module imports numba only when a kernel is declared, and the package
+kernels/cache.py lists the locations. This module imports numba only when a kernel is declared, and the package
 imports it before the source of any kernel is read, so that the digest cannot be newer than the code.
 """
 
@@ -26,7 +26,7 @@ HERE = Path(__file__).parent
 
 
 def _files() -> _Files:
-    """Name, time of change and size of every source here; none where they are not files of a folder (in an archive)."""
+    """Name, time of change and size of every source here; none if they are not in a folder (but in an archive)."""
     try:
         with os.scandir(HERE) as entries:
             found = [(entry.name, entry.stat()) for entry in entries if entry.name.endswith(".py")]
@@ -50,8 +50,8 @@ SOURCES = _digest(_FILES)
 def kernel(function: _Kernel, *, inline: Literal["never", "always"] = "never") -> _Kernel:
     """Compile `function` with numba, without Python and without its lock; `.py_func` is the Python function.
 
-    The machine code is kept on disk, unless a source here has changed since this process began: what Python has read
-    may then be older or newer than the digest says.
+    The machine code is stored on disk, unless a source here has changed since this process began: the code that Python
+    has read may then be older or newer than the digest.
     """
     from numba import njit
 

@@ -24,7 +24,7 @@ I64: TypeAlias = NDArray[np.int64]
 
 @kernel
 def greedy(values: F64, n: int, chance: float) -> int:
-    """The best of the first n, ties broken by `chance` in [0, 1)."""
+    """The index of the best of the first n, ties broken by `chance` in [0, 1)."""
     best, ties = values[0], 1
     for i in range(1, n):
         if values[i] > best:
@@ -53,7 +53,7 @@ def surrogate_update(table: Any, s: int, q: int, a: int, s2: int, q2: int) -> No
 
 @kernel
 def remember(rows: I32, place: I64, s: int, q: int, a: int, s2: int, q2: int) -> int:
-    """Into the memory, the oldest row leaves; place = (next, size). Which row it became."""
+    """Store a row, replacing the oldest if the memory is full; place = (next, size). Returns its index."""
     i = int(place[0])
     rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3], rows[i, 4] = s, q, a, s2, q2
     place[0] = (i + 1) % len(rows)
@@ -63,7 +63,7 @@ def remember(rows: I32, place: I64, s: int, q: int, a: int, s2: int, q2: int) ->
 
 @kernel
 def replay_batch(table: Any, replay: Any, u: F64) -> None:
-    """One update for each number of u: the first `n_facts` draw from the facts, the rest from the memory."""
+    """One update for each number of u: the first `n_facts` are drawn from the facts, the rest from the memory."""
     sums = np.empty(0)
     if replay.weighted:
         sums = np.cumsum(replay.weight[: replay.place[1]])
@@ -81,7 +81,7 @@ def replay_batch(table: Any, replay: Any, u: F64) -> None:
 def surrogate_observe(
     table: Any, replay: Any, draws: F64, letter: int, t: int, s: int, q: int, a: int, s2: int, q2: int
 ) -> None:
-    """What a published method does with one transition; `letter` is that of s', draws (n, batch) of the episode."""
+    """The update of a published method for one transition; `letter` is that of s', draws (n, batch) of the episode."""
     if replay.online:
         surrogate_update(table, s, q, a, s2, q2)
     if replay.period == 0:
@@ -140,16 +140,16 @@ def clocked_update(
 def clocked_transitions(
     Q: F64, V: F64, visits: I64, letter: I32, entries: I64, successor: I32, n_choices: I64, least: float, rows: I32
 ) -> None:
-    """Every open (t, q) that real transitions rows (n, 3) of (s, a, s') speak for, one after another.
+    """Every open (t, q) for which real transitions, rows (n, 3) of (s, a, s'), are evidence, one after another.
 
-    entries (n_letters,): how many a state has, the last step's first; successor (n_letters, n_letters, E).
+    entries (n_letters,): how many a state has, those of the last step first; successor (n_letters, n_letters, E).
     """
     for i in range(len(rows)):
         s, a, s2 = rows[i, 0], rows[i, 1], rows[i, 2]
         alpha = max(least, 1.0 / visits[s, a])
         after = successor[letter[s], letter[s2]]
         mine, values, ahead = Q[s, a], V[s], V[s2]
-        for e in range(entries[letter[s]]):  # later steps come first: values of the same state are those just updated
+        for e in range(entries[letter[s]]):  # later steps come first, so values of the same state are already updated
             old = mine[e]
             new = old + alpha * (ahead[after[e]] - old)
             mine[e] = new

@@ -1,10 +1,10 @@
-"""One step of many runs at once. n live runs, each with its state s, memory q and number; u (n,) uniform in [0, 1).
+"""One step of many runs at once: n live runs, each with its state s, automaton state q and number; u (n,) in [0, 1).
 
     pick     choice[k] = chosen[s, q]                                            a deterministic policy
     mix      choice[k] = the first i with Σ_{j ≤ i} w[s,q,j] > u · Σ_j w[s,q,j]  a mixture
-    move     s' = the first successor whose cumulated probability exceeds u · (the row's total),  q' = δ(L(s'), q)
+    move     s' = the first successor whose cumulative probability exceeds u · (the row's total),  q' = δ(L(s'), q)
 
-Runs are independent, so processors look up several at a time; the loop over steps is outside.
+Runs are independent, so the processor can overlap their lookups; the loop over steps is outside.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ I64: TypeAlias = NDArray[np.int64]
 
 @kernel
 def inversion(sums: F64, lo: int, hi: int, x: float) -> int:
-    """The first entry of sums[lo:hi] that exceeds x; the last one where none does."""
+    """The first entry of sums[lo:hi] that exceeds x; the last one if none does."""
     hi -= 1
     while lo < hi:
         middle = (lo + hi) // 2
@@ -39,7 +39,7 @@ def inversion(sums: F64, lo: int, hi: int, x: float) -> int:
 
 @kernel
 def pick(chosen: Choices, s: I32, q: I32, choice: Choices) -> int:
-    """The first run where the policy says nothing (a negative entry), or −1."""
+    """The first run for which the policy defines no action (a negative entry), or −1."""
     for k in range(len(choice)):
         choice[k] = chosen[s[k], q[k]]
         if choice[k] < 0:
@@ -67,7 +67,7 @@ def move(
     choice_start: I64, row_start: I64, target: I32, sums: F64, letter: I32, delta: I32, verdict: I8,
     choice: Choices, u: F64, s: I32, q: I32, number: I32, outcome: I8,
 ) -> int:  # fmt: skip
-    """Runs still undecided move up to the front; how many they are. outcome[number] takes every run's verdict."""
+    """Move undecided runs to the front, and return their number; outcome[number] receives every run's verdict."""
     live = 0
     for k in range(len(choice)):
         c = choice_start[s[k]] + choice[k]

@@ -1,4 +1,4 @@
-"""What kernels take as one argument: named tuples of arrays and numbers."""
+"""Grouped arguments of kernels: named tuples of arrays and numbers."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ class Surrogate(NamedTuple):
 
 
 class Replay(NamedTuple):
-    """A published method's memory. Rows are (s, q, a, s', q'); places are (next row, rows held).
+    """A published method's memory. Rows are (s, q, a, s', q'); places are (next row, number of rows).
 
     online     whether each step updates at once
     period     0: no replay; else every period-th step of the episode draws a batch
     imagined   (k,) the flag vectors that counterfactual tuples start from; none: the factual tuple is kept
     after      (n_letters, k) where they lead;  closeness (N, k) exp(−‖f̃ − f‖₁), the weight of a tuple (`weighted`)
-    n_facts    how many of a batch are drawn from `facts`, a memory of factual tuples beside the other
+    n_facts    how many of a batch are drawn from `facts`, a separate memory of factual tuples
     """
 
     online: bool

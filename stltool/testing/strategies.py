@@ -40,11 +40,11 @@ from stltool.models import MDP
 LABELS = ("a", "b", "c")
 SIGNALS = ("x", "y")
 _WINDOWED: tuple[Callable[[Interval, Formula], Formula], ...] = (Eventually, Always)
-_VALUES = (-2.0, -1.0, 0.0, 0.5, 1.0, 2.0)  # few, so that comparisons meet their borders
+_VALUES = (-2.0, -1.0, 0.0, 0.5, 1.0, 2.0)  # few, so that comparisons reach equality
 
 
 def terms(signals: Sequence[str] = SIGNALS) -> st.SearchStrategy[Term]:
-    """Arithmetic that has a value everywhere: no division, no root, small whole exponents."""
+    """Arithmetic that has a value everywhere: no division, no root, small integer exponents."""
     return _terms(tuple(signals))
 
 
@@ -65,7 +65,7 @@ def _terms(signals: tuple[str, ...]) -> st.SearchStrategy[Term]:
 
 
 def predicates(labels: Sequence[str] = LABELS, signals: Sequence[str] = SIGNALS) -> st.SearchStrategy[Formula]:
-    """Boolean formulas of one state: labels, comparisons, constants under the Boolean operators."""
+    """Boolean formulas over one state: labels, comparisons, constants under the Boolean operators."""
     return _predicates(tuple(labels), tuple(signals))
 
 
@@ -158,7 +158,7 @@ def _boolean(below: st.SearchStrategy[Formula]) -> st.SearchStrategy[Formula]:
 def traces(
     draw: st.DrawFn, n_steps: int, labels: Sequence[str] = LABELS, signals: Sequence[str] = SIGNALS
 ) -> dict[str, NDArray[np.float64] | NDArray[np.bool_]]:
-    """A trace: name → array (n_steps,), few distinct values so that windows and borders are hit."""
+    """A trace: name → array (n_steps,), with few distinct values, so that windows and borders are exercised."""
 
     def column(values: Sequence[object]) -> list[object]:
         return draw(_many(tuple(values), n_steps))
@@ -202,8 +202,8 @@ def models(
 def interval_models(draw: st.DrawFn, /, **options: Any) -> MDP:
     """A small MDP with intervals over sixteenths; `options` as in `models`.
 
-    Every row holds a distribution of `models`, its ends each up to 1/4 away; entries that were 0 may have become
-    possible, and lower ends may be 0.
+    Every row contains a distribution as in `models`, with ends up to 1/4 away; entries that were 0 may become possible,
+    and lower ends may be 0.
     """
     model = draw(models(**options))
     n_actions, n_states = model.n_actions, model.n_states

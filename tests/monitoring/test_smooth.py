@@ -191,7 +191,7 @@ def test_beta_is_a_positive_number(beta):
 
 @pytest.mark.parametrize("signals", [[1, 2], None, np.zeros(3)])
 def test_signals_are_a_mapping(signals):
-    with pytest.raises(ArgumentError, match="not a mapping; write for example {"):
+    with pytest.raises(ArgumentError, match="not a mapping; write, for example, {"):
         stl.smooth_robustness(stl.parse("x > 0"), signals, 1.0)
-    with pytest.raises(ArgumentError, match="not a mapping; write for example {"):
+    with pytest.raises(ArgumentError, match="not a mapping; write, for example, {"):
         stl.monitor(stl.parse("x > 0"), signals)
