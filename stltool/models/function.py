@@ -213,7 +213,7 @@ class Function(Source):
         if bad.size:
             row = int(np.searchsorted(rows.row_start, bad[0], side="right")) - 1
             value, successor = probability[bad[0]], self._state(int(rows.target[bad[0]]))
-            raise ModelError(f"{place(row)}: {value:.12g} to state {successor} is no probability")
+            raise ModelError(f"{place(row)}: {value:.12g} to state {successor} is not a probability")
         if self._denominator is None:
             sums = np.add.reduceat(probability, rows.row_start[:-1])
             wrong = np.flatnonzero(np.abs(sums - 1) > ROW_TOLERANCE)

@@ -725,7 +725,7 @@ def _booleans(values: ArrayLike, name: str) -> NDArray[np.bool_]:
     try:
         array = np.asarray(values)
     except ValueError:
-        raise ModelError(f"label {name} is no list of one value a state") from None
+        raise ModelError(f"label {name} is not a list with one value per state") from None
     if array.dtype.kind not in "biuf" or not np.isin(array, (0, 1)).all():
         raise ModelError(f"label {name} has values other than true and false; make it a signal and compare it")
     return array.astype(np.bool_)
@@ -753,7 +753,7 @@ def _initial(
             shares = [exact(value) for value in array.ravel().tolist()]
             return np.array(shares, dtype=np.float64), shares
         except (NumberError, OverflowError) as error:
-            raise ModelError(f"the initial distribution does not hold numbers: {error}") from None
+            raise ModelError(f"the initial distribution does not contain numbers: {error}") from None
     return floats(array, "the initial distribution"), None
 
 
@@ -798,6 +798,6 @@ def _validate_distribution(initial: Floats, n_states: int) -> None:
     if initial.shape != (n_states,):
         raise ModelError(f"the initial distribution has shape {initial.shape}, not ({n_states},)")
     if not np.isfinite(initial).all() or (initial < 0).any():
-        raise ModelError("the initial distribution has values that are no probabilities")
+        raise ModelError("the initial distribution has values that are not probabilities")
     if abs(initial.sum() - 1) > ROW_TOLERANCE:
         raise ModelError(f"the initial distribution sums to {initial.sum():.12g}, not 1{hint(initial.sum())}")

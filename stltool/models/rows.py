@@ -200,7 +200,7 @@ class Rows:
             bad = np.flatnonzero(~np.isfinite(probability) | low | (probability > 1 + ROW_TOLERANCE))
             choice = int(np.searchsorted(self.row_start, bad[0], side="right")) - 1
             value, successor = probability[bad[0]], state(int(self.target[bad[0]]))
-            raise ModelError(f"{place(choice)}: {value:.12g} to state {successor} is no probability")
+            raise ModelError(f"{place(choice)}: {value:.12g} to state {successor} is not a probability")
         sums = np.add.reduceat(probability, self.row_start[:-1])
         wrong = np.flatnonzero(np.abs(sums - 1) > ROW_TOLERANCE)
         if wrong.size:

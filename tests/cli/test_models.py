@@ -24,5 +24,5 @@ def test_a_missing_label_file_is_a_note(stltool, tmp_path):
     (tmp_path / "t.stl").write_text('model "m.tra"\nt := F[0,2] x > 0\n')
     code, out, _ = stltool("explain", tmp_path / "t.stl")
     assert code == 0
-    assert "note: there is no m.lab beside m.tra: the model has no labels, and runs start in state 0" in out
+    assert "note: there is no m.lab next to m.tra: the model has no labels, and runs start in state 0" in out
     assert "m.sta" not in out

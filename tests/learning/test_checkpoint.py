@@ -456,7 +456,7 @@ def test_a_full_disk_leaves_the_last_checkpoint(patrolling, kept, monkeypatch):
 
 def test_a_checkpoint_is_tried_before_the_first_episode(patrolling, tmp_path):
     (tmp_path / "file").write_text("")
-    for path, says in ((tmp_path / "file" / "x.ckpt", "not a|no folder"), (tmp_path, "not a regular file")):
+    for path, says in ((tmp_path / "file" / "x.ckpt", "not a writable directory"), (tmp_path, "not a regular file")):
         with pytest.raises(FileError, match=says):
             stl.learn(patrolling, checkpoint=path, progress=pytest.fail)
 

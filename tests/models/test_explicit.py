@@ -84,7 +84,7 @@ def test_rounded_decimals_load_with_a_defect(tmp_path):
         ({"tra": "1 1 1\n0 0 1 1\n"}, r"line 2: '0 0 1 1': states are 0 … 0 by the first line"),
         ({"tra": "1 1 1\n0 0 0 6/5\n"}, r"line 2: .*6/5 is not a probability"),
         ({"tra": "1 1 1\n0 0 0 1/0\n"}, r"line 2: .*a decimal or a fraction such as 2/5"),
-        ({"tra": "1 1 2\n0 0 0 1/2\n0 0 0 1/2\n"}, r"line 3: .*this successor of the choice stands twice"),
+        ({"tra": "1 1 2\n0 0 0 1/2\n0 0 0 1/2\n"}, r"line 3: .*this successor of the choice appears twice"),
         ({"tra": "1 1 2\n0 0 0 1\n"}, "1 transitions, and the first line says 2; is the file cut off"),
         ({"tra": "1 2 1\n0 0 0 1\n"}, "1 choices, and the first line says 2"),
         (
@@ -102,7 +102,7 @@ def test_rounded_decimals_load_with_a_defect(tmp_path):
         ({"tra": "1 1 1\n0 0 +0 1\n"}, "line 2: .*write"),
         ({"tra": "1 1 1\n0 0 \u0660 1\n"}, "line 2: .*write"),
         ({"sta": "(x)\n0:(1_0)\n"}, "m.sta, line 2: .*write"),
-        ({"sta": "(x)\n0:(1)\n0:(2)\n"}, "m.sta, line 3: .*state 0 stands twice"),
+        ({"sta": "(x)\n0:(1)\n0:(2)\n"}, "m.sta, line 3: .*state 0 appears twice"),
         ({"lab": '0="init"\n0: 1\n'}, r'line 2: .*write "state: number number …", states 0 … 2'),
         ({"lab": '0="init"\n0: 0\n1: 0\n'}, 'm.lab: "init" marks 2 states; mark the one that runs start in'),
         ({"lab": '0="init" 1="x"\n0: 0\n'}, "m.lab: the label x is a variable of the .sta file too; rename it"),
@@ -129,12 +129,12 @@ def test_all_faults_of_the_three_files_are_told_at_once(tmp_path):
     form = 'write "state choice successor probability [action]" with a decimal or a fraction such as 2/5, or [0.6,0.9]'
     assert told == [
         f"M.tra, line 2: '0 0 1 2:5 go': '2:5' is not a number; {form}",
-        "M.tra, line 4: '0 0 2 2/5 go': this successor of the choice stands twice; add the two up",
+        "M.tra, line 4: '0 0 2 2/5 go': this successor of the choice appears twice; add the two probabilities",
         "M.tra, line 6: '1 0 9 0.25': states are 0 … 2 by the first line",
         "M.tra, line 7: '1 0 1 7/5': 7/5 is not a probability",
         "M.lab, line 3: '2: 7': write \"state: number number …\", states 0 … 2, numbers of the first line",
         "M.lab, line 4: '1_0: 1': write \"state: number number …\", states 0 … 2, numbers of the first line",
-        "M.sta, line 3: '0:(1,true)': state 0 stands twice",
+        "M.sta, line 3: '0:(1,true)': state 0 appears twice",
         "M.sta, line 4: '1:(one,true)': 'one' is not a number; write \"state:(x,up)\" with numbers, true or false",
         "M.tra, line 5: state 0, choice 1: the probabilities sum to 0.9, not 1",
         "M.tra, line 8: state 2, choice 0: the probabilities sum to 0.5, not 1",
@@ -155,14 +155,14 @@ def test_a_missing_label_file_is_told_where_a_label_is_missed(tmp_path):
     path = write(tmp_path, lab=None, sta=None)
     model = stl.load_model(path)
     assert model.notes == {
-        "label": "there is no m.lab beside m.tra: the model has no labels, and runs start in state 0",
-        "signal": "there is no m.sta beside m.tra: the model has no signals, and its states no names but their numbers",
+        "label": "there is no m.lab next to m.tra: the model has no labels, and runs start in state 0",
+        "signal": "there is no m.sta next to m.tra: the model has no signals, and its states have only numbers",
     }
     with pytest.raises(
-        NameLookupError, match="the model has no label done; .*; there is no m.lab beside m.tra: the mod"
+        NameLookupError, match="the model has no label done; .*; there is no m.lab next to m.tra: the mod"
     ):
         stl.build_product(model, stl.parse("F[0,2] done"))
-    with pytest.raises(NameLookupError, match="the model has no signal x; .*; there is no m.sta beside m.tra"):
+    with pytest.raises(NameLookupError, match="the model has no signal x; .*; there is no m.sta next to m.tra"):
         stl.build_product(model, stl.parse("F[0,2] x > 0"))
     assert stl.load_model(write(tmp_path)).notes == {}
 
@@ -183,5 +183,5 @@ def test_arrays_of_fractions_and_texts():
     for bad in ("one", "1/0", "1_0", "9" * 1001, "1e400", None, 1j):
         with pytest.raises(ModelError, match="transitions of action 0 are not numbers"):
             stl.MDP.from_arrays([[[bad, half], [0, 1]]], {"x": [0, 1]})
-        with pytest.raises(ModelError, match="initial distribution does not hold numbers"):
+        with pytest.raises(ModelError, match="initial distribution does not contain numbers"):
             stl.MDP.from_arrays([np.eye(2)], {"x": [0, 1]}, initial=[bad, half])

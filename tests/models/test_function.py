@@ -153,11 +153,11 @@ BAD = {
     ),
     "negative": (
         lambda s, a: (both_ways(s, a), only_at(s, a, 2, 1, [0.5, 0.5], [1.5, -0.5])),
-        "state c, action up: 1.5 to state c is no probability",
+        "state c, action up: 1.5 to state c is not a probability",
     ),
     "nan": (
         lambda s, a: (both_ways(s, a), only_at(s, a, 3, 0, [0.5, 0.5], [1.0, np.nan])),
-        "state d, action stay: nan to state e is no probability",
+        "state d, action stay: nan to state e is not a probability",
     ),
     "outside": (
         lambda s, a: (both_ways(s, a) + only_at(s, a, 1, 1, [0, 0], [0, 7]), only_at(s, a, 9, 9, [0.5, 0.5], 0)),

@@ -42,8 +42,11 @@ def test_models_of_the_strategy_are_distributions(model):
     ("changes", "says"),
     [
         ({"transitions": [STAY, [[0.3, 0.9], [0.8, 0.2]]]}, "state 0, action 1: the probabilities sum to 1.2, not 1"),
-        ({"transitions": [STAY, [[0.1, 0.9], [1.2, -0.2]]]}, "state 1, action 1: 1.2 to state 0 is no probability"),
-        ({"transitions": [STAY, [[np.nan, 0.9], [0.8, 0.2]]]}, "state 0, action 1: nan to state 0 is no probability"),
+        ({"transitions": [STAY, [[0.1, 0.9], [1.2, -0.2]]]}, "state 1, action 1: 1.2 to state 0 is not a probability"),
+        (
+            {"transitions": [STAY, [[np.nan, 0.9], [0.8, 0.2]]]},
+            "state 0, action 1: nan to state 0 is not a probability",
+        ),
         ({"transitions": [[[1, 0], [0, 0]]]}, "state 1 has no action; give it one that stays"),
         ({"transitions": [STAY, np.eye(3)]}, r"transitions of action 1 have shape \(3, 3\), not \(2, 2\)"),
         ({"transitions": STAY}, r"shape \(2, 2\); an array \(A, S, S\), or a list of matrices, is needed"),
@@ -60,7 +63,7 @@ def test_models_of_the_strategy_are_distributions(model):
         ({"initial": 2}, "the initial state 2 is not one of 0 … 1"),
         ({"initial": "s3", "state_names": ["s1", "s2"]}, "no initial state 's3'; known names: s1, s2"),
         ({"initial": [0.5, 0.6]}, "the initial distribution sums to 1.1"),
-        ({"initial": [1.5, -0.5]}, "no probabilities"),
+        ({"initial": [1.5, -0.5]}, "not probabilities"),
         ({"initial": [1.0]}, r"the initial distribution has shape \(1,\)"),
         ({"action_names": ["go"]}, "1 action names for 2 actions"),
         ({"action_names": ["go", "go"]}, "action names repeat"),

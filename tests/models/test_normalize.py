@@ -112,9 +112,9 @@ def test_the_initial_distribution_is_a_row_too():
             "state 0, action 0: the probabilities sum to 0.9, not 1; normalize rescales rows that miss 1 by at",
         ),
         ((0.5, 0.502), "sum to 1.002, not 1; normalize rescales"),
-        ((np.nan, 1.0), "state 0, action 0: nan to state 0 is no probability"),
-        ((-0.1, 1.1), "state 0, action 0: -0.1 to state 0 is no probability"),
-        ((7.0, 3.0), "state 0, action 0: 7 to state 0 is no probability"),
+        ((np.nan, 1.0), "state 0, action 0: nan to state 0 is not a probability"),
+        ((-0.1, 1.1), "state 0, action 0: -0.1 to state 0 is not a probability"),
+        ((7.0, 3.0), "state 0, action 0: 7 to state 0 is not a probability"),
     ],
 )
 def test_what_is_no_rounding_is_refused(row, says):

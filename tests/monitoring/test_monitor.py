@@ -280,7 +280,7 @@ def test_only_the_names_of_the_formula_are_looked_at():
     signals = {"x": [1.0, 2.0], "y": [np.nan], "z": "anything", "w": [[1, 2], [3]]}
     assert stl.monitor(stl.parse("x > 1"), signals).verdicts.tolist() == [False, True]
     assert stl.monitor(stl.parse("F[0,1] true"), {"x": [[1, 2, 3]] * 2}).verdicts.shape == (2, 2)
-    with pytest.raises(TraceError, match="signal z holds"):  # a formula without names takes its steps from all
+    with pytest.raises(TraceError, match="signal z is of"):  # a formula without names takes its steps from all
         stl.monitor(stl.parse("true"), signals)
 
 

@@ -105,10 +105,10 @@ def _missing_files(path: Path) -> dict[str, str]:
     """What is worth telling where labels or variables are in no file: as the notes of the model."""
     without = {
         "label": (".lab", "the model has no labels, and runs start in state 0"),
-        "signal": (".sta", "the model has no signals, and its states no names but their numbers"),
+        "signal": (".sta", "the model has no signals, and its states have only numbers"),
     }
     return {
-        kind: f"there is no {path.with_suffix(ending).name} beside {path.name}: {so}"
+        kind: f"there is no {path.with_suffix(ending).name} next to {path.name}: {so}"
         for kind, (ending, so) in without.items()
         if not path.with_suffix(ending).exists()
     }
@@ -234,7 +234,7 @@ def _outcome(
     if action and action != choice.action:
         return f"this choice has the action {choice.action or '(none)'} in line {choice.line}"
     if successor in choice.row:
-        return "this successor of the choice stands twice; add the two up"
+        return "this successor of the choice appears twice; add the two probabilities"
     if share[1]:
         choice.row[successor] = share
     return None
@@ -384,7 +384,7 @@ def _variables(path: Path, n_states: int, faults: _Faults) -> tuple[list[str] | 
         if s >= n_states or len(column) != len(variables):
             faults.line(path, number, line, f"{form}; states are 0 … {n_states - 1}")
         elif names[s]:
-            faults.line(path, number, line, f"state {s} stands twice")
+            faults.line(path, number, line, f"state {s} appears twice")
         else:
             names[s] = ", ".join(f"{name}={word}" for name, word in zip(variables, words, strict=True))
             values[:, s] = column
