@@ -9,6 +9,7 @@ Classes are identified by name, so that this file imports none of them; common m
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Mapping, Sequence, Set
 from decimal import Decimal
 from fractions import Fraction
@@ -143,9 +144,12 @@ def function(value: object, what: str) -> None:
 
 def path(value: object, what: str) -> Path:
     """The path given as a string or a path object; ArgumentError for anything else."""
-    if not isinstance(value, str | PathLike) or "\0" in str(value):
-        raise ArgumentError(f"{what} is {described(value)}, not a path; write one in quotes, or as pathlib.Path")
-    return Path(value)
+    try:
+        if isinstance(value, str | PathLike) and b"\0" not in os.fsencode(value):
+            return Path(value)
+    except UnicodeEncodeError:  # half a character
+        pass
+    raise ArgumentError(f"{what} is {described(value)}, not a path; write one in quotes, or as pathlib.Path")
 
 
 def mapping(value: object, what: str, example: str, *, optional: bool = False) -> Mapping[str, Any]:

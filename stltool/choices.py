@@ -385,7 +385,7 @@ def _fits(layer: Listed, n_choices: Indices, n_memories: int, n_words: int) -> b
         return False
     if not len(keys):
         return True
-    if (np.diff(keys) <= 0).any() or keys[0] < 0 or keys[-1] >= len(n_choices) * n_words:
+    if (keys[1:] <= keys[:-1]).any() or keys[0] < 0 or keys[-1] >= len(n_choices) * n_words:
         return False
     states, word = np.divmod(keys, n_words)
     room = np.minimum(n_memories - 64 * word, 64).astype(np.uint64)

@@ -126,7 +126,7 @@ def read_layers(path: str | Path) -> tuple[dict[str, Any], list[Listed]]:
 
 def _layer(data: NDArray[np.uint8], kind: Any, first: int, last: int, offset: int, words: int, choices: int) -> Listed:
     size = np.dtype(kind).itemsize
-    if any(type(n) is not int or n < 0 for n in (first, last, offset, words, choices)) or offset % 8:
+    if any(type(n) is not int or not 0 <= n < 2**63 for n in (first, last, offset, words, choices)) or offset % 8:
         raise ValueError
     middle, end = offset + 8 * words, offset + 16 * words
     if end + choices * size > len(data):

@@ -455,7 +455,7 @@ def _of_arrays(product: Product | JointProduct, arrays: dict[str, NDArray[Any]])
         not len(first) == len(last) == len(start) - 1
         or not len(keys) == len(bits) == start[-1]
         or start[0] != 0
-        or (np.diff(start) < 0).any()
+        or (start[1:] < start[:-1]).any()
         or len(choice) != int(np.bitwise_count(bits).sum(dtype=np.int64))
     ):
         raise PolicyError(_MISFIT)

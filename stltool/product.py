@@ -39,6 +39,13 @@ class Product(Displayed):
     letter: NDArray[np.int32]
     task_name: str = "formula"
 
+    def __post_init__(self) -> None:
+        require(self.model, MDP, "Product's model")
+        require(
+            self.automaton, TaskAutomaton, "Product's automaton", "build products by stl.build_product(model, task)"
+        )
+        require(self.letter, np.ndarray, "Product's letter", "build products by stl.build_product(model, task)")
+
     @property
     def formula(self) -> Formula:
         return self.automaton.formula
@@ -96,6 +103,15 @@ class JointProduct(Displayed):
     tasks: tuple[Product, ...]
     automaton: JointAutomaton
     letter: NDArray[np.int32]
+
+    def __post_init__(self) -> None:
+        require(self.model, MDP, "JointProduct's model")
+        require(
+            self.automaton,
+            JointAutomaton,
+            "JointProduct's automaton",
+            "build one: stl.build_joint_product(model, tasks)",
+        )
 
     @property
     def names(self) -> tuple[str, ...]:

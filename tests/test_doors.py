@@ -331,3 +331,16 @@ def test_whatever_is_given_a_sentence_comes_out(name, world, folder, monkeypatch
                 if kind.split()[-1] not in takes:
                     wrong.append(f"{parameter} = {kind} is taken")
     assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize(("kind", "n"), [("MDP", 5), ("Product", 3), ("JointProduct", 4)])
+@pytest.mark.parametrize("given", [None, 3, "model", np.zeros(3)], ids=repr)
+def test_what_is_built_otherwise_says_how(kind, n, given):
+    """Constructors that users take for the functions that build: one sentence names the right one."""
+    with pytest.raises(TypeError, match=r"not an? \w+; .*stl\.(MDP\.from_arrays|load_model|build_\w+)"):
+        getattr(stl, kind)(*[given] * n)
+
+
+def test_half_a_character_is_no_path():
+    with pytest.raises(TypeError, match="not a path"):
+        stl.load_task("\ud800")

@@ -100,6 +100,8 @@ class MDP(Displayed):
     notes: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        require(self.source, Source, "MDP's source", "make models by stl.MDP.from_arrays(...)")
+        require(self.initial, np.ndarray, "MDP's initial", "make models by stl.MDP.from_arrays(...)")
         _validate(self)
         for array in (self.initial, *self.signals.values(), *self.labels.values()):
             array.setflags(write=False)  # the digest stands for the content

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.display import Card, Displayed, counted
 from stltool.errors import ModelError
 from stltool.models.fractions import Integers, Shares, of_doubles
 from stltool.models.intervals import Intervals
@@ -65,8 +66,8 @@ class Chances:
         return self.given if self.given is not None else Shares(*of_doubles(self.probability, self.row_start))
 
 
-@dataclass(frozen=True, eq=False)
-class Rows:
+@dataclass(frozen=True, eq=False, repr=False)
+class Rows(Displayed):
     """The rows of n states (see the module's text), with successors by their numbers in the model.
 
     entry   (e,) which of `chances` each entry has; None: in their order
@@ -84,6 +85,10 @@ class Rows:
 
     def __len__(self) -> int:
         return len(self.choice_start) - 1
+
+    def _card(self) -> Card:
+        counts = counted(len(self), "state"), counted(len(self.row_start) - 1, "choice"), f"{len(self.target)} entries"
+        return Card(f"Rows: {', '.join(counts)}")
 
     @property
     def kinds(self) -> Rows:

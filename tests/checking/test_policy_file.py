@@ -260,6 +260,35 @@ def test_damaged_files_are_refused_and_change_nothing(patrolling, tmp_path):
             stl.load_policy(broken, patrolling)
 
 
+def test_numbers_of_files_do_not_wrap(patrolling, tmp_path):
+    """Numbers that no int64 holds, and ascending ones whose differences wrap round its ends."""
+    path, saved = tmp_path / "best.policy", tmp_path / "best.npz"
+    best = stl.check(patrolling, policy_file=path).policy
+    data = path.read_bytes()
+    at = int.from_bytes(data[-16:-8], "little")
+    for big in (2**63, 2**70):
+        for row in ([big, big, 0, 0, 0], [0, big, 0, 0, 0], [0, 0, 8 * big, 0, 0]):
+            path.write_bytes(data[:at] + json.dumps([row]).encode() + data[-16:])
+            with pytest.raises(PolicyError):
+                stl.load_policy(path, patrolling)
+    best.save(saved)
+    with np.load(saved) as archive:
+        arrays = dict(archive)
+    around = [0, 2**63 - 1, -(2**63), -1]
+    keys, n = arrays["keys"], arrays["start"][-1]
+    many = np.concatenate([around, np.arange(5, 60)])[:n]
+    one = {"first": [0], "last": [0], "start": [0, len(many)], "keys": many, "bits": [1] * len(many)}
+    for changed in (
+        {**one, "choice": np.zeros(len(many), dtype=arrays["choice"].dtype)},
+        {**arrays, "start": [*around, n], "first": [0, 1, 2, 3], "last": [0, 1, 2, 3]},
+    ):
+        typed = {name: np.asarray(array, dtype=arrays[name].dtype) for name, array in changed.items()}
+        np.savez(saved, **{**typed, "header": arrays["header"]})
+        with pytest.raises(PolicyError, match="do not fit together"):
+            stl.load_policy(saved, patrolling)
+    assert len(keys) > 4
+
+
 def test_damaged_states_are_refused(product, tmp_path, monkeypatch):
     path, state = tmp_path / "best.policy", tmp_path / "best.policy.state"
     with monkeypatch.context() as patch:
