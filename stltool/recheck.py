@@ -229,7 +229,8 @@ class Letter:
 class Model:
     """The states of the file: share of the initial distribution, letter, and choices as (successors, integers).
 
-    A state without choices is one of which nothing is known but its letter. `near`: the successors of each.
+    Nothing is known of what follows a state without choices, or a choice without successors. `near`: the successors of
+    each state; `known`: those of which every choice is known.
     """
 
     def __init__(self, head: dict[str, Any], rows: Iterator[list[Any]]) -> None:
@@ -246,15 +247,16 @@ class Model:
             require(len(row) > 2 and integers(row[:3]) and min(row[:3]) >= 0, f"{where}: no number, share and letter")
             s, self.share[s], self.letter[s], *choices = row
             require(s > last, f"{where}: not in ascending order")
-            pairs = all(integers(choice) and len(choice) > 1 and len(choice) % 2 == 0 for choice in choices)
+            pairs = all(integers(choice) and len(choice) % 2 == 0 for choice in choices)
             require(pairs, f"{where}: a choice is not pairs of integers")
-            require(all(min(choice) >= 0 for choice in choices), f"{where}: a negative number")
+            require(all(min(choice, default=0) >= 0 for choice in choices), f"{where}: a negative number")
             self.choices[s] = [(choice[::2], choice[1::2]) for choice in choices]
             last = s
         self.near = {s: sorted({x for xs, _ in options for x in xs}) for s, options in self.choices.items()}
         require(all(x in self.share for near in self.near.values() for x in near), "a successor is not listed")
         require(bool(self.share), "the model has no states")
-        sums = [self.D, *(sum(numbers) for options in self.choices.values() for _, numbers in options)]
+        self.known = {s for s, options in self.choices.items() if options and all(xs for xs, _ in options)}
+        sums = [self.D, *(sum(numbers) for options in self.choices.values() for xs, numbers in options if xs)]
         self.missing, self.excess = self.D - min(sums), max(sums) - self.D  # of a row, at most, over D
 
     def reached(self, horizon: int) -> dict[int, int]:
@@ -402,6 +404,7 @@ class Induction:
                 weights = tuple((c, weight) for c, weight in enumerate(taken) if weight)
             those = self._set(mask, where)
             require(bool(weights), f"{where}: no choice")
+            require(all(self.model.choices[s][c][0] for c, _ in weights), f"{where}: nothing is known of what it takes")
             require(not any(those & others for others, _ in self.moves[s]), f"{where}: two choices for one pair")
             self.moves[s].append((those, weights))
         self.named |= {*self.moves}
@@ -479,7 +482,8 @@ class Induction:
             require(len(row) == 3, f"{where}: a row is not a model state, a set and places in the table")
             s, mask, text = row
             place = f"{where}, model state {s!r:.20}"
-            require(type(s) is int and len(self.model.choices.get(s, ())) > 0, f"{place}: no such state with choices")
+            require(type(s) is int and s in self.model.share, f"{place}: no such state")
+            require(s in self.model.known or self.moves is not None, f"{place}: not all of its choices are known")
             require(last < s, f"{place}: not in ascending order")
             last, those = s, self._set(mask, place)
             code = next(code for most, code in PLACES if len(self.table) <= most)
@@ -574,8 +578,8 @@ class Induction:
     def _sets_before(self, s: int) -> tuple[int, int]:
         """The automaton states from which a considered choice can lead to a goal, and from which it surely does."""
         choices, some, every = self.model.choices[s], 0, 0
-        if not choices:
-            return self.automaton.all, 0  # nothing is known of what follows
+        if self.moves is None and s not in self.model.known:
+            return self.automaton.all, 0  # it may lead to anything
         if self.moves is None:
             for x in self.model.near[s]:
                 some |= self.possible_before[x]

@@ -214,11 +214,13 @@ def _same_model(product: Product, items: Iterator[Item]) -> tuple[bool, bool, It
         numbers = asked.at(np.array([row[0] for row in acting], dtype=np.int64))
         rows = asked.rows.some(numbers)
         for row, own in zip(acting, choices_listed(rows), strict=True):
-            if [choice[::2] for choice in row[3:]] != [choice[::2] for choice in own]:
+            if len(row) - 3 != len(own):
                 return False, letters, item
-            theirs, ours = ([n for choice in choices for n in choice[1::2]] for choices in (row[3:], own))
-            if [n * rows.denominator for n in theirs] != [n * D for n in ours]:
-                return False, letters, item
+            for theirs, ours in zip(row[3:], own, strict=True):
+                if theirs and theirs[::2] != ours[::2]:
+                    return False, letters, item
+                if theirs and [n * rows.denominator for n in theirs[1::2]] != [n * D for n in ours[1::2]]:
+                    return False, letters, item
     return not share_of, letters, item
 
 

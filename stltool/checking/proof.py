@@ -93,20 +93,43 @@ def header(product: Product, claim: str, policy: Policy | None) -> dict[str, Any
     }
 
 
-def model_items(product: Product, layers: Layers[Any, Any]) -> Iterator[Item]:
+def model_items(product: Product, layers: Layers[Any, Any], form: Form | None) -> Iterator[Item]:
     """The denominators, then states of the model: number, initial share, letter.
 
-    Those in which runs can be undecided have their choices too; the others are where runs begin or are decided.
+    Those in which runs can be undecided have their choices too; the others are where runs begin or are decided. Of a
+    policy's choices, those that it does not take have no successors.
     """
     model, acting, rows = product.model, layers.acting(), acting_rows(layers)
     first = layers.game.first
     shares, total = over_one(model.initial_share(s) for s in first.tolist())
     yield {"denominator": rows.denominator, "initial_denominator": total}
-    states = np.unique(np.concatenate([acting, rows.target, first]))
+    taken = np.ones(rows.choice_start[-1], dtype=np.bool_)
+    if form is not None:
+        taken = _taken(layers, form, acting, rows.choice_start)
+    successors = rows.target[np.repeat(taken, np.diff(rows.row_start))]
+    states, listed = np.unique(np.concatenate([acting, successors, first])), iter(taken.tolist())
     share_of = dict(zip(first.tolist(), shares.tolist(), strict=True))
     choices_of = dict(zip(acting.tolist(), choices_listed(rows), strict=True))
     for s, letter in zip(states.tolist(), product.letter[states].tolist(), strict=True):
-        yield [s, share_of.get(s, 0), letter, *choices_of.get(s, [])]
+        choices = zip(choices_of.get(s, []), listed, strict=False)
+        yield [s, share_of.get(s, 0), letter, *(choice if said else [] for choice, said in choices)]
+
+
+def _taken(layers: Layers[Any, Any], form: Form, acting: I64, start: I64) -> NDArray[np.bool_]:
+    """Which choices a policy takes anywhere; those of the states `acting` begin at `start`."""
+    found = np.zeros(start[-1], dtype=np.bool_)
+    for first, last, layer in layers.reached:
+        s, q = layers.pairs_reached(layer)
+        begin, t = start[np.searchsorted(acting, s)], last
+        while t >= first:
+            taken = form.at(t, s, q)
+            if form.deterministic:
+                found[begin + taken] = True
+            else:
+                which, number = np.nonzero(taken)
+                found[begin[which] + number] = True
+            t = form.alike(t)[0] - 1
+    return found
 
 
 def acting_rows(layers: Layers[Any, Any]) -> Rows:
@@ -439,10 +462,12 @@ class Proof:
         self._client = client
         self._product, self._claim, self._header = product, claim, header(product, claim, policy)
         engine: Engine = "auto" if client is None else "words"
+        self._form: Form | None = None
         self._policy: PolicyItems | None = None
         if claim == "policy":
             assert policy is not None
             self.layers = following(product, policy, budget, exact, engine)
+            self._form = policy.form
             self._policy = PolicyItems(self.layers, product, policy.form)
         else:
             goal = FALSE if claim == "minimum" else TRUE
@@ -462,7 +487,7 @@ class Proof:
     def items(self) -> Iterator[Item]:
         """Those of the file, in order."""
         yield self._header
-        yield from model_items(self._product, self.layers)
+        yield from model_items(self._product, self.layers, self._form)
         yield from automaton_items(self._product)
         yield from self._steps()
 

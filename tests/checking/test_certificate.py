@@ -383,6 +383,16 @@ def test_only_what_runs_reach_of_a_model_is_listed(tmp_path):
             require_certificate_of(path, product)
 
 
+def test_of_a_policy_the_choices_that_it_takes_are_listed(tmp_path, patrolling):
+    path, policy = tmp_path / "c.jsonl", stl.check(patrolling).policy
+    stl.write_certificate(stl.check(patrolling, policy), path)
+    (_, _), (_, states), _, *blocks = blocks_of(read(path))
+    taken = {(s, c) for head, rows in blocks if "policy" in head for s, _, c in rows}
+    said = {(s, c) for s, _, _, *choices in states for c, choice in enumerate(choices) if choice}
+    assert said == taken
+    assert len(said) < patrolling.model.n_choices / 2
+
+
 def test_nothing_is_known_beyond_states_without_choices(tmp_path):
     model = stl.MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], {"x": [0, 1]})
     path = tmp_path / "c.jsonl"
@@ -392,7 +402,7 @@ def test_nothing_is_known_beyond_states_without_choices(tmp_path):
     stl.certify(write(path, parts))
     row = next(part for part in parts if isinstance(part, list) and part[:1] == [0] and len(part) == 4)
     row.pop()
-    with pytest.raises(RefusedError, match="no such state with choices"):
+    with pytest.raises(RefusedError, match="not all of its choices are known"):
         stl.certify(write(path, parts))
     layer = next(i for i, part in enumerate(parts) if isinstance(part, dict) and "layer" in part)
     with pytest.raises(RefusedError, match="step 0, model state 0, automaton state .*: neither certain nor listed"):
@@ -404,7 +414,7 @@ CHANGES = [
     (lambda m: m.model[0][3].__setitem__(slice(None), [-1, 300]), "a negative number"),
     (lambda m: m.model[0][3].__setitem__(slice(None), [10**6, 300]), "a successor is not listed"),
     (lambda m: m.model[0][3].append(1), "model state 0: a choice is not pairs of integers"),
-    (lambda m: m.model[0][3].clear(), "model state 0: a choice is not pairs of integers"),
+    (lambda m: m.model[0][3].clear(), "model state 0: not all of its choices are known|neither certain nor listed"),
     (lambda m: m.model[0].__setitem__(3, {}), "model state 0: a choice is not pairs of integers"),
     (lambda m: m.model[0].__setitem__(1, -1), "model state 0: no number, share and letter"),
     (lambda m: m.model[1].__setitem__(0, 0), "model state 0: not in ascending order"),
@@ -439,8 +449,8 @@ CHANGES = [
     (lambda m: m.layers[2][1][0].__setitem__(0, "g"), "expected numbers of 14 digits"),
     (lambda m: m.layers[2][1][0].__setitem__(0, 7), "expected numbers of 14 digits"),
     (lambda m: m.layers[2][1].append(["0" * 14]), "a row is not a model state, a set and places"),
-    (lambda m: m.layers[2][1][1].__setitem__(0, 10**6), "no such state with choices"),
-    (lambda m: m.layers[2][1][1].__setitem__(0, True), "no such state with choices"),
+    (lambda m: m.layers[2][1][1].__setitem__(0, 10**6), "no such state"),
+    (lambda m: m.layers[2][1][1].__setitem__(0, True), "no such state"),
     (lambda m: m.layers[2][1].append(m.layers[2][1][1]), "not in ascending order"),
     (lambda m: m.layers[2][1][1].__setitem__(1, "0"), "not a set of automaton states"),
     (lambda m: m.layers[2][1][1].__setitem__(1, "f" * 14), "its set of automaton states is not a hexadecimal number"),
@@ -491,6 +501,7 @@ def test_what_is_not_of_the_format_is_refused(tmp_path, patrolling, change, says
         (lambda m: m.layers[0][1][0].__setitem__(2, [0] * 9), "model state ..?: no choice"),
         (lambda m: m.layers[0][1].append(m.layers[0][1][-1]), "two choices for one pair"),
         (lambda m: m.layers[0][1].reverse(), "not in ascending order"),
+        (lambda m: [c.clear() for c in m.model[-1][3:]], "model state ..?: nothing is known of what it takes"),
         (lambda m: m.layers[0][1][0].__setitem__(0, 10**6), "no such state"),
         (lambda m: m.layers[0][0].__setitem__("policy", [6, 7]), "step 6: a policy out of place|neither certain nor"),
         (lambda m: m.layers.pop(0), "steps 7 to 7: there is no policy for the first of them"),
