@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from importlib import metadata
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +26,6 @@ from stltool.checking import (
     sensitivity,
 )
 from stltool.errors import FragmentError, SettingsError
-from stltool.learning import Guarantee, Training
-from stltool.learning.settings import recorded
 from stltool.logic.formula import Comparison, Formula, Label, boolean_value, walk
 from stltool.logic.fragment import check_fragment
 from stltool.numbers import fraction_text
@@ -35,6 +33,9 @@ from stltool.policy import Policy
 from stltool.product import Product
 from stltool.reporting.guarantees import guarantee_data
 from stltool.reporting.runs import likely_data, sensitivity_data
+
+if TYPE_CHECKING:  # a check loads no learners
+    from stltool.learning import Guarantee, Training
 
 FORMAT, SWEEP_FORMAT = "stltool-report-1", "stltool-sweep-1"
 _LIKELY, _SENSITIVE = 5, 5  # runs and states that a report shows
@@ -201,6 +202,8 @@ def _finite(data: dict[str, Any]) -> dict[str, Any]:
 
 def training_data(training: Training) -> dict[str, Any]:
     """A training run: method, settings, and its exact learning curve."""
+    from stltool.learning.settings import recorded
+
     return {
         "method": training.method,
         "faithful": training.faithful,

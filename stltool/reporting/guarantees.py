@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stltool.checking import Estimate
 from stltool.errors import SettingsError
-from stltool.learning import Guarantee
 from stltool.numbers import floor_text
+
+if TYPE_CHECKING:
+    from stltool.learning import Guarantee
 
 
 def guarantee_data(found: Guarantee | Estimate) -> dict[str, Any]:
     """One guarantee, flat."""
-    if isinstance(found, Guarantee):
+    if not isinstance(found, Estimate):
         details: dict[str, Any] = {
             "source": "learning data",
             "support": found.support,

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import timedelta
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -16,11 +16,13 @@ from rich.text import Text
 
 from stltool.display import NATURES
 from stltool.kernels.jit import compiling
-from stltool.learning.sweep import SweepProgress
 from stltool.log import LOG, Stage
 from stltool.numbers import bound_texts, probability_text
 from stltool.reporting.runs import trace_text, verdict_text
 from stltool.streams import printable
+
+if TYPE_CHECKING:
+    from stltool.learning.sweep import SweepProgress
 
 _PATIENCE = 2.0  # seconds without output
 Advance = Callable[..., None]
