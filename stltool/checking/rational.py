@@ -11,6 +11,7 @@ policies, whose weights (in proportion to the doubles given) enter as integers o
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
@@ -25,6 +26,7 @@ from stltool.models.rows import Rows
 from stltool.sizes import require_memory, require_time
 
 _DIGITS_BELOW = 2**40
+_SMALL = 300_000  # edges that Python's integers take less time for than loading numba
 _DIGITS_RATE, _PYTHON_RATE = 5e8, 1e7  # digits' and Python integers' multiply-adds a second, roughly
 
 
@@ -58,13 +60,14 @@ def exact_arithmetic(
     """What computes without any rounding over these layers. Raises SizeError before it takes what is not there."""
     h, D = layers.game.horizon, layers.rows.denominator
     arithmetic: Digits | Integers
-    if in_digits and D < _DIGITS_BELOW and not layers.allowed.mixed:
+    widest, pairs = layers.size()
+    small = "numba" not in sys.modules and pairs * layers.game.widest <= _SMALL
+    if in_digits and D < _DIGITS_BELOW and not layers.allowed.mixed and not small:
         arithmetic, rate = Digits(D, maximize), _DIGITS_RATE
         words = h * math.log2(max(D, 2)) / arithmetic.bits + 2
     else:
         arithmetic, rate = Integers(D, maximize), _PYTHON_RATE
         words = h * math.log2(max(D, 2)) / 64 + 4
-    widest, pairs = layers.size()
     what = f"exact arithmetic on {pairs} pairs over {h} steps"
     remedy = "shorten the windows, round the probabilities to fewer digits, or take the enclosure without --exact"
     require_memory(24 * words * widest, what, remedy, memory_limit)

@@ -63,7 +63,7 @@ def certify(
     if task is not None:
         product = load_product(task, model, param, name, encoding, normalize=normalize)
         require_certificate_of(file, product, stl.load_policy(policy, product) if policy is not None else None)
-        nominal = product.model.intervals is not None
+        nominal = product.model.uncertain
         proved |= {"task": product.task_name, "encoding": product.automaton.encoding, "nominal": nominal}
     if as_json:
         print_json(proved | {"proved": True, "compared_with": str(task) if task is not None else None})

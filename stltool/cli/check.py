@@ -111,7 +111,7 @@ def check(
     if certificate is not None:
         require_certificate_file(certificate)
     product = make_product(task, model, param, name, encoding, as_json, learning=False, normalize=normalize)
-    uncertain = product.model.intervals is not None
+    uncertain = product.model.uncertain
     product, judge = judge_by(product, nature)
     robust = uncertain and nature != "nominal"
     if robust and (exact or certificate is not None):
@@ -146,7 +146,7 @@ def check(
     ):
         asked = fraction if chosen is None else {}
         optimum = judge(product, maximize=not minimize, keep_policy=keep, progress=bar, **asked, **to_file, **where)
-    result = optimum if chosen is None else judge(product, chosen, maximize=not minimize, **fraction, **where)
+        result = optimum if chosen is None else judge(product, chosen, maximize=not minimize, **fraction, **where)
     kept = found.policy if found is not None else optimum.policy
     if save_policy is not None and kept is not None and not streamed:
         kept.save(save_policy)

@@ -53,8 +53,9 @@ def make_product(
     from stltool.reporting.terminal import kernels_ready
 
     product = load_product(task, model, param, name, encoding, nominal, normalize)
-    with kernels_ready(quiet):
-        kernels.warm_up(learning, rollouts)
+    if learning or rollouts:  # those of checking are loaded where a check is large enough for them
+        with kernels_ready(quiet):
+            kernels.warm_up(learning, rollouts)
     return product
 
 
@@ -71,7 +72,7 @@ def load_product(
 
     loaded = stl.load_task(task, read_params(param), name)
     world = task_model(loaded, model, normalize)
-    if nominal and world.intervals is None:
+    if nominal and not world.uncertain:
         raise SettingsError("--nominal: the model's probabilities are not intervals; leave out --nominal")
     return bind(loaded, world.nominal() if nominal else world, encoding)
 
@@ -132,7 +133,7 @@ def judge_by(product: Product, nature: str | None) -> tuple[Product, Callable[..
     """
     import stltool as stl
 
-    if product.model.intervals is None:
+    if not product.model.uncertain:
         if nature is not None:
             raise SettingsError(f"--nature {nature}: the model's probabilities are not intervals; leave out --nature")
         return product, stl.check

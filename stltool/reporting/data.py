@@ -256,7 +256,7 @@ def report_data(
         ):
             raise SettingsError("the results belong to several models or tasks; write one report for each")
     optima = {r.nature: r for r in reversed(results) if r.question != "policy"}
-    points = product.model.intervals is None  # else there is no single distribution to sample from
+    points = not product.model.uncertain  # else there is no single distribution to sample from
     return {
         "format": FORMAT,
         "version": metadata.version("stltool"),

@@ -171,7 +171,7 @@ def _has_flags(product: Product) -> bool:
         check_fragment(product.formula)
     except FragmentError:
         return False
-    return product.model.intervals is None
+    return not product.model.uncertain
 
 
 def gap_text(reading: Mapping[str, Any], which: str) -> str:

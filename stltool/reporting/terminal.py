@@ -33,9 +33,21 @@ Advance = Callable[..., None]
 def progress_bar(title: str, quiet: bool = False) -> Iterator[Advance | None]:
     """A bar on a terminal; in a log, a line at every tenth and at least every ten seconds.
 
-    `quiet` shows no bar, and in a log only stages that take longer than that.
+    `quiet` shows no bar, and in a log only stages that take longer than that. Kernels that are compiled meanwhile are
+    announced.
     """
-    console = Console(stderr=True)
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+
+    def tell(kept: bool) -> None:
+        if not quiet:
+            (console.print if console.is_terminal else LOG.say)(_compiling_text(kept))
+
+    with compiling(tell), _bar(console, title, quiet) as advance:
+        yield advance
+
+
+@contextmanager
+def _bar(console: Console, title: str, quiet: bool) -> Iterator[Advance | None]:
     if not console.is_terminal:
         with LOG.stage(title) as stage:
             yield _to_log(stage, quiet)
@@ -105,6 +117,11 @@ def sweep_bar(quiet: bool = False) -> Iterator[Callable[[SweepProgress], None] |
             yield advance
 
 
+def _compiling_text(kept: bool) -> str:
+    after = "once for this version" if kept else "in every run; set NUMBA_CACHE_DIR to a writable folder"
+    return f"compiling the numerical kernels (some seconds, {after})"
+
+
 @contextmanager
 def kernels_ready(quiet: bool = False) -> Iterator[None]:
     """Announce that kernels are compiled in this block; usually they are only loaded, and nothing is printed."""
@@ -112,8 +129,7 @@ def kernels_ready(quiet: bool = False) -> Iterator[None]:
     status = console.status("")
 
     def tell(kept: bool) -> None:
-        after = "once for this version" if kept else "in every run; set NUMBA_CACHE_DIR to a writable folder"
-        message = f"compiling the numerical kernels (some seconds, {after})"
+        message = _compiling_text(kept)
         if quiet:
             return
         if console.is_terminal:

@@ -11,7 +11,7 @@ import pytest
 from numba.core import config
 
 from stltool.kernels import cache, jit
-from stltool.reporting.terminal import kernels_ready
+from stltool.reporting.terminal import kernels_ready, progress_bar
 from tests.conftest import ROOT
 
 KERNELS = ROOT / "stltool" / "kernels"
@@ -346,6 +346,16 @@ def test_compiling_is_announced_once_and_loading_never(folder, capsys):
         assert capsys.readouterr().err == expected
     with kernels_ready(quiet=True):
         assert declared()(True) == 11
+    assert capsys.readouterr().err == ""
+
+
+def test_kernels_that_a_check_compiles_are_announced_with_its_progress(folder, capsys):
+    for expected in ("compiling the numerical kernels (some seconds, once for this version)\n", ""):
+        with progress_bar("checking"):
+            assert declared()(1) == 11
+        assert capsys.readouterr().err == expected
+    with progress_bar("checking", quiet=True):
+        assert declared()(2.5) == 12.5
     assert capsys.readouterr().err == ""
 
 

@@ -8,6 +8,7 @@ A layer is an array (n + 2, …): slot REST the value of what is not listed, SUR
 from __future__ import annotations
 
 import itertools
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
@@ -254,19 +255,43 @@ class Nature(Arithmetic):
     """
 
     def __init__(self, minimal: bool, maximize: bool) -> None:
-        self._minimal = minimal
+        self._minimal, self._summed = minimal, 0
         self._ends = (0.0, 1.0) if maximize else (1.0, 0.0)
 
     def ends(self, t: int) -> tuple[float, float]:
         return self._ends
 
     def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
+        rows = self.rows
+        assert rows.intervals is not None
+        self._summed += len(edges.child)
+        if "numba" not in sys.modules and self._summed <= _FEW_EDGES:  # loading it would take longer
+            ends = rows.intervals.lower[edges.entry], rows.width[edges.entry]
+            return natures_choice(edges.start, *ends, rows.budget[edges.choice], ahead[edges.child], self._minimal)
         from stltool.kernels import edges as kernels
 
-        out, rows = np.empty(len(edges.choice)), self.rows
-        assert rows.intervals is not None
+        out = np.empty(len(edges.choice))
         kernels.nature(
             edges.start, edges.entry, edges.child, rows.intervals.lower, rows.width, rows.budget, edges.choice,
             self._minimal, ahead, 0, len(edges.choice), out,
         )  # fmt: skip
         return out
+
+
+_FEW_EDGES = 1_000_000
+
+
+def natures_choice(
+    start: NDArray[np.int64], lower: Values, width: Values, budget: Values, ahead: Values, ascending: bool
+) -> Values:
+    """kernels/edges.py's `nature` in numpy, to the bit: lower, width and ahead (e,) by edge, budget by choice."""
+    lengths = np.diff(start)
+    order = np.lexsort((ahead if ascending else -ahead, np.repeat(np.arange(len(lengths)), lengths)))  # stable
+    left, total = budget.copy(), np.zeros(len(lengths))
+    for i in range(int(lengths.max(initial=0))):
+        which = np.flatnonzero(lengths > i)
+        edge = order[start[which] + i]
+        take = np.minimum(width[edge], left[which])
+        left[which] -= take
+        total[which] += (lower[edge] + take) * ahead[edge]
+    return np.minimum(total, 1.0)
