@@ -10,6 +10,7 @@ from pathlib import Path
 
 import automata
 import certificates
+import floors
 import goals
 import loading
 import monitors
@@ -24,6 +25,16 @@ lines = [
     "",
     f"`make bench` on {datetime.date.today()}: {platform.machine()}, {os.cpu_count()} cores, "
     f"Python {platform.python_version()}, {versions}.",
+    "",
+    "## Growing floors, beside Storm and an older commit",
+    "",
+    "What each column is: bench/floors.py.",
+    "",
+    *floors.table(),
+    "",
+    *floors.scaling(),
+    "",
+    "![CPU seconds and memory over product states](scaling.svg)",
     "",
     "## Checking and learning",
     "",
