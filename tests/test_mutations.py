@@ -117,9 +117,8 @@ MUTATIONS = {
         "checking/induction/induct.py", "if not layers.allowed.everything:", "if False:",
         "tests/checking/test_surrogate.py",
     ),
-    "plans: what they are worth outside, later": (
-        "learning/model_based.py", "(1 + (self._since + t) / self._h)", "(1 + t / self._h)",
-        "tests/learning/test_planner.py",
+    "plans: paradise is as good as what is sure": (
+        "learning/model_based.py", "self._arithmetic.worth(t - 1)", "1.0", "tests/learning/test_planner.py",
     ),
     "stationary: half of the branches": (
         "checking/stationary.py", "for alone in (True, False):", "for alone in (True,):",

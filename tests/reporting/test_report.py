@@ -71,7 +71,7 @@ def test_a_report_says_what_a_clock_is_worth(patrolling, floor5, tmp_path):
         assert one.status in page
     assert f"{sum(len(one.candidates) for one in found)} such policies were evaluated" in page
     other = stl.stationary(stl.build_product(floor5, stl.parse("F[0,2] A")), most=0)
-    with pytest.raises(SettingsError, match="belong to one model and one task"):
+    with pytest.raises(SettingsError, match="belong to several models or tasks"):
         report_data([stl.check(patrolling)], stationary=[other])
 
 
