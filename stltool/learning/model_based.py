@@ -34,7 +34,7 @@ from stltool.learning.learner import Learner, rarest
 from stltool.learning.problem import Problem
 from stltool.learning.settings import setting
 from stltool.models.rows import Chances, Rows, starts
-from stltool.sizes import unsigned_type
+from stltool.sizes import memory_limit, unsigned_type
 
 _HAIR = 1e-3  # how much less than 1 paradise is worth: far above rounding, below any gain worth exploring for
 
@@ -95,7 +95,7 @@ class Planner:
         self._moves: list[dict[str, Any]] = [{}, {}]
         self._choices = unsigned_type(problem.most_choices - 1)
         self._anywhere = Anywhere(outside[0], problem.letter, self._choices)
-        self._kind = kind
+        self._kind, self._limit = kind, memory_limit(None)  # which takes longer to find out than some plans
 
     def action(self, t: int, s: int, q: int) -> int:
         """What the plan does."""
@@ -127,7 +127,9 @@ class Planner:
             return Choices(problem.shape[1:], 0, [], problem.choice_type)
         later = Later(self._automata[optimistic], since)
         game = Game(rows, later, self._letter, np.arange(problem.n_states), dict(self._moves[optimistic]))
-        budget = Budget(f"planning {h} steps of {problem.n_states * problem.automaton.n_states} product states")
+        budget = Budget(
+            f"planning {h} steps of {problem.n_states * problem.automaton.n_states} product states", self._limit
+        )
         layers = self._anywhere.layers(self._kind, game, since, budget)
         self._moves[optimistic] = {"moves": game.kept["moves"]} if "moves" in game.kept else {}
         arithmetic = _Optimistic(problem, since) if optimistic else Doubles(True)
