@@ -163,6 +163,7 @@ def _not_whole(text: str) -> NoReturn:
 _DECODER = json.JSONDecoder(
     parse_int=_whole, parse_float=_not_whole, parse_constant=_not_whole, object_pairs_hook=_once
 )
+_TRUE = bytes.maketrans(b"01", b"\0\1")
 _HEX, _FRACTION = re.compile("[0-9a-f]+"), re.compile("(-?[0-9]+)(?:/([0-9]+))?")
 
 
@@ -180,8 +181,8 @@ def hexadecimal(text: Any, most: int, what: str) -> int:
 
 def members(mask: int) -> list[int]:
     """The elements of a set, which is held as the bits of an integer."""
-    bits = f"{mask:b}"
-    return [*compress(range(len(bits)), map(int, reversed(bits)))]
+    bits = f"{mask:b}"[::-1].encode().translate(_TRUE)
+    return [*compress(range(len(bits)), bits)]
 
 
 def set_of(elements: Iterable[int], n: int) -> int:
