@@ -77,7 +77,8 @@ MUTATIONS = {
     "digits: the least instead of the greatest": (EDGES, "out[i, d]) == maximize", "out[i, d]) != maximize", VALUES),
     "fixed point is not rounded up": (
         LANES, "    return sub(y, _to_integer(greater(sub(mul(y, d), x), sub(d, splat(np.int64(1))))))",
-        "    return y", VALUES,
+        "    return sub(y, _to_integer(greater(mul(y, d), x)))",
+        "tests/checking/test_exact.py::test_no_enclosure_ever_misses_the_exact_value",
     ),
     "the checker of certificates: some successor is sure instead of all": (
         RECHECK, "                    all_of_them &= self.sure_before[x]\n                every",
