@@ -521,7 +521,7 @@ def test_a_contradiction_among_three_names_the_first(floor5):
 @pytest.mark.parametrize(
     ("arguments", "error", "says"),
     [
-        ({"objective": "chargin"}, NameLookupError, "there is no task chargin here; did you mean charging?"),
+        ({"objective": "chargin"}, NameLookupError, "there is no task chargin; did you mean charging?"),
         ({"at_least": {"resting": 0.5}}, NameLookupError, "there is no task resting"),
         ({"at_least": {"patrolling": 1.5}}, SettingsError, r"P\(patrolling\) >= 1.5: a probability lies between"),
         ({"at_least": {"patrolling": float("nan")}}, SettingsError, "at_least of patrolling is nan; a finite number"),
