@@ -134,36 +134,38 @@ def _table(free_ways: Sequence[set[str]], moves: tuple[str, ...], success: Ends,
     l_j + θ·(u_j − l_j) with one θ in [0, 1], and totals agree.
     """
     denominator = lcm(*(end.denominator for end in (*success, *slip)))
+    goes, slips = ([int(end * denominator) for end in ends] for ends in (success, slip))
     circle = [name for name in COMPASS if name in moves]
     lengths: list[int] = []
     target: list[int] = []
     least: list[int] = []
     most: list[int] = []
     for free, move in itertools.product(free_ways, moves):
-        outcomes: list[tuple[str, Ends]] = [("stay", (Fraction(1), Fraction(1)))]
+        outcomes = [("stay", [denominator, denominator])]
         if move != "stay":
             place = circle.index(move)
             sides = (circle[place - 1], circle[(place + 1) % len(circle)])
-            outcomes = [(move, success), ("stay", slip), (sides[0], slip), (sides[1], slip)]
-        ends = np.zeros((len(READING), 2), dtype=np.int64)
+            outcomes = [(move, goes), ("stay", slips), (sides[0], slips), (sides[1], slips)]
+        lower, upper = [0] * len(READING), [0] * len(READING)
         for direction, chance in outcomes:
             there = READING.index(direction if direction in free else "stay")
-            ends[there] += [int(end * denominator) for end in chance]
-        possible = np.flatnonzero(ends[:, 1])
+            lower[there] += chance[0]
+            upper[there] += chance[1]
+        possible = [k for k, end in enumerate(upper) if end]
         lengths.append(len(possible))
-        target += possible.tolist()
-        least += ends[possible, 0].tolist()
-        most += ends[possible, 1].tolist()
+        target += possible
+        least += [lower[k] for k in possible]
+        most += [upper[k] for k in possible]
     row_start = starts(np.array(lengths, dtype=np.int64))
     choice_start = np.arange(len(free_ways) + 1, dtype=np.int64) * len(moves)
-    lower, upper = np.array(least, dtype=np.int64), np.array(most, dtype=np.int64)
+    low, high = np.array(least, dtype=np.int64), np.array(most, dtype=np.int64)
     directions = np.array(target, dtype=np.int32)
     if not uncertain:
-        chances = Chances(lower / denominator, row_start, Shares(lower, denominator))
+        chances = Chances(low / denominator, row_start, Shares(low, denominator))
         return Rows(choice_start, row_start, directions, chances)
     # of the ends before they are cut to 1, so that the nominal model has one noise everywhere
-    nominal = Intervals(lower / denominator, upper / denominator).nominal(row_start)
-    cut = Intervals(lower / denominator, np.minimum(upper, denominator) / denominator)
+    nominal = Intervals(low / denominator, high / denominator).nominal(row_start)
+    cut = Intervals(low / denominator, np.minimum(high, denominator) / denominator)
     return Rows(choice_start, row_start, directions, Chances(nominal, row_start, intervals=cut))
 
 

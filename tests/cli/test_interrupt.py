@@ -93,6 +93,7 @@ def test_a_check_that_goes_to_a_file_is_kept_and_goes_on(stltool, tmp_path, monk
 
     monkeypatch.setattr(induct, "FEW", 0)
     monkeypatch.setattr(induct, "FEW_LOADED", 0)
+    monkeypatch.setattr(induct, "FEW_USED", 0)
     previous = signal.signal(signal.SIGINT, signal.default_int_handler)
     arguments = ["check", PATROLLING, "--save-policy", tmp_path / "a best.policy", "--json"]
     again = shlex.join(["stltool", *map(str, arguments), "--resume"])

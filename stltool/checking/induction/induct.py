@@ -37,7 +37,7 @@ from stltool.choices import Choices
 from stltool.sizes import integer_type
 
 Engine: TypeAlias = Literal["auto", "nodes", "words"]
-FEW, FEW_LOADED = 100_000, 3_000  # pairs, all steps together, that numpy takes on: before and after numba is loaded
+FEW, FEW_LOADED, FEW_USED = 100_000, 3_000, 200  # pairs, all steps together, until numba is loaded, and words.py
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ def layers_of(
     Their results are the same to the bit, so what suits may be a matter of what is loaded already: numba takes a while.
     """
     if engine != "words":
-        few = None if engine == "nodes" else FEW_LOADED if "numba" in sys.modules else FEW
+        few = None if engine == "nodes" else _few()
         nodes = Nodes(game, goal, allowed, live, sure, budget, few)
         try:
             nodes.reached  # noqa: B018 - found here, so that too many are too many here
@@ -82,6 +82,13 @@ def layers_of(
         else:
             return nodes
     return Words(game, goal, allowed, live, sure, budget, keep, threads)
+
+
+def _few() -> int:
+    """The pairs that numpy takes on: the more, the longer it would take to load what takes on others."""
+    if "stltool.kernels.words" in sys.modules:
+        return FEW_USED
+    return FEW_LOADED if "numba" in sys.modules else FEW
 
 
 def induct(
