@@ -1,35 +1,22 @@
 """`stltool estimate`: intervals and sequential tests as their users meet them."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
 
 import stltool as stl
-from stltool import cli
 from stltool.checking.statistical import runs_needed
 from stltool.reporting import render, report_data
-from tests.conftest import FACTORY
+from tests.conftest import PATROLLING, SMALL
 
-PATROLLING = str(FACTORY / "patrolling.stl")
-SMALL = ["-p", "T=5", "-p", "tau=5"]
 EXACT = 0.737947572759590
 
 
 @pytest.fixture
-def estimate(monkeypatch, capsys):
+def estimate(stltool):
     """`stltool estimate` of the small task in this process: (exit code, stdout, stderr)."""
-
-    def run(*args):
-        monkeypatch.setattr(sys, "argv", ["stltool", "estimate", PATROLLING, *SMALL, *map(str, args)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        output = capsys.readouterr()
-        assert "Traceback" not in output.err
-        return ended.value.code or 0, output.out, output.err
-
-    return run
+    return lambda *args: stltool("estimate", PATROLLING, *SMALL, *args)
 
 
 def test_the_best_policys_interval_stands_beside_the_exact_value(estimate, patrolling):
