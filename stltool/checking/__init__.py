@@ -1,4 +1,4 @@
-"""The exact probability that a policy, or the best one, satisfies the task: one question a file."""
+"""The exact probability that a policy, or the best one, satisfies the task: one file for each question."""
 
 from stltool.checking.certificate import certify, require_certificate_of, write_certificate
 from stltool.checking.check import CheckResult, check

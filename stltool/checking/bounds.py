@@ -5,9 +5,9 @@ All terms are nonnegative, so a value computed with n roundings along every path
     |δ| ≤ γ = n·u / (1 − n·u),   u = 2⁻⁵³,        |ε| ≤ n·2⁻¹⁰⁷³ (underflow)
 
 and max, min and verdicts add none. Hence V ∈ [(V̂ − ε)/(1 + γ), (V̂ + ε)/(1 − γ)], evaluated here in fractions and
-rounded outwards. One rounding a row entry is counted for reading decimals and fractions into doubles. Rows given as
-doubles seldom sum to 1 exactly: what a row lacks or exceeds, the *defect*, may belong to any successor, so every sweep
-widens the enclosure by the largest defect; then it can be cut to [0, 1].
+rounded outwards. One rounding for each row entry is counted for reading decimals and fractions into doubles. Rows given
+as doubles seldom sum to 1 exactly: what a row lacks or exceeds, the *defect*, may belong to any successor, so every
+sweep widens the enclosure by the largest defect; then it can be cut to [0, 1].
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _ANYTHING = Fraction(2**1100)  # more than any double
 
 
 def roundings(sweeps: int, row_length: int, choices_mixed: int = 0) -> int:
-    """The most roundings on a path from the horizon to the result.
+    """The largest number of roundings on a path from the horizon to the result.
 
-    `row_length` entries at most in a row: as many for the dot product, one for the entry as given. A mixture of
-    `choices_mixed` choices adds a product and the additions. The initial distribution's sum counts three.
+    A row has at most `row_length` entries: as many roundings for the dot product, and one for the entry as given. A
+    mixture of `choices_mixed` choices adds a product and the additions. The initial distribution's sum counts three.
     """
     return sweeps * (row_length + 1 + choices_mixed) + 3
 
@@ -47,17 +47,18 @@ def row_defect(rows: Rows) -> Fraction:
 
 
 def compounded(amount: Fraction, growth: Fraction) -> Fraction:
-    """Errors of `amount` in all, where the sums that carry them on exceed 1 by `growth` in all.
+    """The total effect of errors that add up to `amount`, where the sums that carry them on exceed 1 by `growth` in
+    total.
 
-    Π(1 + g_i) ≤ e^g ≤ 1/(1 − g); where g reaches 1, nothing is known of the value.
+    Π(1 + g_i) ≤ e^g ≤ 1/(1 − g); where g reaches 1, nothing is known about the value.
     """
     return amount / (1 - growth) if growth < 1 else _ANYTHING
 
 
 def sums_exactly(rows: Rows) -> bool:
-    """Whether rows are known as fractions; or all of a model's, and few enough to be read so in no time.
+    """Whether rows are known as fractions, or are all of a model's rows and few enough to convert at once.
 
-    Of a part of a model's doubles the common denominator would depend on which part it is.
+    For only some of a model's doubles, the common denominator would depend on which ones they are.
     """
     return rows.given_exactly or (rows.parts is None and len(rows.target) <= READ_EXACTLY)
 
@@ -72,7 +73,7 @@ def enclose(
 ) -> tuple[float, float]:
     """(lower, upper) around the exact value, within [0, 1]; `missing` is the defects' sum along a path."""
     lower, upper = around(value, n_roundings, missing, underflow)
-    none, all_of_it = Fraction(0), Fraction(1)  # cut first: what is known of nothing is beyond the doubles
+    none, all_of_it = Fraction(0), Fraction(1)  # cut first: a bound on an unknown value exceeds all doubles
     return round_down(min(max(none, lower), all_of_it)), round_up(max(min(all_of_it, upper), none))
 
 
@@ -80,7 +81,7 @@ def around(
     value: float, n_roundings: int, missing: Fraction = Fraction(0), underflow: bool = True
 ) -> tuple[Fraction, Fraction]:
     """The same for any sum of nonnegative terms, in fractions and not cut to [0, 1]."""
-    if 2 * n_roundings * _U > 1:  # nothing is known of it
+    if 2 * n_roundings * _U > 1:  # nothing is known about it
         return -_ANYTHING, _ANYTHING
     gamma = n_roundings * _U / (1 - n_roundings * _U)
     slack = n_roundings * _UNDERFLOW if underflow else Fraction(0)

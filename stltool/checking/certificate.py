@@ -1,6 +1,6 @@
-"""Certificates: proofs of bounds that one short file can re-check, which shares no code with what wrote them.
+"""Certificates: proofs of bounds, re-checked by one short file that shares no code with the writer.
 
-What they list is made in proof.py and described in docs/certificates.md; `stltool/recheck.py` does the re-checking.
+proof.py makes their contents, docs/certificates.md describes them, `stltool/recheck.py` re-checks them.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ def write_certificate(
     *,
     cluster: str | None = None,
 ) -> tuple[Fraction, Fraction]:
-    """Write what proves bounds of a result: JSON lines, packed where the name ends in .gz. Returns the bounds.
+    """Write a proof of bounds on a result: JSON lines, compressed if the name ends in .gz. Returns the bounds.
 
-    They come from a computation of their own, so they may differ from the result's in the last digits; of an exact
-    result they are the exact value. The result need not have kept its policy. `cluster`, the
-    address of a dask scheduler: its workers compute the numbers; the file is the same.
+    The bounds come from a separate computation, so they may differ from the result's in the last digits; for an exact
+    result they are the exact value. The result need not have kept its policy. With `cluster`, the address of a dask
+    scheduler, its workers compute the numbers; the file is the same.
 
-    Raises SizeError before it takes memory that is not there, or where the certificate would be too large for its
+    Raises SizeError before allocating more memory than is available, or if the certificate would be too large for its
     reader.
     """
     require(result, CheckResult, "write_certificate's result")
@@ -100,15 +100,15 @@ def _write(out: IO[bytes], item: Item) -> bytes:
     return line
 
 
-_BLOCK = 4096  # model states that are compared at a time
+_BLOCK = 4096  # model states compared at a time
 _json = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False).encode
 
 
 def certify(path: str | Path, progress: Progress | None = None) -> dict[str, Any]:
-    """Re-check a certificate in exact integers, by code that shares nothing with what wrote it (recheck.py).
+    """Re-check a certificate in exact integers, by code that shares nothing with its writer (recheck.py).
 
-    Returns its header with what was counted; `lower` and `upper` are fractions as texts. Raises RefusedError where it
-    does not prove its bounds, CertificateError where it is not a certificate, FileError where it cannot be read.
+    Returns its header with the counts; `lower` and `upper` are fractions as strings. Raises RefusedError if it does not
+    prove its bounds, CertificateError if the file is not a certificate, FileError if it cannot be read.
     """
     path = path_of(path, "certify's path")
     function(progress, "certify's progress")
@@ -119,13 +119,13 @@ def certify(path: str | Path, progress: Progress | None = None) -> dict[str, Any
     except Refused as refusal:
         raise RefusedError(f"{path}: refused: {refusal}") from None
     except FileNotFoundError:
-        raise FileError(f"{path}: there is no such certificate") from None
+        raise FileError(f"{path}: this certificate does not exist") from None
     except OSError as error:
         raise FileError(f"{path}: this certificate cannot be read: {error.strerror}") from None
 
 
 def require_certificate_file(path: str | Path) -> Path:
-    """The path where a certificate may be written; FileError where that would lose a file that is none."""
+    """The path where a certificate may be written; FileError if that would overwrite another kind of file."""
     path = Path(path)
     require_own(path, "certificate", _is_certificate)
     require_folder(path.resolve().parent)
@@ -143,13 +143,13 @@ def _is_certificate(path: Path) -> bool:
 
 @long_numbers()
 def require_certificate_of(path: str | Path, product: Product, policy: Policy | None = None) -> None:
-    """CertificateError, with what differs, unless a certificate speaks of this product's task, model and automaton.
+    """CertificateError, with what differs, unless a certificate is for this product's task, model and automaton.
 
     With `policy`, its claim must also be about that policy, choice by choice. The bounds are not checked again here:
     call `stltool.certify` first.
     """
     if product.model.uncertain:
-        product = replace(product, model=product.model.nominal())  # certificates are of one distribution
+        product = replace(product, model=product.model.nominal())  # a certificate is for one distribution
     product.model.require_points()
     try:
         _require_same(path, product, policy)
@@ -171,16 +171,16 @@ def _require_same(path: str | Path, product: Product, policy: Policy | None) -> 
     same, letters, item = _same_model(product, items)
     if not same:
         raise CertificateError(
-            f"{path}: this certificate is of another model (called {theirs['model']}, here {product.model.name}); "
+            f"{path}: this certificate is for another model ({theirs['model']}, not {product.model.name}); "
             "write one with stltool check --certificate"
         )
     for mine in automaton_items(product):
         if not letters or mine != item:
             if policy is None and theirs["claim"] == "policy":
-                remedy = "it is of a policy that remembers in its own way; give --policy too"
+                remedy = "it is for a policy with its own automaton; give --policy too"
             else:
                 remedy = "write one with stltool check --certificate"
-            raise CertificateError(f"{path}: this certificate is of another automaton; {remedy}")
+            raise CertificateError(f"{path}: this certificate is for another automaton; {remedy}")
         item = next(items)
     if policy is not None:
         layers = following(product, policy, Budget("a certificate's policy"))
@@ -190,13 +190,13 @@ def _require_same(path: str | Path, product: Product, policy: Policy | None) -> 
                 steps = mine["policy"]
             if mine != next(listed, None):
                 raise CertificateError(
-                    f"{path}: this certificate is of another policy (steps {steps[0]} to {steps[1]} differ); give the "
+                    f"{path}: this certificate is for another policy (steps {steps[0]} to {steps[1]} differ); give the "
                     "policy that it was written for"
                 )
 
 
 def _same_model(product: Product, items: Iterator[Item]) -> tuple[bool, bool, Item]:
-    """Whether the states listed are the model's, whether they are read as its letters are, and the item after them."""
+    """Whether the states listed are the model's, whether their letters are the model's, and the item after them."""
     head, model = next(items), product.model
     assert isinstance(head, dict)
     D, total = head["denominator"], head["initial_denominator"]
@@ -225,7 +225,7 @@ def _same_model(product: Product, items: Iterator[Item]) -> tuple[bool, bool, It
 
 
 def _policy_items(items: Iterator[Item]) -> Iterator[Item]:
-    """Those of a policy's blocks."""
+    """The choices in a policy's blocks."""
     inside = False
     for item in items:
         inside = "policy" in item if isinstance(item, dict) else inside

@@ -58,26 +58,26 @@ from stltool.sizes import UnsignedType
 
 Floats: TypeAlias = NDArray[np.float64]
 
-_LONG = 10**30  # denominators that a short description leaves out
-_NAMED = 3  # silent places in a message
-_SHARP = 1e-9  # the relative width below which a fixed-point enclosure is not swept again in doubles
+_LONG = 10**30  # larger denominators are left out of a short description
+_NAMED = 3  # pairs without an action, in a message
+_SHARP = 1e-9  # relative width below which a fixed-point enclosure is not recomputed in doubles
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CheckResult(Displayed):
     """How a check ended.
 
-    probability   the value computed; lower ≤ exact value ≤ upper, rounding included, for the model as given
+    probability   the computed value; lower ≤ exact value ≤ upper, rounding included, for the model as given
     question      "maximum" | "minimum" (over all policies) | "policy"
     policy        the policy that attains it (None where it was not kept)
-    nature        where the probabilities are intervals: whether they fall "against" or "with" what is asked for
-    fraction      the exact value where it was asked for; lower and upper are then the doubles next to it
+    nature        for interval probabilities: whether nature is adversarial ("against") or cooperative ("with")
+    fraction      the exact value if it was asked for; lower and upper are then the doubles next to it
     arithmetic    "double" | "fixed" (int64, rounded up) | "rational": what the enclosure rests on
-    certain       whether 0 or 1 follows from the model's graph alone: no policy (or every, or the one asked about) can
+    certain       whether 0 or 1 follows from the model's graph alone
     engine        what computed: "nodes" (pairs in numpy), "words" (sets as bits), "tiles" (these, eight numbers at a
                   time), "cluster" (tiles, by the workers of a cluster)
-    sweeps        steps back that were computed; those left out repeat others to the bit
-    values        (n_states,) the value of beginning in each state, where asked for
+    sweeps        backward steps that were computed; those left out are bit for bit equal to others
+    values        (n_states,) the value of starting in each state, if asked for
     status        "complete": nothing was truncated
     seconds       wall time
     """
@@ -100,8 +100,8 @@ class CheckResult(Displayed):
 
     @property
     def certainty(self) -> str | None:
-        """What the model's graph alone says of the question, in words; None where P is strictly between 0 and 1, or
-        was not decided so."""
+        """What the model's graph alone proves, in words; None if P is strictly between 0 and 1 or was not decided by
+        the graph."""
         if not self.certain:
             return None
         happens = self.probability == 1
@@ -112,13 +112,13 @@ class CheckResult(Displayed):
         }[self.question]
 
     def at_least(self, bound: float | Fraction) -> bool | None:
-        """Whether the exact value is at least `bound`; None where the bound lies inside the enclosure."""
+        """Whether the exact value is at least `bound`; None if the bound lies inside the enclosure."""
         bound = real(bound, "at_least's bound")
         lower, upper = (self.lower, self.upper) if self.fraction is None else (self.fraction, self.fraction)
         return True if lower >= bound else False if upper < bound else None
 
     def at_most(self, bound: float | Fraction) -> bool | None:
-        """Whether the exact value is at most `bound`; None where the bound lies inside the enclosure."""
+        """Whether the exact value is at most `bound`; None if the bound lies inside the enclosure."""
         bound = real(bound, "at_most's bound")
         lower, upper = (self.lower, self.upper) if self.fraction is None else (self.fraction, self.fraction)
         return True if upper <= bound else False if lower > bound else None
@@ -160,17 +160,17 @@ def check(
 ) -> CheckResult:
     """The probability that the task holds: under `policy`, or the maximum (minimum) over all policies.
 
-    `exact=True` adds the fraction itself. `arithmetic="auto"` takes fixed point where its enclosure is the narrower
-    one, doubles elsewhere. `keep_policy=False` leaves the optimal policy out. `values="all"` adds the value of
-    beginning in each of the model's states. `policy_file`, named .policy, is where the optimal policy goes while it is
-    found, so that it need not fit into memory; every `save_every` seconds, and where Ctrl-C ends it, what is needed to
-    go on is saved beside it, and `resume=True` goes on from there, to the same bits. `engine` and `threads` (default:
-    all cores) change no bit of the result; nor does `cluster`, the address of a dask scheduler whose workers compute
-    instead (docs/large.md).
+    `exact=True` adds the exact fraction. `arithmetic="auto"` takes whichever of fixed point and doubles has the
+    narrower enclosure. `keep_policy=False` does not return the optimal policy. `values="all"` adds the value of
+    starting in each model state. `policy_file` (suffix .policy) receives the optimal policy while it is computed, so
+    that it need not fit into memory; every `save_every` seconds, and on Ctrl-C, the state of the computation is saved
+    next to it, and `resume=True` continues from there, with bit-for-bit the same result. `engine` and `threads`
+    (default: all cores) change no bit of the result; nor does `cluster`, the address of a dask scheduler whose workers
+    compute instead (docs/large.md).
 
-    Raises PolicyError when the policy belongs to another task or model, or says nothing about a state it reaches;
-    ModelError when an exact answer is asked of rows that do not sum to 1; SizeError before allocating what would not
-    fit.
+    Raises PolicyError if the policy belongs to another task or model, or defines no action in a state it reaches;
+    ModelError if an exact answer is asked for and rows do not sum to 1; SizeError before allocating more memory than is
+    available.
     """
     start = time.perf_counter()
     require_door("check", product, policy)
@@ -223,16 +223,18 @@ def check(
 
 
 def _policy_file(given: str | Path | None, policy: Policy | None, keep_policy: bool, resume: bool) -> Path | None:
-    """Where the policy goes while it is found, as far as that fits the rest."""
+    """The file for the policy; SettingsError if it does not fit the other arguments."""
     if given is None:
         if resume:
             raise SettingsError(f"{named('resume', 'resume=True')} needs {named('policy_file', 'policy_file=…')}")
         return None
     path = path_of(given, "check's policy_file")
     if policy is not None or not keep_policy:
-        raise SettingsError(f"{named('policy_file', 'policy_file')} is for the optimal policy, which is not asked for")
+        raise SettingsError(
+            f"{named('policy_file', 'policy_file')} is for the optimal policy, which is not kept here; leave it out"
+        )
     if path.suffix.lower() != ".policy":
-        raise SettingsError(f"{path}: what is written while it is found is a .policy file; name it so")
+        raise SettingsError(f"{path}: a policy saved while it is computed needs the suffix .policy; rename it")
     require_policy_file(path)
     return path
 
@@ -240,7 +242,7 @@ def _policy_file(given: str | Path | None, policy: Policy | None, keep_policy: b
 def require_for_cluster(
     exact: bool, policy: Policy | None, resume: bool = False, engine: Engine = "auto", threads: int | None = None
 ) -> None:
-    """SettingsError for what is computed on one machine alone."""
+    """SettingsError for options that a cluster does not support."""
     mixes = policy is not None and not policy.deterministic
     for given, name in (
         (exact, named("exact", "exact=True")),
@@ -250,11 +252,11 @@ def require_for_cluster(
         (threads is not None, named("threads", "threads=…")),
     ):
         if given:
-            raise SettingsError(f"{name} is for one machine; leave {named('cluster', 'cluster')} out")
+            raise SettingsError(f"{name} does not run on a cluster; leave {named('cluster', 'cluster')} out")
 
 
 def or_optimal(caller: str, product: Product, policy: Policy | None, memory_limit: int | None = None) -> Policy:
-    """The policy itself, or the optimal one where none is given."""
+    """The policy itself, or the optimal one if none is given."""
     require_door(caller, product, policy)
     if policy is not None:
         return policy
@@ -310,36 +312,36 @@ class _Question:
         if scale is not None and (arithmetic == "fixed" or self._narrower(scale)):
             found = self._solved(Fixed(scale.denominator, scale.one, self.maximize), "fixed")
             fixed = scale.enclose(self.product.model, self.product.horizon, found.entry[self._starts()])
-            # a small probability keeps more of its digits in doubles
+            # doubles keep more digits of a small probability
             if arithmetic == "fixed" or self.certain(found) or fixed[2] - fixed[1] <= _SHARP * fixed[2]:
                 return *self._surely(found, fixed), "fixed", self._unscaled(found, scale.one)
         elif arithmetic == "fixed":
             raise SettingsError(
-                "fixed point needs probabilities that share a small denominator, and a policy that does not mix; "
+                "fixed point needs probabilities with a small common denominator, and a deterministic policy; "
                 "use arithmetic='auto'"
             )
         found = self._solved(Doubles(self.maximize), "double")
         return *self._surely(found, self._in_doubles(found)), "double", found
 
     def certain(self, found: Solution) -> bool:
-        """Whether P is 0 or 1 by the model's graph alone."""
+        """Whether the model's graph alone makes P 0 or 1."""
         starts = self._starts()
         values = found.entry[starts] != 0
         return bool(found.certain[starts].all() and (values.all() or not values.any()))
 
     def of_states(self, found: Solution) -> Floats:
-        """(n_states,) where runs may begin everywhere."""
+        """(n_states,) if runs may start in every state."""
         return found.entry.astype(np.float64)
 
     def goes_to(self, path: Path, every: float, resume: bool, arithmetic: str) -> None:
-        """The policy goes to this file; a stopped run that is resumed goes on in the arithmetic it had come to."""
+        """Write the policy to this file; a resumed run continues in the arithmetic that it was using."""
         header = layered_header(self.product)
         question = [header, self.maximize, arithmetic, len(self._made[0].first), SOURCES]
         self._begun = stopped_in(path, question, resume)
         self._recorder = lambda used: OnDisk(path, header, key_of(question, used), every, resume)
 
     def recorder(self, arithmetic: str) -> Recorder | None:
-        """Where the policy goes: None, into memory."""
+        """Where the policy is written; None: kept in memory."""
         return self._recorder(arithmetic) if self._recorder is not None else None
 
     def _solved(self, arithmetic: Doubles | Fixed, name: str) -> Solution:
@@ -350,7 +352,7 @@ class _Question:
             return solve_on_cluster(client, game, arithmetic, *self._allowed(), self.keep, recorder, budget)
 
     def _starts(self) -> NDArray[np.int64]:
-        """Where the model's initial states are among those that runs may begin in."""
+        """The positions of the model's initial states among the states that runs may start in."""
         return np.searchsorted(self._made[0].first, np.flatnonzero(self.product.model.initial))
 
     def _surely(self, found: Solution, bounds: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -376,7 +378,8 @@ class _Question:
 
 
 def double_bounds(product: Product, kinds: Rows, value: float, mixtures: Floats | None = None) -> tuple[float, float]:
-    """The enclosure of an induction's value in doubles, over rows of these kinds; `mixtures` (k, C) of the policy."""
+    """The enclosure of an induction's value in doubles, over rows of these kinds; `mixtures` (k, C): the policy's
+    weights."""
     h, initial = product.horizon, product.model.initial
     mixed, weight_defect, smallest = 0, Fraction(0), min(kinds.least, least_positive(initial))
     if mixtures is not None:
@@ -389,7 +392,7 @@ def double_bounds(product: Product, kinds: Rows, value: float, mixtures: Floats 
 
 
 def undefined(product: Product, policy: Policy) -> PolicyError:
-    """Where the policy says nothing: the places it can reach, then how many it cannot."""
+    """The pairs without an action: those that are reachable, then how many are not."""
     places = silent_places(product, policy)
     form = policy.form
     others = 0
@@ -406,17 +409,17 @@ def undefined(product: Product, policy: Policy) -> PolicyError:
 
 
 def silent_places(product: Product, policy: Policy) -> dict[tuple[int, int], int]:
-    """The pairs (s, q) that a policy reaches and is silent about, with the first step it does."""
+    """The pairs (s, q) that a policy reaches without defining an action, with the first step at which it does."""
     lenient = _Lenient(policy.form)
     layers = layers_of(Game.of(product), TRUE, lenient, engine="nodes")
     for first, _, codes in layers.reached:
         s, q = np.divmod(codes, product.automaton.n_states)
-        lenient.choices(layers.asked, first, s, q)  # of the last layer too
+        lenient.choices(layers.asked, first, s, q)  # also for the last layer
     return dict(sorted(lenient.places.items(), key=lambda place: (place[1], place[0])))
 
 
 class _Lenient(Following):
-    """Where the policy is silent, its runs end, and the place is noted."""
+    """Where the policy defines no action, its runs end, and the pair is noted."""
 
     def __init__(self, form: Form) -> None:
         super().__init__(form)
@@ -432,5 +435,5 @@ class _Lenient(Following):
         for place in zip(s[taken < 0].tolist(), q[taken < 0].tolist(), strict=True):
             self.places[place] = min(t, self.places.get(place, t))
         owner = np.flatnonzero(taken >= 0)
-        here = rows.at(s[owner])  # which may make them
+        here = rows.at(s[owner])  # may generate them
         return owner, rows.choice_start[here] + taken[owner], None

@@ -1,7 +1,7 @@
-"""Enclosures from int64 fixed point, where the model's probabilities share a small denominator D.
+"""Enclosures from int64 fixed point, if the model's probabilities have a small common denominator D.
 
-Values are integers U in units of 1/one, every sweep rounded up: U_t = opt_c ⌈Σ n·U_{t+1} / D⌉, so U ≥ V always, and
-as rows sum to 1 each sweep that rounds adds less than one unit:
+Values are integers U in units of 1/one, rounded up in every sweep: U_t = opt_c ⌈Σ n·U_{t+1} / D⌉, so U ≥ V always. Rows
+sum to 1, so each sweep that rounds adds less than one unit:
 
     U_0 − (h − j) ≤ one · V_0 ≤ U_0,      one = m·D^j with D·one ≤ 2^62
 
@@ -34,7 +34,7 @@ class FixedPoint:
     exact_sweeps: int
 
     def roundings(self, horizon: int) -> int:
-        """The most units by which a value can lie below its U."""
+        """The largest number of units by which a value can be below its U."""
         return 0 if self.denominator == 1 else max(0, horizon - self.exact_sweeps)
 
     def enclose(self, model: MDP, horizon: int, entry: NDArray[np.int64]) -> tuple[float, float, float]:
@@ -47,9 +47,9 @@ class FixedPoint:
 
 
 def fixed_point(model: MDP, kinds: Rows | None = None) -> FixedPoint | None:
-    """The fixed point of a model, or None where its probabilities do not share a small denominator.
+    """The fixed-point format for a model, or None if its probabilities have no small common denominator.
 
-    kinds   rows that stand for all that matter, where they are known
+    kinds   rows that represent all relevant rows, if known
     """
     rows = kinds if kinds is not None else model.kinds if model.kinds is not None else model.rows
     if not sums_exactly(rows) or rows.denominator >= _LARGEST_DENOMINATOR or rows.defect or model.initial_defect:

@@ -1,4 +1,4 @@
-"""The most probable runs of a policy that violate, or satisfy, a task: k best paths through the unfolded product.
+"""The most probable runs of a policy that violate, or satisfy, a task: the k best paths through the unfolded product.
 
 A run ends where its verdict is decided, so no run is a prefix of another, runs are disjoint events, and their
 probabilities
@@ -11,16 +11,16 @@ add up to the probability of the verdict. One backward induction (max-product) g
     B_t(s,q) = 0 / −∞                                               if the verdict is the one asked for / the other
              = max_{c,s'} log(π_t(c|s,q) p(s'|c)) + B_{t+1}(s', δ(L(s'), q))     otherwise
 
-and with it what any edge loses against the best one of its source: ≥ 0, and 0 for the best. A run loses what its edges
-lose. Best first: the heap holds the deviations from the runs found so far, each ranked by its own best completion
-([Eppstein98]: sidetracks; an acyclic graph and a perfect heuristic make his heaps of heaps unnecessary). Order and
-probabilities hold up to rounding, some 1e−15 a step.
+and thereby the loss of every edge against the best edge of its source: ≥ 0, and 0 for the best. A run's loss is the sum
+over its edges. Best first: the heap holds the deviations from the runs found so far, each ranked by its own best
+completion ([Eppstein98]: sidetracks; an acyclic graph and a perfect heuristic make his heaps of heaps unnecessary).
+Order and probabilities are exact up to rounding, about 1e−15 per step.
 
 Why not a library's routine: scipy's `yen` and networkx's `shortest_simple_paths` search again for every deviation and
 need the whole graph, without parallel edges (two actions to one successor) or edges of length 0 (p = 1); `yen` needs
-the number of paths beforehand, which a mass does not determine. 1000 violating runs of patrolling on the 10 × 10
-floor, graph apart: T = τ = 10 in 0.04 s, as yen, networkx 4.4 s; T = τ = 15 in 0.06 s, yen 0.9 s; under a uniform
-mixture 0.3 s, yen 7 s.
+the number of paths beforehand, which is not known when a mass is asked for. 1000 violating runs of patrolling on the 10
+× 10 floor, without building the graph: T = τ = 10 in 0.04 s, yen likewise, networkx 4.4 s; T = τ = 15 in 0.06 s, yen
+0.9 s; under a uniform mixture 0.3 s, yen 7 s.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ from stltool.sizes import require_time
 
 MOST_RUNS = 10_000
 _SHOWN = 10  # runs in a notebook
-_ROUNDING = 1e-12  # a set that lacks less than this share of what it should cover, covers it
+_ROUNDING = 1e-12  # a shortfall below this share counts as rounding
 
 _RATE = 1e6  # steps of runs a second, roughly
 _REST_OR_SURE = np.array([[0.0, -np.inf, 0.0], [1.0, 0.0, -np.inf]])
@@ -59,17 +59,18 @@ _REST_OR_SURE = np.array([[0.0, -np.inf, 0.0], [1.0, 0.0, -np.inf]])
 _Pair: TypeAlias = tuple[int, int, int]
 """Model state, automaton state, and the slot of both (checking/induction/edges.py)."""
 _Trail: TypeAlias = "tuple[_Trail | None, int, _Pair, float, float]"
-"""A run backwards: what came before, choice (−1 at the start), the pair it led to, probability and its log."""
+"""A run, last step first: the run before it, choice (−1 at the start), the pair it led to, probability and its log."""
 _Move: TypeAlias = tuple[float, int, _Pair, float, float]
-"""What an edge loses, then the same."""
+"""The loss of an edge, then the fields of a trail."""
 
 
 @dataclass(frozen=True, repr=False)
 class LikelyRun(Run):
-    """A run with its probability under the policy; `log_probability` stays finite where that underflows.
+    """A run with its probability under the policy; `log_probability` stays finite if that underflows.
 
-    `certain` is the first step from which the policy cannot end otherwise; the verdict is decided there or later.
-    In a mixture the actions are part of the run: the same states by other actions are another run.
+    `certain` is the first step from which on the policy makes no other verdict possible; the verdict itself is decided
+    there or later. Under a mixed policy the actions are part of the run: the same states with other actions are a
+    different run.
     """
 
     probability: float
@@ -86,12 +87,12 @@ class LikelyRun(Run):
 class LikelyRuns(Displayed):
     """The most probable runs of one verdict, in descending order of probability.
 
-    product, policy   what the runs are of; for a policy with another automaton than the task's, the product of both
+    product, policy   what the runs belong to; for a policy with its own automaton, the product with both automata
     satisfied         the verdict asked for
-    runs              equally probable ones: the shorter first, then by states
-    probability       of the verdict, all runs together; exactly 0 where no run of positive probability has it
-    mass, covered     what `runs` have together, and its share of `probability` (1 where there is nothing to cover)
-    exhausted         whether `runs` are all there are
+    runs              most probable first; of equal ones the shorter first, then by states
+    probability       of the verdict, all runs together; exactly 0 if no run of positive probability has it
+    mass, covered     the total probability of `runs`, and its share of `probability` (1 if that is 0)
+    exhausted         whether `runs` are all runs with this verdict
     status            "complete", or what stopped the search, and the remedy
     """
 
@@ -112,7 +113,7 @@ class LikelyRuns(Displayed):
             for i, run in enumerate(self.runs[:_SHOWN], start=1)
         ]
         best = probability_text(self.runs[0].probability) if self.runs else None
-        share = math.floor(1e4 * self.covered) / 100  # 100 for all alone
+        share = math.floor(1e4 * self.covered) / 100  # 100 only if all are covered
         return Card(
             f"LikelyRuns: {counted(len(self.runs), f'{verdict} run')}, {share:g} % of "
             f"P = {probability_text(self.probability)}, {self.status}",
@@ -139,9 +140,9 @@ def likely_runs(
 ) -> LikelyRuns:
     """The `count` most probable runs under `policy` (default: the optimal one) that violate, or satisfy, the task.
 
-    With `mass` in (0, 1] instead the smallest set of runs that has at least this share of the verdict's probability, or
-    the first `most` of it. Raises PolicyError where the policy defines no action in a pair that it reaches or belongs
-    to another task, SettingsError for numbers out of range, SizeError before taking memory that is not there.
+    With `mass` in (0, 1] instead: the smallest set of runs that has at least this share of the verdict's probability,
+    or its first `most` runs. Raises PolicyError if the policy defines no action in a pair that it reaches or belongs to
+    another task, SettingsError for numbers out of range, SizeError before allocating more memory than is available.
     """
     require_door("likely_runs", product, policy)
     flag(satisfied, "likely_runs' satisfied")
@@ -152,7 +153,7 @@ def likely_runs(
         mass = float(real(mass, "mass", "0.9"))
         if not 0 < mass <= 1:
             raise SettingsError(
-                f"{named('mass')} is {mass}; it is a share of the probability, above 0 and at most 1, such as 0.9"
+                f"{named('mass')} is {mass}; give a share of the probability, above 0 and at most 1, such as 0.9"
             )
     product, policy = or_optimal("likely_runs", product, policy, memory_limit).on(product)
     wanted = TRUE if satisfied else FALSE
@@ -166,13 +167,13 @@ def likely_runs(
     below = probability == 0 and bool(np.isfinite(unfolding.entry[:, 1]).any())  # there are runs; their sum underflows
     if below and mass is not None:
         raise SettingsError(
-            f"{named('mass')} {mass:g}: the runs have less than 1e-300 together, too little to tell shares; ask for a "
-            "count of runs"
+            f"{named('mass')} {mass:g}: all runs together have less than 1e-300, too little for shares; ask for a "
+            "number of runs instead"
         )
     what = f"runs of up to {unfolding.steps} steps, {limit} of them"
     require_time(float(limit) * unfolding.steps, _RATE, what, "ask for fewer, or shorten the windows")
-    # Of all sets of n runs the n most probable have the largest mass. So the first n that reach the goal are a
-    # smallest set: if n − 1 runs reached it, the n − 1 most probable would.
+    # Of all sets of n runs the n most probable have the largest mass. So the first n that reach the goal are a smallest
+    # set: if any n − 1 runs reached it, the n − 1 most probable would.
     runs: list[LikelyRun] = []
     covered, exhausted = 0.0, False
     search = _by_probability(unfolding, limit)
@@ -191,12 +192,12 @@ def likely_runs(
     share = 1.0 if exhausted else 0.0 if below else min(total / probability, 1.0)
     status = "complete"
     if mass is not None and covered < goal and not exhausted:
-        status = f"covered {share:.3g} of the asked {mass:g} with {len(runs)} runs; raise most to go on"
+        status = f"covered {share:.3g} of the requested {mass:g} with {len(runs)} runs; raise most to continue"
     return LikelyRuns(product, policy, satisfied, tuple(runs), probability, total, share, exhausted, status)
 
 
 class _Completions(Arithmetic):
-    """Three columns: the probability of the goal, B, and whether another verdict is possible: 0, or −∞ if not."""
+    """Three columns: the probability of the goal; B; 0 if another verdict is possible, else −∞."""
 
     def begin(self, rows: Rows) -> None:
         super().begin(rows)
@@ -227,13 +228,13 @@ def _kept(values: Values) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
 
 
 def _by_probability(unfolding: Unfolding, limit: int) -> Iterator[_Trail]:
-    """Runs by descending probability; `limit` is the most that will be asked for (and one more, to see an end)."""
+    """Runs by descending probability; at most `limit` will be asked for (and one more, to detect the end)."""
     layers, game = unfolding.layers, unfolding.layers.game
     choice_start = unfolding.product.model.choice_start
 
     def moves(t: int, pair: _Pair) -> list[_Move]:
-        """The edges of a pair that lead on, the best one first."""
-        if t < 0:  # before the first state, which is drawn by no choice
+        """The outgoing edges of a pair, the best one first."""
+        if t < 0:  # before the first state, which no choice leads to
             factor, logs = unfolding.start, np.log(unfolding.start)
             choice, s, q = np.full(len(factor), -1), game.first, game.entry
         elif pair[2] == SURE:
@@ -273,7 +274,7 @@ def _by_probability(unfolding: Unfolding, limit: int) -> Iterator[_Trail]:
         if trail is not None:
             yield trail
         left -= 1
-        if len(heap) > 2 * left + 1000:  # no more than `left` can still be asked for; a sorted list is a heap
+        if len(heap) > 2 * left + 1000:  # at most `left` can still be asked for; a sorted list is a heap
             heap = heapq.nsmallest(left, heap)
 
 

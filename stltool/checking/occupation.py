@@ -3,13 +3,13 @@
     x(t,s,q,c) ≥ 0        the probability of being in (s,q) after step t and taking choice c
     Σ_c x(0,s,q,c)  = ι(s) where q is entered on reading s
     Σ_c x(t+1,s',q',c) = Σ over (s,q,c) with δ_t(L(s'),q) = q' of P(s'|c)·x(t,s,q,c)
-    criterion_i(x)  = r_iᵀx + const   (weighted.py: a task's probability, or what is saved of a cost)
+    criterion_i(x)  = r_iᵀx + const   (weighted.py: a task's probability, or the saving on a cost)
 
     maximise criterion_o(x)  subject to  criterion_i(x) ≥ b_i
 
-Only what can be reached is a variable, up to the step where every verdict has fallen, or to the horizon where costs
-count. Sizes are counted before a matrix is made. x(t,s,q,·) normalised is the policy: every achievable point is that of
-such a policy. Source: [Altman99], over a finite horizon.
+Variables exist for reachable pairs only, up to the step where every verdict is decided, or up to the horizon if costs
+count. Sizes are counted before a matrix is built. x(t,s,q,·) normalised is the policy: every achievable point is
+achieved by such a policy. Source: [Altman99], over a finite horizon.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ if TYPE_CHECKING:
 
 MOST_VARIABLES = 500_000  # some minutes
 
-_BYTES = 200  # a non-zero, in our matrices, cvxpy's and the solver's
+_BYTES = 200  # for each non-zero, in our matrices, cvxpy's and the solver's
 _TOLERANCE = 1e-9  # of the solver, on rows and on reduced costs
-_NOISE = 1e-9  # a choice's share of its place, below which it is the solver's rounding
+_NOISE = 1e-9  # a choice with a smaller share of its pair is the solver's rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +46,8 @@ class Programme:
 
     flow      (n_rows, n_variables) sparse, inflow (n_rows,): flow·x = inflow
     reward    (n_criteria, n_variables) sparse, constant (n_criteria,): the criteria are reward·x + constant
-    nodes     for each step the pairs (s, automaton state of the layer) that can be reached
-    firsts    for each step the number of its first variable
+    nodes     for each step the reachable pairs (s, automaton state of the layer)
+    firsts    for each step the index of its first variable
     """
 
     criteria: Criteria
@@ -74,7 +74,7 @@ class Solution:
 
 
 def programme(criteria: Criteria, most_variables: int = MOST_VARIABLES) -> Programme:
-    """Count, then build. SizeError where there are more variables than `most_variables`, or memory is short."""
+    """Count, then build. SizeError if there are more variables than `most_variables`, or too little memory."""
     from scipy.sparse import coo_array, csr_array
 
     joint, layers = criteria.joint, criteria.layers
@@ -139,10 +139,10 @@ def _steps(stretch: Stretch) -> range:
 
 
 def solve(lp: Programme, objective: int, bounds: Mapping[int, float], most_iterations: int | None = None) -> Solution:
-    """Maximise one criterion where others are at least `bounds`.
+    """Maximise one criterion subject to the others being at least `bounds`.
 
-    Raises SolverError, with the solver's status, where it ends without an optimum. Simplex is slow to tell that there
-    is none: ask for bounds that can be met, or limit its iterations.
+    Raises SolverError, with the solver's status, if it ends without an optimum. The simplex method is slow to detect
+    infeasibility: ask for bounds that can be met, or limit its iterations.
     """
     import cvxpy as cp
 
@@ -163,7 +163,7 @@ def solve(lp: Programme, objective: int, bounds: Mapping[int, float], most_itera
         options["maxiter"] = most_iterations
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that a result is inaccurate: it is refused below
+            warnings.simplefilter("ignore")  # inaccurate results are refused below
             problem.solve(solver=cp.SCIPY, scipy_options=options)  # type: ignore[no-untyped-call]
         status = problem.status
     except cp.SolverError:
@@ -172,15 +172,15 @@ def solve(lp: Programme, objective: int, bounds: Mapping[int, float], most_itera
         limit = f" within {counted(most_iterations, 'iteration')}" if most_iterations is not None else ""
         raise SolverError(
             f"the linear programme of {lp.flow.shape[1]} variables and {lp.flow.shape[0]} rows: HiGHS found no optimum"
-            f"{limit} ({status}); shorten the windows, scale costs nearer to 1, or move the bounds a little away from "
-            "what is possible"
+            f"{limit} ({status}); shorten the windows, scale costs closer to 1, or move the bounds slightly away from "
+            "the limits of what is possible"
         )
     duals = np.array(requirements[1].dual_value) if constrained else np.empty(0)
     return Solution(np.maximum(np.array(x.value), 0), np.maximum(duals, 0) / scale)
 
 
 def policy_of(lp: Programme, x: Floats, otherwise: Choices) -> Mixtures:
-    """x normalised in every pair it reaches, by step and the automaton states of its layer; elsewhere `otherwise`."""
+    """x normalised in every pair that it reaches, by step and automaton state of the layer; elsewhere `otherwise`."""
     model = lp.criteria.joint.model
     n_choices, n_states = np.diff(model.choice_start), lp.criteria.game.automaton.n_states
     layers: list[Mixed] = []

@@ -1,13 +1,14 @@
-"""The Pareto front of two tasks: which pairs of probabilities no policy improves in one without losing in the other.
+"""The Pareto front of two tasks: the pairs of probabilities that no policy can improve in one without losing in the
+other.
 
 The pairs that policies achieve are a polygon. For w ≥ 0, w₁ + w₂ = 1, one weighted backward induction (weighted.py)
 gives a corner p(w) of it and a line that no policy crosses:
 
-    w·p ≤ U(w)   for every achievable p,          w·p(w) = U(w)   but for rounding
+    w·p ≤ U(w)   for every achievable p,          w·p(w) = U(w) up to rounding
 
-From the two corners best for one task alone, the segment between neighbours A, B is closed when the weights that are
-normal to it find nothing above it (within the tolerance); else their corner divides it. The segment that may hide most,
-between it and the lines of its ends, is tried first. Source: [Forejt12].
+The search starts from the two corners that are best for one task alone. A segment between neighbours A, B is closed if
+its normal weights find nothing above it (within the tolerance); otherwise the corner they find divides it. The segment
+with the largest possible gap to the front, given the lines at its ends, is tried first. Source: [Forejt12].
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from stltool.numbers import round_up
 from stltool.product import JointProduct
 
 _SHOWN = 10  # corners in a notebook
-_SAME = 1e-12  # probabilities that differ by less of themselves are one
+_SAME = 1e-12  # probabilities with a smaller relative difference count as equal
 
 
 @dataclass(frozen=True)
@@ -47,13 +48,14 @@ class Corner:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Front(Displayed):
-    """The front, from the corner best for the first task to the one best for the second; between them policies mix.
+    """The front, from the best corner for the first task to the best for the second; mixed policies lie between
+    corners.
 
     corners     undominated, in that order
     lines       (w₁, w₂, U): w·p ≤ U for every policy, rounding included
-    gap         how far at most, in the direction of its normal, the true front is above the corners' segments
+    gap         how far at most the true front is above the segments between corners, measured along their normals
     inductions  backward inductions taken
-    status      "complete", or that the number of corners asked for was reached first
+    status      "complete", or that the requested number of corners was reached first
     """
 
     joint: JointProduct
@@ -80,7 +82,7 @@ class Front(Displayed):
         """(achieved by mixing corners, upper bound on) P(first) where P(second) >= `second`; None if out of reach."""
         second = float(real(second, "at_least's bound", "0.9"))
         if not 0 <= second <= 1:
-            raise SettingsError(f"P({self.joint.names[1]}) >= {second}: a probability lies between 0 and 1")
+            raise SettingsError(f"P({self.joint.names[1]}) >= {second}: give a probability between 0 and 1")
         points = [corner.point for corner in self.corners]
         if second > self.corners[-1].probabilities[1].upper:
             return None
@@ -99,19 +101,19 @@ def pareto(
     """The Pareto front of a joint product's two tasks.
 
     At most `points` backward inductions are taken; a segment is closed when nothing lies more than `tolerance` above
-    it. Raises SettingsError for other than two tasks, and for a setting out of range.
+    it. Raises SettingsError if there are not exactly two tasks, or a setting is out of range.
     """
     started = time.perf_counter()
     require(joint, JointProduct, "pareto's joint product")
     function(progress, "pareto's progress")
     if len(joint.tasks) != 2:
-        raise SettingsError(f"a Pareto front is of two tasks, not of {len(joint.tasks)}; choose two")
+        raise SettingsError(f"a Pareto front needs exactly two tasks, found {len(joint.tasks)}; choose two")
     points = whole(points, "points")
     if points < 2:
-        raise SettingsError(f"{named('points')} is {points}; a front needs at least the best of either task, 2 points")
+        raise SettingsError(f"{named('points')} is {points}; give at least 2, the best corner for each task")
     tolerance = float(real(tolerance, "tolerance", "1e-9"))
     if not 0 < tolerance < 1:
-        raise SettingsError(f"{named('tolerance')} is {tolerance}; a number between 0 and 1 is needed")
+        raise SettingsError(f"{named('tolerance')} is {tolerance}; give a number between 0 and 1")
     criteria = Criteria(joint)
     found: list[Corner] = []
 
@@ -124,9 +126,9 @@ def pareto(
         return found[-1]
 
     left, right = corner(1.0, 0.0), corner(0.0, 1.0)
-    number = itertools.count()  # of segments, so that equals are never compared further
+    number = itertools.count()  # of segments, to break ties
     open_ = [(-_hidden(left, right), next(number), left, right)]
-    closed = 0.0  # what closed segments may hide
+    closed = 0.0  # the largest possible gap of a closed segment
     while -open_[0][0] > tolerance and len(found) < points:
         _, _, a, b = heapq.heappop(open_)
         middle = corner(*_normal(a, b))
@@ -144,13 +146,13 @@ def pareto(
         lines=tuple((*c.weights, c.bound) for c in found),
         gap=gap,
         inductions=len(found),
-        status="complete" if gap <= tolerance else f"stopped after {points} points; ask for more",
+        status="complete" if gap <= tolerance else f"stopped after {points} points; raise points to continue",
         seconds=time.perf_counter() - started,
     )
 
 
 def _normal(a: Corner, b: Corner) -> tuple[float, float]:
-    """The weights that a and b are equally good for."""
+    """The weights for which a and b are equally good."""
     (a1, a2), (b1, b2) = a.point, b.point
     across, along = max(b2 - a2, 0.0), max(a1 - b1, 0.0)
     total = across + along
@@ -163,19 +165,19 @@ def _above(c: Corner, a: Corner) -> float:
 
 
 def _hidden(a: Corner, b: Corner) -> float:
-    """How far at most the front is above the segment from a to b: where the lines of its ends meet."""
+    """How far at most the front is above the segment from a to b: where the lines through its ends meet."""
     if all(abs(p - q) <= _SAME * max(p, q) for p, q in zip(a.point, b.point, strict=True)):
         return max(_above(a, a), _above(b, b))
     (w1, w2), (u1, u2), (v1, v2) = _normal(a, b), a.weights, b.weights
     det = u1 * v2 - u2 * v1
-    if abs(det) < _SAME:  # lines of one direction
+    if abs(det) < _SAME:  # parallel lines
         return max(_above(a, a), _above(b, b))
     meets = ((w1 * v2 - w2 * v1) * a.bound + (u1 * w2 - u2 * w1) * b.bound) / det
     return meets - w1 * a.probabilities[0].lower - w2 * a.probabilities[1].lower
 
 
 def _undominated(corners: list[Corner]) -> tuple[Corner, ...]:
-    """Those that no other beats, one of each point, best for the first task first."""
+    """The undominated points without duplicates, the best for the first task first."""
     kept: list[Corner] = []
     for corner in sorted(corners, key=lambda c: (-c.point[0], -c.point[1])):
         # earlier ones are better for the first task, so this one must be better for the second

@@ -1,7 +1,9 @@
-"""What a certificate lists, item by item (docs/certificates.md): header, model, automaton, policy, numbers, bounds.
+"""The contents of a certificate, item by item (docs/certificates.md): header, model, automaton, policy, numbers,
+bounds.
 
-The numbers are an approximation v of the values of open pairs. What is proved of them rests on their *distances*, which
-the reader measures: by how much v_t differs from what one step makes of v_{t+1}. Here they are bounded beforehand:
+The numbers are an approximation v of the values of open pairs. What is proved about them rests on their *distances*,
+which the reader measures: the difference between v_t and the result of one step from v_{t+1}. Here they are bounded
+beforehand:
 
     fixed point   U_t = opt_c ⌈Σ n·U_{t+1} / D⌉ is less than one unit too large, and not at all in sweeps that do not
                   round (checking/fixed.py): upwards 0, downwards h − j units in all
@@ -10,7 +12,7 @@ the reader measures: by how much v_t differs from what one step makes of v_{t+1}
                   halves of a unit are added where numbers become integers
     exact         N_t = V_t · D^(h−t): none
 
-A minimum is listed as the maximum of what is left of 1: its goal is the formula's failure.
+A minimum is listed as 1 minus a maximum: that of the probability that the formula fails.
 """
 
 from __future__ import annotations
@@ -63,17 +65,17 @@ if TYPE_CHECKING:
     from distributed import Client
 
 Item: TypeAlias = dict[str, Any] | list[Any] | str
-"""A line of the file: an object, a list, or the text that stands for one."""
+"""A line of the file: an object, a list, or its text."""
 Bounds: TypeAlias = tuple[Fraction, Fraction]
 I64: TypeAlias = NDArray[np.int64]
 Texts: TypeAlias = NDArray[np.bytes_]
 
-SMALLER = "shorten the windows, round the probabilities to fewer digits, or certify the result of a check without exact"
+SMALLER = "shorten the windows, round the probabilities to fewer digits, or certify a result of check without exact"
 _U = Fraction(1, 2**53)
 _UNIT = 2**55  # for doubles: four times as fine as they are next to 1
-_BLOCK = 2**24  # bits that masks are made of at a time
+_BLOCK = 2**24  # bits of the masks that are made at a time
 _TABLE = 2**16  # numbers that layers share a table for; one layer may have more
-_NUMBERS = 2**20  # digits of numbers on a line
+_NUMBERS = 2**20  # digits in a line of numbers
 _HEX = np.frombuffer(b"0123456789abcdef", dtype=np.uint8)
 
 
@@ -96,8 +98,8 @@ def header(product: Product, claim: str, policy: Policy | None) -> dict[str, Any
 def model_items(product: Product, layers: Layers[Any, Any], form: Form | None) -> Iterator[Item]:
     """The denominators, then states of the model: number, initial share, letter.
 
-    Those in which runs can be undecided have their choices too; the others are where runs begin or are decided. Of a
-    policy's choices, those that it does not take have no successors.
+    States in which runs can be undecided are listed with their choices; in the others runs start or are decided.
+    Choices that a policy does not take are listed without successors.
     """
     model, acting, rows = product.model, layers.acting(), acting_rows(layers)
     first = layers.game.first
@@ -133,12 +135,12 @@ def _taken(layers: Layers[Any, Any], form: Form, acting: I64, start: I64) -> NDA
 
 
 def acting_rows(layers: Layers[Any, Any]) -> Rows:
-    """Of the states that runs can leave while they are undecided, in order."""
+    """The states that undecided runs can leave, in order."""
     return layers.rows.some(layers.asked.at(layers.acting()))
 
 
 def choices_listed(rows: Rows) -> Iterator[list[list[int]]]:
-    """Of each state its choices, as successors and numerators in turn."""
+    """The choices of each state, as alternating successors and numerators."""
     pairs = itertools.chain.from_iterable(zip(rows.target.tolist(), rows.numerator.tolist(), strict=True))
     lengths, counts = iter((2 * np.diff(rows.row_start)).tolist()), np.diff(rows.choice_start).tolist()
     for n in counts:
@@ -146,7 +148,7 @@ def choices_listed(rows: Rows) -> Iterator[list[list[int]]]:
 
 
 def automaton_items(product: Product) -> Iterator[Item]:
-    """Sizes and steps, then δ for each letter, then the verdicts from each of the steps on."""
+    """Sizes and steps, then δ for each letter, then the verdicts that hold from each of these steps on."""
     automaton = product.automaton
     yield {
         "states": automaton.n_states,
@@ -170,7 +172,7 @@ def following(
 
 
 class PolicyItems:
-    """A policy's choices where its runs can be, in blocks of steps that it treats alike, from the last step back."""
+    """A policy's choices in the reachable pairs, in blocks of steps that share them, from the last step back."""
 
     def __init__(self, layers: Layers[Any, Any], product: Product, form: Form) -> None:
         self._layers, self._product, self._form = layers, product, form
@@ -222,7 +224,7 @@ def _integers(weights: list[float]) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class _ToOne:
-    """A mixture whose weights are divided by their sum, which may be 1 only nearly."""
+    """A mixture whose weights are divided by their sum, which may differ slightly from 1."""
 
     form: Form
     deterministic = False
@@ -253,7 +255,7 @@ def _divided(weights: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class Numbers(ABC):
-    """Values of open pairs as integers. `unit` is what stands for 1 in the last layer that was made."""
+    """Values of open pairs as integers. `unit` is the integer for 1 in the last layer that was made."""
 
     arithmetic: Arithmetic
 
@@ -266,11 +268,11 @@ class Numbers(ABC):
 
     @abstractmethod
     def places(self, values: Values, unit: int) -> tuple[int, Texts, I64]:
-        """How many numbers stay in the table, those to be added to it, as long as the unit, and each value's place."""
+        """How many numbers stay in the table; those to be added to it, as long as the unit; each value's position."""
 
     @abstractmethod
     def bounds(self, layers: Layers[Any, Any], model: MDP, at_start: list[int]) -> Bounds:
-        """Of the goal's probability, by the values at the game's first pairs."""
+        """Bounds on the goal's probability, from the values at the game's first pairs."""
 
 
 class Rounded(Numbers):
@@ -280,11 +282,11 @@ class Rounded(Numbers):
 
     def __init__(self, arithmetic: Arithmetic, unit: int, high: Fraction, low: Fraction) -> None:
         self.arithmetic, self.unit, self.high, self.low = arithmetic, unit, high, low
-        self._known = self._place = np.empty(0, dtype=np.int64)  # what is in the table, ascending, and where
+        self._known = self._place = np.empty(0, dtype=np.int64)  # numbers in the table, ascending; positions
 
     @classmethod
     def of(cls, layers: Layers[Any, Any], model: MDP) -> Rounded:
-        """In fixed point, where that proves more."""
+        """In fixed point, if that proves tighter bounds."""
         in_doubles = cls._in_doubles(layers)
         scale = None if layers.allowed.mixed else fixed_point(model, layers.kinds)
         if scale is None:
@@ -339,7 +341,7 @@ class Exact(Numbers):
 
     def __init__(self, arithmetic: Digits | Integers) -> None:
         self.arithmetic: Digits | Integers = arithmetic
-        self._known: dict[int, int] = {}  # the place in the table of each number, in units of 1/_unit
+        self._known: dict[int, int] = {}  # each number's position in the table, in units of 1/_unit
         self._unit = 1
 
     @property
@@ -372,7 +374,7 @@ class Exact(Numbers):
 
 
 def _met(values: NDArray[Any]) -> tuple[I64, I64]:
-    """Where each value stands first, in order, and each one's number among them."""
+    """The index where each distinct value first occurs, in order, and each value's number among the distinct ones."""
     _, first, which = np.unique(values, return_index=True, return_inverse=True)
     order = np.argsort(first)
     number = np.empty_like(order)
@@ -381,7 +383,8 @@ def _met(values: NDArray[Any]) -> tuple[I64, I64]:
 
 
 def _digits(limbs: I64, bits: int, width: int) -> Texts:
-    """Numbers of limbs (n, k) of so many bits each, the least first, as hexadecimal numbers of `width` digits each."""
+    """Numbers of limbs (n, k) of `bits` bits each, least significant first, as hexadecimal numbers of `width` digits
+    each."""
     found = np.zeros((len(limbs), width), dtype=np.uint8)
     for i in range(width):
         limb, shift = divmod(4 * i, bits)
@@ -393,7 +396,7 @@ def _digits(limbs: I64, bits: int, width: int) -> Texts:
 
 
 def defects(rows: Rows) -> tuple[Fraction, Fraction]:
-    """What a row lacks of 1, and by what one exceeds it, at most."""
+    """The largest amounts by which a row's sum is below 1, and above 1."""
     D = rows.denominator
     sums = [D, *np.add.reduceat(rows.numerator, rows.row_start[:-1]).tolist()] if len(rows.target) else [D]
     return Fraction(D - min(sums), D), Fraction(max(sums) - D, D)
@@ -402,7 +405,8 @@ def defects(rows: Rows) -> tuple[Fraction, Fraction]:
 def _around(
     layers: Layers[Any, Any], model: MDP, unit: Fraction, at_start: list[int], high: Fraction, low: Fraction
 ) -> Bounds:
-    """Bounds of Σ ι·V_0 by distances in all, and by what rows and the initial distribution lack of 1 or exceed it."""
+    """Bounds on Σ ι·V_0 from the total distances, and from how far rows and the initial distribution are from summing
+    to 1."""
     h, starts, total = layers.game.horizon, layers.game.first.tolist(), model.initial_total
     value = sum((model.initial_share(s) * v for s, v in zip(starts, at_start, strict=True)), Fraction(0)) * unit
     missing, excess = defects(acting_rows(layers))
@@ -424,7 +428,7 @@ class Listing:
         self._numbers, self._n_states, self._unit = numbers, n_states, 1
 
     def layer(self, first: int, last: int, s: I64, q: I64, values: Values, unit: int) -> Iterator[Item]:
-        """Steps first … last: the pairs (s, q), in order, and the values of each, as the arithmetic has them."""
+        """Steps first … last: the pairs (s, q), in order, and their values, as the arithmetic holds them."""
         if unit.bit_length() > BITS:
             raise SizeError(f"numbers of {unit.bit_length()} bits are too long for a certificate; {SMALLER}")
         known, new, places = self._numbers.places(values, unit)
@@ -445,7 +449,7 @@ _PLACES = tuple((most, struct.calcsize(code), np.dtype(f">u{struct.calcsize(code
 
 
 class Proof:
-    """All items but the conclusion, and the bounds that they prove, known after them."""
+    """All items except the conclusion; the bounds that they prove are known once all are made."""
 
     bounds: Bounds
 
@@ -485,14 +489,14 @@ class Proof:
             self.numbers = Rounded.of(self.layers, product.model)
 
     def items(self) -> Iterator[Item]:
-        """Those of the file, in order."""
+        """The items of the file, in order."""
         yield self._header
         yield from model_items(self._product, self.layers, self._form)
         yield from automaton_items(self._product)
         yield from self._steps()
 
     def _steps(self) -> Iterator[Item]:
-        """Layer after layer; steps that share one are listed once, but for where the policy changes."""
+        """Layer after layer; steps that share one are listed once, except where the policy changes."""
         t, policy_from = self._product.horizon, 0 if self._policy is None else self._product.horizon
         listing = Listing(self.numbers, self._product.automaton.n_states)
         for first, layer, values, one in self._stretches():
@@ -513,10 +517,10 @@ class Proof:
         return ClusterWay(self._client, self.layers, arithmetic)
 
     def _stretches(self) -> Iterator[tuple[int, Any, Values, int]]:
-        """The first step of each stretch that shares a layer, this, its values, and the unit of those."""
+        """For each stretch of steps that share a layer: its first step, the layer, its values and their unit."""
         way = self._way()
         at, first, unit, h = way.end(), self._product.horizon, 1, self._product.horizon
-        held: Passed | None = None  # steps from `first` on, which share a layer
+        held: Passed | None = None  # steps from `first` on share this layer
         for step in way.back(at):
             empty = not self.layers.n_open(step.at.ahead)
             if held is None:
@@ -535,7 +539,7 @@ class Proof:
 
 
 def _masks(begin: I64, q: I64, n_states: int) -> Iterator[str]:
-    """The sets q[begin[i]:begin[i+1]] of numbers below n_states, as the bits of hexadecimal numbers."""
+    """The sets q[begin[i]:begin[i+1]] of numbers below n_states, as bits of hexadecimal numbers."""
     ends = np.append(begin[1:], len(q))
     width = 8 * (n_states // 8 + 1)
     for rows in range(0, len(begin), most := max(1, _BLOCK // width)):

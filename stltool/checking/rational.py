@@ -1,4 +1,4 @@
-"""The probability as the fraction that it is, for models given in fractions or decimals.
+"""The probability as an exact fraction, for models given in fractions or decimals.
 
 With row probabilities n/D, the integers N_t = V_t · D^(h−t) obey the same recursion without any division:
 
@@ -26,8 +26,8 @@ from stltool.models.rows import Rows
 from stltool.sizes import require_memory, require_time
 
 _DIGITS_BELOW = 2**40
-_SMALL = 300_000  # edges that Python's integers take less time for than loading numba
-_DIGITS_RATE, _PYTHON_RATE = 5e8, 1e7  # digits' and Python integers' multiply-adds a second, roughly
+_SMALL = 300_000  # edges for which Python's integers take less time than loading numba
+_DIGITS_RATE, _PYTHON_RATE = 5e8, 1e7  # digits' and Python integers' multiply-adds per second, roughly
 
 
 def exact_probability(
@@ -40,9 +40,9 @@ def exact_probability(
     memory_limit: int | None = None,
     recorder: Recorder | None = None,
 ) -> tuple[Fraction, Solution]:
-    """P as a fraction, over the layers of a question (checking/check.py), and the solution it is from.
+    """P as a fraction, over the layers of a question (checking/check.py), and the solution it comes from.
 
-    Raises ModelError where the model's rows do not sum to 1 exactly, SizeError before it takes what is not there.
+    Raises ModelError if the model's rows do not sum to 1 exactly, SizeError before it needs more than is available.
     """
     require_exact(model, layers.kinds)
     arithmetic = exact_arithmetic(layers, maximize, in_digits=in_digits, memory_limit=memory_limit)
@@ -57,7 +57,8 @@ def exact_probability(
 def exact_arithmetic(
     layers: Layers[Any, Any], maximize: bool, *, in_digits: bool = True, memory_limit: int | None = None
 ) -> Digits | Integers:
-    """What computes without any rounding over these layers. Raises SizeError before it takes what is not there."""
+    """The arithmetic without any rounding over these layers. Raises SizeError before it needs more than is
+    available."""
     h, D = layers.game.horizon, layers.rows.denominator
     arithmetic: Digits | Integers
     widest, pairs = layers.size()
@@ -69,14 +70,14 @@ def exact_arithmetic(
         arithmetic, rate = Integers(D, maximize), _PYTHON_RATE
         words = h * math.log2(max(D, 2)) / 64 + 4
     what = f"exact arithmetic on {pairs} pairs over {h} steps"
-    remedy = "shorten the windows, round the probabilities to fewer digits, or take the enclosure without --exact"
+    remedy = "shorten the windows, round the probabilities to fewer digits, or use the enclosure, without --exact"
     require_memory(24 * words * widest, what, remedy, memory_limit)
     require_time(pairs * layers.game.widest * (1 + words / 2), rate, what, remedy)
     return arithmetic
 
 
 def require_exact(model: MDP, kinds: Rows) -> None:
-    """ModelError, with the row, unless the model's rows, for which `kinds` stand, and its start sum to 1 exactly."""
+    """ModelError, with the row, unless the model's rows (represented by `kinds`) and its start sum to 1 exactly."""
     if not kinds.defect and not model.initial_defect:
         return
     if kinds.defect:

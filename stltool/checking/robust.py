@@ -1,31 +1,31 @@
-"""`robust_check`: the probability of a task where the model's probabilities are known up to intervals.
+"""`robust_check`: the probability of a task if the model's probabilities are known only as intervals.
 
     V_t(s,q) = 1 / 0                                                  if verdict_t(q) is true / false
              = opt_c nature_{p ∈ P(c)} Σ_s' p(s') · V_{t+1}(s', δ(L(s'), q))     otherwise
     P(c)     = { lower ≤ p ≤ upper, Σ p = 1 }
 
-opt is max or min over the state's choices, or a policy's mixture; nature works against it (max–min, min–max) or with it
-(max–max, min–min). Nature chooses anew at every step and knows (t, s, q) and the choice taken: the
-dynamic, (s,a)-rectangular reading. Over all history-dependent policies and natures the values are these
-[Iyengar05] [Nilim05]. A fixed distribution is one of nature's ways, so where
-one governs the whole run, a policy's value against nature is no more, and with it no less, than its value there.
+opt is max or min over the state's choices, or a policy's mixture; nature is adversarial (max–min, min–max) or
+cooperative (max–max, min–min). Nature chooses again at every step and knows (t, s, q) and the choice taken: the
+dynamic, (s,a)-rectangular semantics. These are the values over all history-dependent policies and natures [Iyengar05]
+[Nilim05]. A fixed distribution is one of nature's strategies; so if one governs the whole run, a policy's value there
+is at least its value under adversarial nature, and at most its value under cooperative nature.
 
-The inner optimum needs no solver: start from the lower ends and hand the budget 1 − Σ lower out in the order of W,
-each entry up to its width [Givan00]: a fractional knapsack. h sweeps, no stopping rule.
+The inner optimum needs no solver: start from the lower ends and distribute the budget 1 − Σ lower in the order of W, to
+each entry at most its width [Givan00]: a fractional knapsack. h sweeps, no stopping rule.
 
 **The enclosure.** Let a row have d entries, u = 2⁻⁵³, ends lower*, upper* as given and lower, upper their doubles. By
 duality, for W in [0, 1], nature's maximum is min over λ in [0, 1] of
 
-    S·λ + Σ_k (W_k − λ)⁺·upper_k − Σ_k (λ − W_k)⁺·lower_k,       S = 1 the mass handed out.
+    S·λ + Σ_k (W_k − λ)⁺·upper_k − Σ_k (λ − W_k)⁺·lower_k,       S = 1 the mass distributed.
 
 So ends moved by η_k each and mass moved by σ move it by at most Σ η_k + |σ|. The loop's weights p̂ = lower + take are
 optimal for the ends lower, lower + fl(upper − lower) and for their own mass Σ p̂: every error of the loop is one of
 ends or mass, or of the last sum. Ends: two roundings (decimals to doubles, the width), η_k ≤ 2u, 2du in all.
-Mass: d subtractions and d additions of at most one, 2du; or, where the budget is negative or outlasts the widths,
-what the ends are off by, 2du too. Sum: d + 1 roundings of at most one. Together (5d + 1)u and terms of second order,
-less than 8du while d ≤ 2²⁰. Minimum: 1 − W. The exact operator moves values by no more than W moves, so h sweeps add
-up to 8hdu = h·d·2⁻⁵⁰; a mixture of m choices adds 2mu a sweep. Rows of doubles may miss Σ lower ≤ 1 ≤ Σ upper by a
-defect D: it counts as moved ends and moved mass, 2D a sweep; the weights of a mixture likewise.
+Mass: d subtractions and d additions of at most one, 2du; or, if the budget is negative or exceeds the widths, the error
+of the ends, also 2du. Sum: d + 1 roundings of at most one. Together (5d + 1)u and terms of second order, less than 8du
+if d ≤ 2²⁰. Minimum: 1 − W. The exact operator moves values by no more than W moves, so h sweeps add up to 8hdu =
+h·d·2⁻⁵⁰; a mixture of m choices adds 2mu a sweep. Rows of doubles may miss Σ lower ≤ 1 ≤ Σ upper by a defect D: it
+counts as moved ends and moved mass, 2D a sweep; the weights of a mixture likewise.
 """
 
 from __future__ import annotations
@@ -67,16 +67,16 @@ def robust_check(
     memory_limit: int | None = None,
     progress: Progress | None = None,
 ) -> CheckResult:
-    """The guaranteed (or the hoped for) probability that the task holds, on a model with intervals.
+    """The guaranteed (or best possible) probability that the task holds, on a model with intervals.
 
     maximize, nature   True, "against": max–min, what the best policy guarantees     True, "with": max–max
                        False, "against": min–max                                     False, "with": min–min
-    policy             None: the optimum over all policies. Given: its least probability where nature is against a
-                       maximum or with a minimum, else its greatest; nature sees which choice a mixture has taken
-    keep_policy        False leaves the optimal policy out; `engine` and `threads` as in `check`
+    policy             None: the optimum over all policies. Given: its least probability if nature opposes a maximum or
+                       supports a minimum, else its greatest; nature knows which choice a mixture has taken
+    keep_policy        False: do not return the optimal policy; `engine` and `threads` as in `check`
 
-    Raises SettingsError for a model without intervals, PolicyError when the policy belongs to another task or model or
-    says nothing about a state it may reach, SizeError before allocating what would not fit.
+    Raises SettingsError for a model without intervals, PolicyError if the policy belongs to another task or model or
+    defines no action in a state that it may reach, SizeError before allocating more memory than is available.
     """
     start = time.perf_counter()
     require_door("robust_check", product, policy)
@@ -104,7 +104,7 @@ def robust_check(
         layers = layers_of(Game.of(judge), goal, allowed, engine=engine, keep=keep, threads=threads, budget=budget)
         longest = layers.kinds.longest
         if longest > _LONGEST_ROW:
-            raise SettingsError(f"a row has {longest} entries; robust checks take up to {_LONGEST_ROW}")
+            raise SettingsError(f"a row has {longest} entries; robust checks support up to {_LONGEST_ROW}")
         found = solve(layers, arithmetic, maximize, keep)
     except Silent:
         assert judged is not None
@@ -116,12 +116,12 @@ def robust_check(
         mixed, weight_defect = weights.shape[1], defect(weights.tolist())
     initial_defect = product.model.initial_defect
     a_sweep = (8 * longest + 2 * mixed) * _U + 2 * _defect(layers.kinds) + 2 * weight_defect
-    growth = product.horizon * weight_defect + initial_defect  # what defects of weights make of earlier errors
+    growth = product.horizon * weight_defect + initial_defect  # by what weight defects enlarge earlier errors
     slack = compounded(product.horizon * a_sweep + initial_defect, growth)
-    lower, upper = enclose(value, 3, slack, underflow=False)  # the initial sum's; a first sweep's slack is larger
+    lower, upper = enclose(value, 3, slack, underflow=False)  # the initial sum; the slack of a sweep is larger
     value = min(max(value, 0.0), 1.0)
     certain = bool(found.certain.all()) and value in (0.0, 1.0)
-    if certain:  # whatever nature does: no rounding decides it
+    if certain:  # whatever nature does, without any rounding
         lower = upper = value
     if found.choices is not None:
         policy = Policy(product, found.choices)
@@ -133,13 +133,14 @@ def robust_check(
 
 
 def _defect(rows: Rows) -> Fraction:
-    """By how much, exactly, a row's ends miss Σ lower ≤ 1 ≤ Σ upper at most; rows that repeat are summed once."""
+    """The largest amount, exactly, by which a row's ends violate Σ lower ≤ 1 ≤ Σ upper; repeated rows are summed
+    once."""
     intervals = rows.intervals
     assert intervals is not None
     worst = Fraction(0)
     for ends, sign in ((intervals.lower, 1), (intervals.upper, -1)):
         sums = np.add.reduceat(ends, rows.row_start[:-1])
-        close = (sums - 1) * sign > -_LONGEST_ROW * 2.0**-52  # with the sums' roundings; the others miss nothing
+        close = (sums - 1) * sign > -_LONGEST_ROW * 2.0**-52  # allows for rounding of the sums
         bounds = itertools.compress(itertools.pairwise(rows.row_start.tolist()), close.tolist())
         for row in {ends[a:b].tobytes() for a, b in bounds}:
             worst = max(worst, sign * (sum(map(Fraction, np.frombuffer(row).tolist()), Fraction(0)) - 1))

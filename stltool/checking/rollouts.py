@@ -1,12 +1,13 @@
 """Verdicts of independent runs: of the model, all at once, or of anything that resets and steps, one by one.
 
-Runs are made in blocks of fixed size, block b from a random stream of its own (randomness.py), in lock step: at step t
-one uniform number for each run that is still undecided (two where the policy mixes), in the runs' order. So
-verdicts depend on the seed alone, not on threads. They come in the order of the runs, never in the order in which runs
+Runs are made in blocks of fixed size, each from its own random stream (randomness.py), in lock step: at step t one
+uniform number for each run that is still undecided (two if the policy is mixed), in the order of the runs. So verdicts
+depend on the seed alone, not on threads. They are returned in the order of the runs, never in the order in which runs
 end: verdicts of short runs would come first, and a sequential test would be biased towards them.
 
-Successors are found by inversion, u · (the row's sum) in the row's partial sums: rows that sum to 1 only nearly are
-scaled. With 53 random bits a step, a run's distribution is off by less than 10⁻¹⁵ times steps and row length.
+Successors are found by inversion, u · (the row's sum) in the row's partial sums: rows that sum to 1 only approximately
+are scaled. With 53 random bits per step, the distribution of runs is off by less than 10⁻¹⁵ times steps times row
+length.
 """
 
 from __future__ import annotations
@@ -33,18 +34,17 @@ Draw: TypeAlias = Callable[[NDArray[np.int32]], NDArray[np.float64]]
 
 # parts of a purpose's random numbers
 _BLOCKS, _ENVIRONMENT, _CHOICES = 0, 1, 2
-BLOCK = 1 << 14  # runs in lock step: their arrays fit a processor's second-level cache
+BLOCK = 1 << 14  # runs in lock step; their arrays fit into a processor's level-2 cache
 
 
 class Rollouts:
     """Iterate over the verdicts (n,) bool of `runs` runs of a policy, a batch at a time.
 
-    `environment` takes the place of the model: its `reset()` and `step(i)` return the index of a state as the model
-    counts them, and the model's probabilities are not read. A model that is a black box has its own. Runs are fresh:
-    they share no random number with another `purpose` under the same seed. `steps` counts the steps taken by the
-    batches that came.
-    Raises PolicyError, naming the state, where the policy says nothing; ModelError, where the environment returns
-    something that is no state.
+    `environment` replaces the model: its `reset()` and `step(i)` return the index of a state in the model's order, and
+    the model's probabilities are not read. A black-box model has its own. Runs are fresh: they share no random number
+    with another `purpose` under the same seed. `steps` counts the steps of the batches returned so far. Raises
+    PolicyError, naming the state, if the policy defines no action there; ModelError if the environment returns
+    something that is not a state.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Runs of a policy: what a report shows, step by step."""
+"""Runs of a policy, step by step, for reports."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from stltool.randomness import Purpose, generator, require_seed
 
 @dataclass(frozen=True, repr=False)
 class Run(Displayed):
-    """One sampled run s₀ … s_n up to the step where the verdict fell.
+    """One sampled run s₀ … s_n up to the step where the verdict is decided.
 
-    `states` has one entry more than `actions`; `memory` tells what is remembered after each; `satisfied` is the
-    verdict, which fell at the last step; `seed` what its random numbers came from, where it was sampled.
+    `states` has one entry more than `actions`; `memory` describes the automaton state after each; `satisfied` is the
+    verdict, decided at the last step; `seed` is the seed of its random numbers, if it was sampled.
     """
 
     states: tuple[int, ...]
@@ -44,7 +44,7 @@ def sample_run(product: Product, policy: Policy | None = None, seed: int = 0) ->
 
     seed   an integer from 0; every random choice comes from it: same seed, same run
 
-    Raises PolicyError where the policy says nothing about a state that the run reaches or belongs to another task.
+    Raises PolicyError if the policy defines no action in a state that the run reaches or belongs to another task.
     """
     rng = generator(require_seed(seed), Purpose.SAMPLE_RUN)
     product, policy = or_optimal("sample_run", product, policy).on(product)

@@ -6,14 +6,14 @@ over the horizon gives, for every entry of every row,
     ∂P/∂p(s'|c) = Σ_{t,q} x_t(s,q) π_t(c|s,q) V_{t+1}(s', δ(L(s'),q))           for c a choice of s
 
 A row stays a distribution, so a single entry cannot move. A choice's *tilt* moves its row towards its intended
-successor ŝ, the most probable one (the first of equals), and takes from the others in proportion:
+successor ŝ, the most probable one (the first of equals), and away from the others in proportion:
 
     p_ε(ŝ) = p(ŝ) + ε,   p_ε(s') = p(s') (1 − ε / Σ_{s''≠ŝ} p(s''))
     tilt(c) = dP/dε at 0 = ∂P/∂p(ŝ|c) − Σ_{s'≠ŝ} p(s') ∂P/∂p(s'|c) / Σ_{s'≠ŝ} p(s')
 
 A row with one successor has no tilt (0). A state's derivative is the sum over its choices: all its rows tilted at once.
-For an optimal policy it is the derivative of the optimum too, wherever that has one (envelope theorem). One pass back
-and one forth over the unfolded product: nothing is truncated. Source: the adjoint method; for Markov chains,
+For an optimal policy it is the derivative of the optimum too, wherever that has one (envelope theorem). One backward
+and one forward pass over the unfolded product: nothing is truncated. Source: the adjoint method; for Markov chains,
 [Cao07, ch. 2] (performance derivatives).
 """
 
@@ -37,12 +37,13 @@ from stltool.product import Product
 from stltool.sizes import require_memory, require_time
 
 _SHOWN = 10  # states in a notebook
-_RATE, _STEP = 1e7, 500  # edges a second, and how many a step costs whatever it has, roughly
+_RATE, _STEP = 1e7, 500  # edges per second, and the fixed cost of a step in edges, roughly
 
 
 @dataclass(frozen=True)
 class ActionSensitivity:
-    """One action of a state: its intended successor with its probability, the tilt, and how often it is expected."""
+    """One action of a state: its intended successor and its probability, the tilt, and how often it is expected to be
+    taken."""
 
     action: str
     intended: str
@@ -53,7 +54,7 @@ class ActionSensitivity:
 
 @dataclass(frozen=True)
 class StateSensitivity:
-    """One state, in the user's names; `actions` are those that the policy takes, the most telling one first."""
+    """One state, in the user's names; `actions` are those that the policy takes, the largest |tilt| first."""
 
     state: int
     name: str
@@ -71,8 +72,9 @@ class Sensitivity(Displayed):
     gradient      (n_transitions,) ∂P/∂p of each entry of the model's rows
     tilt          (n_choices,) per choice
     derivative    (n_states,) per state: the sum of its choices' tilts
-    steepest      (n_states,) what moving probability from one successor to another can do at most, summed over choices
-    visits        (n_states,) expected number of steps that find the run there, undecided
+    steepest      (n_states,) the most that moving probability from one successor to another can change, summed over
+    choices
+    visits        (n_states,) expected number of steps at which the run is there, undecided
     times         (n_choices,) expected number of times that a choice is taken
     """
 
@@ -142,10 +144,10 @@ def sensitivity(
     memory_limit: int | None = None,
     progress: Progress | None = None,
 ) -> Sensitivity:
-    """How P under `policy` (default: the optimal one) moves with the model's probabilities, the policy held fixed.
+    """How P under `policy` (default: the optimal one) changes with the model's probabilities, the policy held fixed.
 
-    Raises PolicyError where the policy says nothing about a place it reaches or belongs to another task, SizeError
-    before taking memory that is not there.
+    Raises PolicyError if the policy defines no action in a pair that it reaches or belongs to another task, SizeError
+    before allocating more memory than is available.
     """
     one_of(engine, "engine", get_args(Engine))
     function(progress, "sensitivity's progress")
@@ -157,7 +159,7 @@ def sensitivity(
         "coarsen the grid",
         memory_limit,
     )
-    game = replace(Game.of(product), rows=model.rows, kept={})  # its edges have the model's numbers
+    game = replace(Game.of(product), rows=model.rows, kept={})  # its edges are numbered as in the model
     unfolding = Unfolding(
         product, policy, Doubles(True), TRUE, game=game,
         live=False, engine=engine, limit=memory_limit, progress=progress,

@@ -1,31 +1,32 @@
 """`stationary`: the best policy that does not know the step, its exact P, and what that costs against the optimum.
 
 The optimum over all policies knows the step t as well as (s, q). A *stationary* policy picks its action by the pair
-(s, q) alone, a *memoryless* one by the model state s alone: tables that fit on a small controller. The best of them is
-no dynamic programme (one choice serves several steps, and what suits one may harm another), so there are two answers:
+(s, q) alone, a *memoryless* one by the model state s alone: tables that fit on a small controller. Finding the best of
+them is not a dynamic programme (one choice serves several steps, and what helps at one may harm at another), so there
+are two answers:
 
     candidates   policies made in several ways, each with its exact P by backward induction; the best is reported
-    a bound      P of no deterministic policy of the kind is above it
+    a bound      no deterministic policy of this kind has a higher P
 
-The bound is from branch and bound. A node restricts which choices each place (s, q), or s, may use; its relaxation lets
-the policy know the step again and is one backward induction over the choices left. Where the relaxation's optimum takes
-one choice a place, it is itself such a policy and the node is solved. Else the place that it treats most differently
-from step to step is branched on: its most frequent choice alone, or all the others. The node with the greatest bound
-comes first, so the search may end at any time: what is left open is the bound. When nothing is above the best policy
-found, it is *proved* to be the best.
+The bound comes from branch and bound. Below, a *place* is (s, q), or s. A node restricts the choices of each place; its
+relaxation lets the policy depend on the step again and is one backward induction over the remaining choices. If the
+relaxation's optimum takes only one choice in each place, it is itself such a policy and the node is solved. Otherwise
+the search branches on the place whose choice varies most over the steps: its most frequent choice alone, or all the
+others. The node with the greatest bound comes first, so the search may stop at any time: the greatest open bound is the
+result. When nothing is above the best policy found, it is *proved* to be the best.
 
-Candidates: with x_t(s,q,c) how often the optimum is in (s, q) at step t and takes c, V_t its values,
+Candidates, with x_t(s,q,c) the probability that the optimum is in (s, q) at step t and takes c, and V_t its values:
 
     votes     argmax_c Σ_t x_t(s,q,c)
     values    argmax_c Σ_t x_t(s,q) Σ_s' p(s'|c) V_{t+1}(s', q')
-    step t    what the optimum does at step t
-    mean m    value iteration where the horizon is drawn geometrically, with mean m, instead of being h: discounting
+    step t    the optimum's choices at step t
+    mean m    value iteration with a geometric horizon of mean m instead of h: discounting
     search    local search from the best of these: for a policy π the derivative of P towards choice c in a place is
               ∂P = Σ_{t} x_t(s,q) (Σ_s' p(s'|c) V_{t+1}(s', q') − V_t(s,q)), x and V those of π; places with a positive
-              one switch, all or the best of them, while P grows
+              derivative switch, all or the best of them, while P grows
     branch    the votes of a relaxation
 
-Policies that mix may be better than every deterministic one; the bound does not speak of them.
+Mixed policies may be better than every deterministic one; the bound does not cover them.
 """
 
 from __future__ import annotations
@@ -72,21 +73,21 @@ from stltool.sizes import require_memory
 Memory: TypeAlias = Literal["automaton", "none"]
 KINDS: dict[Memory, str] = {"automaton": "stationary", "none": "memoryless"}
 Chosen: TypeAlias = NDArray[np.int64]
-"""(places,) the number of a choice within its state."""
+"""(places,) the index of a choice within its state."""
 
 _STEPS = 6  # steps of the optimum that are candidates
-_STARTS = 3  # candidates that local search begins from
+_STARTS = 3  # candidates from which local search starts
 _CLIMBS = 40  # steps of one local search
-_SINGLES = 8  # places that are tried alone where all at once are too many
-_RISE = 1e-13  # what is no more is rounding
-_EQUAL = 1e-12  # differences that are not mentioned
-_CELLS = 5_000_000  # numbers that value iteration may take up
+_SINGLES = 8  # places that are switched one by one, after larger groups
+_RISE = 1e-13  # a smaller increase is rounding
+_EQUAL = 1e-12  # smaller differences are not reported
+_CELLS = 5_000_000  # numbers that value iteration may hold
 _SWEEPS = 3_000
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A deterministic policy that was evaluated: how it was made, and its P."""
+    """An evaluated deterministic policy: how it was made, and its P."""
 
     made: str
     probability: float
@@ -94,15 +95,15 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StationaryResult(Displayed):
-    """The best policy found that does not know the step.
+    """The best policy found that does not depend on the step.
 
     memory      "automaton": its action depends on (s, q), "none": on the model state alone
     best        the check of the best policy found, with its enclosure; `policy` is that policy
-    optimum     that of all policies, which know the step
-    candidates  what was evaluated, the best first
-    bound       no deterministic policy of the kind is above it (of a minimum: below it), rounding included
+    optimum     the check over all policies, which may depend on the step
+    candidates  the evaluated policies, the best first
+    bound       no deterministic policy of this kind is above it (for a minimum: below it), rounding included
     proved      whether the best policy found reaches the bound, within the tolerance asked for
-    nodes       relaxations solved
+    nodes the number of relaxations solved
     status      how it ended, in words
     seconds     wall time
     """
@@ -130,7 +131,7 @@ class StationaryResult(Displayed):
 
     @property
     def gap(self) -> float:
-        """How far that is from the optimum over all policies."""
+        """The difference between it and the optimum over all policies."""
         return abs(self.optimum.probability - self.best.probability)
 
     @property
@@ -161,15 +162,15 @@ def stationary(
     memory_limit: int | None = None,
     progress: Progress | None = None,
 ) -> StationaryResult:
-    """The best deterministic policy found that does not know the step, its exact P, and a bound on what others have.
+    """The best deterministic policy found that does not depend on the step, its exact P, and a bound on all others.
 
-    memory     "automaton": a choice for each (s, q); "none": for each model state
+    memory     "automaton": one choice for each (s, q); "none": one for each model state
     maximize   False: the least P instead
-    most       relaxations that branch and bound may solve; 0: candidates alone
-    tolerance  of P, within which the best found counts as proved
+    most       the most relaxations that branch and bound may solve; 0: only candidates
+    tolerance  the best policy found counts as proved within this tolerance of P
 
     `best.lower` ≤ P of the best such policy ≤ `bound`. Raises SettingsError for settings out of range, SizeError before
-    taking memory that is not there.
+    allocating more memory than is available.
     """
     started = time.perf_counter()
     require_door("stationary", product)
@@ -236,7 +237,7 @@ class _Asked:
 
     @cached_property
     def layers(self) -> Layers[Any, Any]:
-        """Whatever policies may reach, and what each choice leads to."""
+        """Everything that policies may reach, and where each choice leads."""
         return self._layers(EVERYTHING)
 
     def form(self, table: NDArray[Any]) -> Form:
@@ -252,14 +253,14 @@ class _Asked:
         return Policy(self.product, self.form(chosen))
 
     def relaxed(self, left: NDArray[np.bool_]) -> tuple[float, Choices]:
-        """The best P, and choices, of policies that know the step and take choices left (places, C)."""
+        """The best P, and its choices, over policies that may depend on the step and use only `left` (places, C)."""
         layers = self._layers(Among(self.form(left / left.sum(axis=1, keepdims=True))), keep=True)
         found = solve(layers, Doubles(self.maximize), self.maximize, self.product.model.unsigned_choice_type)
         assert found.choices is not None
         return self.sign * self.at_start(found.entry), found.choices
 
     def votes(self, form: Form) -> Floats:
-        """(places, C): how often a policy is expected to take each choice while it is undecided."""
+        """(places, C): the expected number of times that a policy takes each choice while undecided."""
         layers = self._layers(Following(form))
         found = np.zeros((self.n_places, self.most))
         for _, edges, _, flow in flows(layers, [*layers.backwards()][::-1], self.shares):
@@ -276,7 +277,7 @@ class _Asked:
         return self.sign * self.at_start(found.entry), self.sign * judged.gain
 
     def first_best(self, votes: Floats, left: NDArray[np.bool_] | None = None) -> Chosen:
-        """The choice with the most votes in each place, among those that are there, or left."""
+        """The choice with the most votes in each place, among all those available, or among `left`."""
         left = np.arange(self.most) < self.n_choices[:, None] if left is None else left
         best: Chosen = np.where(left, votes, -np.inf).argmax(axis=1)
         return best
@@ -315,7 +316,8 @@ class _Asked:
 
 
 class _Judged(Probabilities):
-    """A policy's values on whatever any policy may reach, and what switching would gain where it is itself."""
+    """A policy's values on everything that any policy may reach, and what switching would gain where this policy
+    goes."""
 
     repeats = False
 
@@ -341,7 +343,7 @@ class _Judged(Probabilities):
 
 
 class _Field:
-    """What was evaluated so far: each policy once, by what it does in all places."""
+    """The policies evaluated so far: each once, identified by its choices in all places."""
 
     def __init__(self, asked: _Asked) -> None:
         self._asked = asked
@@ -384,7 +386,7 @@ class _Field:
 
 
 def _portions(order: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    """All, the better half, its better half, … one; then others alone."""
+    """All, the better half, its better half, … one; then others one by one."""
     n = len(order)
     while n > 1:
         yield order[:n]
@@ -399,7 +401,7 @@ def _portions(order: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
 def _candidates(asked: _Asked, optimum: Form) -> Iterator[tuple[str, Chosen]]:
     votes = asked.votes(optimum)
     yield "votes of the optimum", asked.first_best(votes)
-    gain = asked.judge(optimum)[1]  # of ties the votes decide: the first might stand still for ever
+    gain = asked.judge(optimum)[1]  # votes break ties: the first choice might never move
     tied = gain >= gain.max(axis=1, keepdims=True) - _RISE
     yield "values of the optimum", asked.first_best(np.where(tied, votes, -1.0))
     h = asked.product.horizon
@@ -415,10 +417,10 @@ def _candidates(asked: _Asked, optimum: Form) -> Iterator[tuple[str, Chosen]]:
 
 
 def _geometric(asked: _Asked, gamma: float) -> Chosen | None:
-    """Value iteration where each step is the last with probability 1 − γ; None where it would take long.
+    """Value iteration in which each step is the last with probability 1 − γ; None if it would take too long.
 
-    Automaton states whose verdict is the same at all steps end a run; the others are worth their verdict at the
-    horizon where it ends in them.
+    Automaton states whose verdict is the same at all steps end a run; a run that ends in another one gets its verdict
+    at the horizon.
     """
     product = asked.product
     model, automaton = product.model, product.automaton
@@ -467,7 +469,7 @@ def _branch_and_bound(
         votes = asked.votes(choices)
         field.add("branch", asked.first_best(votes, left))
         divided = np.flatnonzero((votes > 0).sum(axis=1) > 1)
-        if not len(divided):  # it is such a policy itself: the one just evaluated
+        if not len(divided):  # it is itself such a policy: the one just evaluated
             closed = max(closed, value)
             continue
         if value <= field.value + tolerance:

@@ -1,21 +1,22 @@
-"""Statistical checks: the probability that a policy satisfies the task, judged by sampled runs alone.
+"""Statistical checks: the probability that a policy satisfies the task, estimated from sampled runs alone.
 
 n runs, fixed beforehand, k of them satisfied; δ = 1 − confidence. The Clopper–Pearson interval [l, u] of any p:
 
     l = the p with P(X ≥ k) = δ/2,  u = the p with P(X ≤ k) = δ/2,   X binomial(n, p);   P(l ≤ p ≤ u) ≥ 1 − δ
 
-(δ instead of δ/2 for a one-sided bound). It lies inside Hoeffding's k/n ± √(ln(2/δ) / 2n), so Okamoto's number of
+(δ instead of δ/2 for a one-sided bound). It is contained in Hoeffding's k/n ± √(ln(2/δ) / 2n), so Okamoto's number of
 runs ⌈ln(2/δ) / 2ε²⌉ is always enough for |k/n − p| ≤ ε; `runs_needed` finds a smaller one.
 
 Sequential probability ratio test, H₀: p ≥ p₀ = θ + d against H₁: p ≤ p₁ = θ − d, after n runs with k satisfied:
 
     λ = k · ln(p₁/p₀) + (n − k) · ln((1−p₁)/(1−p₀));   stop with H₁ when λ ≥ ln(1/α), with H₀ when λ ≤ ln β
 
-Wald's customary bounds (1−β)/α and β/(1−α) keep the errors only approximately; these, a little wider, keep them: e^λ is
-a martingale under p₀, so P(ever λ ≥ ln(1/α)) ≤ α, also for p > p₀ and when the test is cut short; likewise for β.
+Wald's usual bounds (1−β)/α and β/(1−α) respect the errors only approximately; these, slightly wider, guarantee them:
+e^λ is a martingale under p₀, so P(ever λ ≥ ln(1/α)) ≤ α, also for p > p₀ and when the test is cut short; likewise for
+β.
 
-Looking at an interval while runs come in and stopping when it pleases would void its confidence: there is no such
-option. Sources: [Clopper34] [Hoeffding63] [Okamoto58] [Wald45] [Younes06].
+Watching the interval while runs come in, and stopping when it looks good, would invalidate its confidence: there is no
+such option. Sources: [Clopper34] [Hoeffding63] [Okamoto58] [Wald45] [Younes06].
 """
 
 from __future__ import annotations
@@ -46,9 +47,9 @@ from stltool.sizes import require_time
 Side: TypeAlias = Literal["both", "lower", "upper"]
 
 RUNS, MOST_RUNS = 10_000, 10_000_000
-_SHARPEST = Fraction(1, 10**9)  # half-width; more runs than anyone has time for
-_RATE = 1e7  # runs a second at the very best, each decided after few steps
-_GRID = 64  # outcomes looked at at a time when runs are planned
+_SHARPEST = Fraction(1, 10**9)  # half-width; a smaller one takes impracticably many runs
+_RATE = 1e7  # runs per second at best, each decided after a few steps
+_GRID = 64  # outcomes examined at a time when runs are planned
 
 
 @dataclass(frozen=True, repr=False)
@@ -57,9 +58,9 @@ class Estimate(Displayed):
 
     probability   satisfied / runs, the maximum likelihood estimate
     lower, upper  with `confidence` the probability lies between them (a one-sided bound leaves 0 or 1 on its other
-                  side). The confidence is of the method: of many estimates from fresh seeds, at least such a share
+                  side). The confidence belongs to the method: of many estimates with fresh seeds, at least this share
                   contain the probability.
-    steps, seed   steps of all runs, and the seed of their random numbers, where they were made here
+    steps, seed   steps of all runs, and the seed of their random numbers, if they were sampled here
     """
 
     runs: int
@@ -103,12 +104,12 @@ class Estimate(Displayed):
 class SequentialTest(Displayed):
     """How a sequential probability ratio test of P ≥ `at_least` ended.
 
-    verdict   "holds" | "does not hold" | "undecided" (`runs` reached the most allowed, nothing is claimed)
+    verdict   "holds" | "does not hold" | "undecided" (`runs` reached the limit; no claim is made)
     alpha     bounds the probability of "does not hold" where P ≥ at_least + indifference
     beta      bounds the probability of "holds" where P ≤ at_least − indifference
     log_likelihood_ratio   ln(P(runs | at_least − indifference) / P(runs | at_least + indifference)); the test stops
                            when it leaves (accept_below, reject_above) = (ln β, ln 1/α)
-    seed      of the runs' random numbers, where they were made here
+    seed      of the runs' random numbers, if they were sampled here
     """
 
     verdict: Literal["holds", "does not hold", "undecided"]
@@ -135,13 +136,13 @@ class SequentialTest(Displayed):
 
     @property
     def statement(self) -> str:
-        """The verdict with what its error probability is a probability of."""
+        """The verdict, with the meaning of its error probability."""
         above, below = (f"{self.at_least + margin:.12g}" for margin in (self.indifference, -self.indifference))
         ends = {
-            "holds": f"holds; were P at most {below}, this would be said with probability at most {self.beta:g}",
-            "does not hold": f"does not hold; were P at least {above}, this would be said with probability at most "
+            "holds": f"holds; if P were at most {below}, this result would have probability at most {self.beta:g}",
+            "does not hold": f"does not hold; if P were at least {above}, this result would have probability at most "
             f"{self.alpha:g}",
-            "undecided": f"is not decided after {self.runs} runs; nothing is claimed",
+            "undecided": f"is undecided after {self.runs} runs; no claim is made",
         }
         return f"P >= {self.at_least!r} {ends[self.verdict]}"
 
@@ -161,21 +162,21 @@ def estimate(
     environment: Resettable | None = None,
     progress: Progress | None = None,
 ) -> Estimate:
-    """The probability that the task holds under `policy` (default: the optimal one), from independent runs, with an
-    interval.
+    """The probability that the task holds under `policy` (default: the optimal one), with an interval, from independent
+    runs.
 
     runs          how many, fixed beforehand (10 000), or
-    epsilon       so many that neither bound is farther than this from the estimate, whatever is seen
-    side          "both" bounds, or with all confidence a "lower" or an "upper" one
+    epsilon       as many as ensure that neither bound is farther than this from the estimate, whatever the outcome
+    side          "both" bounds, or all the confidence for a "lower" or an "upper" one
     seed          an integer from 0; every random choice made here comes from it: same seed, same result. The runs are
                   independent of a training under the same seed
     environment   anything whose `reset()` and `step(i)` (the i-th available action of the current state) return the
-                  index of a state as the model counts them; the model's probabilities are then not read. Default: the
-                  model itself, all runs at once.
+                  index of a state in the model's order; the model's probabilities are then not read. Default: the model
+                  itself, all runs at once.
     progress      called with (runs done, runs)
 
-    Raises PolicyError where the policy says nothing about a state a run reaches, ModelError where the environment
-    returns no state, SettingsError for settings out of range, SizeError for runs beyond a week.
+    Raises PolicyError if the policy defines no action in a state that a run reaches, ModelError if the environment does
+    not return a state, SettingsError for settings out of range, SizeError if the runs would take more than a week.
     """
     require_door("estimate", product, policy)
     require_environment(environment, "estimate's environment")
@@ -202,11 +203,11 @@ def sprt(
     progress: Progress | None = None,
 ) -> SequentialTest:
     """Test whether the task holds under `policy` (default: the optimal one) with probability `at_least`, a number
-    between 0 and 1, with as few runs as that takes.
+    between 0 and 1, with as few runs as possible.
 
-    Where P lies within `indifference` of `at_least` either answer is right. `alpha` bounds the probability of a wrong
-    "does not hold", `beta` that of a wrong "holds"; "undecided" after `most_runs` claims nothing. `progress` is called
-    with (runs done, most_runs); the rest as for `estimate`.
+    If P lies within `indifference` of `at_least`, either answer is acceptable. `alpha` bounds the probability of a
+    wrong "does not hold", `beta` that of a wrong "holds"; "undecided" after `most_runs` makes no claim. `progress` is
+    called with (runs done, most_runs); the rest as for `estimate`.
     """
     require_door("sprt", product, policy)
     require_environment(environment, "sprt's environment")
@@ -234,9 +235,9 @@ def estimate_from(
     side: Side = "both",
     progress: Progress | None = None,
 ) -> Estimate:
-    """The same from the first `runs` verdicts of independent runs, one by one or in arrays (n,) bool, in their order.
+    """`estimate` from the first `runs` verdicts of independent runs, one by one or in arrays (n,) bool, in their order.
 
-    `runs` must not depend on what the verdicts are.
+    `runs` must not depend on the verdicts.
     """
     start = time.perf_counter()
     runs = planned_runs(runs, None, confidence, side)
@@ -249,7 +250,7 @@ def estimate_from(
         if done == runs:
             break
     if done < runs:
-        raise SettingsError(f"the verdicts ended after {done} of {runs} runs; give as many as runs says")
+        raise SettingsError(f"the verdicts ended after {done} of {runs} runs; give {runs} of them")
     seconds = time.perf_counter() - start
     lower, upper = clopper_pearson(satisfied, runs, confidence, side)
     return Estimate(runs, satisfied, satisfied / runs, lower, upper, float(confidence), side, seconds=seconds)
@@ -267,7 +268,7 @@ def sprt_from(
 ) -> SequentialTest:
     """The sequential test on verdicts of independent runs, one by one or in arrays (n,) bool, in the order of the runs.
 
-    It takes no more than it needs; "undecided" after `most_runs`, or where the verdicts end before.
+    It reads no more than it needs; "undecided" after `most_runs`, or if the verdicts end before.
     """
     start = time.perf_counter()
     p0, p1 = hypotheses(at_least, indifference, alpha, beta, most_runs)
@@ -283,7 +284,7 @@ def sprt_from(
             continue
         k = satisfied + np.cumsum(batch)
         n = done + np.arange(1, len(batch) + 1)
-        with np.errstate(invalid="ignore"):  # both infinite: the first verdict decides, what follows is nobody's
+        with np.errstate(invalid="ignore"):  # both infinite: the first verdict decides, later values are not used
             ratios = _times(k, per_success) + _times(n - k, per_failure)
         stops = (ratios <= accept) | (ratios >= reject)
         last = int(stops.argmax()) if stops.any() else len(batch) - 1
@@ -311,7 +312,7 @@ def _batches(verdicts: Iterable[bool | Verdicts]) -> Iterator[Verdicts]:
 
 
 def _times(count: NDArray[np.int64], value: float) -> NDArray[np.float64]:
-    """count · value, where nothing times infinity is nothing."""
+    """count · value, with 0 · ∞ = 0."""
     return np.multiply(count, value, out=np.zeros(len(count)), where=count > 0)
 
 
@@ -324,8 +325,8 @@ def clopper_pearson(
     """(lower, upper) around the probability of which `satisfied` of `runs` independent runs are a sample."""
     planned_runs(runs, None, confidence, side)
     if not 0 <= satisfied <= runs:
-        raise SettingsError(f"{satisfied} of {runs} runs satisfied: that cannot be")
-    from scipy.stats import beta  # its quantiles; binomtest's own interval stops at an absolute 1e-12
+        raise SettingsError(f"{satisfied} of {runs} runs satisfied; give counts with 0 <= satisfied <= runs")
+    from scipy.stats import beta  # quantiles; binomtest's interval is only accurate to an absolute 1e-12
 
     tail = _tail(confidence, side)
     lower = float(beta.ppf(tail, satisfied, runs - satisfied + 1)) if side != "upper" and satisfied > 0 else 0.0
@@ -337,14 +338,14 @@ def okamoto_runs(epsilon: float | Fraction, confidence: float | Fraction = 0.99,
     """⌈ln(1/tail) / 2ε²⌉ with tail δ/2, or δ for one side: Okamoto's (Chernoff's, Hoeffding's) number of runs."""
     require_confidence(confidence, side)
     if not _SHARPEST <= _decimal(epsilon, "epsilon", "0.01") < Fraction(1, 2):
-        raise SettingsError(f"{named('epsilon')} is {epsilon}; a half-width lies between 1e-9 and 0.5, such as 0.01")
+        raise SettingsError(f"{named('epsilon')} is {epsilon}; give a half-width between 1e-9 and 0.5, such as 0.01")
     return math.ceil(-math.log(_tail(confidence, side)) / (2 * float(epsilon) ** 2))
 
 
 def runs_needed(epsilon: float | Fraction, confidence: float | Fraction = 0.99, side: Side = "both") -> int:
-    """Runs after which no Clopper–Pearson bound can be farther than `epsilon` from the estimate, whatever is seen.
+    """Runs after which no Clopper–Pearson bound can be farther than `epsilon` from the estimate, whatever the outcome.
 
-    Never more than Okamoto's number, for ordinary confidences some 40 % fewer.
+    Never more than Okamoto's number; about 40 % fewer for common confidences.
     """
     enough, too_few = okamoto_runs(epsilon, confidence, side), 0
     what = (
@@ -365,7 +366,7 @@ def _excess(runs: int, tail: float) -> float:
     """The largest upper − k/n over all outcomes k (by symmetry also of k/n − lower): it rises with k, then falls."""
     from scipy.stats import beta
 
-    first, last = 0, runs - 1  # k = n has no upper bound to speak of
+    first, last = 0, runs - 1  # k = n has the trivial upper bound 1
     while True:
         k = np.unique(np.linspace(first, last, min(_GRID, last - first + 1)).round().astype(np.int64))
         excess = beta.isf(tail, k + 1, runs - k) - k / runs
@@ -376,12 +377,12 @@ def _excess(runs: int, tail: float) -> float:
 
 
 def _tail(confidence: float | Fraction, side: Side) -> float:
-    """The probability that one bound may fail with."""
+    """The probability with which one bound may fail."""
     missing = 1 - _decimal(confidence, "confidence")
     return float(missing / 2 if side == "both" else missing)
 
 
-# ------------------------------------------------------------------------------------------- checks on the way in
+# --------------------------------------------------------------------------------------------- checks of settings
 
 
 def planned_runs(
@@ -390,12 +391,12 @@ def planned_runs(
     confidence: float | Fraction = 0.99,
     side: Side = "both",
 ) -> int:
-    """How many runs `estimate` makes with these settings; SettingsError or SizeError where they make no sense."""
+    """How many runs `estimate` makes with these settings; SettingsError or SizeError if they are not valid."""
     require_confidence(confidence, side)
     if runs is not None and epsilon is not None:
         raise SettingsError(
-            f"{named('runs')} and {named('epsilon')} are given; epsilon says how many runs it takes, so give one "
-            "of the two"
+            f"{named('runs')} and {named('epsilon')} are both given, but epsilon determines the number of runs; give "
+            "one of the two"
         )
     if epsilon is not None:
         return runs_needed(epsilon, confidence, side)
@@ -409,50 +410,53 @@ def hypotheses(
     beta: float | Fraction = 0.01,
     most_runs: int = MOST_RUNS,
 ) -> tuple[Fraction, Fraction]:
-    """p₀ and p₁ of `sprt` with these settings, as the decimals they were written in; SettingsError where they make
-    no sense."""
+    """p₀ and p₁ of `sprt` with these settings, as the decimals they were written as; SettingsError if they are not
+    valid."""
     _runs(most_runs, "most_runs")
     theta, margin = _decimal(at_least, "at_least", "0.9"), _decimal(indifference, "indifference", "0.01")
     if not 0 < theta < 1:
-        raise SettingsError(f"{named('at_least')} is {at_least}; a probability above 0 and below 1 can be tested")
+        raise SettingsError(f"{named('at_least')} is {at_least}; give a probability above 0 and below 1")
     if margin <= 0:
         raise SettingsError(
-            f"{named('indifference')} is {indifference}; above 0 is needed: runs tell no equal numbers apart"
+            f"{named('indifference')} is {indifference}; give a number above 0: no number of runs distinguishes "
+            "equal probabilities"
         )
     p0, p1 = theta + margin, theta - margin
     if p0 > 1 or p1 < 0:
         raise SettingsError(
-            f"the indifference region {float(p1):.12g} … {float(p0):.12g} leaves [0, 1]; "
+            f"the indifference region {float(p1):.12g} … {float(p0):.12g} is not within [0, 1]; "
             f"take an indifference of at most {float(min(theta, 1 - theta)):.12g}"
         )
     errors = _decimal(alpha, "alpha", "0.01"), _decimal(beta, "beta", "0.01")
     for value, name in zip(errors, ("alpha", "beta"), strict=True):
         if not 0 < value < 1:
             raise SettingsError(
-                f"{named(name)} is {float(value)}; an error probability lies between 0 and 1, exclusive"
+                f"{named(name)} is {float(value)}; give an error probability between 0 and 1, exclusive"
             )
     if sum(errors) >= 1:
         raise SettingsError(
-            f"{named('alpha')} + {named('beta')} is {float(sum(errors)):g}; below 1 is needed, else a coin would do as "
-            "well"
+            f"{named('alpha')} + {named('beta')} is {float(sum(errors)):g}; choose them with a sum "
+            "below 1: otherwise tossing a coin is as good"
         )
     return p0, p1
 
 
 def _decimal(value: object, name: str, example: str = "0.99") -> Fraction:
-    """A double as the decimal that it was written as."""
+    """A double as the decimal it was written as."""
     return exact(real(value, name, example))
 
 
 def require_confidence(confidence: float | Fraction, side: str = "lower") -> None:
-    """SettingsError unless 0 < confidence < 1 and there is such a side."""
+    """SettingsError unless 0 < confidence < 1 and `side` exists."""
     if not 0 < _decimal(confidence, "confidence") < 1:
-        raise SettingsError(f"{named('confidence')} is {confidence}; it lies between 0 and 1, exclusive, such as 0.99")
+        raise SettingsError(
+            f"{named('confidence')} is {confidence}; give a number between 0 and 1, exclusive, such as 0.99"
+        )
     one_of(side, "side", get_args(Side))
 
 
 def _runs(given: int, name: str, what: str | None = None) -> int:
-    """That many runs, unless they would not end."""
+    """That many runs, unless they would take too long."""
     runs = whole(given, name, least=1)
-    require_time(runs, _RATE, what or f"{runs} runs", "take a wider interval or fewer runs")
+    require_time(runs, _RATE, what or f"{runs} runs", "use a wider interval or fewer runs")
     return runs

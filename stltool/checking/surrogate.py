@@ -1,28 +1,29 @@
-"""What the paper's surrogate leads to when nothing is left to learn: its optimal policies, and their exact P.
+"""What the paper's surrogate objective achieves after perfect learning: its optimal policies, and their exact P.
 
 With χ_t ∈ {0, 1} the inner formula's truth that the flags show after step t [Wang24, eq. 11], two readings of eq. 9:
 
-    discounted   max E Σ_{t ≥ 1} γ^(t−1) r(χ_t)                 eq. 12 and 5 as published: stationary, without an end
+    discounted   max E Σ_{t ≥ 1} γ^(t−1) r(χ_t)                 eq. 12 and 5 as published: stationary, infinite horizon
     episode      max E Σ_{t = τ−1}^{T+τ−2} r(χ_t)               eq. 9: start k is judged at t = k + τ − 1
 
 r is e^{βχ} under an outer F and −e^{−βχ} under an outer G; the published runs use 2χ − 1 and χ − 0.5, the paper prints
-χ − 0.9. All are a + bχ with b > 0, which moves no maximum of either sum, so r = χ here: neither β, nor the scale, nor
-the outer operator tells optimal policies apart. The episode reading maximises the expected *number* of starts at which
-the inner formula holds, where the task asks for the probability of *one* (F) or of *all* (G).
+χ − 0.9. All are a + bχ with b > 0, which does not change the maximisers of either sum, so r = χ here: neither β, nor
+the scale, nor the outer operator changes which policies are optimal. The episode reading maximises the expected
+*number* of starts at which the inner formula holds, while the task asks for the probability of *at least one* (F) or of
+*all* (G).
 
 discounted   value iteration V ← L V on (s, q), L V(s,q) = max_c Σ_s' p(s'|c) (χ(q') + γ V(s',q')), q' = δ(L(s'),q).
              With Δ = L V − V, V* lies within L V + γ/(1−γ)·[min Δ, max Δ] [Puterman94, Prop. 6.6.5 and Th. 6.6.6],
              so a choice c of (s, q) with
                  L V(s,q) − Σ_s' p(s'|c) (χ(q') + γ V(s',q')) > γ/(1−γ)·(max Δ − min Δ)
-             is in no optimal policy (action elimination, §6.7). It stops when the right side is below a tolerance; the
-             span of Δ shrinks by γ a sweep at least. Constants added to V move nothing and are taken off, so that
-             rounding stays small beside differences.
+             is in no optimal policy (action elimination, §6.7). It stops when the right-hand side is below a tolerance;
+             the span of Δ shrinks at least by γ per sweep. Constants added to V change nothing and are subtracted, so
+             that rounding stays small compared with differences.
 episode      backward induction over (t, s, q); choices are eliminated beyond the rounding of its sums.
 
-A policy is optimal for the surrogate if and only if it takes choices that are left wherever it goes, so P is reported
-three times: ties broken at random as the published learners do, and the least and the greatest P over all policies of
-the choices left, history-dependent ones included. If rounding or the tolerance left a choice too many, that range is
-wider than the true one, never narrower.
+A policy is optimal for the surrogate if and only if it takes only remaining choices wherever it goes, so P is reported
+three times: with ties broken at random, as the published learners do, and the least and the greatest P over all
+policies of the remaining choices, history-dependent ones included. If rounding or the tolerance leaves a choice too
+many, that range is wider than the true one, never narrower.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ Indices: TypeAlias = NDArray[np.int64]
 Left: TypeAlias = NDArray[np.bool_]
 """(choices, Q): whether a choice of the model may be in an optimal policy at (s, q)."""
 
-_RATE = 2e8  # multiply-adds a second, roughly
+_RATE = 2e8  # multiply-adds per second, roughly
 _EPSILON = 2.0**-52
 
 
@@ -77,13 +78,13 @@ _EPSILON = 2.0**-52
 class SurrogateResult(Displayed):
     """The surrogate's optimum, judged by the task.
 
-    product    what judges: exact verdicts of the task
-    policy     uniform over the choices left; of (s, q), or of (t, s, q) in the episode reading. It remembers flags
+    product    the product that judges: exact verdicts of the task
+    policy     uniform over the remaining choices; of (s, q), or of (t, s, q) in the episode reading, q the flags
     at_random  its check
-    least, greatest  of all policies that take only choices left, with a policy that attains each
+    least, greatest  over all policies that take only remaining choices, with a policy that attains each
     optimum    the best of all policies for the task itself
-    tolerance  a choice is left where the surrogate's value loses no more than this by it
-    sweeps     of value iteration, or of the horizon
+    tolerance  a choice remains if it costs the surrogate's value no more than this
+    sweeps     the number of sweeps of value iteration, or the horizon
     """
 
     product: Product
@@ -118,7 +119,7 @@ class SurrogateResult(Displayed):
 
     @property
     def gap(self) -> float:
-        """P of the task's optimum less that of the surrogate's, ties broken at random."""
+        """P of the task's optimum minus P of the surrogate's, ties broken at random."""
         return self.optimum.probability - self.at_random.probability
 
 
@@ -135,10 +136,10 @@ def surrogate_optimum(
 
     reading    "discounted" as published, or "episode", eq. 9 (see the module's text)
     gamma      of the discounted reading, between 0 and 1; the published runs have 0.999, the paper prints 0.9999
-    tolerance  what the surrogate's value may lose by a choice that still counts as optimal, in the discounted reading
+    tolerance  a choice that costs the surrogate's value no more than this counts as optimal, in the discounted reading
 
-    Raises FragmentError for a task that has no flags, SettingsError for an impossible setting, SizeError before
-    allocating what would not fit.
+    Raises FragmentError for a task that has no flags, SettingsError for an invalid setting, SizeError before allocating
+    more memory than is available.
     """
     start = time.perf_counter()
     require_door("surrogate_optimum", product)
@@ -178,7 +179,7 @@ def surrogate_optimum(
     )
     status = "complete"
     if reading == "discounted" and reached > tolerance:
-        status = f"rounding: choices that lose up to {reached:.2g} are not told apart from optimal ones"
+        status = f"limited by rounding: choices that lose up to {reached:.2g} cannot be distinguished from optimal ones"
     return SurrogateResult(
         product=judge,
         reading=reading,
@@ -196,7 +197,7 @@ def surrogate_optimum(
 
 
 def _discounted(home: Product, gamma: float, tolerance: float, progress: Progress | None) -> tuple[Left, float, int]:
-    """(choices left, the tolerance reached, sweeps) of value iteration."""
+    """(remaining choices, the tolerance reached, sweeps) of value iteration."""
     asked = tolerance * (1 - gamma) / gamma / 2  # the span to stop at; half is left for rounding
     most = 1 + max(1, math.ceil(math.log(asked) / math.log(gamma)))  # Δ₁ spans at most 1
     work = most * home.model.n_transitions * home.automaton.n_states
@@ -221,7 +222,7 @@ def _discounted(home: Product, gamma: float, tolerance: float, progress: Progres
 
 
 class _Starts(Single):
-    """The flags' automaton, where nothing is decided before the horizon, and then whether χ holds."""
+    """The flags' automaton: nothing is decided before the horizon, and the verdict there is whether χ holds."""
 
     def __init__(self, home: Product) -> None:
         super().__init__(home.automaton)
@@ -235,7 +236,7 @@ class _Starts(Single):
 
 
 class _Counted(Probabilities):
-    """The expected number of steps with χ from step `first` on, this step's included; `layers` are what is left."""
+    """The expected number of steps with χ from step `first` on, inclusive; `layers` collects the remaining choices."""
 
     repeats = False
 
@@ -274,7 +275,7 @@ class _Counted(Probabilities):
 
 
 def _episode(home: Product, budget: Budget, engine: Engine = "auto") -> tuple[Form, float]:
-    """(uniform over the choices left, the tolerance); χ counts from the first full window on."""
+    """(uniform over the remaining choices, the tolerance); χ counts from the first full window on."""
     game = replace(Game.of(home), automaton=_Starts(home), kept={})
     layers = layers_of(game, TRUE, engine=engine, live=False, sure=False, budget=budget)
     first = max(part.tau for part in check_fragment(home.formula).parts) - 1
@@ -292,14 +293,14 @@ def _chi(home: Product) -> Floats:
 
 
 def _unit(home: Product) -> float:
-    """How far a computed step may be from the exact one, the defects of rows included, as a share of the largest
+    """How far a computed step may be from the exact one, including the defects of rows, relative to the largest
     value."""
     kinds = home.model.kinds if home.model.kinds is not None else home.model.rows
     return (kinds.longest + 5) * _EPSILON + float(row_defect(kinds))
 
 
 def _uniform(home: Product, left: Left) -> Table:
-    """Uniform over the choices left, (choices, Q)."""
+    """Uniform over the remaining choices, (choices, Q)."""
     model = home.model
     owner = np.repeat(np.arange(model.n_states), np.diff(model.choice_start))
     weights = np.zeros((model.n_states, left.shape[1], model.most_choices))
@@ -314,7 +315,7 @@ def _extreme(
     """The policy of (t, s, q) with the greatest (least) P among those that take only choices that `form` may take."""
     budget = Budget(f"the choices left on {judge.n_states} product states", memory_limit)
     keep, goal = judge.model.unsigned_choice_type, TRUE if maximize else FALSE
-    # where no choice changes anything, one must still be among those left: so it is listed
+    # where no choice changes anything, one of the remaining ones must still be taken: so it is listed
     layers = layers_of(Game.of(judge), goal, Among(form), engine=engine, live=False, keep=keep, budget=budget)
     choices = solve(layers, Doubles(maximize), maximize, keep).choices
     assert choices is not None

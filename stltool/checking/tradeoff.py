@@ -1,14 +1,14 @@
-"""The best probability of one task where others keep theirs and costs keep their budgets, with a certificate.
+"""The best probability of one task under lower bounds on other tasks and budgets for costs, with a certificate.
 
     P* = max P(Φ_o)   subject to   P(Φ_i) ≥ c_i,   E Σ_{t<h} g_k(s_t) ≤ B_k        over all policies
 
-The linear programme (occupation.py) gives a randomised policy of (t, s, q) and multipliers λ ≥ 0. Neither is believed:
-the policy's probabilities and costs are computed anew by backward induction, and for *any* λ ≥ 0, by weak duality,
+The linear programme (occupation.py) gives a randomised policy of (t, s, q) and multipliers λ ≥ 0. Neither is trusted:
+the policy's probabilities and costs are computed again by backward induction, and for *any* λ ≥ 0, by weak duality,
 
     P* ≤ max_π [P(Φ_o) + Σ λ_i (P(Φ_i) − c_i) + Σ μ_k (B_k − E cost_k)]
 
-whose right side is one weighted backward induction (weighted.py), with rounding enclosed. The gap between the two is
-what the solver's arithmetic may have cost.
+whose right side is one weighted backward induction (weighted.py), with rounding enclosed. The gap between the two
+bounds what the solver's arithmetic may have cost.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from stltool.policy import Policy
 from stltool.product import JointProduct
 from stltool.sizes import require_memory
 
-_MARGINS = (1e-9, 1e-7)  # bounds are asked for with so much to spare, where there is room; the next if it falls short
+_MARGINS = (1e-9, 1e-7)  # margins on bounds, where there is room; the next is tried if one is not enough
 _ROOM = 1e-6  # the least such room
-_ITERATIONS = 50  # of the simplex method a row, before bounds are taken to be out of its reach
+_ITERATIONS = 50  # of the simplex method for each row, before it gives up on bounds
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,12 +46,12 @@ class Tradeoff(Displayed):
     at_least, budget  the constraints as given, by task and by cost
     probabilities  each task's probability under `policy`, and `costs` each budgeted cost's expectation: computed by
                    backward induction, lower ≤ exact ≤ upper
-    bound          no policy that keeps the constraints has a higher probability (rounding included)
+    bound          no policy that satisfies the constraints has a higher probability (rounding included)
     multipliers    λ of each constraint, by task or cost: what its bound costs the maximum, per unit
     policy         randomised, over the joint product; None where it was not kept
-    randomised     at how many of the reached places (t, s, q) the policy draws between choices
+    randomised     at how many of the reached (t, s, q) the policy mixes choices
     size           the programme's variables, rows and nonzeros
-    status         "complete", or which constraint is missed by how little
+    status         "complete", or which constraints are missed, and by how little
     """
 
     joint: JointProduct
@@ -75,7 +75,7 @@ class Tradeoff(Displayed):
 
     @property
     def gap(self) -> float:
-        """How much higher a policy's probability could be at most."""
+        """An upper bound on how much higher a policy's probability could be."""
         return max(0.0, self.bound - self.probabilities[self.objective].lower)
 
     def _card(self) -> Card:
@@ -101,13 +101,13 @@ def tradeoff(
 ) -> Tradeoff:
     """Maximise the probability of the task `objective`.
 
-    at_least   the least probabilities of other tasks, by name
-    budget     the most expected costs, by name. A cost is a signal (at least 0 everywhere) or a label (1 where it
-               holds), summed over the states s₀ … s_{h−1}, h the longest horizon of all tasks
+    at_least   lower bounds on the probabilities of other tasks, by name
+    budget     upper bounds on expected costs, by name. A cost is a signal (at least 0 everywhere) or a label (1 where
+               it holds), summed over the states s₀ … s_{h−1}, h the longest horizon of all tasks
 
-    Raises InfeasibleError, with what is possible, where no policy keeps the constraints, SettingsError for a bound out
+    Raises InfeasibleError, with what is possible, if no policy satisfies the constraints, SettingsError for a bound out
     of range, NameLookupError for an unknown task or cost, SizeError before building a programme of more than
-    `most_variables`, SolverError where the solver gives up.
+    `most_variables`, SolverError if the solver gives up.
     """
     started = time.perf_counter()
     require(joint, JointProduct, "tradeoff's joint product")
@@ -122,11 +122,11 @@ def tradeoff(
     for name, bound in at_least.items():
         joint.task(name)
         if not 0 <= bound <= 1:
-            raise SettingsError(f"P({name}) >= {_text(bound)}: a probability lies between 0 and 1")
+            raise SettingsError(f"P({name}) >= {_text(bound)}: give a probability between 0 and 1")
     for name, bound in budget.items():
         if bound < 0:
-            raise SettingsError(f"E[{name}] <= {_text(bound)}: a budget is a finite number, at least 0")
-    if keep_policy:  # files hold it as a table
+            raise SettingsError(f"E[{name}] <= {_text(bound)}: give a finite budget, at least 0")
+    if keep_policy:  # it is stored as a table
         require_memory(
             4 * 8 * math.prod(joint.shape) * joint.model.most_choices,
             f"a policy over {joint.shape[0]} model states × {joint.shape[1]} joint automaton states",
@@ -134,7 +134,7 @@ def tradeoff(
         )
     both = sorted(set(joint.names) & set(budget))
     if both:
-        raise SettingsError(f"{both[0]} names a task and a cost; rename the task")
+        raise SettingsError(f"{both[0]} is the name of both a task and a cost; rename the task")
     asked = _Asked(criteria, at_least, budget)
     highest = asked.require_possible(progress)
     lp = programme(criteria, most_variables)
@@ -166,14 +166,14 @@ def tradeoff(
 
 
 def _bounds(given: object, name: str, example: str) -> dict[str, float | Fraction]:
-    """Bounds by name; none where None is given."""
+    """Bounds by name; no bounds if None is given."""
     known = mapping(given, f"tradeoff's {name}", example, optional=True)
     return {key: real(bound, f"{name} of {key}") for key, bound in known.items()}
 
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """The constraints as floors of criteria: P(Φ_i) ≥ c_i, and what is saved of a cost ≥ h·ḡ − B."""
+    """The constraints as lower bounds on criteria: P(Φ_i) ≥ c_i, and for a cost its saving ≥ h·ḡ − B."""
 
     criteria: Criteria
     at_least: Mapping[str, float | Fraction]
@@ -188,12 +188,12 @@ class _Asked:
         return tasks | {first + k: most - Fraction(bound) for k, (most, bound) in enumerate(costs)}
 
     def unit(self, i: int) -> float:
-        """What a difference of a criterion is measured in."""
+        """The unit in which differences of a criterion are measured."""
         k = i - len(self.criteria.joint.tasks)
         return 1.0 if k < 0 else float(self.criteria.most_saved[k]) or 1.0
 
     def require_possible(self, progress: Progress | None) -> dict[int, Fraction]:
-        """The highest that each constrained criterion can be; InfeasibleError where that is below its floor."""
+        """The maximum of each constrained criterion; InfeasibleError if it is below the bound."""
         highest = {}
         for i, floor in self.floors.items():
             top = best(self.criteria, np.eye(len(self.criteria))[i])[0]
@@ -205,8 +205,8 @@ class _Asked:
         return highest
 
     def require_together(self, lp: Programme, highest: Mapping[int, Fraction]) -> dict[int, bool]:
-        """Constraint by constraint, whether there is room above it beside those before; InfeasibleError, with what is
-        possible, for the first that they put out of reach.
+        """For each constraint, whether there is room above it given those before; InfeasibleError, with what is
+        possible, for the first that they make infeasible.
         """
         room: dict[int, bool] = {}
         for i, floor in self.floors.items():
@@ -224,8 +224,8 @@ class _Asked:
         return room
 
     def solve(self, lp: Programme, objective: int, room: Mapping[int, bool], margin: float) -> Solution:
-        """The programme under those constraints, with a margin where there is room, without at the edge of what is
-        possible; where the solver does not find an end there, a margin below.
+        """The programme under those constraints: with a margin where there is room, without one at the edge of what is
+        possible, or with a margin below if the solver does not converge there.
         """
         floors = self.floors
         near = {i: float(floors[i]) + (margin * self.unit(i) if roomy else 0.0) for i, roomy in room.items()}
@@ -237,9 +237,7 @@ class _Asked:
     def certificate(self, objective: int, multipliers: Mapping[int, float]) -> tuple[Fraction, Choices]:
         """An upper bound on the objective under constraints with these multipliers, and the weighted sum's choices."""
         weights = np.eye(len(self.criteria))[objective]
-        others = {
-            i: multiplier for i, multiplier in multipliers.items() if i != objective
-        }  # its own bound costs nothing
+        others = {i: multiplier for i, multiplier in multipliers.items() if i != objective}  # not its own bound
         for i, multiplier in others.items():
             weights[i] = multiplier
         top, _, chosen = best(self.criteria, weights)
@@ -257,7 +255,7 @@ class _Asked:
         )
 
     def status(self, probabilities: Mapping[str, Figure], costs: Mapping[str, Figure]) -> str:
-        """ "complete" where every constraint holds, rounding included."""
+        """ "complete" if every constraint holds, rounding included."""
         missed = {
             f"P({name})": Fraction(bound) - Fraction(probabilities[name].lower) for name, bound in self.at_least.items()
         }
@@ -277,7 +275,7 @@ class _Asked:
         return f"{self.named(i)} <= {_text(self.budget[self.criteria.costs[k]])}"
 
     def possible(self, i: int, upper: Fraction, whose: str) -> str:
-        """What a criterion can be at best, told so that it differs from the bound that it misses."""
+        """The best possible value of a criterion, with enough digits to differ from the bound that it misses."""
         k = i - len(self.criteria.joint.tasks)
         most = upper if k < 0 else self.criteria.most_saved[k] - upper
         bound = self.at_least[self.criteria.joint.names[i]] if k < 0 else self.budget[self.criteria.costs[k]]

@@ -3,8 +3,8 @@
     layer 0      {(s, δ(L(s), q₀)) : ι(s) > 0}
     layer t + 1  {(s', δ(L(s'), q)) : (s,q) undecided in layer t, π_t(c|s,q) > 0, p(s'|c) > 0}
 
-A pair whose verdict is decided has no edges. The layers are those of one induction (checking/induction), so steps that
-repeat share them and their values; edges are made again when a pass asks for them.
+A pair whose verdict is decided has no edges. The layers are those of one induction (checking/induction), so repeated
+steps share them and their values; edges are made again whenever a pass needs them.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ Floats = NDArray[np.float64]
 
 
 class Unfolding:
-    """The pairs that `policy` reaches on `product`, undecided; with `live` those from which `goal` is possible.
+    """The undecided pairs that `policy` reaches on `product`; with `live`, only those from which `goal` is possible.
 
     product, start   (k,) the probability of each of the model's first states
-    steps   how many steps have such pairs
+    steps   the number of steps that have such pairs
     game    the product's, by default
-    kept    what is kept of an arithmetic's values by slots (n + 2, …): all of them by default
+    kept    maps an arithmetic's values by slots (n + 2, …) to what is kept; all of them by default
 
-    Raises PolicyError, naming the pairs, where the policy defines no action in one that it reaches; SizeError before
-    taking memory over the limit (default: four fifths of what is free).
+    Raises PolicyError, naming the pairs, if the policy defines no action in a pair that it reaches; SizeError before
+    allocating memory over the limit (default: four fifths of free memory).
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class Unfolding:
         return [Stretch(first, end - 1, layer) for (first, layer, _), end in zip(self._found, ends, strict=False)]
 
     def _keep(self, first: int, layer: Any, values: Any) -> None:
-        """Takes room for them, as far as the budget allows."""
+        """Claims memory for them, within the budget."""
         new = not self._found or self._found[-1][1] is not layer
         n_bytes = sum(x.nbytes for x in (values if isinstance(values, tuple) else (values,)))
         n_bytes += (self.layers.n_bytes(layer) if new else 0) + _STEP_BYTES
@@ -116,16 +116,16 @@ class Unfolding:
         return self._found[bisect_right(self._first, t) - 1] if t < self.steps else self._nothing
 
 
-_STEP_BYTES = 500  # of a step whose layer is empty
+_STEP_BYTES = 500  # for a step whose layer is empty
 
 
 def flows(
     layers: Layers[Any, Any], stretches: Sequence[Stretch], start: Floats, form: Form | None = None
 ) -> Iterator[tuple[int, Edges, Floats, Floats]]:
-    """(t, edges, the probability of each pair (n,), of each choice (m,)) step by step, as edges come in parts.
+    """(t, edges, the probability of each pair (n,), of each choice (m,)) step by step, edges in parts.
 
     stretches  of the layers, from step 0 on; start (k,) the probability of each of the game's first states
-    form       what is done where the layers are of several choices: deterministic
+    form       a deterministic policy to follow if the layers hold several choices
     """
     reach: Floats = np.empty(0)
     made: tuple[Any, Any] = (None, None)  # the layers whose edges are kept

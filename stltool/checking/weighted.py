@@ -1,16 +1,17 @@
 """The best weighted sum of several criteria over all policies, and the criteria of one policy, by backward induction.
 
-Criteria of a joint product: P(Φ_i) of each task, and for each cost signal g what is saved of the most it could be,
+Criteria of a joint product: P(Φ_i) of each task, and for each cost signal g the saving against its largest possible
+value,
 
     S_g = h·ḡ − E Σ_{t<h} g(s_t),   ḡ = max_s g(s),
 
-a sum of nonnegative terms too. A cost is paid in every state s₀ … s_{h−1} in which an action is taken, up to the
-longest horizon h of the tasks, whether or not verdicts have fallen before. With weights w ≥ 0, over layers (t, s, q):
+also a sum of nonnegative terms. A cost is paid in every state s₀ … s_{h−1} in which an action is taken, up to the
+longest horizon h of the tasks, whether or not verdicts are decided before. With weights w ≥ 0, over layers (t, s, q):
 
     V_t(s,q)   = Σ_g w_g (ḡ − g(s)) + opt_c Σ_s' P(s'|c) W_t(s',q)
     W_t(s',q)  = Σ_i w_i·1{Φ_i falls true on reading s'} + V_{t+1}(s', δ_t(L(s'), q))
 
-after h sweeps. No term is negative, so the a-priori enclosure of bounds.py holds; defects count as often as the largest
+after h sweeps. No term is negative, so the a-priori enclosure of bounds.py holds; defects are multiplied by the largest
 sum to come. Source: the weighted reward of [Etessami08], over a finite horizon.
 """
 
@@ -52,7 +53,7 @@ from stltool.product import JointProduct
 from stltool.sizes import require_memory, require_time
 
 _LARGEST_COST = 1e100  # over the horizon
-_RATE = 5e8  # multiply-adds a second, roughly, on one core
+_RATE = 5e8  # multiply-adds per second, roughly, on one core
 
 
 @dataclass(frozen=True)
@@ -66,10 +67,10 @@ class Figure:
 
 @dataclass(frozen=True, eq=False)
 class Criteria:
-    """What is traded off: the tasks of a joint product, then costs by their signals' (or labels') names.
+    """The criteria of a trade-off: the tasks of a joint product, then costs by the names of their signals or labels.
 
     Raises NameLookupError for a cost that the model does not have, SettingsError for one that is negative somewhere,
-    SizeError before allocating layers that would not fit.
+    SizeError before allocating layers that would not fit into memory.
     """
 
     joint: JointProduct
@@ -81,16 +82,16 @@ class Criteria:
         for name in self.costs:
             most = float(cost_values(self.joint.model, name).max())
             if most * self.joint.horizon > _LARGEST_COST:
-                raise SettingsError(f"cost {name} is up to {most:g} a step; scale the signal to numbers below 1e9")
+                raise SettingsError(f"cost {name} is up to {most:g} per step; scale the signal to numbers below 1e9")
 
     @cached_property
     def game(self) -> Game:
-        """Without costs runs end where every verdict has fallen; its automaton states are numbered by layer."""
+        """Without costs, runs end where every verdict is decided; automaton states are numbered by layer."""
         return Game.of_joint(self.joint, paying=bool(self.costs))
 
     @cached_property
     def layers(self) -> Layers[Any, Any]:
-        """The undecided pairs of all runs. SizeError before they, or sums over them, take what is not there."""
+        """The undecided pairs of all runs. SizeError before they, or sums over them, need more than is available."""
         return self.layers_along(EVERYTHING, self.joint.model.unsigned_choice_type)
 
     def layers_along(self, allowed: Allowed, keep: type[np.unsignedinteger] | None) -> Layers[Any, Any]:
@@ -126,14 +127,14 @@ def cost_values(model: MDP, name: str) -> Floats:
         return model.labels[name].astype(np.float64)
     if name not in model.signals:
         raise NameLookupError(
-            f"the model has no signal {name} to be a cost; {near_misses(name, [*model.signals, *model.labels])}"
+            f"the model has no signal {name} for this cost; {near_misses(name, [*model.signals, *model.labels])}"
         )
     values = model.signals[name]
     if (values < 0).any():
         s = int(values.argmin())
         raise SettingsError(
-            f"signal {name} is {values[s]:g} in state {model.state_name(s)}; a cost is at least 0: "
-            "give the model a signal that is shifted"
+            f"signal {name} is {values[s]:g} in state {model.state_name(s)}, but a cost must be at least 0; "
+            "shift the signal"
         )
     return values
 
@@ -180,7 +181,7 @@ def _values(
 class _Sums(Arithmetic):
     """M columns: weighted sums, `given` (M, n); the first is maximised, the others follow its choices."""
 
-    repeats = False  # pairs may be numbered alike and rewards differ
+    repeats = False  # equal pairs may still have different rewards
 
     def __init__(self, criteria: Criteria, given: Floats) -> None:
         joint, self._n_tasks = criteria.joint, len(criteria.joint.tasks)
@@ -198,7 +199,7 @@ class _Sums(Arithmetic):
         return nothing, nothing
 
     def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
-        raise NotImplementedError  # choices are compared as they are added up
+        raise NotImplementedError  # choices are compared while sums are computed
 
     def back(
         self, t: int, edges: Edges, ahead: Values, maximize: bool, keep: bool
@@ -214,7 +215,7 @@ class _Sums(Arithmetic):
         return out + self._paid[edges.s], best if edges.weight is None else None
 
     def _falls(self, t: int) -> Floats:
-        """(letters, n_t, M): what verdicts add that fall on reading a letter after step t, and are true."""
+        """(letters, n_t, M): what verdicts that are decided true on reading a letter after step t add."""
         layer = self._automaton.layers[t]
         if self._reward[0] is not layer:
             falls = np.einsum("mi,ilq->lqm", self._given[:, : self._n_tasks], layer.holds.astype(np.float64))
@@ -232,7 +233,7 @@ def _figure(
 ) -> Figure:
     joint, n_tasks = criteria.joint, len(criteria.joint.tasks)
     model, h, kinds = joint.model, joint.horizon, criteria.layers.kinds
-    # a sweep adds the reward on the way and the one of the state; a reward is a sum of products itself
+    # a sweep adds the reward of the transition and that of the state; a reward is itself a sum of products
     n_roundings = roundings(h, kinds.longest + 2, choices_mixed) + len(criteria) + 6
     savings = criteria.savings()
     most = sum((Fraction(w) for w in weights[:n_tasks].tolist()), Fraction(0))
@@ -247,11 +248,11 @@ def _figure(
 
 
 def probability(figure: Figure) -> Figure:
-    """The figure of a probability, cut to [0, 1]."""
+    """The enclosed value of a probability, cut to [0, 1]."""
     return Figure(*(min(max(x, 0.0), 1.0) for x in (figure.value, figure.lower, figure.upper)))
 
 
 def cost(figure: Figure, most_saved: Fraction) -> Figure:
-    """The expected cost h·ḡ − S, given the figure of what is saved."""
+    """The expected cost h·ḡ − S, given the enclosed value of the saving."""
     lower, upper = (max(most_saved - Fraction(x), Fraction(0)) for x in (figure.upper, figure.lower))
     return Figure(float(max(most_saved - Fraction(figure.value), Fraction(0))), round_down(lower), round_up(upper))

@@ -379,7 +379,7 @@ def test_only_what_runs_reach_of_a_model_is_listed(tmp_path):
         else:
             row[3][1] -= 1
         write(path, changed)
-        with pytest.raises(CertificateError, match=f"of another {what}"):
+        with pytest.raises(CertificateError, match=f"for another {what}"):
             require_certificate_of(path, product)
 
 
@@ -578,7 +578,7 @@ def test_what_is_refused_and_what_cannot_be_read_are_told_apart(tmp_path, patrol
     with pytest.raises(CertificateError, match=r"c\.jsonl: not a certificate .* write one with") as error:
         stl.certify(path)
     assert not isinstance(error.value, RefusedError)
-    with pytest.raises(FileError, match="there is no such certificate"):
+    with pytest.raises(FileError, match="this certificate does not exist"):
         stl.certify(tmp_path / "none.jsonl")
     with pytest.raises(FileError, match="this certificate cannot be read: Is a directory"):
         stl.certify(tmp_path)
@@ -660,8 +660,8 @@ def test_a_certificate_of_another_task_or_model_is_named(tmp_path, patrolling, f
     require_certificate_of(path, patrolling)
     others = {
         r"the task of this certificate is G\[0,4\].*, not F\[0,8\] A": stl.build_product(floor5, stl.parse("F[0,8] A")),
-        r"of another model .*called floor-5x5, here floor-10x10": stl.build_product(floor10, patrolling.formula),
-        "of another automaton": stl.build_product(floor5, patrolling.formula, encoding="history"),
+        r"for another model .*floor-5x5, not floor-10x10": stl.build_product(floor10, patrolling.formula),
+        "for another automaton": stl.build_product(floor5, patrolling.formula, encoding="history"),
     }
     for says, product in others.items():
         with pytest.raises(CertificateError, match=says):
@@ -688,7 +688,7 @@ def test_a_certificate_of_a_policy_names_its_policy(tmp_path, patrolling, flagge
         stl.certify(str(path))
         require_certificate_of(path, patrolling, policy)
         other = stl.Policy(policy.home, np.zeros(policy.home.shape, dtype=np.int16))
-        with pytest.raises(CertificateError, match=r"of another policy \(steps . to . differ\)"):
+        with pytest.raises(CertificateError, match=r"for another policy \(steps . to . differ\)"):
             require_certificate_of(path, patrolling, other)
     stl.write_certificate(stl.check(patrolling), path)
     with pytest.raises(CertificateError, match="the claim of this certificate is maximum, not policy"):

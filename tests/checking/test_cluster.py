@@ -117,7 +117,7 @@ def test_a_certificate_by_workers_is_the_same_file(arithmetic, cluster, patrolli
         bounds = stl.write_certificate(result, here)
         assert stl.write_certificate(result, there, cluster=cluster.scheduler_address) == bounds
         assert there.read_bytes() == here.read_bytes()
-    with pytest.raises(SettingsError, match="for one machine"):
+    with pytest.raises(SettingsError, match="does not run on a cluster"):
         stl.write_certificate(stl.check(patrolling, exact=True), tmp_path / "c.jsonl", cluster="tcp://here:1")
 
 
@@ -148,11 +148,11 @@ def test_where_a_policy_is_silent_a_worker_says_so(cluster, patrolling):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"exact": True}, "exact=True is for one machine; leave cluster out"),
-        ({"engine": "words"}, "engine=… is for one machine"),
-        ({"threads": 2}, "threads=… is for one machine"),
-        ({"resume": True, "policy_file": "best.policy"}, "resume=True is for one machine"),
-        ({"policy": "mixing"}, "a policy that mixes actions is for one machine"),
+        ({"exact": True}, "exact=True does not run on a cluster; leave cluster out"),
+        ({"engine": "words"}, "engine=… does not run on a cluster"),
+        ({"threads": 2}, "threads=… does not run on a cluster"),
+        ({"resume": True, "policy_file": "best.policy"}, "resume=True does not run on a cluster"),
+        ({"policy": "mixing"}, "a policy that mixes actions does not run on a cluster"),
         ({}, "no dask scheduler answers at nowhere"),
     ],
 )

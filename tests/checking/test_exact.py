@@ -125,7 +125,7 @@ def test_an_exact_answer_needs_exact_rows():
     product = stl.build_product(model, stl.parse("F[0,3] x > 1"))
     with pytest.raises(ModelError, match=r"state 0, action 0: the probabilities sum to 1 − .*fractions, such as"):
         stl.check(product, exact=True)
-    with pytest.raises(SettingsError, match="share a small denominator"):
+    with pytest.raises(SettingsError, match="a small common denominator"):
         stl.check(product, arithmetic="fixed")
     result = stl.check(product)
     assert result.lower <= Fraction(13, 27) <= result.upper

@@ -251,7 +251,7 @@ def test_the_cap_says_how_much_is_covered():
     product = stl.build_product(line(0.25), stl.parse("F[0,9] goal"))
     result = stl.likely_runs(product, satisfied=True, mass=0.9, most=2)
     assert [run.probability for run in result.runs] == [0.25, 0.1875]
-    assert result.status == "covered 0.473 of the asked 0.9 with 2 runs; raise most to go on"
+    assert result.status == "covered 0.473 of the requested 0.9 with 2 runs; raise most to continue"
     assert not result.exhausted
     whole = stl.likely_runs(product, satisfied=True, mass=0.9)
     assert (len(whole.runs), whole.status) == (7, "complete")
@@ -276,7 +276,7 @@ def test_probabilities_below_the_doubles_keep_their_logarithm():
     many = stl.MDP.from_arrays([[row, row, row]], {"x": [0, 1, 2]}, labels={"A": [0, 1, 1]}, initial=1)
     one = stl.likely_runs(stl.build_product(many, stl.parse("G[0,40] A")), satisfied=True, count=1)
     assert (len(one.runs), one.covered, one.exhausted) == (1, 0.0, False)
-    with pytest.raises(SettingsError, match="less than 1e-300 together.*ask for a count"):
+    with pytest.raises(SettingsError, match="less than 1e-300.*ask for a number"):
         stl.likely_runs(product, satisfied=True, mass=0.5)
 
 
@@ -322,7 +322,7 @@ def test_undefined_places_are_named_the_reachable_first(patrolling):
         ({"count": -3}, "count is -3"),
         ({"count": 2.5}, "count is 2.5"),
         ({"most": 0, "mass": 0.5}, "most is 0"),
-        ({"mass": 0.0}, "mass is 0.0; it is a share of the probability, above 0 and at most 1"),
+        ({"mass": 0.0}, "mass is 0.0; give a share of the probability, above 0 and at most 1"),
         ({"mass": 1.5}, "mass is 1.5"),
         ({"mass": math.nan}, "mass is nan"),
     ],

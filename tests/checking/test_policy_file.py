@@ -102,9 +102,9 @@ def test_work_of_a_stopped_run_is_never_replaced(product, patrolling, tmp_path, 
     assert sorted(files) == ["best.policy.partial", "best.policy.state"]
     for asked, options, message in (
         (product, {}, "holds a stopped run; resume it"),
-        (product, {"resume": True, "maximize": False}, "a stopped run of another question"),
-        (product, {"resume": True, "arithmetic": "double"}, "a stopped run of another question"),
-        (patrolling, {"resume": True}, "a stopped run of another question"),
+        (product, {"resume": True, "maximize": False}, "a stopped run with another task"),
+        (product, {"resume": True, "arithmetic": "double"}, "a stopped run with another task"),
+        (patrolling, {"resume": True}, "a stopped run with another task"),
     ):
         with pytest.raises(SettingsError, match=message):
             stl.check(asked, engine="words", policy_file=path, **options)
@@ -221,8 +221,8 @@ def test_what_does_not_fit_together_is_refused(patrolling, tmp_path):
     path = tmp_path / "best.policy"
     best = stl.check(patrolling, policy_file=path)
     for options, message in (
-        ({"policy_file": tmp_path / "p.npz"}, "is a .policy file; name it so"),
-        ({"policy_file": path, "keep_policy": False}, "is for the optimal policy, which is not asked for"),
+        ({"policy_file": tmp_path / "p.npz"}, "needs the suffix .policy; rename it"),
+        ({"policy_file": path, "keep_policy": False}, "is for the optimal policy, which is not kept here"),
         ({"resume": True}, "needs policy_file"),
     ):
         with pytest.raises(SettingsError, match=message):
@@ -312,14 +312,14 @@ def test_damaged_states_are_refused(product, tmp_path, monkeypatch):
         "sure": lambda a: a | arrays["open"], "tiles": lambda a: a * 2, "values": lambda a: a[:-8],
         "sure_choice": lambda a: a[1:], "numbers": lambda a: a[:1],
     }.items():  # fmt: skip
-        with pytest.raises(FileError, match="delete it to begin anew"):
+        with pytest.raises(FileError, match="delete it to start again"):
             resumed({**arrays, name: change(arrays[name])})
-        with pytest.raises(FileError, match="delete it to begin anew"):
+        with pytest.raises(FileError, match="delete it to start again"):
             resumed({key: array for key, array in arrays.items() if key != name})
-        with pytest.raises(FileError, match="delete it to begin anew"):
+        with pytest.raises(FileError, match="delete it to start again"):
             resumed({**arrays, name: arrays[name].astype(np.float32)})
     state.write_bytes(b"nothing of the kind")
-    with pytest.raises(FileError, match="delete it to begin anew"):
+    with pytest.raises(FileError, match="delete it to start again"):
         stl.check(product, engine="words", policy_file=path, resume=True)
 
 

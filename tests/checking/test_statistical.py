@@ -476,12 +476,12 @@ def test_statements_say_what_is_claimed():
     assert "is at most 0.0295" in estimate_from(np.zeros(100, dtype=bool), 100, side="upper", confidence=0.95).statement
     found = [sprt_from(np.full(999, value), 0.9, alpha=0.02, beta=0.03) for value in (True, False)]
     assert found[0].statement == (
-        "P >= 0.9 holds; were P at most 0.89, this would be said with probability at most 0.03"
+        "P >= 0.9 holds; if P were at most 0.89, this result would have probability at most 0.03"
     )
     assert found[1].statement == (
-        "P >= 0.9 does not hold; were P at least 0.91, this would be said with probability at most 0.02"
+        "P >= 0.9 does not hold; if P were at least 0.91, this result would have probability at most 0.02"
     )
-    assert sprt_from([True], 0.9).statement == "P >= 0.9 is not decided after 1 runs; nothing is claimed"
+    assert sprt_from([True], 0.9).statement == "P >= 0.9 is undecided after 1 runs; no claim is made"
 
 
 def test_a_fixed_number_of_verdicts_is_taken_and_no_more():
@@ -541,14 +541,14 @@ def test_a_sampled_run_records_its_seed(patrolling):
         ({"runs": 0}, "runs is 0; it must be an integer from 1"),
         ({"runs": 10.5}, "runs is 10.5; it must be an integer from 1"),
         ({"runs": 10**14}, "100000000000000 runs would take about 116 days"),
-        ({"confidence": 1}, "confidence is 1; it lies between 0 and 1"),
+        ({"confidence": 1}, "confidence is 1; give a number between 0 and 1"),
         ({"confidence": 0.0}, "confidence is 0.0"),
         ({"confidence": math.nan}, "confidence is nan; a finite number is needed"),
         ({"confidence": "much"}, "confidence is 'much'; a finite number is needed"),
-        ({"epsilon": 0}, "epsilon is 0; a half-width"),
-        ({"epsilon": 0.5}, "epsilon is 0.5; a half-width"),
+        ({"epsilon": 0}, "epsilon is 0; give a half-width"),
+        ({"epsilon": 0.5}, "epsilon is 0.5; give a half-width"),
         ({"epsilon": 1e-8}, r"±1e-08 at confidence 0.99 takes up to 2.65e\+16 runs; these would take about"),
-        ({"epsilon": 0.1, "runs": 5}, "runs and epsilon are given"),
+        ({"epsilon": 0.1, "runs": 5}, "runs and epsilon are both given"),
         ({"side": "left"}, "side is 'left'; choose both, lower or upper"),
         ({"seed": -1}, "seed is -1"),
     ],
@@ -562,15 +562,15 @@ def test_settings_of_an_estimate_are_checked(options, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"at_least": 0}, "at_least is 0; a probability above 0"),
-        ({"at_least": 1}, "at_least is 1; a probability above 0 and below 1"),
-        ({"at_least": 0.995}, r"region 0.985 … 1.005 leaves \[0, 1\]; take an indifference of at most 0.005"),
-        ({"at_least": 0.1, "indifference": 0.2}, r"region -0.1 … 0.3 leaves .* at most 0.1"),
-        ({"indifference": 0}, "indifference is 0; above 0 is needed"),
+        ({"at_least": 0}, "at_least is 0; give a probability above 0"),
+        ({"at_least": 1}, "at_least is 1; give a probability above 0 and below 1"),
+        ({"at_least": 0.995}, r"region 0.985 … 1.005 is not within \[0, 1\]; take an indifference of at most 0.005"),
+        ({"at_least": 0.1, "indifference": 0.2}, r"region -0.1 … 0.3 is not within .* at most 0.1"),
+        ({"indifference": 0}, "indifference is 0; give a number above 0"),
         ({"indifference": math.inf}, "indifference is inf; a finite number is needed"),
         ({"alpha": 0}, "alpha is 0"),
         ({"beta": 1.5}, "beta is 1.5"),
-        ({"alpha": 0.5, "beta": 0.5}, r"alpha \+ beta is 1; below 1"),
+        ({"alpha": 0.5, "beta": 0.5}, r"alpha \+ beta is 1; choose them with a sum below 1"),
         ({"most_runs": 0}, "most_runs is 0"),
         ({"seed": 1.5}, "seed is 1.5"),
     ],
@@ -582,11 +582,11 @@ def test_settings_of_a_sequential_test_are_checked(options, message):
 
 
 def test_more_satisfied_than_runs_cannot_be():
-    with pytest.raises(SettingsError, match="5 of 4 runs satisfied: that cannot be"):
+    with pytest.raises(SettingsError, match="5 of 4 runs satisfied; give counts with"):
         clopper_pearson(5, 4)
 
 
 @pytest.mark.parametrize("epsilon", [1e-10, 1e-155, 1e-200])
 def test_no_one_has_so_many_runs(epsilon):
-    with pytest.raises(SettingsError, match="a half-width lies between 1e-9 and 0.5"):
+    with pytest.raises(SettingsError, match="give a half-width between 1e-9 and 0.5"):
         runs_needed(epsilon)

@@ -408,7 +408,7 @@ def test_points_that_differ_by_rounding_are_one():
 def test_a_front_that_stops_early_says_so(shift):
     front = stl.pareto(shift, points=3)
     assert front.inductions == 3
-    assert front.status == "stopped after 3 points; ask for more"
+    assert front.status == "stopped after 3 points; raise points to continue"
     whole = stl.pareto(shift)
     assert whole.inductions > 3
     assert front.gap > 1e-6
@@ -525,7 +525,7 @@ def test_a_contradiction_among_three_names_the_first(floor5):
         ({"at_least": {"resting": 0.5}}, NameLookupError, "there is no task resting"),
         ({"at_least": {"patrolling": 1.5}}, SettingsError, r"P\(patrolling\) >= 1.5: a probability lies between"),
         ({"at_least": {"patrolling": float("nan")}}, SettingsError, "at_least of patrolling is nan; a finite number"),
-        ({"budget": {"x": -1}}, SettingsError, r"E\[x\] <= -1.0: a budget is a finite number"),
+        ({"budget": {"x": -1}}, SettingsError, r"E\[x\] <= -1.0: give a finite budget"),
         ({"budget": {"x": float("inf")}}, SettingsError, "finite"),
         ({"budget": {"z": 1}}, NameLookupError, "the model has no signal z to be a cost; known names: A, B, C, x, y"),
         ({"most_variables": 10}, SizeError, r"a linear programme of \d+ variables, .* over the limit of 10 variables"),
@@ -544,10 +544,10 @@ def test_bad_tasks_and_fronts(floor5, shift):
         stl.build_joint_product(floor5, [stl.parse("F[0,3] A")])
     with pytest.raises(SettingsError, match="no task"):
         stl.build_joint_product(floor5, [])
-    with pytest.raises(SettingsError, match="of two tasks, not of 1"):
+    with pytest.raises(SettingsError, match="needs exactly two tasks, found 1"):
         stl.pareto(stl.build_joint_product(floor5, [charging]))
     for options, says in (
-        ({"points": 1}, "at least the best of either"),
+        ({"points": 1}, "give at least 2, the best corner for each task"),
         ({"tolerance": 0}, "tolerance is 0.0"),
         ({"tolerance": float("nan")}, "tolerance is nan; a finite number"),
     ):
@@ -562,7 +562,7 @@ def test_bad_tasks_and_fronts(floor5, shift):
 def test_negative_costs_are_refused():
     model = stl.MDP.from_arrays([[[0, 1], [1, 0]]], {"x": [0, -2.5]}, 0, {"A": [1, 0]})
     joint = stl.build_joint_product(model, {"task": stl.parse("F[0,3] A")})
-    with pytest.raises(SettingsError, match=r"signal x is -2.5 in state 1; a cost is at least 0"):
+    with pytest.raises(SettingsError, match=r"signal x is -2.5 in state 1, but a cost must be at least 0"):
         stl.tradeoff(joint, "task", budget={"x": 1})
 
 
@@ -679,7 +679,7 @@ def test_rare_tasks_have_fronts_too():
 def test_costs_that_overflow_and_names_that_clash(floor5):
     model = dataclasses.replace(floor5, signals={**floor5.signals, "g": np.full(18, 1e308)})
     joint = stl.build_joint_product(model, {"one": stl.parse("F[0,3] A"), "A": stl.parse("F[0,3] B")})
-    with pytest.raises(SettingsError, match="cost g is up to 1e.308 a step; scale the signal"):
+    with pytest.raises(SettingsError, match="cost g is up to 1e.308 per step; scale the signal"):
         stl.tradeoff(joint, "one", budget={"g": 1e308})
-    with pytest.raises(SettingsError, match="A names a task and a cost; rename the task"):
+    with pytest.raises(SettingsError, match="A is the name of both a task and a cost; rename the task"):
         stl.tradeoff(joint, "one", at_least={"A": 0.0}, budget={"A": 1.0})

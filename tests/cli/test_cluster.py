@@ -29,9 +29,9 @@ def test_the_same_answer(address, stltool):
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        (["--exact"], "--exact is for one machine; leave --cluster out"),
+        (["--exact"], "--exact does not run on a cluster; leave --cluster out"),
         (["--model", str(FACTORY / "floor-5x5-uncertain.toml")], "add --nature nominal"),
-        (["--save-policy", "best.policy", "--resume"], "--resume is for one machine"),
+        (["--save-policy", "best.policy", "--resume"], "--resume does not run on a cluster"),
     ],
 )
 def test_what_it_does_not_do(more, message, address, stltool, tmp_path, monkeypatch):

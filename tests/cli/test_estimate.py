@@ -59,7 +59,7 @@ def test_an_exact_value_outside_is_said_to_be(estimate):
 def test_a_sequential_test_sets_the_exit_code(estimate, bound, code, verdict):
     ended, out, _ = estimate("--at-least", bound, "--indifference", 0.02, "--alpha", 0.001, "--beta", 0.001)
     assert ended == code
-    assert f"P >= {bound} {verdict}; were P at " in out
+    assert f"P >= {bound} {verdict}; if P were at " in out
     assert "probability at most 0.001" in out
     ended, out, err = estimate("--at-least", bound, "--json")
     data = json.loads(out)
@@ -71,7 +71,7 @@ def test_a_sequential_test_sets_the_exit_code(estimate, bound, code, verdict):
 def test_undecided_is_neither(estimate):
     code, out, _ = estimate("--at-least", EXACT, "--most-runs", 100)
     assert code == 1
-    assert "is not decided after 100 runs; nothing is claimed" in out
+    assert "is undecided after 100 runs; no claim is made" in out
 
 
 def test_an_infinite_ratio_is_left_out_of_the_json(estimate):

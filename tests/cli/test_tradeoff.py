@@ -35,7 +35,7 @@ def test_pareto_prints_the_corners(stltool, front):
     assert code == 0
     assert all(f"{x:.12g}" in out and f"{y:.12g}" in out for x, y in shown)
     code, out, _ = stltool("pareto", TASK, *SMALL, *BOTH, "--points", 2)
-    assert "stopped after 2 points; ask for more" in out
+    assert "stopped after 2 points; raise points to continue" in out
 
 
 @pytest.mark.parametrize("ending", ["svg", "PNG"])
@@ -94,7 +94,7 @@ def test_tradeoff_prints_and_saves(stltool, front, tmp_path):
         (["pareto", "--tasks", "charging,"], "two names are needed"),
         (["pareto", "--tasks", "charging,charging"], "two tasks are called charging"),
         (["pareto", "--tasks", "charging,resting"], "resting"),
-        (["pareto", *BOTH, "--points", "1"], "at least the best of either task"),
+        (["pareto", *BOTH, "--points", "1"], "give at least 2, the best corner for each task"),
         (["pareto", *BOTH, "--plot", "front.pdf"], "pictures are written as .svg or .png"),
         (["tradeoff", "--objective", "resting"], "resting"),
         (["tradeoff", "--objective", "charging", "--require", "patrolling=0.9"], 'write --require "patrolling>=0.9"'),

@@ -54,7 +54,7 @@ def test_a_mass_and_its_cap(stltool):
     assert "8 runs are the fewest that cover 90 % of it" in out
     assert "7 more; -k prints more of them, --json all" in out
     _, out, _ = stltool("why", PATROLLING, *SMALL, "--mass", 0.9, "--most", 2)
-    assert "covered 0.344 of the asked 0.9 with 2 runs; raise most to go on" in out
+    assert "covered 0.344 of the requested 0.9 with 2 runs; raise most to continue" in out
     _, out, _ = stltool("why", PATROLLING, *SMALL, "--mass", 1)
     assert "runs (there are no others)" in out
 
@@ -97,7 +97,7 @@ def test_bad_input_ends_with_code_2(stltool, tmp_path):
     cases = [
         (["-k", 0], "--count is 0; it must be an integer from 1"),
         (["-k", "few"], "Invalid value"),
-        (["--mass", 0], "mass is 0.0; it is a share of the probability"),
+        (["--mass", 0], "mass is 0.0; give a share of the probability"),
         (["--mass", 1.01], "mass is 1.01"),
         (["--mass", "nan"], "'nan' is not a finite number"),
         (["--mass", 0.5, "--most", 0], "most is 0"),

@@ -338,7 +338,7 @@ def test_statements_round_down_and_say_what_they_rest_on(patrolling):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"confidence": 1}, "confidence is 1; it lies between 0 and 1"),
+        ({"confidence": 1}, "confidence is 1; give a number between 0 and 1"),
         ({"confidence": 0.0}, "confidence is 0.0"),
         ({"confidence": float("nan")}, "confidence is nan; a finite number is needed"),
         ({"support": "graph"}, "support is 'graph'; choose unknown or known"),

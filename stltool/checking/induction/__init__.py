@@ -1,4 +1,4 @@
-"""The one backward induction (induct.py): engines that say where to compute, arithmetics that say how."""
+"""The one backward induction (induct.py): engines define where to compute, arithmetics define how."""
 
 from stltool.checking.induction.allowed import EVERYTHING, Allowed, Among, Following, Silent
 from stltool.checking.induction.arithmetic import (

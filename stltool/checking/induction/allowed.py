@@ -1,4 +1,4 @@
-"""Which choices count in a pair (s, q) after step t: all of them, a policy's, or a set of one's own."""
+"""Which choices count in a pair (s, q) after step t: all of them, a policy's, or any given set."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ class Allowed:
     """All choices. Subclasses allow fewer.
 
     everything   whether all choices count everywhere
-    mixed        whether chance picks among those allowed (a mixed policy); otherwise whoever optimises does
+    mixed        whether chance picks among the allowed choices (a mixed policy); otherwise the optimiser does
     """
 
     everything = True
     mixed = False
 
     def choices(self, rows: Rows | Demand, t: int, s: I64, q: I64) -> tuple[I64, I64, NDArray[np.float64] | None]:
-        """The choices of pairs (s, q): which pair each belongs to (ascending), its number in `rows`, its weight."""
+        """The choices of pairs (s, q): the pair that each belongs to (ascending), its number in `rows`, its weight."""
         here, start = rows.at(s), rows.choice_start
         count = start[here + 1] - start[here]
         owner = np.repeat(np.arange(len(s)), count)
@@ -34,7 +34,7 @@ class Allowed:
         return owner, start[here][owner] + offset, None
 
     def weights(self, t: int, s: I64, q: I64, number: I64) -> NDArray[np.float64]:
-        """Of a mixture: the probability of each choice, by its number within its state."""
+        """For a mixture: the probability of each choice, by its number within its state."""
         raise NotImplementedError
 
     def masks(self, t: int, graph: Graph, sets: Sets) -> tuple[I64, U64]:
@@ -42,11 +42,11 @@ class Allowed:
         return np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.uint64)
 
     def first_alike(self, t: int) -> int:
-        """The first step from which on, to step t, the same choices count."""
+        """The first step such that from there to step t the same choices count."""
         return 0
 
     def last_alike(self, t: int) -> int:
-        """The last step to which, from step t on, the same choices count."""
+        """The last step such that from step t to there the same choices count."""
         return 2**62
 
 
@@ -54,7 +54,7 @@ EVERYTHING = Allowed()
 
 
 class Following(Allowed):
-    """The choices that a policy takes. Raises `Silent` where a pair that is reached has none."""
+    """The choices that a policy takes. Raises `Silent` if a reached pair has none."""
 
     everything = False
 
@@ -103,7 +103,7 @@ class Following(Allowed):
 
 
 class Among(Following):
-    """The choices to which a mixture gives weight, whoever optimises picks among them."""
+    """The choices to which a mixture gives weight; the optimiser picks among them."""
 
     def __init__(self, form: Form) -> None:
         super().__init__(form)
@@ -111,4 +111,4 @@ class Among(Following):
 
 
 class Silent(Exception):
-    """A policy has no choice somewhere it can be: whoever asked finds out where, and says so."""
+    """A policy has no choice in some reachable pair: the caller finds out which and reports it."""

@@ -1,9 +1,9 @@
-"""Layers where any state may follow any other: for models that are learned, and not believed to be complete.
+"""Layers in which any state may follow any other: for learned models, which may be incomplete.
 
-    F_t = {(s, q) : q undecided after step t, δ(L(s), ·) reached it from some undecided memory of step t−1}
+    F_t = {(s, q) : q undecided after step t, δ(L(s), ·) reached it from some undecided state of step t−1}
 
-They are the same whatever the rows say, so `Anywhere` makes them once for all plans over one automaton; none of them is
-told apart as certain. Plans may begin at any step: `Later` counts an automaton's steps from there.
+They do not depend on the rows, so `Anywhere` makes them once for all plans over one automaton; none of them is
+classified as certain. Plans may start at any step: `Later` counts an automaton's steps from there.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from stltool.models.rows import starts
 
 @dataclass(frozen=True, eq=False)
 class Later:
-    """An automaton's steps from `since` on; entering is not asked for."""
+    """An automaton's steps from `since` on; `entered` is not available."""
 
     automaton: Automaton
     since: int
@@ -56,16 +56,16 @@ class Later:
 
 
 class Anywhere:
-    """F_0 … F_{h−1} of an automaton over states with these letters, which may follow each other in any order.
+    """F_0 … F_{h−1} of an automaton over states with these letters, any of which may follow any other.
 
-    `choices` is the type of the choices that plans keep.
+    `choices` is the dtype of the choices that plans keep.
     """
 
     def __init__(self, automaton: Automaton, letter: I32, choices: type[np.unsignedinteger]) -> None:
         self.automaton, self.letter, self.choices = automaton, letter, choices
         self._layers: dict[int, Layer] = {}
         letters = np.unique(letter)
-        # by step: which automaton states are reached on reading each letter, as far as it occurs
+        # by step: the automaton states reached on reading each letter, if it occurs
         after = np.zeros((int(letter.max()) + 1, automaton.n_states), dtype=np.bool_)
         after[letters, automaton.enter(letters)] = True
         self._reached: list[NDArray[np.bool_]] = []
@@ -77,7 +77,7 @@ class Anywhere:
                 after[letters, moves[letters, q]] = True
 
     def layers(self, kind: type[Layers[Any, Any]], game: Game, since: int, budget: Budget) -> Layers[Any, Any]:
-        """Those of steps from `since` on, for a game over `Later`, held as Nodes or as Words, on one thread."""
+        """The layers of steps from `since` on, for a game over `Later`, as Nodes or as Words, on one thread."""
         return _Nodes(self, game, since, budget) if kind is Nodes else _Words(self, game, since, budget)
 
     def codes(self, t: int) -> I64:
@@ -86,7 +86,7 @@ class Anywhere:
         return found
 
     def layer(self, t: int) -> Layer:
-        """F_t as words, all of it open."""
+        """F_t as words, all of them open."""
         here = self._reached[t]
         if id(here) not in self._layers:
             n_words = -(-here.shape[1] // 64)

@@ -1,8 +1,10 @@
-"""What a layer's numbers are, and how a step back is made of them: an arithmetic, which answers with any engine.
+"""What a layer's numbers are, and how a backward step is computed from them: an arithmetic, which works with any
+engine.
 
     V_t(i) = opt or Σ_j weight_j ·  over choices j of pair i of   Σ_k share_k · V_{t+1}(child_k)
 
-A layer is an array (n + 2, …): slot REST the value of what is not listed, SURE of what is sure, then the open pairs.
+A layer is an array (n + 2, …): slot REST holds the value of unlisted pairs, SURE that of sure pairs, then come the open
+pairs.
 """
 
 from __future__ import annotations
@@ -28,53 +30,52 @@ Values = NDArray[Any]
 
 
 class Arithmetic(ABC):
-    """One way to compute.
+    """One kind of arithmetic.
 
-    repeats   whether equal values under equal edges give equal values again, whatever the step: then the induction may
-              stop early
+    repeats   whether equal values under equal edges give equal values again at any step: then the induction may stop
+              early
     """
 
     repeats = True
 
     def begin(self, rows: Rows) -> None:
-        """Called before the first step back, with the rows that edges speak of (`Layers.rows`)."""
+        """Called before the first backward step, with the rows that edges refer to (`Layers.rows`)."""
         self.rows = rows
 
     def tiles(self, engine: Words) -> Tiles | None:
-        """The same by tiles of eight automaton states, where there is such a way."""
+        """The same by tiles of eight automaton states, if supported."""
         return None
 
     @abstractmethod
     def ends(self, t: int) -> tuple[Any, Any]:
-        """The values after step t of what is not listed, and of what is sure."""
+        """The values after step t of unlisted pairs, and of sure pairs."""
 
     @abstractmethod
     def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
         """(m, …): the value of every choice of step t."""
 
     def start(self, t: int) -> Values:
-        """The layer after step t where no pair is open."""
+        """The layer after step t if no pair is open."""
         return np.array(self.ends(t))
 
     def back(
         self, t: int, edges: Edges, ahead: Values, maximize: bool, keep: bool
     ) -> tuple[Values, NDArray[np.int64] | None]:
-        """The values of the pairs of step t, and, where asked for, the number among its choices of each one's first
-        best."""
+        """The values of the pairs of step t and, if asked for, the index of each pair's first best choice."""
         values, choice = select(self.sums(t, edges, ahead), edges, maximize, keep)
         return self.settled(values), choice
 
     def settled(self, values: Values) -> Values:
-        """Of the best sums: the values in the layer's own unit."""
+        """Convert the best sums to values in the layer's own unit."""
         return values
 
     def layer(self, t: int, values: Sequence[Values]) -> Values:
-        """The layer of step t, of the values of its open pairs in parts; called after `back` for each of them."""
+        """The layer of step t, from the values of its open pairs in parts; called after `back` for each of them."""
         return np.concatenate([self.start(t), *values])
 
 
 def select(sums: Values, edges: Edges, maximize: bool, keep: bool) -> tuple[Values, NDArray[np.int64] | None]:
-    """The best of each pair's choices, the first of equals; or their mixture, where choices have weights."""
+    """The best of each pair's choices, the first of equals; or their mixture, if choices have weights."""
     if edges.weight is not None:
         return np.add.reduceat(edges.weight * sums, edges.choices[:-1]), None
     count = np.diff(edges.choices)
@@ -88,7 +89,7 @@ def select(sums: Values, edges: Edges, maximize: bool, keep: bool) -> tuple[Valu
 
 
 def row_sums(terms: Values, start: NDArray[np.int64]) -> Values:
-    """Σ terms[start[j]:start[j+1]] for every j, added one after another from the first, as kernels do: so the engines
+    """Σ terms[start[j]:start[j+1]] for every j, added one by one from the first, as the kernels do, so that the engines
     agree to the last bit."""
     length = np.diff(start)
     order = np.argsort(-length, kind="stable")
@@ -107,7 +108,7 @@ _LONG = 64  # terms; longer rows are added one by one
 
 
 class Probabilities(Arithmetic):
-    """Probabilities in doubles, for whoever wants the sums of all choices."""
+    """Probabilities in doubles, for callers that need the sums of all choices."""
 
     def __init__(self, maximize: bool) -> None:
         self._ends = (0.0, 1.0) if maximize else (1.0, 0.0)
@@ -148,8 +149,8 @@ class Fixed(Arithmetic):
 class Integers(Arithmetic):
     """N_t = V_t · D^(h−t) in Python's integers, without any division (checking/rational.py).
 
-    one   what stands for 1 in the last layer that was made. The weights of a mixture, in proportion to the doubles
-          given, enter as integers over a denominator of their own, step by step
+    one   the integer for 1 in the last layer that was made. The weights of a mixture, in proportion to the doubles
+          given, enter as integers over their own denominator, step by step
     """
 
     repeats = False
@@ -202,7 +203,7 @@ def whole_weights(weight: NDArray[np.float64], start: NDArray[np.int64]) -> tupl
 
 
 class Digits(Arithmetic):
-    """The same in digits of a fixed width, for D < 2^40 and policies that do not mix (kernels/edges.py)."""
+    """The same in digits of a fixed width, for D < 2^40 and deterministic policies (kernels/edges.py)."""
 
     repeats = False
 
@@ -219,7 +220,7 @@ class Digits(Arithmetic):
         return (np.zeros_like(one), one) if self._maximize else (one, np.zeros_like(one))
 
     def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
-        raise NotImplementedError  # choices are compared digit by digit, as they are added up
+        raise NotImplementedError  # choices are compared digit by digit while sums are computed
 
     def back(
         self, t: int, edges: Edges, ahead: Values, maximize: bool, keep: bool
@@ -249,9 +250,9 @@ class Digits(Arithmetic):
 
 
 class Nature(Arithmetic):
-    """Where probabilities are intervals: nature picks each row's distribution within them (checking/robust.py).
+    """For interval probabilities: nature picks each row's distribution within them (checking/robust.py).
 
-    `minimal`: whether nature minimises; `maximize` whose goals the layers have.
+    `minimal`: whether nature minimises; `maximize`: the direction whose goals the layers have.
     """
 
     def __init__(self, minimal: bool, maximize: bool) -> None:

@@ -1,14 +1,15 @@
-"""The induction on a dask cluster: model states in blocks, of which only borders are exchanged.
+"""The induction on a dask cluster: model states in blocks that exchange only their borders.
 
-A block owns a range of the graph's states, and knows their successors, its *border*, too. A step is one task a block:
+A block owns a range of the graph's states, and also knows their successors, its *border*. A step is one task per block:
 
-    forward   the sets that blocks send of what their runs reach are united and pushed through δ: F_t of the block;
-              along its states' choices they are united again, for each block that owns what they lead to
-    back      the layer ahead is that of the block's own states with what owners send of its border's; then the bits,
-              the numbers and the choices of the block's own states, by the same kernels in the same order
+    forward   the reached sets that other blocks send are united and pushed through δ: F_t of the block; then they are
+              united along its states' choices and sent to the blocks that own the successors
+    back      the layer ahead consists of the block's own states and of what the owners send for its border; from it
+              come the bits, the numbers and the choices of the block's own states, by the same kernels in the same
+              order
 
-so values, bounds and policies are the same to the bit as on one machine. Tasks are functions of what they are given: a
-worker that dies takes nothing with it that dask does not compute again.
+so values, bounds and policies are bit for bit the same as on one machine. Tasks are pure functions of their arguments:
+if a worker dies, dask computes again whatever is lost.
 """
 
 from __future__ import annotations
@@ -45,9 +46,9 @@ Ahead: TypeAlias = tuple[Layer, Values]
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """What a task needs of its block; states are numbered as in the whole graph, unless they are the block's own.
+    """What a task needs about its block; states are numbered as in the whole graph, except the block's own.
 
-    number   of the block: its states are cuts[number] … cuts[number + 1] − 1
+    number   the block's number: its states are cuts[number] … cuts[number + 1] − 1
     known    the block's states and its border, ascending
     graph    of these, by their position in `known`
     """
@@ -67,7 +68,7 @@ class Block:
         return Moves(self.automaton)
 
     def engine(self) -> Words:
-        """Over the block's graph; a new one for each task, since its buffers are one thread's."""
+        """The engine over the block's graph; a new one for each task, since its buffers belong to one thread."""
         game = Game(self.graph.rows, self.automaton, self.graph.letter, self.graph.first.astype(np.int64))
         game.kept["words"] = (self.graph, self.moves)
         return Words(game, self.goal, self.allowed, choices=self.choices, threads=1)
@@ -77,7 +78,7 @@ class Block:
 
 
 class Forward(NamedTuple):
-    """F_t of a block, whether it is that of the step before, and what it sends to each block."""
+    """F_t of a block, whether it equals that of the step before, and what it sends to each block."""
 
     sets: Sets
     same: bool
@@ -93,7 +94,7 @@ class Reaching(NamedTuple):
 
 
 class Back(NamedTuple):
-    """A block's layer and values of a step, whether they are those of the step after, and its choices."""
+    """A block's layer and values of a step, whether they equal those of the step after, and its choices."""
 
     layer: Layer
     values: Values
@@ -143,7 +144,7 @@ def begin(block: Block) -> Forward:
 
 
 def forward(block: Block, t: int, before: Forward, *received: Sets) -> Forward:
-    """F_t from what blocks sent at step t − 1, the block itself included."""
+    """F_t from what all blocks, this one included, sent at step t − 1."""
     from stltool.kernels import words
 
     engine = block.engine()
@@ -171,7 +172,7 @@ def sets_of(result: Forward) -> Sets:
 
 
 def back(block: Block, t: int, sets: Sets, own: Back | None, *pieces: Ahead) -> Back:
-    """A block's layer, values and choices of step t, from its own of step t + 1 and pieces of other blocks'."""
+    """A block's layer, values and choices of step t, from its own ones of step t + 1 and pieces of other blocks'."""
     engine = block.engine()
     tiles = block.arithmetic.tiles(engine)
     layer, values = _whole(block, own, pieces, engine, tiles)
@@ -186,7 +187,7 @@ def back(block: Block, t: int, sets: Sets, own: Back | None, *pieces: Ahead) -> 
 
 
 def piece(result: Back, states: I32) -> Ahead:
-    """What a block's layer has of some states, to be sent to another block."""
+    """The part of a block's layer for some states, to be sent to another block."""
     layer = result.layer
     kept = np.isin(layer.states, states)
     words = np.repeat(kept, np.diff(layer.start))
@@ -200,7 +201,7 @@ def piece(result: Back, states: I32) -> Ahead:
 
 
 def again(block: Block, t: int, before: Forward) -> Forward:
-    """F_t, which is that of a step before: what it sends by the choices of step t."""
+    """F_t, equal to that of an earlier step, with what it sends by the choices of step t."""
     return Forward(before.sets, True, _sent(block, block.engine(), t, before.sets))
 
 
@@ -241,7 +242,7 @@ _NOTHING = Sets(
 
 
 def _sent(block: Block, engine: Words, t: int, sets: Sets) -> dict[int, Sets]:
-    """What the sets of the block's states lead to, by the block that owns it."""
+    """What the sets of the block's states lead to, by owning block."""
     from stltool.kernels import words
 
     if not len(sets.states):
@@ -269,7 +270,7 @@ def _sent(block: Block, engine: Words, t: int, sets: Sets) -> dict[int, Sets]:
 
 
 def _unite_as_they_are(engine: Words, states: I32, sets: Sets) -> int:
-    """The rows of sets that name some states several times."""
+    """One row for each state, from sets that list some states several times."""
     from stltool.kernels import words
 
     scratch, moves = engine.crew.first, engine.moves
@@ -298,7 +299,7 @@ def _joined(parts: Sequence[Sets]) -> Sets:
 
 
 def _whole(block: Block, own: Back | None, pieces: Sequence[Ahead], engine: Words, tiles: Tiles) -> Ahead:
-    """The layer ahead of all states that a block knows, by its own numbers: in the order of the pieces."""
+    """The layer ahead of all states that a block knows, in its own numbering: the pieces in order."""
     ahead = [piece for piece in pieces if len(piece[0].states)]
     if own is not None and len(own.layer.states):
         ahead.append((own.layer, own.values))
@@ -309,7 +310,7 @@ def _whole(block: Block, own: Back | None, pieces: Sequence[Ahead], engine: Word
 
 
 def _put_together(parts: Sequence[Ahead]) -> Ahead:
-    """One layer of several, in their order."""
+    """One layer from several, in their order."""
     layers = [layer for layer, _ in parts]
     words = np.cumsum([0, *(len(layer.word) for layer in layers)])
     counts = np.cumsum([0, *(layer.n_tiles for layer in layers)])
@@ -341,7 +342,7 @@ def solve_on_cluster(
     budget: Budget,
     n_blocks: int | None = None,
 ) -> Solution:
-    """What `solve` finds, by the client's workers, in n_blocks, or one for each of their threads."""
+    """The result of `solve`, by the client's workers, in n_blocks blocks (default: one for each of their threads)."""
     recorder, whole = recorder or InMemory(), False
     try:
         recorder.resume(None)
@@ -362,7 +363,7 @@ def solve_on_cluster(
 
 
 class ClusterWay:
-    """As `Way`, by the workers of a cluster: of every step the layer and its values come back."""
+    """Like `Way`, by the workers of a cluster: the layer and the values of every step are sent back."""
 
     engine = "cluster"
 
@@ -373,7 +374,7 @@ class ClusterWay:
         self._dtype = np.int64 if isinstance(arithmetic, Fixed) else np.float64
 
     def end(self) -> Passed:
-        """After the last step."""
+        """The layer after the last step."""
         return Passed(self._layers.game.horizon, self._layers.nothing(), np.empty(0, dtype=self._dtype), 0)
 
     def back(self, at: Passed) -> Iterator[Step]:
@@ -388,13 +389,13 @@ class ClusterWay:
             yield Step(step.first, step.last, step.again, None, at)
 
     def by_slot(self, at: Passed) -> Values:
-        """The values of a layer, as arithmetics have them."""
+        """The values of a layer, as arithmetics hold them."""
         ends = np.array([self._ends[REST], self._ends[SURE]], dtype=self._dtype)
         return np.concatenate([ends, at.values[lanes_of(at.ahead, at.ahead.open)]])
 
 
 def _reached(work: _Work, budget: Budget) -> list[Reaching]:
-    """What is reached, by stretches."""
+    """The reached sets, by stretches."""
     game, allowed, h = work.game, work.allowed, work.game.horizon
     now, first, t = work.begin(), 0, 0
     stretches: list[Reaching] = []
@@ -422,7 +423,7 @@ def _reached(work: _Work, budget: Budget) -> list[Reaching]:
 
 
 class BackStep(NamedTuple):
-    """Steps first … last, which have the same values: the results of every block; as `Step` of one machine."""
+    """Steps first … last, which have the same values: the results of every block; like `Step` on one machine."""
 
     first: int
     last: int
@@ -432,7 +433,7 @@ class BackStep(NamedTuple):
 
 
 def _back(work: _Work, stretches: list[Reaching], budget: Budget) -> Iterator[BackStep]:
-    """Every step back that is computed, from the last."""
+    """Every backward step that is computed, from the last."""
     game, allowed = work.game, work.allowed
     latest: list[Future[Back]] | None = None
     flight: deque[tuple[int, BackStep, list[Future[bool]]]] = deque()
@@ -491,7 +492,7 @@ class _Work:
         self._needed = [[(j, self._submit(j, _itself, states)) for j, states in border.items()] for border in borders]
 
     def _submit(self, i: int, task: Any, *given: Any) -> Future[Any]:
-        """A task of block i, which stays with its worker as long as that lives."""
+        """A task of block i, which stays with its worker as long as the worker lives."""
         return self._client.submit(
             task, *given, pure=False, workers=[self._worker[i % len(self._worker)]], allow_other_workers=True
         )
@@ -522,7 +523,7 @@ class _Work:
         return found
 
     def ask(self, question: Any, results: Sequence[Future[Any]]) -> list[Future[Any]]:
-        """A question about the result of every block, answered where it is."""
+        """A function of the result of every block, computed where the result is."""
         return [self._submit(i, question, result) for i, result in enumerate(results)]
 
     def told(self, answers: list[Future[Any]]) -> list[Any]:
@@ -531,7 +532,7 @@ class _Work:
 
 
 def _cuts(graph: Graph, wanted: int) -> I64:
-    """Where blocks of equally many row entries begin, and the end; none is empty."""
+    """The boundaries of blocks with about equally many row entries, the end included; no block is empty."""
     weight = graph.row_start[graph.choice_start]
     inner = np.searchsorted(weight, np.linspace(0, weight[-1], wanted + 1)[1:-1])
     return np.unique(np.concatenate([[0], inner, [len(graph.states)]])).astype(np.int64)

@@ -1,4 +1,4 @@
-"""One step of an induction written out: from the open pairs of a layer along their choices to the layer ahead."""
+"""The edges of one step: from the open pairs of a layer along their choices to the layer ahead."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 REST, SURE, OPEN = 0, 1, 2
-"""Slots of a layer's values: what is not listed, what is sure, and from OPEN on the open pairs in order."""
+"""Slots of a layer's values: unlisted pairs, sure pairs, and from OPEN on the open pairs in order."""
 
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """n pairs with m choices in all and e edges; pairs in order of (s, q), choices and entries in the model's.
+    """n pairs with m choices in total and e edges; pairs in order of (s, q), choices and entries in the model's.
 
     s, q     (n,) int64: the pairs
     choices  (n+1,) int64: pair i has the choices choices[i] … choices[i+1]−1 of this list
     choice   (m,) int64: their numbers among the engine's rows (`Layers.rows`)
-    weight   (m,) the policy's probability of each, or None where one of them is taken
+    weight   (m,) the policy's probability of each, or None if one of them is taken
     start    (m+1,) int64: choice j has the edges start[j] … start[j+1]−1
-    entry    (e,) int64: its number among the entries of these rows
+    entry    (e,) int64: its index among the entries of these rows
     child    (e,) int64: the slot ahead that it leads to
     """
 
@@ -45,7 +45,7 @@ class Edges:
 
 @dataclass(frozen=True, eq=False)
 class Fan:
-    """The same before it is known what is listed ahead; s_ahead, q_ahead (e,) int64: the pairs that edges lead to."""
+    """The same before the slots ahead are known; s_ahead, q_ahead (e,) int64: the pairs that edges lead to."""
 
     s: NDArray[np.int64]
     q: NDArray[np.int64]

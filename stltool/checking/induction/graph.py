@@ -21,7 +21,7 @@ U64: TypeAlias = NDArray[np.uint64]
 
 
 class Automaton(Protocol):
-    """An automaton as an induction reads it, whose states may be numbered differently after each step.
+    """An automaton as seen by an induction; its states may be numbered differently after each step.
 
     horizon    h: after step h every state is decided
     n_states   the most states there are after any step
@@ -33,23 +33,24 @@ class Automaton(Protocol):
     def n_states(self) -> int: ...
 
     def enter(self, letters: I32) -> I32:
-        """The states after step 0, by the letter it reads."""
+        """The states after step 0, by the letter read there."""
 
     def moves(self, t: int) -> I32:
-        """(n_letters, n) int32: from each state after step t to that after step t + 1. The same array where it is."""
+        """(n_letters, n) int32: from each state after step t to that after step t + 1. Equal moves are the same
+        array."""
 
     def verdicts(self, t: int) -> I8:
         """(n,): the verdict of each state after step t."""
 
     def alike(self, t: int) -> tuple[int, int]:
-        """The first and the last of the steps around t that are read and judged as step t is, states numbered alike."""
+        """The first and the last of the steps around t with the same moves, verdicts and numbering of states."""
 
     def keeps_numbers(self, t: int) -> bool:
         """Whether states after step t + 1 are numbered as those after step t."""
 
 
 class Single:
-    """A task's automaton. Its verdicts alone depend on the step."""
+    """A task's automaton. Only its verdicts depend on the step."""
 
     def __init__(self, automaton: TaskAutomaton) -> None:
         self._automaton = automaton
@@ -73,7 +74,8 @@ class Single:
 
 
 class Joint:
-    """Several tasks' automaton, layer by layer: false where every verdict has fallen; with `paying`, not before h."""
+    """The automaton of several tasks, layer by layer: false where every verdict is decided; with `paying`, not before
+    h."""
 
     def __init__(self, automaton: JointAutomaton, paying: bool) -> None:
         self._automaton, self._paying = automaton, paying
@@ -112,10 +114,10 @@ def _around(starts: I64, t: int, last: int) -> tuple[int, int]:
 class Game:
     """A model's rows with an automaton that reads them.
 
-    rows    all of them, or those asked for: Demand makes them as runs are found to get there
+    rows    all of them, or those needed: Demand makes them as runs reach them
     letter  (n_states,) int32: the automaton's letter of each model state
-    first   (k,) int64: the states that runs begin in, ascending
-    kept    what engines prepare once and use for every question about the game
+    first   (k,) int64: the states that runs start in, ascending
+    kept    what engines prepare once and reuse for every question about the game
     """
 
     rows: Rows | Demand
@@ -126,7 +128,8 @@ class Game:
 
     @classmethod
     def of(cls, product: Product, everywhere: bool = False) -> Game:
-        """A product's; with `everywhere`, runs may begin in every state. The same one as long as the product lives."""
+        """The game of a product; with `everywhere`, runs may start in every state. The same object as long as the
+        product lives."""
         games = _GAMES.setdefault(product, {})
         if everywhere not in games:
             model = product.model
@@ -136,7 +139,8 @@ class Game:
 
     @classmethod
     def of_joint(cls, joint: JointProduct, paying: bool = False) -> Game:
-        """A joint product's, its states numbered by layer; with `paying`, every run goes on to the horizon."""
+        """The game of a joint product, its states numbered by layer; with `paying`, every run continues to the
+        horizon."""
         model = joint.model
         return cls(model.some_rows(), Joint(joint.automaton, paying), joint.letter, np.flatnonzero(model.initial))
 
@@ -157,7 +161,7 @@ class Game:
 
     @property
     def widest(self) -> int:
-        """The most row entries that a state has, all choices together."""
+        """The largest number of row entries of a state, all choices together."""
         return self.rows.widest
 
 

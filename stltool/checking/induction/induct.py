@@ -1,14 +1,14 @@
-"""One backward induction for every question: an engine says where to compute, an arithmetic how.
+"""One backward induction for every question: an engine defines where to compute, an arithmetic how.
 
     V_t(s,q) = 1 / 0                                            if verdict_t(q) is true / false
              = opt_c Σ_s' P(s'|c) · V_{t+1}(s', δ(L(s'), q))     otherwise
     P(Φ)     = Σ_s ι(s) V_0(s, δ(L(s), q₀))                      after h steps: no stopping rule, no truncation
 
-(docs/semantics.md §3.) The engine: lists of pairs in numpy while few pairs are reached (nodes.py), words of bits beyond
-(words.py); on these, doubles and fixed point take eight automaton states at a time (tiled.py).
+(docs/semantics.md §3.) The engine: lists of pairs in numpy if few pairs are reached (nodes.py), otherwise words of bits
+(words.py); with words, doubles and fixed point process eight automaton states at a time (tiled.py).
 
 **Stopping early.** Let steps u … t have the same open and sure pairs, verdicts (of the steps after them) and choices
-that count. V_t is a function f of V_{t+1}, one that is the same for all of them, down to every rounding. So if
+that count. V_t is a function f of V_{t+1}, the same for all of them, down to every rounding. So if
 V_t = V_{t+1} bit for bit, then V_{t−1} = f(V_t) = f(V_{t+1}) = V_t, and so on down to u, the choices too. Nothing is
 truncated: these are the numbers that h steps give, and an enclosure that counts the roundings of h steps holds for
 them.
@@ -37,16 +37,17 @@ from stltool.choices import Choices
 from stltool.sizes import integer_type
 
 Engine: TypeAlias = Literal["auto", "nodes", "words"]
-FEW, FEW_LOADED, FEW_USED = 100_000, 3_000, 200  # pairs, all steps together, until numba is loaded, and words.py
+# the most pairs, all steps together, for numpy: until numba is loaded, until words.py is used, and after that
+FEW, FEW_LOADED, FEW_USED = 100_000, 3_000, 200
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
     """entry    the value at each of the game's first states, in order
     certain  (k,) whether each is certain: 0 or 1, without any rounding
-    choices  the first best choice by step (None where not kept)
+    choices  the first best choice by step (None if not kept)
     engine   "nodes" | "words" | "tiles" | "cluster"
-    swept    steps back that were computed; the others repeat
+    swept    backward steps that were computed; the others repeat
     """
 
     entry: Values
@@ -68,15 +69,16 @@ def layers_of(
     threads: int | None = None,
     budget: Budget | None = None,
 ) -> Layers[Any, Any]:
-    """What is reached and open, by the engine asked for: `auto` takes the one that suits.
+    """The reached and open pairs, by the engine asked for; `auto` chooses one.
 
-    Their results are the same to the bit, so what suits may be a matter of what is loaded already: numba takes a while.
+    Their results are the same to the bit, so the choice may depend on whether numba is loaded already, which takes a
+    while.
     """
     if engine != "words":
         few = None if engine == "nodes" else _few()
         nodes = Nodes(game, goal, allowed, live, sure, budget, few)
         try:
-            nodes.reached  # noqa: B018 - found here, so that too many are too many here
+            nodes.reached  # noqa: B018 - computed here, so that TooMany is raised here
         except TooMany:
             pass
         else:
@@ -102,7 +104,7 @@ def induct(
     threads: int | None = None,
     budget: Budget | None = None,
 ) -> Solution:
-    """Solve a game. `keep` is the type of the choices that are kept, or None."""
+    """Solve a game. `keep` is the dtype of the choices that are kept, or None."""
     goal = TRUE if maximize else FALSE
     layers = layers_of(game, goal, allowed, engine=engine, keep=keep, threads=threads, budget=budget)
     return solve(layers, arithmetic, maximize, keep)
@@ -115,7 +117,7 @@ def solve(
     keep: type[np.unsignedinteger] | None = None,
     recorder: Recorder | None = None,
 ) -> Solution:
-    """Back over the layers, which were made for the same choices to be kept; `recorder` is where these go."""
+    """Backwards over the layers, which were made for the same choices to keep; `recorder` receives these."""
     recorder, found = recorder or InMemory(), None
     try:
         found = _solve(layers, arithmetic, maximize, keep, recorder)
@@ -145,9 +147,9 @@ def _solve(
 
 
 class Step(NamedTuple):
-    """Steps first … last, which have the same values: `at` is the first of them. `choice`: the best, where kept.
+    """Steps first … last, which have the same values: `at` is the first of them. `choice`: the best, if kept.
 
-    again   whether the layer and its values are those of the steps after these
+    again   whether the layer and its values equal those of the steps after these
     """
 
     first: int
@@ -158,7 +160,7 @@ class Step(NamedTuple):
 
 
 class Way:
-    """The way back over layers by an arithmetic; by tiles, where there is such a way.
+    """The way back over layers by an arithmetic; by tiles, if it supports them.
 
     engine  "nodes" | "words" | "tiles"
     """
@@ -171,18 +173,18 @@ class Way:
         keep: type[np.unsignedinteger] | None = None,
     ) -> None:
         self._layers, self._arithmetic, self._maximize, self._keep = layers, arithmetic, maximize, keep
-        assert layers.reached is not None  # which makes all rows
+        assert layers.reached is not None  # computing it makes all rows
         arithmetic.begin(layers.rows)
         self._tiles = arithmetic.tiles(layers) if isinstance(layers, Words) and not layers.allowed.mixed else None
         self.engine = "nodes" if isinstance(layers, Nodes) else "words" if self._tiles is None else "tiles"
 
     def end(self) -> Passed:
-        """After the last step."""
+        """The layer after the last step."""
         h, tiles = self._layers.game.horizon, self._tiles
         return Passed(h, self._layers.nothing(), self._arithmetic.start(h) if tiles is None else tiles.start(), 0)
 
     def back(self, at: Passed) -> Iterator[Step]:
-        """From where it is to step 0."""
+        """From the current step to step 0."""
         layers, tiles = self._layers, self._tiles
         for first, last, layer in layers.backwards(at.before, at.ahead):
             t = last
@@ -201,12 +203,12 @@ class Way:
                 layers.budget.tell(until, layers.game.horizon, back=True)
 
     def by_slot(self, at: Passed) -> Values:
-        """The values of a layer, as arithmetics have them."""
+        """The values of a layer, as arithmetics hold them."""
         return at.values if self._tiles is None else self._tiles.values(at.ahead, at.values)
 
 
 def recorded(game: Game, recorder: Recorder) -> Choices:
-    """What an induction told its recorder."""
+    """What an induction passed to its recorder."""
     shape, most = (game.n_states, game.automaton.n_states), game.rows.most_choices
     return Choices(shape, game.horizon, recorder.layers(), integer_type(most - 1))
 
@@ -229,7 +231,7 @@ def _back(
             found, choice = arithmetic.back(t, edges, values, maximize, keep is not None)
             values_found.append(found)
             if choice is not None:
-                if not layers.allowed.everything:  # so far counted among those allowed
+                if not layers.allowed.everything:  # so far numbered among the allowed choices
                     choice = layers.within(edges.s, edges.choice[edges.choices[:-1] + choice])
                 choices.append(choice)
     by_slot = arithmetic.layer(t, values_found)

@@ -1,4 +1,4 @@
-"""Where a backward induction has to compute at all: by step, what runs reach, and what is certain there.
+"""Where a backward induction has to compute at all: for each step, what runs reach, and what is certain there.
 
 Three sets of pairs (s, q) after step t, each exact:
 
@@ -7,14 +7,14 @@ Three sets of pairs (s, q) after step t, each exact:
     open      A_t    some choice can lead to a goal, but no choice makes it sure
 
 With true verdicts as goals the values of open pairs are strictly between 0 and 1, of sure ones 1, of all others 0; with
-false verdicts sure ones are 0 and others 1: what a minimum wants. No rounding decides which. Where `sure` pairs are not
-asked for they are open; where not even `live` ones are, everything reached is.
+false verdicts sure ones are 0 and others 1: what a minimum wants. This classification involves no rounding. Without
+`sure`, sure pairs count as open; without `live`, everything reached does.
 
 Steps at which nothing changes share a layer, a *stretch*:
 
     F_{t+1} = Φ(F_t) under the verdicts of t+1: if it equals F_t, it stays so until verdicts or choices change
-    (A, O)_t = Ψ(F_t, (A, O)_{t+1}) under the verdicts of t+1: if it equals that of t+1, all earlier ones do, as long as
-    F, verdicts and choices are the same
+    (A, O)_t = Ψ(F_t, (A, O)_{t+1}) under the verdicts of t+1: if it equals that of t+1, so do all earlier ones, as long
+    as F, verdicts and choices are the same
 
 so `F[0,1000000] goal` takes as many layers as it takes to reach the goal.
 """
@@ -38,39 +38,39 @@ from stltool.models.rows import Demand, Rows
 from stltool.sizes import memory_limit, require_memory, require_time
 
 Progress: TypeAlias = Callable[[int, int], None]
-"""Called with (steps done, steps in all)."""
+"""Called with (steps done, all steps)."""
 
 FLayer = TypeVar("FLayer")
 Settled = TypeVar("Settled")
 
 
 class Budget:
-    """What an induction may take, and whom it tells how far it is.
+    """The memory and time that an induction may take, and where it reports its progress.
 
-    limit     bytes (default: four fifths of what is free)
-    progress  called with (steps done, steps in all): once forward, once back
-    Raises SizeError before memory is taken that is not there, or a week has gone.
+    limit     bytes (default: four fifths of free memory)
+    progress  called with (steps done, all steps): once forward, once backward
+    Raises SizeError before allocating more memory than is available, or for work of more than a week.
     """
 
     def __init__(self, what: str, limit: int | None = None, progress: Progress | None = None) -> None:
         self._what, self._limit, self._progress, self._taken = what, memory_limit(limit), progress, 0
 
     def share(self) -> float:
-        """Bytes that layers may take which are kept from the pass forward to the pass back."""
+        """Bytes for layers that are kept from the forward pass to the backward pass."""
         return _SHARE * self._limit
 
     def take(self, n: int, t: int, h: int) -> None:
-        """n bytes for good, at step t of h."""
+        """Claim n bytes permanently, at step t of h."""
         self.need(n, t, h)
         self._taken += n
 
     def need(self, n: int, t: int, h: int) -> None:
-        """n bytes for a while."""
+        """Claim n bytes temporarily."""
         what = f"{self._what}: {t + 1} of {h} steps" if t else self._what
         require_memory(self._taken + n, what, _SMALLER, self._limit)
 
     def require_time(self, work: float, h: int) -> None:
-        """Multiply-adds to come, as far as they can be told."""
+        """Check the time for `work` multiply-adds, as far as they can be predicted."""
         require_time(work, _RATE, f"{self._what} over {h} steps", _SMALLER)
 
     def tell(self, t: int, h: int, back: bool = False) -> None:
@@ -78,16 +78,16 @@ class Budget:
             self._progress(h + (h - t) if back else t, 2 * h)
 
 
-_RATE = 1e9  # multiply-adds a second, roughly, on one core
+_RATE = 1e9  # multiply-adds per second, roughly, on one core
 _SETTLED = 1024  # steps
 _SHARE = 0.25
 _SMALLER = "shorten the windows, or coarsen the grid or the time step"
 
 
 class Layers(ABC, Generic[FLayer, Settled]):
-    """The layers of one question; engines say how sets are held (nodes.py, words.py).
+    """The layers of one question; engines define how sets are stored (nodes.py, words.py).
 
-    goal      the verdict that counts           live, sure    which pairs are told apart (see the module's text)
+    goal      the verdict that counts           live, sure    which pairs are distinguished (see the module's text)
     """
 
     def __init__(self, game: Game, goal: int, allowed: Allowed, live: bool, sure: bool, budget: Budget) -> None:
@@ -101,14 +101,14 @@ class Layers(ABC, Generic[FLayer, Settled]):
         return self._reach()
 
     def size(self) -> tuple[int, int]:
-        """Pairs of the largest layer, and of all steps together."""
-        assert self.reached is not None  # which counts them
+        """The number of pairs in the largest layer, and in all steps together."""
+        assert self.reached is not None  # computing it counts them
         return self._widest, self._in_all
 
     def backwards(self, before: int | None = None, ahead: Settled | None = None) -> Iterator[Stretch]:
-        """What is open or sure, by stretches from the last step to step 0; a layer ahead is not needed again.
+        """The open and sure pairs, by stretches from the last step to step 0; a layer ahead is not needed again.
 
-        With `before` only steps before it, whose layer is `ahead`.
+        With `before`, only the steps before it; its layer is `ahead`.
         """
         ahead = self.nothing() if ahead is None else ahead
         for first, last, layer in self.reached.back(before):
@@ -127,9 +127,9 @@ class Layers(ABC, Generic[FLayer, Settled]):
         found = Reached(self._after, self.budget.share())
         while not self._empty(layer):
             self.budget.tell(t, h)
-            if t >= _SETTLED and t & (t - 1) == 0:  # now and then: most repeat before
+            if t >= _SETTLED and t & (t - 1) == 0:  # occasionally: most repeat before
                 self.budget.require_time((h - t) * self._work(layer), h)
-            if t == h - 1:  # every verdict has fallen after the next
+            if t == h - 1:  # every verdict is decided after the next step
                 self._add(found, first, t, layer)
                 break
             after = self._after(layer, t)
@@ -149,15 +149,16 @@ class Layers(ABC, Generic[FLayer, Settled]):
     @property
     @abstractmethod
     def asked(self) -> Rows | Demand:
-        """The rows that choices and entries of edges are numbers of: the model's, or those made for its runs."""
+        """The rows to which the numbers of choices and entries in edges refer: the model's, or those made for its
+        runs."""
 
     @property
     def rows(self) -> Rows:
-        """Those there are by now."""
+        """The rows made so far."""
         return self.asked.rows
 
     def within(self, s: I64, choice: I64) -> I64:
-        """The number within its state of each choice, which edges give by its number among `rows`."""
+        """The index within its state of each choice, which edges number among `rows`."""
         here = self.asked.at(s)
         return choice - self.asked.choice_start[here]
 
@@ -167,25 +168,26 @@ class Layers(ABC, Generic[FLayer, Settled]):
 
     @cached_property
     def kinds(self) -> Rows:
-        """Rows that stand for all that runs meet, by lengths and probabilities: whichever the engine."""
+        """Rows that represent all those that runs meet, by lengths and probabilities; the same for every engine."""
         kinds = self.game.rows.kinds
         return kinds if kinds is not None else self.rows.some(self.asked.at(self.acting()))
 
     @abstractmethod
     def nothing(self) -> Settled:
-        """The layer of the last step, after which every verdict has fallen."""
+        """The layer of the last step, after which every verdict is decided."""
 
     @abstractmethod
     def edges(self, here: Settled, ahead: Settled, t: int, lo: int, hi: int) -> Edges:
-        """Of the open pairs in a range of step t, along the choices that count."""
+        """The edges of the open pairs in a range of step t, along the choices that count."""
 
     @abstractmethod
     def parts(self, layer: Settled) -> list[tuple[int, int]]:
-        """The open pairs in ranges for `edges`, so that no one takes much memory."""
+        """The open pairs in ranges for `edges`, none of which takes much memory."""
 
     @abstractmethod
     def listed(self, first: int, last: int, layer: Settled, choice: NDArray[Any]) -> Listed:
-        """Steps first … last of a policy: the first choice that makes sure pairs so, and those of open pairs."""
+        """Steps first … last of a policy: the first choice that makes each sure pair sure, and the choices of open
+        pairs."""
 
     @abstractmethod
     def n_open(self, layer: Settled) -> int: ...
@@ -214,7 +216,7 @@ class Layers(ABC, Generic[FLayer, Settled]):
         """The edges of any pairs (s, q) of step t, along the choices that count."""
         game = self.game
         owner, choice, weight = self.allowed.choices(self.asked, t, s, q)
-        rows = self.rows  # those of these states are made now
+        rows = self.rows  # the rows of these states are made now
         length = rows.row_start[choice + 1] - rows.row_start[choice]
         start = np.concatenate([[0], np.cumsum(length)])
         which = np.repeat(np.arange(len(choice)), length)
@@ -234,15 +236,15 @@ class Layers(ABC, Generic[FLayer, Settled]):
 
     @abstractmethod
     def _count(self, layer: FLayer) -> int:
-        """How many pairs it has."""
+        """The number of its pairs."""
 
     @abstractmethod
     def _bytes(self, layer: FLayer) -> int:
-        """What it takes in memory, and what is needed once beside it."""
+        """Its size in memory, and the temporary memory needed once."""
 
     @abstractmethod
     def _work(self, layer: FLayer) -> int:
-        """Multiply-adds of a step back, roughly and at most."""
+        """A rough upper bound on the multiply-adds of a backward step."""
 
     @abstractmethod
     def _empty(self, layer: FLayer) -> bool: ...

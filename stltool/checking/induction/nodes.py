@@ -18,17 +18,17 @@ from stltool.checking.induction.reached import Reached, Stretch
 from stltool.choices import Listed, listed
 from stltool.models.rows import Demand, Rows
 
-_KEPT = 2_000_000  # edges that are kept from pass to pass
-_PART = 100_000  # pairs whose edges are made at a time, where they are not kept
+_KEPT = 2_000_000  # edges kept from pass to pass
+_PART = 100_000  # pairs whose edges are made at a time if they are not kept
 
 
 @dataclass(frozen=True, eq=False)
 class Settled:
     """Pairs by their code s·|Q| + q, ascending.
 
-    open         (n,) codes           edges  of them, where they are kept
-    sure         (m,) codes, and the number in its state of the first choice that makes each so: sure_choice (m,)
-    listed, slot all of them, and the slot of each
+    open         (n,) codes           edges  their edges, if kept
+    sure         (m,) codes, and the index in its state of the first choice that makes each sure: sure_choice (m,)
+    listed, slot all pairs, and the slot of each
     """
 
     open: I64
@@ -40,7 +40,7 @@ class Settled:
 
 
 class Nodes(Layers[I64, Settled]):
-    """See layers.py. `count` is the number of pairs reached, `most` what it may be (TooMany beyond)."""
+    """See layers.py. `count` is the number of pairs reached, `most` its limit (TooMany beyond)."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class Nodes(Layers[I64, Settled]):
 
     def parts(self, layer: Settled) -> list[tuple[int, int]]:
         n = len(layer.open)
-        if layer.edges is not None or self.allowed.mixed:  # mixtures are over one denominator a step
+        if layer.edges is not None or self.allowed.mixed:  # mixtures use one denominator per step
             return [(0, n)]
         return [(lo, min(lo + _PART, n)) for lo in range(0, n, _PART)]
 
@@ -171,7 +171,7 @@ class Nodes(Layers[I64, Settled]):
         self.count += len(layer)
         if self.most is not None and self.count > self.most:
             raise TooMany
-        self.asked.at(self._split(layer)[0])  # the last layer's rows too
+        self.asked.at(self._split(layer)[0])  # also the last layer's rows
 
     def _count(self, layer: I64) -> int:
         return len(layer)
@@ -193,7 +193,7 @@ class Nodes(Layers[I64, Settled]):
 
 
 class TooMany(Exception):
-    """More pairs are reached than was allowed: for whoever has another engine."""
+    """More pairs are reached than allowed: the caller may use another engine."""
 
 
 def _only(edges: Edges, pairs: NDArray[np.bool_]) -> Edges:

@@ -1,7 +1,7 @@
-"""What runs reach, step by step, within a limit of memory: layers are kept at checkpoints, others made again.
+"""What runs reach, step by step, within a memory limit: layers are kept at checkpoints, the others computed again.
 
-With n layers of b bytes and every k-th of them kept, n/k · b are kept and k · b made again at a time: at the limit of
-memory k grows until both fit (k = √n at best). Making a layer again costs one step forward more.
+With n layers of b bytes and every k-th of them kept, n/k · b bytes are kept and k · b recomputed at a time: at the
+memory limit k grows until both fit (k = √n at best). Recomputing a layer costs one more forward step.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class Stretch(NamedTuple):
 class Reached:
     """Layers of steps 0, 1, … by stretches, each made from the one before: after(layer, t) is that of step t + 1.
 
-    `most` is the number of bytes that kept layers may have together; beyond it, fewer are kept.
+    `most` is the number of bytes that the kept layers may take together; beyond it, fewer are kept.
     """
 
     def __init__(self, after: Callable[[Any, int], Any], most: float) -> None:
@@ -36,7 +36,7 @@ class Reached:
 
     @property
     def last(self) -> int:
-        """The last step that has a layer; −1 where none has."""
+        """The last step that has a layer; −1 if none has."""
         return self._steps[-1][1] if self._steps else -1
 
     def add(self, first: int, last: int, layer: Any, n_bytes: int) -> None:
@@ -59,7 +59,7 @@ class Reached:
             yield Stretch(first, last, layer)
 
     def back(self, before: int | None = None) -> Iterator[Stretch]:
-        """The stretches from the last one back, or those of steps before this one: the first of them ends there."""
+        """The stretches from the last one back, or those before step `before`: the first of them ends there."""
         n = len(self._steps) if before is None else sum(first < before for first, _ in self._steps)
         for begin in range((n - 1) // self._every * self._every, -1, -self._every):
             layers = [self._kept[begin][0]]

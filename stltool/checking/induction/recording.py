@@ -1,10 +1,10 @@
-"""Where a policy goes while it is found, from the last step back: into memory, or into a file, to be resumed.
+"""Where a policy is written while it is computed, from the last step back: to memory, or to a resumable file.
 
-The file is written as a layered policy file (stltool/layered.py), under the name with `.partial` until it is whole.
-Beside it `.state` holds what the induction needs to go on: the layer ahead with its values, and how much of the file
-belongs to it. It is written from time to time, and when something ends the induction early, such as Ctrl-C. The pass
-forward is made again, since it gives the same layers. A state is of one question, told by a key, and of the arithmetic
-that was at work; what goes on from it gives the same bits. A state that is not resumed is never replaced.
+The file is a layered policy file (stltool/layered.py), with the suffix `.partial` until it is complete. Next to it,
+`.state` holds what the induction needs to continue: the layer ahead with its values, and how much of the file belongs
+to it. It is written from time to time, and when something ends the induction early, such as Ctrl-C. The forward pass is
+repeated, since it gives the same layers. A state belongs to one question, identified by a key, and to the arithmetic in
+use; continuing from it gives the same bits. A state that is not resumed is never replaced.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from stltool.layered import LayeredWriter, read_header, read_layers, require_ind
 
 @dataclass(frozen=True, eq=False)
 class Passed:
-    """Where an induction is: the next step back is `before` − 1, from this layer and its values."""
+    """The position of an induction: the next backward step is `before` − 1, from this layer and its values."""
 
     before: int
     ahead: Any
@@ -40,10 +40,10 @@ class Passed:
 
 
 class Recorder(Protocol):
-    """What `solve` tells of its way; choices are added from the last step back."""
+    """What `solve` reports on its way; choices are added from the last step back."""
 
     def resume(self, layers: Any) -> Passed | None:
-        """Called first: where to go on from; None: at the end. What begins anew gives no layers."""
+        """Called first: where to continue from; None: start from the last step."""
 
     def add(self, listed: Listed) -> None: ...
 
@@ -51,14 +51,14 @@ class Recorder(Protocol):
         """Called after every stretch."""
 
     def layers(self) -> Sequence[Listed]:
-        """What was added, in ascending order of steps."""
+        """The choices added, in ascending order of steps."""
 
     def close(self, whole: bool) -> None:
-        """The induction ended; not whole: early."""
+        """The induction ended; not `whole`: early."""
 
 
 class InMemory:
-    """Keeps what is added."""
+    """Keeps the choices in memory."""
 
     def __init__(self) -> None:
         self._found: list[Listed] = []
@@ -85,18 +85,18 @@ _LAYER = ("states", "start", "word", "open", "sure", "tiles", "sure_choice")
 class OnDisk:
     """A file of the policy (see the module's text).
 
-    header  its first line          key    what tells this question and arithmetic from others (`key_of`)
-    every   seconds between states  again  whether to go on from a state of this key, where there is one
+    header  its first line          key identifies the question and the arithmetic (`key_of`)
+    every   seconds between states   again  whether to continue from a state of this key, if there is one
     """
 
     def __init__(self, path: Path, header: dict[str, Any], key: str, every: float, again: bool) -> None:
         self.path, self._key, self._every = path, key, every
-        self._path = path.resolve()  # through a link, to what it names
+        self._path = path.resolve()  # links are followed
         self._partial, self._state = files_beside(path)
         self._header, self._again = header, again
         self._file: IO[bytes] | None = None
         self._writer: LayeredWriter | None = None
-        self._at: tuple[Passed, int] | None = None  # where it is, and how many layers the file had there
+        self._at: tuple[Passed, int] | None = None  # the position, and how many layers the file had there
         self._last = time.monotonic()
 
     def resume(self, layers: Any) -> Passed | None:
@@ -135,12 +135,12 @@ class OnDisk:
 
     def close(self, whole: bool) -> None:
         if self._at is not None and not whole:
-            with suppress(FileError):  # a disk that is full, of which the caller hears already
+            with suppress(FileError):  # a full disk, which is reported to the caller already
                 self._save()
         if self._file is not None:
             with suppress(OSError):
                 self._file.close()
-            if not self._state.exists():  # nothing goes on from it
+            if not self._state.exists():  # nothing can continue from it
                 self._partial.unlink(missing_ok=True)
 
     def _save(self) -> None:
@@ -166,10 +166,10 @@ class OnDisk:
         try:
             yield
         except OSError as error:
-            raise FileError(f"{self._partial}: cannot be written: {error.strerror}") from None
+            raise FileError(f"{self._partial}: cannot write it: {error.strerror}") from None
 
     def _saved(self, layers: Words) -> tuple[Passed, list[tuple[int, ...]]] | None:
-        """The state that is there, and what of the file belongs to it; None where there is none of this question."""
+        """The existing state, and how much of the file belongs to it; None if there is none for this question."""
         if not self._state.is_file() or not self._partial.is_file():
             return None
         try:
@@ -187,27 +187,27 @@ class OnDisk:
             values = arrays.pop("values")
             ahead = Layer(*(arrays.get(name) for name in _LAYER))  # type: ignore[arg-type]  # checked in the next line
             layers.require(ahead, values)
-        except Exception:  # a damaged archive fails in many ways, all of them the file's
+        except Exception:  # a damaged archive fails in many ways, all caused by the file
             raise _damaged(self._state, self.path) from None
         return Passed(before, ahead, values, swept), index
 
 
 def files_beside(path: Path) -> list[Path]:
-    """The policy while it is written, and the state."""
+    """The paths of the unfinished policy and of the state."""
     path = path.resolve()
     return [path.with_name(path.name + ending) for ending in (".partial", ".state")]
 
 
 def key_of(question: Sequence[Any], arithmetic: str) -> str:
-    """What a state of this question in this arithmetic is told by."""
+    """The key that identifies a state of this question in this arithmetic."""
     return f"{hashlib.sha256(json.dumps(question).encode()).hexdigest()} {arithmetic}"
 
 
 def stopped_in(path: Path, question: Sequence[Any], again: bool) -> str | None:
-    """The arithmetic in which a stopped run is to be continued; None where there is none.
+    """The arithmetic in which a stopped run continues; None if there is no stopped run.
 
-    Raises SettingsError where the work of a stopped run would be lost: it is not to be continued, or belongs to another
-    question. FileError where what is there is not ours.
+    Raises SettingsError if the work of a stopped run would be lost: it is not resumed, or belongs to another question.
+    FileError if the existing files are not ours.
     """
     partial, state = files_beside(path)
     require_own(partial, "policy that is being written", _begins_as_ours)
@@ -221,19 +221,19 @@ def stopped_in(path: Path, question: Sequence[Any], again: bool) -> str | None:
         raise _damaged(state, path) from None
     if not again:
         raise SettingsError(
-            f"{state} holds a stopped run; resume it ({named('resume', 'resume=True')}), or delete it to begin again"
+            f"{state} holds a stopped run; resume it ({named('resume', 'resume=True')}), or delete it to start again"
         )
     known, _, arithmetic = key.partition(" ")
     if known != key_of(question, "").strip():
         raise SettingsError(
-            f"{state} holds a stopped run of another question (other task, model, options or version of stltool); "
-            "repeat that one, or delete the file to begin again"
+            f"{state} holds a stopped run with another task, model, options or version of stltool; "
+            "resume it with those, or delete the file to start again"
         )
     return arithmetic
 
 
 def _damaged(state: Path, path: Path) -> FileError:
-    return FileError(f"{state}: not a state of this version that belongs to {path.name}; delete it to begin anew")
+    return FileError(f"{state}: not a state of {path.name} in this version of stltool; delete it to start again")
 
 
 def _begins_as_ours(path: Path) -> bool:

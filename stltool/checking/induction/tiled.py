@@ -1,4 +1,4 @@
-"""Numbers by tiles (kernels/tiles.py): doubles and fixed point on words, the optimum or a policy that does not mix."""
+"""Numbers by tiles (kernels/tiles.py): doubles and fixed point on words, for the optimum or a deterministic policy."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Values: TypeAlias = NDArray[Any]
 
 
 class Tiles:
-    """The steps back of one question; `share` of the engine's rows and `denominator` as in kernels/tiles.py.
+    """The backward steps of one question; `share` of the engine's rows and `denominator` as in kernels/tiles.py.
 
-    ends   the values of what is not listed, and of what is sure
+    ends   the values of unlisted pairs, and of sure pairs
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class Tiles:
         return np.empty(0, dtype=self.dtype)
 
     def back(self, t: int, here: Layer, ahead: Layer, values: Values, keep: bool) -> tuple[Values, NDArray[Any] | None]:
-        """The tiles of step t, and their choices where they are kept."""
+        """The tiles of step t, and their choices if kept."""
         from stltool.kernels import tiles
 
         engine, graph, moves = self._engine, self._engine.graph, self._engine.moves
@@ -72,17 +72,17 @@ class Tiles:
         return out, best if keep else None
 
     def values(self, layer: Layer, values: Values) -> Values:
-        """The layer's values by slots, as an arithmetic has them."""
+        """The layer's values by slots, as an arithmetic holds them."""
         return np.concatenate([np.array(self.ends, dtype=self.dtype), values[lanes_of(layer, layer.open)]])
 
     def at(self, row: Values) -> Values:
-        """What a row of `decided` says of automaton states, without the room on its sides."""
+        """A row of `decided` by automaton state, without the padding on its sides."""
         from stltool.kernels import tiles
 
         return row[tiles.PAD :]
 
     def decided(self, t: int) -> Values:
-        """The value of each automaton state that is not listed after step t, with room on both sides."""
+        """The value of each automaton state that is not listed after step t, with padding on both sides."""
         from stltool.kernels import tiles
 
         automaton = self._engine.game.automaton

@@ -1,4 +1,4 @@
-"""Layers as bits of 64-bit words (kernels/words.py): for large products. States are shared out to threads."""
+"""Layers as bits of 64-bit words (kernels/words.py): for large products. Threads share the states."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ Pieces: TypeAlias = tuple[I64, U64, NDArray[np.bool_], I64]
 Maps: TypeAlias = tuple[I32, NDArray[np.bool_], I32, I32, NDArray[np.uint8]]
 
 _MOST_WORDS = 2**17  # in a range of states: 64 MB of next values
-_PART = 4_000_000  # edges that are made at a time
-_KEPT = 1_000_000  # row entries of a graph that is kept for other questions
-_WORTH_WORDS = 2**13  # below, starting threads costs more than they save
+_PART = 4_000_000  # edges made at a time
+_KEPT = 1_000_000  # largest number of row entries of a graph that is kept for other questions
+_WORTH_WORDS = 2**13  # with fewer, starting threads costs more than they save
 
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """The part of a model that runs up to the horizon can be in, its states numbered anew, in order.
+    """The part of a model that runs can visit before the horizon, its states renumbered in order.
 
     states       (n,) int32: their numbers in the model         first  (k,) int32: the first ones
-    choice_start, row_start, target  as an MDP's; target −1 where a run is not that long
-    rows         what its choices and entries are part of: the model's, or these alone
+    choice_start, row_start, target  as in an MDP; target −1 where runs are over by then
+    rows         the rows that its choices and entries belong to: the model's, or these alone
     choice, entry  int64: their numbers there
     near_start, near, position   neighbours (kernels/words.py)  letter (n,) int32
     """
@@ -56,7 +56,7 @@ class Graph:
 
     @classmethod
     def of(cls, game: Game, need: Callable[[int], None]) -> Graph:
-        """`need` is called with the bytes that it is about to take."""
+        """`need` is called with the number of bytes about to be allocated."""
         from stltool.kernels import words
 
         starts, rows = game.first.astype(np.int32), game.rows
@@ -91,7 +91,7 @@ class Sets:
         return Sets(self.states.copy(), self.start.copy(), self.word.copy(), self.bits.copy())
 
     def pairs(self, graph: Graph) -> tuple[I64, I64]:
-        """(s, q) of all of them, in order."""
+        """(s, q) of all pairs, in order."""
         where, bit = np.nonzero(np.unpackbits(self.bits.view(np.uint8), bitorder="little").reshape(-1, 64))
         owner = np.repeat(graph.states[self.states], np.diff(self.start))
         return owner[where].astype(np.int64), 64 * self.word[where].astype(np.int64) + bit
@@ -99,9 +99,9 @@ class Sets:
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """What is open or sure after a step; `tiles` (n+1,) numbers the tiles of eight automaton states that hold any.
+    """The open and sure pairs after a step; `tiles` (n+1,) numbers the nonempty tiles of eight automaton states.
 
-    sure_choice   the first choice that makes each sure pair so, in order (None where choices are not kept)
+    sure_choice   the first choice that makes each sure pair sure, in order (None if choices are not kept)
     """
 
     states: I32
@@ -140,10 +140,10 @@ class Moves:
     """An automaton's moves and verdicts as rows of words, all of one width."""
 
     def __init__(self, automaton: Automaton, alike: Moves | None = None) -> None:
-        """`alike`: of an automaton with the same moves, whose preparations serve here too."""
+        """`alike`: an automaton with the same moves, whose preparations are reused."""
         self.automaton = automaton
         self.n_words = -(-automaton.n_states // 64)
-        self.shift = 3  # groups of eight words, what `Lanes` take at once, or of more, so that 64 bits tell them apart
+        self.shift = 3  # groups of eight words, as `Lanes` take them, or of more, so that 64 bits number them all
         while self.n_words + 2 > 64 << self.shift:
             self.shift += 1
         self.width = -(-(self.n_words + 2) >> self.shift) << self.shift
@@ -152,7 +152,7 @@ class Moves:
         self._rows: dict[tuple[int, int], U64] = {}
 
     def pieces(self, t: int) -> Pieces:
-        """What happens to states after step t (kernels/words.py)."""
+        """The verdicts and moves of states after step t (kernels/words.py)."""
         from stltool.kernels import words
 
         delta = self.automaton.moves(t)
@@ -183,7 +183,7 @@ class Moves:
 
 
 class Words(Layers[Sets, Layer]):
-    """See layers.py. `choices` is the type of choices that are kept, or None."""
+    """See layers.py. `choices` is the dtype of the choices that are kept, or None."""
 
     def __init__(
         self,
@@ -322,7 +322,7 @@ class Words(Layers[Sets, Layer]):
         return Layer(states, start, word, between, sure, tiles, chosen if keep else None)
 
     def require(self, layer: Layer, values: NDArray[Any]) -> None:
-        """ValueError unless a layer that was read from a file is one of this game, with its values by tiles."""
+        """ValueError unless a layer read from a file belongs to this game, with its values by tiles."""
         n, n_words = len(self.graph.states), self.moves.n_words
         kinds = (np.int32, np.int64, np.int32, np.uint64, np.uint64, np.int64)
         arrays: list[NDArray[Any]] = [layer.states, layer.start, layer.word, layer.open, layer.sure, layer.tiles]
@@ -374,11 +374,11 @@ class Words(Layers[Sets, Layer]):
 
     def n_bytes(self, layer: Layer) -> int:
         arrays = (layer.states, layer.start, layer.word, layer.open, layer.sure, layer.tiles)
-        return sum(array.nbytes for array in arrays) + 16 * len(layer.word)  # and its keys and ranks, once asked for
+        return sum(array.nbytes for array in arrays) + 16 * len(layer.word)  # plus its keys and ranks, once used
 
     def parts(self, layer: Layer) -> list[tuple[int, int]]:
         graph, n = self.graph, len(layer.states)
-        if self.allowed.mixed:  # mixtures are over one denominator a step
+        if self.allowed.mixed:  # mixtures use one denominator per step
             return [(0, n)]
         per_word = np.bitwise_count(layer.open).astype(np.int64)
         rows = graph.row_start[graph.choice_start]
@@ -406,7 +406,7 @@ class Words(Layers[Sets, Layer]):
         return layer.pairs(self.graph)
 
     def sure_pairs(self, layer: Layer) -> tuple[I64, I64, I64]:
-        """(s, q, choice) of the sure pairs, in order; choices are 0 where they are not kept."""
+        """(s, q, choice) of the sure pairs, in order; choices are 0 if they are not kept."""
         s, q = Sets(layer.states, layer.start, layer.word, layer.sure).pairs(self.graph)
         choice = np.zeros(len(s)) if layer.sure_choice is None else layer.sure_choice
         return s, q, choice.astype(np.int64)
@@ -428,7 +428,7 @@ class Words(Layers[Sets, Layer]):
         return slots
 
     def edges(self, here: Layer, ahead: Layer, t: int, lo: int, hi: int) -> Edges:
-        """lo and hi count the layer's states."""
+        """lo and hi are positions among the layer's states."""
         from stltool.kernels import words
 
         graph, moves = self.graph, self.moves
@@ -457,7 +457,7 @@ def lanes_of(layer: Layer, sets: U64) -> NDArray[np.bool_]:
 
 
 class Scratch:
-    """Buffers of one thread: fresh memory is slow, so it is used again."""
+    """Buffers of one thread, reused since fresh memory is slow."""
 
     def __init__(self, engine: Words) -> None:
         self._graph, self._moves = engine.graph, engine.moves
@@ -469,7 +469,7 @@ class Scratch:
         self.W: NDArray[Any] = np.empty(0)
 
     def unite(self, layer: Sets, lo: int, hi: int, sets: bool = False) -> int:
-        """The rows that the layer's states lo … hi−1 lead to, and room for what is computed of them."""
+        """The rows that the layer's states lo … hi−1 lead to, and buffers for what is computed from them."""
         from stltool.kernels import words
 
         graph, width = self._graph, self._moves.width
@@ -495,7 +495,7 @@ class Scratch:
         return found
 
     def blocks(self, n: int, dtype: type[np.generic]) -> None:
-        """Number the blocks of W that n rows need, and make room for them."""
+        """Number the blocks of W that n rows need, and allocate them."""
         from stltool.kernels import tiles
 
         moves = self._moves
@@ -519,7 +519,7 @@ class Scratch:
 
 
 class Crew:
-    """Threads that share a layer's states out, each with buffers of its own."""
+    """Threads that share a layer's states, each with its own buffers."""
 
     def __init__(self, engine: Words, threads: int | None) -> None:
         self._engine, self.threads = engine, threads or os.cpu_count() or 1
@@ -529,7 +529,7 @@ class Crew:
         self._idle, self._pool = [self.first], None if self.threads == 1 else ThreadPoolExecutor(self.threads)
 
     def turn(self, ahead: Layer) -> I32:
-        """(n,) the position of each state in the layer ahead, −1 where it is not listed."""
+        """(n,) the position of each state in the layer ahead, −1 if it is not listed."""
         if self._ahead is not ahead.states:
             self._slot[self._ahead] = -1
             self._slot[ahead.states] = np.arange(len(ahead.states), dtype=np.int32)
