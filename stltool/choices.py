@@ -1,13 +1,13 @@
-"""How a policy holds what it does at (t, s, q): forms with one access.
+"""How a policy stores its choices at (t, s, q): several forms with one interface.
 
     Table    a dense table: choices (S, Q), or (h, S, Q) by step, negative where there is none; weights (…, C) of a
              mixture
-    Choices  choices by step, kept only where they matter: what `check` finds
-    Mixtures weights by step of the pairs listed, another form's choices elsewhere
-    ByLayer  another form's, where automaton states are numbered layer by layer and so know the step
-    Through  another form that remembers in its own way: memory (Q,) says as which automaton state of its own
+    Choices  choices by step, kept only where they matter: the result of `check`
+    Mixtures weights by step of the listed pairs, another form's choices elsewhere
+    ByLayer  another form's, for automaton states that are numbered layer by layer and so determine the step
+    Through  another form with its own automaton: memory (Q,) maps each automaton state to one of its own
 
-Choices are numbers within their state: i is its i-th available action.
+Choices are indices within their state: i is its i-th available action.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ class Form(Protocol):
     def stationary(self) -> bool: ...
 
     def at(self, t: int, s: Indices, q: Indices) -> NDArray[Any]:
-        """(n,) int64 choices, negative where there is none; of a mixture (n, C) float64 weights."""
+        """(n,) int64 choices, negative where there is none; for a mixture (n, C) float64 weights."""
 
     def row(self, t: int) -> NDArray[Any]:
         """(S, Q) choices, or (S, Q, C) weights, of one step."""
 
     def alike(self, t: int) -> tuple[int, int]:
-        """The first and the last step of those around t that surely do the same."""
+        """The first and the last of the steps around t at which the choices are known to be the same."""
 
     def mixtures(self) -> F64:
-        """(k, C) the weights that occur, each mixture's in ascending order and once; only of what mixes."""
+        """(k, C) the distinct weights, each mixture's in ascending order; only for mixtures."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -84,7 +84,7 @@ class Table(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Through(Displayed):
-    """Another form's choices, by what it remembers in each automaton state (see the module's text)."""
+    """Another form's choices, by its own automaton state for each automaton state (see the module's text)."""
 
     form: Form
     memory: I64
@@ -125,7 +125,7 @@ class Mixed(NamedTuple):
 
 
 class Mixtures(Displayed):
-    """Weights by step, of the pairs listed; wherever else a run can be, what `otherwise` does.
+    """Weights by step of the listed pairs; in all other reachable pairs, the choices of `otherwise`.
 
     shape   (S, Q)
     layers  in ascending order of their steps, which do not overlap
@@ -177,9 +177,9 @@ class Mixtures(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ByLayer(Displayed):
-    """What `form` does at step t in automaton state q, as one of a joint automaton's states: offsets[t] + q.
+    """The choices of `form` at step t in automaton state q, for the joint automaton's state offsets[t] + q.
 
-    Before the first offset and from the last layer on, where no action is taken, the first choice.
+    Before the first offset and from the last layer on, where no action is taken, it is the first choice.
     """
 
     form: Form
@@ -219,7 +219,7 @@ class ByLayer(Displayed):
 
 
 def mixed(before: Mixed | None, t: int, codes: I64, weights: F64) -> Mixed:
-    """The layer of step t, of pairs' weights (n, C); that of step t + 1 drawn out to it where they are the same."""
+    """The layer of step t, from pairs' weights (n, C); that of step t + 1, extended to t, if they are the same."""
     rows, which = distinct(weights)
     if (
         before is not None
@@ -232,8 +232,8 @@ def mixed(before: Mixed | None, t: int, codes: I64, weights: F64) -> Mixed:
 
 
 def distinct(rows: F64) -> tuple[F64, I64]:
-    """(the different rows of a matrix, which of them each row is); few of many are found in no time."""
-    # rows are told apart by a number each, and where two share one, by themselves: that is slower by far
+    """(the distinct rows of a matrix, the index of each row among them); fast if few are distinct."""
+    # rows are compared by a hash, and in full only if hashes collide, which is much slower
     bits = np.ascontiguousarray(rows).view(np.uint64)
     number = bits @ (2 * np.arange(1, rows.shape[1] + 1, dtype=np.uint64) ** 9 + 1)
     _, first, which = np.unique(number, return_index=True, return_inverse=True)
@@ -257,15 +257,15 @@ class Listed(NamedTuple):
 
 
 class Choices(Displayed):
-    """Choices by step, where they matter: layers one after another, each of a stretch of steps.
+    """Choices by step, where they matter: consecutive layers, each for a stretch of steps.
 
     A layer lists words of 64 automaton states by their key s·n_words + word, ascending; the set bits of a word are the
-    automaton states that have a choice of their own, and choices stand in order of (key, bit). Wherever else a run can
-    be, every choice is as good as any other: the first one, 0. Arrays may be views of a file.
+    automaton states that have their own choice, and choices are in order of (key, bit). In all other reachable pairs
+    every choice is equally good: the first one, 0, is taken. Arrays may be views of a file.
 
-    shape   (S, Q)          horizon  steps in all
+    shape   (S, Q)          horizon the number of steps
     layers  in ascending order of their steps, which do not overlap
-    kind    the type of a table of such choices
+    kind    the dtype of a table of such choices
     """
 
     deterministic = True
@@ -292,7 +292,8 @@ class Choices(Displayed):
         return sum(layer.keys.nbytes + layer.bits.nbytes + layer.choice.nbytes for layer in self.layers)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """As in files: first, last (k,) of each layer, start (k+1,) of its words, and keys, bits, choice of all."""
+        """As stored in files: first, last (k,) of each layer, start (k+1,) of its words, and keys, bits, choice of
+        all."""
         kind = self.layers[0].choice.dtype if self.layers else np.dtype(np.uint8)
         start = np.cumsum([0, *(len(layer.keys) for layer in self.layers)], dtype=np.int64)
         keys = [np.empty(0, dtype=np.int64), *(layer.keys for layer in self.layers)]
@@ -305,7 +306,7 @@ class Choices(Displayed):
     def of_arrays(
         cls, shape: tuple[int, int], horizon: int, arrays: Mapping[str, NDArray[Any]], kind: IntegerType
     ) -> Choices:
-        """What `arrays` gave."""
+        """The inverse of `arrays`."""
         first, last, start = (arrays[name].tolist() for name in ("first", "last", "start"))
         counts = np.cumsum(np.bitwise_count(arrays["bits"]), dtype=np.int64)
         ends = [int(counts[n - 1]) if n else 0 for n in start]
@@ -316,7 +317,7 @@ class Choices(Displayed):
         return cls(shape, horizon, layers, kind)
 
     def fits(self, n_choices: Indices) -> bool:
-        """Whether layers, which may come from a file, are those of a policy where states have so many choices."""
+        """Whether layers, which may come from a file, are valid for states with these numbers of choices."""
         before = -1
         for layer in self.layers:
             if not before < layer.first <= layer.last < self.horizon:
@@ -327,7 +328,7 @@ class Choices(Displayed):
         return True
 
     def words(self, t: int) -> tuple[I64, NDArray[np.uint64], I64, NDArray[np.unsignedinteger]]:
-        """keys, bits, the number of choices before each word, and choices of step t; empty where none is listed."""
+        """keys, bits, the number of choices before each word, and choices of step t; empty if none is listed."""
         i = int(np.searchsorted(self._first, t, side="right")) - 1
         if i < 0 or t > self._last[i]:
             return _NO_KEYS, _NO_BITS, _NO_KEYS, _NO_CHOICES
@@ -358,10 +359,10 @@ class Choices(Displayed):
         return found
 
     def mixtures(self) -> F64:
-        raise NotImplementedError  # it does not mix
+        raise NotImplementedError  # not a mixture
 
     def resized(self, shape: tuple[int, int]) -> Choices:
-        """The same over more or fewer states, or automaton states; what is listed must be there."""
+        """The same over more or fewer model or automaton states; listed pairs must still exist."""
         n_words, layers = -(-shape[1] // 64), []
         for layer in self.layers:
             s, word = np.divmod(layer.keys, self.n_words)

@@ -20,7 +20,7 @@ _PATIENCE = 20.0  # seconds to wait for a scheduler
 
 
 def _require_workers(client: Client, cluster: str) -> None:
-    """SettingsError unless there are workers, and all of them compute what we would."""
+    """SettingsError unless there are workers, and all of them run the same stltool."""
     try:
         client.wait_for_workers(1, timeout=_PATIENCE)
     except TimeoutError:
@@ -32,28 +32,29 @@ def _require_workers(client: Client, cluster: str) -> None:
         if found != mine:
             what = f"stltool {found}" if isinstance(found, str) else f"no stltool ({found})"
             raise SettingsError(
-                f"the dask worker at {worker} has {what}, not stltool {mine} as here; install the same on both"
+                f"the dask worker at {worker} has {what}, not stltool {mine} as here; install the same version on both"
             )
 
 
 def this_version() -> str:
-    """What tells this stltool from others: bits are the same where it is the same."""
+    """Identifies this version of stltool: equal versions give equal bits."""
     return f"{metadata.version('stltool')} ({SOURCES})"
 
 
 @contextmanager
 def connected(cluster: str, what: str, otherwise: str) -> Iterator[Client]:
-    """A client of the scheduler at this address. `what` needs it ("a sweep on a cluster"); `otherwise` is the way out.
+    """A client of the scheduler at this address. `what` needs it ("a sweep on a cluster"); `otherwise` is the remedy
+    without one.
 
-    Raises MissingExtraError where dask is not installed, SettingsError where no scheduler answers or its connection is
-    lost, SizeError where work ends every worker that tries it.
+    Raises MissingExtraError if dask is not installed, SettingsError if no scheduler answers or the connection is lost,
+    SizeError if a task kills every worker that tries it.
     """
     require("distributed", what, otherwise)
     from distributed import Client, KilledWorker
     from distributed.comm.addressing import get_address_host_port
     from distributed.comm.core import CommClosedError
 
-    for handler in logging.getLogger("distributed").handlers:  # what matters is told by our errors
+    for handler in logging.getLogger("distributed").handlers:  # our errors report what matters
         handler.setLevel(logging.CRITICAL)
     try:
         get_address_host_port(cluster)
@@ -68,8 +69,8 @@ def connected(cluster: str, what: str, otherwise: str) -> Iterator[Client]:
             yield client
         except KilledWorker as error:
             raise SizeError(
-                f"a step of {what} ended every worker that tried it, {error.last_worker.address} the last; give the "
-                "workers more memory each, or use more of them"
+                f"a step of {what} killed every worker that tried it, most recently {error.last_worker.address}; give "
+                "the workers more memory, or use more workers"
             ) from None
         except (CancelledError, CommClosedError) as error:
             raise SettingsError(f"the connection to the dask scheduler at {cluster} was lost: {error}") from None

@@ -1,11 +1,11 @@
 """Policies too large for memory: a file of layers, written from the last step back and read through a memory map.
 
-    line 1       the header, JSON, padded with spaces so that what follows begins at a multiple of 8
+    line 1       the header, JSON, padded with spaces so that the next byte is at a multiple of 8
     a layer      keys int64, bits uint64, choice uint8/16/32, each little-endian and padded to a multiple of 8
     the index    JSON: [first, last, offset, words, choices] for each layer, in the order written
-    16 bytes     where the index begins (uint64, little-endian), and "STLTOOL2"
+    16 bytes     the position of the index (uint64, little-endian), and "STLTOOL2"
 
-Layers are those of stltool/choices.py. Whoever reads one checks it before it is used.
+Layers are those of stltool/choices.py. A reader checks each one before use.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _LONGEST_HEADER = 2**20
 
 
 class LayeredWriter:
-    """Writes a file layer by layer; `index` is what is in it. With an `index`, goes on with a file that has more."""
+    """Writes a file layer by layer; `index` lists its layers. With an `index`, continues a file that may have more."""
 
     def __init__(self, file: IO[bytes], header: dict[str, Any], index: list[tuple[int, ...]] | None = None) -> None:
         line, begin = _first_line(header)
@@ -53,20 +53,20 @@ class LayeredWriter:
         self.index.append((listed.first, listed.last, offset, len(listed.keys), len(choice)))
 
     def finish(self) -> None:
-        """The index, after which nothing is added."""
+        """Write the index; nothing can be added afterwards."""
         offset = self._file.tell()
         self._file.write(json.dumps(self.index).encode() + offset.to_bytes(8, "little") + _END)
 
 
 def _first_line(header: dict[str, Any]) -> tuple[bytes, int]:
-    """The line, and where what follows begins."""
+    """The first line, and the position after it."""
     line = json.dumps(header).encode()
     begin = _padded(len(line) + 1)
     return line.ljust(begin - 1) + b"\n", begin
 
 
 def require_index(path: Path, header: dict[str, Any], index: list[tuple[int, ...]]) -> None:
-    """ValueError unless a file that is being written begins with this header and has these layers."""
+    """ValueError unless an unfinished file begins with this header and has these layers."""
     line, end = _first_line(header)
     size = np.dtype(header["choice"]).itemsize
     with path.open("rb") as file:
@@ -92,7 +92,7 @@ def is_layered(path: str | Path) -> bool:
 
 
 def read_header(path: str | Path) -> dict[str, Any]:
-    """The first line; PolicyError where it is none."""
+    """The first line; PolicyError if it is not a header."""
     try:
         with Path(path).open("rb") as file:
             header = json.loads(file.readline(_LONGEST_HEADER))
@@ -106,7 +106,7 @@ def read_header(path: str | Path) -> dict[str, Any]:
 def read_layers(path: str | Path) -> tuple[dict[str, Any], list[Listed]]:
     """The header and the layers in ascending order of steps, as views of the file.
 
-    Raises PolicyError where the index does not fit the file; what is in a layer is not looked at.
+    Raises PolicyError if the index does not fit the file; the contents of layers are not checked.
     """
     header = read_header(path)
     kind = _TYPES[header["choice"]]
@@ -120,7 +120,9 @@ def read_layers(path: str | Path) -> tuple[dict[str, Any], list[Listed]]:
     except OSError as error:
         raise FileError(f"{path}: this policy file cannot be read: {error.strerror or error}") from None
     except (ValueError, TypeError, RecursionError):
-        raise PolicyError(f"{path}: a damaged policy file: its index does not fit it; write it again") from None
+        raise PolicyError(
+            f"{path}: a damaged policy file: its index does not match its contents; write it again"
+        ) from None
     return header, layers
 
 

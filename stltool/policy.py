@@ -1,16 +1,16 @@
 """A policy over a product: which available action to take at (t, s, q), saved and loaded without pickle.
 
-Choices are numbers within their state: i is its i-th available action (in a grid world simply the i-th action). What
-`check` finds is kept by step and only where it matters (`Choices`); what others give is a dense table, whose form its
-dtype and shape tell, with S model states, Q automaton states, C choices at most:
+Choices are indices within their state: i is its i-th available action (in a grid world simply the i-th action). The
+policies of `check` are stored by step and only where choices matter (`Choices`); others are dense tables, whose dtype
+and shape define their form, with S model states, Q automaton states and at most C choices:
 
     (S, Q) integers    stationary              (h, S, Q) integers    one table a step
     (S, Q, C) float64  stationary mixture      (h, S, Q, C) float64  mixture a step
 
-Integers are int16, or wider where a state has more choices (`MDP.choice_type`). A negative entry says nothing about
-that state. A policy is bound to formula and model by digests; where the model has intervals, by its nominal model's, so
-that a policy made for the one can be judged on the other. Over a joint product Q counts the states of the joint
-automaton: they know the step, and the policy serves each of the tasks.
+Integers are int16, or wider if a state has more choices (`MDP.choice_type`). A negative entry means that no action is
+defined. A policy is bound to formula and model by digests; for a model with intervals, by the digest of its nominal
+model, so that a policy made for one can be evaluated on the other. Over a joint product Q is the number of states of
+the joint automaton: they determine the step, and the policy serves each of the tasks.
 """
 
 from __future__ import annotations
@@ -50,15 +50,15 @@ from stltool.sizes import require_memory
 
 FORMAT = "stltool-policy-2"
 _PARTS = {"first": np.int64, "last": np.int64, "start": np.int64, "keys": np.int64, "bits": np.uint64, "choice": None}
-"""What a file holds of `Choices`, and its type; choices are of the smallest unsigned one."""
-_SIGNAL_TOLERANCE = 1e-6  # published tables print few digits
+"""The arrays of `Choices` in a file, and their dtypes; choices have the smallest unsigned one."""
+_SIGNAL_TOLERANCE = 1e-6  # published tables have few digits
 
 
 @dataclass(frozen=True)
 class Binding:
-    """What a policy belongs to, as its file's header says it.
+    """The task and model that a policy belongs to, as in its file's header.
 
-    `tasks` are all tasks that it remembers, `formula` first, where it is of a joint product.
+    `tasks` are all tasks of the joint product that it was made for, `formula` first.
     """
 
     formula: str
@@ -76,7 +76,7 @@ class Binding:
             formula=together[0] if isinstance(product, JointProduct) else str(product.formula),
             encoding=product.automaton.encoding,
             model=product.model.name,
-            model_digest=product.model.nominal().digest(),  # a policy fits a model whatever its intervals
+            model_digest=product.model.nominal().digest(),  # intervals do not affect whether a policy fits
             automaton_digest=product.automaton.digest(),
             action_names=product.model.action_names,
             tasks=tuple(together),
@@ -99,10 +99,11 @@ class Binding:
 
 
 class Policy(Displayed):
-    """See the module's text. Raises PolicyError when the table, or what stands for one, does not fit the product.
+    """See the module's text. Raises PolicyError if the table, or another form, does not fit the product.
 
-    `home` is the product whose automaton states the table speaks of. A policy of the same task and model can be checked
-    on a product with another encoding, one of a joint product on that of each of its tasks: `on` translates it.
+    `home` is the product whose automaton states index the table. A policy for the same task and model can be checked on
+    a product with another encoding, and one for a joint product on the product of each of its tasks: `on` translates
+    it.
     """
 
     def __init__(self, product: Product | JointProduct, table: NDArray[Any] | Form) -> None:
@@ -141,11 +142,11 @@ class Policy(Displayed):
 
     @cached_property
     def binding(self) -> Binding:
-        """Made when it is asked for: a large model's digest takes a while."""
+        """Computed on demand: a large model's digest takes a while."""
         return Binding.of(self.home)
 
     def on(self, product: Product) -> tuple[Product, Policy]:
-        """This policy and a product to judge it on: `product`, or its join with what the policy remembers."""
+        """This policy and a product to evaluate it on: `product`, or its join with the policy's own automaton."""
         require(product, Product, "the policy's product")
         if product is self.home:
             return product, self
@@ -170,23 +171,21 @@ class Policy(Displayed):
         return f"{time}, {'deterministic' if self.deterministic else 'mixed'}"
 
     def at(self, t: int, s: ArrayLike, q: ArrayLike) -> NDArray[Any]:
-        """What it does in pairs of model states s and automaton states q at step t.
+        """The choices in pairs of model states s and automaton states q at step t.
 
-        s, q (n,) integers. Returns (n,) int64 choices, negative where it says nothing; of a mixture (n, C) weights.
+        s, q (n,) integers. Returns (n,) int64 choices, negative where none is defined; for a mixture (n, C) weights.
         """
         t = whole(t, "the policy's step t", 0, None if self.stationary else self.home.horizon - 1)
         places = []
         for given, what, n in zip((s, q), ("model states", "automaton states"), self.home.shape, strict=True):
             array = np.atleast_1d(np.asarray(given))
             if array.ndim != 1 or array.dtype.kind not in "iu" or (array < 0).any() or (array >= n).any():
-                raise PolicyError(
-                    f"the policy is asked about {what} that are not integers from 0 to {n - 1}; give a number or a list"
-                )
+                raise PolicyError(f"the policy's {what} must be integers from 0 to {n - 1}; give a number or a list")
             places.append(array.astype(np.int64))
         if len(places[0]) != len(places[1]) and 1 not in map(len, places):
             raise PolicyError(
-                f"the policy is asked about {len(places[0])} model states and {len(places[1])} automaton states; give "
-                "pairs of them"
+                f"the policy's at got {len(places[0])} model states and {len(places[1])} automaton states; give "
+                "equally many"
             )
         return self.form.at(t, *np.broadcast_arrays(*places))
 
@@ -197,9 +196,9 @@ class Policy(Displayed):
 
     @property
     def table(self) -> NDArray[Any]:
-        """The whole policy as a dense table (see the module's text), made when asked for.
+        """The whole policy as a dense table (see the module's text), computed on demand.
 
-        Raises SizeError before it takes memory that is not there.
+        Raises SizeError before allocating more memory than is available.
         """
         if isinstance(self.form, Table):
             return self.form.table
@@ -207,7 +206,7 @@ class Policy(Displayed):
             return self.form.row(0)
         shape = self._shape()
         what = f"a dense table of {' x '.join(map(str, shape))}"
-        require_memory(8 * math.prod(shape), what, "ask for pieces of it with at or row")
+        require_memory(8 * math.prod(shape), what, "read parts of it with at or row")
         rows = [self.form.row(t) for t in range(self.home.horizon)]
         return np.stack(rows) if rows else np.zeros(shape, dtype=self.home.model.choice_type)
 
@@ -216,9 +215,9 @@ class Policy(Displayed):
         return (*steps, *self.home.shape, *(() if self.deterministic else (self.home.model.most_choices,)))
 
     def save(self, path: str | Path) -> None:
-        """Write the policy with a JSON header, the old file or the new one: .npz, or .policy, which is not packed.
+        """Write the policy with a JSON header, atomically, as .npz or as uncompressed .policy.
 
-        A .policy file holds what `check` finds, and is read through a memory map (stltool/layered.py).
+        A .policy file contains a policy found by `check`, and is read through a memory map (stltool/layered.py).
         """
         path = path_of(path, "save's path")
         require_policy_file(path)
@@ -239,7 +238,7 @@ class Policy(Displayed):
 
     @classmethod
     def load(cls, path: str | Path, product: Product) -> Policy:
-        """Read a policy for this product; PolicyError names both sides when it belongs to another."""
+        """Read a policy for this product; PolicyError names both sides if it belongs to another."""
         path = path_of(path, "Policy.load's path")
         require(product, Product, "Policy.load's product")
         layered = is_layered(path)
@@ -263,7 +262,7 @@ class Policy(Displayed):
             texts = (*binding.action_names, binding.formula, *binding.tasks, binding.encoding, binding.model)
             if not all(isinstance(text, str) for text in (*texts, binding.model_digest, binding.automaton_digest)):
                 raise ValueError
-        except Exception:  # a damaged archive fails in many ways, all of them the file's
+        except Exception:  # a damaged archive fails in many ways, all caused by the file
             raise PolicyError(
                 f"{path}: not a policy file of this version ({FORMAT}); write one with Policy.save"
             ) from None
@@ -292,8 +291,8 @@ class Policy(Displayed):
         """The greedy policy of a Q-table in CSV, ties uniform.
 
         First column: `[signals… registers…]` in the order of the model's signals and the automaton's registers (the
-        flags); then a column per action, by name. States without a row have no preference: uniform. Where the
-        product's automaton has no flags, the flags of [Wang24] are the policy's memory, and `check` judges it exactly.
+        flags); then a column per action, by name. States without a row have no preference: uniform. If the product's
+        automaton has no flags, the policy uses the flags of [Wang24], and `check` evaluates it exactly.
         """
         path = path_of(path, "Policy.from_q_table's path")
         require(product, Product, "Policy.from_q_table's product")
@@ -308,8 +307,8 @@ class Policy(Displayed):
         n_signals, n_registers = len(model.signals), len(automaton.register_names)
         if keys.shape[1] != n_signals + n_registers:
             raise PolicyError(
-                f"{path}: the index has {keys.shape[1]} numbers; {n_signals} signals ({', '.join(model.signals)}) and "
-                f"{n_registers} registers ({', '.join(automaton.register_names)}) are needed"
+                f"{path}: the index has {keys.shape[1]} numbers; it needs {n_signals} signals "
+                f"({', '.join(model.signals)}) and {n_registers} registers ({', '.join(automaton.register_names)})"
             )
         signals = np.array(list(model.signals.values())).reshape(n_signals, model.n_states).T
         s = _find_rows(path, keys[:, :n_signals], signals, "state")
@@ -322,20 +321,20 @@ class Policy(Displayed):
 
 
 def require_door(caller: str, product: object, policy: object = None) -> None:
-    """ArgumentError unless it is a product, and a policy or None: what most questions are asked about."""
+    """ArgumentError unless the arguments are a product, and a policy or None, as for most questions."""
     require(product, Product, f"{caller}'s product")
     require(policy, Policy, f"{caller}'s policy", optional=True)
 
 
 def layered_header(product: Product | JointProduct) -> dict[str, Any]:
-    """What the first line of a layered policy file says."""
+    """The first line of a layered policy file."""
     kind = np.dtype(product.model.unsigned_choice_type).name
     sizes = {"choice": kind, "shape": list(product.shape), "horizon": product.horizon}
     return {"format": FORMAT, **asdict(Binding.of(product)), **sizes}
 
 
 def require_policy_file(path: str | Path) -> None:
-    """An error, before the work, where a policy could not be saved after it."""
+    """An error, before the computation, if a policy could not be saved after it."""
     path = Path(path)
     require_replaceable(path)
     if path.suffix.lower() not in (".npz", ".policy"):
@@ -357,13 +356,13 @@ def _is_policy(path: Path) -> bool:
 
 
 def silence(product: Product, s: int, q: int, t: int) -> PolicyError:
-    """The error for a policy that says nothing about a place it can reach, in the user's names."""
+    """The error for a policy that defines no action in a reachable pair, in the user's names."""
     where = product.describe(s * product.automaton.n_states + q, t)
     return PolicyError(f"the policy defines no action at {where}, which is reachable under it; give it an action there")
 
 
 def load_policy(path: str | Path, product: Product) -> Policy:
-    """Read a policy by its file's ending: `.npz` or `.policy` as saved by `Policy.save`, `.csv` a Q-table."""
+    """Read a policy by its file's extension: `.npz` or `.policy` as saved by `Policy.save`, `.csv` a Q-table."""
     path = path_of(path, "load_policy's path")
     require(product, Product, "load_policy's product")
     if path.suffix.lower() == ".csv":
@@ -383,7 +382,7 @@ def greedy(product: Product, q_values: NDArray[np.float64]) -> Policy:
 
 
 def _home(product: Product, encoding: str) -> Product:
-    """The product of the same model and task in a policy's own encoding; as memory, an approximation is as good."""
+    """The product of the same model and task in a policy's own encoding; as memory, an approximation is good enough."""
     if product.automaton.encoding == encoding:
         return product
     with warnings.catch_warnings():
@@ -392,7 +391,7 @@ def _home(product: Product, encoding: str) -> Product:
 
 
 def _joint_home(product: Product, binding: Binding) -> JointProduct:
-    """The joint product of the tasks that a policy remembers."""
+    """The joint product of the tasks that a policy was made for."""
     from stltool.logic.parser import parse  # lark is slow to load
 
     tasks = {f"task {i}": parse(text) for i, text in enumerate(binding.tasks, start=1)}
@@ -402,7 +401,7 @@ def _joint_home(product: Product, binding: Binding) -> JointProduct:
 
 
 def with_flags(product: Product) -> Product:
-    """The product itself where its automaton has flags, else the one of the paper's flags."""
+    """The product itself if its automaton has flags, else the one with the paper's flags."""
     return product if product.automaton.register_names else _home(product, "paper")
 
 
@@ -415,7 +414,7 @@ def _checked(product: Product | JointProduct, table: NDArray[Any]) -> NDArray[An
     base, timed = product.shape, (product.horizon, *product.shape)
     if table.dtype.kind in "iu":
         if table.shape not in (base, timed):
-            raise PolicyError(f"the policy's table has shape {table.shape}; {base} or {timed} is needed")
+            raise PolicyError(f"the policy's table has shape {table.shape}; give {base} or {timed}")
         too_large = table >= n_choices[:, None]
         if too_large.any():
             where = tuple(int(i) for i in np.argwhere(too_large)[0])
@@ -429,9 +428,7 @@ def _checked(product: Product | JointProduct, table: NDArray[Any]) -> NDArray[An
     if table.dtype.kind != "f":
         raise PolicyError(f"the policy's table has type {table.dtype}; give integers (choices) or floats (weights)")
     if table.shape not in ((*base, most), (*timed, most)):
-        raise PolicyError(
-            f"the policy's weights have shape {table.shape}; {(*base, most)} or {(*timed, most)} is needed"
-        )
+        raise PolicyError(f"the policy's weights have shape {table.shape}; give {(*base, most)} or {(*timed, most)}")
     unavailable = np.arange(most) >= n_choices[:, None, None]
     bad = ~np.isfinite(table).all(axis=-1) | (table < 0).any(axis=-1) | (abs(table.sum(axis=-1) - 1) > 1e-9)
     bad |= (table * unavailable != 0).any(axis=-1)
@@ -445,7 +442,7 @@ def _checked(product: Product | JointProduct, table: NDArray[Any]) -> NDArray[An
 
 
 def _of_arrays(product: Product | JointProduct, arrays: dict[str, NDArray[Any]]) -> Choices:
-    """Choices by step from a file's arrays; PolicyError where they do not fit together."""
+    """Choices by step from a file's arrays; PolicyError if they are inconsistent."""
     for name, kind in _PARTS.items():
         found = arrays[name]
         if found.ndim != 1 or not (found.dtype == kind if kind is not None else found.dtype.kind == "u"):
@@ -463,13 +460,13 @@ def _of_arrays(product: Product | JointProduct, arrays: dict[str, NDArray[Any]])
 
 
 def _required(product: Product | JointProduct, choices: Choices) -> Choices:
-    """Choices from a file, looked at before they are used."""
+    """Choices from a file, checked before use."""
     if not choices.fits(np.diff(product.model.choice_start)):
         raise PolicyError(_MISFIT)
     return choices
 
 
-_MISFIT = "the policy's choices do not fit together, or not its task and model; save it again"
+_MISFIT = "the policy's choices are inconsistent, or do not fit its task and model; save it again"
 
 
 def _read_q_table(path: str | Path) -> tuple[list[str], tuple[NDArray[np.float64], NDArray[np.float64]]]:
@@ -507,10 +504,10 @@ def _read_q_table(path: str | Path) -> tuple[list[str], tuple[NDArray[np.float64
 def _find_rows(
     path: str | Path, wanted: NDArray[np.float64], known: NDArray[np.float64], what: str
 ) -> NDArray[np.int64]:
-    """For every wanted row the index of the one known row equal to it."""
+    """For every wanted row, the index of the known row equal to it."""
     rounded = {_key(row): i for i, row in enumerate(known.tolist())}
     if len(rounded) < len(known):
-        raise PolicyError(f"{path}: the model's signals do not distinguish its states, so no Q-table can name them")
+        raise PolicyError(f"{path}: the model's signals do not distinguish its states, so no Q-table can refer to them")
     found = np.empty(len(wanted), dtype=np.int64)
     for number, row in enumerate(wanted.tolist()):
         index = rounded.get(_key(row))

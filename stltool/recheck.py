@@ -1,23 +1,23 @@
 """Re-check a certificate of stltool in exact integers, from the last step back: `python recheck.py FILE`.
 
-This file imports nothing of stltool and can be read, copied or rewritten on its own; docs/certificates.md describes the
-format. It trusts nothing in the certificate. What it proves: for the model and the automaton that the file lists, the
-claimed bounds hold. Whether those are the ones of a task file is for `stltool certify FILE TASK` to compare.
+This file imports nothing from stltool and can be read, copied or rewritten on its own; docs/certificates.md describes
+the format. It trusts nothing in the certificate. It proves that the claimed bounds hold for the model and the automaton
+that the file lists. `stltool certify FILE TASK` compares these with the ones of a task file.
 
 With s a model state, q an automaton state, D·p(c, s') the integers of choice c, and "goal" the verdict that counts,
 
     V_t(s,q) = 1 or 0                                       if the verdict of q at step t is the goal, or the other one
              = max_c or Σ_c weight(c) · Σ_s' p(c,s') · V_{t+1}(s', δ(letter of s', q))       otherwise
 
-(A minimum is 1 minus the maximum for the other verdict.) Two things are done, both backwards:
+(A minimum is 1 minus the maximum for the other verdict.) There are two parts, both from the last step back:
 
   * What is certain follows from the model's graph. As sets of automaton states, one integer per model state:
     `possible`, where some considered choice can lead to a goal, and `sure`, where some choice (of a policy: the listed
     ones) leads to goals and sure pairs only. V is 0 outside `possible` and 1 in `sure`; the file lists neither.
-  * For the remaining pairs the file lists numbers v_t. They need not be right: how far each is from what one step makes
-    of v_{t+1} is measured in exact integers. With e_t the largest distance upwards at step t, |v_t − V_t| is at most
-    e_t + e_{t+1} + …, by induction, since averages and maxima move by no more than their arguments move. The same
-    holds downwards. So no number can be a lie; wrong ones only give wider bounds, and the claimed ones are refused.
+  * For the remaining pairs the file lists numbers v_t. They need not be right: the distance of each from the result of
+    one step from v_{t+1} is measured in exact integers. With e_t the largest distance upwards at step t, V_t − v_t is
+    at most e_t + e_{t+1} + …, by induction, since averages and maxima change by no more than their arguments. The same
+    holds downwards. So wrong numbers cannot mislead: they only give wider bounds, and the claimed ones are refused.
 
 If a row sums to 1 − d, the missing d may lead anywhere; if it sums to 1 + d, any d of it may be too much: the largest d
 is added to the distance at each step, and distances grow by the largest factor 1 + d per step.
@@ -42,12 +42,12 @@ from typing import Any, NoReturn, TypeAlias
 FORMAT = "stltool-certificate-2"
 HEADER = {"format", "claim", "task", "formula", "encoding", "horizon", "model", "policy"}
 CLAIMS = ("maximum", "minimum", "policy")
-LINE = 2**23  # bytes of a line, at most
-DIGITS = 4300  # of a decimal number, at most
-BITS = 2**20  # of the integer that stands for 1, at most
-WORK = 10**8  # sets of model states that are made, at most, and 100 more for each byte
+LINE = 2**23  # the most bytes of a line
+DIGITS = 4300  # the most digits of a decimal number
+BITS = 2**20  # the most bits of the integer that represents 1
+WORK = 10**8  # the most sets computed for model states, plus 100 for each byte of the file
 FINE = 2**64  # parts of a unit in which distances are counted
-PLACES = ((2**8, "B"), (2**16, "H"), (2**32, "I"))  # how places in a list of at most so many are held: 1, 2, 4 bytes
+PLACES = ((2**8, "B"), (2**16, "H"), (2**32, "I"))  # types for places in a list of at most that length: 1, 2, 4 bytes
 DAMAGE = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, EOFError, MemoryError,
           zlib.error, gzip.BadGzipFile)  # fmt: skip
 
@@ -55,11 +55,11 @@ Item: TypeAlias = dict[str, Any] | list[Any]
 
 
 class Refused(Exception):
-    """The certificate proves nothing: why, and where."""
+    """The certificate proves nothing; the message says why, and where."""
 
 
 class NotACertificate(Refused):
-    """The file contains something else, or is damaged beyond reading."""
+    """The file is not a certificate, or is too damaged to be read."""
 
 
 def require(holds: bool, problem: str) -> None:
@@ -68,9 +68,9 @@ def require(holds: bool, problem: str) -> None:
 
 
 def certify(path: str, progress: Callable[[int, int], None] | None = None) -> dict[str, Any]:
-    """Check every line of the certificate. Returns its header with the bounds proved and what was counted.
+    """Check every line of the certificate. Returns its header with the proved bounds and the counts.
 
-    `progress` is called with (steps done, steps in all). Raises Refused, OSError.
+    `progress` is called with (steps done, all steps). Raises Refused, OSError.
     """
     longest = sys.get_int_max_str_digits()
     sys.set_int_max_str_digits(0)  # lengths are checked before numbers are read
@@ -88,7 +88,7 @@ def certify(path: str, progress: Callable[[int, int], None] | None = None) -> di
 class Lines:
     """The file's lines in order, each an object or a list; its seal, a digest of all lines before it, is checked last.
 
-    `read` counts bytes. A line is read only up to the longest that may be.
+    `read` counts bytes. Of a line, no more than the longest allowed length is read.
     """
 
     def __init__(self, path: str) -> None:
@@ -110,11 +110,11 @@ class Lines:
                     digest.update(line)
                     yield item
                 else:
-                    require(len(item) == 1, "the seal has other keys than its digest")
+                    require(len(item) == 1, "the seal has keys other than its digest")
         if not self.read:
             raise NotACertificate("the file is empty")
         require(seal is not None, "the file is cut off: its seal is missing")
-        require(seal == digest.hexdigest(), "the seal does not fit: the file was changed after it was written")
+        require(seal == digest.hexdigest(), "the seal does not match: the file was changed after it was written")
 
 
 class Blocks:
@@ -147,7 +147,7 @@ class Blocks:
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
-    require(len(found) == len(pairs), "an object has one key twice")
+    require(len(found) == len(pairs), "an object has a duplicate key")
     return found
 
 
@@ -168,19 +168,19 @@ _HEX, _FRACTION = re.compile("[0-9a-f]+"), re.compile("(-?[0-9]+)(?:/([0-9]+))?"
 
 
 def integers(row: Any) -> bool:
-    """Whether it is a list of integers and nothing else."""
+    """Whether `items` is a list of integers and nothing else."""
     return type(row) is list and {*map(type, row)} <= {int}
 
 
 def hexadecimal(text: Any, most: int, what: str) -> int:
-    """The number that a text of at most `most` digits stands for."""
+    """The number in a text of at most `most` hexadecimal digits."""
     holds = type(text) is str and len(text) <= most and _HEX.fullmatch(text)
     require(bool(holds), f"{what} is not a hexadecimal number of at most {most} digits")
     return int(text, 16)
 
 
 def members(mask: int) -> list[int]:
-    """The elements of a set, which is held as the bits of an integer."""
+    """The elements of a set, which is stored as the bits of an integer."""
     bits = f"{mask:b}"[::-1].encode().translate(_TRUE)
     return [*compress(range(len(bits)), bits)]
 
@@ -197,9 +197,9 @@ def set_of(elements: Iterable[int], n: int) -> int:
 
 
 class Letter:
-    """What an automaton does with one letter: `after` (δ), and where it comes from into a set.
+    """An automaton's moves on one letter: `after` (δ), and the inverse image of a set.
 
-    Sets move by shifts: states that all move by the same amount, or all to the same state, are a piece.
+    Sets move by shifts: states that all move by the same amount, or all to the same state, form a piece.
     """
 
     def __init__(self, after: list[int]) -> None:
@@ -230,8 +230,8 @@ class Letter:
 class Model:
     """The states of the file: share of the initial distribution, letter, and choices as (successors, integers).
 
-    Nothing is known of what follows a state without choices, or a choice without successors. `near`: the successors of
-    each state; `known`: those of which every choice is known.
+    What follows a state without choices, or a choice without successors, is unknown. `near`: the successors of each
+    state; `known`: the states of which every choice is known.
     """
 
     def __init__(self, head: dict[str, Any], rows: Iterator[list[Any]]) -> None:
@@ -245,11 +245,13 @@ class Model:
         last = -1
         for row in rows:
             where = f"model state {row[0]!r:.20}" if row else "the model"
-            require(len(row) > 2 and integers(row[:3]) and min(row[:3]) >= 0, f"{where}: no number, share and letter")
+            require(
+                len(row) > 2 and integers(row[:3]) and min(row[:3]) >= 0, f"{where}: number, share or letter missing"
+            )
             s, self.share[s], self.letter[s], *choices = row
             require(s > last, f"{where}: not in ascending order")
             pairs = all(integers(choice) and len(choice) % 2 == 0 for choice in choices)
-            require(pairs, f"{where}: a choice is not pairs of integers")
+            require(pairs, f"{where}: a choice is not a list of pairs of integers")
             require(all(min(choice, default=0) >= 0 for choice in choices), f"{where}: a negative number")
             self.choices[s] = [(choice[::2], choice[1::2]) for choice in choices]
             last = s
@@ -258,10 +260,10 @@ class Model:
         require(bool(self.share), "the model has no states")
         self.known = {s for s, options in self.choices.items() if options and all(xs for xs, _ in options)}
         sums = [self.D, *(sum(numbers) for options in self.choices.values() for xs, numbers in options if xs)]
-        self.missing, self.excess = self.D - min(sums), max(sums) - self.D  # of a row, at most, over D
+        self.missing, self.excess = self.D - min(sums), max(sums) - self.D  # the largest of a row, over D
 
     def reached(self, horizon: int) -> dict[int, int]:
-        """The first step at which runs can be in a model state, for those that they reach within that many steps."""
+        """The first step at which runs can be in a model state, for the states reached within this many steps."""
         first = {s: 0 for s, share in self.share.items() if share}
         newest, t = [*first], 0
         while newest and t < horizon:
@@ -272,11 +274,14 @@ class Model:
 
 
 class Automaton:
-    """δ by letters, the state `start` before anything is read, and verdicts as sets, each from its step on."""
+    """δ by letters, the state `start` before the first letter, and verdicts as sets, each from its step on."""
 
     def __init__(self, head: dict[str, Any], rows: Iterator[list[Any]]) -> None:
         self.size, n_letters, self.start, self.steps = (head[key] for key in ("states", "letters", "start", "verdicts"))
-        require(integers([self.size, n_letters, self.start]) and integers(self.steps), "the automaton is not integers")
+        require(
+            integers([self.size, n_letters, self.start]) and integers(self.steps),
+            "the automaton's header is not in integers",
+        )
         require(
             self.steps[:1] == [0] and self.steps == sorted({*self.steps}), "the verdicts' steps do not ascend from 0"
         )
@@ -285,9 +290,7 @@ class Automaton:
         self.letters: list[Letter] = []
         self.verdicts: list[tuple[int, int, int]] = []
         for row in rows:
-            require(
-                integers(row) and len(row) == self.size, "a row of the automaton has not one integer for each state"
-            )
+            require(integers(row) and len(row) == self.size, "a row of the automaton needs one integer for each state")
             if len(self.letters) < n_letters:
                 require(min(row) >= 0 and max(row) < self.size, "the automaton leads to something that is not a state")
                 self.letters.append(Letter(row))
@@ -298,25 +301,25 @@ class Automaton:
                 )
                 self.verdicts.append((true, false, undecided))
         require(len(self.letters) == n_letters, "the automaton has fewer letters than announced")
-        require(len(self.verdicts) == len(self.steps), "the automaton's verdicts are not those announced")
+        require(len(self.verdicts) == len(self.steps), "the automaton has fewer or more verdicts than announced")
 
     def period(self, t: int) -> int:
-        """The number of the verdicts that hold at step t: they do so from step steps[number] on."""
+        """The index of the verdicts that apply at step t: they apply from step steps[index] on."""
         return bisect_right(self.steps, t) - 1
 
 
 # ------------------------------------------------------------------------------------------------- induction
 
 Listed: TypeAlias = dict[int, tuple[int, list[int], list[int]]]
-"""By model state: the set of automaton states that have a number, these in order, and their numbers."""
+"""By model state: the set of automaton states that have a number, these states in order, and their numbers."""
 Weights: TypeAlias = tuple[tuple[int, int], ...]
-"""Choices of a model state, each with its integer share."""
+"""Choices of a model state, each with its integer weight."""
 Outcomes: TypeAlias = dict[tuple[int, Weights | None], dict[tuple[int, ...], int]]
-"""By model state and what is taken there: the outcome of the values of its successors, in order."""
+"""By model state and choices taken there: the outcome of the values of its successors, in order."""
 
 
 class Row(dict[int, int]):
-    """The values of a model state by automaton state: the numbers listed; what is certain, when it is asked for."""
+    """The values of a model state by automaton state: the listed numbers, and on demand the certain values."""
 
     def __init__(self, at: Induction, s: int) -> None:
         _, states, numbers = at.values.get(s, (0, [], []))
@@ -333,7 +336,7 @@ class Row(dict[int, int]):
 
 
 class Rows(dict[int, Row]):
-    """The rows of all model states where an induction is, made when they are asked for."""
+    """The values of all model states at the current step of an induction, made on demand."""
 
     def __init__(self, at: Induction) -> None:
         super().__init__()
@@ -345,16 +348,16 @@ class Rows(dict[int, Row]):
 
 
 class Induction:
-    """All that is known of step t; numbers are in units of 1/one.
+    """All that is known about step t; numbers are in units of 1/one.
 
-    values    the numbers of pairs that the file lists      table     those that rows may refer to
+    values    the numbers of the listed pairs     table    the numbers that rows may refer to
     possible, sure, and the sets that lead into them (before): a set for each model state
     changed   the model states whose sets differ from those of step t + 1
-    moves     of a policy, by model state: sets of automaton states, and what is taken there, as choices with weights
+    moves     for a policy, by model state: sets of automaton states, and the choices taken there, with weights
     far       the sums of the distances upwards and downwards so far, in units of 1/(one·FINE)
-    worst     the largest of them, and where it was
-    outcomes  what the last step compared made of values ahead, by model state and policy; `kept`: what this one made
-    work      how often sets of a model state were made, or its numbers compared; most_work() is its limit
+    worst     the largest distance each way, and where it was
+    outcomes  results of the last compared step from the values ahead, by model state and policy; `kept`: of this step
+    work      how often sets of a model state were computed, or its numbers compared; most_work() is its limit
     """
 
     def __init__(
@@ -386,7 +389,7 @@ class Induction:
         return (true, false, undecided) if self.goal else (false, true, undecided)
 
     def follow(self, steps: Any, rows: Iterator[list[Any]]) -> None:
-        """Take the policy of the steps before this one."""
+        """Read the policy of the steps before this one."""
         first = self._first_of(steps)
         require(self.moves is not None and self.t == self.policy_from, f"step {self.t - 1}: a policy out of place")
         assert self.moves is not None
@@ -405,20 +408,24 @@ class Induction:
                 weights = tuple((c, weight) for c, weight in enumerate(taken) if weight)
             those = self._set(mask, where)
             require(bool(weights), f"{where}: no choice")
-            require(all(self.model.choices[s][c][0] for c, _ in weights), f"{where}: nothing is known of what it takes")
+            require(
+                all(self.model.choices[s][c][0] for c, _ in weights),
+                f"{where}: nothing is known about the choice taken",
+            )
             require(not any(those & others for others, _ in self.moves[s]), f"{where}: two choices for one pair")
             self.moves[s].append((those, weights))
         self.named |= {*self.moves}
 
     def go_back(self, layer: Any, scale: Any, known: Any, rows: Iterator[list[Any]]) -> None:
-        """Compare the numbers of a range of steps with what they make of each other, from the last of them back."""
+        """Compare the numbers of a range of steps with the results of one step from the numbers ahead, from the last
+        step back."""
         first = self._first_of(layer)
         where = f"steps {first} to {self.t - 1}"
         require(first >= self.policy_from, f"{where}: there is no policy for the first of them")
         growth = hexadecimal(scale, BITS // 4, f"{where}: the scale")
         unit = self.one * growth
         require(0 < unit.bit_length() <= BITS, f"{where}: the scale is 0 or too large")
-        require(type(known) is int and 0 <= known <= len(self.table), f"{where}: not so many numbers are known")
+        require(type(known) is int and 0 <= known <= len(self.table), f"{where}: it keeps more numbers than there are")
         self.table = [number * growth for number in self.table[:known]]
         here = self._listed(rows, len(f"{unit:x}"), where)
         self.pairs += sum(len(states) for _, states, _ in here.values())
@@ -431,7 +438,7 @@ class Induction:
                 undecided = self.verdicts(t)[2]
                 for s, (those, _, _) in here.items():
                     require(not those & ~undecided, f"step {t}, model state {s}: a number where the verdict is known")
-            # from the second step of a layer on, numbers are compared with themselves: only other sets change anything
+            # from the second step of a layer on, numbers are compared with themselves: only changed sets matter
             wanted = here.keys() if passed < 2 else here.keys() & again
             found = self._distances(here, wanted, growth, t)
             distances = found if passed < 2 else [*map(max, distances, found)]
@@ -440,10 +447,10 @@ class Induction:
             self.far = [far * growth + n * distance for far, distance in zip(self.far, distances, strict=True)]
             self._sets(t, new_verdicts, again)
             self.values, self.one, self.t, passed, growth = here, unit, self.t - n, passed + 1, 1
-            require(self.work <= self.most_work(), f"step {t}: this takes longer than the size of the file allows")
+            require(self.work <= self.most_work(), f"step {t}: it takes more work than the size of the file allows")
 
     def bounds(self) -> tuple[Fraction, Fraction]:
-        """Of the claimed quantity, at step 0."""
+        """The proved bounds of the claimed quantity, at step 0."""
         model, automaton, rows = self.model, self.automaton, Rows(self)
         entries = [
             (n, s, automaton.letters[model.letter[s]].after[automaton.start]) for s, n in model.share.items() if n
@@ -460,7 +467,7 @@ class Induction:
         return (lower, upper) if self.goal else (1 - upper, 1 - lower)
 
     def _first_of(self, steps: Any) -> int:
-        """Of a range of steps [first, last], which must end before this step."""
+        """The first step of a range [first, last], which must end just before this step."""
         require(integers(steps) and len(steps) == 2, f"{steps!r:.80} is not a range of steps")
         require(0 <= steps[0] <= steps[1] == self.t - 1, f"expected steps that end with {self.t - 1}, found {steps}")
         return int(steps[0])
@@ -471,7 +478,7 @@ class Induction:
         return found
 
     def _listed(self, rows: Iterator[list[Any]], width: int, where: str) -> Listed:
-        """The rows of a layer: first numbers of `width` digits each, which are added to the table, then pairs."""
+        """The rows of a layer: first numbers of `width` digits each, to be added to the table, then pairs."""
         found: Listed = {}
         last = -1
         for row in rows:
@@ -480,7 +487,7 @@ class Induction:
                 require(bool(known), f"{where}: expected numbers of {width} digits")
                 self.table += [int(row[0][i : i + width], 16) for i in range(0, len(row[0]), width)]
                 continue
-            require(len(row) == 3, f"{where}: a row is not a model state, a set and places in the table")
+            require(len(row) == 3, f"{where}: a row does not consist of a model state, a set and places in the table")
             s, mask, text = row
             place = f"{where}, model state {s!r:.20}"
             require(type(s) is int and s in self.model.share, f"{place}: no such state")
@@ -497,7 +504,8 @@ class Induction:
         return found
 
     def _distances(self, here: Listed, wanted: Iterable[int], growth: int, t: int) -> list[int]:
-        """How far numbers of some model states are, upwards and downwards, from what a step makes of those ahead."""
+        """How far numbers of some model states are, upwards and downwards, from the result of a step from those
+        ahead."""
         ahead, largest, where = Rows(self), [0, 0], [0, 0]
         self.outcomes, self.kept = self.kept, {}
         for s in wanted:
@@ -515,7 +523,7 @@ class Induction:
     def _compared(
         self, s: int, listed: tuple[int, list[int], list[int]], ahead: Rows, t: int
     ) -> Iterator[tuple[list[int], list[int], int]]:
-        """Numbers of a model state, what a step makes of the values ahead, and over which denominator."""
+        """Numbers of a model state, the results of a step from the values ahead, and their denominator."""
         those, states, numbers = listed
         if self.moves is None:
             yield numbers, self._step(s, None, states, ahead), self.model.D
@@ -529,9 +537,9 @@ class Induction:
         require(not those, f"step {t}, model state {s}: a number where no choice is listed")
 
     def _step(self, s: int, weights: Weights | None, states: list[int], ahead: Rows) -> list[int]:
-        """By automaton state: the largest Σ D·p·(value ahead) of all choices, or Σ weight · Σ D·p·(value ahead).
+        """By automaton state: the largest Σ D·p·(value ahead) over all choices, or Σ weight · Σ D·p·(value ahead).
 
-        Pairs that lead to the same values have the same outcome, which is made once, and kept for the step before.
+        Pairs that lead to the same values have the same outcome, which is computed once, and kept for the step before.
         """
         choices, near = self.model.choices[s], self.model.near[s]
         if weights is not None:
@@ -625,7 +633,7 @@ def _certify(lines: Lines, progress: Callable[[int, int], None]) -> dict[str, An
         bound = _fraction(claimed[key], proved[i])
         _, where = induction.worst[i if claim == "minimum" else 1 - i]
         holds = proved[i] >= bound if key == "lower" else proved[i] <= bound
-        farthest = f"; numbers are farthest from what a step makes of those ahead at {where}" if where else ""
+        farthest = f"; the largest distance is at {where}" if where else ""
         require(holds, f"the claimed {key} bound is not proved{farthest}")
     initial = abs(model.total - sum(model.share.values()))
     defect = max(Fraction(initial, model.total), Fraction(max(model.missing, model.excess), model.D))
@@ -633,7 +641,7 @@ def _certify(lines: Lines, progress: Callable[[int, int], None]) -> dict[str, An
 
 
 def _fraction(text: Any, proved: Fraction) -> Fraction:
-    """A claimed bound, which is not much longer than the one proved."""
+    """A claimed bound, with not many more digits than the one proved."""
     most = proved.numerator.bit_length() + proved.denominator.bit_length() + 1000
     known = _FRACTION.fullmatch(text) if type(text) is str and len(text) <= most else None
     require(known is not None, f"{text!r:.80} is not a fraction")

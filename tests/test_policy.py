@@ -72,7 +72,7 @@ def test_pickles_are_never_loaded(patrolling, tmp_path):
 @pytest.mark.parametrize(
     ("table", "says"),
     [
-        (np.zeros((3, 3), dtype=int), r"shape \(3, 3\); \(18, 36\) or \(8, 18, 36\) is needed"),
+        (np.zeros((3, 3), dtype=int), r"shape \(3, 3\); give \(18, 36\) or \(8, 18, 36\)"),
         (np.full((18, 36), 9), "takes choice 9 in state .*, which has 9, counted from 0"),
         (np.full((18, 36, 9), 0.2), "are not a distribution over the 9 choices"),
         (np.full((18, 36, 9), np.nan), "are not a distribution"),
@@ -117,7 +117,7 @@ def test_a_q_table_is_its_greedy_policy(flagged, tmp_path):
         ("HEAD\n[0.3 0.1 0 0],1,2\n", "line 2: not a row"),
         ("HEAD\n[0.3 0.1 0 zero],1,2,3,4,5,6,7,8,9\n", "line 2: not a row"),
         ("HEAD\n[0.3 0.1 0 0],1,2,3,4,5,6,7,8,nan\n", "with finite numbers"),
-        ("HEAD\n[0.3 0.1 0],1,2,3,4,5,6,7,8,9\n", "the index has 3 numbers; 2 signals"),
+        ("HEAD\n[0.3 0.1 0],1,2,3,4,5,6,7,8,9\n", "the index has 3 numbers; it needs 2 signals"),
         ("HEAD\n[0.31 0.1 0 0],1,2,3,4,5,6,7,8,9\n", "row 1: there is no state 0.31 0.1"),
         ("HEAD\n[0.3 0.1 0 6],1,2,3,4,5,6,7,8,9\n", "row 1: there is no automaton state 0 6"),
         ("HEAD\n" + "[0.3 0.1 0 0],1,2,3,4,5,6,7,8,9\n" * 2, "two rows are for the same state"),

@@ -1,12 +1,12 @@
-"""One step back over edges (checking/induction/edges.py), where numbers are more than one machine word or want sorting.
+"""One backward step over edges (checking/induction/edges.py), for numbers that exceed one machine word or need sorting.
 
 n open pairs with choices[i] … choices[i+1]−1, choice j with edges start[j] … start[j+1]−1, each of the model's entry[k]
-and the slot child[k] ahead. `best` gets the number of each pair's first best choice.
+and the slot child[k] ahead. `best` gets the index of each pair's first best choice.
 
-    digits   exact integers, `bits` bits a digit, least first, over the denominator D^k:  Σ n_k · V[child], one factor
+    digits   exact integers, `bits` bits per digit, least first, over the denominator D^k:  Σ n_k · V[child], one factor
              D more than the layer ahead; Σ n = D and D · 2^bits ≤ 2^62, so sums of digits fit and carries run once
     nature   opt { Σ_k p_k · V[child_k] : lower_k ≤ p_k ≤ lower_k + width_k, Σ_k p_k = 1 }, the budget 1 − Σ lower
-             handed out in the order of V, ascending where nature minimises; equal values go by the entry's number
+             distributed in the order of V, ascending if nature minimises; equal values by the entry's number
     sums     M weighted sums at once: Σ p_k · (V[child_k] + reward[letter_k, q]), of the choice that is best for the
              first of them, or mixed by `weight`
 """

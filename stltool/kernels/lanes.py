@@ -1,8 +1,8 @@
-"""Vectors of eight numbers as values in numba kernels: `Lanes`, and what can be done with them.
+"""Vectors of eight numbers as values in numba kernels: `Lanes`, and their operations.
 
-numba keeps the best value and the best choice of an inner loop in memory, whatever its own vectoriser makes of the
-loop; as values they stay in registers. LLVM maps eight lanes to what the processor has: one AVX-512 register, two of
-AVX2, four of SSE2. Products and sums are not contracted into one rounding, so results are the same on every machine.
+numba keeps the best value and the best choice of an inner loop in memory, however it vectorises the loop; as `Lanes`
+they stay in registers. LLVM maps eight lanes to the processor's registers: one AVX-512 register, two of AVX2, four of
+SSE2. Products and sums are not contracted into one rounding, so results are the same on every machine.
 
     load, store          eight numbers of an array from index i on       at, put       one number
     splat, splat_at      one number in every lane                        gather        arr[index[i]], …, arr[index[i+7]]
@@ -10,7 +10,7 @@ AVX2, four of SSE2. Products and sums are not contracted into one rounding, so r
     select               x where the mask holds, y elsewhere             mask          a byte, bit i for lane i
     narrow_where         arr[i …] = integers, where the mask holds, in the array's own type
     any_bit              whether any lane is not 0
-    ceil_div             ⌈x / d⌉ of integers without a division, which processors do not have for vectors
+    ceil_div             ⌈x / d⌉ of integers without a division, since processors have no vector division
     popcount, trailing   of one 64-bit word; `trailing` of 0 is undefined
 
 Indices are not wrapped around and not checked: callers keep them within the array.
@@ -250,7 +250,7 @@ def trailing(typing, word):
 def ceil_div(x, d, inverse):
     """⌈x / d⌉ for 0 ≤ x < 2^62 and 0 < d < 2^31, d and the double 1/d in every lane.
 
-    Two quotients in doubles leave less than 2·d, settled by comparing.
+    Two quotients in doubles leave a remainder below 2·d, resolved by comparisons.
     """
     y = _to_integer(mul(_to_double(x), inverse))
     y = add(y, _to_integer(mul(_to_double(sub(x, mul(y, d))), inverse)))

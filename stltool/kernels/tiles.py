@@ -1,15 +1,15 @@
-"""Numbers of a backward induction by steps, eight automaton states at a time, where values lie strictly between.
+"""Numbers of a backward induction by steps, eight automaton states at a time, for values strictly between 0 and 1.
 
 Layers and their sets are those of kernels/words.py. A layer's values are stored by *tiles* of eight automaton states
-that have an open or sure pair: tile number tiles[i] … of the layer's i-th state, ascending; its lanes that are
-neither are not 0 but `rest`, the value of whatever is not listed. In doubles, or in fixed point (int64, rounded up).
+that have an open or sure pair: tile number tiles[i] … of the layer's i-th state, ascending; lanes that are neither
+contain `rest`, the value of unlisted pairs (not 0). In doubles, or in fixed point (int64, rounded up).
 
-    blocks   gives every row and word that is read a block of 64 numbers of W, the next values as seen through δ
+    blocks   assigns to every row and word that is read a block of 64 numbers of W, the next values seen through δ
     gather   fills W:   W[s', q] = V_{t+1}[s', δ(L(s'), q)]
     sweep    V_t[s,q] = opt_c Σ_s' p(s'|c) · W[s',q] on open pairs, with the choice; best value and best choice stay in
              registers
 
-Values do not depend on how states are shared out to threads: each is computed by one, in one order.
+Values do not depend on how threads share the states: each is computed by one thread, in a fixed order.
 """
 
 from __future__ import annotations
@@ -54,9 +54,10 @@ _BYTE = np.uint64(255)
 
 @kernel
 def tile_maps(delta: I32, n_words: int) -> tuple[Bools, I32, I32, Bytes]:
-    """δ by letter and tile: whether a lane has value q + shift (in the mask) or that of one state, and those.
+    """δ by letter and tile: whether a lane takes value q + shift (in the mask) or that of one state, and the shift and
+    the state.
 
-    (letters · 8 · n_words,) each. Where it has not, values are gathered one by one.
+    (letters · 8 · n_words,) each. Otherwise values are gathered one by one.
     """
     n_letters, n_states = delta.shape
     n = 8 * n_words
@@ -85,7 +86,7 @@ def tile_maps(delta: I32, n_words: int) -> tuple[Bools, I32, I32, Bytes]:
 
 @kernel
 def blocks(n: int, rows: U64, groups: U64, n_words: int, width: int, shift: int, block: I32) -> int:
-    """block[j·n_words + w]: the block of word w of row j, where it is not 0; how many blocks there are."""
+    """block[j·n_words + w]: the block of word w of row j, where it is not 0; returns the number of blocks."""
     count = 0
     for j in range(n):
         left = groups[j]
@@ -107,7 +108,7 @@ def gather(
 ) -> None:  # fmt: skip
     """Fill the blocks of W from the next layer's values.
 
-    decided (PAD + 64·n_words + PAD,): its value for each automaton state that is not listed: a verdict's or `rest`;
+    decided (PAD + 64·n_words + PAD,): the value of each automaton state that is not listed: its verdict's or `rest`;
     undecided is a row of words; delta (letters · 64·n_words,).
     """
     n_padded = 64 * n_words
@@ -146,7 +147,7 @@ def gather(
                         store(W, to + q, select(mask(at(moved, e)), shifted, other))
                     else:
                         store(W, to + q, lanes.gather(inner, delta, base * n_padded + 64 * w + q))
-        if i >= 0:  # as it was
+        if i >= 0:  # unchanged
             for k in range(start[i], start[i + 1]):
                 w = np.int64(at(word, k))
                 left = spread(at(open_bits, k) | at(sure_bits, k))
@@ -185,7 +186,7 @@ def sweep(
     denominator: int, maximize: bool, restricted: bool, allowed_start: I64, allowed: U64, worst: Any, sure: Any,
     rest: Any, n_words: int, keep: bool, values: Numbers, best: NDArray[Any],
 ) -> None:  # fmt: skip
-    """The layer's states lo … hi−1. `worst` is what every value is better than; `best` gets open choices by tile.
+    """The layer's states lo … hi−1. `worst` is worse than every value; `best` gets the choices of open pairs by tile.
 
     Four, two or one tile of a word at a time: the row's entries are read once for all of them.
     """

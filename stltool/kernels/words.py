@@ -1,16 +1,17 @@
-"""Sets of automaton states as bits of 64-bit words, layer by layer of a backward induction (checking/support.py).
+"""Sets of automaton states as bits of 64-bit words, for the layers of a backward induction
+(checking/induction/words.py).
 
 A *layer* lists, for each of its model states in order, the words that are not 0:
 
     states (n,) int32     start (n+1,) int64     word (k,) int32     bits (k,) uint64
     state states[i] has the sets bits[j] of the automaton states 64·word[j] …, for j = start[i] … start[i+1]−1
 
-A *row* holds a set as `width` words, the automaton's between one word of zeros at each end at least, so that shifted
+A *row* stores a set as `width` words: the automaton's, with at least one word of zeros at each end, so that shifted
 reads and writes stay inside. Sets are sparse: a row comes with the word `groups`, whose bit g says whether any of its
-words g·2^shift … (g+1)·2^shift − 1 was written to; the others are not even zeros.
+words g·2^shift … (g+1)·2^shift − 1 was written to; the others are uninitialised.
 
-δ is read as *pieces*: for each letter and word some masks with what happens to their bits, (`shift`) all move by an
-amount or (`not shift`) all go to one state. Counters give one to four pieces a word; any δ at most 64.
+δ is stored as *pieces*: for each letter and word, masks whose bits either all move by the same amount (`shift`) or all
+go to one state (`not shift`). Counters give one to four pieces per word; any δ at most 64.
 
 The neighbours of a state are its distinct successors: near[near_start[s] … near_start[s+1]−1]; entry k of the model's
 rows leads to number position[k] of them.
@@ -41,7 +42,7 @@ PLAIN, RESTRICTED, MIXED = 0, 1, 2
 
 @kernel
 def reachable_states(choice_start: I64, row_start: I64, target: I32, first: I32, steps: int) -> I32:
-    """The model states that some run can be in within `steps` steps from those of `first`, ascending."""
+    """The model states that runs from `first` can visit within `steps` steps, ascending."""
     n_states = len(choice_start) - 1
     seen = np.zeros(n_states, np.bool_)
     found = np.empty(n_states, np.int32)
@@ -70,7 +71,7 @@ def reachable_states(choice_start: I64, row_start: I64, target: I32, first: I32,
 
 @kernel
 def submodel(choice_start: I64, row_start: I64, target: I32, kept: I32) -> tuple[I64, I64, I32, I64, I64]:
-    """choice_start, row_start and target by new numbers (−1: not kept), and the choices and entries that are kept."""
+    """choice_start, row_start and target in new numbers (−1: not kept), and the choices and entries that are kept."""
     number = np.full(len(choice_start) - 1, -1, np.int32)
     for i in range(len(kept)):
         number[kept[i]] = i
@@ -101,7 +102,7 @@ def submodel(choice_start: I64, row_start: I64, target: I32, kept: I32) -> tuple
 
 @kernel
 def neighbours(choice_start: I64, row_start: I64, target: I32) -> tuple[I64, I32, I32]:
-    """near_start, near, position; entries with target −1 (states out of reach) get position 0 and no neighbour."""
+    """near_start, near, position; entries with target −1 (unreachable states) get position 0 and no neighbour."""
     n_states = len(choice_start) - 1
     stamp, place = np.full(n_states, -1, np.int32), np.empty(n_states, np.int32)
     start = np.zeros(n_states + 1, np.int64)
@@ -124,7 +125,8 @@ def neighbours(choice_start: I64, row_start: I64, target: I32) -> tuple[I64, I32
 
 @kernel
 def pieces(delta: I32, n_words: int) -> tuple[I64, U64, NDArray[np.bool_], I64]:
-    """δ (letters, states) as pieces: start (letters·n_words + 1,), mask, whether it shifts, and by or to what."""
+    """δ (letters, states) as pieces: start (letters·n_words + 1,), mask, whether it shifts, and the amount or the
+    target."""
     n_letters, n_states = delta.shape
     start = np.zeros(n_letters * n_words + 1, np.int64)
     most = n_letters * n_states
@@ -137,7 +139,7 @@ def pieces(delta: I32, n_words: int) -> tuple[I64, U64, NDArray[np.bool_], I64]:
             left, done = hi - lo, np.zeros(64, np.bool_)
             while left > 0:
                 most_found, by_shift, value = 0, False, np.int64(0)
-                for q in range(lo, hi):  # the largest piece; one with half of what is left is large enough
+                for q in range(lo, hi):  # the largest piece; one with half of the remaining bits is large enough
                     if done[q - lo]:
                         continue
                     moved = together = 0
@@ -167,7 +169,8 @@ def pieces(delta: I32, n_words: int) -> tuple[I64, U64, NDArray[np.bool_], I64]:
 def table_masks(
     states: I32, start: I64, word: I32, bits: U64, number: I32, choice_start: I64, table: NDArray[np.integer]
 ) -> tuple[I64, U64, bool]:
-    """A layer's masks (`unite_allowed`) of the one choice table[number[s], q], and whether it is negative somewhere."""
+    """A layer's masks (`unite_allowed`) for the single choice table[number[s], q], and whether it is negative
+    somewhere."""
     first, masks = _room(states, start, choice_start)
     silent = False
     for i in range(len(states)):
@@ -189,7 +192,7 @@ def table_masks(
 def mixture_masks(
     states: I32, start: I64, word: I32, bits: U64, number: I32, choice_start: I64, table: NDArray[np.float64]
 ) -> tuple[I64, U64, bool]:
-    """The same of all choices of positive weight table[number[s], q, i]; it is never silent."""
+    """The same for all choices of positive weight table[number[s], q, i]; some choice is always defined."""
     first, masks = _room(states, start, choice_start)
     for i in range(len(states)):
         row = table[number[states[i]]]
@@ -207,7 +210,7 @@ def mixture_masks(
 
 @kernel
 def taken_masks(states: I32, start: I64, word: I32, bits: U64, choice_start: I64, taken: I64) -> tuple[I64, U64, bool]:
-    """As `table_masks`, of the choices taken[i] of the layer's pairs in order."""
+    """As `table_masks`, for the choices taken[i] of the layer's pairs in order."""
     first, masks = _room(states, start, choice_start)
     silent, n = False, 0
     for k in range(len(bits)):
@@ -226,7 +229,7 @@ def taken_masks(states: I32, start: I64, word: I32, bits: U64, choice_start: I64
 def weighted_masks(
     states: I32, start: I64, word: I32, bits: U64, choice_start: I64, taken: NDArray[np.float64]
 ) -> tuple[I64, U64, bool]:
-    """As `mixture_masks`, of weights taken[i, c] of the layer's pairs in order."""
+    """As `mixture_masks`, for weights taken[i, c] of the layer's pairs in order."""
     first, masks = _room(states, start, choice_start)
     n = 0
     for i in range(len(states)):
@@ -247,7 +250,7 @@ def choice_masks(
     states: I32, start: I64, word: I32, bits: U64, number: I32, choice_start: I64, n_words: int, keys: I64,
     listed: U64, rank: I64, choice: NDArray[Any],
 ) -> tuple[I64, U64, bool]:  # fmt: skip
-    """The same of choices kept by words (stltool/choices.py): 0 where none is listed; they are never silent.
+    """The same for choices stored by words (stltool/choices.py): 0 where none is listed; some choice is always defined.
 
     rank: the choices before each word.
     """
@@ -285,7 +288,7 @@ def _room(states: I32, start: I64, choice_start: I64) -> tuple[I64, U64]:
 
 @kernel
 def _open_group(rows: U64, groups: U64, j: int, d: Any, shift: int, width: int) -> None:
-    """Row j can be written to at word d."""
+    """Make row j writable at word d."""
     g = d >> shift
     if not (at(groups, j) >> np.uint64(g)) & ONE:
         zero = splat(ZERO)
@@ -299,7 +302,8 @@ def unite(
     states: I32, start: I64, word: I32, bits: U64, lo: int, hi: int, near_start: I64, near: I32,
     slot: I32, found: I32, rows: U64, groups: U64, width: int, shift: int,
 ) -> int:  # fmt: skip
-    """For the layer's states lo … hi−1: the union of their sets in a row of each neighbour; how many rows there are.
+    """For the layer's states lo … hi−1: the union of their sets in a row for each neighbour; returns the number of
+    rows.
 
     slot (n_states,), −1 everywhere, becomes the number of a neighbour's row; found[number] is the neighbour.
     """
@@ -338,7 +342,7 @@ def unite_allowed(
     states: I32, start: I64, word: I32, bits: U64, allowed_start: I64, allowed: U64, choice_start: I64, row_start: I64,
     target: I32, slot: I32, found: I32, rows: U64, groups: U64, width: int, shift: int,
 ) -> int:  # fmt: skip
-    """As `unite`, along the choices allowed: word k of the layer allows choice i of its state in the sets
+    """As `unite`, along the allowed choices: word k of the layer allows choice i of its state in the sets
     allowed[allowed_start[k] + i].
     """
     n = 0
@@ -364,14 +368,14 @@ def unite_allowed(
 
 @kernel
 def forget(slot: I32, states: I32, n: int) -> None:
-    """slot is −1 everywhere again."""
+    """Reset slot to −1 everywhere."""
     for i in range(n):
         slot[states[i]] = -1
 
 
 @kernel
 def ascending(found: I32, n: int, slot: I32) -> I32:
-    """found[:n] in order: sorted where they are few, else read off `slot`."""
+    """found[:n] in order: sorted if they are few, else read from `slot`."""
     if 20 * n < len(slot):
         return np.sort(found[:n])
     ordered, i = np.empty(n, np.int32), 0
@@ -388,10 +392,10 @@ def push(
     piece_shifts: NDArray[np.bool_], piece_amount: I64, undecided: U64, n_words: int, width: int, shift: int,
     states: I32, start: I64, word: I32, bits: U64,
 ) -> int:  # fmt: skip
-    """The next layer: the images of the rows under δ of their states' letters, as far as they are undecided.
+    """The next layer: the undecided images of the rows under δ of their states' letters.
 
     `found` are the states that have a row (slot); undecided is a row. Fills states, start, word, bits, in the order of
-    `found`; how many states there are.
+    `found`; returns the number of states.
     """
     image, written = np.empty(width, np.uint64), np.zeros(1, np.uint64)
     n_states = n_bits = 0
@@ -449,7 +453,7 @@ def collect(
     found: I32, slot: I32, rows: U64, groups: U64, n_words: int, width: int, shift: int,
     start: I64, word: I32, bits: U64,
 ) -> int:  # fmt: skip
-    """The rows of the states `found` as a layer: fills start (n+1,), word, bits; how many words there are."""
+    """The rows of the states `found` as a layer: fills start (n+1,), word, bits; returns the number of words."""
     n = 0
     start[0] = 0
     for i in range(len(found)):
@@ -474,7 +478,7 @@ def pull(
     goal: U64, letter: I32, piece_start: I64, piece_mask: U64, piece_shifts: NDArray[np.bool_], piece_amount: I64,
     n_words: int, width: int, shift: int, possible: U64, certain: U64, somewhere: NDArray[np.bool_],
 ) -> None:  # fmt: skip
-    """From the next layer back: which automaton states of each row lead to a set, before the letter is read.
+    """From the next layer back: which automaton states of each row lead into a set, before the letter is read.
 
     The next layer's state x has number slot[x] (−1: none), where open_bits and sure_bits are set; `goal` is the row of
     verdicts that count as sure. Row j of `possible`, in the same groups: those of rows[j] whose image is open, sure or
@@ -524,7 +528,7 @@ def pull(
                 put(certain, j * width + w + 1, here_sure)
                 any_sure |= here_sure != ZERO
         somewhere[j] = any_sure
-        if i >= 0:  # as they were
+        if i >= 0:  # unchanged
             for k in range(start[i], start[i + 1]):
                 d = np.int64(at(word, k)) + 1
                 put(sure, d, at(goal, d))
@@ -548,13 +552,13 @@ def decide(
     keep: bool, states_out: I32, start_out: I64, word_out: I32, open_out: U64, sure_out: U64, tiles_out: I64,
     sure_choice: NDArray[np.unsignedinteger],
 ) -> tuple[int, int]:  # fmt: skip
-    """Which pairs of a layer are sure (some choice leads to sure ones only), which are open, and which neither.
+    """Which pairs of a layer are sure (some choice leads only to sure ones), which are open, and which are neither.
 
     `possible`, `certain`, `somewhere` from `pull`, by rows of `slot`. mode PLAIN: over all choices; RESTRICTED: over
-    those allowed; MIXED: a pair is sure where all its allowed choices are, since each may be taken. Where not asked
-    for, `sure` pairs are open, and all others are `live`. The new layer lists what is open or sure; tiles_out (n+1,)
-    counts its tiles, eight automaton states with any such. Where `keep`, sure_choice gets the first choice that makes
-    each sure pair so, in order. How many states there are, and how many sure pairs.
+    the allowed ones; MIXED: a pair is sure if all its allowed choices are, since each may be taken. Without `sure`,
+    sure pairs count as open; without `live`, all others do. The new layer lists what is open or sure; tiles_out (n+1,)
+    counts its nonempty tiles of eight automaton states. With `keep`, sure_choice gets the first choice that makes each
+    sure pair sure, in order. Returns the numbers of states and of sure pairs.
     """
     rows = np.empty(_longest(near_start), np.int64)
     chosen = np.empty(64, sure_choice.dtype)
@@ -643,7 +647,8 @@ def merge_choices(
     open_bits: U64, sure_bits: U64, by_tile: bool, open_choice: NDArray[np.unsignedinteger],
     sure_choice: NDArray[np.unsignedinteger], out: NDArray[np.unsignedinteger],
 ) -> None:  # fmt: skip
-    """The choices of open and of sure pairs in one order; those of open ones one by one, or by tiles of the layer."""
+    """The choices of open and of sure pairs, merged in order; those of open ones are given one by one, or by tiles of
+    the layer."""
     n = opened = sure = tile = 0
     for k in range(len(open_bits)):
         both, between = open_bits[k] | sure_bits[k], open_bits[k]
@@ -670,7 +675,8 @@ def count_edges(
     states: I32, start: I64, word: I32, open_bits: U64, lo: int, hi: int, choice_start: I64, row_start: I64, mode: int,
     allowed_start: I64, allowed: U64,
 ) -> tuple[int, int, int]:  # fmt: skip
-    """The open pairs of the layer's states lo … hi−1, their choices that count, and the edges of those."""
+    """The numbers of open pairs of the layer's states lo … hi−1, of their choices that count, and of the edges of
+    those."""
     n_pairs = n_choices = n_edges = 0
     for i in range(lo, hi):
         s = states[i]
@@ -721,7 +727,7 @@ def list_edges(
                             found = np.int64(1 if goal[w + 1] & one else 0)
                         elif slot[x] >= 0:
                             a, b = start_ahead[slot[x]], start_ahead[slot[x] + 1]
-                            while a < b:  # the word, if it is listed
+                            while a < b:  # finds the word, if it is listed
                                 middle = (a + b) >> 1
                                 if word_ahead[middle] < w:
                                     a = middle + 1

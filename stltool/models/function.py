@@ -1,10 +1,10 @@
-"""Rows of a model that is a function of states and actions, called when rows are needed: nothing is stored.
+"""Rows of a model that is a function of states and actions, computed when needed: nothing is stored.
 
     step(states, actions) → (successors, probabilities)
 
-Both arguments are arrays (n,) of int64, the pairs whose rows are wanted; the results are arrays (n, k), pair i leading
-to successors[i, j] with probabilities[i, j]. Entries of probability 0 are left out, whatever their successor; entries
-with the same successor are added. Every row is checked when it is made.
+Both arguments are arrays (n,) of int64, the pairs whose rows are needed; the results are arrays (n, k): pair i leads to
+successors[i, j] with probability probabilities[i, j]. Entries of probability 0 are left out, whatever their successor;
+entries with the same successor are added. Every row is checked when it is computed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Function(Source):
     """The rows that `step` gives.
 
     available     (n_states, n_actions) Booleans: which actions a state has; None: all of them
-    denominator   probabilities are whole numbers over it, and exact; None: they are doubles
+    denominator   probabilities are integers over it, and exact; None: they are doubles
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class Function(Source):
 
     @property
     def n_transitions(self) -> int:
-        """The most there can be."""
+        """An upper bound."""
         return self.n_choices * (self._width or 0)
 
     @cached_property
@@ -96,7 +96,7 @@ class Function(Source):
         return self
 
     def require_distributions(self, place: Place, state: Place) -> None:
-        """Of the first state; the others' rows are checked when they are made."""
+        """Checks the first state; the rows of others are checked when they are computed."""
         self._state = state
         self.rows(np.zeros(1, dtype=np.int64))
 
@@ -121,7 +121,7 @@ class Function(Source):
         return rows
 
     def _actions(self, states: I64) -> tuple[I64, I64]:
-        """How many actions each state has, and which."""
+        """The number of actions of each state, and the actions."""
         if self._available is None:
             n = len(self._names)
             return np.full(len(states), n), np.tile(np.arange(n), len(states))
@@ -129,7 +129,7 @@ class Function(Source):
         return end - first, self.choice_action[spans(first, end)].astype(np.int64)
 
     def _entries(self, states: I64, actions: I64) -> tuple[I64, I32, NDArray[Any]]:
-        """Pair, successor and probability of every entry, by pairs and in order of successors, once each."""
+        """Pair, successor and probability of every entry, sorted by pair and successor, once each."""
         if not len(states):
             none = np.zeros(0, dtype=np.int64)
             return none, none.astype(np.int32), none if self._denominator is not None else np.zeros(0)
@@ -142,7 +142,7 @@ class Function(Source):
                 f"{self._place(states[i], actions[i])}: step leads to state {successors[i, j]}; states are numbered "
                 f"0 … {self._n_states - 1}"
             )
-        successors = np.where(there, successors, self._n_states)  # behind all others
+        successors = np.where(there, successors, self._n_states)  # sorted after all others
         order = np.argsort(successors, axis=1, kind="stable")
         successors, shares = np.take_along_axis(successors, order, axis=1), np.take_along_axis(shares, order, axis=1)
         there = successors < self._n_states
@@ -154,7 +154,7 @@ class Function(Source):
         return np.nonzero(first)[0], successors[first].astype(np.int32), added
 
     def _called(self, states: I64, actions: I64) -> tuple[I64, NDArray[Any]]:
-        """What step returns, as arrays (n, k) of whole numbers, and of doubles or whole numbers."""
+        """The result of step, as arrays (n, k) of integers, and of doubles or integers."""
         found = self._step(states, actions)
         if not isinstance(found, tuple | list) or len(found) != 2:
             raise ModelError(f"step returned {described(found)}; {_WANTED}")
@@ -172,25 +172,25 @@ class Function(Source):
             )
         if self._width is not None and successors.shape[1] != self._width:
             raise ModelError(
-                f"step returned {successors.shape[1]} successors of each pair, and {self._width} before; return as "
+                f"step returned {successors.shape[1]} successors for each pair, but {self._width} before; return as "
                 "many every time, some of them with probability 0"
             )
         if successors.dtype.kind not in "iu":
-            raise ModelError(f"step returned successors of type {successors.dtype}; return whole numbers")
+            raise ModelError(f"step returned successors of type {successors.dtype}; return integers")
         return successors.astype(np.int64), self._shares(shares)
 
     def _shares(self, shares: NDArray[Any]) -> NDArray[Any]:
         if self._denominator is not None:
             if shares.dtype.kind not in "iu":
                 raise ModelError(
-                    f"step returned probabilities of type {shares.dtype}; with a denominator, return whole numbers"
+                    f"step returned probabilities of type {shares.dtype}; with a denominator, return integers"
                 )
             return shares.astype(np.int64)
         try:
             doubles: NDArray[Any] = nearest(shares)
         except TypeError:
             raise ModelError(
-                f"step returned probabilities of type {shares.dtype}; return doubles, or whole numbers and give their "
+                f"step returned probabilities of type {shares.dtype}; return doubles, or integers and give their "
                 "denominator"
             ) from None
         return doubles
@@ -204,7 +204,7 @@ class Function(Source):
         empty = np.flatnonzero(np.diff(rows.row_start) == 0)
         if empty.size:
             raise ModelError(
-                f"{place(int(empty[0]))}: all probabilities are 0; say with `available` which actions a state has"
+                f"{place(int(empty[0]))}: all probabilities are 0; define with `available` which actions a state has"
             )
         if not len(rows.target):
             return

@@ -5,20 +5,21 @@
     BB#CC          # blocked     . free     S start     other letters are labels
     BB.CC          the last line is the bottom row
     '''
-    cell = 0.2               side of a cell; x and y are the centre of the current one
+    cell = 0.2               side of a cell; x and y are the centre of the current cell
     moves = "king"           stay and eight directions; "cross": stay and four
-    success = "93/100"       the move is the action's
+    success = "93/100"       the move is the intended one
     slip = "7/300"           each of three others: stay, and the two neighbouring directions
     start = [1, 0]           [column, row] of the first cell, from the bottom left, where the map marks none with S
-    normalize = true         rescale success and slip where they miss a sum of 1 by rounding alone
+    normalize = true         rescale success and slip if they miss a sum of 1 only by rounding
 
-Several S mean that a run starts in each of these cells with the same probability.
+Several S mean that runs start in each of these cells with equal probability.
 
-Noise that is known only roughly is written as intervals, `success = [0.9, 0.95]` or `"[9/10, 19/20]"`, and the model
-is one for `robust_check`: at every step nature picks each outcome's probability in its interval, so that they sum to 1.
+Noise that is known only approximately is written as intervals, `success = [0.9, 0.95]` or `"[9/10, 19/20]"`, and
+`robust_check` takes the model: at every step nature picks each outcome's probability in its interval, so that they sum
+to 1.
 
 `stay` always stays. A move into a blocked cell or off the map leaves the robot where it is; corners may be cut.
-Numbers are decimals or fractions in quotes, and mean exactly that: rows are summed as fractions, then rounded once.
+Numbers are decimals, or fractions in quotes, and exact: rows are summed as fractions, then rounded once.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ _NO_CELL = re.compile(r"[^#.A-Za-z]")
 
 
 def grid_from_table(table: Mapping[str, Any], default_name: str = "grid", normalize: bool = False) -> MDP:
-    """A grid world from the keys of its file. Raises ModelFaults with all that is wrong."""
+    """A grid world from the keys of its file. Raises ModelFaults with all faults."""
     faults = Faults()
     if table.get("kind") != "grid":
         faults.add("kind", f'kind is {table.get("kind")!r}; write kind = "grid"')
@@ -121,7 +122,7 @@ class _Noise:
 
 
 def _noise(table: Mapping[str, Any], normalize: bool, faults: Faults) -> _Noise | None:
-    """None where it is faulty."""
+    """None if it is faulty."""
     success = faults.reading("success", _ends, table, "success", (Fraction(1), Fraction(1)))
     slip = faults.reading("slip", _ends, table, "slip", None)
     if success is None or (slip is None and "slip" in table):
@@ -151,7 +152,7 @@ def _noise(table: Mapping[str, Any], normalize: bool, faults: Faults) -> _Noise 
         faults.add(
             place,
             f"success {_interval_text(success)} and three times slip {_interval_text(slip)} sum to "
-            f"{number_text(least)} … {number_text(most)}, and never to 1; widen one of them",
+            f"{number_text(least)} … {number_text(most)}, never to 1; widen one of them",
         )
     denominator = math.lcm(*(end.denominator for end in (*success, *slip)))
     if denominator >= 2**53:
@@ -192,7 +193,7 @@ def _ends(table: Mapping[str, Any], key: str, default: _Ends | None) -> _Ends | 
 
 
 def _read_map(text: object, faults: Faults) -> NDArray[np.uint8] | None:
-    """The cells as ASCII codes, lines from the top; None where the map is faulty."""
+    """The cells as ASCII codes, lines from the top; None if the map is faulty."""
     if not isinstance(text, str) or not text.strip():
         faults.add("map", "the grid has no map; write map = '''…''' with one line per row")
         return None
@@ -217,7 +218,8 @@ def _read_map(text: object, faults: Faults) -> NDArray[np.uint8] | None:
 
 
 def _start(given: object, cells: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """The weight of each cell as the first one, in the shape of `cells`: the key `start`, or the S cells, all alike."""
+    """The weight of each cell as a start, in the shape of `cells`: the key `start`, or the S cells with equal
+    weights."""
     marked: NDArray[np.int64] = (cells == ord("S")).astype(np.int64)
     height, width = cells.shape
     if given is None:

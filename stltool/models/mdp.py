@@ -1,4 +1,4 @@
-"""A Markov decision process with named signals, labels, states and actions, validated once when it is made.
+"""A Markov decision process with named signals, labels, states and actions, validated once, on construction.
 
 Transitions are CSR rows (models/rows.py), one row a *choice* (a state with one of its available actions):
 
@@ -47,15 +47,15 @@ if TYPE_CHECKING:
 Floats: TypeAlias = NDArray[np.float64]
 
 _SHOWN = 4  # initial states in a short description
-_NAMED = 8  # initial states that are told
-_SHORT = 12  # characters of a number that is told whole
+_NAMED = 8  # initial states that are listed
+_SHORT = 12  # characters of a number that is shown in full
 _BLOCK = 1 << 14  # states
-_FEW = 100_000  # row entries that are made all at once
+_FEW = 100_000  # row entries that are computed all at once
 
 
 @dataclass(frozen=True, eq=False)
 class GridLayout:
-    """Where the states of a grid world lie on the floor: for pictures and for telling a state by its cell.
+    """Where the states of a grid world lie on the floor: for pictures, and for naming a state by its cell.
 
     `column` and `row` (n_states,) count from the left and from the bottom.
     """
@@ -71,19 +71,19 @@ class MDP(Displayed):
     """See the module's text; build one with `MDP.from_arrays`, `from_intervals`, `from_function`, `black_box` or
     `load_model`.
 
-    source         where the rows come from (models/rows.py): all in memory, or made when they are asked for. `target`,
-                   `probability`, `row_start` and the like have all rows: a source on demand makes them the first time
+    source         where the rows come from (models/rows.py): all in memory, or computed on demand. `target`,
+                   `probability`, `row_start` and the like contain all rows: a source on demand computes them on first
+                   use
     initial        (n_states,) probabilities of the first state
     signals        name → (n_states,) reals
     labels         name → (n_states,) Booleans
-    exact_initial  what the doubles `initial` stand for, where they were given in fractions or decimals
-    blackbox       where the probabilities are unknown: what makes the environment that stands for them, from a
-                   generator and the steps of an episode (None: not known). There are then no rows: `row_start` and
-                   `initial` are zero, `target` and `probability` empty; `learn`, `estimate` and `sprt` answer for the
-                   model
-    notes          what is worth telling of how the model was read, by subject: "normalize", or what a file beside it is
-                   missing for ("label", "signal")
-    Raises ModelError, naming state and action, when a row is no distribution, a state has no action, a value is not
+    exact_initial  the exact values of the doubles `initial`, if they were given in fractions or decimals
+    blackbox       if the probabilities are unknown: makes the environment that replaces them, from a generator and the
+                   steps of an episode (None: not known). There are then no rows: `row_start` and `initial` are zero,
+                   `target` and `probability` empty; `learn`, `estimate` and `sprt` work with the model
+    notes          remarks on how the model was read, by subject: "normalize", or what a missing companion file would
+                   define ("label", "signal")
+    Raises ModelError, naming state and action, if a row is not a distribution, a state has no action, a value is not
     finite, or a shape does not fit.
     """
 
@@ -104,23 +104,23 @@ class MDP(Displayed):
         require(self.initial, np.ndarray, "MDP's initial", "make models by stl.MDP.from_arrays(...)")
         _validate(self)
         for array in (self.initial, *self.signals.values(), *self.labels.values()):
-            array.setflags(write=False)  # the digest stands for the content
+            array.setflags(write=False)  # so that the digest stays valid
 
     # -------------------------------------------------------------------------------------------------- all rows
 
     @cached_property
     def rows(self) -> Rows:
-        """All rows; SizeError before memory is taken that is not there."""
+        """All rows; SizeError before allocating more memory than is available."""
         return self.source.whole()
 
     @property
     def kinds(self) -> Rows | None:
-        """Rows that stand for all of them, by lengths and probabilities; None where nothing is known of them yet."""
+        """Rows that represent all of them, by lengths and probabilities; None if nothing is known about them yet."""
         kinds = self.source.kinds
         return self.rows if kinds is None and "rows" in vars(self) else kinds
 
     def some_rows(self) -> Rows | Demand:
-        """For whoever needs a part of the rows: those in memory, or a source's, as they are asked for."""
+        """For callers that need some of the rows: those in memory, or a source's, computed on demand."""
         source = self.source
         few = _FEW if source.kinds is not None else READ_EXACTLY
         whole = not source.on_demand or "rows" in vars(self) or source.n_states * source.widest <= few
@@ -148,7 +148,7 @@ class MDP(Displayed):
 
     @property
     def intervals(self) -> Intervals | None:
-        """Where the probabilities are known up to intervals: their ends. `uncertain` says whether, without any rows."""
+        """If the probabilities are intervals: their ends. `uncertain` says whether they are, without computing rows."""
         return self.rows.intervals if self.uncertain else None
 
     @property
@@ -196,17 +196,17 @@ class MDP(Displayed):
 
     @property
     def most_choices(self) -> int:
-        """The most actions that a state has."""
+        """The largest number of actions of a state."""
         return self.source.most_choices
 
     @property
     def choice_type(self) -> IntegerType:
-        """The type of a table of choices: of numbers within their state, negative where there is none."""
+        """The dtype of a table of choices: indices within their state, negative where there is none."""
         return integer_type(self.most_choices - 1)
 
     @property
     def unsigned_choice_type(self) -> UnsignedType:
-        """The type of choices that are all there."""
+        """The dtype of choices none of which is missing."""
         return unsigned_type(self.most_choices - 1)
 
     def state_name(self, s: int) -> str:
@@ -220,7 +220,7 @@ class MDP(Displayed):
         return f"state {self.state_name(s)}, action {self.action_names[self.choice_action[choice]]}"
 
     def initial_text(self) -> str:
-        """The states that runs start in, with their probabilities where there are several; of many the first."""
+        """The states that runs start in, with their probabilities if there are several; only the first of many."""
         return self._starts(_NAMED)
 
     def _starts(self, most: int) -> str:
@@ -248,7 +248,7 @@ class MDP(Displayed):
         return csr_array((self.probability, self.target, self.row_start), shape=(self.n_choices, self.n_states))
 
     def require_points(self) -> None:
-        """SettingsError where the probabilities are intervals or unknown: for all that needs one distribution."""
+        """SettingsError if the probabilities are intervals or unknown: for everything that needs one distribution."""
         if self.blackbox is not None:
             raise SettingsError(
                 f"the probabilities of {self.name} are unknown: it is a black box; use {named('learn', 'stl.learn')} "
@@ -263,7 +263,7 @@ class MDP(Displayed):
     def nominal(self) -> MDP:
         """The ordinary model with the nominal probabilities; without intervals the model itself.
 
-        States, choices and actions stay as they are; entries whose probability must be 0 are left out.
+        States, choices and actions are unchanged; entries whose probability must be 0 are left out.
         """
         return replace(self, source=self.source.nominal()) if self.uncertain else self
 
@@ -291,7 +291,7 @@ class MDP(Displayed):
         return sha.hexdigest()
 
     def digest(self) -> str:
-        """A SHA-256 over the content, action names included: of rows on demand, over what they are made from."""
+        """A SHA-256 of the content, action names included; for rows on demand, of what defines them."""
         return self._digest
 
     @cached_property
@@ -316,7 +316,7 @@ class MDP(Displayed):
         return abs(self.initial_total - 1)
 
     def exact(self) -> Fractions:
-        """The probabilities exactly: as given in fractions, or what the doubles mean (models/fractions.py)."""
+        """The exact probabilities: as given in fractions, or as the doubles are read (models/fractions.py)."""
         self.require_points()
         rows, start = self.rows, self._initial_shares
         return Fractions(rows.numerator, rows.denominator, start.numerator, start.denominator)
@@ -339,13 +339,13 @@ class MDP(Displayed):
         """An MDP from one transition matrix per action.
 
         transitions   array (A, S, S), or a list of A matrices (S, S), dense or scipy sparse; row s of matrix a is the
-                      distribution over successors. A row of zeros says that action a is not available in state s.
-                      Entries may be Fractions or texts such as "2/5", which are kept exactly. Floats of less than 64
-                      bits mean their shortest decimals.
+                      distribution over successors. A row of zeros means that action a is not available in state s.
+                      Entries may be Fractions or strings such as "2/5", which are kept exactly. Floats of fewer than 64
+                      bits stand for their shortest decimals.
         signals       name → (S,) finite reals;  labels  name → (S,) Booleans
         initial       a state's index or name, or a distribution (S,)
         normalize     rescale rows, and the initial distribution, that miss 1 by at most 1/1000, so that they sum to 1
-                      exactly (models/normalize.py); `notes` tells what that changed
+                      exactly (models/normalize.py); `notes` describes what that changed
         """
         normalize = flag(normalize, "normalize")
         given = _given(transitions, "transitions")
@@ -370,7 +370,7 @@ class MDP(Displayed):
         lower, upper  as `transitions` of `from_arrays`: array (A, S, S), or a list of A matrices (S, S). Entries with
                       upper end 0 cannot happen; a row of zeros in `upper` is an action that is not available.
         The rest as in `from_arrays`. Raises ModelError, naming state and action, unless 0 <= lower <= upper <= 1 and
-        every row holds a distribution.
+        every row contains a distribution.
         """
         rows = _by_state(_given(upper, "upper ends"))
         ends = Intervals(_aligned(_by_state(_given(lower, "lower ends")), rows), rows.data.astype(np.float64))
@@ -391,23 +391,23 @@ class MDP(Displayed):
         state_names: Sequence[str] | None = None,
         name: str = "model",
     ) -> MDP:
-        """An MDP whose rows a function computes when they are needed, so that they are never all in memory.
+        """An MDP whose rows are computed by a function when needed, so that they are never all in memory.
 
         states        their number S;  actions  their number, or their names
         step          step(s, a) → (successors, probabilities): for int64 arrays s and a of shape (n,), arrays of shape
-                      (n, k), in numpy or compiled by numba. Entries of probability 0 are left out, equal successors are
-                      added. It must return the same for the same pair every time.
-        denominator   probabilities are whole numbers over it, and exact; None: they are doubles
+                      (n, k), in numpy or compiled by numba. Entries of probability 0 are dropped, entries with equal
+                      successors added. It must always return the same for the same pair.
+        denominator   probabilities are integers over it, and exact; None: they are doubles
         signals, labels   as in `from_arrays`, or functions of an array of states
         available     (S, A) Booleans: which actions a state has (default: all)
         initial, state_names   as in `from_arrays`
 
-        A row is checked when it is made: ModelError, naming state and action, where it is no distribution.
+        A row is checked when it is computed: ModelError, naming state and action, if it is not a distribution.
         """
         n_states = whole(states, "from_function's states", least=1)
         names = _action_names(actions, "from_function's actions")
         _require_numbered(n_states, len(names))
-        require_memory(40 * n_states, f"a model of {n_states} states", "count fewer states")
+        require_memory(40 * n_states, f"a model of {n_states} states", "use fewer states")
         if not callable(step):
             raise ModelError(f"step is {described(step)}; give a function of states and actions")
         if denominator is not None:
@@ -437,16 +437,16 @@ class MDP(Displayed):
         state_names: Sequence[str] | None = None,
         name: str = "black box",
     ) -> MDP:
-        """An MDP whose probabilities nobody knows, behind a simulator of your own.
+        """An MDP with unknown probabilities, behind a simulator of your own.
 
         actions       their number, or their names;  available  (S, A) Booleans: which a state has (default: all)
         environment   called with a numpy Generator; returns an object whose `reset()` and `step(i)` (the i-th available
-                      action of the current state) return the index of a state. Where all that it keeps between two
-                      episodes is that generator, return `stltool.models.environment.Environment(reset, step,
-                      generator)`, and runs can be resumed.
+                      action of the current state) return the index of a state. If it keeps nothing but that generator
+                      between two episodes, return `stltool.models.environment.Environment(reset, step, generator)`, and
+                      runs can be resumed.
         signals, labels, state_names   as in `from_arrays`
 
-        `learn`, `estimate`, `sprt` and `sample_run` answer for it; what needs probabilities raises SettingsError.
+        `learn`, `estimate`, `sprt` and `sample_run` work with it; what needs probabilities raises SettingsError.
         """
         n_states = whole(n_states, "n_states", least=1)
         if isinstance(actions, int | np.integer):
@@ -492,9 +492,9 @@ class MDP(Displayed):
         name: str,
         normalize: bool = False,
     ) -> MDP:
-        """From rows (S·A, S), the actions of a state one after another; empty rows are unavailable actions.
+        """From rows (S·A, S), the actions of each state together; empty rows are unavailable actions.
 
-        `given` are the matrices that the rows are from, for entries that are to be kept exactly.
+        `given` are the matrices that the rows come from, for entries to be kept exactly.
         """
         n_states = rows.shape[1]
         n_actions = rows.shape[0] // n_states
@@ -544,13 +544,13 @@ class MDP(Displayed):
         )
 
 
-# ------------------------------------------------------------------------------------------- checks on the way in
+# ------------------------------------------------------------------------------------------- checks of input
 
 
 def _require_room(n_states: int, n_actions: int) -> None:
-    """SizeError, before anything is allocated, where a black box of that size would not fit."""
+    """SizeError, before anything is allocated, if a black box of that size would not fit into memory."""
     what = f"a black box of {n_states} states with {n_actions} actions"
-    require_memory(n_states * (40 + 20 * n_actions) + 100 * n_actions, what, "count fewer states and actions")
+    require_memory(n_states * (40 + 20 * n_actions) + 100 * n_actions, what, "use fewer states and actions")
 
 
 def _action_names(actions: int | Sequence[str], what: str) -> tuple[str, ...]:
@@ -560,7 +560,7 @@ def _action_names(actions: int | Sequence[str], what: str) -> tuple[str, ...]:
         actions = [str(a) for a in range(n_actions)]
     names = tuple(texts(actions, what))
     if not names:
-        raise ModelError("the model has no action; give their number or their names")
+        raise ModelError("the model has no actions; give their number or their names")
     return names
 
 
@@ -602,7 +602,7 @@ def _name(given: object) -> str:
 def _exact_entries(
     rows: csr_array, state: NDArray[np.int64], action: NDArray[np.int32], given: list[Any], decimals: bool
 ) -> tuple[Integers, int]:
-    """The rows' entries as integers over one denominator: as given in fractions, or as `of_doubles` takes doubles."""
+    """The rows' entries as integers over one denominator: as given in fractions, or as `of_doubles` reads doubles."""
     if not any(m.dtype == object for m in given):
         return of_doubles(rows.data, rows.indptr, decimals)
     as_fractions = np.array([m.dtype == object for m in given])[action]
@@ -622,7 +622,7 @@ def _given(matrices: ArrayLike | Iterable[Any], what: str) -> list[Any]:
     """One matrix (S, S) per action, each as `_matrix` reads it."""
     given = [_matrix(m, a, what) for a, m in enumerate(_matrices(matrices, what))]
     if not given:
-        raise ModelError(f"{what} hold no action; give one (S, S) matrix per action")
+        raise ModelError(f"{what} contain no action; give one (S, S) matrix per action")
     n_states = given[0].shape[1]
     for a, matrix in enumerate(given):
         if matrix.shape != (n_states, n_states):
@@ -638,8 +638,8 @@ def _by_state(given: list[Any]) -> csr_array:
     parts = [_canonical(m) for m in given]
     n = sum(part.nnz for part in parts)
     start = np.zeros(n_states * n_actions + 1, dtype=np.int64)
-    target, data = np.empty(n, dtype=np.int32 if n < 2**31 else np.int64), np.empty(n)  # scipy wants one type for both
-    for lo in range(0, n_states, _BLOCK):  # so that little is held twice
+    target, data = np.empty(n, dtype=np.int32 if n < 2**31 else np.int64), np.empty(n)  # scipy needs one dtype for both
+    for lo in range(0, n_states, _BLOCK):  # so that little is in memory twice
         hi = min(lo + _BLOCK, n_states)
         order = np.arange((hi - lo) * n_actions).reshape(n_actions, hi - lo).T.ravel()
         block = sparse.vstack([part[lo:hi] for part in parts], format="csr")[order]
@@ -650,7 +650,7 @@ def _by_state(given: list[Any]) -> csr_array:
 
 
 def _canonical(matrix: Any) -> csr_array:
-    """Successors in ascending order, once each, without zeros. A dense matrix is not scipy's: it goes by way of COO."""
+    """Successors in ascending order, once each, without zeros. A dense matrix is converted by way of COO."""
     from scipy import sparse
 
     if not sparse.issparse(matrix):
@@ -680,7 +680,7 @@ def _aligned(lower: csr_array, upper: csr_array) -> Floats:
         row, successor = divmod(int(places[without[0]]), n_states)
         s, a = divmod(row, upper.shape[0] // n_states)
         raise ModelError(
-            f"state {s}, action {a}: the lower end {lower.data[without[0]]:.12g} to state {successor} is over the "
+            f"state {s}, action {a}: the lower end {lower.data[without[0]]:.12g} to state {successor} is above the "
             "upper end 0"
         )
     ends = np.zeros(len(known))
@@ -689,9 +689,9 @@ def _aligned(lower: csr_array, upper: csr_array) -> Floats:
 
 
 def _matrices(matrices: ArrayLike | Iterable[Any], what: str) -> Iterable[Any]:
-    shape = getattr(matrices, "shape", None)  # scipy's matrices too
+    shape = getattr(matrices, "shape", None)  # also scipy's matrices
     if shape is not None and len(shape) != 3:
-        raise ModelError(f"{what} have shape {shape}; an array (A, S, S), or a list of matrices, is needed")
+        raise ModelError(f"{what} have shape {shape}; give an array (A, S, S) or a list of matrices")
     try:
         return list(matrices)  # type: ignore[arg-type]
     except TypeError:
@@ -699,7 +699,7 @@ def _matrices(matrices: ArrayLike | Iterable[Any], what: str) -> Iterable[Any]:
 
 
 def _matrix(matrix: Any, action: int, what: str) -> Any:
-    """One action's matrix: scipy sparse or dense doubles, or an object array of Fractions where it holds any."""
+    """One action's matrix: scipy sparse or dense doubles, or an object array of Fractions if it contains any."""
     from scipy.sparse import issparse
 
     try:
@@ -709,13 +709,13 @@ def _matrix(matrix: Any, action: int, what: str) -> Any:
             return nearest(matrix)
         array = np.asarray(matrix)
         array = parsed(array) if array.dtype.kind in "OU" else nearest(array)
-        array.astype(np.float64)  # what no double is near to is found here
+        array.astype(np.float64)  # detects values without a nearby double
     except NumberError as error:
         raise ModelError(f"{what} of action {action} are not numbers: {error}") from None
     except (TypeError, ValueError, OverflowError):
         raise ModelError(f"{what} of action {action} are not numbers") from None
     if array.ndim != 2:
-        raise ModelError(f"{what} of action {action} have shape {array.shape}; a matrix (S, S) is needed")
+        raise ModelError(f"{what} of action {action} have shape {array.shape}; give a matrix (S, S)")
     return array
 
 
@@ -736,7 +736,7 @@ def _booleans(values: ArrayLike, name: str) -> NDArray[np.bool_]:
 def _initial(
     initial: int | str | ArrayLike, n_states: int, state_names: Sequence[str] | None
 ) -> tuple[Floats, list[Fraction] | None]:
-    """The initial distribution in doubles, and in Fractions where it was given in them."""
+    """The initial distribution in doubles, and in Fractions if given so."""
     if isinstance(initial, str):
         if state_names is None or initial not in state_names:
             raise ModelError(f"there is no initial state {initial!r}; {near_misses(initial, state_names or ())}")
@@ -760,13 +760,13 @@ def _initial(
 
 
 def _require_numbered(n_states: int, n_actions: int) -> None:
-    require_numbered(n_states, "states", "coarsen the grid, or give a part of the model")
+    require_numbered(n_states, "states", "coarsen the grid, or use a part of the model")
     require_numbered(n_actions, "actions", "give fewer")
 
 
 def _validate(m: MDP) -> None:
     if m.n_states < 1:
-        raise ModelError("the model has no state")
+        raise ModelError("the model has no states")
     _require_numbered(m.n_states, m.n_actions)
     if m.state_names is not None and len(m.state_names) != m.n_states:
         raise ModelError(f"{len(m.state_names)} state names for {m.n_states} states")
@@ -774,15 +774,13 @@ def _validate(m: MDP) -> None:
         raise ModelError(f"action names repeat: {', '.join(m.action_names)}")
     for name, values in (*m.signals.items(), *m.labels.items()):
         if values.shape != (m.n_states,):
-            raise ModelError(
-                f"{name} has shape {values.shape}; one value for each of the {m.n_states} states is needed"
-            )
+            raise ModelError(f"{name} has shape {values.shape}; give one value for each of the {m.n_states} states")
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             raise ModelError(f"signal {name} is {values[bad[0]]} in state {m.state_name(bad[0])}; it must be finite")
     both = sorted(set(m.signals) & set(m.labels))
     if both:
-        raise ModelError(f"{both[0]} names a signal and a label; rename one of them")
+        raise ModelError(f"{both[0]} is the name of both a signal and a label; rename one of them")
     if m.blackbox is None:
         _validate_distribution(m.initial, m.n_states)
     without = np.flatnonzero(np.diff(m.choice_start) == 0) if not m.source.on_demand else np.empty(0)

@@ -1,14 +1,14 @@
-"""Rows of an MDP: where they come from, and as many of them as somebody asks for.
+"""Rows of an MDP: where they come from, and computing only those that are needed.
 
 Rows are CSR, one row a *choice* (a state with one of its available actions):
 
     choices of state i          choice_start[i] … choice_start[i+1]−1
     successors of choice c      target[row_start[c] … row_start[c+1]−1], with probability[…]
 
-A *source* makes the rows of any states. `Stored` has all of them in memory; a grid (grid.py) or a function
-(function.py) makes them when they are needed, so a large model costs what is reached of it and no more. What a source
-knows of all its rows without making them are its `kinds`: rows such that every row of the model has the length, the
-probabilities and the ends of one of them.
+A *source* gives the rows of any states. `Stored` has all of them in memory; a grid (grid.py) or a function
+(function.py) computes them when needed, so a large model costs only what is reached. What a source knows about all its
+rows without computing them are its `kinds`: rows such that every row of the model has the length, the probabilities and
+the ends of one of them.
 """
 
 from __future__ import annotations
@@ -40,19 +40,19 @@ Floats: TypeAlias = NDArray[np.float64]
 Place: TypeAlias = Callable[[int], str]
 """A choice, or a state, in the user's names."""
 
-ROW_TOLERANCE = 1e-9  # how far a row of doubles may sum from 1
+ROW_TOLERANCE = 1e-9  # how far the sum of a row of doubles may be from 1
 READ_EXACTLY = 1_000_000  # entries whose doubles are read as decimals
-_BYTES = 80  # an entry of rows, in all forms they have in an engine
-_BLOCK = 1 << 22  # entries that are made at a time where all are
-_SMALLER = "coarsen the grid, or give a part of the model"
+_BYTES = 80  # for each entry, in all forms that an engine uses
+_BLOCK = 1 << 22  # entries computed at a time when all rows are
+_SMALLER = "coarsen the grid, or use a part of the model"
 
 
 @dataclass(frozen=True, eq=False)
 class Chances:
-    """What the entries of rows are worth.
+    """The probabilities of entries of rows.
 
-    probability  (e,) doubles; where there are `intervals`, the nominal ones
-    given        the same as given in fractions or decimals; None: in doubles
+    probability  (e,) doubles; with `intervals`, the nominal ones
+    given        the same as given in fractions or decimals; None: given in doubles
     row_start    the rows that doubles are read by (models/fractions.py)
     """
 
@@ -70,9 +70,9 @@ class Chances:
 class Rows(Displayed):
     """The rows of n states (see the module's text), with successors by their numbers in the model.
 
-    entry   (e,) which of `chances` each entry has; None: in their order
+    entry   (e,) the index in `chances` of each entry; None: in order
     states  (n,) ascending, whose rows these are; None: states 0 … n−1
-    parts   (choices, entries) of the rows that these are a part of, where they are; None: they are all
+    parts   (choices, entries) of all rows, if these are only some of them; None: these are all
     """
 
     choice_start: I64
@@ -92,16 +92,16 @@ class Rows(Displayed):
 
     @property
     def kinds(self) -> Rows:
-        """As a source's."""
+        """As in a source."""
         return self
 
     def at(self, states: I64) -> I64:
-        """The numbers of states among these rows, whose states they must be."""
+        """The positions of states among the states of these rows."""
         return states if self.states is None else np.searchsorted(self.states, states)
 
     @property
     def rows(self) -> Rows:
-        """As of `Demand`."""
+        """As in `Demand`."""
         return self
 
     def some(self, numbers: I64) -> Rows:
@@ -128,7 +128,7 @@ class Rows(Displayed):
 
     @cached_property
     def numerator(self) -> Integers:
-        """Over `denominator`: what the probabilities are exactly."""
+        """The exact probabilities, as integers over `denominator`."""
         return self._of(self.chances.exact.numerator)
 
     @property
@@ -142,13 +142,13 @@ class Rows(Displayed):
 
     @cached_property
     def width(self) -> Floats:
-        """upper − lower of every entry, where there are intervals."""
+        """upper − lower of every entry, with intervals."""
         assert self.intervals is not None
         return self.intervals.upper - self.intervals.lower
 
     @cached_property
     def budget(self) -> Floats:
-        """(choices,) 1 − Σ lower: what nature has to hand out, where there are intervals."""
+        """(choices,) 1 − Σ lower: what nature has to distribute, with intervals."""
         assert self.intervals is not None
         missing: Floats = np.maximum(1 - np.add.reduceat(self.intervals.lower, self.row_start[:-1]), 0.0)
         return missing
@@ -157,17 +157,17 @@ class Rows(Displayed):
 
     @cached_property
     def longest(self) -> int:
-        """The most entries of a row."""
+        """The largest number of entries of a row."""
         return int(np.diff(self.row_start).max(initial=0))
 
     @cached_property
     def widest(self) -> int:
-        """The most entries of a state, all its choices together."""
+        """The largest number of entries of a state, all its choices together."""
         return int(np.diff(self.row_start[self.choice_start]).max(initial=0))
 
     @cached_property
     def most_choices(self) -> int:
-        """The most choices of a state."""
+        """The largest number of choices of a state."""
         return int(np.diff(self.choice_start).max(initial=0))
 
     @cached_property
@@ -188,11 +188,11 @@ class Rows(Displayed):
 
     @cached_property
     def missing(self) -> float:
-        """The largest |Σ row − 1| of sums in doubles."""
+        """The largest |Σ row − 1|, with sums in doubles."""
         return float(np.abs(np.add.reduceat(self.probability, self.row_start[:-1]) - 1).max())
 
     def require_distributions(self, place: Place, state: Place) -> None:
-        """ModelError, naming the choice and the successor, where a row is no distribution."""
+        """ModelError, naming the choice and the successor, if a row is not a distribution."""
         empty = np.flatnonzero(np.diff(self.row_start) == 0)
         if empty.size:
             raise ModelError(f"{place(int(empty[0]))}: the probabilities sum to 0, not 1")
@@ -215,17 +215,17 @@ class Rows(Displayed):
 
 
 def hint(total: float) -> str:
-    """How rows that sum to `total` may be mended."""
+    """A hint on how to correct rows that sum to `total`."""
     return f"; {HINT}" if abs(total - 1) <= MOST_MISSING else ""
 
 
 def least_positive(*arrays: Floats) -> float:
-    """The smallest positive entry, 1 where there is none."""
+    """The smallest positive entry, 1 if there is none."""
     return min(float(array[array > 0].min(initial=1.0)) for array in arrays)
 
 
 def starts(lengths: NDArray[np.integer[Any] | np.bool_]) -> I64:
-    """Where pieces of these lengths begin, and where the last one ends."""
+    """The start of each piece of these lengths, and the end of the last one."""
     found = np.zeros(len(lengths) + 1, dtype=np.int64)
     np.cumsum(lengths, out=found[1:])
     return found
@@ -244,8 +244,9 @@ def spans(first: I64, end: I64) -> I64:
 class Source(ABC):
     """Where a model's rows come from.
 
-    kinds      rows that stand for all of them (see the module's text); None where nothing is known before they are made
-    on_demand  whether they are made when asked for
+    kinds      rows that represent all of them (see the module's text); None if nothing is known before they are
+    computed
+    on_demand  whether they are computed on demand
     """
 
     on_demand = True
@@ -261,7 +262,7 @@ class Source(ABC):
     @property
     @abstractmethod
     def n_transitions(self) -> int:
-        """Entries of all rows; or the most there can be, where `kinds` are not known."""
+        """The number of entries of all rows; an upper bound if `kinds` are not known."""
 
     @property
     @abstractmethod
@@ -285,7 +286,7 @@ class Source(ABC):
     @property
     @abstractmethod
     def widest(self) -> int:
-        """The most entries that a state has, all choices together, or more."""
+        """An upper bound on the entries of a state, all choices together."""
 
     @abstractmethod
     def rows(self, states: I64) -> Rows:
@@ -297,16 +298,16 @@ class Source(ABC):
 
     @property
     def most_choices(self) -> int:
-        """The most actions that a state has."""
+        """The largest number of actions of a state."""
         return int(np.diff(self.choice_start).max())
 
     def require_distributions(self, place: Place, state: Place) -> None:  # noqa: B027 - nothing to do on demand
-        """ModelError where a row is no distribution, unless rows are checked when they are made."""
+        """ModelError if a row is not a distribution, unless rows are checked when they are computed."""
 
     def within(self, first: I64, steps: int, need: Callable[[int], None]) -> Rows:
-        """The rows of the states that runs from `first` can be in within `steps` steps.
+        """The rows of the states that runs from `first` can visit within `steps` steps.
 
-        Those that are reached in the last step only have no choices here. `need` is called with the bytes to be taken.
+        States that are reached only in the last step have no choices here. `need` is called with the bytes to allocate.
         """
         demand, seen = Demand(self), np.zeros(self.n_states, dtype=np.bool_)
         seen[first] = True
@@ -326,7 +327,7 @@ class Source(ABC):
         return Rows(starts(counts), found.row_start, found.target, found.chances, found.entry, found.parts, states)
 
     def digest_into(self, sha: _Hash) -> None:
-        """Add all rows, column by column: the same bytes whatever source makes them."""
+        """Add all rows, column by column: the same bytes for every kind of source."""
         columns: dict[str, _Hash] = {}
         n_choices = n_entries = 0
         for lo, rows in self._blocks():
@@ -347,13 +348,13 @@ class Source(ABC):
             sha.update(title.encode() + column.digest())
 
     def _blocks(self) -> Iterator[tuple[int, Rows]]:
-        """All rows, some at a time, each block with the number of its first state."""
+        """All rows in blocks, each with the number of its first state."""
         step = max(_BLOCK // max(self.widest, 1), 1)
         for lo in range(0, self.n_states, step):
             yield lo, self.rows(np.arange(lo, min(lo + step, self.n_states)))
 
     def whole(self) -> Rows:
-        """All rows. Raises SizeError before memory is taken that is not there."""
+        """All rows. Raises SizeError before allocating more memory than is available."""
         n = self.n_transitions
         per_entry = 20 + (16 if self.uncertain else 0)
         require_memory(per_entry * n + 12 * self.n_choices, f"the {n} transitions of {self.n_states} states", _SMALLER)
@@ -366,8 +367,8 @@ class Source(ABC):
 class Stored(Source):
     """All rows in memory, each with the action of every choice.
 
-    exact      what the doubles `probability` stand for, where they were given in fractions or decimals
-    intervals  where the probabilities are known up to intervals: their ends; `probability` is then their `nominal`
+    exact      the exact values of the doubles `probability`, if they were given in fractions or decimals
+    intervals  if the probabilities are intervals: their ends; `probability` is then their `nominal`
     """
 
     on_demand = False
@@ -386,7 +387,7 @@ class Stored(Source):
         self._rows, self._action = Rows(choice_start, row_start, target, chances), choice_action
         ends = (intervals.lower, intervals.upper) if intervals is not None else ()
         for array in (choice_start, choice_action, row_start, target, probability, *ends):
-            array.setflags(write=False)  # the digest stands for the content
+            array.setflags(write=False)  # so that the digest stays valid
 
     @property
     def n_states(self) -> int:
@@ -450,7 +451,7 @@ def digest_arrays(sha: _Hash, arrays: Iterable[tuple[str, NDArray[Any]]]) -> Non
 
 
 class _Column:
-    """An array that grows at its end."""
+    """An array that grows at the end."""
 
     def __init__(self, dtype: Any, room: int) -> None:
         self._array, self._n = np.empty(room, dtype=dtype), 0
@@ -468,7 +469,7 @@ class _Column:
 
 
 class Gathered:
-    """Rows of one source, put one after another; `room` for as many entries."""
+    """Rows of one source, appended one after another; `room` for this many entries."""
 
     def __init__(self, room: int = 0) -> None:
         self._room = room
@@ -485,7 +486,7 @@ class Gathered:
         for name, first in (("choice_start", rows.choice_start), ("row_start", rows.row_start)):
             self._column(name, first[1:] + self._columns[name].all[-1])
         self._column("target", rows.target)
-        if rows.entry is not None:  # of one table
+        if rows.entry is not None:  # entries of one table
             assert rows.chances is self._chances
             self._column("entry", rows.entry)
             return
@@ -504,7 +505,7 @@ class Gathered:
 
     @property
     def all(self) -> Rows:
-        """All of them so far."""
+        """All rows so far."""
         if self._all is None:
             assert self._chances is not None
             of = {name: column.all for name, column in self._columns.items()}
@@ -518,9 +519,9 @@ class Gathered:
 
 
 class Demand:
-    """The rows of a source that were asked for, the states numbered in the order in which they were.
+    """The rows of a source that were asked for, with states numbered in order of request.
 
-    `rows` grows: what was read of it before `at` may lack what that has added.
+    `rows` grows: what was read from it before a call of `at` may lack the rows added there.
     """
 
     def __init__(self, source: Source) -> None:
@@ -540,12 +541,12 @@ class Demand:
         return self._gathered.all
 
     def known(self, states: I64) -> NDArray[np.bool_]:
-        """Which of these states were asked for."""
+        """Which of these states have been asked for."""
         found: NDArray[np.bool_] = self._number[states] >= 0
         return found
 
     def at(self, states: I64) -> I64:
-        """The numbers of these states; the rows of new ones are made."""
+        """The numbers of these states; the rows of new ones are computed."""
         found = self._number[states]
         if (found < 0).any():
             new = np.unique(states[found < 0])

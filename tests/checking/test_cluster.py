@@ -167,7 +167,11 @@ def test_what_a_cluster_does_not_do(settings, message, patrolling, tmp_path, mon
 @pytest.mark.parametrize(
     ("error", "kind", "message"),
     [
-        (distributed.KilledWorker("back", SimpleNamespace(address="tcp://here:1"), 3), SizeError, "more memory each"),
+        (
+            distributed.KilledWorker("back", SimpleNamespace(address="tcp://here:1"), 3),
+            SizeError,
+            "more memory, or use more workers",
+        ),
         (CancelledError("gone"), SettingsError, "was lost: gone"),
     ],
 )

@@ -284,7 +284,7 @@ def test_numbers_of_files_do_not_wrap(patrolling, tmp_path):
     ):
         typed = {name: np.asarray(array, dtype=arrays[name].dtype) for name, array in changed.items()}
         np.savez(saved, **{**typed, "header": arrays["header"]})
-        with pytest.raises(PolicyError, match="do not fit together"):
+        with pytest.raises(PolicyError, match="choices are inconsistent"):
             stl.load_policy(saved, patrolling)
     assert len(keys) > 4
 

@@ -523,11 +523,11 @@ def test_a_contradiction_among_three_names_the_first(floor5):
     [
         ({"objective": "chargin"}, NameLookupError, "there is no task chargin; did you mean charging?"),
         ({"at_least": {"resting": 0.5}}, NameLookupError, "there is no task resting"),
-        ({"at_least": {"patrolling": 1.5}}, SettingsError, r"P\(patrolling\) >= 1.5: a probability lies between"),
+        ({"at_least": {"patrolling": 1.5}}, SettingsError, r"P\(patrolling\) >= 1.5: give a probability between"),
         ({"at_least": {"patrolling": float("nan")}}, SettingsError, "at_least of patrolling is nan; a finite number"),
         ({"budget": {"x": -1}}, SettingsError, r"E\[x\] <= -1.0: give a finite budget"),
         ({"budget": {"x": float("inf")}}, SettingsError, "finite"),
-        ({"budget": {"z": 1}}, NameLookupError, "the model has no signal z to be a cost; known names: A, B, C, x, y"),
+        ({"budget": {"z": 1}}, NameLookupError, "the model has no signal z for this cost; known names: A, B, C, x, y"),
         ({"most_variables": 10}, SizeError, r"a linear programme of \d+ variables, .* over the limit of 10 variables"),
     ],
 )
@@ -555,7 +555,7 @@ def test_bad_tasks_and_fronts(floor5, shift):
             stl.pareto(shift, **options)
     front = stl.pareto(shift)
     assert front.at_least(0.999999) is None
-    with pytest.raises(SettingsError, match="lies between 0 and 1"):
+    with pytest.raises(SettingsError, match="give a probability between 0 and 1"):
         front.at_least(1.5)
 
 

@@ -100,9 +100,9 @@ def test_tradeoff_prints_and_saves(stltool, front, tmp_path):
         (["tradeoff", "--objective", "charging", "--require", "patrolling=0.9"], 'write --require "patrolling>=0.9"'),
         (["tradeoff", "--objective", "charging", "--require", "patrolling>=much"], "'much' is not a number"),
         (["tradeoff", "--objective", "charging", "--require", ">=0.5"], "a name, >= and a number"),
-        (["tradeoff", "--objective", "charging", "--require", "patrolling>=2"], "a probability lies between 0 and 1"),
+        (["tradeoff", "--objective", "charging", "--require", "patrolling>=2"], "give a probability between 0 and 1"),
         (["tradeoff", "--objective", "charging", "--require", "patrolling>=nan"], "'nan' is not a finite number"),
-        (["tradeoff", "--objective", "charging", "--budget", "fuel<=2"], "no signal fuel to be a cost"),
+        (["tradeoff", "--objective", "charging", "--budget", "fuel<=2"], "no signal fuel for this cost"),
         (["tradeoff", "--objective", "charging", "--budget", "C<=2", "--budget", "C<=3"], "C has two bounds"),
         (["tradeoff", "--objective", "charging", "--save-policy", "p.csv"], "policies are saved as .npz"),
         (

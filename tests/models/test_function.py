@@ -131,7 +131,7 @@ def test_what_a_state_has():
     assert model.choice_action.tolist() == [0, 1, 0, 1, 0, 1, 0]
     assert stl.check(stl.build_product(model, stl.parse("F[0,3] end"))).probability == 1.0
     without = stl.MDP.from_function(4, 2, step, labels={"end": lambda s: s == 3})
-    with pytest.raises(ModelError, match=r"state 3, action 1: all probabilities are 0; say with `available`"):
+    with pytest.raises(ModelError, match=r"state 3, action 1: all probabilities are 0; define with `available`"):
         stl.check(stl.build_product(without, stl.parse("F[0,3] end & G[0,4] !end")))
 
 
@@ -186,9 +186,9 @@ def test_bad_rows_are_refused_when_they_are_made(step, says, engine, monkeypatch
         (lambda s, a: s, {}, "step returned an array"),
         (lambda s, a: (s, s), {}, "step returned successors of shape (2,) for 2 pairs; return two arrays"),
         (lambda s, a: (s[:, None], np.ones((2, 2))), {}, "and probabilities of shape (2, 2)"),
-        (lambda s, a: (s[:, None] * 1.0, np.ones((2, 1))), {}, "successors of type float64; return whole numbers"),
+        (lambda s, a: (s[:, None] * 1.0, np.ones((2, 1))), {}, "successors of type float64; return integers"),
         (lambda s, a: (s[:, None], np.array([["1"], ["1"]])), {}, "probabilities of type <U1; return doubles"),
-        (lambda s, a: (s[:, None], np.ones((2, 1))), {"denominator": 3}, "with a denominator, return whole numbers"),
+        (lambda s, a: (s[:, None], np.ones((2, 1))), {"denominator": 3}, "with a denominator, return integers"),
         (lambda s, a: (s[:, None], np.full((2, 1), 2)), {"denominator": 3}, "probabilities sum to 2/3, not 1"),
         (lambda s, a: (s[:, None], np.full((2, 1), 0.5)), {}, "state 0, action 0: the probabilities sum to 0.5, not 1"),
         (lambda s, a: ([[1], [1, 2]], np.ones((2, 1))), {}, "rows of unequal lengths"),
@@ -206,7 +206,7 @@ def test_as_many_successors_every_time():
         k = 1 + len(s) % 2
         return np.tile(s[:, None], (1, k)), np.full((len(s), k), 1.0 / k)
 
-    with pytest.raises(ModelError, match="step returned 1 successors of each pair, and 2 before"):
+    with pytest.raises(ModelError, match="step returned 1 successors for each pair, but 2 before"):
         stl.MDP.from_function(4, 1, step).source.rows(np.arange(4))
 
 

@@ -119,9 +119,9 @@ NAN = float("nan")
         ),
         (LOWER, [[NAN, 0.9], UPPER[1]], r"\[0.1, nan\] to state 0 is not an interval"),
         ([[NAN, 0.6], LOWER[1]], UPPER, r"\[nan, 0.4\] to state 0 is not an interval"),
-        (LOWER, [[0.0, 1.0], UPPER[1]], "state 0, action 1: the lower end 0.1 to state 0 is over the upper end 0"),
+        (LOWER, [[0.0, 1.0], UPPER[1]], "state 0, action 1: the lower end 0.1 to state 0 is above the upper end 0"),
         ([[0.1, 0.6], [0.0, "x"]], UPPER, "lower ends of action 1 are not numbers"),
-        (LOWER, [0.4, 0.9], r"upper ends of action 1 have shape \(2,\); a matrix"),
+        (LOWER, [0.4, 0.9], r"upper ends of action 1 have shape \(2,\); give a matrix"),
     ],
 )
 def test_bad_ends_are_refused_with_state_and_action(lower, upper, says):
@@ -132,9 +132,9 @@ def test_bad_ends_are_refused_with_state_and_action(lower, upper, says):
 def test_shapes_must_agree():
     with pytest.raises(ModelError, match="lower ends are of 1 actions and 2 states, upper ends of 2 actions and 2"):
         build(lower=[LOWER])
-    with pytest.raises(ModelError, match=r"lower ends have shape \(2, 2\); an array \(A, S, S\)"):
+    with pytest.raises(ModelError, match=r"lower ends have shape \(2, 2\); give an array \(A, S, S\)"):
         stl.MDP.from_intervals(np.array(LOWER), [UPPER], {})
-    with pytest.raises(ModelError, match="upper ends hold no action"):
+    with pytest.raises(ModelError, match="upper ends contain no action"):
         build(upper=[])
     with pytest.raises(ModelError, match="state dock, action go: the lower ends sum to 1.1"):
         build(lower=[[[0.5, 0.6], [0, 0]]], upper=[[[1, 1], [1, 1]]], state_names=["dock", "x"], action_names=["go"])
@@ -212,7 +212,7 @@ def test_cells_share_what_outcomes_add_up_to(ends, worth):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"success": ["0.1", "0.2"]}, "sum to 0.17 … 0.27, and never to 1; widen one of them"),
+        ({"success": ["0.1", "0.2"]}, "sum to 0.17 … 0.27, never to 1; widen one of them"),
         ({"success": "[0.95, 0.9]"}, r"success is \[0.95, 0.9\]; the lower end comes first"),
         ({"success": [D("0.9")]}, r"success is \[0.9\]; write an interval as \[0.9, 0.95\]"),
         ({"success": "[0.9, 0.95"}, r"success is '\[0.9, 0.95'; write an interval as"),

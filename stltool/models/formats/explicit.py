@@ -1,4 +1,4 @@
-"""PRISM's explicit files: transitions `.tra`, with labels `.lab` and states `.sta` beside it where they exist.
+"""PRISM's explicit files: transitions `.tra`, with labels `.lab` and states `.sta` next to it if they exist.
 
     NAME.tra    "n_states n_choices n_transitions", then "state choice successor probability [action]"      (MDP)
                 "n_states n_transitions",           then "state successor probability"                      (DTMC)
@@ -6,8 +6,8 @@
     NAME.sta    (x,y,b), then "state:(0,1,true)"
 
 Probabilities are decimals or fractions such as 2/5, kept exactly, or intervals of them such as [0.6,0.9]. Labels become
-labels, the variables of `.sta` signals (false 0, true 1), and `init` marks the first state; without a `.lab` it is
-state 0.
+labels, the variables of `.sta` become signals (false 0, true 1), and `init` marks the first state; without a `.lab` it
+is state 0.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from stltool.models.rows import Stored
 from stltool.numbers import NumberError, double, index, read
 from stltool.sizes import require_memory, require_numbered
 
-_BYTES_A_LINE = 400  # of Python objects while a file is read
-_SHOWN = 80  # characters of a line that a message repeats
-_TOLERANCE = 1e-9  # how far a row of doubles may sum from 1
+_BYTES_A_LINE = 400  # for Python objects while a file is read
+_SHOWN = 80  # characters of a line that a message quotes
+_TOLERANCE = 1e-9  # how far the sum of a row of doubles may be from 1
 _TRUTH = {"true": 1.0, "false": 0.0}
 _LABEL = re.compile(r'(\d{1,9})="([^"]*)"', re.ASCII)
 
@@ -46,7 +46,7 @@ def load_explicit(path: str | Path, normalize: bool = False) -> MDP:
     """Read `path` (.tra) and the .lab and .sta files of the same name.
 
     `normalize` rescales rows that miss 1 by at most 1/1000 (models/normalize.py). Raises FileError, and ModelError with
-    all that is wrong in the three files, by lines.
+    all faults in the three files, with their lines.
     """
     path = Path(path)
     faults = _Faults()
@@ -60,7 +60,7 @@ def load_explicit(path: str | Path, normalize: bool = False) -> MDP:
     names, signals = _variables(path.with_suffix(".sta"), table.n_states, faults)
     both = sorted(set(signals) & set(labels))
     if both:
-        faults.add(f"{path.with_suffix('.lab')}: the label {both[0]} is a variable of the .sta file too; rename it")
+        faults.add(f"{path.with_suffix('.lab')}: the label {both[0]} is also a variable in the .sta file; rename it")
     arrays.require_distributions(path, normalize, faults)
     if faults.count:
         raise faults.error()
@@ -102,7 +102,7 @@ def load_explicit(path: str | Path, normalize: bool = False) -> MDP:
 
 
 def _missing_files(path: Path) -> dict[str, str]:
-    """What is worth telling where labels or variables are in no file: as the notes of the model."""
+    """The model's notes about missing label or state files."""
     without = {
         "label": (".lab", "the model has no labels, and runs start in state 0"),
         "signal": (".sta", "the model has no signals, and its states have only numbers"),
@@ -115,7 +115,7 @@ def _missing_files(path: Path) -> dict[str, str]:
 
 
 class _Faults:
-    """What is wrong with the files, in their order: the first messages, and the number of all."""
+    """The faults of the files, in order: the first messages, and the number of all."""
 
     def __init__(self) -> None:
         self.told: list[str] = []
@@ -139,7 +139,7 @@ class _Faults:
 
 @dataclass
 class _Choice:
-    """A choice as the file has it: its action, its first line, and each successor with the ends of its probability."""
+    """A choice in the file: its action, its first line, and each successor with the ends of its probability."""
 
     action: str
     line: int
@@ -149,8 +149,8 @@ class _Choice:
 
 @dataclass
 class _Table:
-    """n_states, and state → choice number in the file → choice; `uncertain` where an interval was written, `garbled`
-    where lines are missing, or do not tell which choice they belong to."""
+    """n_states, and state → choice number in the file → choice; `uncertain` if an interval was written, `garbled` if
+    lines are missing or cannot be assigned to a choice."""
 
     n_states: int
     rows: dict[int, dict[int, _Choice]] = field(default_factory=dict)
@@ -159,7 +159,7 @@ class _Table:
 
 
 def _transitions(path: Path, faults: _Faults) -> _Table | None:
-    """None where the first line does not say how many states there are."""
+    """None if the first line does not contain the number of states."""
     lines = _lines(path, "transition file")
     number, header = next(lines, (1, ""))
     try:
@@ -175,7 +175,7 @@ def _transitions(path: Path, faults: _Faults) -> _Table | None:
         f"{path}: reading {n_transitions} transitions of {n_states} states",
         "check the file's first line",
     )
-    require_numbered(n_states, "states", "give a part of the model")
+    require_numbered(n_states, "states", "use a part of the model")
     table, chain = _Table(n_states), len(counts) == 2
     known: dict[str, _Ends] = {}
     found = 0
@@ -185,16 +185,16 @@ def _transitions(path: Path, faults: _Faults) -> _Table | None:
         if wrong:
             faults.line(path, number, line, wrong)
     if found != n_transitions:
-        faults.add(f"{path}: {found} transitions, and the first line says {n_transitions}; is the file cut off?")
+        faults.add(f"{path}: {found} transitions, but the first line announces {n_transitions}; is the file cut off?")
         table.garbled = True
     n_choices = sum(map(len, table.rows.values()))
     if not chain and not table.garbled and n_choices != counts[1]:
-        faults.add(f"{path}: {n_choices} choices, and the first line says {counts[1]}")
+        faults.add(f"{path}: {n_choices} choices, but the first line announces {counts[1]}; correct it")
     return table
 
 
 def _transition(table: _Table, number: int, words: list[str], chain: bool, known: dict[str, _Ends]) -> str:
-    """Take a line into the table; what is wrong with it, or "". `known` are the probabilities read so far."""
+    """Add a line to the table; returns its fault, or "". `known` are the probabilities read so far."""
     if chain:
         words.insert(1, "0")
     form = "state successor probability" if chain else "state choice successor probability [action]"
@@ -216,7 +216,7 @@ def _transition(table: _Table, number: int, words: list[str], chain: bool, known
 def _outcome(
     table: _Table, choice: _Choice, words: list[str], action: str, form: str, known: dict[str, _Ends]
 ) -> str | None:
-    """Add a successor to its choice; what is wrong with it."""
+    """Add a successor to its choice; returns its fault, or ""."""
     try:
         successor, text = index(words[2]), words[3]
         if len(words) > (5 if "choice" in form else 4):
@@ -253,7 +253,7 @@ def _parse_ends(text: str) -> _Ends:
 
 @dataclass
 class _Arrays:
-    """The model's arrays as lists; `lines` (n_choices,) says where each choice begins in the file."""
+    """The model's arrays as lists; `lines` (n_choices,): where each choice begins in the file."""
 
     table: _Table
     choice_start: list[int] = field(default_factory=lambda: [0])
@@ -271,7 +271,7 @@ class _Arrays:
             taken: set[str] = set()
             for number, choice in sorted(table.rows.get(s, {}).items()):
                 name = choice.action or str(number)
-                if name in taken:  # PRISM lets one action offer several choices; here each has its own name
+                if name in taken:  # in PRISM, several choices may share an action; here each has its own name
                     name = next(new for i in itertools.count(2) if (new := f"{name}#{i}") not in taken)
                 taken.add(name)
                 made.choice_action.append(made.action_names.setdefault(name, len(made.action_names)))
@@ -288,7 +288,7 @@ class _Arrays:
         return f"line {choice.line}: state {s}, choice {number}"
 
     def require_distributions(self, path: Path, normalize: bool, faults: _Faults) -> None:
-        """Every state has a choice, every choice a distribution; rows that the file has wrong lines of apart."""
+        """Check that every state has a choice and every choice a distribution, except rows with faulty lines."""
         if self.table.garbled:
             return
         for s in np.flatnonzero(np.diff(self.choice_start) == 0).tolist():
@@ -299,7 +299,7 @@ class _Arrays:
 
 
 def _sum_fault(row: dict[int, _Ends], normalize: bool) -> str:
-    """What is wrong with the sums of a row, or ""."""
+    """The fault in the sums of a row, or ""."""
     lower, upper = (sum(float(ends[k]) for ends in row.values()) for k in (0, 1))
     if not row:
         return "the probabilities sum to 0, not 1"
@@ -328,7 +328,7 @@ def _labels(path: Path, n_states: int, faults: _Faults) -> dict[str, NDArray[np.
         faults.line(path, number, header, 'write 0="init" 1="deadlock" 2="done" …')
         return {}
     if len(labels) < len(found):
-        faults.line(path, number, header, "two labels have one name, or one number")
+        faults.line(path, number, header, "two labels have the same name or number; make them different")
         return {}
     if "init" not in labels:
         faults.line(path, number, header, 'mark the state that runs start in: 0="init", and a line "state: 0"')
@@ -348,7 +348,7 @@ def _labels(path: Path, n_states: int, faults: _Faults) -> dict[str, NDArray[np.
 
 
 def _initial(marked: NDArray[np.bool_] | None, path: Path, n_states: int, faults: _Faults) -> NDArray[np.int64]:
-    """The weights of the first state; without labels it is state 0."""
+    """The initial distribution; without labels it is state 0."""
     first = np.zeros(n_states, dtype=np.int64)
     states = np.flatnonzero(marked) if marked is not None else np.zeros(1, dtype=np.int64)
     if len(states) != 1:
@@ -358,7 +358,7 @@ def _initial(marked: NDArray[np.bool_] | None, path: Path, n_states: int, faults
 
 
 def _variables(path: Path, n_states: int, faults: _Faults) -> tuple[list[str] | None, dict[str, NDArray[np.float64]]]:
-    """State names and signals of a .sta file; none without one."""
+    """State names and signals from a .sta file; none without one."""
     if not path.exists():
         return None, {}
     lines = _lines(path, "states file")
