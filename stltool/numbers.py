@@ -139,7 +139,7 @@ def shown(text: str) -> str:
 
 def _objection(text: str) -> str:
     if not text.strip():
-        return "there is no number"
+        return "the text is empty"
     if text.strip().lstrip("+-").lower() in ("nan", "inf", "infinity"):
         return f"{shown(text)} is not a finite number"
     return f"{shown(text)} is not a number" + _remedy(text)

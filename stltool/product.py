@@ -68,7 +68,7 @@ class Product(Displayed):
         return int(self.automaton.delta[self.letter[s], q])
 
     def describe(self, index: int, t: int | None = None) -> str:
-        """A product state's index, told in the user's names: state, signals, labels, what is remembered."""
+        """A product state's index, in the user's names: state, signals, labels, automaton state."""
         s, q = divmod(whole(index, "a product state's index", 0, self.n_states - 1), self.automaton.n_states)
         return _place(self.model, s, self.automaton.describe(q), t)
 
@@ -165,10 +165,10 @@ def _place(model: MDP, s: int, memory: str, t: int | None) -> str:
 
 
 def joined(task: Product, memory: Product | JointProduct) -> tuple[Product, NDArray[np.int64]]:
-    """The product whose verdicts are `task`'s and whose states know those of `memory` too; both of one model.
+    """The product whose verdicts are `task`'s and whose states determine those of `memory` too; both of one model.
 
     Returns it with the memory's automaton state (n_states,) of each of its automaton states. With it, a policy that
-    remembers one way (the flags of [Wang24]) is judged by an automaton that remembers another way (the exact one).
+    uses one automaton (the flags of [Wang24]) is evaluated by another automaton (the exact one).
     """
     pairs, letter = _distinct(
         [(letter, int(letter.max()) + 1) for letter in (task.letter, memory.letter)], task.model.n_states
@@ -290,10 +290,10 @@ _FEW_CODES = 4096
 def _distinct(
     columns: Iterable[tuple[NDArray[Any], int]], n_states: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """The rows of a table that differ, in lexicographic order, and for each state (n_states,) the number of its row.
+    """The distinct rows of a table, in lexicographic order, and for each state (n_states,) the index of its row.
 
-    columns   (n_states,) each, of whole numbers from 0, with the number of values that it may have. They are taken in
-              one after another: sorting the table takes much longer.
+    columns   (n_states,) each, of integers from 0, with the number of values that it may have. They are processed one
+              after another: sorting the table takes much longer.
     """
     rows: NDArray[np.int32] = np.zeros((1, 0), dtype=np.int32)
     which: NDArray[Any] = np.zeros(n_states, dtype=np.int32)

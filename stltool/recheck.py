@@ -246,7 +246,8 @@ class Model:
         for row in rows:
             where = f"model state {row[0]!r:.20}" if row else "the model"
             require(
-                len(row) > 2 and integers(row[:3]) and min(row[:3]) >= 0, f"{where}: number, share or letter missing"
+                len(row) > 2 and integers(row[:3]) and min(row[:3]) >= 0,
+                f"{where}: number, share or letter missing or invalid",
             )
             s, self.share[s], self.letter[s], *choices = row
             require(s > last, f"{where}: not in ascending order")

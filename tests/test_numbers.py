@@ -317,7 +317,7 @@ def test_the_limit_excludes_and_is_told(text):
         ("−5", "write the minus sign as -"),
         ("٣", "digits are 0 to 9"),
         ("nan", "'nan' is not a finite number"),
-        ("", "there is no number"),
+        ("", "the text is empty"),
         ("1/0", "'1/0' divides by zero"),
         ("x" * 100, "'" + "x" * 40 + "…' is not a number"),
         (True, "True is not a number"),

@@ -25,7 +25,7 @@ _VERDICTS = {
 
 
 def _policy_files(path: Path) -> list[Path]:
-    """A policy file, and what stands beside it while it is written."""
+    """A policy file, and the files next to it while it is written."""
     from stltool.checking.induction import files_beside
 
     return [path, *files_beside(path)] if path.suffix.lower() == ".policy" else [path]
@@ -41,11 +41,13 @@ def check(
     stationary: Annotated[
         bool,
         typer.Option(
-            "--stationary", help="judge the best policy found whose action depends on state and memory, not on the step"
+            "--stationary",
+            help="evaluate the best policy found whose action depends on model and automaton state, not on the step",
         ),
     ] = False,
     memoryless: Annotated[
-        bool, typer.Option("--memoryless", help="judge the best policy found whose action depends on the state alone")
+        bool,
+        typer.Option("--memoryless", help="evaluate the best policy found whose action depends on the state alone"),
     ] = False,
     exact: Annotated[
         bool, typer.Option("--exact", help="compute the probability as a fraction, without rounding")
@@ -102,7 +104,7 @@ def check(
     ]
     clockless = stationary or memoryless
     if clockless and (policy is not None or (stationary and memoryless)):
-        raise SettingsError("--stationary, --memoryless and --policy each say which policy is judged; give one of them")
+        raise SettingsError("--stationary, --memoryless and --policy exclude each other; give one of them")
     streamed = save_policy is not None and save_policy.suffix.lower() == ".policy"
     if save_policy is not None:
         require_policy_file(save_policy)

@@ -99,7 +99,7 @@ class Guarantee(Displayed):
 
     @property
     def assumes(self) -> str:
-        """What the bound rests on beside the data."""
+        """What the bound assumes in addition to the data."""
         if self.support == "unknown":
             return "nothing about the transitions"
         return "the possible successors are known, their probabilities are not"
@@ -126,8 +126,8 @@ def guarantee(
     start       the state where every run starts, for a model that does not say it (a black box)
 
     Raises SettingsError for settings out of range, counts of another model's size, or counts that the known graph
-    excludes; PolicyError when the policy belongs to another task or model, or says nothing about a state it may reach;
-    SizeError before allocating what would not fit.
+    excludes; PolicyError if the policy belongs to another task or model, or defines no action in a state it may reach;
+    SizeError before allocating more memory than is available.
     """
     began = time.perf_counter()
     require_door("guarantee", product, policy)

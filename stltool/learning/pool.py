@@ -170,7 +170,7 @@ def _distributed(
             if future.status == "finished":
                 yield item, future.result()
             elif future.status != "error":
-                raise SettingsError("the connection to the dask scheduler was lost; the same command goes on from here")
+                raise SettingsError("the connection to the dask scheduler was lost; rerun the same command to continue")
             else:
                 error = future.exception()
                 yield item, _DIED if isinstance(error, KilledWorker) else _could_not(error)

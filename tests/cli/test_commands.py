@@ -206,8 +206,8 @@ def test_policies_that_do_not_know_the_step(stltool, tmp_path, kind):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (["--memoryless"], "each say which policy is judged; give one of them"),
-        (["--policy", "p.npz"], "each say which policy is judged"),
+        (["--memoryless"], "exclude each other; give one of them"),
+        (["--policy", "p.npz"], "exclude each other"),
         (["--save-policy", "p.policy"], "policies that do not know the step are saved as .npz"),
         (["--cluster", "tcp://127.0.0.1:9"], "--cluster is for the optimum and for given policies"),
         (["--model", str(FACTORY / "floor-5x5-uncertain.toml")], "needs probabilities without intervals"),

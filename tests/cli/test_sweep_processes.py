@@ -100,7 +100,7 @@ def test_a_cluster_that_goes_and_one_that_comes(sweep_file, undisturbed, tmp_pat
             os.killpg(cluster.pid, signal.SIGKILL)
             _, err = client.communicate(timeout=60)
     assert client.returncode == 2
-    assert "the connection to the dask scheduler was lost; the same command goes on from here" in err
+    assert "the connection to the dask scheduler was lost; rerun the same command to continue" in err
     assert "Traceback" not in err
     with running(script, cwd=tmp_path / "elsewhere") as cluster:
         address = cluster.stdout.readline().strip()

@@ -87,7 +87,7 @@ def layers_of(
 
 
 def _few() -> int:
-    """The pairs that numpy takes on: the more, the longer it would take to load what takes on others."""
+    """The most pairs for numpy: the more, the longer the alternative would take to load."""
     if "stltool.kernels.words" in sys.modules:
         return FEW_USED
     return FEW_LOADED if "numba" in sys.modules else FEW
