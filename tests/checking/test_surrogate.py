@@ -387,7 +387,7 @@ def test_on_the_papers_floors_the_surrogate_is_not_what_holds_learning_back(floo
 
 def test_tolerances_that_rounding_does_not_allow_are_said(patrolling):
     result = stl.surrogate_optimum(patrolling, tolerance=1e-16)
-    assert result.status.startswith("rounding: choices that lose up to ")
+    assert result.status.startswith("limited by rounding: choices that lose up to ")
     assert 1e-16 < result.tolerance < 1e-8
 
 
