@@ -66,5 +66,5 @@ def test_sizes_that_cannot_be(sizes):
     ],
 )  # fmt: skip
 def test_counts_that_cannot_be_restored(codes, seen):
-    with pytest.raises(ValueError, match="must be int64|out of range|less often"):
+    with pytest.raises(ValueError, match="must be int64|out of range|less than once"):
         Counts(4, 5).restore({"codes": np.array(codes), "seen": np.array(seen)})

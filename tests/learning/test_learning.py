@@ -470,7 +470,7 @@ def test_users_bring_their_own_learners(patrolling, tmp_path):
     assert (run.method, run.faithful, run.settings) == ("Alternating", False, {"turns": 9, "start_with": "first"})
     assert run.counts.seen.sum() == run.environment_steps
     assert run.history[-1].probability == stl.check(patrolling, run.policy).probability
-    with pytest.raises(SettingsError, match="start_with is 5; it must be a text"):
+    with pytest.raises(SettingsError, match="start_with is 5; it must be text"):
         Alternating(start_with=5)
 
     path = tmp_path / "own.ckpt"
