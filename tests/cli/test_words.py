@@ -89,7 +89,7 @@ def test_no_option_without_a_row():
         (["learn", "--method", "cfper"], "cfper exists only as published; give --faithful, too"),
         (["learn", "--method", "model-based", "--faithful"], "leave --faithful out"),
         (["estimate", "--runs", "5", "--epsilon", "0.1"], "--runs and --epsilon are both given"),
-        (["estimate", "--alpha", "0.5", "--beta", "0.5", "--at-least", "0.5"], "--alpha + --beta is 1; below 1"),
+        (["estimate", "--alpha", "0.5", "--beta", "0.5", "--at-least", "0.5"], "--alpha + --beta is 1; choose them"),
         (["surrogate", "--model", "floor-5x5-uncertain.toml"], "the ordinary model inside them (--nominal)"),
         (["surrogate", "--model", "floor-5x5-uncertain.toml"], "use stltool check"),
         (["pareto", "--model", "floor-5x5-uncertain.toml"], "or the ordinary model inside them\n"),
