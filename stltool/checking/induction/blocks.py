@@ -33,7 +33,7 @@ from stltool.checking.induction.induct import Solution, Step, recorded
 from stltool.checking.induction.layers import Budget
 from stltool.checking.induction.recording import InMemory, Passed, Recorder
 from stltool.checking.induction.tiled import Tiles
-from stltool.checking.induction.words import Graph, Layer, Moves, Sets, Words, lanes_of
+from stltool.checking.induction.words import Graph, Layer, Moves, Sets, Words, lanes_of, prepared
 from stltool.choices import Listed
 from stltool.models.fractions import Shares
 from stltool.models.rows import Chances, Rows
@@ -346,7 +346,7 @@ def solve_on_cluster(
     recorder, whole = recorder or InMemory(), False
     try:
         recorder.resume(None)
-        work = _Work(client, game, arithmetic, goal, allowed, keep, budget, n_blocks)
+        work = _Work(client, game, prepared(game, budget)[0], arithmetic, goal, allowed, keep, n_blocks)
         ahead, swept = None, 0
         for step in _back(work, _reached(work, budget), budget):
             ahead, swept = step.results, swept + 1
@@ -369,8 +369,8 @@ class ClusterWay:
 
     def __init__(self, client: Client, layers: Words, arithmetic: Doubles | Fixed, n_blocks: int | None = None) -> None:
         self._layers, self._ends = layers, arithmetic.ends(0)
-        game, goal, allowed, budget = layers.game, layers.goal, layers.allowed, layers.budget
-        self._work = _Work(client, game, arithmetic, goal, allowed, None, budget, n_blocks)
+        question = (arithmetic, layers.goal, layers.allowed)
+        self._work = _Work(client, layers.game, layers.graph, *question, None, n_blocks)
         self._dtype = np.int64 if isinstance(arithmetic, Fixed) else np.float64
 
     def end(self) -> Passed:
@@ -473,15 +473,14 @@ class _Work:
         self,
         client: Client,
         game: Game,
+        graph: Graph,
         arithmetic: Doubles | Fixed,
         goal: int,
         allowed: Allowed,
         keep: type[np.unsignedinteger] | None,
-        budget: Budget,
         n_blocks: int | None,
     ) -> None:
         self.game, self.allowed, self.keep, self._client = game, allowed, keep, client
-        graph = Graph.of(game, lambda n_bytes: budget.take(n_bytes, 0, game.horizon))
         self._worker = [worker for worker, threads in client.nthreads().items() for _ in range(threads)]
         cuts = _cuts(graph, n_blocks or len(self._worker))
         rest = {"goal": goal, "allowed": allowed, "choices": keep}

@@ -182,6 +182,17 @@ class Moves:
         return self._rows[first, verdict]
 
 
+def prepared(game: Game, budget: Budget) -> tuple[Graph, Moves]:
+    """What is prepared once for all questions about a game; a large graph is not kept."""
+    found: tuple[Graph, Moves] | None = game.kept.get("words")
+    if found is None:
+        graph = Graph.of(game, lambda n_bytes: budget.take(n_bytes, 0, game.horizon))
+        found = graph, Moves(game.automaton, game.kept.get("moves"))
+        if len(graph.target) <= _KEPT:
+            game.kept["words"] = found
+    return found
+
+
 class Words(Layers[Sets, Layer]):
     """See layers.py. `choices` is the dtype of the choices that are kept, or None."""
 
@@ -200,13 +211,7 @@ class Words(Layers[Sets, Layer]):
 
         super().__init__(game, goal, allowed, live, sure, budget or Budget("pairs that are reached"))
         self.choices = choices
-        prepared: tuple[Graph, Moves] | None = game.kept.get("words")
-        if prepared is None:
-            graph = Graph.of(game, lambda n: self.budget.take(n, 0, game.horizon))
-            prepared = graph, Moves(game.automaton, game.kept.get("moves"))
-            if len(prepared[0].target) <= _KEPT:
-                game.kept["words"] = prepared
-        self.graph, self.moves = prepared
+        self.graph, self.moves = prepared(game, self.budget)
         game.kept["moves"] = self.moves
         self.mode = words.PLAIN if allowed.everything else words.MIXED if allowed.mixed else words.RESTRICTED
         self.crew = Crew(self, threads)
