@@ -567,7 +567,7 @@ def _action_names(actions: int | Sequence[str], what: str) -> tuple[str, ...]:
 def _available(given: ArrayLike | None, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
     if given is None:
         return None
-    has = _booleans(given, "available")
+    has = _booleans(given, "available", "give one Boolean for every state and action")
     if has.shape != shape:
         raise ModelError(f"available has shape {has.shape}, not {shape} (states, actions)")
     return has
@@ -586,7 +586,7 @@ def _columns(signals: object, labels: object, optional: bool = False) -> dict[st
     truths = mapping(labels, "the model's labels", "{'A': [True, False]}", optional=True)
     return {
         "signals": {key: floats(numbers[key], f"signal {key}") for key in numbers},
-        "labels": {key: _booleans(truths[key], key) for key in truths},
+        "labels": {key: _booleans(truths[key], f"label {key}", "make it a signal and compare it") for key in truths},
     }
 
 
@@ -723,13 +723,13 @@ def _are_positive(values: Floats) -> bool:
     return bool(((values > 0) & (values <= 2)).all())
 
 
-def _booleans(values: ArrayLike, name: str) -> NDArray[np.bool_]:
+def _booleans(values: ArrayLike, what: str, otherwise: str) -> NDArray[np.bool_]:
     try:
         array = np.asarray(values)
     except ValueError:
-        raise ModelError(f"label {name} is not a list with one value per state") from None
+        raise ModelError(f"{what} is not a list with one value per state") from None
     if array.dtype.kind not in "biuf" or not np.isin(array, (0, 1)).all():
-        raise ModelError(f"label {name} has values other than true and false; make it a signal and compare it")
+        raise ModelError(f"{what} has values other than true and false; {otherwise}")
     return array.astype(np.bool_)
 
 
