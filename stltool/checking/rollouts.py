@@ -1,4 +1,5 @@
-"""Verdicts of independent runs: of the model, all at once, or of anything that resets and steps, one by one.
+"""Verdicts of independent runs: of the model, all at once, or of anything that resets and steps: one by one, or as
+many at once as it takes (`Batched`).
 
 Runs are made in blocks of fixed size, each from its own random stream (randomness.py), in lock step: at step t one
 uniform number for each run that is still undecided (two if the policy is mixed), in the order of the runs. So verdicts
@@ -17,13 +18,13 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata import TRUE, UNDECIDED
-from stltool.models.environment import Resettable, cumulated, require_state, simulator
+from stltool.models.environment import BlackBox, Runs, batch_of, cumulated, hidden_in, require_state
 from stltool.policy import Policy, silence
 from stltool.product import Product
 from stltool.randomness import Purpose, generator, require_seed
@@ -40,8 +41,9 @@ BLOCK = 1 << 14  # runs in lock step; their arrays fit into a processor's level-
 class Rollouts:
     """Iterate over the verdicts (n,) bool of `runs` runs of a policy, a batch at a time.
 
-    `environment` replaces the model: its `reset()` and `step(i)` return the index of a state in the model's order, and
-    the model's probabilities are not read. A black-box model has its own. Runs are fresh: they share no random number
+    `environment` replaces the model: its `reset()` and `step(i)` return the index of a state in the model's order, or
+    `reset(n)` and `step(actions)` those of n runs (`Batched`), and the model's probabilities are not read. A black-box
+    model has its own. Runs are fresh: they share no random number
     with another `purpose` under the same seed. `steps` counts the steps of the batches returned so far. Raises
     PolicyError, naming the state, if the policy defines no action there; ModelError if the environment returns
     something that is not a state.
@@ -53,7 +55,7 @@ class Rollouts:
         policy: Policy,
         runs: int,
         seed: int,
-        environment: Resettable | None = None,
+        environment: BlackBox | None = None,
         purpose: Purpose = Purpose.ESTIMATE,
     ) -> None:
         self._own = environment is None and product.model.blackbox is not None
@@ -69,8 +71,13 @@ class Rollouts:
         self.steps = 0
         environment = self._environment
         if self._own:
-            environment = simulator(self.product.model, self._stream(_ENVIRONMENT), self.product.horizon)
-        found = self._simulated() if environment is None else self._observed(environment)
+            environment = hidden_in(self.product.model, self._stream(_ENVIRONMENT), self.product.horizon)
+        if environment is None:
+            found = self._simulated()
+        elif (batch := batch_of(environment, "the environment")) is not None:
+            found = self._side_by_side(environment, batch)
+        else:
+            found = self._observed(environment)
         for verdicts, steps in found:
             self.steps += steps
             yield verdicts
@@ -99,7 +106,7 @@ class Rollouts:
 
     # ------------------------------------------------------------------------------------------------ a black box
 
-    def _observed(self, environment: Resettable) -> Iterator[tuple[Verdicts, int]]:
+    def _observed(self, environment: Any) -> Iterator[tuple[Verdicts, int]]:
         product, policy = self.product, self.policy
         automaton, model = product.automaton, product.model
         rng = self._stream(_CHOICES)
@@ -113,6 +120,58 @@ class Rollouts:
                 q = product.enter(s, q)
                 t += 1
             yield np.array([automaton.verdicts(t)[q] == TRUE]), t
+
+    def _side_by_side(self, environment: BlackBox, batch: int) -> Iterator[tuple[Verdicts, int]]:
+        """As many runs at once as the environment takes, in lock step. Those that are decided wait for the others."""
+        product, policy = self.product, self.policy
+        runs = Runs(environment, product.model.n_states, product.model.name)
+        rng = self._stream(_CHOICES)
+        for first in range(0, self.runs, batch):
+            n = min(batch, self.runs - first)
+            lanes = Lanes(product, runs.reset(n))
+            steps = 0
+            while len(lanes.open):
+                steps += len(lanes.open)
+                actions = np.full(n, -1)
+                actions[lanes.open] = lanes.choices(policy, rng)
+                lanes.enter(runs.step(actions))
+            yield lanes.outcome == TRUE, steps
+
+
+class Lanes:
+    """Runs of a product in lock step.
+
+    t, s, q   the step; (n,) the model and automaton states;  outcome (n,) the verdicts;  open: the runs without one
+    """
+
+    def __init__(self, product: Product, first: NDArray[np.int64]) -> None:
+        self._product = product
+        self.t, self.s = 0, first
+        self.q = product.automaton.delta[product.letter[first], product.automaton.initial]
+        self.outcome = product.automaton.verdicts(0)[self.q]
+        self.open = np.flatnonzero(self.outcome == UNDECIDED)
+
+    def choices(self, policy: Policy, rng: np.random.Generator) -> NDArray[Any]:
+        """What the policy does in the open runs; one random number for each if it is mixed."""
+        s, q = self.s[self.open], self.q[self.open]
+        found = policy.form.at(self.t, s, q)
+        if not policy.deterministic:
+            below = found.cumsum(axis=1)
+            drawn: NDArray[Any] = (below <= rng.random(len(s))[:, None] * below[:, -1:]).sum(axis=1)
+            return drawn
+        silent = np.flatnonzero(found < 0)
+        if silent.size:
+            raise silence(self._product, int(s[silent[0]]), int(q[silent[0]]), self.t)
+        return found
+
+    def enter(self, s: NDArray[np.int64]) -> None:
+        """The states after a step; runs that are decided stay as they were."""
+        automaton, open_ = self._product.automaton, self.open
+        self.t, self.s = self.t + 1, s
+        q = automaton.delta[self._product.letter[s[open_]], self.q[open_]]
+        self.q[open_] = q
+        self.outcome[open_] = automaton.verdicts(self.t)[q]
+        self.open = open_[self.outcome[open_] == UNDECIDED]
 
 
 def _choice(product: Product, policy: Policy, s: int, q: int, t: int, rng: np.random.Generator) -> int:

@@ -37,7 +37,7 @@ from stltool.checking.induction import Progress
 from stltool.checking.rollouts import Rollouts, Verdicts
 from stltool.display import Card, Displayed
 from stltool.errors import SettingsError, named
-from stltool.models.environment import Resettable, require_environment
+from stltool.models.environment import BlackBox, require_environment
 from stltool.numbers import ceiling_text, exact, floor_text
 from stltool.policy import Policy, require_door
 from stltool.product import Product
@@ -159,7 +159,7 @@ def estimate(
     confidence: float | Fraction = 0.99,
     side: Side = "both",
     seed: int = 0,
-    environment: Resettable | None = None,
+    environment: BlackBox | None = None,
     progress: Progress | None = None,
 ) -> Estimate:
     """The probability that the task holds under `policy` (default: the optimal one), with an interval, from independent
@@ -171,8 +171,9 @@ def estimate(
     seed          an integer from 0; every random choice made here comes from it: same seed, same result. The runs are
                   independent of a training under the same seed
     environment   anything whose `reset()` and `step(i)` (the i-th available action of the current state) return the
-                  index of a state in the model's order; the model's probabilities are then not read. Default: the model
-                  itself, all runs at once.
+                  index of a state in the model's order, or one that takes many runs at once
+                  (`stltool.models.environment.Batched`); the model's probabilities are then not read. Default: the
+                  model itself, all runs at once.
     progress      called with (runs done, runs)
 
     Raises PolicyError if the policy defines no action in a state that a run reaches, ModelError if the environment does
@@ -199,7 +200,7 @@ def sprt(
     beta: float | Fraction = 0.01,
     most_runs: int = MOST_RUNS,
     seed: int = 0,
-    environment: Resettable | None = None,
+    environment: BlackBox | None = None,
     progress: Progress | None = None,
 ) -> SequentialTest:
     """Test whether the task holds under `policy` (default: the optimal one) with probability `at_least`, a number

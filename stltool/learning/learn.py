@@ -32,7 +32,7 @@ from stltool.learning.methods import METHODS, class_of, make
 from stltool.learning.problem import Problem
 from stltool.learning.settings import Budget, recorded
 from stltool.learning.trainer import Point, Progress, Status, Trainer
-from stltool.models.environment import Environment, Resettable, require_environment, simulator
+from stltool.models.environment import BlackBox, Environment, guarded, require_environment, simulator
 from stltool.policy import Policy, require_door, with_flags
 from stltool.product import Product, first_verdicts
 from stltool.randomness import Purpose, generator, require_seed
@@ -125,7 +125,7 @@ def learn(
     most_steps: int | None = None,
     stop_gap: float | None = None,
     seed: int = 0,
-    environment: Resettable | None = None,
+    environment: BlackBox | None = None,
     checkpoint: str | Path | None = None,
     resume: bool = False,
     checkpoint_every: float = 30.0,
@@ -231,10 +231,10 @@ def _require_length(budget: Budget, length: int) -> None:
     )  # fmt: skip
 
 
-def _environment(product: Product, given: Resettable | None, rng: np.random.Generator, length: int) -> Environment:
+def _environment(product: Product, given: BlackBox | None, rng: np.random.Generator, length: int) -> Environment:
     if given is None:
         return simulator(product.model, rng, length)
-    return given if isinstance(given, Environment) else Environment(given.reset, given.step)
+    return given if isinstance(given, Environment) else guarded(product.model, given)
 
 
 @dataclass(frozen=True)

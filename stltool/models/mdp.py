@@ -42,7 +42,7 @@ from stltool.sizes import IntegerType, UnsignedType, integer_type, require_memor
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-    from stltool.models.environment import Resettable
+    from stltool.models.environment import BlackBox
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -96,7 +96,7 @@ class MDP(Displayed):
     layout: GridLayout | None = None
     name: str = "model"
     exact_initial: Shares | None = None
-    blackbox: Callable[[np.random.Generator, int | None], Resettable] | None = None
+    blackbox: Callable[[np.random.Generator, int | None], BlackBox] | None = None
     notes: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -429,7 +429,7 @@ class MDP(Displayed):
         cls,
         n_states: int,
         actions: int | Sequence[str],
-        environment: Callable[[np.random.Generator], Resettable],
+        environment: Callable[[np.random.Generator], BlackBox],
         *,
         signals: Mapping[str, ArrayLike] | None = None,
         labels: Mapping[str, ArrayLike] | None = None,
@@ -443,7 +443,8 @@ class MDP(Displayed):
         environment   called with a numpy Generator; returns an object whose `reset()` and `step(i)` (the i-th available
                       action of the current state) return the index of a state. If it keeps nothing but that generator
                       between two episodes, return `stltool.models.environment.Environment(reset, step, generator)`, and
-                      runs can be resumed.
+                      runs can be resumed. A simulator that takes many runs at once has an attribute `batch`,
+                      `reset(n)` and `step(actions)` over arrays: `stltool.models.environment.Batched`
         signals, labels, state_names   as in `from_arrays`
 
         `learn`, `estimate`, `sprt` and `sample_run` work with it; what needs probabilities raises SettingsError.
