@@ -5,11 +5,11 @@ With χ_t ∈ {0, 1} the inner formula's truth that the flags show after step t 
     discounted   max E Σ_{t ≥ 1} γ^(t−1) r(χ_t)                 eq. 12 and 5 as published: stationary, infinite horizon
     episode      max E Σ_{t = τ−1}^{T+τ−2} r(χ_t)               eq. 9: start k is judged at t = k + τ − 1
 
-r is e^{βχ} under an outer F and −e^{−βχ} under an outer G; the published runs use 2χ − 1 and χ − 0.5, the paper prints
-χ − 0.9. All are a + bχ with b > 0, which does not change the maximisers of either sum, so r = χ here: neither β, nor
-the scale, nor the outer operator changes which policies are optimal. The episode reading maximises the expected
-*number* of starts at which the inner formula holds, while the task asks for the probability of *at least one* (F) or of
-*all* (G).
+r is e^{βχ} under an outer F and −e^{−βχ} under an outer G, of which the paper takes r − 0.9 (−1.9 or −0.9); the
+published runs use 2χ − 1 and χ − 0.5. All are a + bχ with b > 0, which does not change the maximisers of either sum, so
+r = χ here: neither β, nor the scale, nor the outer operator changes which policies are optimal. The episode reading
+maximises the expected *number* of starts at which the inner formula holds, while the task asks for the probability of
+*at least one* (F) or of *all* (G).
 
 discounted   value iteration V ← L V on (s, q), L V(s,q) = max_c Σ_s' p(s'|c) (χ(q') + γ V(s',q')), q' = δ(L(s'),q).
              With Δ = L V − V, V* lies within L V + γ/(1−γ)·[min Δ, max Δ] [Puterman94, Prop. 6.6.5 and Th. 6.6.6],

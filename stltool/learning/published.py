@@ -22,7 +22,7 @@ from stltool.learning.problem import Problem
 from stltool.learning.replay import Batches
 from stltool.learning.schedule import Decaying
 from stltool.learning.settings import setting
-from stltool.learning.tables import SurrogateTable
+from stltool.learning.tables import SCALES, SurrogateTable
 from stltool.logic.fragment import check_fragment
 from stltool.sizes import require_memory
 
@@ -41,8 +41,9 @@ class Published(Decaying, Learner["PublishedRun"]):
     gamma: float = setting(0.999, "discount", least=0, most=1)
     scale: str = setting(
         "published",
-        "the reward under an outer G: χ − 0.5 (published: as the authors ran it) or χ − 0.9 (paper: as printed)",
-        choices=("published", "paper"),
+        "the reward under an outer G: χ − 0.5 (published: as the authors ran it), r − 0.9 with r = −e^(−βχ), that is "
+        "−1.9 or −0.9 (printed: Table I as it stands), or χ − 0.9 (shifted)",
+        choices=tuple(SCALES),
     )
 
     def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> PublishedRun:

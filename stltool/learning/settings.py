@@ -67,7 +67,8 @@ class Setting:
         """Its range in words: "an integer from 1"."""
         declared, ends = self.declared, []
         if declared.choices is not None:
-            return " or ".join(declared.choices)
+            *others, last = declared.choices
+            return f"{', '.join(others)} or {last}" if others else last
         if declared.above == 0 and math.isinf(declared.most):
             ends = ["above 0"]
         elif math.isfinite(declared.least) and math.isfinite(declared.most):

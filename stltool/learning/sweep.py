@@ -3,7 +3,8 @@
 A run is a pure function of its content: formula, model, method, settings, seed. A digest of these, the stored format
 and the version of stltool is its *key*. A finished run is one file, `runs/<scenario>/<method>/seed-<n>.json`, written
 whole or not at all, with its key; a file with another key counts as not done. So a sweep that was killed at any point
-continues where it stopped, and ends in the same bytes as one that was not; wall times are stored in separate files.
+continues where it stopped, and ends in runs of the same bytes as one that was not; wall times are stored in separate
+files.
 """
 
 from __future__ import annotations

@@ -14,12 +14,16 @@ from stltool.learning.kept import Kept
 from stltool.learning.problem import Problem
 from stltool.sizes import require_memory, require_numbered
 
+SCALES = {"published": (-0.5, 0.5), "printed": (-1.9, -0.9), "shifted": (-0.9, 0.1)}
+"""The rewards for χ = 0 and χ = 1 under an outer G. Printed is r − 0.9 with r = −e^(−βχ) [Wang24, eq. 12 and Table I],
+up to e^(−50); the published runs used χ − 0.5."""
+
 
 class SurrogateTable:
     """Q(s, q, a) on the surrogate reward, as published: stationary, discounted, bootstrapping past the end.
 
-    The reward of arriving in q' is 2χ − 1 under an outer F and χ − offset under an outer G, where χ is the truth of
-    the inner formula that q' shows [Wang24, eq. 12 up to e^−50, and Table I].
+    The reward of arriving in q' is 2χ − 1 under an outer F, and one of the `SCALES` under an outer G, where χ is the
+    truth of the inner formula that q' shows [Wang24, eq. 12 up to e^−50, and Table I].
     """
 
     def __init__(self, problem: Problem, alpha: float, gamma: float, scale: str, outer: str) -> None:
@@ -30,8 +34,8 @@ class SurrogateTable:
         unavailable = np.arange(shape[2]) >= problem.n_choices[:, None, None]
         self.Q[np.broadcast_to(unavailable, shape)] = -np.inf
         chi = (automaton.verdict_rows[-1] == TRUE).astype(np.float64)
-        offset = 0.5 if scale == "published" else 0.9
-        self.reward = 2 * chi - 1 if outer == "F" else chi - offset
+        low, high = (-1.0, 1.0) if outer == "F" else SCALES[scale]
+        self.reward = np.where(chi == 1, high, low)
         self.kernel = Surrogate(self.Q, self.reward, alpha, gamma)
 
     @property

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stltool.arguments import described, flag, mapping, require, texts, whole
-from stltool.display import Card, Displayed, counted, listed
+from stltool.display import Card, Displayed, StateNames, counted, listed
 from stltool.errors import ModelError, SettingsError, named, near_misses
 from stltool.models.fractions import (
     Fractions,
@@ -461,12 +461,15 @@ class MDP(Displayed):
         shape = (n_states, len(names))
         _require_numbered(*shape)
         given = _available(available, shape)
-        has = np.ones(shape, dtype=np.bool_) if given is None else given
-        choice_start = np.concatenate([[0], np.cumsum(has.sum(axis=1))]).astype(np.int64)
+        if given is None:
+            choice_start = np.arange(n_states + 1, dtype=np.int64) * len(names)
+            choice_action = np.tile(np.arange(len(names), dtype=np.int32), n_states)
+        else:
+            choice_start, choice_action = starts(given.sum(axis=1)), np.nonzero(given)[1].astype(np.int32)
         return cls(
             Stored(
                 choice_start,
-                choice_action=np.nonzero(has)[1].astype(np.int32),
+                choice_action=choice_action,
                 row_start=np.zeros(choice_start[-1] + 1, dtype=np.int64),
                 target=np.empty(0, dtype=np.int32),
                 probability=np.empty(0),
@@ -500,7 +503,7 @@ class MDP(Displayed):
         n_states = rows.shape[1]
         n_actions = rows.shape[0] // n_states
         _require_numbered(n_states, n_actions)
-        names = _names(action_names, "action_names") or tuple(str(a) for a in range(n_actions))
+        names = tuple(_names(action_names, "action_names") or (str(a) for a in range(n_actions)))
         given_names = _names(state_names, "state_names")
         if len(names) != n_actions:
             raise ModelError(f"{len(names)} action names for {n_actions} actions")
@@ -591,8 +594,10 @@ def _columns(signals: object, labels: object, optional: bool = False) -> dict[st
     }
 
 
-def _names(given: object, what: str) -> tuple[str, ...] | None:
-    return tuple(texts(given, what)) if given is not None else None
+def _names(given: object, what: str) -> Sequence[str] | None:
+    if given is None or isinstance(given, StateNames):
+        return given
+    return tuple(texts(given, what))
 
 
 def _name(given: object) -> str:

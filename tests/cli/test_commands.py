@@ -167,12 +167,12 @@ def test_learn_then_check_the_policy(stltool, tmp_path):
 def test_learn_prints_json_and_takes_settings(stltool, tmp_path):
     code, out, err = stltool(
         "learn", PATROLLING, *SMALL, "-m", "naive-er", "--faithful", "-e", 20, "--set", "batch=8", "--set",
-        "scale=paper", "--out", tmp_path / "p.npz", "--json",
+        "scale=printed", "--out", tmp_path / "p.npz", "--json",
     )  # fmt: skip
     data = json.loads(out)
     assert (code, err) == (0, "")
     assert (data["method"], data["faithful"]) == ("naive-er", True)
-    assert (data["settings"]["batch"], data["settings"]["scale"]) == (8, "paper")
+    assert (data["settings"]["batch"], data["settings"]["scale"]) == (8, "printed")
 
 
 def test_the_optimal_policy_can_be_saved_and_checked(stltool, tmp_path):

@@ -277,8 +277,11 @@ def test_the_published_reward(floor5):
     assert outer_f.reward.tolist() == [-1, -1, -1, -1, -1, 1]
     patrol = stl.build_product(floor5, stl.parse("G[0,10) F[0,2) A"), encoding="paper")
     assert surrogate(patrol).reward.tolist() == [-0.5, 0.5, 0.5]
-    printed = surrogate(patrol, scale="paper").reward
-    assert np.allclose(printed, [-0.9, 0.1, 0.1])
+    for beta in (50.0, 100.0):
+        r = -np.exp(-beta * np.array([0.0, 1.0, 1.0]))
+        assert np.allclose(surrogate(patrol, scale="printed").reward, r - 0.9, rtol=0, atol=1e-15)
+    assert np.allclose(surrogate(patrol, scale="shifted").reward, [-0.9, 0.1, 0.1], rtol=0, atol=1e-15)
+    assert surrogate(charging, scale="printed").reward.tolist() == outer_f.reward.tolist()  # Table I: 2χ − 1
 
 
 def test_published_naive_update_by_hand(floor5):
@@ -371,7 +374,10 @@ def test_exploration_decays_between_its_ends():
         ({"decay": np.nan}, "decay is nan; it must be a number above 0"),
         ({"method": "naive", "faithful": True, "gamma": 1.5}, "gamma is 1.5; it must be a number from 0 to 1"),
         ({"method": "naive", "faithful": True, "alpha": 0}, "alpha is 0; it must be a number above 0 and at most 1"),
-        ({"method": "naive", "faithful": True, "scale": "both"}, "scale is 'both'; it must be published or paper"),
+        (
+            {"method": "naive", "faithful": True, "scale": "both"},
+            "scale is 'both'; it must be published, printed or shifted",
+        ),
         ({"faithful": True, "factual_share": 1.5}, "factual_share is 1.5; it must be a number from 0 to 1, or none"),
         ({"caution": -1}, "caution is -1"),
         ({"method": "model-based", "known_after": 0}, "known_after is 0"),

@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.errors import MissingExtraError, ModelError, SettingsError
+from stltool.display import StateNames
+from stltool.errors import MissingExtraError, ModelError, SettingsError, SizeError
 from stltool.models.environment import simulator
 from stltool.models.gymnasium import replay
 from tests.conftest import many
@@ -323,6 +324,85 @@ def test_first_states_without_a_distribution():
         stl.from_gymnasium(Listed(P, (0.5, 0.5), distribution=False))
 
 
+class Rows(Listed):
+    """An environment whose P is an array (S, A, S), or of another form; if `ends`, runs end in the last state."""
+
+    def __init__(self, array, form=lambda array: array, ends=True):
+        n = len(array)
+        P = [[[(array[s, a, t], t, 1.0, ends and t == n - 1) for t in range(n)] for a in range(len(array[s]))]
+             for s in range(n)]  # fmt: skip
+        super().__init__(P)
+        self._listed, self.P = P, form(array)
+
+    def step(self, action):
+        shown, self.P = self.P, self._listed
+        try:
+            return super().step(action)
+        finally:
+            self.P = shown
+
+
+@pytest.fixture
+def corridor():
+    """(S, A, S): wait, or go on with .75; the last of three states cannot be left."""
+    rows = np.zeros((3, 2, 3))
+    rows[:, 0] = np.eye(3)
+    rows[0, 1, :2] = rows[1, 1, 1:] = 0.25, 0.75
+    rows[2, 1, 2] = 1
+    return rows
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        lambda array: array,
+        list,
+        np.ndarray.tolist,
+        lambda array: {s: dict(enumerate(rows)) for s, rows in enumerate(array)},
+    ],
+    ids=["array", "list of arrays", "lists", "dicts"],
+)
+@pytest.mark.parametrize("ends", [True, False])
+def test_an_array_of_probabilities_is_a_table(corridor, form, ends):
+    model = stl.from_gymnasium(Rows(corridor, form, ends), {"goal": {2}})
+    assert (model.blackbox, model.n_transitions) == (None, 8)
+    product = stl.build_product(model, stl.parse("F[0,3] goal"))
+    assert stl.check(product, exact=True).fraction == Fraction(27, 32)
+    assert stl.from_gymnasium(Rows(corridor, form), ends="apart").n_states == 6
+
+
+def test_an_array_that_is_not_what_the_environment_does_is_refused(corridor):
+    env = Rows(corridor)
+    env.P = corridor[[0, 2, 2]]
+    with pytest.raises(ModelError, match=r"does not describe its behaviour: action 0 in state 1 led to state 1 with"):
+        stl.from_gymnasium(env)
+    open_ended = Rows(corridor)
+    open_ended._listed[0][1] = [(0.25, 0, 1.0, False), (0.75, 1, 1.0, True)]  # ends where the array goes on
+    with pytest.raises(ModelError, match=r"led to state 1 with reward 1.0 and terminated=True, which P\[0\]\[1\]"):
+        stl.from_gymnasium(open_ended)
+    env.P = corridor.transpose(1, 0, 2)
+    with pytest.raises(
+        ModelError, match=r"P has shape \(2, 3, 3\), \(actions, states, states\); give P\[s\]\[a\], an array"
+    ):
+        stl.from_gymnasium(env)
+    env.P = np.eye(4)  # an array of the environment's own, which is no table
+    assert stl.from_gymnasium(env).blackbox is not None
+
+
+@pytest.mark.parametrize(
+    ("row", "says"),
+    [
+        ([0.5, 0.5, 0.1], r"the probabilities of P\[0\]\[0\] sum to 1.1, not 1"),
+        ([1.5, -0.5, 0], r"P\[0\]\[0\] is 1.5 for state 0; give the probabilities of the 3 states"),
+        ([math.nan, 1, 0], r"P\[0\]\[0\] is nan for state 0"),
+        ([1.0], r"P\[0\]\[0\] is \[1.0\]; give the probabilities of the 3 states"),
+    ],
+)
+def test_rows_that_are_no_distributions_are_refused(corridor, row, says):
+    with pytest.raises(ModelError, match=says):
+        stl.from_gymnasium(Rows(corridor, lambda array: [[row, *array[0].tolist()[1:]], *array.tolist()[1:]]))
+
+
 def test_a_table_counts_only_for_the_environment_that_it_is_of():
     assert lake(table=True).blackbox is None
     assert lake(table=False).blackbox is not None
@@ -538,18 +618,38 @@ def test_environments_that_leave_their_space(space, outside):
         ({"observation_space": spaces.Tuple(())}, "its observations are Tuple"),
         ({"action_space": spaces.Box(0, 1)}, "its actions are Box.* wrap it in a gymnasium.ActionWrapper"),
         ({"action_space": spaces.MultiDiscrete([2, 2])}, "its actions are MultiDiscrete"),
+        ({"action_space": spaces.Discrete(10**9)}, r"its space Discrete\(1000000000\) has more than 33554432 actions"),
     ],
 )
 def test_other_spaces_are_refused(options, says):
-    with pytest.raises(ModelError, match=f"Scripted: {says}"):
+    with pytest.raises((ModelError, SizeError), match=f"Scripted: {says}"):
         stl.from_gymnasium(Scripted((0, {}), **options))
     with pytest.raises(ModelError, match="str: its observations are None"):
         stl.from_gymnasium("FrozenLake-v1")
 
 
-def test_spaces_too_large_to_list_are_refused():
-    with pytest.raises(stl.StlToolError, match="make its spaces smaller"):
-        stl.from_gymnasium(Scripted((0, {}), observation_space=spaces.MultiDiscrete([10**6, 10**6])))
+@pytest.mark.parametrize(
+    ("space", "says"),
+    [
+        (spaces.Discrete(10**8), r"its space Discrete\(100000000\) has 100000000 observations, and at most 33554432"),
+        (spaces.MultiDiscrete([10**6, 10**6]), r"its space MultiDiscrete\(.*\) has 1000000000000 observations"),
+        (spaces.MultiDiscrete([10] * 50), r"its space MultiDiscrete\(.*\.\.\. has about 10\^50 observations"),
+    ],
+)
+def test_spaces_too_large_to_list_are_refused_at_once(space, says):
+    def never(observation):
+        raise AssertionError
+
+    with pytest.raises(SizeError, match=f"Scripted: {says}.* wrap it in a gymnasium.ObservationWrapper"):
+        stl.from_gymnasium(Scripted((0, {}), observation_space=space), {"a": never}, {"b": never})
+    with mock.patch("stltool.sizes.memory_limit", return_value=10**6), pytest.raises(SizeError, match="of memory"):
+        stl.from_gymnasium(Scripted((0, {}), observation_space=spaces.Discrete(10**5)), {"a": never})
+
+
+def test_names_of_states_are_made_when_they_are_shown():
+    model = stl.from_gymnasium(Scripted((0, {}), observation_space=spaces.Discrete(3, start=7)), ends="apart")
+    assert list(model.state_names) == ["7", "8", "9", "7 ended", "8 ended", "9 ended"]
+    assert isinstance(model.state_names, StateNames)
 
 
 # --------------------------------------------------------------------------------------- environments that misbehave

@@ -1,6 +1,7 @@
 """Sweeps' tables and curves, against slow and obvious twins."""
 
 import csv
+import dataclasses
 import json
 from fractions import Fraction
 
@@ -205,6 +206,21 @@ def test_the_figure_has_a_panel_a_scenario(result, tmp_path):
         assert text in svg
     assert "unfinished" not in svg
     assert (tmp_path / "first" / "figure.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_runs_that_take_longer_change_wall_times_and_no_other_byte(sweep, result, tmp_path):
+    """What docs/sweeps.md says of interrupted sweeps: which files are the same bytes, how others differ."""
+    slower = [dataclasses.replace(run, seconds=10 * run.seconds) for run in result.runs]
+    write_sweep(sweep_data(result), tmp_path / "first")
+    write_sweep(sweep_data(stl.SweepResult(sweep, slower, result.failures, 0)), tmp_path / "again")
+    first, again = ({p.name: p.read_bytes() for p in (tmp_path / name).iterdir()} for name in ("first", "again"))
+    differ = {name for name in first if first[name] != again[name]}
+    assert first.keys() == again.keys()
+    assert differ == {"table.csv", "report.html", "report.json"}
+    data = [json.loads(files["report.json"]) for files in (first, again)]
+    seconds = [[row.pop("seconds") for row in one["results"]] for one in data]
+    assert seconds[1] == [10 * s for s in seconds[0]]
+    assert data[0] == data[1]
 
 
 def test_a_history_as_csv_reads_back(patrolling, tmp_path):

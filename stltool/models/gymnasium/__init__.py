@@ -15,6 +15,7 @@ state kept between episodes.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 
 from stltool.arguments import described, flag, mapping, one_of, texts
 from stltool.arguments import require as require_kind
+from stltool.display import StateNames
 from stltool.errors import ModelError, SettingsError
 from stltool.extras import require
 from stltool.models.environment import Environment
@@ -95,15 +97,15 @@ def from_gymnasium(
     size = observations.n_states * (2 if apart else 1)
     columns = len(labels) + len(signals)
     require_memory(
-        size * (120 + 8 * columns + 12 * n_actions), f"{title} with {size} observations", "make its spaces smaller"
+        size * (40 + 8 * columns + 20 * n_actions), f"{title} with {size} observations", "make its spaces smaller"
     )
     if action_names is None:
         action_names = [str(first_action + a) for a in range(n_actions)]
-    names = [observation_text(observations.observation(s)) for s in range(observations.n_states)]
+    names = StateNames(size, functools.partial(_state_name, observations))
     facts: dict[str, Any] = {
         "labels": {key: _twice(observations.label(key, given), apart) for key, given in labels.items()},
         "signals": {key: _twice(observations.signal(key, given), apart) for key, given in signals.items()},
-        "state_names": [*names, *(f"{text} ended" for text in names)] if apart else names,
+        "state_names": names,
         "name": name if name is not None else title,
     }
     if len(action_names) != n_actions:
@@ -122,6 +124,11 @@ def from_gymnasium(
 
     model = MDP.black_box(size, list(action_names), lambda rng: episodes(rng, None), **facts)
     return replace(model, blackbox=episodes, notes={"normalize": NOTHING.format("unknown")} if normalize else {})
+
+
+def _state_name(observations: Observations, s: int) -> str:
+    ended, s = divmod(s, observations.n_states)
+    return observation_text(observations.observation(s)) + (" ended" if ended else "")
 
 
 def _twice(column: NDArray[Any], apart: bool) -> NDArray[Any]:

@@ -51,10 +51,14 @@ def require_listed(env: Any, title: str) -> None:
             )
 
 
-def require_replays(env: Any, title: str, rows: Rows, initial: NDArray[np.float64]) -> None:
-    """ModelError, naming state, action and what was seen, if the environment does what the table does not list."""
+def require_replays(env: Any, title: str, rows: Rows, initial: NDArray[np.float64], listed: bool) -> None:
+    """ModelError, naming state, action and what was seen, if the environment does what the table does not list.
+
+    A table of probabilities alone is not `listed`: rewards are not compared, and episodes may end in states that no
+    action leaves.
+    """
     rng = np.random.default_rng(0)
-    walk = _Walk(title, rows, initial, rng, _keeps_rewards(env))
+    walk = _Walk(title, rows, initial, rng, listed and _keeps_rewards(env), listed)
     with _unseen(env) as stepped:
         state, left = -1, 0
         for _ in range(_STEPS):
@@ -115,6 +119,7 @@ class _Walk:
     initial: NDArray[np.float64]
     rng: np.random.Generator
     rewards: bool
+    ends: bool
 
     def __post_init__(self) -> None:
         self.untried: dict[int, list[int]] = {}
@@ -172,6 +177,9 @@ class _Walk:
                 "correct the environment"
             ) from None
         outcomes = self.rows[state][action]
+        over = terminated or bool(truncated)
+        if not self.ends and 0 <= s2 < len(self.rows) and all(to == s2 for row in self.rows[s2] for _, to, _, _ in row):
+            terminated = False  # staying there says the same
         fits = [p for p, to, _, ends in outcomes if (to, ends) == (s2, terminated)]
         worth = [r for _, to, r, ends in outcomes if (to, ends) == (s2, terminated)]
         if not fits or (self.rewards and not any(_same(reward, one) for one in worth)):
@@ -187,7 +195,7 @@ class _Walk:
         self.came += likeliest == (s2, terminated)
         self.expected += share[likeliest]
         self.steps += 1
-        return s2, terminated or bool(truncated)
+        return s2, over
 
     def require_frequencies(self) -> None:
         if abs(self.came - self.expected) > math.sqrt(self.steps / 2 * math.log(2 / _DELTA)):

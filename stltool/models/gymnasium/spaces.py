@@ -12,8 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stltool.arguments import described
-from stltool.errors import ModelError
+from stltool.display import cut
+from stltool.errors import ModelError, SizeError
 from stltool.models.fractions import floats
+
+MOST_OBSERVATIONS = 1 << 25
+"""As states of a model: functions of observations and tables of learners are evaluated in every one of them."""
 
 LabelGiven: TypeAlias = Callable[[Any], bool] | Iterable[Any]
 SignalGiven: TypeAlias = Callable[[Any], float] | ArrayLike
@@ -47,7 +51,15 @@ class Observations:
                 f"{title}: its observations are {space}; a Discrete space is needed, or a Tuple or MultiDiscrete of "
                 "them: wrap it in a gymnasium.ObservationWrapper that numbers what can be observed"
             )
-        return cls(space, title, tuple(size for size, _ in found), tuple(start for _, start in found))
+        sizes = tuple(size for size, _ in found)
+        if math.prod(sizes) > MOST_OBSERVATIONS:
+            count = math.prod(sizes) if math.prod(sizes) < 10**18 else f"about 10^{len(str(math.prod(sizes))) - 1}"
+            raise SizeError(
+                f"{title}: its space {cut(str(space), 60)} has {count} observations, and at most {MOST_OBSERVATIONS} "
+                "can be the states of a model; wrap it in a gymnasium.ObservationWrapper that observes less, or use "
+                "stl.MDP.black_box with states of your own"
+            )
+        return cls(space, title, sizes, tuple(start for _, start in found))
 
     @property
     def plain(self) -> bool:
@@ -197,6 +209,11 @@ def actions_of(env: Any, title: str) -> tuple[int, int]:
         raise ModelError(
             f"{title}: its actions are {space}; a Discrete space is needed: wrap it in a gymnasium.ActionWrapper that "
             "numbers the actions to choose from"
+        )
+    if space.n > MOST_OBSERVATIONS:
+        raise SizeError(
+            f"{title}: its space {space} has more than {MOST_OBSERVATIONS} actions, too many to number; wrap it in a "
+            "gymnasium.ActionWrapper that offers fewer"
         )
     return int(space.start), int(space.n)
 

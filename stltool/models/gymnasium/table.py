@@ -1,5 +1,5 @@
 """The transition table of a toy-text environment, env.unwrapped.P[s][a] = [(probability, next state, reward,
-terminated), …] → matrices.
+terminated), …] → matrices. P may also be an array (S, A, S) of probabilities, or lists with an array (S,) at [s][a].
 
 A state that runs enter with `terminated` is absorbing: runs end and stay there. Probabilities are kept as given.
 """
@@ -9,11 +9,14 @@ from __future__ import annotations
 import itertools
 import math
 import operator
+from collections.abc import Sequence
+from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arguments import described
 from stltool.errors import ModelError
 from stltool.models.gymnasium.replay import Outcome, require_listed, require_replays
 from stltool.models.gymnasium.spaces import Observations
@@ -33,17 +36,23 @@ def without_table(env: Any, title: str, observations: Observations, first_action
         if not reward_only and not (kind.__module__.startswith("gymnasium.") and kind.__name__ in _HARMLESS):
             return f"{title}: the wrapper {kind.__name__} may change what its transition table describes"
         wrapper = wrapper.env
-    P = getattr(inner, "P", None)
+    P, n_states = getattr(inner, "P", None), observations.n_states
     none = (
         f"{title} has no transition table, env.unwrapped.P[s][a] = [(probability, next state, reward, terminated), …]"
     )
     if not observations.plain or observations.starts != (0,) or first_action != 0:
         return none + " over states and actions numbered from 0"
     try:
-        if len(P) == observations.n_states and all(len(P[s]) == n_actions for s in range(len(P))):  # type: ignore[arg-type,index]
-            return "" if isinstance(P[0][0], list | tuple) else none  # type: ignore[index]
+        fits = len(P) == n_states and all(len(P[s]) == n_actions for s in range(len(P)))  # type: ignore[arg-type,index]
+        if fits and (isinstance(P[0][0], list | tuple) or np.shape(P[0][0]) == (n_states,)):  # type: ignore[index]
+            return ""
     except (TypeError, LookupError):
         pass
+    if isinstance(P, np.ndarray) and P.shape == (n_actions, n_states, n_states):
+        raise ModelError(
+            f"{title}: P has shape {P.shape}, (actions, states, states); give P[s][a], an array "
+            f"{(n_states, n_actions, n_states)}: P.transpose(1, 0, 2), or use table=False"
+        )
     return none
 
 
@@ -59,9 +68,13 @@ def read_table(
     require_listed(env, title)
     P, n_states = env.unwrapped.P, observations.n_states
     rows: list[list[list[Outcome]]] = [[[] for _ in range(n_actions)] for _ in range(n_states)]
+    listed = isinstance(P[0][0], list | tuple) and not _numbers(P[0][0])
     for s in range(n_states):
         for a in range(n_actions):
-            outcomes = [_outcome(outcome, title, s, a, n_states) for outcome in P[s][a]]
+            if listed:
+                outcomes = [_outcome(outcome, title, s, a, n_states) for outcome in P[s][a]]
+            else:
+                outcomes = _of_row(P[s][a], title, s, a, n_states)
             total = math.fsum(p for p, _, _, _ in outcomes)
             if abs(total - 1) > (MOST_MISSING if normalize else 1e-9):
                 hint = f"; {HINT}" if abs(total - 1) <= MOST_MISSING else ""
@@ -71,7 +84,7 @@ def read_table(
                 )
             rows[s][a] = [outcome for outcome in outcomes if outcome[0] > 0]
     initial = _initial(env, title, n_states)
-    require_replays(env, title, rows, initial)
+    require_replays(env, title, rows, initial, listed)
     if apart:
         ends, ended, size = set(range(n_states, 2 * n_states)), n_states, 2 * n_states
         initial = np.concatenate([initial, np.zeros(n_states)])
@@ -101,6 +114,25 @@ def _outcome(outcome: Any, title: str, s: int, a: int, n_states: int) -> Outcome
             "reward, terminated); correct the table, or use table=False"
         ) from None
     return p, s2, reward, bool(terminated)
+
+
+def _numbers(row: Sequence[Any]) -> bool:
+    return bool(row) and all(isinstance(p, Real) for p in row)
+
+
+def _of_row(row: Any, title: str, s: int, a: int, n_states: int) -> list[Outcome]:
+    """The outcomes of a row (S,) of probabilities, which says nothing of rewards and ends."""
+    try:
+        array = np.asarray(row, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    bad = np.flatnonzero(~((array >= 0) & (array <= 1 + 1e-9))) if array.shape == (n_states,) else None
+    if bad is None or bad.size:
+        what = f"{described(row)}" if bad is None else f"{array[bad[0]]} for state {bad[0]}"
+        raise ModelError(
+            f"{title}: P[{s}][{a}] is {what}; give the probabilities of the {n_states} states, or use table=False"
+        )
+    return [(float(array[s2]), int(s2), 0.0, False) for s2 in np.flatnonzero(array)]
 
 
 def _initial(env: Any, title: str, n_states: int) -> NDArray[np.float64]:
