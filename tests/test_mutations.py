@@ -19,7 +19,9 @@ OPEN, AGREE, VALUES, POLICY = (
         "every_arithmetic_and_engine_gives_the_dense_value", "every_arithmetic_and_engine_gives_a_policys_value",
     )
 )  # fmt: skip
-WORDS, TILES, EDGES, LANES = (f"kernels/{name}.py" for name in ("words", "tiles", "edges", "lanes"))
+WORDS, TILES, EDGES, LANES, NATURE = (f"kernels/{name}.py" for name in ("words", "tiles", "edges", "lanes", "nature"))
+EIGHT = "tests/checking/test_robust.py::test_eight_at_a_time_give_the_bits_of_one_by_one"
+SMALL = "tests/checking/test_small.py::test_natures_choice_is_the_kernels_to_the_bit"
 RECHECK, CERTIFICATE = "recheck.py", "tests/checking/test_certificate.py"
 NODES, LAYERS, REACHED, BLOCKS = (f"checking/induction/{name}.py" for name in ("nodes", "layers", "reached", "blocks"))
 
@@ -128,7 +130,24 @@ MUTATIONS = {
         "checking/stationary.py", "for alone in (True, False):", "for alone in (True,):",
         "tests/checking/test_stationary.py",
     ),
-    "nature spends more than there is": (EDGES, "min(width[e], left)", "width[e]", "tests/checking/test_robust.py"),
+    "nature spends more than there is": (
+        EDGES, "take = min(width[entry[first + k]], left)", "take = width[entry[first + k]]", SMALL,
+    ),
+    "nature by tiles spends more than there is": (
+        NATURE, "                                left = sub(left, w1)\n", " " * 32 + "pass\n", EIGHT,
+    ),
+    "nature by tiles always minimises": (NATURE, "1.0 if ascending else -1.0", "1.0", EIGHT),
+    "nature by tiles: equal values in another order": (
+        NATURE, "greater(x0, x1)\n" + " " * 24 + "x0,", "greater(add(x0, splat(1e-15)), x1)\n" + " " * 24 + "x0,",
+        EIGHT,
+    ),
+    "nature by tiles: one lane speaks for all": (NATURE, "if not any_bit(m):", "if any_bit(m):", EIGHT),
+    "nature by tiles: lanes whose policy takes another choice": (
+        NATURE, "candidates(restricted, bits, q)", "candidates(False, bits, q)", EIGHT,
+    ),
+    "nature by tiles: the last entry takes what it can hold": (
+        NATURE, "_least(w3, sub(left, w2))", "w3", EIGHT,
+    ),
 }  # fmt: skip
 PROGRAM = """
 import sys

@@ -18,14 +18,15 @@ duality, for W in [0, 1], nature's maximum is min over λ in [0, 1] of
 
     S·λ + Σ_k (W_k − λ)⁺·upper_k − Σ_k (λ − W_k)⁺·lower_k,       S = 1 the mass distributed.
 
-So ends moved by η_k each and mass moved by σ move it by at most Σ η_k + |σ|. The loop's weights p̂ = lower + take are
-optimal for the ends lower, lower + fl(upper − lower) and for their own mass Σ p̂: every error of the loop is one of
-ends or mass, or of the last sum. Ends: two roundings (decimals to doubles, the width), η_k ≤ 2u, 2du in all.
-Mass: d subtractions and d additions of at most one, 2du; or, if the budget is negative or exceeds the widths, the error
-of the ends, also 2du. Sum: d + 1 roundings of at most one. Together (5d + 1)u and terms of second order, less than 8du
-if d ≤ 2²⁰. Minimum: 1 − W. The exact operator moves values by no more than W moves, so h sweeps add up to 8hdu =
-h·d·2⁻⁵⁰; a mixture of m choices adds 2mu a sweep. Rows of doubles may miss Σ lower ≤ 1 ≤ Σ upper by a defect D: it
-counts as moved ends and moved mass, 2D a sweep; the weights of a mixture likewise.
+So ends moved by η_k each and mass moved by σ move it by at most Σ η_k + |σ|. The loop adds Σ lower·W and Σ take·W. Its
+weights p̂ = lower + take are optimal for the ends lower, lower + fl(upper − lower) and for their own mass Σ p̂: every
+error of the loop is one of ends or mass, or of the last sums. Ends: two roundings (decimals to doubles, the width),
+η_k ≤ 2u, 2du in all. Mass: d additions and d subtractions of at most one, 2du; or, if the budget is negative or exceeds
+the widths, the error of the ends, also 2du. Sums: 2d products of at most one in all, u, and 2d − 1 additions of at most
+one. Together 6du and terms of second order, less than 8du if d ≤ 2²⁰. Minimum: 1 − W. The exact operator moves values
+by no more than W moves, so h sweeps add up to 8hdu = h·d·2⁻⁵⁰; a mixture of m choices adds 2mu a sweep. Rows of doubles
+may miss Σ lower ≤ 1 ≤ Σ upper by a defect D: it counts as moved ends and moved mass, 2D a sweep; the weights of a
+mixture likewise.
 """
 
 from __future__ import annotations

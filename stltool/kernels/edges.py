@@ -6,7 +6,8 @@ and the slot child[k] ahead. `best` gets the index of each pair's first best cho
     digits   exact integers, `bits` bits per digit, least first, over the denominator D^k:  Σ n_k · V[child], one factor
              D more than the layer ahead; Σ n = D and D · 2^bits ≤ 2^62, so sums of digits fit and carries run once
     nature   opt { Σ_k p_k · V[child_k] : lower_k ≤ p_k ≤ lower_k + width_k, Σ_k p_k = 1 }, the budget 1 − Σ lower
-             distributed in the order of V, ascending if nature minimises; equal values by the entry's number
+             distributed in the order of V, ascending if nature minimises; equal values by the entry's number. All
+             Σ lower · V are added first: kernels/nature.py does the same, eight at a time
     sums     M weighted sums at once: Σ p_k · (V[child_k] + reward[letter_k, q]), of the choice that is best for the
              first of them, or mixed by `weight`
 """
@@ -68,21 +69,21 @@ def nature(
     key, order = np.empty(longest), np.empty(longest, dtype=np.int64)
     for j in range(lo, hi):
         first, n = start[j], start[j + 1] - start[j]
+        left, total = budget[choice[j]], 0.0
         for i in range(n):
             w = ahead[child[first + i]]
+            total += lower[entry[first + i]] * w
             key[i] = w if ascending else -w
             k = i - 1
             while k >= 0 and key[order[k]] > key[i]:
                 order[k + 1] = order[k]
                 k -= 1
             order[k + 1] = i
-        left, total = budget[choice[j]], 0.0
         for i in range(n):
             k = order[i]
-            e = entry[first + k]
-            take = min(width[e], left)
+            take = min(width[entry[first + k]], left)
             left -= take
-            total += (lower[e] + take) * abs(key[k])
+            total += take * abs(key[k])
         out[j] = 1.0 if total > 1.0 else total
 
 

@@ -169,12 +169,12 @@ def _settle_by_type(x: Any, denominator: Any, inverse: Any) -> Any:
 
 
 @kernel
-def _better(x: Any, best: Any, maximize: bool, candidate: Any) -> Any:
+def better(x: Any, best: Any, maximize: bool, candidate: Any) -> Any:
     return both(greater(x, best) if maximize else greater(best, x), candidate)
 
 
 @kernel
-def _candidates(restricted: bool, bits: Any, q: Any) -> Any:
+def candidates(restricted: bool, bits: Any, q: Any) -> Any:
     """The lanes of a tile for which a choice counts."""
     return mask(np.uint8((bits >> np.uint64(q)) & _BYTE)) if restricted else mask(np.uint8(255))
 
@@ -205,20 +205,7 @@ def sweep(
         for k in range(start[i], start[i + 1]):
             w, mine = np.int64(at(word, k)), allowed_start[k] if restricted else np.int64(0)
             between, ones = at(open_bits, k), at(sure_bits, k)
-            left, n = spread(between | ones), 0
-            while left != ZERO:
-                q = trailing(left)
-                left &= left - ONE
-                a, o = np.uint8((between >> np.uint64(q)) & _BYTE), np.uint8((ones >> np.uint64(q)) & _BYTE)
-                if a != 0:
-                    put(which, n, q)
-                    put(place, n, 8 * tile)
-                    put(live, n, a)
-                    put(certain, n, o)
-                    n += 1
-                else:
-                    store(values, 8 * tile, select(mask(o), sures, rests))
-                tile += 1
+            n, tile = open_tiles(between, ones, tile, which, place, live, certain, sures, rests, values)
             if n == 0:
                 continue
             for e in range(n_near):
@@ -246,18 +233,18 @@ def sweep(
                         x0, x1 = add(x0, mul(weight, load(W, o + q0))), add(x1, mul(weight, load(W, o + q1)))
                         x2, x3 = add(x2, mul(weight, load(W, o + q2))), add(x3, mul(weight, load(W, o + q3)))
                     number = splat(c - c0)
-                    m = _better(x0, b0, maximize, _candidates(restricted, bits, q0))
+                    m = better(x0, b0, maximize, candidates(restricted, bits, q0))
                     b0, i0 = select(m, x0, b0), select(m, number, i0)
-                    m = _better(x1, b1, maximize, _candidates(restricted, bits, q1))
+                    m = better(x1, b1, maximize, candidates(restricted, bits, q1))
                     b1, i1 = select(m, x1, b1), select(m, number, i1)
-                    m = _better(x2, b2, maximize, _candidates(restricted, bits, q2))
+                    m = better(x2, b2, maximize, candidates(restricted, bits, q2))
                     b2, i2 = select(m, x2, b2), select(m, number, i2)
-                    m = _better(x3, b3, maximize, _candidates(restricted, bits, q3))
+                    m = better(x3, b3, maximize, candidates(restricted, bits, q3))
                     b3, i3 = select(m, x3, b3), select(m, number, i3)
-                _finish(b0, i0, r, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
-                _finish(b1, i1, r + 1, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
-                _finish(b2, i2, r + 2, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
-                _finish(b3, i3, r + 3, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
+                finish(b0, i0, r, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
+                finish(b1, i1, r + 1, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
+                finish(b2, i2, r + 2, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
+                finish(b3, i3, r + 3, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
                 r += 4
             while n - r >= 2:
                 q0, q1 = at(which, r), at(which, r + 1)
@@ -277,12 +264,12 @@ def sweep(
                         e += 1
                         x0, x1 = add(x0, mul(weight, load(W, o + q0))), add(x1, mul(weight, load(W, o + q1)))
                     number = splat(c - c0)
-                    m = _better(x0, b0, maximize, _candidates(restricted, bits, q0))
+                    m = better(x0, b0, maximize, candidates(restricted, bits, q0))
                     b0, i0 = select(m, x0, b0), select(m, number, i0)
-                    m = _better(x1, b1, maximize, _candidates(restricted, bits, q1))
+                    m = better(x1, b1, maximize, candidates(restricted, bits, q1))
                     b1, i1 = select(m, x1, b1), select(m, number, i1)
-                _finish(b0, i0, r, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
-                _finish(b1, i1, r + 1, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
+                finish(b0, i0, r, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
+                finish(b1, i1, r + 1, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
                 r += 2
             if r < n:
                 q0, b0, i0, e = at(which, r), nothing, first_choice, at(row_start, c0)
@@ -299,13 +286,38 @@ def sweep(
                         weight, o = splat_at(p, e), at(near_block, np.int64(at(position, e)))
                         e += 1
                         x0 = add(x0, mul(weight, load(W, o + q0)))
-                    m = _better(x0, b0, maximize, _candidates(restricted, bits, q0))
+                    m = better(x0, b0, maximize, candidates(restricted, bits, q0))
                     b0, i0 = select(m, x0, b0), select(m, splat(c - c0), i0)
-                _finish(b0, i0, r, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
+                finish(b0, i0, r, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
 
 
 @kernel
-def _finish(
+def open_tiles(
+    between: Any, ones: Any, tile: int, which: I64, place: I64, live: Bytes, certain: Bytes, sures: Any, rests: Any,
+    values: Numbers,
+) -> tuple[int, int]:  # fmt: skip
+    """Of a word's tiles, from number `tile` on: those with an open pair, by first bit, position in `values`, open and
+    sure lanes; the others get their values here. Returns how many have one, and the number of the next word's first
+    tile."""
+    left, n = spread(between | ones), 0
+    while left != ZERO:
+        q = trailing(left)
+        left &= left - ONE
+        a, o = np.uint8((between >> np.uint64(q)) & _BYTE), np.uint8((ones >> np.uint64(q)) & _BYTE)
+        if a != 0:
+            put(which, n, q)
+            put(place, n, 8 * tile)
+            put(live, n, a)
+            put(certain, n, o)
+            n += 1
+        else:
+            store(values, 8 * tile, select(mask(o), sures, rests))
+        tile += 1
+    return n, tile
+
+
+@kernel
+def finish(
     x: Any, number: Any, r: int, place: I64, live: Bytes, certain: Bytes, divisor: Any, inverse: Any, sures: Any,
     rests: Any, keep: bool, values: Numbers, best: NDArray[Any],
 ) -> None:  # fmt: skip

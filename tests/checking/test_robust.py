@@ -326,6 +326,43 @@ def test_long_rows_are_sorted_too():
             assert found.probability == pytest.approx(float(wanted), abs=1e-14)
 
 
+def wide_product(seed):
+    """Rows of one to seven entries; states in pairs of equal values; more than a word of automaton states."""
+    rng = np.random.default_rng(seed)
+    n, lower, upper = 40, np.zeros((3, 40, 40)), np.zeros((3, 40, 40))
+    for a, s in itertools.product(range(3), range(0, n, 2)):
+        there = rng.choice(n, size=rng.integers(1, 8), replace=False)
+        inside = rng.dirichlet(np.ones(len(there)))
+        by = rng.choice([0, 0.02, 0.3, 1]) * rng.random(len(there))
+        for twin in (s, s + 1):
+            lower[a, twin, there] = np.maximum(inside - by, 0)
+            upper[a, twin, there] = np.minimum(inside + by, 1)
+    pair = np.arange(n) // 2
+    labels = {"a": pair % 5 == 0, "b": pair % 7 == 1}
+    model = stl.MDP.from_intervals(lower, upper, {}, initial=np.ones(n) / n, labels=labels)
+    formula = ("G[0,4] ((F[0,9] a) & (F[0,9] b))", "G[0,80] F[0,9] a", "F[0,70] (a & F[0,3] b)")[seed % 3]
+    return stl.build_product(model, stl.parse(formula))
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(many(3)))
+def test_eight_at_a_time_give_the_bits_of_one_by_one(seed):
+    """kernels/nature.py against numpy: optima with their policies, and policies that differ within a tile."""
+    product = wide_product(seed)
+    rng = np.random.default_rng(seed)
+    other, between = random_policy(product, rng, timed=True, mixed=False), 0
+    for maximize, nature in QUESTIONS:
+        for policy in (None, other):
+            asked = {"policy": policy, "maximize": maximize, "nature": nature}
+            slow, quick = (stl.robust_check(product, engine=engine, **asked) for engine in ("nodes", "words"))
+            assert (slow.engine, quick.engine) == ("nodes", "tiles")
+            assert (slow.probability, slow.lower, slow.sweeps) == (quick.probability, quick.lower, quick.sweeps)
+            between += 0 < slow.probability < 1
+            for t in range(product.horizon):
+                assert np.array_equal(slow.policy.row(t), quick.policy.row(t))
+    assert between > 2
+
+
 def test_threads_change_nothing(floor5, monkeypatch):
     product = stl.build_product(blurred(floor5), stl.parse("G[0,10) (F[0,8) A & F[0,8) B)"))
     for nature in ("against", "with"):

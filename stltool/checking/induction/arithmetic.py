@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.checking.induction.edges import SURE, Edges
-from stltool.checking.induction.tiled import Tiles
+from stltool.checking.induction.tiled import NaturesTiles, Tiles
 from stltool.checking.induction.words import Words
 from stltool.models.fractions import LARGEST_SUM, over_one
 from stltool.models.rows import Rows
@@ -256,11 +256,14 @@ class Nature(Arithmetic):
     """
 
     def __init__(self, minimal: bool, maximize: bool) -> None:
-        self._minimal, self._summed = minimal, 0
+        self._minimal, self._maximize, self._summed = minimal, maximize, 0
         self._ends = (0.0, 1.0) if maximize else (1.0, 0.0)
 
     def ends(self, t: int) -> tuple[float, float]:
         return self._ends
+
+    def tiles(self, engine: Words) -> Tiles:
+        return NaturesTiles(engine, self._ends, self._minimal, self._maximize)
 
     def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
         rows = self.rows
@@ -288,11 +291,11 @@ def natures_choice(
     """kernels/edges.py's `nature` in numpy, to the bit: lower, width and ahead (e,) by edge, budget by choice."""
     lengths = np.diff(start)
     order = np.lexsort((ahead if ascending else -ahead, np.repeat(np.arange(len(lengths)), lengths)))  # stable
-    left, total = budget.copy(), np.zeros(len(lengths))
+    left, total = budget.copy(), row_sums(lower * ahead, start)
     for i in range(int(lengths.max(initial=0))):
         which = np.flatnonzero(lengths > i)
         edge = order[start[which] + i]
         take = np.minimum(width[edge], left[which])
         left[which] -= take
-        total[which] += (lower[edge] + take) * ahead[edge]
+        total[which] += take * ahead[edge]
     return np.minimum(total, 1.0)

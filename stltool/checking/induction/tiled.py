@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from stltool.automata import UNDECIDED
 from stltool.checking.induction.edges import REST, SURE
+from stltool.checking.induction.graph import I64, U64
 from stltool.checking.induction.words import Layer, Scratch, Words, lanes_of
 
 Values: TypeAlias = NDArray[Any]
@@ -50,7 +51,6 @@ class Tiles:
         decided, undecided, maps = self.decided(t + 1), moves.where(t + 1, UNDECIDED), moves.by_tiles(t)
         out = np.empty(8 * here.n_tiles, dtype=self.dtype)
         best = np.empty(8 * here.n_tiles if keep else 0, dtype=engine.choices or np.uint8)
-        rest, sure = self.ends
 
         def part(scratch: Scratch, lo: int, hi: int) -> None:
             n = scratch.unite(sets, lo, hi)
@@ -60,16 +60,26 @@ class Tiles:
                 ahead.word, ahead.open, ahead.sure, ahead.tiles, values, decided, undecided, graph.letter, *maps,
                 moves.n_words, moves.width, moves.shift,
             )  # fmt: skip
-            tiles.sweep(
-                here.states, here.start, here.word, here.open, here.sure, here.tiles, lo, hi, scratch.slot,
-                scratch.block, scratch.W, graph.near_start, graph.near, graph.choice_start, graph.row_start,
-                graph.position, self.share, self._denominator, self._maximize, not engine.allowed.everything, *masks,
-                self._worst, sure, rest, moves.n_words, keep, out, best,
-            )  # fmt: skip
+            self._sweep(scratch, here, lo, hi, masks, keep, out, best)
             scratch.forget(n)
 
         engine.crew.share(part, sets)
         return out, best if keep else None
+
+    def _sweep(
+        self, scratch: Scratch, here: Layer, lo: int, hi: int, masks: tuple[I64, U64], keep: bool, out: Values,
+        best: NDArray[Any],
+    ) -> None:  # fmt: skip
+        from stltool.kernels import tiles
+
+        engine, graph = self._engine, self._engine.graph
+        rest, sure = self.ends
+        tiles.sweep(
+            here.states, here.start, here.word, here.open, here.sure, here.tiles, lo, hi, scratch.slot, scratch.block,
+            scratch.W, graph.near_start, graph.near, graph.choice_start, graph.row_start, graph.position, self.share,
+            self._denominator, self._maximize, not engine.allowed.everything, *masks, self._worst, sure, rest,
+            engine.moves.n_words, keep, out, best,
+        )  # fmt: skip
 
     def values(self, layer: Layer, values: Values) -> Values:
         """The layer's values by slots, as an arithmetic holds them."""
@@ -93,3 +103,29 @@ class Tiles:
             row[tiles.PAD : tiles.PAD + len(verdicts)][verdicts == self._engine.goal] = self.ends[SURE]
             self._decided[first] = row
         return self._decided[first]
+
+
+class NaturesTiles(Tiles):
+    """The same for interval probabilities, with nature's choice (kernels/nature.py); `minimal`: nature minimises."""
+
+    def __init__(self, engine: Words, ends: tuple[float, float], minimal: bool, maximize: bool) -> None:
+        graph, rows = engine.graph, engine.rows
+        assert rows.intervals is not None
+        super().__init__(engine, rows.intervals.lower, 1, ends, maximize)
+        self._minimal, self._width, self._budget = minimal, rows.width[graph.entry], rows.budget[graph.choice]
+        self._longest = int(np.diff(graph.row_start).max(initial=1))
+
+    def _sweep(
+        self, scratch: Scratch, here: Layer, lo: int, hi: int, masks: tuple[I64, U64], keep: bool, out: Values,
+        best: NDArray[Any],
+    ) -> None:  # fmt: skip
+        from stltool.kernels import nature
+
+        engine, graph = self._engine, self._engine.graph
+        rest, sure = self.ends
+        nature.sweep(
+            here.states, here.start, here.word, here.open, here.sure, here.tiles, lo, hi, scratch.slot, scratch.block,
+            scratch.W, graph.near_start, graph.near, graph.choice_start, graph.row_start, graph.position, self.share,
+            self._width, self._budget, self._longest, self._minimal, self._maximize, not engine.allowed.everything,
+            *masks, self._worst, sure, rest, engine.moves.n_words, keep, out, best,
+        )  # fmt: skip
