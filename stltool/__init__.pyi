@@ -67,14 +67,17 @@ from .learning import (
     PublishedCfper as PublishedCfper,
     PublishedNaive as PublishedNaive,
     PublishedNaiveER as PublishedNaiveER,
+    Counts as Counts,
     Guarantee as Guarantee,
     Learner as Learner,
+    MarkovTest as MarkovTest,
     Sweep as Sweep,
     SweepResult as SweepResult,
     Training as Training,
     guarantee as guarantee,
     learn as learn,
     load_sweep as load_sweep,
+    markov_test as markov_test,
     run_sweep as run_sweep,
 )
 from .reporting import explain as explain, report as report

@@ -33,6 +33,8 @@ class Purpose(IntEnum):
     """`sprt`: fresh runs of a policy."""
     SAMPLE_RUN = 4
     """`sample_run`: one run, step by step."""
+    MARKOV_TEST = 5
+    """`markov_test`: tables with the same margins as the data."""
 
 
 def generator(seed: int, purpose: Purpose, *part: int) -> np.random.Generator:

@@ -21,12 +21,13 @@ RESULTS = {
     "CheckResult", "Estimate", "Fragment", "Front", "Guarantee", "JointProduct", "LikelyRuns", "MDP", "Meaning",
     "MonitorResult", "Product", "Run", "Sensitivity", "SequentialTest", "SmoothRobustness", "StationaryResult",
     "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton", "Tradeoff",
-    "Training", "Decision",
+    "Training", "Decision", "MarkovTest",
 }  # fmt: skip
 
 # called from within, or in inner loops with indices of their own
 INNER = {
-    "MDP.initial_share", "Product.enter", "Product.first_verdicts", "Sweep.settled", "TaskAutomaton.letters_at",
+    "Counts.add_known", "Counts.add_one", "Counts.restore", "MDP.initial_share",
+    "Product.enter", "Product.first_verdicts", "Sweep.settled", "TaskAutomaton.letters_at",
     "TaskAutomaton.verdicts", "TaskAutomaton.with_outcome",
 }  # fmt: skip
 
@@ -191,6 +192,10 @@ CALLS = {
     "learn": lambda w: {"product": w.product, "method": "naive", "episodes": 2},
     **dict.fromkeys(LEARNERS, lambda w: {}),
     "guarantee": lambda w: {"product": w.product, "policy": w.policy, "counts": w.training.counts},
+    "Counts": lambda w: {"n_choices": 2, "n_states": 2},
+    "Counts.add": lambda w: {"self": stl.Counts(2, 2), "choice": [0, 1], "target": [1, 1]},
+    "Counts.contains": lambda w: {"self": stl.Counts(2, 2), "other": stl.Counts(2, 2)},
+    "markov_test": lambda w: {"counts": w.training.counts},
     "load_sweep": lambda w: {"path": "sweep.toml"},
     "run_sweep": lambda w: {"sweep": w.sweep, "folder": "swept", "workers": 1},
     "Sweep.select": lambda w: {"self": w.sweep},
@@ -283,6 +288,10 @@ OWN = {
         "checkpoint": {"None", *PATHS}, "checkpoint_every": NUMBERS,
     },
     "guarantee": {"counts": {"Counts"}, "start": {"None", "int"}},
+    "Counts": {"n_choices": {"int"}, "n_contexts": {"int"}},
+    "Counts.add": {"choice": {"int", *LISTS}, "target": {"int", *LISTS}, "context": {"None", "int", *LISTS}},
+    "Counts.contains": {"other": {"Counts"}},
+    "markov_test": {"counts": {"Counts"}, "draws": {"int"}},
     "run_sweep": {"sweep": {"Sweep"}, "folder": PATHS, "workers": {"None", "int"}, "cluster": TEXT},
     "Sweep.select": {"scenarios": NAMES, "methods": NAMES, "seeds": {"None", "int", *LISTS}},
     **{name: {key: kinds_of(one) for key, one in settings_of(getattr(stl, name)).items()} for name in LEARNERS},

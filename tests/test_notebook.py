@@ -76,6 +76,8 @@ CELLS = {
     "Front": ("stl.pareto(joint)", "reach and stay"),
     "Training": ("training", "naive, 30 episodes"),
     "Guarantee": ("stl.guarantee(product, training.policy, training.counts)", "with confidence 99 %"),
+    "Counts": ("training.counts", "choices never tried"),
+    "MarkovTest": ("stl.markov_test(training.counts)", "not rejected"),
     "Sweep": ("sweep", "1 scenario x 1 method x 2 seeds"),
     "SweepResult": ("stl.run_sweep(sweep, 'swept', workers=1)", "2 runs finished"),
     "Cfer": ("stl.Cfer(replays=50)", "replays"),

@@ -70,7 +70,7 @@ def learn(
     """Learn a policy without knowledge of the probabilities, and save it."""
     from stltool.learning.checkpoint import require_checkpoint
     from stltool.policy import require_policy_file
-    from stltool.reporting import training_data, write_history
+    from stltool.reporting import markov_data, training_data, write_history
     from stltool.reporting.curves import require_history_file
     from stltool.reporting.tensorboard import require_tensorboard, write_tensorboard
     from stltool.reporting.terminal import print_facts, print_json
@@ -92,8 +92,10 @@ def learn(
     if history is not None:
         write_history(training, history)
     events = write_tensorboard(training, tensorboard) if tensorboard is not None else None
+    markov = markov_data(training)
     if as_json:
-        print_json({"task": product.task_name, "formula": str(product.formula), **training_data(training)})
+        found = {**training_data(training), "markov": markov}
+        print_json({"task": product.task_name, "formula": str(product.formula), **found})
         return
     exact = training.history[-1].probability
     unknown = "unknown: the model is a black box; use stltool estimate --policy for bounds"
@@ -101,5 +103,6 @@ def learn(
         "learned": training_text(training),
         "exact P": f"{exact:.12g}" if exact is not None else unknown,
         "policy": out,
+        **({"Markov test": markov["statement"]} if markov is not None else {}),
         **({"events": events} if events is not None else {}),
     })  # fmt: skip

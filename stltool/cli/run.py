@@ -135,6 +135,7 @@ def run(
         "product": f"{product.shape[0]} model states × {product.shape[1]} automaton states, horizon {product.horizon}",
         **({"starts in": data["initial"]} if data["initial_states"] > 1 else {}),
         "learned": training_text(training),
+        **({"Markov test": data["markov"]["statement"]} if data["markov"] is not None else {}),
     })  # fmt: skip
     if known:
         print_checks(data["checks"])

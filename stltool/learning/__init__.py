@@ -8,6 +8,7 @@ from stltool.learning.guarantee import Guarantee, guarantee
 from stltool.learning.kept import Kept
 from stltool.learning.learn import Training, learn
 from stltool.learning.learner import Learner
+from stltool.learning.markov import MarkovTest, markov_test
 from stltool.learning.methods import LEARNERS, METHODS
 from stltool.learning.model_based import ModelBased
 from stltool.learning.naive import Naive, PublishedNaive
@@ -18,7 +19,8 @@ from stltool.learning.sweep import Sweep, SweepResult, run_sweep
 from stltool.learning.sweep_file import load_sweep
 
 __all__ = [
-    "LEARNERS", "METHODS", "Budget", "Cfer", "Counts", "Episode", "Guarantee", "Kept", "Learner", "ModelBased", "Naive",
-    "NaiveER", "Problem", "PublishedCfer", "PublishedCfper", "PublishedNaive", "PublishedNaiveER", "Sweep",
-    "SweepResult", "Training", "guarantee", "learn", "load_sweep", "run_sweep", "setting",
+    "LEARNERS", "METHODS", "Budget", "Cfer", "Counts", "Episode", "Guarantee", "Kept", "Learner", "MarkovTest",
+    "ModelBased", "Naive", "NaiveER", "Problem", "PublishedCfer", "PublishedCfper", "PublishedNaive",
+    "PublishedNaiveER", "Sweep", "SweepResult", "Training", "guarantee", "learn", "load_sweep", "markov_test",
+    "run_sweep", "setting",
 ]  # fmt: skip

@@ -85,7 +85,7 @@ def load_checkpoint(
         if header["digest"] != _digest({k: v for k, v in header.items() if k != "digest"}, arrays):
             raise ValueError("its content was changed")
         progress = _progress(header, arrays, trainer)
-        trainer.counts.restore({name: arrays[f"counts {name}"] for name in ("codes", "seen")})
+        trainer.counts.restore({name: arrays[f"counts {name}"] for name in ("codes", "contexts", "seen")})
         _require_counts(progress, trainer)
         for name, kept in kept_arrays(trainer).items():
             kept.take(name, arrays[f"learner {name}"])
@@ -189,10 +189,11 @@ def _require_length(path: Path, header: dict[str, Any], trainer: Trainer) -> Non
 def _arrays(members: Members, header: dict[str, Any], trainer: Trainer) -> dict[str, NDArray[Any]]:
     """All arrays, each of the type and shape that a run of this learner has."""
     counts, episode, steps = trainer.counts, _index(header, "episode"), _index(header, "steps")
-    rows = min(counts.n_choices * counts.n_states, steps)
+    rows = min(counts.n_choices * counts.n_states * counts.n_contexts, steps)
     points = episode + 1  # one before the first episode, where there is nothing to learn
     schema: dict[str, tuple[Any, tuple[int | None, ...], int | None]] = {
         "counts codes": (np.int64, (None,), rows),
+        "counts contexts": (np.int64, (None,), rows),
         "counts seen": (np.int64, (None,), rows),
         "history episode": (np.int64, (None,), points),
         "history steps": (np.int64, (None,), points),

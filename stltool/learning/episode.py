@@ -29,8 +29,8 @@ class Episode:
     """
 
     __slots__ = (
-        "_actions", "_counts", "_delta", "_first_choice", "_letter", "_n_choices", "_problem", "_states", "environment",
-        "length", "number", "q", "rng", "s", "t", "verdict",
+        "_actions", "_before", "_counts", "_delta", "_first_choice", "_letter", "_n_choices", "_problem", "_states",
+        "environment", "length", "number", "q", "rng", "s", "t", "verdict",
     )  # fmt: skip
 
     def __init__(
@@ -51,6 +51,7 @@ class Episode:
         self.verdict: bool | None = None
         self._states: Any = [self.s]  # lists, or the arrays that were recorded
         self._actions: Any = []
+        self._before = 0  # the context of the next transition: 1 + the choice before it
         self._judge()
 
     @property
@@ -80,7 +81,9 @@ class Episode:
                 f"choices, counted from 0; an episode has {self.length} steps"
             )
         after = require_state(self.environment.step(a), f"step({a}) in state {s}", len(self._n_choices), "the model")
-        self._counts.add_one(self._first_choice[s] + a, after)
+        taken = self._first_choice[s] + a
+        self._counts.add_one(taken, after, self._before)
+        self._before = taken + 1
         self._states.append(after)
         self._actions.append(a)
         self.t += 1
@@ -97,7 +100,8 @@ class Episode:
 
     def record(self, states: NDArray[np.int32], actions: NDArray[np.int32]) -> None:
         """All steps of an episode that a kernel took: states (n+1,) and choices (n,). No verdict is stored."""
-        self._counts.add_known(self._problem.first_choice[states[:-1]] + actions, states[1:])
+        taken = self._problem.first_choice[states[:-1]] + actions
+        self._counts.add_known(taken, states[1:], np.concatenate([[self._before], taken + 1])[:-1])
         self._states, self._actions = states, actions
         self.t, self.s = len(actions), int(states[-1])
 

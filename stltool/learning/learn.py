@@ -174,7 +174,7 @@ def learn(
     require_checkpoint(checkpoint, resume)
     world = _environment(product, environment, rng_of_environment, length)
     judge = _Judge(home, product, budget)
-    counts = Counts(product.model.n_choices, product.model.n_states)
+    counts = Counts(product.model.n_choices, product.model.n_states, product.model.n_choices + 1)
     problem = Problem.of(home)
     state = learner.start(problem, counts, rng) if decided is None else None
     trainer = Trainer(

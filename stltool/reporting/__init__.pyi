@@ -1,7 +1,7 @@
 """Results → JSON, HTML, terminal. The HTML page is made from the JSON alone, so it can be made again."""
 
 from .curves import write_history
-from .data import check_data, estimate_data, product_data, report_data, stationary_data, training_data
+from .data import check_data, estimate_data, markov_data, product_data, report_data, stationary_data, training_data
 from .explanation import explain
 from .guarantees import guarantee_data, guarantee_rows
 from .monitoring import monitor_data, write_monitor_picture
@@ -13,7 +13,8 @@ from .tradeoffs import front_data, tradeoff_data, write_front_picture
 
 __all__ = [
     "check_data", "encoding_data", "encoding_rows", "estimate_data", "explain", "front_data", "guarantee_data",
-    "guarantee_rows", "likely_data", "load_report", "monitor_data", "product_data", "render", "report", "report_data",
-    "sensitivity_data", "stationary_data", "surrogate_data", "surrogate_rows", "sweep_data", "tradeoff_data",
-    "training_data", "write_front_picture", "write_history", "write_monitor_picture", "write_report", "write_sweep",
+    "guarantee_rows", "likely_data", "load_report", "markov_data", "monitor_data", "product_data", "render", "report",
+    "report_data", "sensitivity_data", "stationary_data", "surrogate_data", "surrogate_rows", "sweep_data",
+    "tradeoff_data", "training_data", "write_front_picture", "write_history", "write_monitor_picture", "write_report",
+    "write_sweep",
 ]  # fmt: skip

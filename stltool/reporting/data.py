@@ -220,6 +220,23 @@ def training_data(training: Training) -> dict[str, Any]:
     }
 
 
+def markov_data(training: Training) -> dict[str, Any] | None:
+    """For a black box, whether the data contradict the Markov assumption; None if the model is known, or nothing was
+    learned."""
+    from stltool.learning.markov import markov_test
+
+    model = cast(Product, training.policy.home).model  # learners do not support joint products
+    if model.blackbox is None or not training.environment_steps:
+        return None
+    found = markov_test(training.counts, seed=training.seed)
+    return {
+        **dataclasses.asdict(found),
+        "rejected": found.rejected,
+        "statement": found.statement,
+        "most": [{"choice": model.place(choice), "deviations": deviations} for choice, deviations in found.most],
+    }
+
+
 def report_data(
     results: Sequence[CheckResult],
     training: Training | None = None,
@@ -268,6 +285,7 @@ def report_data(
         "guarantees": [found if isinstance(found, dict) else guarantee_data(found) for found in guarantees],
         "stationary": [stationary_data(found) for found in stationary],
         "training": training_data(training) if training is not None else None,
+        "markov": markov_data(training) if training is not None else None,
         "run": _run_data(product, policy, seed) if policy is not None and points else None,
         "why": _why_data(product, policy) if policy is not None and points and results else None,
         "floor": _floor_data(product),

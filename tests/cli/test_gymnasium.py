@@ -35,6 +35,7 @@ def test_a_black_box_is_run_and_bounded(stltool, tmp_path):
         assert text in page
     for text in ("Exact probabilities", "exact probability", "known from the model"):
         assert text not in page
+    assert f"with the choice before as context: {data['markov']['statement']}" in page
     assert page == render(data)
     table = stl.build_product(stl.load_model(LAKE / "lake.toml"), stl.load_task(KNOWN))
     unknown = stl.build_product(stl.load_model(LAKE / "lake-blackbox.toml"), stl.load_task(UNKNOWN))
@@ -57,9 +58,11 @@ def test_the_table_is_run_and_checked(stltool, tmp_path):
 def test_the_other_commands_on_a_black_box(stltool, tmp_path):
     policy = tmp_path / "p.npz"
     code, out, _ = stltool("learn", UNKNOWN, "--episodes", 100, "--out", policy)
-    assert (code, "exact P  unknown: the model is a black box" in out) == (0, True)
+    assert (code, "unknown: the model is a black box" in out) == (0, True)
+    assert "Markov test  no evidence that the next state depends on more than state and action" in out
     data = json.loads(stltool("learn", UNKNOWN, "--episodes", 20, "--out", tmp_path / "q.npz", "--json")[1])
     assert data["history"][-1]["probability"] is None
+    assert data["markov"]["rejected"] is False
     code, out, _ = stltool("estimate", UNKNOWN, "--policy", policy, "--runs", 50)
     assert (code, "exact P" in out, "the probability lies in" in out) == (0, False, True)
     assert stltool("estimate", UNKNOWN, "--policy", policy, "--at-least", "0.99")[0] == 1

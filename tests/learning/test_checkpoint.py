@@ -284,7 +284,7 @@ def impossible_successor(arrays, name):
 
 
 def out_of_order(arrays, name):
-    for one in ("counts codes", "counts seen"):
+    for one in ("counts codes", "counts contexts", "counts seen"):
         arrays[one][:2] = arrays[one][1::-1]
 
 

@@ -5,29 +5,88 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import stltool as stl
 from stltool.errors import SettingsError
 from stltool.learning import counts as module
 from stltool.learning.counts import Counts
+from stltool.models.environment import Environment, simulator
+from stltool.randomness import Purpose, generator
+
+TRANSITIONS = st.tuples(st.integers(0, 3), st.integers(0, 4), st.integers(0, 2))  # choice, target, context
 
 
-@given(st.lists(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 4)), max_size=8), max_size=8), st.integers(0, 9))
-def test_counts_are_a_counters(batches, waiting):
+@given(st.lists(st.lists(TRANSITIONS, max_size=8), max_size=8), st.integers(0, 9), st.booleans())
+def test_counts_are_a_counters(batches, waiting, single):
     old, module._WAITING = module._WAITING, waiting
     try:
-        counts, slow = Counts(4, 5), Counter()
+        counts, slow = Counts(4, 5, 3), Counter()
         for batch in batches:
-            rows = np.array(batch, dtype=np.int64).reshape(-1, 2)
-            counts.add(rows[:, 0], rows[:, 1])
+            if single:
+                for row in batch:
+                    counts.add_one(*row)
+            else:
+                counts.add(*np.array(batch, dtype=np.int64).reshape(-1, 3).T)
             slow.update(batch)
     finally:
         module._WAITING = old
+    pairs = Counter()
+    for (choice, target, _), n in slow.items():
+        pairs[choice, target] += n
     rows = list(zip(counts.choice.tolist(), counts.target.tolist(), counts.seen.tolist(), strict=True))
-    assert rows == [(*pair, n) for pair, n in sorted(slow.items())]
-    assert counts.visits.tolist() == [sum(n for (c, _), n in slow.items() if c == choice) for choice in range(4)]
-    again = Counts(4, 5)
+    assert rows == [(*pair, n) for pair, n in sorted(pairs.items())]
+    rows = list(zip(*(column.tolist() for column in counts.in_context), strict=True))
+    assert rows == [(*row, n) for row, n in sorted(slow.items())]
+    assert counts.visits.tolist() == [sum(n for (c, _), n in pairs.items() if c == choice) for choice in range(4)]
+    again = Counts(4, 5, 3)
     again.restore(counts.arrays())
-    again.add(np.array([1]), np.array([2]))
+    assert again.contains(counts)
+    again.add([1], [2], [0])
     assert again.visits[1] == counts.visits[1] + 1
+    assert not counts.contains(again)
+
+
+def test_with_one_context_contexts_are_ignored():
+    counts = Counts(4, 5)
+    for context in (0, 3, 3):
+        counts.add_one(1, 2, context)
+    assert [column.tolist() for column in counts.in_context] == [[1], [2], [0], [3]]
+
+
+@pytest.mark.parametrize(
+    ("context", "says"),
+    [(None, "context is not given, and there are 3"), ([0, 3], r"context\[1\] is 3"), ([0], "2 choices in 1 contexts")],
+)
+def test_contexts_that_cannot_be(context, says):
+    counts = Counts(4, 5, 3)
+    with pytest.raises(SettingsError, match=says):
+        counts.add([1, 2], [3, 4], context)
+    assert not counts.seen.size
+
+
+def test_learners_count_the_choice_before(patrolling):
+    """Episodes that a kernel takes and those taken step by step count the same contexts."""
+    walked, env = [], simulator(patrolling.model, generator(3, Purpose.LEARNING_ENVIRONMENT), patrolling.horizon)
+    model = patrolling.model
+    here = before = 0
+
+    def reset():
+        nonlocal here, before
+        here, before = env.reset(), 0
+        return here
+
+    def step(i):
+        nonlocal here, before
+        choice = int(model.choice_start[here]) + i
+        here = env.step(i)
+        walked.append((choice, here, before))
+        before = choice + 1
+        return here
+
+    whole = stl.learn(patrolling, "cfer", episodes=20, seed=3)
+    stepped = stl.learn(patrolling, "cfer", episodes=20, seed=3, environment=Environment(reset, step))
+    rows = [(*row, n) for row, n in sorted(Counter(walked).items())]
+    for run in (whole, stepped):
+        assert list(zip(*(column.tolist() for column in run.counts.in_context), strict=True)) == rows
 
 
 @pytest.mark.parametrize(
@@ -66,5 +125,13 @@ def test_sizes_that_cannot_be(sizes):
     ],
 )  # fmt: skip
 def test_counts_that_cannot_be_restored(codes, seen):
+    codes, seen = np.array(codes), np.array(seen)
+    contexts = np.zeros(codes.shape, dtype=np.int64)
     with pytest.raises(ValueError, match="must be int64|out of range|less than once"):
-        Counts(4, 5).restore({"codes": np.array(codes), "seen": np.array(seen)})
+        Counts(4, 5).restore({"codes": codes, "contexts": contexts, "seen": seen})
+
+
+@pytest.mark.parametrize("contexts", [[0, 3], [-1, 0], [1, 1], [1, 0], [1], [0.0, 1.0]])
+def test_contexts_that_cannot_be_restored(contexts):
+    with pytest.raises(ValueError, match="must be int64|out of range"):
+        Counts(4, 5, 3).restore({"codes": np.array([7, 7]), "contexts": np.array(contexts), "seen": np.array([1, 1])})

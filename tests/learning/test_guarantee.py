@@ -31,7 +31,7 @@ def counts_of(model, rows):
     counts = Counts(model.n_choices, model.n_states)
     seen = sorted((int(choice) * model.n_states + int(target), int(n)) for choice, target, n in rows if n)
     codes, numbers = np.array(seen, dtype=np.int64).reshape(-1, 2).T
-    counts.restore({"codes": codes, "seen": numbers})
+    counts.restore({"codes": codes, "contexts": np.zeros_like(codes), "seen": numbers})
     return counts
 
 
