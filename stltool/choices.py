@@ -6,6 +6,7 @@
     Mixtures weights by step of the listed pairs, another form's choices elsewhere
     ByLayer  another form's, for automaton states that are numbered layer by layer and so determine the step
     Through  another form with its own automaton: memory (Q,) maps each automaton state to one of its own
+    Asked    a function of the situation (stltool/asked.py)
 
 Choices are indices within their state: i is its i-th available action.
 """

@@ -20,6 +20,7 @@ import io
 import json
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -30,6 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stltool.arguments import path as path_of
 from stltool.arguments import require, whole
+from stltool.asked import Asked, Situation, Situations
 from stltool.automata import Encoding
 from stltool.choices import ByLayer, Choices, Form, Mixtures, Table, Through
 from stltool.display import Card, Displayed
@@ -109,7 +111,7 @@ class Policy(Displayed):
     def __init__(self, product: Product | JointProduct, table: NDArray[Any] | Form) -> None:
         require(product, (Product, JointProduct), "Policy's product")
         self.home = product
-        if isinstance(table, Table | Choices | Mixtures | ByLayer | Through):
+        if isinstance(table, Table | Choices | Mixtures | ByLayer | Through | Asked):
             self.form: Form = table
             return
         try:
@@ -123,8 +125,8 @@ class Policy(Displayed):
     def _card(self) -> Card:
         home, form = self.home, self.form
         silent = int((form.table < 0).sum()) if isinstance(form, Table) else 0
-        if isinstance(form, Choices):
-            held = repr(form).removeprefix("Choices: ")
+        if isinstance(form, Choices | Asked):
+            held = repr(form).partition(": ")[2]
         else:
             held = f"a table of {' x '.join(map(str, self._shape()))}"
         if isinstance(home, JointProduct):
@@ -285,6 +287,30 @@ class Policy(Displayed):
             return cls(home, _required(home, _of_arrays(home, table)))
         except PolicyError as error:
             raise PolicyError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
+
+    @classmethod
+    def from_function(
+        cls,
+        product: Product,
+        function: Callable[[Situation], Any] | Callable[[Situations], Any],
+        *,
+        batched: bool = False,
+        mixed: bool | None = None,
+    ) -> Policy:
+        """The policy that does what a function answers: a network, a planner, a rule of thumb.
+
+        function  gets a `Situation` (step, state, signals, labels, what is remembered, the available actions) and
+                  returns an action: its name, or its number among the model's `action_names`; None: no action
+        batched   it gets `Situations` instead, arrays of n runs after the same number of steps, and returns n actions:
+                  for networks, which answer many at once
+        mixed     it returns weights that sum to 1: a mapping from actions, or an array (A,) over all of the model's;
+                  with `batched` (n, A). None: as its first answer is; for a black box, False
+
+        It is asked once in every undecided situation that runs under it reach, when that is first needed, and answers
+        are remembered. Raises PolicyError, naming the situation, for an answer that is not an available action, and for
+        an exception in the function.
+        """
+        return cls(product, Asked(product, function, batched, mixed))
 
     @classmethod
     def from_q_table(cls, path: str | Path, product: Product) -> Policy:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from stltool.arguments import flag, function, one_of, real, require, whole
 from stltool.arguments import path as path_of
+from stltool.asked import Asked
 from stltool.automata import FALSE, TRUE
 from stltool.checking.bounds import can_underflow, compounded, defect, enclose, roundings, row_defect
 from stltool.checking.fixed import FixedPoint, fixed_point
@@ -244,7 +245,9 @@ def require_for_cluster(
 ) -> None:
     """SettingsError for options that a cluster does not support."""
     mixes = policy is not None and not policy.deterministic
+    asks = policy is not None and isinstance(policy.form, Asked)
     for given, name in (
+        (asks, "a policy that is a function"),
         (exact, named("exact", "exact=True")),
         (mixes, "a policy that mixes actions"),
         (resume, named("resume", "resume=True")),

@@ -18,12 +18,15 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.asked import Asked
 from stltool.automata import TRUE, UNDECIDED
+from stltool.choices import Through
 from stltool.models.environment import BlackBox, Runs, batch_of, cumulated, hidden_in, require_state
 from stltool.policy import Policy, silence
 from stltool.product import Product
@@ -114,7 +117,7 @@ class Rollouts:
             t, s = 0, require_state(environment.reset(), "reset()", model.n_states, model.name)
             q = product.enter(s, automaton.initial)
             while automaton.verdicts(t)[q] == UNDECIDED:
-                i = _choice(product, policy, s, q, t, rng)
+                i = choice(product, policy, s, q, t, rng)
                 call = f"step({i}) in state {model.state_name(s)}"
                 s = require_state(environment.step(i), call, model.n_states, model.name)
                 q = product.enter(s, q)
@@ -154,15 +157,7 @@ class Lanes:
     def choices(self, policy: Policy, rng: np.random.Generator) -> NDArray[Any]:
         """What the policy does in the open runs; one random number for each if it is mixed."""
         s, q = self.s[self.open], self.q[self.open]
-        found = policy.form.at(self.t, s, q)
-        if not policy.deterministic:
-            below = found.cumsum(axis=1)
-            drawn: NDArray[Any] = (below <= rng.random(len(s))[:, None] * below[:, -1:]).sum(axis=1)
-            return drawn
-        silent = np.flatnonzero(found < 0)
-        if silent.size:
-            raise silence(self._product, int(s[silent[0]]), int(q[silent[0]]), self.t)
-        return found
+        return taken(self._product, policy, self.t, s, q, lambda: rng.random(len(s)))
 
     def enter(self, s: NDArray[np.int64]) -> None:
         """The states after a step; runs that are decided stay as they were."""
@@ -174,8 +169,29 @@ class Lanes:
         self.open = open_[self.outcome[open_] == UNDECIDED]
 
 
-def _choice(product: Product, policy: Policy, s: int, q: int, t: int, rng: np.random.Generator) -> int:
-    entry = policy.row(t)[s, q]
+def taken(
+    product: Product,
+    policy: Policy,
+    t: int,
+    s: NDArray[Any],
+    q: NDArray[Any],
+    draw: Callable[[], NDArray[np.float64]],
+) -> NDArray[Any]:
+    """What the policy does in runs at (t, s, q), (n,) each; draws a uniform number for each if it is mixed."""
+    found = policy.form.at(t, s, q)
+    if not policy.deterministic:
+        below = found.cumsum(axis=1)
+        drawn: NDArray[Any] = (below <= draw()[:, None] * below[:, -1:]).sum(axis=1)
+        return drawn
+    silent = np.flatnonzero(found < 0)
+    if silent.size:
+        raise silence(product, int(s[silent[0]]), int(q[silent[0]]), t)
+    return found
+
+
+def choice(product: Product, policy: Policy, s: int, q: int, t: int, rng: np.random.Generator) -> int:
+    """What the policy does in one run; one random number if it is mixed."""
+    entry = policy.form.at(t, np.array([s]), np.array([q]))[0]
     if not policy.deterministic:
         return int(rng.choice(len(entry), p=entry / entry.sum()))
     if entry < 0:
@@ -202,7 +218,9 @@ def follow(product: Product, policy: Policy, sums: NDArray[np.float64], runs: in
     t, steps = 0, 0
     while len(s):
         choice = np.empty(len(s), dtype=model.choice_type)
-        if policy.deterministic:
+        if isinstance(policy.form, Asked | Through):  # of a function, asked only where runs are
+            choice[:] = taken(product, policy, t, s, q, partial(draw, number))
+        elif policy.deterministic:
             silent = rollout.pick(policy.row(t), s, q, choice)
             if silent >= 0:
                 raise silence(product, int(s[silent]), int(q[silent]), t)

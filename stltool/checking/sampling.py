@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 
 from stltool.automata import TRUE, UNDECIDED
 from stltool.checking.check import or_optimal
+from stltool.checking.rollouts import choice
 from stltool.display import Card, Displayed
 from stltool.models.environment import simulator
-from stltool.policy import Policy, silence
+from stltool.policy import Policy
 from stltool.product import Product
 from stltool.randomness import Purpose, generator, require_seed
 
@@ -55,10 +56,7 @@ def sample_run(product: Product, policy: Policy | None = None, seed: int = 0) ->
     states, actions, memory = [s], [], [automaton.describe(q)]
     t = 0
     while automaton.verdicts(t)[q] == UNDECIDED:
-        table = policy.row(t)[s, q]
-        if policy.deterministic and table < 0:
-            raise silence(product, s, q, t)
-        i = int(table) if policy.deterministic else int(rng.choice(len(table), p=table / table.sum()))
+        i = choice(product, policy, s, q, t, rng)
         actions.append(model.action_names[model.choice_action[model.choice_start[s] + i]])
         s = environment.step(i)
         q = product.enter(s, q)

@@ -10,9 +10,27 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, PolicyFile, TaskFile, TaskName
+from stltool.cli.options import (
+    AsJson,
+    Encoding,
+    Model,
+    Normalize,
+    Params,
+    PolicyFile,
+    PolicyFunction,
+    TaskFile,
+    TaskName,
+)
 from stltool.cli.roles import Writes
-from stltool.cli.steps import NATURES, judge_by, make_product, read_probability, resumable
+from stltool.cli.steps import (
+    NATURES,
+    given_policy,
+    judge_by,
+    make_product,
+    read_probability,
+    require_one_policy,
+    resumable,
+)
 from stltool.errors import SettingsError
 from stltool.numbers import bound_texts, fraction_text
 
@@ -35,6 +53,7 @@ def _policy_files(path: Path) -> list[Path]:
 def check(
     task: TaskFile,
     policy: PolicyFile = None,
+    policy_function: PolicyFunction = None,
     minimize: Annotated[
         bool, typer.Option("--minimize", help="the minimum over all policies instead of the maximum")
     ] = False,
@@ -103,8 +122,11 @@ def check(
         if text is not None
     ]
     clockless = stationary or memoryless
-    if clockless and (policy is not None or (stationary and memoryless)):
-        raise SettingsError("--stationary, --memoryless and --policy exclude each other; give one of them")
+    given = require_one_policy(policy, policy_function)
+    if clockless and (given is not None or (stationary and memoryless)):
+        raise SettingsError(
+            "--stationary, --memoryless, --policy and --policy-function exclude each other; give one of them"
+        )
     streamed = save_policy is not None and save_policy.suffix.lower() == ".policy"
     if save_policy is not None:
         require_policy_file(save_policy)
@@ -124,7 +146,7 @@ def check(
     if clockless and streamed:
         raise SettingsError(f"--save-policy {save_policy}: policies that do not know the step are saved as .npz")
     fraction = {"exact": True} if exact else {}
-    chosen = stl.load_policy(policy, product) if policy is not None else None
+    chosen = given_policy(product, policy, policy_function)
     to_file = {"policy_file": save_policy, "resume": resume} if streamed else {}
     if robust and streamed:
         raise SettingsError(f"--save-policy {save_policy}: for interval probabilities, policies are saved as .npz")

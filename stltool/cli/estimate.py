@@ -15,11 +15,12 @@ from stltool.cli.options import (
     Normalize,
     Params,
     PolicyFile,
+    PolicyFunction,
     Seed,
     TaskFile,
     TaskName,
 )
-from stltool.cli.steps import make_product, read_probability
+from stltool.cli.steps import given_policy, make_product, read_probability, require_one_policy
 from stltool.errors import SettingsError
 
 
@@ -27,6 +28,7 @@ from stltool.errors import SettingsError
 def estimate(
     task: TaskFile,
     policy: PolicyFile = None,
+    policy_function: PolicyFunction = None,
     runs: Annotated[int | None, typer.Option("--runs", "-n", help="runs to sample; default: 10000")] = None,
     epsilon: Annotated[
         float | None,
@@ -61,7 +63,7 @@ def estimate(
         int | None,
         typer.Option("--most-runs", help="for --at-least: undecided after this many runs; default: 10000000"),
     ] = None,
-    no_exact: Annotated[bool, typer.Option("--no-exact", help="skip the exact check of --policy")] = False,
+    no_exact: Annotated[bool, typer.Option("--no-exact", help="skip the exact check of the policy")] = False,
     seed: Seed = 0,
     nominal: Nominal = False,
     model: Model = None,
@@ -87,7 +89,8 @@ def estimate(
             f"{_option(fixed)} belongs to an interval; a sequential test takes as many runs as it needs, up to "
             "--most-runs; leave out one of the two"
         )
-    if policy is None and no_exact:
+    given = require_one_policy(policy, policy_function)
+    if given is None and no_exact:
         raise SettingsError("--no-exact needs --policy FILE: the best policy comes from the exact check")
     if bound is None:
         planned_runs(**fixed)
@@ -97,13 +100,13 @@ def estimate(
         task, model, param, name, encoding, as_json, learning=False, rollouts=True, nominal=nominal, normalize=normalize
     )
     if product.model.blackbox is not None:
-        if policy is None:
+        if given is None:
             raise SettingsError(
                 f"{product.model.name} is a black box, whose best policy is unknown; give --policy FILE "
                 "(stltool learn writes one)"
             )
         no_exact = True
-    chosen = stl.load_policy(policy, product) if policy is not None else None
+    chosen = given_policy(product, policy, policy_function)
     truth = None
     if not no_exact:
         with progress_bar("checking", quiet=as_json) as bar:
@@ -123,7 +126,7 @@ def estimate(
         steps = f", {result.steps} steps" if isinstance(result, stl.Estimate) else ""
         facts = {
             "task": f"{product.task_name} := {product.formula}",
-            "policy": f"{policy if policy is not None else 'the best policy'} ({chosen.kind})",
+            "policy": f"{given if given is not None else 'the best policy'} ({chosen.kind})",
             "runs": f"{result.runs}, {result.satisfied} satisfied{steps}, seed {result.seed}, {result.seconds:.3g} s",
             "found": data["statement"],
         }

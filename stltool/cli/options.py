@@ -38,6 +38,14 @@ PolicyFile = Annotated[
     typer.Option("--policy", help="policy file (.npz, .policy) or Q-table (.csv); default: the best policy"),
     Reads("policy"),
 ]
+PolicyFunction = Annotated[
+    str | None,
+    typer.Option(
+        "--policy-function",
+        metavar="MODULE:FUNCTION",
+        help="a Python function of a situation as policy; MODULE is imported, from this folder or the Python path",
+    ),
+]
 Params = Annotated[
     list[str] | None, typer.Option("--param", "-p", metavar="NAME=VALUE", help="override a param of the task file")
 ]

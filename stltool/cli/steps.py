@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import os
 import re
 import shlex
 import sys
@@ -17,7 +19,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 from typer.core import TyperCommand
 
-from stltool.errors import InexactEncodingWarning, SettingsError
+from stltool.arguments import described
+from stltool.errors import InexactEncodingWarning, SettingsError, near_misses
 from stltool.numbers import NumberError, read
 
 if TYPE_CHECKING:
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
     from stltool.learning import Learner, Training
     from stltool.logic.task import Task
     from stltool.models import MDP
+    from stltool.policy import Policy
     from stltool.product import JointProduct, Product
 
 
@@ -171,6 +175,45 @@ def compile_task(task: Task, encoding: str) -> TaskAutomaton:
 
     with warnings_shown():
         return stl.compile_automaton(task.formula, encoding)  # type: ignore[arg-type]  # checked there, with a message
+
+
+def require_one_policy(file: Path | None, function: str | None) -> str | None:
+    """The policy as the user named it, by a file or by a function; None if there is none."""
+    if file is not None and function is not None:
+        raise SettingsError("--policy and --policy-function each give a policy; keep one of them")
+    return str(file) if file is not None else function
+
+
+def given_policy(product: Product, file: Path | None, function: str | None) -> Policy | None:
+    """The policy of `--policy` or `--policy-function`."""
+    import stltool as stl
+
+    if function is not None:
+        return stl.Policy.from_function(product, imported(function, "--policy-function"))
+    return stl.load_policy(file, product) if file is not None else None
+
+
+def imported(text: str, option: str) -> Callable[..., Any]:
+    """The function MODULE:FUNCTION. Only what is written on the command line is imported, nothing that a file names."""
+    module, colon, name = text.partition(":")
+    if not (colon and all(map(str.isidentifier, (*module.split("."), *name.split("."))))):
+        raise SettingsError(f"{option} {text}: write MODULE:FUNCTION, such as my_agent:act")
+    folder = os.getcwd()
+    if folder not in sys.path and "" not in sys.path:
+        sys.path.insert(0, folder)
+    try:
+        found: Any = importlib.import_module(module)
+    except Exception as error:  # whatever the module does when it is imported
+        raise SettingsError(f"{option} {text}: importing {module} raised {type(error).__name__}: {error}") from error
+    for part in name.split("."):
+        if not hasattr(found, part):
+            public = [other for other in vars(found) if not other.startswith("_")] if hasattr(found, "__dict__") else []
+            raise SettingsError(f"{option} {text}: there is no {part} in it; {near_misses(part, public)}")
+        found = getattr(found, part)
+    if not callable(found):
+        raise SettingsError(f"{option} {text}: {name} is {described(found)}, not a function; name a function")
+    function: Callable[..., Any] = found
+    return function
 
 
 @contextmanager

@@ -8,8 +8,19 @@ import typer
 
 from stltool.arguments import whole
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Nominal, Normalize, Params, PolicyFile, TaskFile, TaskName
-from stltool.cli.steps import make_product
+from stltool.cli.options import (
+    AsJson,
+    Encoding,
+    Model,
+    Nominal,
+    Normalize,
+    Params,
+    PolicyFile,
+    PolicyFunction,
+    TaskFile,
+    TaskName,
+)
+from stltool.cli.steps import given_policy, make_product, require_one_policy
 from stltool.errors import SettingsError
 
 
@@ -17,6 +28,7 @@ from stltool.errors import SettingsError
 def why(
     task: TaskFile,
     policy: PolicyFile = None,
+    policy_function: PolicyFunction = None,
     minimize: Annotated[bool, typer.Option("--minimize", help="the worst policy instead of the best")] = False,
     satisfying: Annotated[
         bool, typer.Option("--satisfying", help="runs that satisfy the task instead of those that violate it")
@@ -40,14 +52,16 @@ def why(
     from stltool.reporting import likely_data, product_data, sensitivity_data
     from stltool.reporting.terminal import print_facts, print_json, print_likely, print_sensitive, progress_bar
 
-    if minimize and policy is not None:
-        raise SettingsError("--minimize asks for the worst policy, --policy for a given one; keep one of them")
+    named = require_one_policy(policy, policy_function)
+    if minimize and named is not None:
+        option = "--policy" if policy is not None else "--policy-function"
+        raise SettingsError(f"--minimize asks for the worst policy, {option} for a given one; keep one of them")
     count = whole(count, "--count", least=1)
     states = whole(states, "--states", least=0)
     product = make_product(
         task, model, param, name, encoding, as_json, learning=False, nominal=nominal, normalize=normalize
     )
-    given = stl.load_policy(policy, product) if policy is not None else None
+    given = given_policy(product, policy, policy_function)
     if given is None:
         with progress_bar("checking", quiet=as_json) as bar:
             result = stl.check(product, maximize=not minimize, progress=bar)
@@ -77,7 +91,7 @@ def why(
         return
     print_facts({
         "task": f"{product.task_name} := {product.formula}",
-        "policy": f"{policy or result.question + ' over all policies'} ({followed.kind})",
+        "policy": f"{named or result.question + ' over all policies'} ({followed.kind})",
         "P": f"{result.probability:.15g}",
     })  # fmt: skip
     print_likely(data, count)
