@@ -195,6 +195,62 @@ def layered_value(product: stl.Product, policy: stl.Policy | None = None, maximi
     return sum((p * values[s][product.enter(s, automaton.initial)] for s, p in initial(model)), Fraction(0))
 
 
+def bernstein(product, policy, lower: Fraction, upper: Fraction, maximize: bool = True) -> list[Fraction]:
+    """The Bernstein coefficients on [lower, upper] of a policy's P as a function of the model's only parameter; without
+    a policy, coefficientwise optima over choices: a Fraction each, by recursion."""
+    family, best = product.model.family, max if maximize else min
+    (parameter,) = family.parameters
+    ends = [choices(family.within(**{parameter.name: (p, p)}).at(**{parameter.name: p}), s)
+            for p in (lower, upper) for s in range(family.n_states)]  # fmt: skip
+    ends = [ends[: family.n_states], ends[family.n_states :]]
+
+    @functools.cache
+    def value(t: int, s: int, q: int) -> tuple[Fraction, ...]:
+        verdict = product.automaton.verdicts(t)[q]
+        degree = product.horizon - t
+        if verdict >= 0:
+            return (Fraction(int(verdict)),) * (degree + 1)
+        sums = []
+        for first, last in zip(ends[0][s], ends[1][s], strict=True):
+            found = [Fraction(0)] * (degree + 1)
+            for i in range(degree):
+                for row, lift, share in ((first, 0, degree - i), (last, 1, i + 1)):
+                    for s2, p in row:
+                        ahead = value(t + 1, s2, product.enter(s2, q))
+                        found[i + lift] += p * ahead[i] * Fraction(share, degree)
+            sums.append(found)
+        if policy is None:
+            return tuple(map(best, zip(*sums, strict=True)))
+        entry = policy.row(t)[s, q]
+        if policy.deterministic:
+            return tuple(sums[entry])
+        weights = [Fraction(float(w)) for w in entry[: len(sums)]]
+        return tuple(sum(w * c for w, c in zip(weights, column, strict=True)) / sum(weights)
+                     for column in zip(*sums, strict=True))  # fmt: skip
+
+    start = product.automaton.initial
+    total = [Fraction(0)] * (product.horizon + 1)
+    for s, share in initial(family):
+        total = [a + share * b for a, b in zip(total, value(0, s, product.enter(s, start)), strict=True)]
+    return total
+
+
+def tied_optimum(model: stl.MDP, phi, maximize: bool, nature_minimizes: bool) -> Fraction:
+    """The value of the game in which nature picks the parameter of every row of the tree of all histories."""
+    best, nature = max if maximize else min, min if nature_minimizes else max
+    length = stl.horizon(phi) + 1
+    corners = itertools.product(*((one.lower, one.upper) for one in model.parameters))
+    members = [model.at(**dict(zip([one.name for one in model.parameters], corner, strict=True))) for corner in corners]
+
+    def value(history: tuple[int, ...]) -> Fraction:
+        if len(history) == length:
+            return Fraction(holds(model, phi, history))
+        rows = zip(*(choices(member, history[-1]) for member in members), strict=True)
+        return best(nature(sum(p * value((*history, s2)) for s2, p in row) for row in ends) for ends in rows)
+
+    return sum((p * value((s,)) for s, p in initial(model)), Fraction(0))
+
+
 def random_model(rng: np.random.Generator, denominator: int, n_states: int = 3, n_actions: int = 2) -> stl.MDP:
     """A small MDP whose probabilities are fractions over (divisors of) one denominator, with labels A and B."""
 

@@ -19,9 +19,9 @@ from stltool.learning.settings import settings_of
 # classes whose objects functions make, so that their constructors are no doors
 RESULTS = {
     "CheckResult", "Estimate", "Fragment", "Front", "Guarantee", "JointProduct", "LikelyRuns", "MDP", "Meaning",
-    "MonitorResult", "Product", "Run", "Sensitivity", "SequentialTest", "SmoothRobustness", "StationaryResult",
-    "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton", "Tradeoff",
-    "Training", "Decision", "MarkovTest",
+    "MonitorResult", "ParametricResult", "Product", "Run", "Sensitivity", "SequentialTest", "SmoothRobustness",
+    "StationaryResult", "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton",
+    "Tradeoff", "Training", "Decision", "MarkovTest",
 }  # fmt: skip
 
 # called from within, or in inner loops with indices of their own
@@ -101,6 +101,9 @@ class World:
         self.blurred = stl.MDP.from_intervals(
             [[[0.5, 0.2], [0.3, 0.3]]], [[[0.8, 0.5], [0.7, 0.7]]], {}, labels={"A": [1, 0]}
         )
+        rows, domains = [[["p", "1-p"], [0, 1]]], {"p": (0, 1)}
+        chain = stl.MDP.from_arrays(rows, {}, labels={"A": [0, 1]}, parameters=domains)
+        self.family = stl.build_product(chain, self.formula)
         write_inputs(folder, self.text)
         self.sweep = stl.load_sweep(folder / "sweep.toml")
         self.kinds = {
@@ -177,6 +180,12 @@ CALLS = {
     "CheckResult.at_least": lambda w: {"self": w.result, "bound": 0.5},
     "CheckResult.at_most": lambda w: {"self": w.result, "bound": 0.5},
     "robust_check": lambda w: {"product": stl.build_product(w.blurred, w.formula)},
+    "parametric": lambda w: {"product": w.family},
+    "ParametricResult.at": lambda w: {"self": stl.parametric(w.family), "p": 0.5},
+    "ParametricResult.at_least": lambda w: {"self": stl.parametric(w.family), "bound": 0.5},
+    "ParametricResult.at_most": lambda w: {"self": stl.parametric(w.family), "bound": 0.5},
+    "ParametricResult.points": lambda w: {"self": stl.parametric(w.family)},
+    "MDP.from_family": lambda w: {"build": lambda p: w.family.model.at(p=p), "parameters": {"p": (0, 1)}},
     "sample_run": lambda w: {"product": w.product},
     "estimate": lambda w: {"product": w.product, "policy": w.policy, "runs": 5},
     "sprt": lambda w: {"product": w.product, "policy": w.policy, "at_least": 0.5, "most_runs": 100},
@@ -231,7 +240,9 @@ TAKES = {
     **{key: {"True"} for key in ("maximize", "exact", "keep_policy", "satisfied", "cut", "unbounded", "normalize")},
     **{key: {"text"} for key in ("text", "name", "objective")},
     **dict.fromkeys(("source", "command", "step"), TEXT),
-    **dict.fromkeys(("labels", "params", "budget"), MAPPING),
+    **dict.fromkeys(("labels", "params", "budget", "over", "parameters"), MAPPING),
+    "tol": NUMBERS,
+    "most_pieces": {"int"},
     **dict.fromkeys(("names", "action_names", "state_names"), NAMES),
     **dict.fromkeys(("letters", "chi", "estimates", "guarantees", "stationary"), LISTS),
     **{key: {"array", "list"} for key in ("table", "transitions", "lower", "upper")},
@@ -263,6 +274,9 @@ OWN = {
     "load_task": {"task": TEXT},
     "ambiguities": {"task": {"Task"}},
     "explain": {"model": {"MDP", "None"}},
+    "MDP.from_family": {"build": CALLABLE - {"None"}, "parameters": {"dict"}},
+    "ParametricResult.at": {"p": {*NUMBERS, "text"}},
+    "ParametricResult.points": {"n": {"int"}},
     "from_gymnasium": {"table": {"True"}, "signals": MAPPING, "name": TEXT},
     "MDP.black_box": {
         "actions": {"int", *LISTS},

@@ -12,6 +12,7 @@ import pytest
 from stltool.kernels import jit
 from tests.conftest import MORE, ROOT
 
+PARAMETRIC = "tests/checking/test_parametric.py"
 INDUCTION, CLUSTER = "tests/checking/test_induction.py", "tests/checking/test_cluster.py"
 OPEN, AGREE, VALUES, POLICY = (
     f"{INDUCTION}::test_{name}" for name in (
@@ -75,6 +76,10 @@ MUTATIONS = {
     ),
     "gather at an edge: a lane that is neither": (
         TILES, "simple[letter, b] = most >= hi - lo", "simple[letter, b] = most >= hi - lo - 1", AGREE,
+    ),
+    "polynomials: the weights of the two ends exchanged": (
+        "checking/induction/tied.py", "((i + 1 if lift else n - i) / n)", "((n - i if lift else i + 1) / n)",
+        PARAMETRIC,
     ),
     "digits: the least instead of the greatest": (EDGES, "out[i, d]) == maximize", "out[i, d]) != maximize", VALUES),
     "fixed point is not rounded up": (

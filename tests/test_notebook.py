@@ -43,6 +43,7 @@ class Walk:
     def reset(self): return 0
     def step(self, i): return 1
 
+family = stl.MDP.from_arrays([[["p", "1-p"], [0, 1]]], {}, labels={"A": [0, 1]}, parameters={"p": (0.5, 1)})
 hidden = stl.MDP.black_box(2, 1, lambda rng: Walk(), labels={"A": [0, 1]})
 """
 
@@ -73,6 +74,7 @@ CELLS = {
         "discounted",
     ),
     "Tradeoff": ("stl.tradeoff(joint, 'reach', at_least={'stay': 0.5})", "P(stay) >= 0.5"),
+    "ParametricResult": ("stl.parametric(stl.build_product(family, stl.parse('F[0,2] A')))", "for p in [0.5, 1]"),
     "Front": ("stl.pareto(joint)", "reach and stay"),
     "Training": ("training", "naive, 30 episodes"),
     "Guarantee": ("stl.guarantee(product, training.policy, training.counts)", "with confidence 99 %"),
@@ -95,6 +97,7 @@ MORE = {
     "a long formula": ("stl.parse(' & '.join(f'F[0,{i}] A' for i in range(500)))", "..."),
     "a model with intervals": ("blurred", "intervals"),
     "a black box": ("stl.MDP.black_box(2, 2, lambda rng: None)", "a black box"),
+    "a model with a parameter": ("family", "depend on p in [0.5, 1]"),
     "a robust check": ("stl.robust_check(stl.build_product(blurred, stl.parse('F[0,3] A')))", "adversarial nature"),
     "an exact check": ("stl.check(product, exact=True)", "7/8"),
     "a policy's check": ("stl.check(product, training.policy)", "of the policy"),

@@ -10,6 +10,9 @@ dynamic, (s,a)-rectangular semantics. These are the values over all history-depe
 [Nilim05]. A fixed distribution is one of nature's strategies; so if one governs the whole run, a policy's value there
 is at least its value under adversarial nature, and at most its value under cooperative nature.
 
+Where a row depends on a parameter (models/parameters.py), nature picks that parameter in its domain, again at every
+row; the row's sum is linear in it, so it is worst at an end (induction/tied.py).
+
 The inner optimum needs no solver: start from the lower ends and distribute the budget 1 − Σ lower in the order of W, to
 each entry at most its width [Givan00]: a fractional knapsack. h sweeps, no stopping rule.
 
@@ -43,7 +46,19 @@ from stltool.arguments import flag, function, one_of, whole
 from stltool.automata import FALSE, TRUE
 from stltool.checking.bounds import compounded, defect, enclose
 from stltool.checking.check import CheckResult, undefined
-from stltool.checking.induction import EVERYTHING, Budget, Engine, Following, Game, Progress, Silent, layers_of, solve
+from stltool.checking.induction import (
+    EVERYTHING,
+    Arithmetic,
+    Budget,
+    Engine,
+    Following,
+    Game,
+    Progress,
+    Silent,
+    Tied,
+    layers_of,
+    solve,
+)
 from stltool.checking.induction import Nature as NaturesChoice
 from stltool.errors import SettingsError, named
 from stltool.models.rows import Rows
@@ -97,7 +112,11 @@ def robust_check(
     keep = product.model.unsigned_choice_type if policy is None and keep_policy else None
     question: Literal["maximum", "minimum", "policy"]
     question = "policy" if judged is not None else "maximum" if maximize else "minimum"
-    arithmetic = NaturesChoice(minimal=maximize == (nature == "against"), maximize=maximize)
+    minimal = maximize == (nature == "against")
+    arithmetic: Arithmetic = NaturesChoice(minimal=minimal, maximize=maximize)
+    if parameters := product.model.parameters:
+        first, last = {one.name: one.lower for one in parameters}, {one.name: one.upper for one in parameters}
+        arithmetic = Tied(first, last, minimal=minimal, maximize=maximize)
     allowed = EVERYTHING if judged is None else Following(judged.form)
     budget = Budget(f"checking {product.n_states} product states", memory_limit, progress)
     try:

@@ -23,14 +23,16 @@ from stltool.cli.options import (
 )
 from stltool.cli.roles import Writes
 from stltool.cli.steps import (
-    NATURES,
     given_policy,
     judge_by,
+    load_product,
     make_product,
+    nature_text,
     read_probability,
     require_one_policy,
     resumable,
 )
+from stltool.cli.vary import check_range
 from stltool.errors import SettingsError
 from stltool.numbers import bound_texts, fraction_text
 
@@ -102,6 +104,14 @@ def check(
         str | None,
         typer.Option("--nature", help="of intervals: against (adversarial, default), with (cooperative) or nominal"),
     ] = None,
+    vary: Annotated[
+        str | None,
+        typer.Option(
+            "--vary",
+            metavar="NAME=FROM:TO",
+            help="P as a function of a model's parameter (a grid's: success), enclosed on the whole range",
+        ),
+    ] = None,
     model: Model = None,
     normalize: Normalize = False,
     param: Params = None,
@@ -123,6 +133,19 @@ def check(
     ]
     clockless = stationary or memoryless
     given = require_one_policy(policy, policy_function)
+    if vary is not None:
+        for forbidden, option in (
+            (clockless, "--stationary and --memoryless"), (exact, "--exact"), (nature is not None, "--nature"),
+            (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
+            (cluster is not None, "--cluster"),
+        ):  # fmt: skip
+            if forbidden:
+                raise SettingsError(f"{option} is for one value of the parameter; leave it or --vary out")
+        product = load_product(task, model, param, name, encoding, normalize=normalize)
+        chosen = given_policy(product, policy, policy_function)
+        if not check_range(product, chosen, vary, not minimize, bounds, as_json):
+            raise typer.Exit(1)
+        return
     if clockless and (given is not None or (stationary and memoryless)):
         raise SettingsError(
             "--stationary, --memoryless, --policy and --policy-function exclude each other; give one of them"
@@ -138,6 +161,8 @@ def check(
     uncertain = product.model.uncertain
     product, judge = judge_by(product, nature)
     robust = uncertain and nature != "nominal"
+    if product.model.parameters and (exact or clockless or streamed or certificate is not None or cluster is not None):
+        product.model.require_points()
     if robust and (exact or certificate is not None):
         raise SettingsError("--exact and --certificate need probabilities without intervals; add --nature nominal")
     if clockless and robust:
@@ -197,7 +222,7 @@ def check(
         if data["initial_states"] > 1:
             print_facts({"starts in": data["initial"]})
         if uncertain:
-            print_facts({"nature": NATURES[data["nature"]]})
+            print_facts({"nature": nature_text(data["nature"], product.model)})
         print_checks([check_data(optimum), data] if chosen is not None else [data])
         if found is not None:
             limit = bound_texts(found.bound, found.bound)[0 if minimize else 1]

@@ -47,7 +47,13 @@ PolicyFunction = Annotated[
     ),
 ]
 Params = Annotated[
-    list[str] | None, typer.Option("--param", "-p", metavar="NAME=VALUE", help="override a param of the task file")
+    list[str] | None,
+    typer.Option(
+        "--param",
+        "-p",
+        metavar="NAME=VALUE",
+        help="override a param of the task file; or the value of a model's parameter",
+    ),
 ]
 TaskName = Annotated[str | None, typer.Option("--task", help="the definition to use; default: the last one")]
 Encoding = Annotated[

@@ -40,6 +40,15 @@ NATURES = {
 }
 
 
+def nature_text(nature: str, model: MDP) -> str:
+    """What nature does, in a line."""
+    text = NATURES[nature]
+    if not model.parameters or nature == "nominal":
+        return text
+    parameters = " and ".join(f"{one.name} in {one.domain}" for one in model.parameters)
+    return f"{text.partition(' picks ')[0]} picks {parameters}"
+
+
 def make_product(
     task: Path,
     model: Path | None,
@@ -72,10 +81,7 @@ def load_product(
     nominal: bool = False,
     normalize: bool = False,
 ) -> Product:
-    import stltool as stl
-
-    loaded = stl.load_task(task, read_params(param), name)
-    world = task_model(loaded, model, normalize)
+    loaded, world = load_with_model(task, model, param, name, normalize)
     if nominal and not world.uncertain:
         raise SettingsError("--nominal: the model's probabilities are not intervals; leave out --nominal")
     return bind(loaded, world.nominal() if nominal else world, encoding)
@@ -124,11 +130,33 @@ def make_joint_product(
     """The joint product of the definitions `names` of a task file."""
     import stltool as stl
 
-    params = read_params(param)
-    loaded = [stl.load_task(task, params, name) for name in names]
-    world = task_model(loaded[0], model, normalize)
+    pairs = [load_with_model(task, model, param, name, normalize) for name in names]
+    loaded, world = [one for one, _ in pairs], pairs[0][1]
     with warnings_shown():
         return stl.build_joint_product(world, loaded, encoding)  # type: ignore[arg-type]
+
+
+def load_with_model(
+    task: Path, model: Path | None, param: list[str] | None, name: str | None, normalize: bool = False
+) -> tuple[Task, MDP]:
+    """A task file and its model. -p gives values to params of the task, and to parameters of the model that the task
+    does not declare."""
+    import stltool as stl
+    from stltool.errors import StlToolError
+
+    params = read_params(param)
+    try:
+        loaded, of_model = stl.load_task(task, params, name), {}
+        world = task_model(loaded, model, normalize)
+    except StlToolError:
+        loaded = stl.load_task(task, {}, name) if params else stl.load_task(task, params, name)
+        of_model = {key: value for key, value in params.items() if key not in loaded.params}
+        world = task_model(loaded, model, normalize)
+        known = [one.name for one in world.family.parameters] if world.family is not None else []
+        if not of_model or not set(of_model) <= set(known):
+            raise  # what the task says
+        loaded = stl.load_task(task, {key: params[key] for key in params if key not in of_model}, name)
+    return loaded, world.at(**of_model) if of_model else world
 
 
 def judge_by(product: Product, nature: str | None) -> tuple[Product, Callable[..., CheckResult]]:

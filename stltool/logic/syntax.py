@@ -21,7 +21,7 @@ from lark.exceptions import UnexpectedInput, UnexpectedToken
 from lark.parsers.lalr_interactive_parser import InteractiveParser
 
 from stltool.errors import MOST_FAULTS, StlSyntaxError, all_told
-from stltool.logic.grammar import grammar_text
+from stltool.grammar import grammar_text
 from stltool.source import Source, Span
 
 Branch: TypeAlias = Tree[Token]

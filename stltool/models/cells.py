@@ -19,8 +19,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.models.fractions import Shares
+from stltool.models.fractions import LARGEST_SUM, Integers, Shares, doubles_of
 from stltool.models.intervals import Intervals
+from stltool.models.parameters import Parameter, Ties, Values
 from stltool.models.rows import I32, I64, Chances, Rows, Source, starts
 
 Ends: TypeAlias = tuple[Fraction, Fraction]
@@ -45,12 +46,23 @@ class Cells(Source):
     free      (height, width) Booleans, the top row first        moves   names of `COMPASS`, or "stay"
     success   the ends of the probability that a move is the action's (equal ones where it is known exactly)
     slip      those of each of three others: stay, and the two neighbouring directions among the moves
+    parameter if they depend on one: `success` and `slip` are then the values at the ends of its domain
+
+    Every grid with exact noise is a member of a family: that of its success probability, anywhere in [0, 1].
     """
 
     def __init__(
-        self, free: NDArray[np.bool_], moves: tuple[str, ...], success: Ends, slip: Ends, uncertain: bool
+        self,
+        free: NDArray[np.bool_],
+        moves: tuple[str, ...],
+        success: Ends,
+        slip: Ends,
+        uncertain: bool,
+        parameter: Parameter | None = None,
     ) -> None:
-        self._moves, self._uncertain = moves, uncertain
+        self._moves, self._uncertain, self._parameter = moves, uncertain, parameter
+        self._noise = success, slip
+        self._family: Cells | None = None
         height, width = free.shape
         around = np.full((height + 2, width + 2), -1, dtype=np.int32)
         inside = around[1:-1, 1:-1]
@@ -67,8 +79,8 @@ class Cells(Source):
         number = np.zeros(256, dtype=np.uint8)
         number[present] = np.arange(len(present))
         self._kind = number[masks]
-        free_ways = [{name for bit, name in enumerate(used) if mask >> bit & 1} for mask in present.tolist()]
-        self._table = _table(free_ways, moves, success, slip, uncertain)
+        self._free_ways = [{name for bit, name in enumerate(used) if mask >> bit & 1} for mask in present.tolist()]
+        self._table = _table(self._free_ways, moves, success, slip, uncertain, parameter)
 
     @property
     def n_states(self) -> int:
@@ -119,14 +131,58 @@ class Cells(Source):
         """Entries whose probability must be 0 are left out."""
         if not self._uncertain:
             return self
+        return self._other(_nominal(self._table), False, None, self.family)
+
+    @property
+    def family(self) -> Cells | None:
+        if self._parameter is not None:
+            return self
+        if self._family is None and not self._uncertain:
+            third = Fraction(1, 3)
+            self._family = self._made((Fraction(0), Fraction(1)), (third, Fraction(0)), SUCCESS, None)
+        return self._family
+
+    def at(self, values: Values) -> Cells:
+        assert self._parameter is not None
+        x = self._parameter.share(self._parameter.require(values[self._parameter.name]))
+        success, slip = ((1 - x) * ends[0] + x * ends[1] for ends in self._noise)
+        return self._made((success, success), (slip, slip), None, self)
+
+    def narrowed(self, parameters: tuple[Parameter, ...]) -> Cells:
+        assert self._parameter is not None
+        (narrow,) = parameters
+        shares = [self._parameter.share(end) for end in (narrow.lower, narrow.upper)]
+        success, slip = (tuple((1 - x) * ends[0] + x * ends[1] for x in shares) for ends in self._noise)
+        return self._made((success[0], success[1]), (slip[0], slip[1]), narrow, None)
+
+    def _made(self, success: Ends, slip: Ends, parameter: Parameter | None, family: Cells | None) -> Cells:
+        """The same cells with other noise."""
+        uncertain = parameter is not None
+        table = _table(self._free_ways, self._moves, success, slip, uncertain, parameter)
+        found = self._other(table, uncertain, parameter, family)
+        found._noise = success, slip
+        return found
+
+    def _other(self, table: Rows, uncertain: bool, parameter: Parameter | None, family: Cells | None) -> Cells:
         found = object.__new__(Cells)
         found.__dict__.update(self.__dict__)
         found.__dict__.pop("n_transitions", None)
-        found._uncertain, found._table = False, _nominal(self._table)
+        found._table, found._uncertain, found._parameter, found._family = table, uncertain, parameter, family
         return found
 
 
-def _table(free_ways: Sequence[set[str]], moves: tuple[str, ...], success: Ends, slip: Ends, uncertain: bool) -> Rows:
+SUCCESS = Parameter("success", Fraction(0), Fraction(1))
+"""The parameter of a grid whose file declares none."""
+
+
+def _table(
+    free_ways: Sequence[set[str]],
+    moves: tuple[str, ...],
+    success: Ends,
+    slip: Ends,
+    uncertain: bool,
+    parameter: Parameter | None,
+) -> Rows:
     """The rows of a cell by the directions in which it is free.
 
     Outcomes that lead to the same cell (a wall stands there) add their ends: a distribution over cells within the added
@@ -151,22 +207,31 @@ def _table(free_ways: Sequence[set[str]], moves: tuple[str, ...], success: Ends,
             there = READING.index(direction if direction in free else "stay")
             lower[there] += chance[0]
             upper[there] += chance[1]
-        possible = [k for k, end in enumerate(upper) if end]
+        possible = [k for k, ends in enumerate(zip(lower, upper, strict=True)) if any(ends)]
         lengths.append(len(possible))
         target += possible
         least += [lower[k] for k in possible]
         most += [upper[k] for k in possible]
     row_start = starts(np.array(lengths, dtype=np.int64))
     choice_start = np.arange(len(free_ways) + 1, dtype=np.int64) * len(moves)
-    low, high = np.array(least, dtype=np.int64), np.array(most, dtype=np.int64)
+    low, high = (np.array(ends, dtype=np.int64 if 4 * denominator < LARGEST_SUM else object) for ends in (least, most))
     directions = np.array(target, dtype=np.int32)
     if not uncertain:
-        chances = Chances(low / denominator, row_start, Shares(low, denominator))
-        return Rows(choice_start, row_start, directions, chances)
+        given = Shares(low, denominator)
+        return Rows(choice_start, row_start, directions, Chances(_doubles(low, denominator), row_start, given))
+    ties = None
+    if parameter is not None:
+        ties = Ties((parameter,), low, high, denominator, np.zeros(len(low), dtype=np.int16))
+        low, high = np.minimum(low, high), np.maximum(low, high)
     # of the ends before they are cut to 1, so that the nominal model has one noise everywhere
-    nominal = Intervals(low / denominator, high / denominator).nominal(row_start)
-    cut = Intervals(low / denominator, np.minimum(high, denominator) / denominator)
-    return Rows(choice_start, row_start, directions, Chances(nominal, row_start, intervals=cut))
+    nominal = Intervals(_doubles(low, denominator), _doubles(high, denominator)).nominal(row_start)
+    cut = Intervals(_doubles(low, denominator), _doubles(np.minimum(high, denominator), denominator))
+    return Rows(choice_start, row_start, directions, Chances(nominal, row_start, intervals=cut, ties=ties))
+
+
+def _doubles(numerator: Integers, denominator: int) -> NDArray[np.float64]:
+    whole = numerator.dtype != object and denominator < 2**53
+    return numerator / denominator if whole else doubles_of(numerator, denominator)
 
 
 def _nominal(table: Rows) -> Rows:

@@ -12,6 +12,13 @@
     start = [1, 0]           [column, row] of the first cell, from the bottom left, where the map marks none with S
     normalize = true         rescale success and slip if they miss a sum of 1 only by rounding
 
+Noise that is unknown is written in terms of a parameter (models/parameters.py):
+
+    success = "p"
+    slip = "(1-p)/3"
+    [parameters]
+    p = [0.5, 1]
+
 Several S mean that runs start in each of these cells with equal probability.
 
 Noise that is known only approximately is written as intervals, `success = [0.9, 0.95]` or `"[9/10, 19/20]"`, and
@@ -40,6 +47,7 @@ from stltool.models.cells import Cells
 from stltool.models.fractions import Shares, over_one
 from stltool.models.mdp import MDP, GridLayout
 from stltool.models.normalize import HINT, MOST_MISSING, NOTHING, rescale
+from stltool.models.parameters import Affine, Parameter, read_affine, read_parameter, read_parameters
 from stltool.models.toml import Faults
 from stltool.numbers import NumberError, exact, number_text
 from stltool.sizes import require_numbered
@@ -49,7 +57,7 @@ MOVES = {
     "cross": ("stay", "N", "S", "W", "E"),
 }
 _BLOCKED = ord("#")
-_KEYS = ("kind", "map", "cell", "moves", "success", "slip", "start", "normalize", "name")
+_KEYS = ("kind", "map", "cell", "moves", "success", "slip", "start", "normalize", "name", "parameters")
 _NO_CELL = re.compile(r"[^#.A-Za-z]")
 
 
@@ -84,8 +92,11 @@ def grid_from_table(table: Mapping[str, Any], default_name: str = "grid", normal
     weights = first[free]
     starts = int(weights.sum())
     letters = [chr(code) for code in np.flatnonzero(np.bincount(found, minlength=128)) if chr(code).isalpha()]
+    source = Cells(free, MOVES[moves], noise.success, noise.slip, noise.uncertain, noise.parameter)
+    if noise.parameter is not None and noise.parameter.value is not None:
+        source = source.at({noise.parameter.name: noise.parameter.value})
     return MDP(
-        Cells(free, MOVES[moves], noise.success, noise.slip, noise.uncertain),
+        source,
         initial=weights / starts,
         signals={"x": _centres(column, cell), "y": _centres(row, cell)},
         labels={letter: found == ord(letter) for letter in letters if letter != "S"},
@@ -113,16 +124,20 @@ _Ends: TypeAlias = tuple[Fraction, Fraction]
 
 @dataclass(frozen=True)
 class _Noise:
-    """Lower and upper end of success and of slip, and whether an interval was written."""
+    """Lower and upper end of success and of slip, and whether an interval was written; with a parameter, their values
+    at the ends of its domain."""
 
     success: _Ends
     slip: _Ends
     uncertain: bool
     notes: Mapping[str, str]
+    parameter: Parameter | None = None
 
 
 def _noise(table: Mapping[str, Any], normalize: bool, faults: Faults) -> _Noise | None:
     """None if it is faulty."""
+    if "parameters" in table or any(_is_expression(table.get(key)) for key in ("success", "slip")):
+        return _parametric(table, faults)
     success = faults.reading("success", _ends, table, "success", (Fraction(1), Fraction(1)))
     slip = faults.reading("slip", _ends, table, "slip", None)
     if success is None or (slip is None and "slip" in table):
@@ -161,6 +176,81 @@ def _noise(table: Mapping[str, Any], normalize: bool, faults: Faults) -> _Noise 
             place, f"success {written[0]} and slip {written[1]} have no common denominator below 2^53; round them"
         )
     return _Noise(success, slip, uncertain, notes)
+
+
+_NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*", re.ASCII)  # not the e of 1e-3
+
+
+def _is_expression(value: object) -> bool:
+    return isinstance(value, str) and not _is_interval(value) and _NAME.search(value) is not None
+
+
+def _parametric(table: Mapping[str, Any], faults: Faults) -> _Noise | None:
+    """Noise that depends on a parameter."""
+    given = table.get("parameters", {})
+    if not isinstance(given, Mapping):
+        faults.reading("parameters", read_parameters, given)
+        return None
+    declared = {}
+    for name, domain in given.items():
+        parameter = faults.reading(("parameters", name), read_parameter, name, domain)
+        if parameter is None:
+            return None
+        declared[name] = parameter
+    found: dict[str, Affine] = {}
+    before = faults.count
+    for key in ("success", "slip"):
+        if key in table and _is_interval(table[key]):
+            faults.add(key, f"{key} is an interval; with parameters, write an expression such as p, or (1-p)/3")
+        elif key in table and (read := faults.reading(key, _affine, key, table[key], declared)) is not None:
+            found[key] = read
+            if not read.slopes and not 0 <= read.constant <= 1:
+                faults.add(key, f"{key} is {number_text(read.constant)}; a probability lies between 0 and 1")
+    if faults.count > before:
+        return None
+    success = found.get("success", Affine(Fraction(1)))
+    slip = found.get("slip", Affine(Fraction(1)).plus(success, Fraction(-1)).times(Fraction(1, 3)))
+    used = {**success.slopes, **slip.slopes}
+    for name in declared:
+        if name not in used:
+            faults.add(
+                ("parameters", name), f"parameter {name} does not occur in success or slip; use it, or leave it out"
+            )
+            return None
+    total = success.plus(slip, Fraction(3))
+    place = "slip" if "slip" in table else "success"
+    if total.slopes or total.constant != 1:
+        given = table.get("success", 1)
+        remainder = f"1-({given})" if re.search(r"[-+]", str(given)) else f"1-{given}"
+        faults.add(
+            place,
+            f"success {given} and three times slip {table.get('slip')} must sum to 1 for every value of "
+            f'{" and ".join(used)}; write slip = "({remainder})/3"',
+        )
+        return None
+    if len(used) > 1:
+        faults.add("parameters", f"a grid's noise depends on one parameter, not on {' and '.join(used)}; keep one")
+        return None
+    parameter = declared[next(iter(used))]
+    ends: list[_Ends] = []
+    for key, function in (("success", success), ("slip", slip)):
+        ends.append((function.at({parameter.name: parameter.lower}), function.at({parameter.name: parameter.upper})))
+        for end, value in zip((parameter.lower, parameter.upper), ends[-1], strict=True):
+            if not 0 <= value <= 1:
+                faults.add(
+                    key if key in table else place,
+                    f"{key} is {number_text(value)} where {parameter.name} is {number_text(end)}; a probability lies "
+                    f"between 0 and 1, so make the domain of {parameter.name} smaller",
+                )
+                return None
+    return _Noise(ends[0], ends[1], True, {}, parameter)
+
+
+def _affine(key: str, value: object, declared: Mapping[str, Parameter]) -> Affine:
+    try:
+        return read_affine(value, declared)
+    except ModelError as error:
+        raise ModelError(f"{key}: {error}") from None
 
 
 def _interval_text(ends: _Ends) -> str:

@@ -35,8 +35,9 @@ from stltool.models.fractions import (
 from stltool.models.function import Function, Step
 from stltool.models.intervals import Intervals
 from stltool.models.normalize import rescale
+from stltool.models.parameters import Parameter
 from stltool.models.rows import READ_EXACTLY, ROW_TOLERANCE, Demand, Rows, Source, Stored, digest_arrays, hint, starts
-from stltool.numbers import NumberError, exact, number_text
+from stltool.numbers import Exactable, NumberError, exact, number_text
 from stltool.sizes import IntegerType, UnsignedType, integer_type, require_memory, require_numbered, unsigned_type
 
 if TYPE_CHECKING:
@@ -162,6 +163,8 @@ class MDP(Displayed):
         if self.blackbox is None and self.kinds is not None:
             counts.append(counted(self.n_transitions, "transition"))
         known = "a black box" if self.blackbox is not None else "intervals" if self.uncertain else None
+        if self.parameters:
+            known = f"depend on {listed(f'{one.name} in {one.domain}' for one in self.parameters)}"
         return Card(
             f"MDP {self.name}: {', '.join(counts)}",
             [
@@ -254,11 +257,82 @@ class MDP(Displayed):
                 f"the probabilities of {self.name} are unknown: it is a black box; use {named('learn', 'stl.learn')} "
                 f"and {named('estimate', 'stl.estimate')}, or give a model with probabilities"
             )
+        if self.parameters:
+            names = [parameter.name for parameter in self.parameters]
+            raise SettingsError(
+                f"the probabilities of {self.name} depend on {' and '.join(names)}, without a value; give one "
+                f"(-p {names[0]}=…, in Python model.at({names[0]}=…)), or ask for all of them (check --vary, "
+                "stl.parametric)"
+            )
         if self.uncertain:
             raise SettingsError(
                 f"the model's probabilities are intervals; use {named('check', 'stl.robust_check')}, or the ordinary "
                 f"model inside them{named('nominal', ': model.nominal()')}"
             )
+
+    # ------------------------------------------------------------------------------------------ parameters
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters on which the probabilities depend, and that have no value here; `at` gives them values."""
+        ties = self.source.ties
+        return ties.parameters if ties is not None else ()
+
+    @cached_property
+    def family(self) -> MDP | None:
+        """The model as a function of its parameters: of those declared, of a grid's success probability otherwise.
+
+        None if there are none. States and choices are the same; entries that are 0 here may be positive there.
+        """
+        if self.parameters:
+            return self
+        source = self.source.family
+        return replace(self, source=source) if source is not None else None
+
+    def require_family(self) -> MDP:
+        """The family. SettingsError if there is none."""
+        if self.family is None:
+            raise SettingsError(
+                f"the probabilities of {self.name} do not depend on parameters; declare them in the model "
+                'file, [parameters] p = [0.5, 1], and write success = "p"; or MDP.from_arrays(..., parameters=...)'
+            )
+        return self.family
+
+    def at(self, **values: Exactable) -> MDP:
+        """The model where parameters have these values, such as `at(p=0.93)`; numbers as in model files.
+
+        Raises SettingsError for unknown or missing parameters, ModelError for values outside their domains.
+        """
+        family = self.require_family()
+        known = {parameter.name: parameter for parameter in family.parameters}
+        for name in values:
+            if name not in known:
+                raise SettingsError(f"the model has no parameter {name}; {near_misses(name, known)}")
+        missing = [name for name in known if name not in values]
+        if missing:
+            raise SettingsError(f"no value is given for {' and '.join(missing)}; write at({missing[0]}=…)")
+        try:
+            given = {name: known[name].require(exact(value)) for name, value in values.items()}
+        except NumberError as error:
+            raise SettingsError(f"a parameter's value: {error}") from None
+        return replace(family, source=family.source.at(given))
+
+    def within(self, **ranges: Sequence[Exactable]) -> MDP:
+        """The family on parts of its domains, such as `within(p=(0.9, 0.95))`; parameters without a range keep theirs.
+
+        Raises SettingsError for unknown parameters, ModelError for ranges outside their domains.
+        """
+        family = self.require_family()
+        known = {parameter.name: parameter for parameter in family.parameters}
+        for name, given in ranges.items():
+            if name not in known:
+                raise SettingsError(f"the model has no parameter {name}; {near_misses(name, known)}")
+            try:
+                lower, upper = map(exact, given)
+            except (NumberError, TypeError, ValueError):
+                raise SettingsError(f"the range of {name} is {described(given)}; give two numbers, (0.5, 1)") from None
+            known[name] = known[name].within(lower, upper)
+        return replace(family, source=family.source.narrowed(tuple(known.values())))
 
     def nominal(self) -> MDP:
         """The ordinary model with the nominal probabilities; without intervals the model itself.
@@ -335,6 +409,7 @@ class MDP(Displayed):
         name: str = "model",
         *,
         normalize: bool = False,
+        parameters: Mapping[str, Any] | None = None,
     ) -> MDP:
         """An MDP from one transition matrix per action.
 
@@ -346,8 +421,19 @@ class MDP(Displayed):
         initial       a state's index or name, or a distribution (S,)
         normalize     rescale rows, and the initial distribution, that miss 1 by at most 1/1000, so that they sum to 1
                       exactly (models/normalize.py); `notes` describes what that changed
+        parameters    name → domain, such as {"p": (0.5, 1)} or {"p": {"domain": (0.5, 1), "value": 0.93}}; entries may
+                      then be expressions that are linear in them, such as "(1-p)/3", at most one parameter a row
         """
         normalize = flag(normalize, "normalize")
+        if parameters is not None:
+            from stltool.models.family import from_expressions
+
+            if normalize:
+                raise SettingsError("rows that depend on parameters cannot be rescaled; leave out normalize")
+            return from_expressions(
+                transitions, parameters, signals=signals, initial=initial, labels=labels, action_names=action_names,
+                state_names=state_names, name=name,
+            )  # fmt: skip
         given = _given(transitions, "transitions")
         return cls._of_rows(
             _by_state(given), given, None, signals, initial, labels, action_names, state_names, name, normalize
@@ -375,6 +461,19 @@ class MDP(Displayed):
         rows = _by_state(_given(upper, "upper ends"))
         ends = Intervals(_aligned(_by_state(_given(lower, "lower ends")), rows), rows.data.astype(np.float64))
         return cls._of_rows(rows, [], ends, signals, initial, labels, action_names, state_names, name)
+
+    @classmethod
+    def from_family(cls, build: Callable[..., MDP], parameters: Mapping[str, Any]) -> MDP:
+        """An MDP whose probabilities depend on parameters, from a function that makes its members.
+
+        build       build(p=value) → MDP, called with Fractions: at the ends of the domains, and once in their middle.
+                    Members have the same states and choices; their probabilities must be linear in the parameters,
+                    which is checked in the middle, exactly, and each row may depend on one of them.
+        parameters  as in `from_arrays`
+        """
+        from stltool.models.family import from_members
+
+        return from_members(build, parameters)
 
     @classmethod
     def from_function(

@@ -26,9 +26,10 @@ from numpy.typing import NDArray
 
 from stltool.display import Card, Displayed, counted
 from stltool.errors import ModelError
-from stltool.models.fractions import Integers, Shares, of_doubles
+from stltool.models.fractions import Integers, Shares, doubles_of, of_doubles, over_one
 from stltool.models.intervals import Intervals
 from stltool.models.normalize import HINT, MOST_MISSING
+from stltool.models.parameters import Parameter, Ties, Values
 from stltool.sizes import require_memory
 
 if TYPE_CHECKING:
@@ -54,12 +55,14 @@ class Chances:
     probability  (e,) doubles; with `intervals`, the nominal ones
     given        the same as given in fractions or decimals; None: given in doubles
     row_start    the rows that doubles are read by (models/fractions.py)
+    ties         if entries depend on parameters without values: on which and how; `intervals` are then their ends
     """
 
     probability: Floats
     row_start: I64
     given: Shares | None = None
     intervals: Intervals | None = None
+    ties: Ties | None = None
 
     @cached_property
     def exact(self) -> Shares:
@@ -139,6 +142,12 @@ class Rows(Displayed):
     def intervals(self) -> Intervals | None:
         ends = self.chances.intervals
         return Intervals(self._of(ends.lower), self._of(ends.upper)) if ends is not None else None
+
+    def tied_at(self, values: Values) -> Floats:
+        """(e,) the probabilities at these values of the parameters, each rounded once."""
+        ties = self.chances.ties
+        assert ties is not None
+        return self._of(ties.doubles(values))
 
     @cached_property
     def width(self) -> Floats:
@@ -284,6 +293,25 @@ class Source(ABC):
         """Whether the probabilities are intervals."""
 
     @property
+    def family(self) -> Source | None:
+        """The same choices with rows that depend on parameters, of which these rows are a member; None if nothing is
+        known of parameters."""
+        return None
+
+    @property
+    def ties(self) -> Ties | None:
+        """If the rows depend on parameters without values: on which."""
+        return self.kinds.chances.ties if self.kinds is not None else None
+
+    def at(self, values: Values) -> Source:
+        """For rows that depend on parameters: those with these values. Entries of probability 0 are left out."""
+        raise NotImplementedError
+
+    def narrowed(self, parameters: tuple[Parameter, ...]) -> Source:
+        """The same with these parameters, whose domains are parts of the former ones."""
+        raise NotImplementedError
+
+    @property
     @abstractmethod
     def widest(self) -> int:
         """An upper bound on the entries of a state, all choices together."""
@@ -346,6 +374,8 @@ class Source(ABC):
         sha.update(f"rows {self.n_states} {n_choices} {n_entries}".encode())
         for title, column in columns.items():
             sha.update(title.encode() + column.digest())
+        if self.ties is not None:
+            sha.update(self.ties.text().encode())
 
     def _blocks(self) -> Iterator[tuple[int, Rows]]:
         """All rows in blocks, each with the number of its first state."""
@@ -369,6 +399,8 @@ class Stored(Source):
 
     exact      the exact values of the doubles `probability`, if they were given in fractions or decimals
     intervals  if the probabilities are intervals: their ends; `probability` is then their `nominal`
+    ties       if they depend on parameters; `intervals` are then the ends
+    family     the rows that depend on parameters, of which these are a member
     """
 
     on_demand = False
@@ -382,8 +414,11 @@ class Stored(Source):
         probability: Floats,
         exact: Shares | None = None,
         intervals: Intervals | None = None,
+        ties: Ties | None = None,
+        family: Stored | None = None,
     ) -> None:
-        chances = Chances(probability, row_start, exact if intervals is None else None, intervals)
+        chances = Chances(probability, row_start, exact if intervals is None else None, intervals, ties)
+        self._family = self if ties is not None else family
         self._rows, self._action = Rows(choice_start, row_start, target, chances), choice_action
         ends = (intervals.lower, intervals.upper) if intervals is not None else ()
         for array in (choice_start, choice_action, row_start, target, probability, *ends):
@@ -434,14 +469,43 @@ class Stored(Source):
         rows, kept = self._rows, self._rows.probability > 0
         before = starts(kept)
         return Stored(
-            rows.choice_start, self._action, before[rows.row_start], rows.target[kept], rows.probability[kept]
-        )
+            rows.choice_start, self._action, before[rows.row_start], rows.target[kept], rows.probability[kept],
+            family=self._family,
+        )  # fmt: skip
+
+    @property
+    def family(self) -> Stored | None:
+        return self._family
+
+    def at(self, values: Values) -> Stored:
+        rows, ties = self._rows, self._rows.chances.ties
+        assert ties is not None
+        of_class, denominator = over_one(ties.at(values))
+        shares = of_class[ties.which]
+        kept = shares != 0
+        return Stored(
+            rows.choice_start, self._action, starts(kept)[rows.row_start], rows.target[kept],
+            doubles_of(shares[kept], denominator), Shares(shares[kept], denominator), family=self,
+        )  # fmt: skip
+
+    def narrowed(self, parameters: tuple[Parameter, ...]) -> Stored:
+        rows, ties = self._rows, self._rows.chances.ties
+        assert ties is not None
+        return tied(rows.choice_start, self._action, rows.row_start, rows.target, ties.narrowed(parameters))
 
     def _blocks(self) -> Iterator[tuple[int, Rows]]:
         yield 0, self._rows
 
     def require_distributions(self, place: Place, state: Place) -> None:
         self._rows.require_distributions(place, state)
+
+
+def tied(choice_start: I64, choice_action: I32, row_start: I64, target: I32, ties: Ties) -> Stored:
+    """Rows that depend on parameters; their intervals are the ends of each entry."""
+    ends = [doubles_of(numerator, ties.denominator) for numerator in (ties.first, ties.last)]
+    intervals = Intervals(np.minimum(*ends), np.maximum(*ends))
+    nominal = intervals.nominal(row_start)
+    return Stored(choice_start, choice_action, row_start, target, nominal, intervals=intervals, ties=ties)
 
 
 def digest_arrays(sha: _Hash, arrays: Iterable[tuple[str, NDArray[Any]]]) -> None:

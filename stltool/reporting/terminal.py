@@ -279,7 +279,7 @@ def print_text(text: str) -> None:
 
 def error(message: str) -> None:
     """A message about the user's input, as plain text on stderr."""
-    Console(stderr=True, soft_wrap=True, highlight=False, markup=False).print(f"error: {message}")
+    Console(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=False).print(f"error: {message}")
 
 
 def note(message: str) -> None:

@@ -509,6 +509,8 @@ def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
     ):
         with pytest.raises(SettingsError, match=r"are intervals; use stl.robust_check, .*: model.nominal\(\)"):
             ask()
+    with pytest.raises(SettingsError, match="do not depend on parameters"):
+        stl.parametric(product)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -528,7 +530,7 @@ def test_explain_reads_no_probability(floor5):
 def test_every_public_function_on_products_knows_of_intervals():
     """A function that is new here must answer for intervals or refuse them, with a line in the test above."""
     refusing = {"check", "learn", "sample_run", "likely_runs", "sensitivity", "estimate", "sprt", "pareto", "tradeoff",
-                "surrogate_optimum", "to_gymnasium", "stationary"}  # fmt: skip
+                "surrogate_optimum", "to_gymnasium", "stationary", "parametric"}  # fmt: skip
     fit = {"robust_check", "build_product", "build_joint_product", "guarantee", "explain", "report"}
     found = {name: getattr(stl, name) for name in stl.__all__ if inspect.isfunction(getattr(stl, name))}
     models = {"product", "model", "joint"}

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import stltool as stl
+from stltool.models.parameters import read_affine
 from stltool.reporting import load_report
 from tests import test_policy
 from tests.checking import test_black_box, test_certificate
@@ -13,7 +14,15 @@ from tests.cli import test_gymnasium as gymnasium_files
 from tests.conftest import FACTORY
 from tests.golden.capture import refusal, rows
 from tests.learning import test_checkpoint, test_sweep
-from tests.models import test_explicit, test_grid, test_gymnasium, test_intervals, test_mdp, test_normalize
+from tests.models import (
+    test_explicit,
+    test_grid,
+    test_gymnasium,
+    test_intervals,
+    test_mdp,
+    test_normalize,
+    test_parameters,
+)
 from tests.models.gymnasium_envs import Listed, Scripted
 from tests.monitoring import test_files, test_monitor, test_online
 from tests.reporting import test_report
@@ -47,6 +56,11 @@ def grids():
     for text in (test_grid.FAULTY, "kind = \n", 'kind = "grid"\nmap = "A"\nmove = "king"'):
         Path("floor.toml").write_text(text, encoding="utf-8")
         yield f"floor.toml:\n{text}".rstrip(), refusal(stl.load_model, "floor.toml")
+    for text, _ in rows(test_parameters.test_other_texts_are_refused):
+        yield f"probability {text!r}", refusal(read_affine, text, test_parameters.DECLARED)
+    for changes, _ in rows(test_parameters.test_faults_of_a_grid_are_reported_with_their_line):
+        path = test_parameters.grid(Path(), **changes)
+        yield f"floor.toml with {text_of(changes)}", refusal(stl.load_model, path)
     yield "no file", refusal(stl.load_model, "none.toml")
     yield "another ending", refusal(stl.load_model, "floor.yaml")
 

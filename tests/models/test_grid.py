@@ -90,7 +90,7 @@ def test_without_noise_every_move_succeeds():
         ({"map": "A.\n.#", "start": "A"}, r"write start = \[column, row\]"),
         ({"moves": "knight"}, "moves is 'knight'; choose one of king, cross"),
         ({"success": "9/10"}, "sum to 0.97, not 1"),
-        ({"success": "often"}, "success: 'often' is not a number; write a number, or a fraction in quotes"),
+        ({"success": "often"}, "success: 'often': there is no parameter often; declare it"),
         ({"slip": "1/0"}, "slip: '1/0' divides by zero"),
         ({"success": True}, "success: True is not a number"),
         (
@@ -145,7 +145,7 @@ F, line 7, column 4: 'é' is not a cell; use # (blocked), . (free), S (start) or
        ^
 F, line 9: moves is 'knight'; choose one of king, cross
 F, line 10: success is 1.2; a probability lies between 0 and 1
-F, line 11: slip: 'often' is not a number; write a number, or a fraction in quotes such as "7/300"
+F, line 11: slip: 'often': there is no parameter often; declare it: [parameters] often = [0.5, 1]
 F, line 12: cell is 0; the side of a cell is positive, between 1e-100 and 1e100
 F, line 13: unknown key slpi; did you mean slip?
 8 errors"""

@@ -1,0 +1,74 @@
+"""`stltool check --vary`: the probability as a function of a parameter of the model."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+from stltool.errors import SettingsError
+from stltool.numbers import NumberError, bound_texts, number_text, read
+
+if TYPE_CHECKING:
+    from stltool.policy import Policy
+    from stltool.product import Product
+
+_VERDICTS = {True: "holds", False: "does not hold", None: "undecided: the bound lies inside the enclosure"}
+
+
+def check_range(
+    product: Product,
+    policy: Policy | None,
+    vary: str,
+    maximize: bool,
+    bounds: list[tuple[str, str, Fraction]],
+    as_json: bool,
+) -> bool:
+    """Print P over the range; whether every bound holds on all of it."""
+    import stltool as stl
+    from stltool.reporting import parametric_data
+    from stltool.reporting.terminal import print_facts, print_json, print_table, progress_bar
+
+    over = _range(vary)
+    with progress_bar("checking", quiet=as_json) as bar:
+        found = stl.parametric(product, policy, over=over, maximize=maximize, progress=bar)
+    data, verdicts = parametric_data(found), dict[str, bool | None]()
+    for option, text, bound in bounds:
+        below = option == "--at-least"
+        holds = found.at_least(bound) if below else found.at_most(bound)
+        verdicts[f"P {'>=' if below else '<='} {text} everywhere"] = holds
+        data[option.strip("-").replace("-", "_")] = float(bound)
+    all_hold = all(holds is True for holds in verdicts.values())
+    if verdicts:
+        data["holds"] = all_hold
+        data["decided"] = all(holds is not None for holds in verdicts.values())
+    if as_json:
+        print_json(data)
+        return all_hold
+    name, asked = found.parameter.name, "the policy" if policy is not None else f"{found.question} over all policies"
+    print_facts({
+        "task": f"{product.task_name} := {product.formula}",
+        "P": f"{asked}, for every {name} in {found.parameter.domain}",
+    })  # fmt: skip
+    print_table([
+        {name: number_text(p), **dict(zip(("lower_bound", "upper_bound"), bound_texts(lower, upper), strict=True))}
+        for p, lower, upper in found.points()
+    ])  # fmt: skip
+    least, greatest = bound_texts(found.least[0], found.greatest[1])
+    print_facts({
+        "everywhere": f"{least} <= P <= {greatest}",
+        "bounds": f"at most {found.gap:.3g} apart, in {len(found.pieces)} "
+        f"{'piece' if len(found.pieces) == 1 else 'pieces'}; {found.status}",
+        **{claim: _VERDICTS[holds] for claim, holds in verdicts.items()},
+    })  # fmt: skip
+    return all_hold
+
+
+def _range(text: str) -> dict[str, tuple[Fraction, Fraction]]:
+    name, equals, ends = text.partition("=")
+    lower, colon, upper = ends.partition(":")
+    if not (name.strip() and equals and colon):
+        raise SettingsError(f"--vary {text}: write a parameter and its range, for example --vary p=0.5:1")
+    try:
+        return {name.strip(): (read(lower), read(upper))}
+    except NumberError as error:
+        raise SettingsError(f"--vary {text}: {error}; write, for example, --vary p=0.5:1") from None

@@ -1,0 +1,191 @@
+"""P as a function of a parameter, against coefficients in fractions, trees of all histories, and points."""
+
+import math
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import stltool as stl
+from stltool.automata import TRUE
+from stltool.checking.induction import EVERYTHING, Bernstein, Game, layers_of, solve
+from stltool.checking.polynomial import greatest, halves, least, value
+from stltool.errors import PolicyError, SettingsError
+from tests import oracles
+from tests.conftest import FACTORY, many
+
+KINDS = [
+    ("p", "1-p"), ("1-p", "p"), ("1/3+2*p/3", "2*(1-p)/3"), ("p", "(1-p)/2", "(1-p)/2"), ("1/4", "3/4"), ("1",),
+]  # fmt: skip
+FORMULAS = ["F[0,3] A", "G[0,3] !B", "(!B) U[0,3] A", "G[0,2] F[0,1] A", "F[0,1] G[0,1] (A | B)", "A & F[1,2] B"]
+DOMAIN = Fraction(3, 10), Fraction(9, 10)
+
+
+def random_product(rng):
+    """Three states with rows that rise and fall in p, or do not depend on it."""
+    rows = np.full((2, 3, 3), "0", dtype="<U10")
+    for a, s in np.ndindex(2, 3):
+        kind = KINDS[rng.integers(len(KINDS))]
+        rows[a, s, rng.permutation(3)[: len(kind)]] = kind
+    rows[0, 0] = "p", "1-p", "0"
+    labels = {name: rng.integers(2, size=3) for name in "AB"}
+    start = ["1/2", "0", "1/2"] if rng.integers(2) else 0
+    family = stl.MDP.from_arrays(rows, {}, start, labels, parameters={"p": DOMAIN})
+    return stl.build_product(family, stl.parse(FORMULAS[rng.integers(len(FORMULAS))]))
+
+
+def at(product, p):
+    return replace(product, model=product.model.at(p=p))
+
+
+def random_policy(product, rng, mixed):
+    shape = product.horizon, *product.shape
+    if not mixed:
+        return stl.Policy(product, rng.integers(2, size=shape))
+    return stl.Policy(product, rng.dirichlet((1, 1), size=shape))
+
+
+def inside(coefficients, exact, rounding=1e-12):
+    below, above = coefficients
+    assert all(a <= c <= b for a, c, b in zip(below, exact, above, strict=True))
+    assert (above - below).max() < rounding
+
+
+@pytest.mark.parametrize("seed", range(many(15)))
+def test_coefficients_are_those_in_fractions_and_values_those_of_all_histories(seed):
+    rng = np.random.default_rng(seed)
+    product = random_product(rng)
+    policies = [random_policy(product, rng, mixed) for mixed in (False, True)]
+    for policy in policies:
+        found = stl.parametric(product, policy)
+        (piece,) = found.pieces
+        inside((piece.below, piece.above), oracles.bernstein(product, policy, *DOMAIN))
+    wide = {best: stl.parametric(product, maximize=best, tol=2.0) for best in (True, False)}
+    for best, found in wide.items():
+        (piece,) = found.pieces
+        end = piece.above if best else piece.below
+        for c, exact in zip(end, oracles.bernstein(product, None, *DOMAIN, maximize=best), strict=True):
+            assert c == pytest.approx(float(exact), rel=1e-12, abs=1e-300)
+    for p in (DOMAIN[0], Fraction(1, 2), Fraction(int(rng.integers(300, 900)), 1000), DOMAIN[1]):
+        member = at(product, p)
+        for policy in policies:
+            lower, upper = stl.parametric(product, policy).at(p)
+            exact = oracles.policy_value(member, stl.Policy(member, policy.table))
+            assert lower <= exact <= upper <= lower + 1e-12
+        for best, found in wide.items():
+            lower, upper = found.at(p)
+            assert lower <= oracles.optimum(member.model, product.formula, best) <= upper
+
+
+@pytest.mark.parametrize("maximize", [True, False])
+def test_pieces_enclose_the_optimum_within_the_tolerance(maximize):
+    task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 8, "tau": 8})
+    product = stl.build_product(stl.load_model(task.model), task)
+    found = stl.parametric(product, over={"success": (0.5, 1)}, tol=1e-3, maximize=maximize)
+    assert found.status == "complete"
+    assert found.gap <= 1e-3
+    ends = [(piece.lower, piece.upper) for piece in found.pieces]
+    assert [ends[0][0], *(b for _, b in ends)] == [*(a for a, _ in ends), Fraction(1)]
+    for p in (0.5, 0.61, 0.87, 1):
+        exact = stl.check(replace(product, model=product.model.at(success=p)), maximize=maximize)
+        lower, upper = found.at(p)
+        assert lower <= exact.lower
+        assert exact.upper <= upper
+        assert upper - lower <= 1e-3 + 1e-12
+    for piece in found.pieces:  # each has a policy, which its lower (upper) polynomial belongs to
+        own = stl.parametric(product, piece.policy, over={"success": (piece.lower, piece.upper)}).pieces[0]
+        mine, theirs = (own.below, piece.below) if maximize else (own.above, piece.above)
+        assert np.allclose(mine, theirs, rtol=0, atol=1e-15)
+    few = stl.parametric(product, over={"success": (0.5, 1)}, tol=1e-9, most_pieces=3, maximize=maximize)
+    assert len(few.pieces) <= 3
+    assert ("apart after" in few.status) == (few.gap > 1e-9)
+
+
+def test_a_function_that_is_not_monotone():
+    """p² + (1−p)², least at ½: neither end is."""
+    rows = [[["0", "p", "1-p", 0], [0, "p", 0, "1-p"], [0, 0, "1-p", "p"], [0, 0, 0, 1]]]
+    model = stl.MDP.from_arrays(rows, {}, labels={"out": [0, 0, 0, 1]}, parameters={"p": (0, 1)})
+    product = stl.build_product(model, stl.parse("G[0,2] !out"))
+    found = stl.parametric(product)
+    assert found.least[0] <= 0.5 <= found.least[1] <= found.least[0] + 1e-6
+    assert found.greatest == pytest.approx((1, 1), abs=1e-12)
+    assert found.at_least(0.499) is True
+    assert found.at_least(0.501) is False
+    assert found.at_most(0.9) is False
+    assert found.at_least(0.5) is None
+    assert found.at(0.25) == pytest.approx((0.625, 0.625), abs=1e-12)
+    tied = stl.robust_check(product)  # nature takes p = 0 first, then p = 1
+    assert tied.upper < 1e-14
+
+
+@pytest.mark.parametrize("seed", range(many(10)))
+def test_robust_checks_pick_the_parameter_of_every_row(seed):
+    rng = np.random.default_rng(1000 + seed)
+    product = random_product(rng)
+    for maximize in (True, False):
+        for nature in ("against", "with"):
+            found = stl.robust_check(product, maximize=maximize, nature=nature)
+            minimal = maximize == (nature == "against")
+            exact = oracles.tied_optimum(product.model, product.formula, maximize, minimal)
+            assert found.lower <= exact <= found.upper
+            assert found.upper - found.lower < 1e-10
+
+
+def test_engines_agree():
+    task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 4, "tau": 4})
+    product = stl.build_product(stl.load_model(task.model).family, task)
+    found = {}
+    for engine in ("nodes", "words"):
+        layers = layers_of(Game.of(product), TRUE, EVERYTHING, engine=engine)
+        arithmetic = Bernstein(product.horizon, {"success": Fraction(1, 3)}, {"success": Fraction(1)}, True)
+        found[engine] = solve(layers, arithmetic, True).entry
+    assert found["nodes"].shape == (1, product.horizon + 1)
+    assert np.array_equal(found["nodes"], found["words"])
+
+
+@pytest.mark.parametrize("formula", ["A", "!A", "F[0,3] (A | !A)", "F[0,0] A"])
+def test_decided_tasks(formula):
+    model = stl.MDP.from_arrays([[["p", "1-p"], [0, 1]]], {}, labels={"A": [1, 0]}, parameters={"p": (0, 1)})
+    product = stl.build_product(model, stl.parse(formula))
+    expected = float(stl.check(at(product, 1)).probability)
+    assert stl.parametric(product).at("1/3") == pytest.approx((expected, expected), abs=1e-13)
+
+
+def test_polynomials():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        c = rng.random(rng.integers(1, 9))
+        n = len(c) - 1
+        left, right = halves(c)
+        for x in rng.random(5):
+            exact = sum(math.comb(n, i) * x**i * (1 - x) ** (n - i) * ci for i, ci in enumerate(c))
+            half, place = (left, 2 * x) if x < 0.5 else (right, 2 * x - 1)
+            assert value(c, x, 1 - x) == pytest.approx(exact, rel=1e-12)
+            assert value(half, place, 1 - place) == pytest.approx(exact, rel=1e-12)
+        seen = [value(c, x, 1 - x) for x in np.linspace(0, 1, 401)]
+        (low, attained, _), (high, reached, _) = least(c, 1e-9), greatest(c, 1e-9)
+        assert low - 1e-12 <= min(seen) <= attained + 1e-4
+        assert reached - 1e-4 <= max(seen) <= high + 1e-12
+        assert attained - low <= 1e-9
+        assert high - reached <= 1e-9
+
+
+def test_what_does_not_fit_is_refused():
+    rng = np.random.default_rng(0)
+    product = random_product(rng)
+    with pytest.raises(SettingsError, match="do not depend on parameters"):
+        stl.parametric(stl.build_product(oracles.random_model(rng, 4), stl.parse("F[0,1] A")))
+    with pytest.raises(SettingsError, match="no parameter q"):
+        stl.parametric(product, over={"q": (0, 1)})
+    with pytest.raises(SettingsError, match="positive number"):
+        stl.parametric(product, tol=0)
+    rows, domains = [[["p", "1-p"], ["q", "1-q"]]], {"p": (0, 1), "q": (0, 1)}
+    two = stl.build_product(
+        stl.MDP.from_arrays(rows, {}, labels={"A": [1, 0]}, parameters=domains), stl.parse("F[0,1] A")
+    )
+    with pytest.raises(SettingsError, match="one parameter, the model has p and q"):
+        stl.parametric(two)
+    other = random_product(np.random.default_rng(7))
+    with pytest.raises(PolicyError):
+        stl.parametric(product, random_policy(other, rng, False))
