@@ -13,11 +13,10 @@ test soak: export PYTHONDONTWRITEBYTECODE =
 test: .venv/installed-dev
 	$(BIN)/pytest -n 2 --dist worksteal
 
-# random instances, statistics and mutations, MORE times as many as `make test` takes; SOAK=soak without Hypothesis' tests
+# random instances, statistics and mutations: MORE times the numbers in the tests, of which `make test` takes .3
 MORE ?= 30
-SOAK ?= soak or hypothesis
 soak: .venv/installed-dev
-	STLTOOL_MORE=$(MORE) $(BIN)/pytest -n 2 --dist worksteal -m "$(SOAK)"
+	STLTOOL_MORE=$(MORE) $(BIN)/pytest -n 2 --dist worksteal -m "soak or hypothesis"
 
 lint: .venv/installed-dev
 	$(BIN)/ruff check .

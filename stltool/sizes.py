@@ -16,6 +16,7 @@ from stltool.arguments import real
 from stltool.errors import SettingsError, SizeError
 
 _USABLE = 0.8  # of the memory that is free now
+_LITTLE = 2**20  # bytes
 _MOST_DAYS = 7
 _MOST_NUMBERED = 2**31 - 2  # so that one more, and the total, still fit int32
 
@@ -98,7 +99,12 @@ def require_limit(given: object) -> int:
 
 
 def require_memory(needed: float, what: str, remedy: str, limit: int | None = None) -> None:
-    """Raise SizeError, before anything is allocated, if `needed` bytes are over the limit."""
+    """Raise SizeError, before anything is allocated, if `needed` bytes are over the limit.
+
+    Less than a megabyte, without a limit of the user's, is never refused: asking the system would take longer.
+    """
+    if limit is None and needed < _LITTLE:
+        return
     allowed = memory_limit(limit)
     if needed > allowed:
         raise SizeError(

@@ -1,5 +1,6 @@
 import contextlib
 import functools
+import gc
 import hashlib
 import os
 import tempfile
@@ -14,11 +15,11 @@ import stltool as stl
 from stltool.kernels.cache import KernelCache
 from tests import slow
 
-MORE = float(os.environ.get("STLTOOL_MORE", "1"))
+MORE = float(os.environ.get("STLTOOL_MORE", "0.3"))
 
 
 def many(n: int) -> int:
-    """n random instances, mutations or runs; `make soak` asks for STLTOOL_MORE times as many."""
+    """n random instances, mutations or runs times STLTOOL_MORE: .3 in `make test`, more in `make soak`."""
     return max(1, round(n * MORE))
 
 
@@ -47,6 +48,12 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if slow.of_all_parameters(item.nodeid) in listed:
             item.add_marker("slow")
+
+
+def pytest_collection_finish():
+    """What was imported and collected stays: the garbage collector need not look at it again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 def needs_outside(name: str) -> pytest.MarkDecorator:

@@ -5,6 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stltool.choices import Choices, Mixtures, Table, Through, distinct, listed, mixed
+from tests.conftest import many
 
 SHAPE, C = (4, 70), 3
 
@@ -39,7 +40,7 @@ def mixtures(draw):
 
 
 @given(mixtures())
-@settings(max_examples=60)
+@settings(max_examples=many(60))
 def test_mixtures_do_what_is_listed_and_elsewhere_what_the_other_form_does(case):
     form, known, otherwise = case
     seen = set()
@@ -64,7 +65,7 @@ def test_mixtures_do_what_is_listed_and_elsewhere_what_the_other_form_does(case)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 40))
-@settings(max_examples=40)
+@settings(max_examples=many(40))
 def test_distinct_rows_are_all_of_them_and_say_where_they_are(seed, n):
     rows = np.random.default_rng(seed).integers(3, size=(n, 2)) / 3
     found, which = distinct(rows)
@@ -73,7 +74,7 @@ def test_distinct_rows_are_all_of_them_and_say_where_they_are(seed, n):
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([(4, 71), (5, 200), (4, 64), (9, 65)]))
-@settings(max_examples=40)
+@settings(max_examples=many(40))
 def test_choices_move_to_another_shape(seed, shape):
     rng = np.random.default_rng(seed)
     s, q = np.nonzero(rng.random((4, 64)) < 0.3)

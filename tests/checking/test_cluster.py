@@ -15,6 +15,7 @@ from stltool.checking.induction import EVERYTHING, Budget, Doubles, Fixed, Follo
 from stltool.cluster import _require_workers, connected, this_version
 from stltool.errors import PolicyError, SettingsError, SizeError
 from tests.checking.test_induction import random_policy, random_product
+from tests.conftest import many
 
 distributed = pytest.importorskip("distributed")
 
@@ -45,7 +46,8 @@ class AtOnce:
         return {"here": 1}
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(many(40)))
 def test_blocks_give_the_same_bits(seed):
     product, rng = random_product(seed, most_states=40)
     fixed = fixed_point(product.model)

@@ -77,7 +77,7 @@ def near(value):
 
 
 @given(cases())
-@settings(max_examples=40)
+@settings(max_examples=many(40))
 def test_engines_find_the_same_to_the_bit(case):
     product, policy = case
     nodes, words = (stl.sensitivity(product, policy, engine=engine) for engine in ("nodes", "words"))

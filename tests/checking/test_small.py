@@ -8,7 +8,7 @@ import pytest
 
 from stltool.checking.induction.arithmetic import natures_choice
 from stltool.kernels import edges as kernels
-from tests.conftest import FACTORY
+from tests.conftest import FACTORY, many
 
 QUESTIONS = {
     "check": "stl.check(product)",
@@ -46,7 +46,8 @@ def test_small_questions_load_no_compiler(question, tmp_path):
     assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(many(40)))
 @pytest.mark.parametrize("ascending", [True, False])
 def test_natures_choice_is_the_kernels_to_the_bit(seed, ascending):
     rng = np.random.default_rng(seed)

@@ -14,7 +14,7 @@ from stltool.checking.stationary import _Asked
 from stltool.errors import SettingsError, SizeError
 from tests import dense, oracles
 from tests.checking.test_check import products, random_policy
-from tests.conftest import FACTORY
+from tests.conftest import FACTORY, many
 
 SMALL = Fraction(1, 10**8)
 
@@ -48,7 +48,7 @@ def small(seed):
 
 
 @given(products(max_states=3, longest=1), st.sampled_from(["automaton", "none"]), st.booleans())
-@settings(max_examples=60)
+@settings(max_examples=many(60))
 def test_what_is_proved_is_the_best_of_all(product, memory, maximize):
     best = (max if maximize else min)(enumerated(product, memory))
     result = stl.stationary(product, memory=memory, maximize=maximize)
@@ -64,7 +64,7 @@ def test_what_is_proved_is_the_best_of_all(product, memory, maximize):
 
 
 @given(products(max_states=3, longest=1), st.sampled_from(["automaton", "none"]), st.booleans(), st.integers(0, 3))
-@settings(max_examples=60)
+@settings(max_examples=many(60))
 def test_a_search_that_stops_early_is_still_right(product, memory, maximize, most):
     """Its bound holds, what it found is below that, and it does not claim more."""
     every = list(enumerated(product, memory))
@@ -83,8 +83,9 @@ def test_a_search_that_stops_early_is_still_right(product, memory, maximize, mos
     assert first == pytest.approx(result.probability, abs=1e-12)
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize("maximize", [True, False])
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(many(12)))
 def test_what_a_switch_gains_is_the_derivative(seed, maximize):
     """∂P towards a choice in a place, against a policy that takes it now and then."""
     product, rng = small(seed), np.random.default_rng(seed)
@@ -106,7 +107,7 @@ def test_what_a_switch_gains_is_the_derivative(seed, maximize):
 
 
 @given(products(max_states=3, longest=1))
-@settings(max_examples=20)
+@settings(max_examples=many(20))
 def test_engines_find_the_same(product):
     one, other = (stl.stationary(product, engine=engine) for engine in ("nodes", "words"))
     assert (one.probability, one.bound, one.candidates) == (other.probability, other.bound, other.candidates)
@@ -209,7 +210,8 @@ def test_what_would_not_fit_is_refused(patrolling):
         stl.stationary(patrolling, memory_limit=10_000)
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(many(40)))
 def test_memoryless_policies_where_the_first_guess_is_seldom_right(seed):
     """Three states that want different actions at different times: every one of the 27 policies, in fractions."""
     product = small(seed)

@@ -233,7 +233,7 @@ def test_where_every_choice_is_left_the_range_is_that_of_all_policies(seed, text
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(TASKS))
-@settings(max_examples=40)
+@settings(max_examples=many(40))
 def test_only_choices_left_are_taken_and_the_best_of_them(seed, text):
     """Any choices left, by step: the extremes of all policies of these, in fractions, and by every engine."""
     product, rng = random_product(seed, text), np.random.default_rng(seed)
@@ -251,7 +251,7 @@ def test_only_choices_left_are_taken_and_the_best_of_them(seed, text):
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(TASKS))
-@settings(max_examples=30)
+@settings(max_examples=many(30))
 def test_engines_leave_the_same_choices_of_episodes(seed, text):
     product = random_product(seed, text)
     one, other = (_episode(product, Budget("choices"), engine)[0] for engine in ("nodes", "words"))

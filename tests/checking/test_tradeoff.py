@@ -122,7 +122,7 @@ def test_the_best_weighted_sum_is_that_of_all_points(joint, weights):
 
 
 @given(joints(), st.lists(st.sampled_from([0.0, 0.25, 1.0, 3.0]), min_size=3, max_size=3), st.integers(0, 2**32 - 1))
-@settings(max_examples=25)
+@settings(max_examples=many(25))
 def test_engines_agree_on_weighted_sums_to_the_bit(joint, weights, seed):
     one, other = (Criteria(joint, ("fuel",), engine) for engine in ("nodes", "words"))
     found, again = best(one, weights), best(other, weights)
@@ -140,7 +140,7 @@ def test_engines_agree_on_weighted_sums_to_the_bit(joint, weights, seed):
 
 
 @given(joints(), st.integers(0, 2**32 - 1))
-@settings(max_examples=25)
+@settings(max_examples=many(25))
 def test_criteria_of_any_mixture_are_those_of_its_histories(joint, seed):
     """Weights by step and automaton state, in fractions over all runs."""
     criteria, automaton, model = Criteria(joint, ("fuel",)), joint.automaton, joint.model

@@ -118,6 +118,7 @@ def test_advice_is_given_in_options(stltool, folder, monkeypatch, command, says)
 def test_what_would_not_fit_is_told_with_options_that_there_are(stltool, folder, monkeypatch, command, says):
     monkeypatch.chdir(folder)
     monkeypatch.setattr("psutil.virtual_memory", lambda: type("Memory", (), {"available": 50_000}))
+    monkeypatch.setattr("stltool.sizes._LITTLE", 0)
     given = ["patrolling.stl", *SMALL] if command[0] == "check" else CASES[command[0]]
     code, _, err = stltool(command[0], *given, *command[1:])
     assert (code, says in err, python_words(err)) == (2, True, []), err

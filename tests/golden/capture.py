@@ -47,9 +47,12 @@ def folder():
         yield Path(made).resolve()
 
 
+@contextlib.contextmanager
 def memory(available):
-    """A machine with so many bytes free."""
-    return mock.patch("psutil.virtual_memory", return_value=mock.Mock(available=available))
+    """A machine with so many bytes free, which are asked for however little is needed."""
+    machine = mock.Mock(available=available)
+    with mock.patch("psutil.virtual_memory", return_value=machine), mock.patch("stltool.sizes._LITTLE", 0):
+        yield
 
 
 def command(*arguments):

@@ -15,6 +15,7 @@ from stltool.learning.counts import Counts
 from stltool.learning.model_based import _HAIR, Planner
 from stltool.learning.problem import Problem
 from tests.checking.test_check import products
+from tests.conftest import many
 
 
 def counted(product, rng, share):
@@ -67,7 +68,7 @@ def required(product, counts, known_after, caution, since, optimistic, kinds):
 
 
 @given(products(max_states=4), st.integers(0, 2**32 - 1), st.booleans(), st.integers(0, 1), st.data())
-@settings(max_examples=50)
+@settings(max_examples=many(50))
 def test_plans_are_those_of_all_pairs(product, seed, optimistic, share, data):
     if product.horizon == 0:
         return
@@ -91,7 +92,7 @@ def test_more_memory_than_a_word_holds(optimistic):
 
 
 @given(products(max_states=4))
-@settings(max_examples=40)
+@settings(max_examples=many(40))
 def test_wherever_a_run_can_be_is_planned_for(product):
     """F_t has whatever a run reaches, and both engines hold the same."""
     anywhere = Anywhere(Single(product.automaton), product.letter, np.uint8)

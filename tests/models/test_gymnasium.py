@@ -522,9 +522,9 @@ def test_a_tuple_of_observations_is_learned():
     assert (model.state_name(704), model.signals["total"][-1]) == ("(0,0,0) ended", 31)
     assert (model.state_name(13 * 22 + 7 * 2 + 1), model.signals["total"][13 * 22]) == ("(13,7,1)", 13)
     product = stl.build_product(model, stl.parse("F[0,4] total >= 19 & G[0,4] !bust"))
-    policy = stl.learn(product, "model-based", episodes=1500, seed=0).policy
+    policy = stl.learn(product, "model-based", episodes=500, seed=0).policy
     stick = stl.Policy(product, np.zeros(product.shape, dtype=int))
-    assert stl.estimate(product, policy, runs=2000).lower > stl.estimate(product, stick, runs=2000).upper
+    assert stl.estimate(product, policy, runs=1000).lower > stl.estimate(product, stick, runs=1000).upper
 
 
 def test_cliffs_are_walked_along():

@@ -442,6 +442,7 @@ def test_nothing_is_read_then(tmp_path, write, monkeypatch, name):
     else:
         path = (npz if name == "t.npz" else parquet)(tmp_path / name, x=np.ones(2))
     monkeypatch.setattr("stltool.sizes.memory_limit", lambda limit: 10)
+    monkeypatch.setattr("stltool.sizes._LITTLE", 0)
     with pytest.raises(
         SizeError, match=r"of memory; 10 B may be used; give a shorter part of the trace, or name fewer"
     ):
