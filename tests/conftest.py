@@ -3,8 +3,11 @@ import functools
 import gc
 import hashlib
 import os
+import random
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 import typer.main
@@ -15,12 +18,21 @@ import stltool as stl
 from stltool.kernels.cache import KernelCache
 from tests import slow
 
+T = TypeVar("T")
+
 MORE = float(os.environ.get("STLTOOL_MORE", "0.3"))
 
 
 def many(n: int) -> int:
     """n random instances, mutations or runs times STLTOOL_MORE: .3 in `make test`, more in `make soak`."""
     return max(1, round(n * MORE))
+
+
+def some(cases: Iterable[T]) -> list[T]:
+    """Of cases that are much alike, many(as there are): all of them in `make soak`, and in CI's share of it."""
+    cases = list(cases)
+    drawn = random.Random(0).sample(range(len(cases)), min(len(cases), many(len(cases))))
+    return [cases[i] for i in sorted(drawn)]
 
 
 settings.register_profile(

@@ -201,7 +201,8 @@ def wide_product(seed):
     return stl.build_product(model, stl.parse(formula))
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(many(8)))
 @pytest.mark.parametrize("maximize", [True, False])
 def test_engines_agree_to_the_bit_and_so_do_any_number_of_threads(seed, maximize):
     product = wide_product(seed) if seed % 2 else random_product(seed, most_states=40)[0]

@@ -16,7 +16,7 @@ import stltool as stl
 from stltool.errors import FileError
 from stltool.learning.sweep import Failure, RunResult
 from stltool.reporting import guarantee_data, load_report, render, report_data, sweep_data
-from tests.conftest import FACTORY
+from tests.conftest import FACTORY, some
 
 EVIL = (
     "EVIL</title></style></svg></code>]]>--><script>alert(1)</script><img src=x onerror=alert(1)>"
@@ -182,13 +182,15 @@ def strings(value):
     return [value] if isinstance(value, str) else []
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize("kind", ["checked", "black_box", "swept"])
 def test_a_text_in_the_place_of_anything_stays_a_text_or_is_refused(kind, request, monkeypatch):
     """Pictures are drawn only where the place is of a picture: they take most of the time."""
     data = request.getfixturevalue(kind)
     drawn = {"floor", "states", "state_indices", "history", "columns", "curve", "figure"}
     shown = refused = 0
-    for path in places(data):
+    tried = some(places(data))
+    for path in tried:
         with monkeypatch.context() as patch:
             if not drawn.intersection(path):
                 for name in ("figures.learning_curve", "figures.learning_curves", "figures.line_chart",
@@ -201,8 +203,8 @@ def test_a_text_in_the_place_of_anything_stays_a_text_or_is_refused(kind, reques
                 continue
         require_safe(page)
         shown += 1
-    assert shown > 20
-    assert refused > 5
+    assert shown > 0.3 * len(tried)
+    assert refused > 0.03 * len(tried)
 
 
 @pytest.mark.parametrize("figure", ["<svg onload='alert(1)'></svg>", {"svg": "<svg>"}, ["<svg>"], 7])
