@@ -23,8 +23,10 @@ lint: .venv/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# every table of bench/results.md, hours; ONLY=kernels,graphs and SKIP=largest choose parts, QUICK=1 tries the smallest
+# sizes and keeps nothing, LIST=1 shows the parts
 bench: .venv/installed-dev
-	$(BIN)/python bench/run.py
+	$(BIN)/python bench/run.py $(if $(ONLY),--only $(ONLY)) $(if $(SKIP),--skip $(SKIP)) $(if $(QUICK),--quick) $(if $(LIST),--list)
 
 # the figures of README and docs against their commands; CLASS=minutes|bench|all, ONLY=name,name, UPDATE=1, LIST=1 (docs/claims.py)
 CLASS ?= quick

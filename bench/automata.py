@@ -98,9 +98,9 @@ def readme() -> list[str]:
     return lines
 
 
-def table() -> list[str]:
+def table(quick: bool = False) -> list[str]:
     lines = ["| formula | exact | seconds | flags | history | progression |", "|---|---:|---:|---:|---:|---:|"]
-    for name, text in FORMULAS.items():
+    for name, text in list(FORMULAS.items())[: 5 if quick else None]:
         phi = stl.parse(text)
         states, seconds = exact(phi)
         history = number(history_states(phi, 2 ** len(atoms_of(phi))))

@@ -10,6 +10,7 @@ network, so that more of them than cores show what the exchange costs, not what 
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -54,13 +55,13 @@ def same(one: stl.CheckResult, other: stl.CheckResult) -> bool:
     )
 
 
-def table(floors: tuple[tuple[int, int], ...] = FLOORS) -> list[str]:
+def table(quick: bool = False) -> list[str]:
     lines = [
         "| open floor (n, τ) | here, one thread | " + " | ".join(f"{n} worker{'s' * (n > 1)}" for n in WORKERS)
         + " | bytes a step, 2 workers | 4 workers |",
         "|---|" + "---|" * (len(WORKERS) + 3),
     ]  # fmt: skip
-    for n, tau in floors:
+    for n, tau in FLOORS[: 1 if quick else None]:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "floor.toml"
             file.write_text(open_floor(n), encoding="utf-8")
@@ -80,11 +81,11 @@ def table(floors: tuple[tuple[int, int], ...] = FLOORS) -> list[str]:
                 if workers > 1:
                     sent.append(f"{sum(client.run(received).values()) / (product.horizon + result.sweeps):,.0f}")
         lines.append(f"| ({n}, {tau}) | {alone:.2f} s | {' | '.join(cells + sent)} |")
+        print(lines[-1], file=sys.stderr, flush=True)
     return lines
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="the smallest floor only")
-    quick = parser.parse_args().quick
-    print("\n".join(table(FLOORS[:1] if quick else FLOORS)))
+    print("\n".join(table(parser.parse_args().quick)))

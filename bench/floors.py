@@ -182,7 +182,8 @@ def measured(what: str, n: int, tau: int, repeat: int, path: str | None = None) 
     return found
 
 
-def table(older: bool = True, repeat: int = 5) -> list[str]:
+def table(quick: bool = False, older: bool = True) -> list[str]:
+    repeat = 1 if quick else 5
     lines = [
         "| open floor | P | stltool: load + product + check, CPU s | of it check | Storm: build + check, CPU s | "
         f"Storm / stltool | check, {COMMIT} / now | peak above start, GB: Storm / stltool |",
@@ -190,10 +191,10 @@ def table(older: bool = True, repeat: int = 5) -> list[str]:
     ]
     with tempfile.TemporaryDirectory() as folder:
         path = older_sources(folder) if older else None
-        for n, tau in OPEN:
-            mine, theirs = measured("ours", n, tau, repeat), measured("storm", n, tau, 3)
+        for n, tau in OPEN[: 1 if quick else None]:
+            mine, theirs = measured("ours", n, tau, repeat), measured("storm", n, tau, min(repeat, 3))
             assert abs(mine["P"] - theirs["P"]) < 1e-9, (mine, theirs)
-            before = measured("ours", n, tau, 2, path) if path else None
+            before = measured("ours", n, tau, min(repeat, 2), path) if path else None
             assert before is None or abs(before["P"] - mine["P"]) < 1e-12
             ratio = f"{before['check'] / mine['check']:.3g} ×" if before else "–"
             lines.append(
@@ -205,8 +206,8 @@ def table(older: bool = True, repeat: int = 5) -> list[str]:
     return lines
 
 
-def scaling() -> list[str]:
-    """The table of growing floors, drawn as well."""
+def scaling(quick: bool = False) -> list[str]:
+    """The table of growing floors, drawn as well; not the smallest ones alone."""
     lines = [
         "| floor | product states | stltool, CPU s | GB | Storm, CPU s | GB | Storm / stltool |",
         "|---|---|---|---|---|---|---|",
@@ -214,7 +215,8 @@ def scaling() -> list[str]:
     mine: dict[tuple[int, int], dict[str, float]] = {}
     theirs: dict[tuple[int, int], dict[str, float]] = {}
     everywhere: dict[tuple[int, int], dict[str, float]] = {}
-    for kind, floors in (("open", SCALING + LARGER), ("tiled", TILED)):
+    opened = SCALING[:2] if quick else SCALING + LARGER
+    for kind, floors in (("open", opened), ("tiled", TILED[: 2 if quick else None])):
         for n, tau in floors:
             found = measured("ours" if kind == "open" else "tiled", n, tau, 3 if n < 100 else 1)
             (mine if kind == "open" else everywhere)[n, tau] = found
@@ -233,7 +235,8 @@ def scaling() -> list[str]:
     lines += ["", "Slopes (time, memory), log to log: " + "; ".join(
         f"{name} {_slope(curve, 'total'):.2f}, {_slope(curve, 'GB'):.2f}" for name, curve in common.items()
     ) + "."]  # fmt: skip
-    _draw(curves)
+    with tempfile.TemporaryDirectory() as folder:
+        _draw(curves, Path(folder) / PICTURE.name if quick else PICTURE)
     return lines
 
 
@@ -247,7 +250,7 @@ def _slope(curve: dict[tuple[int, int], dict[str, float]], what: str) -> float:
     return float(np.polyfit(x, y, 1)[0])
 
 
-def _draw(curves: dict[str, dict[tuple[int, int], dict[str, float]]]) -> None:
+def _draw(curves: dict[str, dict[tuple[int, int], dict[str, float]]], picture: Path) -> None:
     import matplotlib
 
     matplotlib.use("svg")
@@ -261,7 +264,7 @@ def _draw(curves: dict[str, dict[tuple[int, int], dict[str, float]]]) -> None:
         axis.set(xlabel="product states", ylabel=title)
         axis.grid(visible=True, alpha=0.3)
     axes[0].legend()
-    figure.savefig(PICTURE, metadata={"Date": None})
+    figure.savefig(picture, metadata={"Date": None})
 
 
 if __name__ == "__main__":
@@ -269,9 +272,11 @@ if __name__ == "__main__":
     parser.add_argument("--cell", nargs=4)
     parser.add_argument("--no-older", action="store_true")
     parser.add_argument("--no-scaling", action="store_true")
+    parser.add_argument("--quick", action="store_true", help="the smallest floors, one run; nothing is drawn")
     given = parser.parse_args()
     if given.cell:
         what, *numbers = given.cell
         print(json.dumps({"ours": ours, "storm": storm, "tiled": tiled}[what](*map(int, numbers))))
     else:
-        print("\n".join([*table(not given.no_older), *([] if given.no_scaling else ["", *scaling()])]))
+        found = table(given.quick, not given.no_older)
+        print("\n".join([*found, *([] if given.no_scaling else ["", *scaling(given.quick)])]))

@@ -97,25 +97,15 @@ def run(
     return {**last, "seconds": time.perf_counter() - start, "until back": first_back}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("n", type=int, nargs="?", default=1265)
-    parser.add_argument("tau", type=int, nargs="?", default=25)
-    parser.add_argument("--again", action="store_true")
-    parser.add_argument("--save-every", type=float, default=60.0, metavar="SECONDS")
-    parser.add_argument("--child", help=argparse.SUPPRESS)
-    parser.add_argument("--resume", action="store_true", help=argparse.SUPPRESS)
-    asked = parser.parse_args()
-    if asked.child:
-        check(asked.n, asked.tau, asked.child, asked.save_every, asked.resume)
-        return
+def facts(asked: argparse.Namespace) -> dict[str, str]:
+    """The whole measurement."""
     with tempfile.TemporaryDirectory(dir=os.environ.get("TMPDIR")) as folder:
         killed = run(folder, "best.policy", asked, kill=True)
         if "done" not in killed:
             sys.exit("it ended before it had saved anything; give a larger N, or less between saves")
         resumed = run(folder, "best.policy", asked, resume=True)
         found, children = resumed["result"], spent(resource.RUSAGE_CHILDREN)
-        facts = {
+        told = {
             "states": f"{found['states']:,}, {found['horizon']} steps",
             "P": f"{found['lower']!r} … {found['upper']!r} from the first cell",
             "all cells": f"{found['least']!r} … {found['greatest']!r}",
@@ -128,9 +118,30 @@ def main() -> None:
         if asked.again:
             whole = run(folder, "whole.policy", asked)
             assert filecmp.cmp(Path(folder) / "best.policy", Path(folder) / "whole.policy", shallow=False)
-            facts["again"] = f"{whole['seconds']:.0f} s without a kill, {whole['cpu']:.0f} s CPU; the same policy file"
-        for name, fact in facts.items():
-            print(f"{name:<11}{fact}")
+            told["again"] = f"{whole['seconds']:.0f} s without a kill, {whole['cpu']:.0f} s CPU; the same policy file"
+    return told
+
+
+def table(quick: bool = False) -> list[str]:
+    n, tau, save_every = (100, 15, 0.0) if quick else (1265, 25, 60.0)
+    found = facts(argparse.Namespace(n=n, tau=tau, again=quick, save_every=save_every))
+    return ["| what | figure |", "|---|---|", *(f"| {name} | {fact} |" for name, fact in found.items())]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("n", type=int, nargs="?", default=1265)
+    parser.add_argument("tau", type=int, nargs="?", default=25)
+    parser.add_argument("--again", action="store_true")
+    parser.add_argument("--save-every", type=float, default=60.0, metavar="SECONDS")
+    parser.add_argument("--child", help=argparse.SUPPRESS)
+    parser.add_argument("--resume", action="store_true", help=argparse.SUPPRESS)
+    asked = parser.parse_args()
+    if asked.child:
+        check(asked.n, asked.tau, asked.child, asked.save_every, asked.resume)
+        return
+    for name, fact in facts(asked).items():
+        print(f"{name:<11}{fact}")
 
 
 if __name__ == "__main__":

@@ -14,7 +14,6 @@ from fractions import Fraction
 from pathlib import Path
 
 import stltool as stl
-from stltool import kernels
 from stltool.checking.induction import Doubles, Game, induct
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -23,7 +22,7 @@ sys.path.append(str(ROOT))
 from tests import qcomp  # noqa: E402
 
 
-def enclosure_row() -> str:
+def enclosure_row(runs: int) -> str:
     model = stl.load_model(ROOT / "examples" / "factory" / "floor-10x10.toml")
     product = stl.build_product(model, stl.parse("G[0,991] (F[0,9] A & F[0,9] B)"))
     assert product.horizon == 1000
@@ -39,12 +38,12 @@ def enclosure_row() -> str:
     assert exact is not None
     assert result.lower <= exact <= result.upper
     assert abs(plain() - exact) < 1e-9
-    seconds = _paired(plain, enclosed, 9)
+    seconds = _paired(plain, enclosed, runs)
     what = f"enclosure, 10 × 10 floor, horizon 1000, width {result.upper - result.lower:.1g}"
     return f"| {what} | the plain sweep | {seconds[1] / seconds[0]:.2f} × its time |"
 
 
-def robust_row() -> str:
+def robust_row(runs: int) -> str:
     """Of one floor with its noise known up to intervals, against the floor inside them."""
     text = (ROOT / "examples" / "factory" / "floor-10x10.toml").read_text()
     lines = [line for line in text.splitlines() if not line.startswith(("success", "slip"))]
@@ -55,14 +54,14 @@ def robust_row() -> str:
     phi = stl.parse("G[0,29] (F[0,29] A & F[0,29] B)")
     robust, plain = stl.build_product(model, phi), stl.build_product(model.nominal(), phi)
     assert stl.robust_check(robust).lower <= stl.check(plain).upper
-    seconds = _paired(lambda: stl.check(plain, engine="words"), lambda: stl.robust_check(robust, engine="words"), 3)
+    seconds = _paired(lambda: stl.check(plain, engine="words"), lambda: stl.robust_check(robust, engine="words"), runs)
     return (
         f"| robust check, 10 × 10 floor, T = τ = 30 ({seconds[1]:.3f} s) | the nominal model's check "
         f"({seconds[0]:.3f} s) | {seconds[1] / seconds[0]:.1f} × its time |"
     )
 
 
-def exact_row() -> str:
+def exact_row(runs: int) -> str:
     with tempfile.TemporaryDirectory() as folder:
         model = stl.load_model(qcomp.resource_gathering(Path(folder)))
     product = stl.build_product(model, stl.parse("F[0,200] success"))
@@ -84,7 +83,7 @@ def exact_row() -> str:
     def theirs() -> None:
         results.append(stormpy.model_checking(storm, prop, only_initial_states=True))
 
-    seconds = _paired(ours, theirs, 5)
+    seconds = _paired(ours, theirs, runs)
     assert ours() == Fraction(str(results[0].get_value(storm.initial_states[0])))
     return (
         f"| exact fraction, resource-gathering ({seconds[0]:.2f} s) | Storm's exact engine ({seconds[1]:.2f} s), "
@@ -116,9 +115,13 @@ def _drn(model: stl.MDP) -> str:
     return "\n".join(lines) + "\n"
 
 
-def table() -> list[str]:
-    kernels.warm_up(learning=False)
-    return ["| what | against | figure |", "|---|---|---|", enclosure_row(), robust_row(), exact_row()]
+def table(quick: bool = False) -> list[str]:
+    runs = 1 if quick else 9
+    return [
+        "| what | against | figure |",
+        "|---|---|---|",
+        *(row(runs) for row in (enclosure_row, robust_row, exact_row)),
+    ]
 
 
 if __name__ == "__main__":

@@ -106,7 +106,8 @@ def memory() -> str:
     return f"| peak memory of `stltool run`, 10 × 10 floor, T = τ = 15, 500 episodes | – | {peak:.0f} MB |"
 
 
-def table() -> list[str]:
+def table(quick: bool = False) -> list[str]:
+    """It takes seconds in any case."""
     kernels.warm_up(rollouts=True)
     product = p4()
     lines = ["| what | against | figure |", "|---|---|---|"]

@@ -148,7 +148,7 @@ MUTATIONS = {
     ),
     "nature by tiles: one lane speaks for all": (NATURE, "if not any_bit(m):", "if any_bit(m):", EIGHT),
     "nature by tiles: lanes whose policy takes another choice": (
-        NATURE, "candidates(restricted, bits, q)", "candidates(False, bits, q)", EIGHT,
+        NATURE, "maximize, restricted, bits, q)", "maximize, False, bits, q)", EIGHT,
     ),
     "nature by tiles: the last entry takes what it can hold": (
         NATURE, "_least(w3, sub(left, w2))", "w3", EIGHT,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from stltool.kernels.jit import kernel
 from stltool.kernels.lanes import add, any_bit, at, greater, load, mul, put, select, splat, splat_at, store, sub
-from stltool.kernels.tiles import better, candidates, finish, open_tiles
+from stltool.kernels.tiles import better, finish, open_tiles
 from stltool.kernels.words import ZERO
 
 Bytes: TypeAlias = NDArray[np.uint8]
@@ -145,7 +145,7 @@ def sweep(
                             x = add(x, mul(w0, load(sorted_values, 8 * f)))
                             left = sub(left, w0)
                     x = _least(mul(sign, x), one)
-                    m = better(x, b, maximize, candidates(restricted, bits, q))
+                    m = better(x, b, maximize, restricted, bits, q)
                     b, i_best = select(m, x, b), select(m, splat(c - c0), i_best)
                 finish(b, i_best, r, place, live, certain, one, one, sures, rests, keep, values, best)
 

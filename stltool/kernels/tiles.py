@@ -169,14 +169,12 @@ def _settle_by_type(x: Any, denominator: Any, inverse: Any) -> Any:
 
 
 @kernel
-def better(x: Any, best: Any, maximize: bool, candidate: Any) -> Any:
-    return both(greater(x, best) if maximize else greater(best, x), candidate)
-
-
-@kernel
-def candidates(restricted: bool, bits: Any, q: Any) -> Any:
-    """The lanes of a tile for which a choice counts."""
-    return mask(np.uint8((bits >> np.uint64(q)) & _BYTE)) if restricted else mask(np.uint8(255))
+def better(x: Any, best: Any, maximize: bool, restricted: bool, bits: Any, q: Any) -> Any:
+    """The lanes of a tile, from bit q of its word on, for which a choice counts and is better."""
+    m = greater(x, best) if maximize else greater(best, x)
+    if restricted:
+        m = both(m, mask(np.uint8((bits >> np.uint64(q)) & _BYTE)))
+    return m
 
 
 @kernel
@@ -233,13 +231,13 @@ def sweep(
                         x0, x1 = add(x0, mul(weight, load(W, o + q0))), add(x1, mul(weight, load(W, o + q1)))
                         x2, x3 = add(x2, mul(weight, load(W, o + q2))), add(x3, mul(weight, load(W, o + q3)))
                     number = splat(c - c0)
-                    m = better(x0, b0, maximize, candidates(restricted, bits, q0))
+                    m = better(x0, b0, maximize, restricted, bits, q0)
                     b0, i0 = select(m, x0, b0), select(m, number, i0)
-                    m = better(x1, b1, maximize, candidates(restricted, bits, q1))
+                    m = better(x1, b1, maximize, restricted, bits, q1)
                     b1, i1 = select(m, x1, b1), select(m, number, i1)
-                    m = better(x2, b2, maximize, candidates(restricted, bits, q2))
+                    m = better(x2, b2, maximize, restricted, bits, q2)
                     b2, i2 = select(m, x2, b2), select(m, number, i2)
-                    m = better(x3, b3, maximize, candidates(restricted, bits, q3))
+                    m = better(x3, b3, maximize, restricted, bits, q3)
                     b3, i3 = select(m, x3, b3), select(m, number, i3)
                 finish(b0, i0, r, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
                 finish(b1, i1, r + 1, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
@@ -264,9 +262,9 @@ def sweep(
                         e += 1
                         x0, x1 = add(x0, mul(weight, load(W, o + q0))), add(x1, mul(weight, load(W, o + q1)))
                     number = splat(c - c0)
-                    m = better(x0, b0, maximize, candidates(restricted, bits, q0))
+                    m = better(x0, b0, maximize, restricted, bits, q0)
                     b0, i0 = select(m, x0, b0), select(m, number, i0)
-                    m = better(x1, b1, maximize, candidates(restricted, bits, q1))
+                    m = better(x1, b1, maximize, restricted, bits, q1)
                     b1, i1 = select(m, x1, b1), select(m, number, i1)
                 finish(b0, i0, r, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
                 finish(b1, i1, r + 1, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
@@ -286,8 +284,9 @@ def sweep(
                         weight, o = splat_at(p, e), at(near_block, np.int64(at(position, e)))
                         e += 1
                         x0 = add(x0, mul(weight, load(W, o + q0)))
-                    m = better(x0, b0, maximize, candidates(restricted, bits, q0))
-                    b0, i0 = select(m, x0, b0), select(m, splat(c - c0), i0)
+                    number = splat(c - c0)
+                    m = better(x0, b0, maximize, restricted, bits, q0)
+                    b0, i0 = select(m, x0, b0), select(m, number, i0)
                 finish(b0, i0, r, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
 
 
