@@ -24,7 +24,6 @@ from .models import (
     MDP as MDP,
     from_gymnasium as from_gymnasium,
     load_model as load_model,
-    to_gymnasium as to_gymnasium,
 )
 from .product import (
     JointProduct as JointProduct,
@@ -32,6 +31,7 @@ from .product import (
     build_joint_product as build_joint_product,
     build_product as build_product,
 )
+from .envs import to_gymnasium as to_gymnasium
 from .policy import Policy as Policy, load_policy as load_policy
 from .checking import (
     CheckResult as CheckResult,

@@ -23,6 +23,17 @@ from stltool.logic.formula import Formula
 from stltool.logic.fragment import Fragment, FragmentPart
 from stltool.sizes import require_memory, require_numbered
 
+SCALES = {"published": (-0.5, 0.5), "printed": (-1.9, -0.9), "shifted": (-0.9, 0.1)}
+"""The rewards for χ = 0 and χ = 1 under an outer G. Printed is r − 0.9 with r = −e^(−βχ) [Wang24, eq. 12 and Table I],
+up to e^(−50); the published runs used χ − 0.5."""
+
+
+def surrogate_reward(automaton: TaskAutomaton, outer: str, scale: str = "published") -> NDArray[np.float64]:
+    """(n_states,): the reward of arriving in each state, 2χ − 1 under an outer F and one of the `SCALES` under an outer
+    G, where χ is the truth of the inner formula that its flags show [Wang24, eq. 12 up to e^−50, and Table I]."""
+    low, high = (-1.0, 1.0) if outer == "F" else SCALES[scale]
+    return np.where(automaton.verdict_rows[-1] == TRUE, high, low)
+
 
 def flag_automaton(
     phi: Formula, fragment: Fragment, valuations: NDArray[np.bool_], encoding: str, limit: int | None = None

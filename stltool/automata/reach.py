@@ -1,4 +1,4 @@
-"""The pairs of states that two machines can reach on the same letters."""
+"""The pairs of states that two machines can reach on the same letters; where a run can be with nothing decided."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.automata.automaton import UNDECIDED, TaskAutomaton
 from stltool.sizes import require_numbered
 
 _CELLS = 1 << 20  # successors computed at a time
@@ -40,3 +41,22 @@ def reachable_pairs(
     for row, a, b in zip(delta, left, right, strict=True):
         row[:] = np.searchsorted(codes, a[p].astype(np.int64) * width + b[q])
     return p, q, delta
+
+
+def open_pairs(automaton: TaskAutomaton) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """For each letter the pairs (t, q), later steps first: q after reading it at step t, nothing decided so far."""
+    pairs: list[list[tuple[int, NDArray[np.int64]]]] = [[] for _ in range(automaton.n_letters)]
+    before = np.array([automaton.initial])
+    for t in range(automaton.horizon):
+        undecided = automaton.verdicts(t) == UNDECIDED
+        reached = [np.unique(row[before]) for row in automaton.delta]
+        for letter, q in enumerate(reached):
+            pairs[letter].append((t, q[undecided[q]]))
+        before = np.unique(np.concatenate([q[undecided[q]] for q in reached]))
+    return [
+        (
+            np.repeat(np.array([t for t, _ in reversed(steps)], dtype=np.int64), [len(q) for _, q in reversed(steps)]),
+            np.concatenate([np.empty(0, dtype=np.int64), *(q for _, q in reversed(steps))]).astype(np.int64),
+        )
+        for steps in pairs
+    ]

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.automata.flags import SCALES
 from stltool.kernels.tuples import Replay
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
@@ -22,7 +23,7 @@ from stltool.learning.problem import Problem
 from stltool.learning.replay import Batches
 from stltool.learning.schedule import Decaying
 from stltool.learning.settings import setting
-from stltool.learning.tables import SCALES, SurrogateTable
+from stltool.learning.tables import SurrogateTable
 from stltool.logic.fragment import check_fragment
 from stltool.sizes import require_memory
 

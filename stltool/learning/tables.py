@@ -7,23 +7,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata import FALSE, TRUE, UNDECIDED, TaskAutomaton
+from stltool.automata import FALSE, TRUE
+from stltool.automata.flags import surrogate_reward
+from stltool.automata.reach import open_pairs
 from stltool.kernels.tuples import Surrogate
 from stltool.learning.counts import Counts
 from stltool.learning.kept import Kept
 from stltool.learning.problem import Problem
 from stltool.sizes import require_memory, require_numbered
 
-SCALES = {"published": (-0.5, 0.5), "printed": (-1.9, -0.9), "shifted": (-0.9, 0.1)}
-"""The rewards for χ = 0 and χ = 1 under an outer G. Printed is r − 0.9 with r = −e^(−βχ) [Wang24, eq. 12 and Table I],
-up to e^(−50); the published runs used χ − 0.5."""
-
 
 class SurrogateTable:
     """Q(s, q, a) on the surrogate reward, as published: stationary, discounted, bootstrapping past the end.
 
-    The reward of arriving in q' is 2χ − 1 under an outer F, and one of the `SCALES` under an outer G, where χ is the
-    truth of the inner formula that q' shows [Wang24, eq. 12 up to e^−50, and Table I].
+    The reward is `surrogate_reward` of the automaton state that a step arrives in.
     """
 
     def __init__(self, problem: Problem, alpha: float, gamma: float, scale: str, outer: str) -> None:
@@ -33,9 +30,7 @@ class SurrogateTable:
         self.Q = np.zeros(shape)
         unavailable = np.arange(shape[2]) >= problem.n_choices[:, None, None]
         self.Q[np.broadcast_to(unavailable, shape)] = -np.inf
-        chi = (automaton.verdict_rows[-1] == TRUE).astype(np.float64)
-        low, high = (-1.0, 1.0) if outer == "F" else SCALES[scale]
-        self.reward = np.where(chi == 1, high, low)
+        self.reward = surrogate_reward(automaton, outer, scale)
         self.kernel = Surrogate(self.Q, self.reward, alpha, gamma)
 
     @property
@@ -65,7 +60,7 @@ class ClockedTable:
     def __init__(self, problem: Problem, least_step: float, caution: float, count_every_entry: bool) -> None:
         automaton, n_letters = problem.automaton, problem.automaton.n_letters
         self._problem, self._least, self._caution = problem, least_step, caution
-        open_ = _open_pairs(automaton)
+        open_ = open_pairs(automaton)
         self.entries = np.array([len(q) for _, q in open_], dtype=np.int64)
         E = int(self.entries.max())
         require_numbered(E, "pairs of step and automaton state", "shorten the windows")
@@ -165,25 +160,6 @@ class ClockedTable:
         """Whether there is an entry for each (t, s, q)."""
         open_: NDArray[np.bool_] = self._index[self._problem.letter[s], t, q] >= 0
         return open_
-
-
-def _open_pairs(automaton: TaskAutomaton) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """For each letter the pairs (t, q), later steps first: q after reading it at step t, nothing decided so far."""
-    pairs: list[list[tuple[int, NDArray[np.int64]]]] = [[] for _ in range(automaton.n_letters)]
-    before = np.array([automaton.initial])
-    for t in range(automaton.horizon):
-        undecided = automaton.verdicts(t) == UNDECIDED
-        reached = [np.unique(row[before]) for row in automaton.delta]
-        for letter, q in enumerate(reached):
-            pairs[letter].append((t, q[undecided[q]]))
-        before = np.unique(np.concatenate([q[undecided[q]] for q in reached]))
-    return [
-        (
-            np.concatenate([np.full(len(q), t) for t, q in reversed(steps)]),
-            np.concatenate([q for _, q in reversed(steps)]).astype(np.int64),
-        )
-        for steps in pairs
-    ]
 
 
 def _require_table(shape: tuple[int, ...]) -> None:

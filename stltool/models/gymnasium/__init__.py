@@ -1,4 +1,4 @@
-"""Gymnasium environments with discrete observations and actions → MDP, and an MDP → Gymnasium environment.
+"""Gymnasium environments with discrete observations and actions → MDP; the way back is stltool/envs.
 
     stl.from_gymnasium(gymnasium.make("FrozenLake-v1"), labels={"goal": {15}})
 
@@ -18,7 +18,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,9 +42,6 @@ from stltool.models.gymnasium.table import read_table, without_table
 from stltool.models.mdp import MDP
 from stltool.models.normalize import NOTHING
 from stltool.sizes import require_memory
-
-if TYPE_CHECKING:
-    from stltool.models.gymnasium.env import MDPEnv
 
 
 def require_gymnasium() -> Any:
@@ -133,19 +130,3 @@ def _state_name(observations: Observations, s: int) -> str:
 
 def _twice(column: NDArray[Any], apart: bool) -> NDArray[Any]:
     return np.tile(column, 2) if apart else column
-
-
-def to_gymnasium(model: MDP, unavailable: Literal["error", "stay"] = "error") -> MDPEnv:
-    """The model as a `gymnasium.Env`: with observations Discrete(S) and actions Discrete(A), numbered as in the model.
-
-    Seeded by `reset(seed=…)`. Rewards are 0 and episodes do not end by themselves; wrap the environment to change that,
-    for instance in `gymnasium.wrappers.TimeLimit`. `info["action_mask"]` (A,) marks the actions that are available in
-    the current state; any other raises ModelError, or with `unavailable="stay"` leaves the state unchanged, which is a
-    move that the model does not have. Black boxes work, too; a model with intervals raises SettingsError.
-    """
-    require_kind(model, MDP, "to_gymnasium's model")
-    one_of(unavailable, "unavailable", ("error", "stay"))
-    require_gymnasium()
-    from stltool.models.gymnasium.env import MDPEnv
-
-    return MDPEnv(model, unavailable)

@@ -1,0 +1,72 @@
+"""A model, or a product of model and task, as a Gymnasium environment, for learners from elsewhere.
+
+env = stl.to_gymnasium(product)                        # the task is the reward, what must be remembered is observed
+policy = stl.Policy.from_function(product, act)        # whatever was learned there is judged exactly here
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+from stltool.arguments import one_of, require, whole
+from stltool.errors import SettingsError
+from stltool.models import MDP
+from stltool.models.gymnasium import require_gymnasium
+from stltool.product import Product
+
+if TYPE_CHECKING:
+    from stltool.envs.model import MDPEnv
+    from stltool.envs.product import ProductEnv
+
+__all__ = ["to_gymnasium"]
+
+
+@overload
+def to_gymnasium(model: MDP, unavailable: Literal["error", "stay"] = "error") -> MDPEnv: ...
+@overload
+def to_gymnasium(
+    model: Product,
+    unavailable: Literal["error", "stay"] = "error",
+    *,
+    reward: Literal["exact", "surrogate"] = "exact",
+    counterfactuals: int = 0,
+) -> ProductEnv: ...
+def to_gymnasium(
+    model: MDP | Product,
+    unavailable: Literal["error", "stay"] = "error",
+    *,
+    reward: Literal["exact", "surrogate"] = "exact",
+    counterfactuals: int = 0,
+) -> Any:
+    """A model or a product as a `gymnasium.Env`; its actions are Discrete(A), numbered as in the model.
+
+    Of a model, observations are Discrete(S), rewards are 0, and episodes do not end by themselves. Of a product:
+
+    observation      Dict: `state` Discrete(S), or `observation`, what the environment of a black box that is one of
+                     Gymnasium's observes; `memory` Discrete(Q), the automaton state; `to_go` Discrete(h + 1), steps
+                     until the horizon. An episode terminates with the verdict; it is never truncated.
+    reward           "exact": 1 when the task is satisfied, else 0, so that the undiscounted return is the verdict, and
+                     its mean P. "surrogate": that of [Wang24], at every step until the horizon; it needs a product with
+                     encoding="paper"
+    counterfactuals  so many transitions, as they would have been with another memory at another step, are in
+                     `info["crm-experience"]` after each step, behind the real one (`ProductEnv.counterfactuals`)
+
+    Seeded by `reset(seed=…)`. `info["action_mask"]` (A,) int8 and `action_masks()` (A,) bool mark the actions that are
+    available in the current state; any other raises ModelError, or with `unavailable="stay"` leaves the state
+    unchanged, which is a move that the model does not have. Black boxes work, too; a model with intervals raises
+    SettingsError.
+    """
+    require(model, (MDP, Product), "to_gymnasium's model")
+    one_of(unavailable, "unavailable", ("error", "stay"))
+    one_of(reward, "reward", ("exact", "surrogate"))
+    counterfactuals = whole(counterfactuals, "counterfactuals", 0)
+    require_gymnasium()
+    if isinstance(model, MDP):
+        if reward != "exact" or counterfactuals:
+            raise SettingsError("rewards and counterfactuals are those of a task; give a product of model and task")
+        from stltool.envs.model import MDPEnv
+
+        return MDPEnv(model, unavailable)
+    from stltool.envs.product import ProductEnv
+
+    return ProductEnv(model, unavailable, reward, counterfactuals)

@@ -1,0 +1,201 @@
+"""A product of model and task as a Gymnasium environment, and the counterfactual transitions its learners can use.
+
+The task is known: what remains to be remembered of a run is the automaton state q, and the time. A transition
+(s, a, s') of the model says what would have happened in every undecided (t, q) in which a run can be at s:
+
+    (t, s, q) —a→ (t + 1, s', δ(L(s'), q)),     whose reward and end follow from the verdict at t + 1
+
+[Wang24, eq. 14]; for reward machines [Icarte22]. These are as good as real ones, since the model's rows depend neither
+on t nor on q.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from stltool.arguments import whole
+from stltool.automata import TRUE, UNDECIDED
+from stltool.automata.flags import surrogate_reward
+from stltool.automata.reach import open_pairs
+from stltool.envs.model import Moves
+from stltool.errors import ModelError, SettingsError
+from stltool.logic.fragment import check_fragment
+from stltool.product import Product
+
+Observation: TypeAlias = dict[str, Any]
+Observed: TypeAlias = dict[str, NDArray[np.int64]]
+
+
+class Counterfactuals(NamedTuple):
+    """n transitions as arrays, in the order in which replay buffers take them.
+
+    observations, next_observations   name → (n,), as in the observation space
+    actions (n,) int64, rewards (n,) float64, terminated (n,) bool
+    """
+
+    observations: Observed
+    actions: NDArray[np.int64]
+    rewards: NDArray[np.float64]
+    next_observations: Observed
+    terminated: NDArray[np.bool_]
+
+    def rows(self) -> list[tuple[Observation, int, float, Observation, bool]]:
+        """One by one: (observation, action, reward, next observation, done), as reward-machine libraries have them."""
+
+        def each(observed: Observed) -> list[Observation]:
+            return [dict(zip(observed, values, strict=True)) for values in zip(*observed.values(), strict=True)]
+
+        columns = (self.actions.tolist(), self.rewards.tolist())
+        return list(
+            zip(each(self.observations), *columns, each(self.next_observations), self.terminated.tolist(), strict=True)
+        )
+
+
+class ProductEnv(gymnasium.Env[Observation, int]):
+    """See `to_gymnasium`.
+
+    `info` contains the name of the model's state, the mask (A,) int8 of available actions, what is remembered in words
+    (`memory`), with counterfactuals "crm-experience", and once the episode has ended `is_success`, whether the task is
+    satisfied.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - the base class declares it so
+
+    def __init__(
+        self,
+        product: Product,
+        unavailable: Literal["error", "stay"] = "error",
+        reward: Literal["exact", "surrogate"] = "exact",
+        counterfactuals: int = 0,
+    ) -> None:
+        self.product, self.reward = product, reward
+        S, Q = product.shape
+        self.observation_space: Any = spaces.Dict(
+            {"state": spaces.Discrete(S), "memory": spaces.Discrete(Q), "to_go": spaces.Discrete(product.horizon + 1)}
+        )
+        self._moves = Moves(product.model, unavailable, product.horizon)
+        self.action_space: Any = self._moves.actions
+        self._automaton, self._letter = product.automaton, product.letter
+        self._surrogate = _surrogate_of(product) if reward == "surrogate" else None
+        self._k = counterfactuals
+        self._q, self._t, self._over = product.automaton.initial, 0, True
+
+    # ---------------------------------------------------------------------------------------------- episodes
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        super().reset(seed=seed)
+        self._moves.reset(self.np_random, begin=seed is not None)
+        self._q, self._t, self._over = self.product.enter(self._moves.state, self._automaton.initial), 0, False
+        return self._observed(), self._info()
+
+    def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Take an action. If the first state has decided the task, the first step ends the episode without a move."""
+        self._moves.require(action)
+        if self._over:
+            raise ModelError("step was called after the end of an episode; call reset() first")
+        if self._ends(self._t, self._q):
+            self._over = True
+            return self._observed(), self._rewarded(self._t, self._q), True, False, self._info()
+        t, s, q, before = self._t, self._moves.state, self._q, self._observed()
+        self._moves.step(action)
+        self._t, self._q = t + 1, self.product.enter(self._moves.state, q)
+        self._over = self._ends(self._t, self._q)
+        after, reward = self._observed(), self._rewarded(self._t, self._q)
+        info = self._info()
+        if self._k:
+            real = (before, int(action), reward, after, self._over)
+            info["crm-experience"] = [real, *self.counterfactuals(s, int(action), self._moves.state, self._k).rows()]
+        return after, reward, self._over, False, info
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """(A,): the actions that are available in the current state, under the name that sb3-contrib looks for."""
+        return self._moves.mask
+
+    def _observed(self) -> Observation:
+        return self.observation(self._t, self._moves.state, self._q)
+
+    def observation(self, t: int, s: int, q: int) -> Observation:
+        """What is observed in model state s and automaton state q after step t; for a `Situation` of
+        `Policy.from_function`: observation(here.step, here.state, here.memory)."""
+        return {"state": np.int64(s), "memory": np.int64(q), "to_go": np.int64(self.product.horizon - t)}
+
+    def _info(self) -> dict[str, Any]:
+        info = {**self._moves.info(), "memory": self._automaton.describe(self._q)}
+        if self._over:
+            info["is_success"] = bool(self._automaton.verdicts(self._t)[self._q] == TRUE)
+        return info
+
+    def _ends(self, t: int, q: int) -> bool:
+        if self._surrogate is not None:
+            return t >= self.product.horizon
+        return bool(self._automaton.verdicts(t)[q] != UNDECIDED)
+
+    def _rewarded(self, t: int, q: int) -> float:
+        if self._surrogate is not None:
+            return float(self._surrogate[q])
+        return float(self._automaton.verdicts(t)[q] == TRUE)
+
+    # --------------------------------------------------------------------------------------- counterfactuals
+
+    @cached_property
+    def _pairs(self) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+        """For each letter, the steps t and automaton states q (n,) of a run that has read it at t."""
+        automaton = self._automaton
+        if self._surrogate is None:
+            return open_pairs(automaton)
+        reached = [np.unique(row).astype(np.int64) for row in automaton.delta]
+        steps = np.arange(automaton.horizon)
+        return [(np.repeat(steps, len(q)), np.tile(q, len(steps))) for q in reached]
+
+    def counterfactuals(self, s: int, action: int, s2: int, most: int | None = None) -> Counterfactuals:
+        """The transitions of the product that a transition of the model is evidence for, the real one among them.
+
+        s, s2   model states;  action  its number
+        most    so many of them, drawn at random with replacement (by `np_random`); None: all of them
+
+        One for every step t and automaton state q that a run in s can have with nothing decided, whatever it read
+        before; for the surrogate reward, decided or not. Raises SettingsError for numbers out of range.
+        """
+        model, automaton, h = self.product.model, self._automaton, self.product.horizon
+        s, s2 = (whole(state, name, 0, model.n_states - 1) for state, name in ((s, "s"), (s2, "s2")))
+        action = whole(action, "action", 0, model.n_actions - 1)
+        t, q = self._pairs[self._letter[s]]
+        if most is not None:
+            most = whole(most, "most", 0)
+            drawn = self.np_random.integers(len(t), size=most if len(t) else 0)
+            t, q = t[drawn], q[drawn]
+        n = len(t)
+        q2 = automaton.delta[self._letter[s2], q].astype(np.int64)
+        if self._surrogate is not None:
+            rewards, over = self._surrogate[q2], t + 1 >= h
+        else:
+            verdict = np.empty(n, dtype=np.int8)
+            for step in np.unique(t):
+                there = t == step
+                verdict[there] = automaton.verdicts(int(step) + 1)[q2[there]]
+            rewards, over = (verdict == TRUE).astype(np.float64), verdict != UNDECIDED
+        return Counterfactuals(
+            {"state": np.full(n, s), "memory": q, "to_go": h - t},
+            np.full(n, action),
+            rewards,
+            {"state": np.full(n, s2), "memory": q2, "to_go": h - t - 1},
+            over,
+        )
+
+
+def _surrogate_of(product: Product) -> NDArray[np.float64]:
+    """(Q,): the published reward of arriving in each automaton state."""
+    if not product.automaton.register_names:
+        raise SettingsError(
+            f"the surrogate reward is of the paper's flags, and this product has the encoding "
+            f"{product.automaton.encoding}; build it with encoding='paper'"
+        )
+    return surrogate_reward(product.automaton, check_fragment(product.formula).outer)
