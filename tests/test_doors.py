@@ -278,6 +278,7 @@ OWN = {
     "ParametricResult.at": {"p": {*NUMBERS, "text"}},
     "ParametricResult.points": {"n": {"int"}},
     "from_gymnasium": {"table": {"True"}, "signals": MAPPING, "name": TEXT},
+    "to_gymnasium": {"model": {"MDP", "Product"}, "counterfactuals": {"int"}},
     "MDP.black_box": {
         "actions": {"int", *LISTS},
         "available": {"None", "array", "list"},
