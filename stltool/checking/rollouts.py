@@ -127,7 +127,7 @@ class Rollouts:
     def _side_by_side(self, environment: BlackBox, batch: int) -> Iterator[tuple[Verdicts, int]]:
         """As many runs at once as the environment takes, in lock step. Those that are decided wait for the others."""
         product, policy = self.product, self.policy
-        runs = Runs(environment, product.model.n_states, product.model.name)
+        runs = Runs(environment, batch, product.model.n_states, product.model.name)
         rng = self._stream(_CHOICES)
         for first in range(0, self.runs, batch):
             n = min(batch, self.runs - first)

@@ -147,7 +147,8 @@ def learn(
                   index of a state of the model. Default: the model, sampled
     checkpoint    a file to which the whole run is saved every `checkpoint_every` seconds, at its end, and when it is
                   interrupted (Ctrl-C); `resume=True` continues from it, if it exists, with bit for bit the same result
-                  as an uninterrupted run
+                  as an uninterrupted run (of one on a batched black box, to more episodes: if the first number of them
+                  was a multiple of its batch)
 
     Raises SettingsError for inconsistent arguments, ModelError if the environment does not return a state, and
     FileError if the checkpoint cannot be written; all but the second before the first episode.

@@ -35,12 +35,16 @@ class Learner(ABC, Generic[State]):
     """A method with its settings; see the module docstring. Subclasses are frozen dataclasses.
 
     name        the name of the method in reports and on the command line; default: the class's name
+    side_by_side   whether episodes may be played side by side, where a black box takes many runs at once
+                (`stltool.models.environment.Batched`): between two steps of one, others are played too, so that
+                `counts` and the state may have changed
     published   whether it is run as in [Wang24]: the policy remembers the paper's flags, and episodes take T + τ
                 transitions, two more than the horizon
     """
 
     name: ClassVar[str] = ""
     published: ClassVar[bool] = False
+    side_by_side: ClassVar[bool] = True
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()

@@ -44,6 +44,7 @@ class ModelBased(Learner["Planner"]):
     """Acts on an optimistic plan over the counted transitions; a cautious plan gives the judged policy."""
 
     name: ClassVar[str] = "model-based"
+    side_by_side: ClassVar[bool] = False  # an episode counts its own visits
 
     known_after: int = setting(1, "visits after which planning uses the counts of a choice, not optimism", least=1)
     caution: float = setting(0.1, "κ in the judged policy's weight n / (n + κ) for a choice seen n times", least=0)

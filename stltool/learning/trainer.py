@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -20,6 +21,7 @@ from stltool.learning.episode import Episode
 from stltool.learning.learner import Learner
 from stltool.learning.problem import Problem
 from stltool.learning.settings import Budget
+from stltool.learning.side_by_side import MOST, play
 from stltool.models.environment import Environment
 
 Status: TypeAlias = Literal["complete", "within the gap", "out of steps", "nothing to learn"]
@@ -78,18 +80,17 @@ class Trainer:
         shown: Callable[[int, int, int, float | None], None] | None = None,
         between: Callable[[Progress], None] | None = None,
     ) -> None:
-        """Continue to the end of the budget. After every episode, shown(episode, episodes, steps, probability) and
-        between(progress) are called."""
+        """Continue to the end of the budget. After every episode, or every batch of them side by side, shown(episode,
+        episodes, steps, probability) and between(progress) are called."""
         budget, learner, state = self.budget, self.learner, self.state
         while progress.status is None and progress.episode < budget.episodes:
-            episode = Episode(self.problem, self.environment, self.counts, self.rng, progress.episode, self.length)
-            learner.episode(state, episode)
-            progress.episode += 1
-            progress.steps += episode.t
+            played = self._play(progress)
+            before, progress.episode = progress.episode, progress.episode + len(played)
+            progress.steps += sum(episode.t for episode in played)
             if self._out_of_steps(progress):
                 progress.status = "out of steps"
             last = progress.status is not None or progress.episode == budget.episodes
-            if last or progress.episode % budget.evaluate_every == 0:
+            if last or progress.episode // budget.evaluate_every > before // budget.evaluate_every:
                 value = self.evaluate(learner.policy(state))
                 progress.history.append(Point(progress.episode, progress.steps, value, time.time()))
                 if value is not None and self.enough(value):
@@ -99,6 +100,21 @@ class Trainer:
                 shown(progress.episode, budget.episodes, progress.steps, value)
             if between is not None:
                 between(progress)
+
+    def _play(self, progress: Progress) -> list[Episode]:
+        """The next episode; where the environment takes many runs at once, and the learner can, so many of them."""
+        runs, number = self.environment.runs, progress.episode
+        if runs is None or not self.learner.side_by_side:
+            episode = self._begin(self.environment, number)
+            self.learner.episode(self.state, episode)
+            return [episode]
+        n = min(runs.batch, MOST, self.budget.episodes - number)
+        if self.budget.most_steps is not None:
+            n = max(1, min(n, (self.budget.most_steps - progress.steps) // max(self.length, 1)))
+        return play(runs, self._begin, partial(self.learner.episode, self.state), range(number, number + n))
+
+    def _begin(self, environment: Environment, number: int) -> Episode:
+        return Episode(self.problem, environment, self.counts, self.rng, number, self.length)
 
     def ends(self, progress: Progress) -> bool:
         """Whether that was the last episode."""

@@ -76,12 +76,14 @@ class Environment:
     generator  the source of all its random numbers, and its only state between episodes; None if there is other state:
                a run can then not be resumed
     tables     the model that it simulates, one number of `generator` per reset and per step; None: a black box
+    runs       the same as many runs at once, if it is a `Batched` one
     """
 
     reset: Callable[[], int]
     step: Callable[[int], int]
     generator: np.random.Generator | None = None
     tables: Tables | None = None
+    runs: Runs | None = None
 
 
 def cumulated(model: MDP) -> NDArray[np.float64]:
@@ -152,9 +154,11 @@ def guarded(model: MDP, environment: BlackBox) -> Environment:
     """A black box, one run at a time, whose answers are checked to be states of the model. It is always stepped, even
     if it has tables; of a batched one, one run is taken."""
     generator = getattr(environment, "generator", None)
-    if batch_of(environment, f"the environment of {model.name}") is not None:
-        runs = Runs(environment, model.n_states, model.name)
-        return Environment(lambda: int(runs.reset(1)[0]), lambda i: int(runs.step(np.array([i]))[0]), generator)
+    batch = batch_of(environment, f"the environment of {model.name}")
+    if batch is not None:
+        runs = Runs(environment, batch, model.n_states, model.name)
+        one_of_them = lambda: int(runs.reset(1)[0]), lambda i: int(runs.step(np.array([i]))[0])
+        return Environment(*one_of_them, generator, runs=runs)
     one: Any = environment
 
     def reset() -> int:
@@ -167,10 +171,13 @@ def guarded(model: MDP, environment: BlackBox) -> Environment:
 
 
 class Runs:
-    """A batched black box whose answers are checked to be states; a run that is over stays in its state."""
+    """A batched black box whose answers are checked to be states; a run that is over stays in its state.
 
-    def __init__(self, environment: Any, n_states: int, name: str) -> None:
-        self._environment, self._n_states, self._name = environment, n_states, name
+    batch   the most runs at once
+    """
+
+    def __init__(self, environment: Any, batch: int, n_states: int, name: str) -> None:
+        self.batch, self._environment, self._n_states, self._name = batch, environment, n_states, name
         self._states = np.empty(0, dtype=np.int64)
 
     def reset(self, n: int) -> NDArray[np.int64]:
