@@ -22,6 +22,7 @@ import stltool as stl
 from stltool import kernels
 from stltool.checking import estimate_from
 from stltool.learning.problem import Problem
+from stltool.learning.tables import ClockedTable
 
 ROOT = Path(__file__).resolve().parent.parent
 FACTORY = ROOT / "examples" / "factory"
@@ -53,7 +54,7 @@ def update_ratio(product: stl.Product) -> str:
     problem, rng = Problem.of(product), np.random.default_rng(0)
     rows = np.stack([rng.integers(n, size=2000) for n in (problem.n_states, 9, problem.n_states)], axis=1)
     rows = rows.astype(np.int32)
-    tables = [stl.Cfer().table(problem, count_every_entry=False) for _ in range(2)]
+    tables = [ClockedTable(problem, 0.02, 0.1, count_every_entry=False) for _ in range(2)]
     for table in tables:
         table.visits[:] = 10
 
@@ -61,7 +62,7 @@ def update_ratio(product: stl.Product) -> str:
         """As it is written down: an update a pair (t, q), the best next value looked up in the Q-table."""
         Q, E, alpha = tables[1].Q, tables[1].Q.shape[2], 0.1
         for s, a, s2 in some.tolist():
-            letter, after = problem.letter[s], tables[1]._successor[problem.letter[s], problem.letter[s2]]
+            letter, after = problem.letter[s], tables[1].successor[problem.letter[s], problem.letter[s2]]
             for e in range(tables[1].entries[letter]):
                 value = Q[s2, :, after[e]].max() if after[e] < E else float(after[e] == E + 1)
                 Q[s, a, e] += alpha * (value - Q[s, a, e])

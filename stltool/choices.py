@@ -348,16 +348,26 @@ class Choices(Displayed):
         return before, after
 
     def at(self, t: int, s: Indices, q: Indices) -> I64:
-        keys, bits, rank, choice = self.words(t)
+        place, there, bit = self._places(t, s, q)
+        _, bits, rank, choice = self.words(t)
         found = np.zeros(len(s), dtype=np.int64)
-        if len(keys):
-            wanted = np.asarray(s, dtype=np.int64) * self.n_words + np.asarray(q) // 64
-            place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-            bit = np.uint64(1) << (np.asarray(q) % 64).astype(np.uint64)
-            there = (keys[place] == wanted) & (bits[place] & bit != 0)
-            place, bit = place[there], bit[there]
-            found[there] = choice[rank[place] + np.bitwise_count(bits[place] & (bit - np.uint64(1)))]
+        place, bit = place[there], bit[there]
+        found[there] = choice[rank[place] + np.bitwise_count(bits[place] & (bit - np.uint64(1)))]
         return found
+
+    def _places(self, t: int, s: Indices, q: Indices) -> tuple[I64, NDArray[np.bool_], NDArray[np.uint64]]:
+        """The word of each pair in the layer of step t, whether it is listed there, and its bit."""
+        keys, bits, _, _ = self.words(t)
+        bit = np.uint64(1) << (np.asarray(q) % 64).astype(np.uint64)
+        if not len(keys):
+            return np.zeros(len(s), dtype=np.int64), np.zeros(len(s), dtype=np.bool_), bit
+        wanted = np.asarray(s, dtype=np.int64) * self.n_words + np.asarray(q) // 64
+        place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        return place, (keys[place] == wanted) & (bits[place] & bit != 0), bit
+
+    def lists(self, t: int, s: Indices, q: Indices) -> NDArray[np.bool_]:
+        """(n,) whether each pair is listed in the layer of step t."""
+        return self._places(t, s, q)[1]
 
     def mixtures(self) -> F64:
         raise NotImplementedError  # not a mixture

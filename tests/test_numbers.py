@@ -249,7 +249,7 @@ def test_integers_of_options_and_settings(text):
         with pytest.raises(typer.BadParameter):
             integer(text)
         whole = None
-    for name, found in (("memory", whole), ("decay", value)):
+    for name, found in (("memory", whole), ("optimism", value)):
         if found is not None and found > 0:
             assert getattr(read_learner("cfer", False, [f"{name}={text}"]), name) == float(found)
         else:

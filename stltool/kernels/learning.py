@@ -2,6 +2,7 @@
 
 surrogate   Q (S, N, C):   Q[s,q,a] += α (r(q') + γ max Q[s',q',·] − Q[s,q,a])                  [Wang24, eq. 5]
 clocked     Q (S, C, E), V (S, E+2):   Q[s,a,e] += α (V[s', succ(e)] − Q[s,a,e]),   V = max over a that were tried
+hopeful     U, W alike:   U[s,a,e] += α ((1−h) W[s', succ(e)] + h · paradise − U[s,a,e]),   h the hope of (s, a)
 
 `env`, `table` and `replay` are the named tuples of kernels/tuples.py.
 """
@@ -162,6 +163,31 @@ def clocked_transitions(
                 values[e] = best
 
 
+@kernel
+def hopeful_transitions(
+    U: F64, W: F64, visits: I64, letter: I32, entries: I64, successor: I32, n_choices: I64, least: float,
+    hope: F64, worth: F64, rows: I32,
+) -> None:  # fmt: skip
+    """As `clocked_transitions`, for optimistic values U (S, C, E), W (S, E+2): a share of every choice's value,
+    hope (S, C), is that of a paradise, worth (n_letters, E)."""
+    for i in range(len(rows)):
+        s, a, s2 = rows[i, 0], rows[i, 1], rows[i, 2]
+        alpha, share = max(least, 1.0 / visits[s, a]), hope[s, a]
+        after, paradise = successor[letter[s], letter[s2]], worth[letter[s]]
+        mine, values, ahead = U[s, a], W[s], W[s2]
+        for e in range(entries[letter[s]]):
+            old = mine[e]
+            new = old + alpha * ((1.0 - share) * ahead[after[e]] + share * paradise[e] - old)
+            mine[e] = new
+            if new >= values[e]:
+                values[e] = new
+            elif old == values[e]:
+                best = U[s, 0, e]
+                for b in range(1, n_choices[s]):
+                    best = max(best, U[s, b, e])
+                values[e] = best
+
+
 def warm_up() -> None:
     """Compile or load every kernel here that Python calls, on a model of one state and one step."""
     env = Tables(*one_state(), np.ones(1), np.ones(1))
@@ -180,3 +206,4 @@ def warm_up() -> None:
     clocked_update(Q, V, visits, 0, 0, 0, 1, 0.0, 0.1)
     n, rows = np.ones(1, dtype=np.int64), np.zeros((1, 3), dtype=np.int32)
     clocked_transitions(Q, V, visits[0], letter, n, whole[None], n, 0.1, rows)
+    hopeful_transitions(Q, V, visits[0], letter, n, whole[None], n, 0.1, np.zeros((1, 1)), np.zeros((1, 1)), rows)

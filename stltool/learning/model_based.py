@@ -1,15 +1,18 @@
-"""model-based: learned transition counts, optimism about the unknown, planning with the induction of the checker.
+"""model-based: plans on counted transitions, drawn from what the counts leave open, with hope; the checker's induction.
 
-Acting (R-max [Brafman02]): a choice taken fewer than `known_after` times leads to a paradise that
-satisfies the task; others follow their counted frequencies. Paradise is worth a thousandth less than 1, and less the
-later it is entered: near-certain success comes first, and exploring is not postponed. The plan is recomputed whenever a
-choice becomes known, and at the beginning of every episode. Once the task is violated, the rest of the episode takes
-the choices tried least.
+Acting: each episode draws one model from the posterior of the counts (posterior sampling [Strens00]): the frequencies
+of the successors seen so far, by Gamma draws. A share of every choice leads to a paradise instead, all of an untried
+choice, less and less of the others (learning/optimism.py). The episode acts on the best plan for this model. Once the
+task is violated, the rest of the episode takes the choices tried least.
 
-Any state may follow any other, whatever was counted: plans say what to do wherever a run can be.
+Plans are lazy: the episode's plan is kept as long as it applies. Where it relies on a choice that has been tried in the
+meantime, or says nothing, another untried choice of that state will do, which promises as much; only if there is none,
+the rest of the episode is planned again. Small products are planned wherever a run could be; large ones where runs can
+be by the transitions seen.
 
 The policy that is judged trusts counts with caution: of n(s,a) visits, successor s' has the share n(s,a,s') / (n + κ),
-and the rest fails. So a choice seen once is not preferred to one that has proved itself many times.
+and the rest fails. So a choice seen once is not preferred to one that has proved itself many times. It is the best
+policy by these data.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ from numpy.typing import NDArray
 
 from stltool.automata import FALSE, TRUE
 from stltool.checking.induction import Budget, Doubles, Edges, Game, Layers, Single, Values, solve
-from stltool.checking.induction.anywhere import Anywhere, Later
+from stltool.checking.induction.anywhere import Anywhere, From, Known, Later
 from stltool.checking.induction.arithmetic import row_sums
 from stltool.checking.induction.tiled import Tiles
 from stltool.checking.induction.words import Words
@@ -31,22 +34,24 @@ from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
 from stltool.learning.kept import Kept
 from stltool.learning.learner import Learner, rarest
+from stltool.learning.optimism import hope, paradise
 from stltool.learning.problem import Problem
 from stltool.learning.settings import setting
 from stltool.models.rows import Chances, Rows, starts
 from stltool.sizes import memory_limit, unsigned_type
 
-_HAIR = 1e-3  # how much less than 1 paradise is worth: far above rounding, below any gain worth exploring for
+_SMALL = 300_000  # situations (t, s, q): with more, only those that can be reached are planned for
+_LEAST = 1e-300  # drawn frequencies are positive, so that every successor that was seen stays one
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelBased(Learner["Planner"]):
-    """Acts on an optimistic plan over the counted transitions; a cautious plan gives the judged policy."""
+    """Acts on hopeful plans over models drawn from the counted transitions; a cautious plan gives the judged policy."""
 
     name: ClassVar[str] = "model-based"
     side_by_side: ClassVar[bool] = False  # an episode counts its own visits
 
-    known_after: int = setting(1, "visits after which planning uses the counts of a choice, not optimism", least=1)
+    optimism: float = setting(0.3, "b in the share of hope b / (n + b) of a choice seen n times", above=0)
     caution: float = setting(0.1, "κ in the judged policy's weight n / (n + κ) for a choice seen n times", least=0)
 
     def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> Planner:
@@ -54,89 +59,157 @@ class ModelBased(Learner["Planner"]):
 
     def episode(self, state: Planner, episode: Episode) -> None:
         chances = episode.rng.random((episode.length, 2))[:, 1].tolist()
-        visits = state.counts.visits
-        self.replan(state, visits, 0)
+        belief, visits = Belief(state, self.optimism, int(episode.rng.integers(2**62))), state.counts.visits
+        if episode.verdict is None:
+            state.starts[episode.s] += 1
+            state.follow(belief.rows(visits), episode.t, episode.s, episode.q, visits)
         while not episode.over and episode.verdict is not True:
-            t, s = episode.t, episode.s
+            t, s, q = episode.t, episode.s, episode.q
             first, after = state.problem.first_choice[s : s + 2].tolist()
             if episode.verdict is False:
                 a = rarest(visits[first:after], chances[t])
             else:
-                a = state.action(t, s, episode.q)
+                a = state.action(t, s, q, visits)
+                if a < 0:
+                    state.follow(belief.rows(visits), t, s, q, visits)
+                    a = state.action(t, s, q, visits)
             episode.step(a)
             visits[first + a] += 1
-            if visits[first + a] == self.known_after:
-                self.replan(state, visits, t + 1)
-
-    def replan(self, state: Planner, visits: NDArray[np.int64], t: int) -> None:
-        """The optimistic plan of the steps from t on, after choices were taken `visits` times."""
-        rows = state.rows(visits, self.known_after, 0.0)
-        state.plan, state.since = state.induct(rows, True, t), t
 
     def policy(self, state: Planner) -> Form:
-        return state.induct(state.rows(state.counts.visits, 1, self.caution), False, 0)
+        return state.judged(self.caution)
 
     def arrays(self, state: Planner) -> dict[str, Kept]:
-        return {}  # all that is learned is in the counts; every episode begins with a new plan
+        return {"starts": Kept(state.starts, 0)}  # the rest is in the counts; every episode begins with a new plan
+
+    def check(self, state: Planner) -> None:
+        require_starts(state.starts, state.counts)
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What one episode believes about the transitions, as far as they are counted; `seed`: of its draws."""
+
+    planner: Planner
+    optimism: float
+    seed: int
+
+    def rows(self, visits: NDArray[np.int64]) -> Rows:
+        """The model drawn, after choices were taken `visits` times; a share of each choice leads outside."""
+        problem, seen = self.planner.problem, self.planner.counts.seen
+        drawn = np.random.default_rng(self.seed).standard_gamma(seen.astype(np.float64))
+        of_state = np.add.reduceat(visits, problem.first_choice[:-1]) / problem.n_choices
+        hopes = hope(visits, np.repeat(of_state, problem.n_choices), self.optimism)
+        return self.planner.rows(np.maximum(drawn, _LEAST), hopes)
 
 
 class Planner:
     """Plans over the transitions counted so far; `plan` is the one that is acted on, its steps counted from `since`.
 
-    `kind` of engine: Nodes compile nothing and give the same plans, slowly.
+    starts   (n_states,) int64: how many episodes started there, undecided
+    `kind` of engine: Nodes compile nothing and give the same plans, slowly. `small`: with up to so many situations
+    (t, s, q), plans are made for all in which a run could be, wherever choices lead.
     """
 
-    def __init__(self, problem: Problem, counts: Counts, kind: type[Layers[Any, Any]] = Words) -> None:
+    def __init__(
+        self, problem: Problem, counts: Counts, kind: type[Layers[Any, Any]] = Words, small: float = _SMALL
+    ) -> None:
         self.problem, self.counts = problem, counts
+        self.starts = np.zeros(problem.n_states, dtype=np.int64)
         self.plan, self.since = Choices(problem.shape[1:], problem.automaton.horizon, [], problem.choice_type), 0
-        # one more state, outside, where unknown choices and doubts lead: what that is worth is the plan's to say
+        self._tried = np.zeros(counts.n_choices, dtype=np.bool_)
+        # one more state, outside, where hopes and doubts lead: what that is worth is the plan's to say
         outside = [Single(problem.automaton.with_outcome(verdict)) for verdict in (FALSE, TRUE)]
         letter = np.append(problem.letter, np.int32(problem.automaton.n_letters))
         self._automata, self._letter = outside, letter
         self._moves: list[dict[str, Any]] = [{}, {}]
         self._choices = unsigned_type(problem.most_choices - 1)
-        self._anywhere = Anywhere(outside[0], problem.letter, self._choices)
+        fits = float(np.prod([float(n) for n in problem.shape])) <= small
+        self._anywhere = Anywhere(outside[0], problem.letter, self._choices) if fits else None
         self._kind, self._limit = kind, memory_limit(None)  # which takes longer to find out than some plans
 
-    def action(self, t: int, s: int, q: int) -> int:
-        """What the plan does."""
-        return int(self.plan.at(t - self.since, np.array([s]), np.array([q]))[0])
+    def action(self, t: int, s: int, q: int, visits: NDArray[np.int64]) -> int:
+        """What to do by the plan; −1 if it does not say, or hoped for what has been tried in the meantime.
 
-    def rows(self, visits: NDArray[np.int64], known_after: int, caution: float) -> Rows:
-        """Of the model's states and one more, outside: where unknown choices and doubts lead."""
-        counts, outside = self.counts, self.problem.n_states
-        choice, target, seen = counts.choice, counts.target, counts.seen
-        trusted = visits >= max(known_after, 1)
-        kept = trusted[choice]
-        doubtful = np.arange(counts.n_choices) if caution else np.flatnonzero(~trusted)
-        doubt = np.where(trusted, caution / (visits + caution) if caution else 0.0, 1.0)[doubtful]
-        rows = np.concatenate([choice[kept], doubtful, [counts.n_choices]])  # the last: outside there is nothing to do
+        It hoped for no more than any untried choice of this state promises, so such a choice is taken instead.
+        """
+        here, memory = np.array([s]), np.array([q])
+        first, after = self.problem.first_choice[s : s + 2].tolist()
+        if self.plan.lists(t - self.since, here, memory)[0]:
+            a = int(self.plan.at(t - self.since, here, memory)[0])
+            if self._tried[first + a] or not visits[first + a]:
+                return a
+        untried = np.flatnonzero(visits[first:after] == 0)
+        return int(untried[0]) if len(untried) else -1
+
+    def follow(self, rows: Rows, t: int, s: int, q: int, visits: NDArray[np.int64]) -> None:
+        """Make the optimistic plan over these rows from there, and act on it."""
+        start = From(self._automata[True], t, q)
+        self.plan, self.since, self._tried = self.induct(rows, True, start, np.array([s])), t, visits > 0
+
+    def judged(self, caution: float) -> Choices:
+        """The best policy by the counts, from the states where episodes started."""
+        rows = self.rows(self.counts.seen.astype(np.float64), doubt(self.counts.visits, caution))
+        return self.induct(rows, False, self.later(False, 0), np.flatnonzero(self.starts))
+
+    def later(self, optimistic: bool, since: int) -> Later:
+        """The task from step `since` on, being outside satisfying or violating it."""
+        return Later(self._automata[optimistic], since)
+
+    def rows(self, weights: NDArray[np.float64], outside: NDArray[np.float64]) -> Rows:
+        """Of the model's states and one more, outside: where each choice leads with a given probability.
+
+        weights (transitions,) in proportion to the chances of the counted transitions of each choice
+        """
+        counts = self.counts
+        choice, target = counts.choice, counts.target
+        total = np.bincount(choice, weights, counts.n_choices)
+        share = (1 - outside) / np.where(total > 0, total, 1.0)
+        doubtful = np.flatnonzero(outside)
+        rows = np.concatenate([choice, doubtful, [counts.n_choices]])  # the last: outside there is nothing to do
         order = np.argsort(rows, kind="stable")
-        probability = np.concatenate([seen[kept] / (visits[choice[kept]] + caution), doubt, [1.0]])[order]
-        successor = np.concatenate([target[kept], np.full(len(doubtful) + 1, outside)])[order].astype(np.int32)
+        probability = np.concatenate([weights * share[choice], outside[doubtful], [1.0]])[order]
+        successor = np.concatenate([target, np.full(len(doubtful) + 1, self.problem.n_states)])
         start = starts(np.bincount(rows, minlength=counts.n_choices + 1))
         first = np.append(self.problem.first_choice, counts.n_choices + 1)
-        return Rows(first, start, successor, Chances(probability, start))
+        return Rows(first, start, successor[order].astype(np.int32), Chances(probability, start))
 
-    def induct(self, rows: Rows, optimistic: bool, since: int) -> Choices:
-        """The best plan from step `since` on, whose steps it counts from there.
+    def induct(self, rows: Rows, optimistic: bool, later: Later, first: NDArray[np.int64]) -> Choices:
+        """The best plan from these states on, at a step from which it counts its own.
 
         Being outside fails; to an optimist it is worth 1, less a hair that grows with time.
         """
-        problem, h = self.problem, self.problem.automaton.horizon
-        if since == h:
+        problem, since = self.problem, later.since
+        if not later.horizon:
             return Choices(problem.shape[1:], 0, [], problem.choice_type)
-        later = Later(self._automata[optimistic], since)
-        game = Game(rows, later, self._letter, np.arange(problem.n_states), dict(self._moves[optimistic]))
+        if self._anywhere is not None:
+            first = np.arange(problem.n_states)
+        game = Game(rows, later, self._letter, first, dict(self._moves[optimistic]))
         budget = Budget(
-            f"planning {h} steps of {problem.n_states * problem.automaton.n_states} product states", self._limit
+            f"planning {problem.shape[0]} steps of {problem.n_states * problem.automaton.n_states} product states",
+            self._limit,
         )
-        layers = self._anywhere.layers(self._kind, game, since, budget)
+        if self._anywhere is not None:
+            layers = self._anywhere.layers(self._kind, game, since, budget)
+        else:
+            layers = Known(game, budget, self._choices)
         self._moves[optimistic] = {"moves": game.kept["moves"]} if "moves" in game.kept else {}
         arithmetic = _Optimistic(problem, since) if optimistic else Doubles(True)
         found = solve(layers, arithmetic, True, self._choices).choices
         assert found is not None
         return found.resized((problem.n_states, problem.automaton.n_states))
+
+
+def require_starts(starts: NDArray[np.int64], counts: Counts) -> None:
+    """ValueError if more episodes started, undecided, than steps were counted."""
+    if sum(starts.tolist()) > int(counts.seen.sum()):
+        raise ValueError("more episodes started than steps were counted")
+
+
+def doubt(visits: NDArray[np.int64], caution: float) -> NDArray[np.float64]:
+    """The share of each choice that counts as a failure, after so many visits."""
+    share: NDArray[np.float64] = np.where(visits > 0, caution / np.maximum(visits + caution, _LEAST), 1.0)
+    return share
 
 
 class _Optimistic(Doubles):
@@ -151,7 +224,7 @@ class _Optimistic(Doubles):
 
     def worth(self, t: int) -> float:
         """Of going outside after step t of the plan."""
-        return 1.0 - _HAIR * (1 + (self._since + t) / self._h)
+        return float(paradise(self._since + t, self._h))
 
     def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
         values = ahead[edges.child]

@@ -27,11 +27,16 @@ class PublishedNaive(Published):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Clocked(Decaying):
+class Exact:
     """The settings of a Q-table that carries the clock, on the exact objective."""
 
     least_step: float = setting(0.02, "smallest learning rate, α = max(least_step, 1/n)", above=0, most=1)
     caution: float = setting(0.1, "κ in the judged policy's weight n / (n + κ) for a choice seen n times", least=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clocked(Decaying, Exact):
+    """The same, exploring with a probability that decays."""
 
     def table(self, problem: Problem, count_every_entry: bool) -> ClockedTable:
         return ClockedTable(problem, self.least_step, self.caution, count_every_entry)

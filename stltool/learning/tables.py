@@ -13,6 +13,7 @@ from stltool.automata.reach import open_pairs
 from stltool.kernels.tuples import Surrogate
 from stltool.learning.counts import Counts
 from stltool.learning.kept import Kept
+from stltool.learning.optimism import hope, paradise
 from stltool.learning.problem import Problem
 from stltool.sizes import require_memory, require_numbered
 
@@ -59,7 +60,7 @@ class ClockedTable:
 
     def __init__(self, problem: Problem, least_step: float, caution: float, count_every_entry: bool) -> None:
         automaton, n_letters = problem.automaton, problem.automaton.n_letters
-        self._problem, self._least, self._caution = problem, least_step, caution
+        self._problem, self.least_step, self._caution = problem, least_step, caution
         open_ = open_pairs(automaton)
         self.entries = np.array([len(q) for _, q in open_], dtype=np.int64)
         E = int(self.entries.max())
@@ -74,14 +75,14 @@ class ClockedTable:
         self.Q, self.V = np.zeros(shape), np.zeros((problem.n_states, E + 2))
         self.V[:, -1] = 1.0
         self.visits = np.zeros(shape if count_every_entry else shape[:2], dtype=np.int64)
-        self._pairs = open_
+        self.pairs = open_
         self._index = np.full((n_letters, automaton.horizon, automaton.n_states), -1, dtype=np.int32)
         for letter, (t, q) in enumerate(open_):
             self._index[letter, t, q] = np.arange(len(t))
-        self._successor = np.zeros((n_letters, n_letters, E), dtype=np.int32)
+        self.successor = np.zeros((n_letters, n_letters, E), dtype=np.int32)
         for letter, (t, q) in enumerate(open_):
             for after in range(n_letters):
-                self._successor[letter, after, : len(t)] = self._entries_at(after, t + 1, automaton.delta[after, q])
+                self.successor[letter, after, : len(t)] = self._entries_at(after, t + 1, automaton.delta[after, q])
 
     def _entries_at(self, letter: int, t: NDArray[Any], q: NDArray[Any]) -> NDArray[np.int32]:
         """Where V has the value of (t, q) in a state of that letter."""
@@ -92,8 +93,12 @@ class ClockedTable:
 
     def best(self, t: int, s: int, q: int, chance: float) -> int:
         """The best choice in (t, s, q), ties broken by `chance` in [0, 1)."""
-        values = self.Q[s, : self._problem.n_choices[s], self._index[self._problem.letter[s], t, q]]
-        ties = np.flatnonzero(values == values.max())
+        return self.best_of(self.Q, t, s, q, chance)
+
+    def best_of(self, values: NDArray[np.float64], t: int, s: int, q: int, chance: float) -> int:
+        """The same by other values (S, C, E)."""
+        here = values[s, : self._problem.n_choices[s], self._index[self._problem.letter[s], t, q]]
+        ties = np.flatnonzero(here == here.max())
         return int(ties[int(chance * len(ties))])
 
     def update(self, t: int, s: int, q: int, a: int, s2: int, q2: int) -> None:
@@ -102,9 +107,9 @@ class ClockedTable:
 
         letter = self._problem.letter
         entry = int(self._index[letter[s], t, q])
-        value = float(self.V[s2, self._successor[letter[s], letter[s2], entry]])
+        value = float(self.V[s2, self.successor[letter[s], letter[s2], entry]])
         learning.clocked_update(
-            self.Q, self.V, self.visits, s, a, entry, int(self._problem.n_choices[s]), value, self._least
+            self.Q, self.V, self.visits, s, a, entry, int(self._problem.n_choices[s]), value, self.least_step
         )
 
     def update_all(self, rows: NDArray[np.int32]) -> None:
@@ -112,8 +117,8 @@ class ClockedTable:
         from stltool.kernels import learning
 
         learning.clocked_transitions(
-            self.Q, self.V, self.visits, self._problem.letter, self.entries, self._successor, self._problem.n_choices,
-            self._least, np.ascontiguousarray(rows),
+            self.Q, self.V, self.visits, self._problem.letter, self.entries, self.successor, self._problem.n_choices,
+            self.least_step, np.ascontiguousarray(rows),
         )  # fmt: skip
 
     def policy_table(self) -> NDArray[Any]:
@@ -123,7 +128,7 @@ class ClockedTable:
         visits = self.visits if self.visits.ndim == 3 else self.visits[:, :, None]
         trust = visits / (visits + self._caution)
         for s, letter in enumerate(problem.letter):
-            t, q = self._pairs[letter]
+            t, q = self.pairs[letter]
             values = np.where(visits[s] > 0, trust[s] * self.Q[s], -1.0)[: problem.n_choices[s], : len(t)]
             table[t, s, q] = values.argmax(axis=0)
         return table
@@ -160,6 +165,56 @@ class ClockedTable:
         """Whether there is an entry for each (t, s, q)."""
         open_: NDArray[np.bool_] = self._index[self._problem.letter[s], t, q] >= 0
         return open_
+
+
+class HopefulTable:
+    """U_t(s, q, a), learned beside a `ClockedTable` from the same transitions, with optimism (learning/optimism.py).
+
+    A choice that was never tried is worth a paradise, so that going where nothing has been tried is worth as much: U
+    explores deeply. U (S, C, E) and W (S, E+2) as Q and V there.
+    """
+
+    def __init__(self, problem: Problem, table: ClockedTable, optimism: float) -> None:
+        self._problem, self._table, self._optimism = problem, table, optimism
+        E, h = table.Q.shape[2], problem.automaton.horizon
+        self._paradise = np.zeros((problem.automaton.n_letters, E))
+        for letter, (t, _) in enumerate(table.pairs):
+            self._paradise[letter, : len(t)] = paradise(t, h)
+        _require_table(table.Q.shape)
+        available = np.arange(table.Q.shape[1]) < problem.n_choices[:, None]
+        self.U = np.where(available[:, :, None], self._paradise[problem.letter][:, None, :], 0.0)
+        self.W = np.zeros((problem.n_states, E + 2))
+        self.W[:, :E], self.W[:, -1] = self.U.max(axis=1), 1.0
+
+    def best(self, t: int, s: int, q: int, chance: float) -> int:
+        """The most hopeful choice in (t, s, q), ties broken by `chance` in [0, 1)."""
+        return self._table.best_of(self.U, t, s, q, chance)
+
+    def update_all(self, rows: NDArray[np.int32]) -> None:
+        """After the same update of the other table."""
+        from stltool.kernels import learning
+
+        table, problem = self._table, self._problem
+        hopes = hope(table.visits, table.visits.sum(axis=1, keepdims=True) / problem.n_choices[:, None], self._optimism)
+        learning.hopeful_transitions(
+            self.U, self.W, table.visits, problem.letter, table.entries, table.successor, problem.n_choices,
+            table.least_step, hopes, self._paradise, np.ascontiguousarray(rows),
+        )  # fmt: skip
+
+    def arrays(self) -> dict[str, Kept]:
+        """Everything that learning changes."""
+        return {"U": Kept(self.U, 0, 1), "W": Kept(self.W, 0, 1)}
+
+    def check(self) -> None:
+        """ValueError if the arrays contradict each other or the other table."""
+        available = np.arange(self.U.shape[1]) < self._problem.n_choices[:, None]
+        if not np.array_equal(self.W[:, :-2], np.where(available[:, :, None], self.U, 0).max(axis=1)):
+            raise ValueError("W is not the best of U")
+        if (self.W[:, -2:] != [0.0, 1.0]).any() or self.U[~available].any():
+            raise ValueError("U or W have values for what does not exist")
+        untried = available & (self._table.visits == 0)
+        if (self._paradise[self._problem.letter][:, None, :] != self.U)[untried].any():
+            raise ValueError("U has learned about choices that were never tried")
 
 
 def _require_table(shape: tuple[int, ...]) -> None:

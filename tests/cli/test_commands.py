@@ -415,7 +415,7 @@ def test_other_bad_input_ends_with_code_2(stltool, tmp_path):
             "replays is '2.5'; it must be an integer",
         ),
         (["learn", PATROLLING, "-o", "p.npz", "--most-steps", "3"], "--most-steps is 3, and one episode takes 18"),
-        (["run", PATROLLING, "--set", "decay=abc"], "--set decay is 'abc'; it must be a number above 0"),
+        (["run", PATROLLING, "--set", "optimism=abc"], "--set optimism is 'abc'; it must be a number above 0"),
         (["run", PATROLLING, "--seed", "-1"], "seed is -1; give an integer from 0"),
         (["run", PATROLLING, "--set", "memory=99999999999999"], "a replay memory of 99999999999999 transitions"),
         (["learn", PATROLLING, *SMALL, "-e", "1", "--out", tmp_path / "q.csv"], "policies are saved as .npz"),

@@ -35,7 +35,7 @@ FAULTY = [
     *(["run", "patrolling.stl", *options] for options in (
         ["--method", "cefr"], ["--episodes", "0"], ["--set", "replay=3"], ["--set", "replays"],
         [*SMALL, "-e", "1", "--out", "bare.stl"], ["--set", "seed=3"], ["--set", "evaluate_every=3"],
-        ["--set", "replays=3", "--set", "replays=4"], ["--set", "decay=abc"], ["--seed", "-1"],
+        ["--set", "replays=3", "--set", "replays=4"], ["--set", "optimism=abc"], ["--seed", "-1"],
         ["--set", "memory=99999999999999"], ["--confidence", "1"], ["--rollouts", "-3"],
     )),
     ["run", "crossing-blackbox.stl", "--rollouts", "0", "--out", "out"],

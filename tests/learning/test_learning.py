@@ -12,13 +12,15 @@ from stltool.errors import ModelError, SettingsError
 from stltool.kernels import learning as kernels
 from stltool.learning import LEARNERS, Counts, Episode, Problem
 from stltool.learning.methods import budget_table, class_of, methods_table, settings_table
+from stltool.learning.model_based import Belief
+from stltool.learning.optimism import hope, paradise
 from stltool.learning.replay import ReplayMemory
 from stltool.learning.settings import settings_of, shown_value
-from stltool.learning.tables import SurrogateTable
+from stltool.learning.tables import ClockedTable, HopefulTable, SurrogateTable
 from stltool.models.environment import Environment, simulator
 from stltool.policy import with_flags
 from tests.checking.test_check import products
-from tests.conftest import FACTORY, ROOT
+from tests.conftest import FACTORY, ROOT, many
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +168,7 @@ def test_transitions_update_every_pair_they_speak_for(product, seed):
         return
     rng = np.random.default_rng(seed)
     problem, settings = Problem.of(product), stl.Cfer()
-    table = settings.table(problem, count_every_entry=False)
+    table = ClockedTable(problem, settings.least_step, settings.caution, count_every_entry=False)
     automaton, letter, pairs = product.automaton, product.letter, open_pairs(product)
     Q = np.zeros((product.horizon, *product.shape, problem.most_choices))
 
@@ -211,8 +213,10 @@ def test_plans_are_the_checkers(p1):
     state.counts.add(np.repeat(choice, seen), np.repeat(model.target, seen))
     best = stl.check(p1).probability
     assert stl.check(p1, stl.Policy(p1, learner.policy(state))).probability == pytest.approx(best, abs=1e-9)
-    learner.replan(state, state.counts.visits, 0)
-    assert stl.check(p1, stl.Policy(p1, state.plan)).probability == pytest.approx(best, abs=1e-9)
+    first = int(np.flatnonzero(model.initial)[0])
+    rows = Belief(state, 1e-9, 0).rows(state.counts.visits)  # hope is next to nothing, and the posterior narrow
+    state.follow(rows, 0, first, p1.enter(first, p1.automaton.initial), state.counts.visits)
+    assert stl.check(p1, stl.Policy(p1, state.plan)).probability == pytest.approx(best, abs=1e-5)
 
 
 def test_optimism_goes_for_what_is_unknown_and_caution_does_not(patrolling):
@@ -222,7 +226,7 @@ def test_optimism_goes_for_what_is_unknown_and_caution_does_not(patrolling):
     rows[0, 0, 1] = rows[1, 0, 2] = rows[2, 0, 2] = 1
     model = stl.MDP.from_arrays(rows, {"x": [0, 1, 2]}, labels={"A": [0, 0, 1]})
     product = stl.build_product(model, stl.parse("F[0,1] A"))
-    learner = stl.ModelBased(known_after=2)
+    learner = stl.ModelBased()
     state, _ = begun(learner, product)
     q = product.enter(0, product.automaton.initial)
     for action, successor, times in ((0, 1, 5), (1, 2, 1), (2, 2, 9)):
@@ -239,8 +243,111 @@ def test_optimism_goes_for_what_is_unknown_and_caution_does_not(patrolling):
     assert int(learner.policy(state).at(0, np.array([0]), np.array([q]))[0]) == 1
 
 
+GOOD, BAD = 0.9, 0.5  # of a and b
+
+
+@pytest.fixture(scope="module")
+def good_or_bad():
+    """Three states: a leads to the good one with probability .9, b with .5."""
+    rows = np.zeros((2, 3, 3))
+    rows[:, [1, 2], [1, 2]] = 1
+    rows[:, 0, 1:] = [[GOOD, 1 - GOOD], [BAD, 1 - BAD]]
+    model = stl.MDP.from_arrays(rows, {}, labels={"good": [False, True, False]}, action_names=["a", "b"])
+    return stl.build_product(model, stl.parse("F[0,1] good"))
+
+
+def test_an_unlucky_beginning_does_not_last(good_or_bad):
+    """a failed twice, b succeeded twice, in 1000 runs of the learner's rule: drawn frequencies, and hope."""
+    rng, runs = np.random.default_rng(0), 1000
+    seen = np.zeros((runs, 2, 2))  # runs, a and b, failures and successes
+    seen[:, 0, 0] = seen[:, 1, 1] = 2
+    late = 0
+    for episode in range(2500):
+        n = seen.sum(axis=2)
+        drawn = rng.standard_gamma(seen)
+        share = hope(n, n.mean(axis=1, keepdims=True), 0.3)
+        value = (1 - share) * drawn[:, :, 1] / drawn.sum(axis=2) + share * paradise(0, 1)
+        a = value.argmax(axis=1)
+        good = rng.random(runs) < np.where(a == 0, GOOD, BAD)
+        seen[np.arange(runs), a, good.astype(int)] += 1
+        late += int((a == 1).sum()) if episode >= 1500 else 0
+    judged = (seen[:, :, 1] / (seen.sum(axis=2) + 0.1)).argmax(axis=1)
+    assert (judged == 0).mean() >= 0.998  # a failed five times in a row, at most once in a thousand runs
+    assert late <= 0.01 * 1000 * runs
+
+
+@pytest.mark.parametrize("method", ["model-based", "cfer"])
+@pytest.mark.parametrize("seed", range(many(3)))
+def test_learners_recover_from_an_unlucky_beginning(good_or_bad, method, seed):
+    """The same by the learners themselves: the environment fails a twice, and b succeeds twice."""
+    rng, choices = np.random.default_rng(seed), []
+
+    def step(action):
+        choices.append(action)
+        lucky = action == 1 if choices.count(action) <= 2 else rng.random() < (GOOD, BAD)[action]
+        return 1 if lucky else 2
+
+    run = stl.learn(
+        good_or_bad, method, episodes=600, evaluate_every=600, seed=seed, environment=Environment(lambda: 0, step)
+    )
+    assert run.history[-1].probability == pytest.approx(GOOD)
+    assert np.mean(choices[-100:]) < 0.2
+
+
+@pytest.mark.parametrize("method", ["model-based", "cfer"])
+def test_exploration_is_deep(method):
+    """A corridor of 12 cells: only the way right, to the end, satisfies the task; left leads back at once."""
+    n = 12
+    rows = np.zeros((3, n, n))
+    rows[0, :, 0] = rows[1, np.arange(n), np.minimum(np.arange(n) + 1, n - 1)] = 1
+    rows[2] = np.eye(n)
+    model = stl.MDP.from_arrays(rows, {}, labels={"end": np.arange(n) == n - 1})
+    product = stl.build_product(model, stl.parse("F[0,15] end"))
+    run = stl.learn(product, method, episodes=60, evaluate_every=60)
+    assert run.history[-1].probability == 1.0
+
+
+@given(products(longest=3), st.integers(0, 2**32 - 1))
+def test_hopeful_values_are_by_the_definition(product, seed):
+    """U and W against a loop over all (t, q)."""
+    if product.horizon == 0:
+        return
+    rng = np.random.default_rng(seed)
+    problem, h = Problem.of(product), product.horizon
+    table = ClockedTable(problem, 0.02, 0.1, count_every_entry=False)
+    hopeful = HopefulTable(problem, table, 0.3)
+    automaton, letter, pairs = product.automaton, product.letter, open_pairs(product)
+    U = np.broadcast_to(
+        paradise(np.arange(h), h)[:, None, None, None], (h, *product.shape, problem.most_choices)
+    ).copy()
+
+    def value(t, s, q):
+        verdict = automaton.verdicts(t)[q]
+        return float(verdict) if verdict != UNDECIDED else U[t, s, q, : problem.n_choices[s]].max()
+
+    for _ in range(5):
+        s, s2 = rng.integers(problem.n_states, size=2).tolist()
+        a = int(rng.integers(problem.n_choices[s]))
+        table.visits[s, a] += 1
+        hopeful.update_all(np.array([[s, a, s2]], dtype=np.int32))
+        n, of_state = table.visits[s, a], table.visits[s].sum() / problem.n_choices[s]
+        share = float(hope(n, of_state, 0.3))
+        for t in reversed(range(h)):
+            for q in range(automaton.n_states):
+                if (letter[s], t, q) in pairs:
+                    target = (1 - share) * value(t + 1, s2, int(automaton.delta[letter[s2], q]))
+                    U[t, s, q, a] += max(0.02, 1 / n) * (target + share * paradise(t, h) - U[t, s, q, a])
+    hopeful.check()
+    for one, t, q in pairs:
+        for state in np.flatnonzero(letter == one):
+            mine = U[t, state, q, : problem.n_choices[state]]
+            assert np.allclose(hopeful.U[state, : len(mine), table._index[one, t, q]], mine, atol=1e-12)
+            best = hopeful.best(t, state, q, 0.0)
+            assert mine[best] >= mine.max() - 1e-12
+
+
 def test_values_are_fixed_where_the_verdict_has_fallen(patrolling):
-    table = stl.Cfer().table(Problem.of(patrolling), count_every_entry=False)
+    table = ClockedTable(Problem.of(patrolling), 0.02, 0.1, count_every_entry=False)
     rng = np.random.default_rng(0)
     rows = np.stack([rng.integers(n, size=300) for n in (18, 9, 18)], axis=1).astype(np.int32)
     np.add.at(table.visits, (rows[:, 0], rows[:, 1]), 1)
@@ -369,9 +476,9 @@ def test_exploration_decays_between_its_ends():
         ({"most_steps": 3}, "most_steps is 3, and one episode takes 8; allow at least one"),
         ({"replays": -1}, "replays is -1; it must be an integer from 0"),
         ({"replays": "50"}, "replays is '50'; it must be an integer from 0"),
-        ({"decay": 0}, "decay is 0; it must be a number above 0"),
-        ({"decay": np.inf}, "decay is inf; it must be a number above 0"),
-        ({"decay": np.nan}, "decay is nan; it must be a number above 0"),
+        ({"method": "naive", "decay": 0}, "decay is 0; it must be a number above 0"),
+        ({"method": "naive", "decay": np.inf}, "decay is inf; it must be a number above 0"),
+        ({"method": "naive", "decay": np.nan}, "decay is nan; it must be a number above 0"),
         ({"method": "naive", "faithful": True, "gamma": 1.5}, "gamma is 1.5; it must be a number from 0 to 1"),
         ({"method": "naive", "faithful": True, "alpha": 0}, "alpha is 0; it must be a number above 0 and at most 1"),
         (
@@ -380,7 +487,7 @@ def test_exploration_decays_between_its_ends():
         ),
         ({"faithful": True, "factual_share": 1.5}, "factual_share is 1.5; it must be a number from 0 to 1, or none"),
         ({"caution": -1}, "caution is -1"),
-        ({"method": "model-based", "known_after": 0}, "known_after is 0"),
+        ({"method": "model-based", "optimism": 0}, "optimism is 0; it must be a number above 0"),
         ({"method": "cfper"}, "cfper exists only as published; give faithful=True, too"),
         ({"method": "model-based", "faithful": True}, "model-based is not a published method; leave faithful out"),
         ({"resume": True}, "needs the checkpoint"),

@@ -8,11 +8,12 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.automata import TRUE, UNDECIDED
 from stltool.checking.induction import Single
-from stltool.checking.induction.anywhere import Anywhere
+from stltool.checking.induction.anywhere import Anywhere, From
 from stltool.checking.induction.nodes import Nodes
 from stltool.checking.induction.words import Words
 from stltool.learning.counts import Counts
-from stltool.learning.model_based import _HAIR, Planner
+from stltool.learning.model_based import Planner, doubt
+from stltool.learning.optimism import hope, paradise
 from stltool.learning.problem import Problem
 from tests.checking.test_check import products
 from tests.conftest import many
@@ -28,8 +29,11 @@ def counted(product, rng, share):
     return counts
 
 
-def dense(product, counts, known_after, caution, since, optimistic):
-    """The first best choices (h, S, Q) of steps since … h−1, each sum added in order, outside last."""
+def dense(product, counts, outside, since, optimistic):
+    """The first best choices (h, S, Q) of steps since … h−1, each sum added in order, outside last.
+
+    outside (n_choices,) is the share of each choice that leads there.
+    """
     problem, automaton = Problem.of(product), product.automaton
     h, S, visits = automaton.horizon, problem.n_states, counts.visits
     known = {}
@@ -39,47 +43,68 @@ def dense(product, counts, known_after, caution, since, optimistic):
     table = np.zeros(problem.shape, dtype=int)
     for t in range(h - 1, since - 1, -1):
         verdicts, new = automaton.verdicts(t), np.empty_like(values)
-        outside = 1.0 - _HAIR * (1 + t / h) if optimistic else 0.0
+        worth = paradise(t, h) if optimistic else 0.0
         for s, q in np.ndindex(values.shape):
             sums = []
             for c in range(problem.first_choice[s], problem.first_choice[s + 1]):
-                total, trusted = 0.0, visits[c] >= known_after
-                for x, n in known[c] if trusted else ():
-                    total += n / (visits[c] + caution) * values[x, product.enter(x, q)]
-                if not trusted or caution:
-                    total += (caution / (visits[c] + caution) if trusted else 1.0) * outside
-                sums.append(total)
+                total = 0.0
+                for x, n in known.get(c, ()):
+                    total += n * ((1 - outside[c]) / visits[c]) * values[x, product.enter(x, q)]
+                sums.append(total + outside[c] * worth)
             table[t, s, q] = int(np.argmax(sums))
             new[s, q] = max(sums) if verdicts[q] == UNDECIDED else verdicts[q] == TRUE
         values = new
     return table
 
 
-def required(product, counts, known_after, caution, since, optimistic, kinds):
+def shares(counts, optimism, caution):
+    """Of hope, or of doubt where there is no optimism."""
+    visits = counts.visits
+    return hope(visits, np.full(len(visits), visits.mean()), optimism) if optimism else doubt(visits, caution)
+
+
+def required(product, counts, outside, since, optimistic, kinds):
     problem = Problem.of(product)
     anywhere = Anywhere(Single(product.automaton), problem.letter, np.uint8)
-    wanted = dense(product, counts, known_after, caution, since, optimistic)
+    wanted = dense(product, counts, outside, since, optimistic)
     for kind in kinds:
         planner = Planner(problem, counts, kind)
-        plan = planner.induct(planner.rows(counts.visits, known_after, caution), optimistic, since)
+        rows = planner.rows(counts.seen.astype(np.float64), outside)
+        plan = planner.induct(rows, optimistic, planner.later(optimistic, since), np.arange(problem.n_states))
         for t in range(since, product.horizon):
             s, q = np.divmod(anywhere.codes(t), product.automaton.n_states)
             assert np.array_equal(plan.at(t - since, s, q), wanted[t, s, q]), kind
+    # only where the transitions seen lead from one of those
+    planner = Planner(problem, counts, small=0)
+    if since == product.horizon or not len(anywhere.codes(since)):
+        return
+    s, q = (int(i) for i in np.divmod(anywhere.codes(since)[-1], product.automaton.n_states))
+    first = From(planner.later(optimistic, since).automaton, since, q)
+    plan = planner.induct(rows, optimistic, first, np.array([s]))
+    reached, after = {(s, q)}, {}
+    for c, target in zip(counts.choice.tolist(), counts.target.tolist(), strict=True):
+        after.setdefault(int(np.searchsorted(problem.first_choice, c, side="right")) - 1, set()).add(target)
+    for t in range(since, product.horizon):
+        reached = {(x, m) for x, m in reached if product.automaton.verdicts(t)[m] == UNDECIDED}
+        if reached:
+            s, q = np.array(sorted(reached)).T
+            assert np.array_equal(plan.at(t - since, s, q), wanted[t, s, q])
+            assert plan.lists(t - since, s, q).all()
+        assert int(np.bitwise_count(plan.words(t - since)[1]).sum()) == len(reached)
+        reached = {(y, product.enter(y, m)) for x, m in reached for y in after.get(x, ())}
 
 
-@given(products(max_states=4), st.integers(0, 2**32 - 1), st.booleans(), st.integers(0, 1), st.data())
+@given(
+    products(max_states=4), st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.3, 2.0]), st.integers(0, 1), st.data()
+)
 @settings(max_examples=many(50))
-def test_plans_are_those_of_all_pairs(product, seed, optimistic, share, data):
+def test_plans_are_those_of_all_pairs(product, seed, optimism, share, data):
     if product.horizon == 0:
         return
     counts = counted(product, np.random.default_rng(seed), 0.3 + 0.7 * share)
-    known_after, caution = data.draw(st.integers(1, 3)), data.draw(st.sampled_from([0.0, 0.1, 2.0]))
+    outside = shares(counts, optimism, data.draw(st.sampled_from([0.0, 0.1, 2.0])))
     since = data.draw(st.integers(0, product.horizon))
-    if optimistic:
-        caution = 0.0
-    else:
-        known_after = 1
-    required(product, counts, known_after, caution, since, optimistic, (Nodes, Words))
+    required(product, counts, outside, since, optimism > 0, (Nodes, Words))
 
 
 @pytest.mark.parametrize("optimistic", [True, False])
@@ -88,7 +113,8 @@ def test_more_memory_than_a_word_holds(optimistic):
     product = stl.build_product(model, stl.parse("G[0,4] (F[0,11] a & F[0,11] b)"))
     assert product.automaton.n_states > 64
     counts = counted(product, np.random.default_rng(5), 0.7)
-    required(product, counts, 1, 0.0 if optimistic else 0.1, product.horizon - 12, optimistic, (Nodes, Words))
+    outside = shares(counts, 0.3 * optimistic, 0.1)
+    required(product, counts, outside, product.horizon - 12, optimistic, (Nodes, Words))
 
 
 @given(products(max_states=4))

@@ -55,6 +55,28 @@ class Later:
         return self.automaton.keeps_numbers(self.since + t)
 
 
+@dataclass(frozen=True, eq=False)
+class From(Later):
+    """A start in the middle of a run: the first automaton state is `q`, whatever is read."""
+
+    q: int
+
+    def enter(self, letters: I32) -> I32:
+        return np.full(len(letters), self.q, dtype=np.int32)
+
+
+class Known(Words):
+    """The layers that runs from the game's first pairs reach along its rows, none of them classified as certain."""
+
+    def __init__(self, game: Game, budget: Budget, choices: type[np.unsignedinteger]) -> None:
+        super().__init__(game, TRUE, EVERYTHING, live=False, sure=False, budget=budget, choices=choices, threads=1)
+
+    def _settled(self, layer: Sets, ahead: Layer, t: int) -> Layer:
+        tiles = starts((layer.bits.view(np.uint8) != 0).reshape(-1, 8).sum(axis=1))[layer.start]
+        none = np.empty(0, dtype=self.choices)
+        return Layer(layer.states, layer.start, layer.word, layer.bits, np.zeros_like(layer.bits), tiles, none)
+
+
 class Anywhere:
     """F_0 … F_{h−1} of an automaton over states with these letters, any of which may follow any other.
 
