@@ -54,7 +54,8 @@ def test_as_published_too(floor5):
 
 
 def test_estimates_contain_the_exact_probability(known, unknown):
-    policy = stl.learn(unknown, "naive", episodes=60, seed=1).policy  # which is not yet the best
+    learned = stl.learn(unknown, episodes=60, seed=1).policy.table
+    policy = stl.Policy(unknown, 0.8 * (learned[..., None] == np.arange(9)) + 0.2 / 9)  # now and then, any move
     exact = stl.check(known, stl.Policy(known, policy.table)).probability
     assert 0.1 < exact < 0.99
     found = stl.estimate(unknown, policy, runs=1500, seed=1)
