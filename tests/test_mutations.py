@@ -45,6 +45,10 @@ MUTATIONS = {
         WORDS, "rows[j * width + d] |= going", "rows[j * width + d] = going", OPEN,
     ),
     "reach: what is decided": (WORDS, "x = at(image, w) & at(undecided, w)", "x = at(image, w)", OPEN),
+    "rows for all ranges: the last ones are not filled": (
+        "checking/induction/words.py", "[*itertools.pairwise(cuts)]", "[*itertools.pairwise(cuts)][:-1]",
+        f"{INDUCTION}::test_ranges_of_states_are_put_together_in_order",
+    ),
     "a block forgets its own": (BLOCKS, "sent.get(block.number, _NOTHING)", "sent.get(-1, _NOTHING)", CLUSTER),
     "reach: the last word is forgotten": (
         WORDS, "n_words + 1)):\n                x = at(image, w)", "n_words)):\n                x = at(image, w)",

@@ -216,16 +216,25 @@ def test_engines_agree_to_the_bit_and_so_do_any_number_of_threads(seed, maximize
             assert np.array_equal(mine, theirs), name
 
 
-def test_ranges_of_states_are_put_together_in_order(monkeypatch):
-    """With ranges of a few words, so that neighbours lie in other ranges."""
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("far", [False, True])
+def test_ranges_of_states_are_put_together_in_order(far, threads, monkeypatch):
+    """With ranges of a few words, whose rows are made for each range or, in graphs like this one, for all together."""
     product = wide_product(1)
     arithmetic = Doubles(True)
     whole = induct(Game.of(product), arithmetic, engine="words", keep=np.uint8)
     for name in ("_MOST_WORDS", "_WORTH_WORDS"):
         monkeypatch.setattr(f"stltool.checking.induction.words.{name}", 5)
-    parts = induct(Game.of(product), arithmetic, engine="words", keep=np.uint8, threads=3)
+    assert Words(Game.of(product), TRUE, EVERYTHING).crew.far
+    monkeypatch.setattr("stltool.checking.induction.words.Crew.far", far)
+    parts = induct(Game.of(product), arithmetic, engine="words", keep=np.uint8, threads=threads)
     assert np.array_equal(whole.entry, parts.entry)
     assert np.array_equal(whole.choices.arrays()["choice"], parts.choices.arrays()["choice"])
+
+
+def test_cells_of_a_floor_lead_to_cells_near_them(floor10):
+    product = stl.build_product(floor10, stl.parse("F[0,30] A"))
+    assert not Words(Game.of(product), TRUE, EVERYTHING).crew.far
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -361,5 +370,19 @@ def test_little_room_for_layers_changes_nothing(engine, monkeypatch):
     wanted = induct(Game.of(product), Doubles(True), engine=engine, keep=np.uint8)
     monkeypatch.setattr("stltool.checking.induction.layers._SHARE", 0)
     found = induct(Game.of(product), Doubles(True), engine=engine, keep=np.uint8)
+    assert np.array_equal(found.entry, wanted.entry)
+    assert np.array_equal(found.choices.arrays()["choice"], wanted.choices.arrays()["choice"])
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_edges_made_in_parts_give_the_same(engine, monkeypatch):
+    product = random_product(10, most_states=40)[0]
+    D = product.model.rows.denominator
+    wanted = induct(Game.of(product), Digits(D, True), engine=engine, keep=np.uint8)
+    monkeypatch.setattr(f"stltool.checking.induction.{engine}._PART", 10)
+    monkeypatch.setattr("stltool.checking.induction.nodes._KEPT", 0)
+    layers = layers_of(Game.of(product), TRUE, engine=engine)
+    assert max(len(layers.parts(x.layer)) for x in layers.backwards()) > 3
+    found = induct(Game.of(product), Digits(D, True), engine=engine, keep=np.uint8)
     assert np.array_equal(found.entry, wanted.entry)
     assert np.array_equal(found.choices.arrays()["choice"], wanted.choices.arrays()["choice"])

@@ -52,18 +52,22 @@ class Tiles:
         out = np.empty(8 * here.n_tiles, dtype=self.dtype)
         best = np.empty(8 * here.n_tiles if keep else 0, dtype=engine.choices or np.uint8)
 
-        def part(scratch: Scratch, lo: int, hi: int) -> None:
+        def unite(scratch: Scratch, lo: int, hi: int) -> int:
             n = scratch.unite(sets, lo, hi)
             scratch.blocks(n, self.dtype)
-            tiles.gather(
-                scratch.found, n, scratch.rows, scratch.groups, scratch.block, scratch.W, slot, ahead.start,
-                ahead.word, ahead.open, ahead.sure, ahead.tiles, values, decided, undecided, graph.letter, *maps,
-                moves.n_words, moves.width, moves.shift,
-            )  # fmt: skip
-            self._sweep(scratch, here, lo, hi, masks, keep, out, best)
-            scratch.forget(n)
+            return n
 
-        engine.crew.share(part, sets)
+        def gather(scratch: Scratch, a: int, b: int) -> None:
+            tiles.gather(
+                scratch.found[a:b], b - a, scratch.rows[a * moves.width :], scratch.groups[a:b],
+                scratch.block[a * moves.n_words :], scratch.W, slot, ahead.start, ahead.word, ahead.open, ahead.sure,
+                ahead.tiles, values, decided, undecided, graph.letter, *maps, moves.n_words, moves.width, moves.shift,
+            )  # fmt: skip
+
+        def part(scratch: Scratch, lo: int, hi: int) -> None:
+            self._sweep(scratch, here, lo, hi, masks, keep, out, best)
+
+        engine.crew.share(sets, unite, gather, part)
         return out, best if keep else None
 
     def _sweep(

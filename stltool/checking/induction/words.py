@@ -8,7 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,12 @@ from stltool.models.rows import Demand, Rows
 Pieces: TypeAlias = tuple[I64, U64, NDArray[np.bool_], I64]
 Maps: TypeAlias = tuple[I32, NDArray[np.bool_], I32, I32, NDArray[np.uint8]]
 
+T = TypeVar("T")
+
 _MOST_WORDS = 2**17  # in a range of states: 64 MB of next values
 _PART = 4_000_000  # edges made at a time
 _KEPT = 1_000_000  # largest number of row entries of a graph that is kept for other questions
+_PIECES = 4  # of a graph, to see how far its states lead
 _WORTH_WORDS = 2**13  # with fewer, starting threads costs more than they save
 
 
@@ -294,13 +297,18 @@ class Words(Layers[Sets, Layer]):
         masks, goal = self.allowed.masks(t, graph, layer), moves.where(t + 1, self.goal)
         slot, pieces = self.crew.turn(ahead), moves.pieces(t)
 
-        def part(scratch: Scratch, lo: int, hi: int) -> tuple[NDArray[Any], ...]:
-            n = scratch.unite(layer, lo, hi, sets=True)
+        def unite(scratch: Scratch, lo: int, hi: int) -> int:
+            return scratch.unite(layer, lo, hi, sets=True)
+
+        def pull(scratch: Scratch, a: int, b: int) -> None:
+            of = slice(a * width, b * width)
             words.pull(
-                scratch.found, n, scratch.rows, scratch.groups, slot, ahead.start, ahead.word, ahead.open, ahead.sure,
-                goal, graph.letter, *pieces, moves.n_words, width, moves.shift, scratch.possible, scratch.certain,
-                scratch.somewhere,
+                scratch.found[a:b], b - a, scratch.rows[of], scratch.groups[a:b], slot, ahead.start, ahead.word,
+                ahead.open, ahead.sure, goal, graph.letter, *pieces, moves.n_words, width, moves.shift,
+                scratch.possible[of], scratch.certain[of], scratch.somewhere[a:b],
             )  # fmt: skip
+
+        def part(scratch: Scratch, lo: int, hi: int) -> tuple[NDArray[Any], ...]:
             k = int(layer.start[hi] - layer.start[lo])
             states, word = np.empty(hi - lo, dtype=np.int32), np.empty(k, dtype=np.int32)
             start, tiles = np.empty((2, hi - lo + 1), dtype=np.int64)
@@ -312,14 +320,13 @@ class Words(Layers[Sets, Layer]):
                 scratch.certain, scratch.somewhere, self.mode, *masks, self.live, self.sure, keep, states, start, word,
                 between, sure, tiles, chosen,
             )  # fmt: skip
-            scratch.forget(n)
             k = int(start[m])
             return (
                 states[:m], np.diff(start[: m + 1]), word[:k], between[:k], sure[:k], np.diff(tiles[: m + 1]),
                 chosen[:n_sure],
             )  # fmt: skip
 
-        parts = self.crew.share(part, layer)
+        parts = self.crew.share(layer, unite, pull, part)
         states, n_words, word, between, sure, n_tiles, chosen = (
             arrays[0].copy() if len(arrays) == 1 else np.concatenate(arrays) for arrays in zip(*parts, strict=True)
         )
@@ -384,6 +391,8 @@ class Words(Layers[Sets, Layer]):
     def parts(self, layer: Layer) -> list[tuple[int, int]]:
         graph, n = self.graph, len(layer.states)
         if self.allowed.mixed:  # mixtures use one denominator per step
+            return [(0, n)]
+        if n and 64 * len(layer.word) * self.game.widest <= _PART:
             return [(0, n)]
         per_word = np.bitwise_count(layer.open).astype(np.int64)
         rows = graph.row_start[graph.choice_start]
@@ -517,7 +526,9 @@ class Scratch:
 
     def _room(self, states: I32) -> int:
         graph = self._graph
-        n = min(int((graph.near_start[states + 1] - graph.near_start[states]).sum()), len(self.slot))
+        n = len(self.slot)
+        if len(self.rows) < n * self._moves.width:  # until there is room for all
+            n = min(int((graph.near_start[states + 1] - graph.near_start[states]).sum()), n)
         if len(self.rows) < n * self._moves.width:
             self.rows = np.empty(n * self._moves.width, dtype=np.uint64)
         return n
@@ -541,24 +552,69 @@ class Crew:
             self._ahead = ahead.states
         return self._slot
 
-    def share(self, part: Callable[[Scratch, int, int], Any], layer: Sets | Layer) -> list[Any]:
-        """part(scratch, lo, hi) over ranges of the layer's states, in order."""
+    def share(
+        self,
+        layer: Sets | Layer,
+        unite: Callable[[Scratch, int, int], int],
+        prepare: Callable[[Scratch, int, int], None],
+        part: Callable[[Scratch, int, int], T],
+    ) -> list[T]:
+        """part(scratch, lo, hi) over ranges of the layer's states, in order.
+
+        Before it, unite(scratch, lo, hi) makes the rows that a range leads to and returns their number, and
+        prepare(scratch, a, b) fills rows a … b−1: for every range its own, or, if ranges lead to mostly the same
+        states, for all ranges the same.
+        """
+        ranges = self._ranges(layer)
+
+        def alone(scratch: Scratch, lo: int, hi: int) -> T:
+            n = unite(scratch, lo, hi)
+            prepare(scratch, 0, n)
+            found = part(scratch, lo, hi)
+            scratch.forget(n)
+            return found
+
+        if len(ranges) == 1 or not self.far:
+            return self._each(alone, ranges)
+        n, scratch = unite(self.first, 0, len(layer.states)), self.first
+        cuts = np.linspace(0, n, 2 * self.threads + 1).astype(int).tolist()
+        self._each(lambda _, a, b: prepare(scratch, a, b), [*itertools.pairwise(cuts)])
+        found = self._each(lambda _, lo, hi: part(scratch, lo, hi), ranges)
+        scratch.forget(n)
+        return found
+
+    def _ranges(self, layer: Sets | Layer) -> list[tuple[int, int]]:
         total, n = int(layer.start[-1]), len(layer.states)
         if total < min(_WORTH_WORDS if self.threads > 1 else _MOST_WORDS, _MOST_WORDS):
-            return [part(self.first, 0, n)]
+            return [(0, n)]
         wanted = min(2 * self.threads, total // _WORTH_WORDS) if self.threads > 1 else 1
         cuts = np.searchsorted(layer.start, np.linspace(0, total, max(wanted, -(-total // _MOST_WORDS), 1) + 1))
         ranges = [(lo, hi) for lo, hi in itertools.pairwise([0, *cuts[1:-1].tolist(), n]) if hi > lo]
-        if self._pool is None or len(ranges) <= 1:
-            return [part(self.first, lo, hi) for lo, hi in ranges or [(0, n)]]
+        return ranges or [(0, n)]
+
+    @cached_property
+    def far(self) -> bool:
+        """Whether ranges of states lead to mostly the same ones, as in a random graph: not near each other."""
+        graph, n = self._engine.graph, len(self._engine.graph.states)
+        cuts, led_to = np.linspace(0, n, _PIECES + 1).astype(int).tolist(), 0
+        for lo, hi in itertools.pairwise(cuts):
+            seen = np.zeros(n, dtype=np.bool_)
+            seen[graph.near[graph.near_start[lo] : graph.near_start[hi]]] = True
+            led_to += int(seen.sum())
+        return led_to > _PIECES / 2 * n
+
+    def _each(self, task: Callable[[Scratch, int, int], T], ranges: list[tuple[int, int]]) -> list[T]:
+        """For every range, by the threads; buffers are lent to one at a time."""
+        if self._pool is None or len(ranges) == 1:
+            return [task(self.first, lo, hi) for lo, hi in ranges]
         while len(self._idle) < self.threads:
             self._idle.append(Scratch(self._engine))
 
-        def task(lo: int, hi: int) -> Any:
+        def lent(lo: int, hi: int) -> T:
             scratch = self._idle.pop()
             try:
-                return part(scratch, lo, hi)
+                return task(scratch, lo, hi)
             finally:
                 self._idle.append(scratch)
 
-        return [future.result() for future in [self._pool.submit(task, lo, hi) for lo, hi in ranges]]
+        return [future.result() for future in [self._pool.submit(lent, lo, hi) for lo, hi in ranges]]
