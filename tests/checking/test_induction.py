@@ -379,7 +379,7 @@ def test_edges_made_in_parts_give_the_same(engine, monkeypatch):
     product = random_product(10, most_states=40)[0]
     D = product.model.rows.denominator
     wanted = induct(Game.of(product), Digits(D, True), engine=engine, keep=np.uint8)
-    monkeypatch.setattr(f"stltool.checking.induction.{engine}._PART", 10)
+    monkeypatch.setattr(f"stltool.checking.induction.{engine}._PART", 5)
     monkeypatch.setattr("stltool.checking.induction.nodes._KEPT", 0)
     layers = layers_of(Game.of(product), TRUE, engine=engine)
     assert max(len(layers.parts(x.layer)) for x in layers.backwards()) > 3
