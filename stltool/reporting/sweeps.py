@@ -107,6 +107,7 @@ def _result_data(
         "optimum": optimum,
         "environment_steps": int(np.median([run.steps[-1] for run in runs])),
         "near_optimum_at": next(near, None),
+        "regret": float(np.median([regret(run.episode, run.probability, optimum) for run in runs])),
         "seconds": float(np.median([run.seconds for run in runs])),
         "curve": curve,
         "runs": [
@@ -114,6 +115,15 @@ def _result_data(
             for run in runs
         ],
     }
+
+
+def regret(episode: Sequence[int], probability: Sequence[float], optimum: float) -> float:
+    """Σ P* − P(π_k) over all episodes k = 1, 2, …, π_k the policy learned by then.
+
+    Between two evaluations P is taken to change linearly, from 0 before the first episode.
+    """
+    every = np.arange(1, episode[-1] + 1)
+    return float((optimum - np.interp(every, [0, *episode], [0.0, *probability])).sum())
 
 
 def failures_data(failures: Sequence[Failure]) -> list[dict[str, Any]]:
@@ -152,6 +162,7 @@ def result_rows(data: dict[str, Any]) -> list[dict[str, str]]:
             "P*": _figure(result["optimum"]),
             f"{_NEAR:g} P* at": "–" if result["near_optimum_at"] is None else str(result["near_optimum_at"]),
             "steps": str(result["environment_steps"]),
+            "regret": f"{result['regret']:.4g}",
             "time": f"{result['seconds']:.2f} s",
         })  # fmt: skip
     return rows
@@ -186,7 +197,7 @@ def write_sweep(data: dict[str, Any], folder: str | Path) -> list[Path]:
     write_atomically(paths[1], json.dumps(data, indent=1) + "\n")
     write_atomically(paths[0], page)
     columns = ("scenario", "method", "median", "q1", "q3", "least", "greatest", "published", "optimum",
-               "environment_steps", "near_optimum_at", "seconds")  # fmt: skip
+               "environment_steps", "near_optimum_at", "regret", "seconds")  # fmt: skip
     write_csv(paths[2], (*columns, "seeds"), (
         [*(result[column] for column in columns), len(result["seeds"])] for result in data["results"]
     ))  # fmt: skip

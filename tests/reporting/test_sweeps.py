@@ -14,7 +14,7 @@ from stltool.errors import FileError
 from stltool.learning.sweep import Failure, RunResult
 from stltool.reporting import load_report, render, sweep_data, write_history, write_sweep
 from stltool.reporting.curves import quartile_curves
-from stltool.reporting.sweeps import failure_text, result_rows
+from stltool.reporting.sweeps import failure_text, regret, result_rows
 from tests.conftest import FACTORY
 
 SWEEP = f"""
@@ -108,6 +108,8 @@ def test_the_table_tells_what_was_found(result):
     assert (naive["median"], naive["q1"], naive["q3"]) == pytest.approx((0.1, 0.05, 0.15))
     assert (naive["least"], naive["greatest"], naive["near_optimum_at"]) == (0, 0.2, None)
     assert (naive["environment_steps"], naive["seconds"]) == (30, 2)
+    # evaluated after episodes 2, 4, 6: the seeds' P sum to 0, 0 + 0 + .05 + .1 + .15 + .2, .25 + .5 + .4 + .3 + .2 + .1
+    assert naive["regret"] == pytest.approx(6 * optimum - 0.5)
     assert (cfer["seeds"], cfer["published"], cfer["near_optimum_at"]) == ([0, 2], 0.25, 20)
     assert cfer["median"] == pytest.approx(optimum)
     assert charging["near_optimum_at"] is None
@@ -118,6 +120,7 @@ def test_the_table_tells_what_was_found(result):
     assert (rows[0]["least"], rows[0]["greatest"]) == ("0.0000", "0.2000")
     assert [row["published"] for row in rows] == ["", "0.2500", ""]
     assert [row["0.99 P* at"] for row in rows] == ["–", "20", "–"]
+    assert rows[0]["regret"] == f"{6 * optimum - 0.5:.4g}"
     assert rows[2]["P*"] == "0.9999"  # below 1, never 1
     assert all("published" not in row for row in result_rows({**data, "results": [naive]}))
     assert [failure_text(failure) for failure in data["failures"]] == [
@@ -177,6 +180,11 @@ def test_a_sweep_without_any_result_has_a_page_too(sweep):
     assert "<svg" not in page
 
 
+def test_regret_is_summed_over_episodes():
+    assert regret([1, 2, 3], [0.1, 0.5, 0.75], 0.75) == pytest.approx(0.65 + 0.25 + 0)  # every episode evaluated
+    assert regret([2, 4], [0.2, 0.4], 0.5) == pytest.approx(0.4 + 0.3 + 0.2 + 0.1)  # linear between, from 0
+
+
 def test_tables_and_curves_as_csv(result, tmp_path):
     data = sweep_data(result)
     write_sweep(data, tmp_path)
@@ -186,6 +194,7 @@ def test_tables_and_curves_as_csv(result, tmp_path):
         ("R", "naive", "3"), ("R", "cf", "2"), ("C", "cf", "1")
     ]  # fmt: skip
     assert float(table[1]["optimum"]) == data["scenarios"][0]["optimum"]
+    assert [float(row["regret"]) for row in table] == [found["regret"] for found in data["results"]]
     assert (table[0]["published"], table[1]["published"]) == ("", "0.25")
     with open(tmp_path / "curves.csv", newline="") as file:
         curves = list(csv.DictReader(file))
