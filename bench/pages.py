@@ -3,6 +3,7 @@
 scenarios   the table of docs/reproduction.md, from examples/paper/table.toml
 sweep       README and docs/sweeps.md: what a finished sweep in out/table took, and how its seeds differ
 guarantees  the table of docs/guarantees.md: bounds from learning data and from fresh runs, by episodes
+tied        the second one there: bounds if one parameter governs all rows
 robust      docs/robust.md: a robust check beside an ordinary one
 tradeoff    docs/tradeoffs.md: a linear programme of a large task
 why         docs/why.md: the most probable runs and the derivatives of a long shift
@@ -64,6 +65,23 @@ def guarantees() -> None:
             ]
             cut = [f"{math.floor(bound * 10**4) / 10**4:.4f}" for bound in bounds]  # a bound is never rounded up
             print("|", " | ".join([task, spaced(episodes), spaced(run.environment_steps), *cut]), "|", flush=True)
+
+
+def tied() -> None:
+    print("| T = τ | episodes | steps | support unknown | support known | tied | fresh runs | exact P |")
+    print("|---|---:|---:|---:|---:|---:|---:|---:|")
+    for T, most in ((5, 10_000), (10, 1000)):
+        own = product("patrolling.stl", T=T, tau=T)
+        for episodes in filter(lambda n: n <= most, (100, 1000, 10_000)):
+            run = stl.learn(own, "model-based", episodes=episodes, evaluate_every=episodes, seed=0)
+            bounds = [
+                *(stl.guarantee(own, run.policy, run.counts, **how).lower for how in
+                  ({}, {"support": "known"}, {"parameters": "model"})),
+                stl.estimate(own, run.policy, runs=episodes, side="lower", seed=0).lower,
+                stl.check(own, run.policy).lower,
+            ]  # fmt: skip
+            cut = [f"{math.floor(bound * 10**4) / 10**4:.4f}" for bound in bounds]
+            print("|", " | ".join([str(T), spaced(episodes), spaced(run.environment_steps), *cut]), "|", flush=True)
 
 
 def scenarios() -> None:
@@ -150,7 +168,7 @@ def why() -> None:
 
 
 if __name__ == "__main__":
-    programs = {f.__name__: f for f in (guarantees, robust, scenarios, sweep, tradeoff, why)}
+    programs = {f.__name__: f for f in (guarantees, robust, scenarios, sweep, tied, tradeoff, why)}
     if sys.argv[1] not in ("scenarios", "sweep"):
         kernels.warm_up()
     programs[sys.argv[1]]()

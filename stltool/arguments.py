@@ -131,7 +131,7 @@ def real(value: object, what: str, example: str = "0.5") -> float | Fraction:
 def one_of(value: object, what: str, known: Sequence[str]) -> str:
     """One of these words; SettingsError names them."""
     if not isinstance(value, str) or value not in known:
-        choices = f"{', '.join(known[:-1])} or {known[-1]}"
+        choices = f"{', '.join(known[:-1])} or {known[-1]}" if len(known) > 1 else known[0]
         raise SettingsError(f"{_subject(what)} is {described(value)}; choose {choices}")
     return value
 

@@ -64,6 +64,10 @@ class ModelError(StlToolError):
     """A model file or a model's arrays do not describe an MDP."""
 
 
+class TieError(StlToolError):
+    """Data contradict the assumption that a parameter is the same in all rows."""
+
+
 class PolicyError(StlToolError):
     """A policy does not fit the product it is to be used on."""
 

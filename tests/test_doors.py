@@ -304,7 +304,10 @@ OWN = {
         "evaluate_every": {"int"}, "most_steps": {"None", "int"}, "stop_gap": {"None", *NUMBERS},
         "checkpoint": {"None", *PATHS}, "checkpoint_every": NUMBERS,
     },
-    "guarantee": {"counts": {"Counts"}, "start": {"None", "int"}},
+    "guarantee": {
+        "counts": {"Counts"}, "start": {"None", "int"}, "parameters": {"None"}, "test_tie": {"True"},
+        "fresh": {"None", "Estimate"}, "successors": {"None", "function"},
+    },
     "Counts": {"n_choices": {"int"}, "n_contexts": {"int"}},
     "Counts.add": {"choice": {"int", *LISTS}, "target": {"int", *LISTS}, "context": {"None", "int", *LISTS}},
     "Counts.contains": {"other": {"Counts"}},

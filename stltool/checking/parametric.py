@@ -255,6 +255,10 @@ class Family:
 
     def of(self, policy: Policy, lower: Fraction, upper: Fraction) -> Floats:
         """Coefficients of the policy's P on [lower, upper]."""
+        box = self._point(lower), self._point(upper)
+        return self._solved(self._following(policy), Bernstein(self.product.horizon, *box, True), True)
+
+    def _following(self, policy: Policy) -> Layers[Any, Any]:
         known = self._layers.get(id(policy))
         if known is None:
             judge, judged = policy.on(self.home)
@@ -265,16 +269,23 @@ class Family:
             except Silent:
                 raise undefined(judge, judged) from None
             known = self._layers[id(policy)] = layers, policy  # which keeps its id
-        box = self._point(lower), self._point(upper)
-        return self._solved(known[0], Bernstein(self.product.horizon, *box, True), True)
+        return known[0]
+
+    def work(self, policy: Policy | None = None) -> float:
+        """The multiply-adds for a polynomial, roughly."""
+        layers = self._open if policy is None else self._following(policy)
+        return layers.size()[1] * layers.game.widest * float(self.product.horizon)
 
     def _solved(self, layers: Layers[Any, Any], arithmetic: Bernstein, maximize: bool) -> Floats:
+        h = self.product.horizon
+        widest, pairs = layers.size()
+        self._budget.need(32 * widest * (h + 1), 0, h)
+        self._budget.require_time(pairs * layers.game.widest * float(h), h)
         found = solve(layers, arithmetic, maximize).entry
         model = self.product.model
         shares = model.initial[np.flatnonzero(model.initial)]
         c = np.array([math.fsum(column) for column in (shares[:, None] * found).T.tolist()])
-        degree = self.product.horizon
-        return c if len(c) == degree + 1 else np.full(degree + 1, c[0])  # decided at the start: constant
+        return c if len(c) == h + 1 else np.full(h + 1, c[0])  # decided at the start: constant
 
     def roundings(self, policy: Policy | None = None) -> int:
         """The relative error of coefficients, in units of 2⁻⁵³."""

@@ -31,11 +31,13 @@ from stltool.cli.options import (
 )
 from stltool.cli.roles import Writes, task_folder, within
 from stltool.cli.steps import (
+    ROLLOUTS,
     LearnerCommand,
     guarantees_of,
     make_product,
     read_learner,
     resumable,
+    split_episodes,
     this_command,
     train,
     training_text,
@@ -68,7 +70,15 @@ def run(
         int,
         typer.Option("--rollouts", help="fresh runs for judging the learned policy; 0: none"),
         Named("runs"),
-    ] = 10_000,
+    ] = ROLLOUTS,
+    split: Annotated[
+        float | None,
+        typer.Option(
+            "--split",
+            metavar="SHARE",
+            help="learn in this share of the episodes, and use the others as fresh runs instead of --rollouts",
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="folder for the results; default: out/NAME"),
@@ -90,6 +100,8 @@ def run(
     from stltool.reporting import guarantee_rows, report_data, write_report
     from stltool.reporting.terminal import print_checks, print_facts, print_json, print_table, progress_bar
 
+    if split is not None:
+        episodes, rollouts = split_episodes(split, episodes, rollouts)
     planned_runs(rollouts or None, confidence=confidence, side="lower")
     learner = read_learner(method, faithful, setting)
     product = make_product(

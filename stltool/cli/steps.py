@@ -344,16 +344,35 @@ class LearnerCommand(TyperCommand):
         print(f"\n{methods_text()}")
 
 
+def split_episodes(split: float, episodes: int, rollouts: int) -> tuple[int, int]:
+    """The episodes to learn in, and the fresh runs."""
+    if rollouts != ROLLOUTS:
+        raise SettingsError("--split and --rollouts each give the number of fresh runs; keep one of them")
+    learning = round(split * episodes) if 0 < split < 1 else 0
+    if not 0 < learning < episodes:
+        raise SettingsError(
+            f"--split {split:g}: of {episodes} episodes, it leaves none to learn in or none to judge by; give a share "
+            "such as 0.2, and more episodes"
+        )
+    return learning, episodes - learning
+
+
+ROLLOUTS = 10_000
+"""Fresh runs, unless their number is given."""
+
+
 def guarantees_of(
     product: Product, training: Training, confidence: float, rollouts: int, quiet: bool
 ) -> list[dict[str, Any]]:
-    """Lower bounds for a learned policy, as data: from the transitions it was learned from, and from fresh runs.
+    """Lower bounds for a learned policy, as data: from the transitions it was learned from, also if the model's rows
+    are tied by a parameter, from fresh runs, and the best of the last two.
 
     For a black box only from fresh runs, since its initial distribution is unknown.
     """
     import stltool as stl
-    from stltool.reporting import guarantee_data
-    from stltool.reporting.terminal import progress_bar
+    from stltool.errors import TieError
+    from stltool.reporting import guarantee_data, refused_data
+    from stltool.reporting.terminal import progress_bar, warn
 
     found = []
     for support in ("unknown", "known") if product.model.blackbox is None else ():
@@ -362,6 +381,16 @@ def guarantees_of(
                 product, training.policy, training.counts, confidence=confidence, support=support, progress=bar
             )
         found.append(guarantee_data(bound))
+    policy, counts = training.policy, training.counts
+    tied = product.model.family is not None
+    if tied:
+        try:
+            bound = stl.guarantee(product, policy, counts, confidence=confidence, parameters="model")
+            found.append(guarantee_data(bound))
+        except TieError as error:
+            tied = False
+            warn(str(error))
+            found.append(refused_data(str(error), int(counts.visits.sum()), confidence))
     if rollouts:
         with progress_bar("fresh runs", quiet=quiet) as bar:
             runs = stl.estimate(
@@ -369,6 +398,9 @@ def guarantees_of(
                 progress=bar,
             )  # fmt: skip
         found.append(guarantee_data(runs))
+        if tied:
+            best = stl.guarantee(product, policy, counts, confidence=confidence, parameters="model", fresh=runs)
+            found.append(guarantee_data(best))
     return found
 
 

@@ -31,6 +31,8 @@ Sources: [Ville39] [Robbins70] [Howard21].
 
 from __future__ import annotations
 
+import math
+from fractions import Fraction
 from typing import TypeAlias
 
 import numpy as np
@@ -65,6 +67,12 @@ def unseen_mass(seen: Whole, tries: Whole, possible: int, log_inverse: float) ->
     nats = sets + np.log(np.maximum(j * (j + 1), 1)) + log_inverse + _SLACK * (sizes + abs(log_inverse) + 1)
     bound = -np.expm1(-nats / np.maximum(tries, 1)) * (1 + _SLACK)
     return np.where(seen >= possible, 0.0, np.where(tries > 0, np.minimum(bound, 1), 1.0))
+
+
+def log_inverse(events: int, alpha: Fraction) -> float:
+    """ln(events / α): every one of the events gets an equal share of α."""
+    share = alpha / max(events, 1)
+    return math.log(share.denominator) - math.log(share.numerator)
 
 
 def _lower_end(k: Floats, n: Floats, log_inverse: Floats) -> Floats:

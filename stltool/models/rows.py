@@ -149,6 +149,13 @@ class Rows(Displayed):
         assert ties is not None
         return self._of(ties.doubles(values))
 
+    @property
+    def tied_class(self) -> I64:
+        """(e,) the number of each entry's function among `chances.ties.classes`."""
+        ties = self.chances.ties
+        assert ties is not None
+        return self._of(ties.which)
+
     @cached_property
     def width(self) -> Floats:
         """upper − lower of every entry, with intervals."""

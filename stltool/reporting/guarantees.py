@@ -17,13 +17,27 @@ def guarantee_data(found: Guarantee | Estimate) -> dict[str, Any]:
     """One guarantee, flat."""
     if not isinstance(found, Estimate):
         details: dict[str, Any] = {
-            "source": "learning data",
+            "source": "learning data" if found.fresh is None else "best of both",
             "support": found.support,
             "transitions": found.transitions,
             "choices": found.choices,
             "never_tried": found.never_tried,
             "assumes": found.assumes,
         }
+        if found.parameters:
+            details["parameters"] = [
+                {
+                    "name": one.name,
+                    "lower": float(one.lower),
+                    "upper": float(one.upper),
+                    "estimate": float(one.estimate),
+                    "transitions": one.transitions,
+                }
+                for one in found.parameters
+            ]
+            details["evidence_against_tie"] = found.evidence
+        if found.fresh is not None:
+            details |= {"runs": found.fresh.runs, "satisfied": found.fresh.satisfied, "seed": found.fresh.seed}
     elif found.side == "upper":
         raise SettingsError('an estimate with side="upper" gives no lower bound; make it with side="lower"')
     else:
@@ -36,6 +50,20 @@ def guarantee_data(found: Guarantee | Estimate) -> dict[str, Any]:
         }
     bound = {"lower": found.lower, "confidence": found.confidence, "seconds": found.seconds}
     return {**details, **bound, "statement": found.statement}
+
+
+def refused_data(reason: str, transitions: int, confidence: float) -> dict[str, Any]:
+    """A guarantee that is not given, since the data contradict what it would assume."""
+    return {
+        "source": "learning data",
+        "transitions": transitions,
+        "lower": 0.0,
+        "confidence": confidence,
+        "seconds": 0.0,
+        "refused": reason,
+        "assumes": "one parameter for all rows, which the data contradict",
+        "statement": f"no bound is given: {reason}",
+    }
 
 
 def guarantee_rows(guarantees: Sequence[dict[str, Any]], checks: Sequence[dict[str, Any]] = ()) -> list[dict[str, Any]]:
@@ -51,11 +79,12 @@ def guarantee_rows(guarantees: Sequence[dict[str, Any]], checks: Sequence[dict[s
         if check["question"] == "policy"
     ][:1]
     for data in guarantees:
-        samples = f"{data['transitions']} transitions" if "transitions" in data else f"{data['runs']} runs"
+        numbers = [f"{data[key]} {key}" for key in ("transitions", "runs") if key in data]
+        samples = " and ".join(numbers)
         rows.append({
             "guaranteed_by": f"{data['source']}, {samples}",
-            "P_at_least": floor_text(data["lower"]),
+            "P_at_least": floor_text(data["lower"]) if "refused" not in data else "refused",
             "confidence": f"{100 * data['confidence']:.12g} %",
-            "assumes": data["assumes"],
+            "assumes": data["assumes"] if data["source"] != "best of both" else "what these two assume",
         })  # fmt: skip
     return rows

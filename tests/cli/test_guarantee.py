@@ -5,6 +5,7 @@ import json
 import re
 import sys
 
+import numpy as np
 import pytest
 
 import stltool as stl
@@ -38,11 +39,16 @@ def test_run_prints_guarantees_beside_the_exact_value(run, tmp_path):
     code, text, _ = run("--rollouts", "500", "--confidence", "0.9")
     assert code == 0
     data = load_report(out / "report.json")
-    unknown, known, runs = data["guarantees"]
+    unknown, known, tied, runs, best = data["guarantees"]
     exact = data["checks"][1]
     assert (unknown["support"], known["support"], runs["runs"]) == ("unknown", "known", 500)
     assert unknown["transitions"] == known["transitions"] == data["training"]["environment_steps"]
-    assert 0 <= unknown["lower"] <= known["lower"] <= exact["upper"]
+    assert 0 <= unknown["lower"] <= known["lower"] <= tied["lower"] <= exact["upper"]
+    (success,) = tied["parameters"]
+    assert success["lower"] <= 0.93 <= success["upper"]
+    assert best["source"] == "best of both"
+    assert (best["runs"], best["transitions"]) == (500, tied["transitions"])
+    assert max(tied["lower"], runs["lower"]) >= best["lower"] >= min(tied["lower"], runs["lower"])
     assert {row["confidence"] for row in data["guarantees"]} == {0.9}
     page = html.unescape((out / "report.html").read_text(encoding="utf-8"))
     assert "<h2>Guarantees</h2>" in page
@@ -51,26 +57,53 @@ def test_run_prints_guarantees_beside_the_exact_value(run, tmp_path):
         assert f'<td class="number">{row["P_at_least"]}</td><td class="number">{row["confidence"]}</td>' in page
     assert [row["confidence"] for row in guarantee_rows(data["guarantees"], data["checks"])] == ["certain"] + [
         "90 %"
-    ] * 3
+    ] * 5
 
 
 def test_the_bounds_are_those_of_the_functions(run):
     found = json.loads(run("--seed", "4", "--rollouts", "300", "--json")[1])["guarantees"]
-    assert found[2]["seed"] == 4
+    assert found[3]["seed"] == 4
     product = stl.build_product(stl.load_model(FACTORY / "floor-5x5.toml"),
                                 stl.load_task(TASK, params={"T": 3, "tau": 3}))  # fmt: skip
     training = stl.learn(product, "cfer", episodes=150, seed=4)
     runs = stl.estimate(product, training.policy, runs=300, side="lower", seed=4)
-    assert (runs.lower, runs.satisfied) == (found[2]["lower"], found[2]["satisfied"])
+    assert (runs.lower, runs.satisfied) == (found[3]["lower"], found[3]["satisfied"])
     for row, support in zip(found, ("unknown", "known"), strict=False):
         bound = stl.guarantee(product, training.policy, training.counts, support=support)
+        assert (bound.lower, bound.statement) == (row["lower"], row["statement"])
+    tied = {"parameters": "model"}
+    for row, how in ((found[2], tied), (found[4], {**tied, "fresh": runs})):
+        bound = stl.guarantee(product, training.policy, training.counts, **how)
         assert (bound.lower, bound.statement) == (row["lower"], row["statement"])
 
 
 def test_without_rollouts_the_data_alone_tells(run):
     code, text, _ = run("--rollouts", "0", "--json")
     assert code == 0
-    assert [row["source"] for row in json.loads(text)["guarantees"]] == ["learning data"] * 2
+    assert [row["source"] for row in json.loads(text)["guarantees"]] == ["learning data"] * 3
+
+
+def test_a_split_learns_in_a_share_of_the_episodes_and_judges_by_the_others(run):
+    data = json.loads(run("--split", "0.2", "--json")[1])
+    assert data["training"]["history"][-1]["episode"] == 30
+    assert data["guarantees"][3]["runs"] == 120
+
+
+def test_a_tie_that_the_data_contradict_is_refused(run, monkeypatch):
+    """Where the moves of one cell succeed less often, in a simulator of its own."""
+    model = stl.load_model(FACTORY / "floor-5x5.toml")
+    start = int(np.flatnonzero(model.initial)[0])
+    worse, probability = model.at(success="1/3"), model.probability.copy()
+    a, b = model.row_start[model.choice_start[start : start + 2]]
+    probability[a:b] = worse.probability[a:b]
+    strange = model.with_rows(probability=probability, exact=None)
+    object.__setattr__(strange.source, "_family", model.family.source)  # it claims to be tied
+    monkeypatch.setattr("stltool.load_model", lambda *given: strange)
+    code, text, err = run("--rollouts", "100", "--method", "naive", "-e", "600")
+    assert code == 0
+    assert "warning: the data contradict the assumption that the same success holds in every row" in err
+    assert re.search(r"learning data, \d+ transitions  refused +99 % +one parameter for all rows", text)
+    assert "best of both" not in text
 
 
 @pytest.mark.parametrize(
@@ -79,6 +112,8 @@ def test_without_rollouts_the_data_alone_tells(run):
         ("--confidence", "1", "confidence is 1.0"),
         ("--confidence", "-0.5", "confidence is -0.5"),
         ("--rollouts", "-3", "--rollouts is -3"),
+        ("--split", "1.5", "--split 1.5: of 150 episodes, it leaves none"),
+        ("--split", "0", "--split 0: of 150 episodes, it leaves none"),
     ],
 )
 def test_bad_options_are_told_before_the_work(run, tmp_path, option, value, says):
