@@ -2,11 +2,17 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test soak fuzz lint bench claims format clean
+.PHONY: demo robot test soak fuzz lint bench claims format clean
 
 demo: .venv/installed
 	$(BIN)/stltool run examples/factory/patrolling.stl --method cfer --episodes 1000 --seed 0 --out out/patrolling
 	@echo "open out/patrolling/report.html in a browser"
+
+# the paper's task on a simulated robot: learned, promised, and what models predict of it (docs/robot.md)
+robot: .venv/installed
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[robot]' \
+		|| echo "MuJoCo cannot be installed here: the kinematic robot is taken instead"
+	$(BIN)/python -m examples.robot --out out/robot
 
 # bytecode is kept, whatever the environment says: tests start dozens of processes
 test soak: export PYTHONDONTWRITEBYTECODE =

@@ -95,7 +95,7 @@ class MarkovTest(Displayed):
     @property
     def rejected(self) -> bool:
         """Whether the data contradict the assumption."""
-        return self.p_value <= 1 - exact(self.confidence)
+        return exact(self.p_value) <= 1 - exact(self.confidence)  # decimals, as doubles 0.001 > 1 - 0.999
 
     @property
     def p_text(self) -> str:

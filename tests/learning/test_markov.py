@@ -154,6 +154,13 @@ def test_one_choice_of_many_that_depends_is_found():
     assert found.most[0][0] == 7
 
 
+@pytest.mark.parametrize(("confidence", "draws"), [(0.99, 199), (0.999, 1999), (0.9, 19)])
+def test_the_least_p_value_that_rejects_does(confidence, draws):
+    found = stl.markov_test(from_table([[30, 0], [0, 30]]), confidence=confidence, draws=draws)
+    assert found.p_value == 2 / (draws + 1)
+    assert found.rejected
+
+
 def test_the_same_seed_gives_the_same_result():
     counts = from_table([[9, 3, 2], [4, 6, 2], [1, 7, 3]])
     first, again, other = (stl.markov_test(counts, seed=seed) for seed in (5, 5, 6))
