@@ -5,9 +5,9 @@ A product state is a pair (s, q): model state s just read, automaton state q aft
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,10 @@ from stltool.automata.compile import MOST_STATES, atoms_of
 from stltool.automata.reach import reachable_pairs
 from stltool.display import Card, Displayed, StateNames, counted
 from stltool.errors import NameLookupError, SettingsError, near_misses
-from stltool.logic.formula import Composable, Formula, bounded_formula_of, label_names, variables
+from stltool.logic.formula import Composable, Formula, Label, bounded_formula_of, label_names, variables
 from stltool.logic.task import Task
 from stltool.models import MDP
+from stltool.models.sensing import Atom
 from stltool.monitoring.states import truth
 from stltool.sizes import require_memory
 from stltool.source import Span
@@ -226,16 +227,23 @@ def build_product(
     require(model, MDP, "build_product's model")
     formula = bounded_formula_of(task, "build_product's task")
     name = task.name if isinstance(task, Task) else "formula"
-    _require_names(label_names(formula), model.labels, model.signals, "label", "compare it with a number", model.notes)
-    _require_names(variables(formula), model.signals, model.labels, "signal", "use it without comparing", model.notes)
+    sensing = model.sensing
+    labels = model.labels if sensing is None else sensing.labels
+    signals = model.signals if sensing is None else sensing.signals
+    _require_names(label_names(formula), labels, signals, "label", "compare it with a number", model.notes)
+    _require_names(variables(formula), signals, labels, "signal", "use it without comparing", model.notes)
     if isinstance(task, Task):
         for own in (*task.params, *task.definitions):
-            if own in model.labels or own in model.signals:
+            if own in labels or own in signals:
                 raise NameLookupError(
                     f"{task.path or task.name}: {own} is defined in the task, and the model has a "
-                    f"{'label' if own in model.labels else 'signal'} of that name; rename the one in the task"
+                    f"{'label' if own in labels else 'signal'} of that name; rename the one in the task"
                 )
     atoms = atoms_of(formula, encoding)
+    if sensing is not None:
+        model, told, code = sensing.bound(model, list(map(_sensed, atoms)))
+        automaton = compile_automaton(formula, encoding, told, memory_limit, most_states)
+        return Product(model, automaton, automaton.letter_of[code], name)
     require_memory(
         model.n_states * 24,
         f"reading {len(atoms)} predicates in {model.n_states} states",
@@ -246,6 +254,16 @@ def build_product(
     valuations, which = _distinct(values, model.n_states)
     automaton = compile_automaton(formula, encoding, valuations != 0, memory_limit, most_states)
     return Product(model, automaton, automaton.letter_of[which], name)
+
+
+def _sensed(psi: Formula) -> Atom:
+    """An atom of a task that is read from real signals, one sample after another."""
+
+    def holds(signals: Mapping[str, float], labels: Mapping[str, bool]) -> bool:
+        one_signal = {name: np.array([value]) for name, value in signals.items()}
+        return bool(truth(psi, one_signal, {name: np.array([value]) for name, value in labels.items()}, 1)[0])
+
+    return Atom(str(psi), holds, psi.name if isinstance(psi, Label) else None)
 
 
 def build_joint_product(
@@ -260,6 +278,11 @@ def build_joint_product(
     before allocating what would not fit, and what `build_product` raises for each.
     """
     require(model, MDP, "build_joint_product's model")
+    if model.sensing is not None:
+        raise SettingsError(
+            f"{model.name} is a black box with real signals, whose states are those of one task; build a product "
+            "of each"
+        )
     named: list[tuple[str, Formula | Task]]
     if isinstance(tasks, Mapping):
         named = list(mapping(tasks, "build_joint_product's tasks", "{'patrol': formula}").items())
@@ -309,13 +332,10 @@ def _distinct(
     return rows, which.astype(np.int32, copy=False)
 
 
-_Column = TypeVar("_Column")
-
-
 def _require_names(
     wanted: Mapping[str, Span | None],
-    known: Mapping[str, _Column],
-    other: Mapping[str, NDArray[np.bool_]] | Mapping[str, NDArray[np.float64]],
+    known: Collection[str],
+    other: Collection[str],
     kind: str,
     remedy: str,
     notes: Mapping[str, str],

@@ -16,7 +16,8 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 # every module of stltool that imports a package of an extra when it is itself imported, or in a function
 IMPORTERS = {
     "cluster.py": "distributed", "learning/pool.py": "distributed", "envs/model.py": "gymnasium",
-    "envs/product.py": "gymnasium",    "models/gymnasium/spaces.py": "gymnasium", "monitoring/files.py": "pyarrow",
+    "envs/product.py": "gymnasium", "models/gymnasium/spaces.py": "gymnasium",
+    "models/gymnasium/cells.py": "gymnasium", "monitoring/files.py": "pyarrow",
     "reporting/tensorboard.py": "tensorboard",
 }  # fmt: skip
 

@@ -61,6 +61,7 @@ from stltool.learning.counts import Counts
 from stltool.learning.tied import Evidence, TiedParameter
 from stltool.models import MDP, Intervals
 from stltool.models.rows import Stored
+from stltool.models.sensing import ALIKE
 from stltool.numbers import exact, floor_text
 from stltool.policy import Policy, require_door
 from stltool.product import Product, first_verdicts, with_outcome
@@ -124,7 +125,8 @@ class Guarantee(Displayed):
     def assumes(self) -> str:
         """What the bound assumes in addition to the data."""
         independent = "; the runs are independent of each other and of the learning" if self.fresh is not None else ""
-        return self._of_rows + independent
+        cells = "" if self.policy.home.model.sensing is None else f" but {ALIKE}"
+        return self._of_rows + cells + independent
 
     @property
     def _of_rows(self) -> str:

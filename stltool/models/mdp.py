@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
     from stltool.models.environment import BlackBox
+    from stltool.models.sensing import Sensing
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -84,6 +85,8 @@ class MDP(Displayed):
                    `target` and `probability` empty; `learn`, `estimate` and `sprt` work with the model
     notes          remarks on how the model was read, by subject: "normalize", or what a missing companion file would
                    define ("label", "signal")
+    sensing        of a black box whose signals are real: its states are cells (models/sensing.py), and labels and
+                   signals are empty; products read the task from what is sensed
     Raises ModelError, naming state and action, if a row is not a distribution, a state has no action, a value is not
     finite, or a shape does not fit.
     """
@@ -99,6 +102,7 @@ class MDP(Displayed):
     exact_initial: Shares | None = None
     blackbox: Callable[[np.random.Generator, int | None], BlackBox] | None = None
     notes: Mapping[str, str] = field(default_factory=dict)
+    sensing: Sensing | None = None
 
     def __post_init__(self) -> None:
         require(self.source, Source, "MDP's source", "make models by stl.MDP.from_arrays(...)")

@@ -559,8 +559,21 @@ NESTED = spaces.Tuple([spaces.Discrete(2, start=5), spaces.Tuple([spaces.Discret
             [10, 5],
             ["(5,0,0,0)", "(5,0,0,1)"],
         ),
+        (spaces.MultiBinary(2), [np.array([1, 0], dtype=np.int8)], [2], ["(0,0)", "(0,1)"]),
+        (
+            spaces.Box(np.array([-1, 3]), np.array([1, 4]), dtype=np.int64),
+            [np.array([0, 4]), np.array([-1, 3])],
+            [3, 0],
+            ["(-1,3)", "(-1,4)"],
+        ),
+        (
+            spaces.Dict(a=spaces.Discrete(2, start=1), b=spaces.MultiBinary([2])),
+            [{"a": 2, "b": np.array([0, 1], dtype=np.int8)}, {"b": np.array([1, 0], dtype=np.int8), "a": 1}],
+            [5, 2],
+            ["(1,0,0)", "(1,0,1)"],
+        ),
     ],
-    ids=["start", "multi", "matrix", "nested"],
+    ids=["start", "multi", "matrix", "nested", "binary", "integers", "dict"],
 )  # fmt: skip
 def test_observations_are_numbered(space, observations, states, names):
     first, *others = observations
@@ -576,6 +589,8 @@ def test_observations_are_numbered(space, observations, states, names):
 
 def plain(observation):
     """An observation in components, as labels list it."""
+    if isinstance(observation, dict):
+        return [n for key in sorted(observation) for n in np.ravel(observation[key]).tolist()]
     if isinstance(observation, tuple | np.ndarray) and np.ndim(np.array(observation, dtype=object)):
         return [n for part in observation for n in np.ravel(plain(part)).tolist()]
     return int(observation)
@@ -588,8 +603,11 @@ def plain(observation):
         (spaces.Discrete(3, start=1), [0, 4]),
         (spaces.MultiDiscrete([2, 3]), [np.array([2, 0]), np.array([0, -1]), np.array([0.0, 1.0]), np.array([1]), 1]),
         (spaces.Tuple((spaces.Discrete(2), spaces.Discrete(2))), [(0,), (0, 1, 0), (0, 2), 1, "01"]),
+        (spaces.Dict(a=spaces.Discrete(2)), [{}, {"b": 0}, {"a": 0, "b": 0}, {"a": 2}, 0]),
+        (spaces.MultiBinary(2), [np.array([0, 2]), np.array([0]), np.array([0.0, 1.0])]),
+        (spaces.Box(0, 3, (1,), np.int32), [np.array([4]), np.array([-1]), np.array([1.0]), 1]),
     ],
-    ids=["discrete", "start", "multi", "tuple"],
+    ids=["discrete", "start", "multi", "tuple", "dict", "binary", "integers"],
 )
 def test_environments_that_leave_their_space(space, outside):
     inside = space.sample()
@@ -611,9 +629,10 @@ def test_environments_that_leave_their_space(space, outside):
     [
         (
             {"observation_space": spaces.Box(0, 1)},
-            "its observations are Box.* wrap it in a gymnasium.ObservationWrapper",
+            "its observations are Box.*, which are not finitely many; divide them into cells, .* wrap it in",
         ),
-        ({"observation_space": spaces.Dict(a=spaces.Discrete(2))}, "its observations are Dict"),
+        ({"observation_space": spaces.Dict(a=spaces.Box(0, 1))}, "its observations are Dict"),
+        ({"observation_space": spaces.Box(0, 255, (9, 9), np.uint8)}, "its space Box.* has about 10.195 observations"),
         ({"observation_space": spaces.Tuple((spaces.Discrete(2), spaces.Box(0, 1)))}, "its observations are Tuple"),
         ({"observation_space": spaces.Tuple(())}, "its observations are Tuple"),
         ({"action_space": spaces.Box(0, 1)}, "its actions are Box.* wrap it in a gymnasium.ActionWrapper"),

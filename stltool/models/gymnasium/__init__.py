@@ -16,9 +16,9 @@ state kept between episodes.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,13 @@ from stltool.models.gymnasium.spaces import (
 from stltool.models.gymnasium.table import read_table, without_table
 from stltool.models.mdp import MDP
 from stltool.models.normalize import NOTHING
+from stltool.models.sensing import CELLS, Sensing
 from stltool.sizes import require_memory
+
+if TYPE_CHECKING:
+    from stltool.models.gymnasium.cells import Sensor
+
+CellsGiven: TypeAlias = Mapping[str, Any] | Callable[[Any], int]
 
 
 def require_gymnasium() -> Any:
@@ -59,6 +65,8 @@ def from_gymnasium(
     name: str | None = None,
     action_names: Sequence[str] | None = None,
     normalize: bool = False,
+    cells: CellsGiven | None = None,
+    n_cells: int | None = None,
 ) -> MDP:
     """The MDP of a Gymnasium environment with S observations and A actions, in the order of its spaces.
 
@@ -72,8 +80,17 @@ def from_gymnasium(
     normalize  rescale rows of the table that miss a sum of 1 by at most 1/1000, so that they sum to 1 exactly: thirds
                given as 0.333… become 1/3 (models/normalize.py); `notes` of the model reports what changed
 
-    An observation is an integer for `Discrete` (from its `start`), and a tuple of all components in order for `Tuple`
-    and `MultiDiscrete`. A black box shares `env`: one run at a time. Raises ModelError, naming the space or the row, if
+    cells      for observations that are not finitely many, or too many: what a learner's table is indexed by. Signal →
+               edges between cells, ascending, or the width of cells of a signal with bounds; or a function of an
+               observation that returns a cell's number, below `n_cells`
+
+    An observation is an integer for `Discrete` (from its `start`), and a tuple of all components in order for `Tuple`,
+    `Dict`, `MultiDiscrete`, `MultiBinary` and `Box` of integers. With `cells` the model is a black box, and signals are
+    functions of the real observation, or numbers of its components; labels are functions of it. Tasks are read from
+    these (stltool/models/sensing.py), not from cells. A label may also be a text, the key of `info` whose truth it is,
+    or `stltool.models.gymnasium.cells.OfStep`, a function of the step.
+
+    A black box shares `env`: one run at a time. Raises ModelError, naming the space or the row, if
     environment, labels or signals do not fit, if `table=True` and there is no table, or if the environment deviates
     from its table: it is reset and stepped up to 2000 times to check this.
     """
@@ -88,6 +105,10 @@ def from_gymnasium(
     if action_names is not None:
         action_names = texts(action_names, "from_gymnasium's action_names")
     title = env_name(env)
+    if cells is not None or any(map(_of_step, labels.values())):
+        return _sensed(env, labels, signals, table, name or title, action_names, cells, n_cells)
+    if n_cells is not None:
+        raise SettingsError("n_cells is the number of cells of a function; give cells, too, or leave it out")
     observations = Observations.of(env)
     first_action, n_actions = actions_of(env, title)
     apart = ends == "apart"
@@ -113,7 +134,10 @@ def from_gymnasium(
     if table is not False and not missing:
         matrices, initial = read_table(env, title, observations, n_actions, apart, normalize)
         return MDP.from_arrays(matrices, initial=initial, action_names=action_names, normalize=normalize, **facts)
-    shared = Shared(env, title, observations, first_action, apart)
+    text = lambda s: str(observations.observation(s))  # noqa: E731
+    shared = Shared(
+        env, title, observations.space, observations.index, text, observations.n_states, first_action, apart
+    )
 
     def episodes(rng: np.random.Generator, steps: int | None) -> Environment:
         adapter = Episodes(shared, rng, steps)
@@ -121,6 +145,55 @@ def from_gymnasium(
 
     model = MDP.black_box(size, list(action_names), lambda rng: episodes(rng, None), **facts)
     return replace(model, blackbox=episodes, notes={"normalize": NOTHING.format("unknown")} if normalize else {})
+
+
+def _of_step(label: object) -> bool:
+    """Whether a label is read from more than an observation."""
+    from stltool.models.gymnasium.cells import OfStep
+
+    return isinstance(label, str | OfStep)
+
+
+def _sensed(
+    env: Any,
+    labels: Mapping[str, Any],
+    signals: Mapping[str, Any],
+    table: bool | str,
+    name: str,
+    action_names: Sequence[str] | None,
+    cells: CellsGiven | None,
+    n_cells: int | None,
+) -> MDP:
+    """A black box whose states are cells, once where runs go on, and once where they have ended."""
+    from stltool.models.gymnasium.cells import Senses, Sensor
+
+    if table is True:
+        raise SettingsError("a model of cells has no table; leave table=True out, or cells and labels of steps")
+    senses = Senses.of(env, signals, labels, cells, n_cells)
+    title, n = senses.title, senses.cells.n
+    first_action, n_actions = actions_of(env, title)
+    if action_names is None:
+        action_names = [str(first_action + a) for a in range(n_actions)]
+    if len(action_names) != n_actions:
+        raise ModelError(f"{title}: {len(action_names)} action names for {n_actions} actions")
+    shared = Shared(env, title, senses.space, lambda _: -1, senses.cells.name, n, first_action, apart=True)
+
+    def begin(rng: np.random.Generator, steps: int | None) -> Sensor:
+        return Sensor(shared, senses, rng, steps)
+
+    def episodes(rng: np.random.Generator, steps: int | None) -> Environment:
+        sensor = begin(rng, steps)
+        return Environment(sensor.reset, sensor.step, rng)
+
+    def cell_name(s: int) -> str:
+        ended, cell = divmod(s, n)
+        return senses.cells.name(cell) + (", ended" if ended else "")
+
+    model = MDP.black_box(2 * n, list(action_names), lambda rng: episodes(rng, None), name=name)
+    sensing = Sensing(tuple(signals), tuple(labels), begin)
+    return replace(
+        model, blackbox=episodes, state_names=StateNames(2 * n, cell_name), sensing=sensing, notes={"cells": CELLS}
+    )
 
 
 def _state_name(observations: Observations, s: int) -> str:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from stltool.errors import ModelError
-from stltool.models.gymnasium.spaces import Observations
 
 _SEEDS = 2**31  # every environment accepts seeds below this
 
@@ -18,13 +17,18 @@ _SEEDS = 2**31  # every environment accepts seeds below this
 class Shared:
     """An environment, and what all runs of it share.
 
+    space      of its observations;  read  an observation → its state, −1 if the space does not contain it
+    name       of the observation of a state;  size  the number of states
     running    the run whose episode is in progress
     before, at_end   states from which runs continued, and in which they ended; disjoint unless ends are kept apart
     """
 
     env: Any
     title: str
-    observations: Observations
+    space: Any
+    read: Callable[[Any], int]
+    name: Callable[[int], str]
+    size: int
     first_action: int
     apart: bool
     running: Episodes | None = None
@@ -53,7 +57,7 @@ class Episodes:
             raise old_api(self._title, "reset(seed=…)", answer, "(observation, info)")
         self._shared.running = self
         self._t, self._terminated, self._truncated = 0, False, False
-        self._state = self._read(answer[0], "reset(seed=…)")
+        self._state = self._read(answer, "reset(seed=…)", None)
         self._note(self._state, self._shared.before, self._shared.at_end)
         return self._state
 
@@ -72,7 +76,7 @@ class Episodes:
         answer = self._call(call, self._env.step, self._shared.first_action + action)
         if not (isinstance(answer, tuple) and len(answer) == 5):
             raise old_api(self._title, call, answer, "(observation, reward, terminated, truncated, info)")
-        self._state = self._read(answer[0], call)
+        self._state = self._read(answer, call, action)
         if not all(isinstance(flag, bool | np.bool_) for flag in answer[2:4]):
             raise ModelError(
                 f"{self._title}: {call} returned terminated = {answer[2]!r} and truncated = {answer[3]!r} at step "
@@ -80,7 +84,7 @@ class Episodes:
             )
         self._terminated, self._truncated = bool(answer[2]), bool(answer[3])
         if self._terminated and self._shared.apart:
-            self._state += self._shared.observations.n_states
+            self._state += self._shared.size
         elif self._terminated:
             self._note(self._state, self._shared.at_end, self._shared.before)
         else:
@@ -94,22 +98,25 @@ class Episodes:
             what = f"{type(error).__name__} at step {self._t}: {error}"
             raise ModelError(f"{self._title}: {call} raised {what}") from error
 
-    def _read(self, observation: object, call: str) -> int:
-        s = self._shared.observations.index(observation)
+    def _read(self, answer: Sequence[Any], call: str, action: int | None) -> int:
+        """The state in an answer to `step(action)`, or to a reset."""
+        s = self._shared.read(answer[0])
         if s < 0:
-            raise ModelError(
-                f"{self._title}: {call} returned the observation {observation!r} at step {self._t}, which is not in "
-                f"its space {self._shared.observations.space}; correct the environment or its observation_space"
-            )
+            raise self._outside(answer[0], call)
         return s
+
+    def _outside(self, observation: object, call: str) -> ModelError:
+        return ModelError(
+            f"{self._title}: {call} returned the observation {observation!r} at step {self._t}, which is not in "
+            f"its space {self._shared.space}; correct the environment or its observation_space"
+        )
 
     def _note(self, s: int, one: set[int], other: set[int]) -> None:
         """Note a state from which runs continue, or in which they end; if it is both, the observations form no MDP."""
         if s in other:
-            observation = self._shared.observations.observation(s)
             raise ModelError(
-                f"{self._title}: the observation {observation} occurred both during an episode and at its end, so "
-                "observations are not states of an MDP; use ends='apart' (in a model file: ends = \"apart\")"
+                f"{self._title}: the observation {self._shared.name(s)} occurred both during an episode and at its "
+                "end, so observations are not states of an MDP; use ends='apart' (in a model file: ends = \"apart\")"
             )
         one.add(s)
 

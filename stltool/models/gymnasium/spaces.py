@@ -48,12 +48,14 @@ class Observations:
         found = _components(space)
         if found is None:
             raise ModelError(
-                f"{title}: its observations are {space}; a Discrete space is needed, or a Tuple or MultiDiscrete of "
-                "them: wrap it in a gymnasium.ObservationWrapper that numbers what can be observed"
+                f"{title}: its observations are {cut(str(space), 200)}, which are not finitely many; divide them into "
+                "cells, such as cells={'x': 0.2} of a signal x, or wrap it in a gymnasium.ObservationWrapper that "
+                "numbers what can be observed"
             )
         sizes = tuple(size for size, _ in found)
-        if math.prod(sizes) > MOST_OBSERVATIONS:
-            count = math.prod(sizes) if math.prod(sizes) < 10**18 else f"about 10^{len(str(math.prod(sizes))) - 1}"
+        digits = sum(map(math.log10, sizes))
+        if digits > math.log10(MOST_OBSERVATIONS) + 1e-9:
+            count = math.prod(sizes) if digits < 18 else f"about 10^{digits:.0f}"
             raise SizeError(
                 f"{title}: its space {cut(str(space), 60)} has {count} observations, and at most {MOST_OBSERVATIONS} "
                 "can be the states of a model; wrap it in a gymnasium.ObservationWrapper that observes less, or use "
@@ -64,7 +66,7 @@ class Observations:
     @property
     def plain(self) -> bool:
         """Whether an observation is one number."""
-        return hasattr(self.space, "n")
+        return hasattr(self.space, "n") and hasattr(self.space, "start")
 
     @property
     def n_states(self) -> int:
@@ -173,9 +175,14 @@ def _components(space: Any) -> list[tuple[int, int]] | None:
     if isinstance(space, spaces.MultiDiscrete):
         starts = getattr(space, "start", np.zeros_like(space.nvec))
         return [(int(n), int(start)) for n, start in zip(space.nvec.ravel(), np.ravel(starts), strict=True)]
-    if isinstance(space, spaces.Tuple):
+    if isinstance(space, spaces.MultiBinary):
+        return [(2, 0)] * math.prod(space.shape)
+    if isinstance(space, spaces.Box) and space.dtype.kind in "iu":
+        ends = zip(space.low.ravel().tolist(), space.high.ravel().tolist(), strict=True)
+        return [(high - low + 1, low) for low, high in ends]
+    if isinstance(space, spaces.Tuple | spaces.Dict):
         found: list[tuple[int, int]] = []
-        for part in space.spaces:
+        for part in space.spaces.values() if isinstance(space, spaces.Dict) else space.spaces:
             inner = _components(part)
             if inner is None:
                 return None
@@ -187,6 +194,10 @@ def _components(space: Any) -> list[tuple[int, int]] | None:
 def _values(space: Any, observation: Any) -> list[int]:
     """The components of an observation; TypeError or ValueError if its form is not that of the space."""
     nested = getattr(space, "spaces", None)
+    if isinstance(nested, Mapping):
+        if not isinstance(observation, Mapping) or set(observation) != set(nested):
+            raise TypeError
+        return [v for key, part in nested.items() for v in _values(part, observation[key])]
     if nested is not None:
         if not isinstance(observation, tuple | list):
             raise TypeError
