@@ -277,7 +277,9 @@ OWN = {
     "MDP.from_family": {"build": CALLABLE - {"None"}, "parameters": {"dict"}},
     "ParametricResult.at": {"p": {*NUMBERS, "text"}},
     "ParametricResult.points": {"n": {"int"}},
-    "from_gymnasium": {"table": {"True"}, "signals": MAPPING, "name": TEXT},
+    "from_gymnasium": {
+        "table": {"True"}, "signals": MAPPING, "name": TEXT, "cells": {"None"}, "n_cells": {"None"},
+    },
     "to_gymnasium": {"model": {"MDP", "Product"}, "counterfactuals": {"int"}},
     "MDP.black_box": {
         "actions": {"int", *LISTS},

@@ -186,8 +186,9 @@ def task_model(task: Task, model: Path | None, normalize: bool = False) -> MDP:
         remedy = 'add a line such as model "floor.toml", or give --model FILE'
         raise SettingsError(f"{task.path}: the task file names no model; {remedy}")
     loaded = stl.load_model(path, normalize)
-    if "normalize" in loaded.notes:
-        note(f"{path}: {loaded.notes['normalize']}")
+    for key in ("normalize", "cells"):
+        if key in loaded.notes:
+            note(f"{path}: {loaded.notes[key]}")
     return loaded
 
 

@@ -214,3 +214,51 @@ x = [1, 2]
 def test_grids_keep_their_lines_too(tmp_path):
     with pytest.raises(ModelError, match="lake.toml, line 2: unknown key mapp; did you mean map"):
         model_of(tmp_path, 'kind = "grid"\nmapp = "S"')
+
+
+POLE = """
+kind = "gymnasium"
+id = "CartPole-v1"
+actions = ["left", "right"]
+[signals]
+x = 0
+angle = 2
+[cells]
+angle = [-0.05, 0, 0.05]
+x = 1.2
+[labels]
+fell = "info.fell"
+"""
+
+
+def test_real_observations_from_a_file(stltool, tmp_path):
+    (tmp_path / "pole.toml").write_text(POLE)
+    (tmp_path / "up.stl").write_text('model "pole.toml"\nup := G[0,5] (angle < 0.15 & angle > -0.15 & !fell)\n')
+    code, out, err = stltool("learn", tmp_path / "up.stl", "--episodes", 20, "--out", tmp_path / "p.npz")
+    assert code == 0
+    assert "pole.toml: states are cells of what is observed: the task is read from the real signals" in err
+    code, out, _ = stltool("estimate", tmp_path / "up.stl", "--policy", tmp_path / "p.npz", "--runs", 20)
+    assert code == 0
+    assert "20, 20 satisfied" in out
+    code, out, _ = stltool("explain", tmp_path / "up.stl")
+    assert code == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("x = 0", "x = 7", "signal x is 7; give a function of an observation, or the number of a component, 0 … 3"),
+        ("x = 1.2", "y = 1.2", "cells divide y, which is not a signal"),
+        ("x = 1.2", "x = 0", r"cells of width 0 for x"),
+        ("[labels]", "[coordinates]\nx = 3\n[labels]", "coordinates are of finitely many observations"),
+        ('"info.fell"', "[1]", "label fell is"),
+        ("[cells]", "[cell]", "unknown key cell; did you mean cells?"),
+    ],
+)
+def test_faults_of_cells_are_located(stltool, tmp_path, old, new, says):
+    (tmp_path / "pole.toml").write_text(POLE.replace(old, new, 1))
+    (tmp_path / "up.stl").write_text('model "pole.toml"\nup := G[0,5] angle < 0.15\n')
+    code, out, err = stltool("learn", tmp_path / "up.stl", "--episodes", 20, "--out", tmp_path / "p.npz")
+    assert (code, out) == (2, "")
+    assert says in err
+    assert "pole.toml, line" in err

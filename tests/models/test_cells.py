@@ -41,7 +41,7 @@ class Drift(gymnasium.Env):
 
 
 SIGNALS = {"x": 0, "v": 1, "square": lambda o: float(o[0] ** 2)}
-LABELS = {"right": lambda o: bool(o[0] > 0.613), "hit": "hit", "bump": OfStep(lambda step: step.reward < 0)}
+LABELS = {"right": lambda o: bool(o[0] > 0.613), "hit": "info.hit", "bump": OfStep(lambda step: step.reward < 0)}
 TASK = "F[0,4] (x > 0.777 & !hit) & G[0,4] square < 0.95"
 
 
@@ -124,7 +124,7 @@ def test_where_a_run_has_ended_it_stays():
 def test_labels_of_info_and_steps_where_observations_are_finite():
     """What an observation does not show still is a label: the state tells it apart."""
     answers = [(1, -1.0, False, False, {"alarm": True}), (1, 0.0, False, False, {})]
-    labels = {"alarm": "alarm", "lost": OfStep(lambda step: step.before == 1 and step.reward == 0), "one": {1}}
+    labels = {"alarm": "info.alarm", "lost": OfStep(lambda step: step.before == 1 and step.reward == 0), "one": {1}}
     model = stl.from_gymnasium(Scripted((0, {}), answers, spaces.Discrete(2)), labels, {"x": [0.0, 5.0]})
     assert (model.n_states, model.state_name(1), model.state_name(3)) == (4, "1", "1, ended")
     product = stl.build_product(model, stl.parse("F[1,1] (alarm & !lost & x > 4) & F[2,2] (lost & !alarm & one)"))

@@ -87,8 +87,8 @@ def from_gymnasium(
     An observation is an integer for `Discrete` (from its `start`), and a tuple of all components in order for `Tuple`,
     `Dict`, `MultiDiscrete`, `MultiBinary` and `Box` of integers. With `cells` the model is a black box, and signals are
     functions of the real observation, or numbers of its components; labels are functions of it. Tasks are read from
-    these (stltool/models/sensing.py), not from cells. A label may also be a text, the key of `info` whose truth it is,
-    or `stltool.models.gymnasium.cells.OfStep`, a function of the step.
+    these (stltool/models/sensing.py), not from cells. A label may also be the text "info.KEY", the truth of what `info`
+    has under that key, or `stltool.models.gymnasium.cells.OfStep`, a function of the step.
 
     A black box shares `env`: one run at a time. Raises ModelError, naming the space or the row, if
     environment, labels or signals do not fit, if `table=True` and there is no table, or if the environment deviates
@@ -105,7 +105,9 @@ def from_gymnasium(
     if action_names is not None:
         action_names = texts(action_names, "from_gymnasium's action_names")
     title = env_name(env)
-    if cells is not None or any(map(_of_step, labels.values())):
+    from stltool.models.gymnasium.cells import of_step  # gymnasium is slow to load
+
+    if cells is not None or any(map(of_step, labels.values())):
         return _sensed(env, labels, signals, table, name or title, action_names, cells, n_cells)
     if n_cells is not None:
         raise SettingsError("n_cells is the number of cells of a function; give cells, too, or leave it out")
@@ -145,13 +147,6 @@ def from_gymnasium(
 
     model = MDP.black_box(size, list(action_names), lambda rng: episodes(rng, None), **facts)
     return replace(model, blackbox=episodes, notes={"normalize": NOTHING.format("unknown")} if normalize else {})
-
-
-def _of_step(label: object) -> bool:
-    """Whether a label is read from more than an observation."""
-    from stltool.models.gymnasium.cells import OfStep
-
-    return isinstance(label, str | OfStep)
 
 
 def _sensed(

@@ -37,6 +37,14 @@ class OfStep:
     holds: Callable[[Step], bool]
 
 
+_INFO = "info."
+
+
+def of_step(label: object) -> bool:
+    """Whether a label is read from more than an observation."""
+    return isinstance(label, OfStep) or (isinstance(label, str) and label.startswith(_INFO) and label != _INFO)
+
+
 @dataclass(frozen=True, eq=False)
 class Cells:
     """A division of observations. `of` an observation and its signals: the number of its cell, below `n`."""
@@ -114,11 +122,11 @@ def _component(title: str, space: Any, name: str, given: Any) -> int:
 
 
 def _label(title: str, name: str, given: Any, finite: Observations | None) -> Callable[[Step], bool]:
-    """A function of an observation; `OfStep`; or a text, the key of `info` whose truth it is."""
+    """A function of an observation; `OfStep`; or the text "info.KEY", which is false where `info` has no such key."""
     if isinstance(given, OfStep):
         return given.holds
-    if isinstance(given, str):
-        key = given
+    if of_step(given):
+        key = str(given).removeprefix(_INFO)
         return lambda step: bool(step.info.get(key, False))
     if callable(given):
         holds: Callable[[Any], bool] = given
@@ -127,8 +135,8 @@ def _label(title: str, name: str, given: Any, finite: Observations | None) -> Ca
         column = finite.label(name, given)
         return lambda step: bool(column[finite.index(step.observation)])
     raise ModelError(
-        f"{title}: label {name} is {described(given)}; for real observations give a function of one, a key of info in "
-        "quotes, or OfStep(function of a step)"
+        f'{title}: label {name} is {described(given)}; for real observations give a function of one, "info.KEY", or '
+        "OfStep(function of a step)"
     )
 
 

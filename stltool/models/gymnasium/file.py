@@ -20,6 +20,10 @@
     [signals]                      name = a number for each state
     danger = [0, 0, 0, 0, 0, 1, …]
 
+    [cells]                        for real observations: signal = edges between cells, or the width of each; signals
+    x = 0.2                        are then numbers of components, and a label may be "info.KEY"
+    v = [-1, 0, 1]
+
 Only installed and registered environments can be named: a file never causes an import or an evaluation.
 """
 
@@ -39,7 +43,8 @@ from stltool.models.gymnasium.spaces import Observations
 from stltool.models.mdp import MDP
 from stltool.models.toml import Faults
 
-_KEYS = ("kind", "id", "table", "ends", "normalize", "actions", "options", "labels", "coordinates", "signals", "name")
+_KEYS = ("kind", "id", "table", "ends", "normalize", "actions", "options", "labels", "coordinates", "signals", "cells",
+         "name")  # fmt: skip
 
 
 def gymnasium_from_table(table: Mapping[str, Any], default_name: str = "environment", normalize: bool = False) -> MDP:
@@ -58,12 +63,14 @@ def gymnasium_from_table(table: Mapping[str, Any], default_name: str = "environm
     if actions is not None and not (isinstance(actions, list) and all(isinstance(a, str) for a in actions)):
         faults.add("actions", f'actions is {actions!r}; write a list of names, such as ["left", "right"]')
     sections: dict[str, dict[str, Any]] = {}
-    for key in ("options", "labels", "coordinates", "signals"):
+    for key in ("options", "labels", "coordinates", "signals", "cells"):
         sections[key] = table.get(key, {})
         if not isinstance(sections[key], dict):
             faults.add(key, f"{key} is {sections[key]!r}; write it as a table: [{key}] and below it name = value")
             sections[key] = {}
     env = _make(table.get("id"), sections["options"], faults)
+    if env is not None and (sections["cells"] or any(map(_of_info, sections["labels"].values()))):
+        return _of_cells(env, table, sections, default_name, faults)
     observations = faults.reading("id", Observations.of, env) if env is not None else None
     if observations is None:
         faults.refuse()
@@ -84,6 +91,33 @@ def gymnasium_from_table(table: Mapping[str, Any], default_name: str = "environm
     return from_gymnasium(
         env, labels, signals, table=exact, ends=ends, name=name, action_names=actions, normalize=normalize
     )  # fmt: skip
+
+
+def _of_info(label: object) -> bool:
+    from stltool.models.gymnasium.cells import of_step  # gymnasium is slow to load
+
+    return of_step(label)
+
+
+def _of_cells(
+    env: Any, table: Mapping[str, Any], sections: Mapping[str, dict[str, Any]], default_name: str, faults: Faults
+) -> MDP:
+    """The black box of an environment whose observations are divided into cells."""
+    if sections["coordinates"]:
+        faults.add("coordinates", "coordinates are of finitely many observations; leave them out, or the cells")
+    faults.refuse()
+    cells = {key: _plain(value, key) for key, value in sections["cells"].items()}
+    found = faults.reading(
+        "cells" if cells else "labels",
+        lambda env: from_gymnasium(
+            env, sections["labels"], sections["signals"], cells=cells or None, action_names=table.get("actions"),
+            table=table.get("table", "auto"), name=str(table.get("name", default_name)),
+        ),
+        env,
+    )  # fmt: skip
+    faults.refuse()
+    assert found is not None
+    return found
 
 
 def _make(name: object, options: Mapping[str, Any], faults: Faults) -> Any:
