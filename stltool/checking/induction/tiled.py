@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from stltool.automata import UNDECIDED
 from stltool.checking.induction.edges import REST, SURE
-from stltool.checking.induction.graph import I64, U64
 from stltool.checking.induction.words import Layer, Scratch, Words, lanes_of
 
 Values: TypeAlias = NDArray[Any]
+Arguments: TypeAlias = tuple[Any, ...]
 
 
 class Tiles:
@@ -36,7 +36,6 @@ class Tiles:
         worst = np.iinfo(np.int64).max if self.dtype is np.int64 else np.inf  # of sums, before they are divided
         self._worst = self.dtype(-1) if maximize else self.dtype(worst)
         self._decided: dict[int, Values] = {}
-        self._spare: Values = np.empty(0, dtype=self.dtype)
 
     def start(self) -> Values:
         return np.empty(0, dtype=self.dtype)
@@ -51,6 +50,7 @@ class Tiles:
         decided, undecided, maps = self.decided(t + 1), moves.where(t + 1, UNDECIDED), moves.by_tiles(t)
         out = np.empty(8 * here.n_tiles, dtype=self.dtype)
         best = np.empty(8 * here.n_tiles if keep else 0, dtype=engine.choices or np.uint8)
+        rest, sure = self.ends
 
         def unite(scratch: Scratch, lo: int, hi: int) -> int:
             n = scratch.unite(sets, lo, hi)
@@ -65,25 +65,25 @@ class Tiles:
             )  # fmt: skip
 
         def part(scratch: Scratch, lo: int, hi: int) -> None:
-            self._sweep(scratch, here, lo, hi, masks, keep, out, best)
+            layer = (
+                here.states, here.start, here.word, here.open, here.sure, here.tiles, lo, hi, scratch.slot,
+                scratch.block, scratch.W, graph.near_start, graph.near, graph.choice_start, graph.row_start,
+                graph.position,
+            )  # fmt: skip
+            self._sweep(layer, (
+                self._maximize, not engine.allowed.everything, *masks, self._worst, sure, rest, moves.n_words, keep,
+                out, best,
+            ))  # fmt: skip
 
         engine.crew.share(sets, unite, gather, part)
         return out, best if keep else None
 
-    def _sweep(
-        self, scratch: Scratch, here: Layer, lo: int, hi: int, masks: tuple[I64, U64], keep: bool, out: Values,
-        best: NDArray[Any],
-    ) -> None:  # fmt: skip
+    def _sweep(self, layer: Arguments, rest: Arguments) -> None:
+        """kernels/tiles.py's, or one that takes the same layer and the same rest of arguments."""
         from stltool.kernels import tiles
 
-        engine, graph = self._engine, self._engine.graph
-        rest, sure = self.ends
-        tiles.sweep(
-            here.states, here.start, here.word, here.open, here.sure, here.tiles, lo, hi, scratch.slot, scratch.block,
-            scratch.W, graph.near_start, graph.near, graph.choice_start, graph.row_start, graph.position, self.share,
-            self._denominator, self._maximize, not engine.allowed.everything, *masks, self._worst, sure, rest,
-            engine.moves.n_words, keep, out, best,
-        )  # fmt: skip
+        arguments = (*layer, self.share, self._denominator, *rest)
+        tiles.sweep(*arguments)
 
     def values(self, layer: Layer, values: Values) -> Values:
         """The layer's values by slots, as an arithmetic holds them."""
@@ -119,17 +119,8 @@ class NaturesTiles(Tiles):
         self._minimal, self._width, self._budget = minimal, rows.width[graph.entry], rows.budget[graph.choice]
         self._longest = int(np.diff(graph.row_start).max(initial=1))
 
-    def _sweep(
-        self, scratch: Scratch, here: Layer, lo: int, hi: int, masks: tuple[I64, U64], keep: bool, out: Values,
-        best: NDArray[Any],
-    ) -> None:  # fmt: skip
+    def _sweep(self, layer: Arguments, rest: Arguments) -> None:
         from stltool.kernels import nature
 
-        engine, graph = self._engine, self._engine.graph
-        rest, sure = self.ends
-        nature.sweep(
-            here.states, here.start, here.word, here.open, here.sure, here.tiles, lo, hi, scratch.slot, scratch.block,
-            scratch.W, graph.near_start, graph.near, graph.choice_start, graph.row_start, graph.position, self.share,
-            self._width, self._budget, self._longest, self._minimal, self._maximize, not engine.allowed.everything,
-            *masks, self._worst, sure, rest, engine.moves.n_words, keep, out, best,
-        )  # fmt: skip
+        arguments = (*layer, self.share, self._width, self._budget, self._longest, self._minimal, *rest)
+        nature.sweep(*arguments)
