@@ -300,6 +300,7 @@ def training_text(training: Training) -> str:
     episodes, steps = training.episodes, training.environment_steps
     method = training.method + (" as published" if training.faithful else "")
     ended = f"; ended {training.status}" if training.stopped_early else ""
+    ended += f"; {training.advice}" if training.advice is not None else ""
     return f"{method}, {episodes} episodes, {steps} environment steps, {training.seconds:.1f} s{ended}"
 
 

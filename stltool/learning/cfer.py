@@ -8,7 +8,8 @@ The corrected version explores deeply: it acts greedily on a second table, learn
 (learning/optimism.py). There an untried choice is worth a paradise, and the Bellman updates carry that back to wherever
 it can be reached from. Once the task is violated, the choices tried least come first. The policy that is judged is
 that of the table without hope, where values are weighed by n / (n + κ) for n visits of the choice: a choice seen once
-is not preferred to one that has proved itself.
+is not preferred to one that has proved itself. The run ends with the best of its policies by its own data
+(learning/judged.py).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
+from stltool.learning.judged import EVERY, BestSoFar
 from stltool.learning.kept import Kept
 from stltool.learning.learner import Learner, rarest
 from stltool.learning.naive import Exact
@@ -45,18 +47,20 @@ class Cfer(Exact, Learner["CferRun"]):
     name: ClassVar[str] = "cfer"
 
     least_step: float = setting(0.005, "smallest learning rate, α = max(least_step, 1/n)", above=0, most=1)
-    optimism: float = setting(0.3, "b in the share of hope b / (n + b) of a choice seen n times", above=0)
+    optimism: float = setting(0.15, "b in the share of hope b / (n + b) of a choice seen n times", above=0)
     memory: int = setting(100_000, "capacity of the replay memory in transitions; the oldest leave first", least=1)
-    replays: int = setting(600, "real transitions replayed after each episode", least=0)
+    replays: int = setting(1200, "real transitions replayed after each episode", least=0)
 
     def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> CferRun:
         table = ClockedTable(problem, self.least_step, self.caution, count_every_entry=False)
         hopeful = HopefulTable(problem, table, self.optimism)
-        return CferRun(problem, table, hopeful, ReplayMemory(self.memory, width=3), counts)
+        memory = ReplayMemory(self.memory, width=3)
+        return CferRun(problem, table, hopeful, memory, BestSoFar(problem, counts, self.caution), counts)
 
     def episode(self, state: CferRun, episode: Episode) -> None:
         table, hopeful, memory = state.table, state.hopeful, state.memory
         chances = episode.rng.random(episode.length).tolist()
+        state.best.begin(episode)
         while not episode.over and episode.verdict is not True:
             t, s = episode.t, episode.s
             if episode.verdict is False:
@@ -69,23 +73,28 @@ class Cfer(Exact, Learner["CferRun"]):
         memory.add(rows)
         if self.replays and memory.size:
             self.learn(state, memory.rows[memory.draw(self.replays, episode.rng)])
+        if (episode.number + 1) % EVERY == 0:
+            state.best.end(table.policy_table())
 
     def learn(self, state: CferRun, rows: NDArray[np.int32]) -> None:
         state.table.update_all(rows)
         state.hopeful.update_all(rows)
 
     def policy(self, state: CferRun) -> NDArray[Any]:
-        return state.table.policy_table()
+        return state.best.better(state.table.policy_table())
 
     def arrays(self, state: CferRun) -> dict[str, Kept]:
         S, C = state.problem.n_states, state.problem.most_choices
-        return {**state.table.arrays(), **state.hopeful.arrays(), **state.memory.arrays(np.array([S, C, S]) - 1)}
+        memory = state.memory.arrays(np.array([S, C, S]) - 1)
+        best = state.best.arrays(state.problem.n_choices)
+        return {**state.table.arrays(), **state.hopeful.arrays(), **memory, **best}
 
     def check(self, state: CferRun) -> None:
         table, counts = state.table, state.counts
         table.check()
         table.require_visits(counts)
         state.hopeful.check()
+        state.best.check(counts)
         s, a, s2 = state.memory.checked(int(counts.seen.sum())).T
         if (a >= state.problem.n_choices[s]).any():
             raise ValueError("the memory contains a choice that its state does not have")
@@ -103,4 +112,5 @@ class CferRun:
     table: ClockedTable
     hopeful: HopefulTable
     memory: ReplayMemory
+    best: BestSoFar
     counts: Counts

@@ -27,6 +27,7 @@ from stltool.learning.checkpoint import (
 )
 from stltool.learning.counts import Counts
 from stltool.learning.interrupt import Interrupt, interruptible
+from stltool.learning.judged import settled
 from stltool.learning.learner import Learner, require_learner
 from stltool.learning.methods import METHODS, class_of, make
 from stltool.learning.problem import Problem
@@ -101,6 +102,21 @@ class Training(Displayed):
     def stopped_early(self) -> bool:
         """Whether `stop_gap` or `most_steps` ended it before its last episode."""
         return self.status in ("within the gap", "out of steps") and self.episodes < self.budget.episodes
+
+    @property
+    def settled(self) -> bool | None:
+        """Whether P has come to rest: it changed by at most 1/100 in the last quarter of the episodes.
+
+        None if P is not known, or was evaluated fewer than three times.
+        """
+        return settled(self.history)
+
+    @property
+    def advice(self) -> str | None:
+        """What to do if P has not come to rest; None if it has, if that is not known, or if the gap ended the run."""
+        if self.settled is not False or self.status == "within the gap":
+            return None
+        return "not settled: more episodes" + ("" if self.method == "model-based" else ", or model-based")
 
     @property
     def episodes(self) -> int:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata import FALSE, TRUE
-from stltool.checking.induction import Budget, Doubles, Edges, Game, Layers, Single, Values, solve
+from stltool.checking.induction import Budget, Doubles, Edges, Following, Game, Layers, Single, Values, induct, solve
 from stltool.checking.induction.anywhere import Anywhere, From, Known, Later
 from stltool.checking.induction.arithmetic import row_sums
 from stltool.checking.induction.tiled import Tiles
@@ -155,6 +155,17 @@ class Planner:
     def later(self, optimistic: bool, since: int) -> Later:
         """The task from step `since` on, being outside satisfying or violating it."""
         return Later(self._automata[optimistic], since)
+
+    def value(self, form: Form, caution: float) -> float:
+        """P of a policy by the counts, from the states where episodes started, in proportion; 0 if none has."""
+        first = np.flatnonzero(self.starts)
+        if not len(first):
+            return 0.0
+        rows = self.rows(self.counts.seen.astype(np.float64), doubt(self.counts.visits, caution))
+        game = Game(rows, self._automata[False], self._letter, first)
+        budget = Budget(f"judging a policy on {self.problem.n_states} states", self._limit)
+        found = induct(game, Doubles(True), True, Following(form), threads=1, budget=budget)
+        return float(found.entry @ self.starts[first] / self.starts.sum())
 
     def rows(self, weights: NDArray[np.float64], outside: NDArray[np.float64]) -> Rows:
         """Of the model's states and one more, outside: where each choice leads with a given probability.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
+from stltool.learning.judged import EVERY, BestSoFar
 from stltool.learning.kept import Kept
 from stltool.learning.learner import Learner
 from stltool.learning.problem import Problem
@@ -49,26 +50,31 @@ class Naive(Clocked, Learner["NaiveRun"]):
     name: ClassVar[str] = "naive"
 
     def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> NaiveRun:
-        return NaiveRun(self.table(problem, count_every_entry=True), counts)
+        table = self.table(problem, count_every_entry=True)
+        return NaiveRun(problem, table, BestSoFar(problem, counts, self.caution), counts)
 
     def episode(self, state: NaiveRun, episode: Episode) -> None:
         epsilon = self.epsilon(episode.number)
         explore = episode.rng.random((episode.length, 2)).tolist()
+        state.best.begin(episode)
         while episode.verdict is None:
             t, s, q = episode.t, episode.s, episode.q
             u, chance = explore[t]
             a = int(chance * episode.n_choices) if u < epsilon else state.table.best(t, s, q, chance)
             episode.step(a)
             state.table.update(t, s, q, a, episode.s, episode.q)
+        if (episode.number + 1) % EVERY == 0:
+            state.best.end(state.table.policy_table())
 
     def policy(self, state: NaiveRun) -> NDArray[Any]:
-        return state.table.policy_table()
+        return state.best.better(state.table.policy_table())
 
     def arrays(self, state: NaiveRun) -> dict[str, Kept]:
-        return state.table.arrays()
+        return {**state.table.arrays(), **state.best.arrays(state.problem.n_choices)}
 
     def check(self, state: NaiveRun) -> None:
         state.table.check()
+        state.best.check(state.counts)
         state.table.require_visits(state.counts)
 
 
@@ -76,5 +82,7 @@ class Naive(Clocked, Learner["NaiveRun"]):
 class NaiveRun:
     """The state of a run."""
 
+    problem: Problem
     table: ClockedTable
+    best: BestSoFar
     counts: Counts

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
+from stltool.learning.judged import EVERY, BestSoFar
 from stltool.learning.kept import Kept
 from stltool.learning.learner import Learner
 from stltool.learning.naive import Clocked
@@ -35,12 +36,14 @@ class NaiveER(Batches, Clocked, Learner["ReplayRun"]):
 
     def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> ReplayRun:
         table = self.table(problem, count_every_entry=True)
-        return ReplayRun(problem, table, ReplayMemory(self.memory, width=6), counts)
+        memory = ReplayMemory(self.memory, width=6)
+        return ReplayRun(problem, table, memory, BestSoFar(problem, counts, self.caution), counts)
 
     def episode(self, state: ReplayRun, episode: Episode) -> None:
         table, memory = state.table, state.memory
         epsilon = self.epsilon(episode.number)
         explore = episode.rng.random((episode.length, 2)).tolist()
+        state.best.begin(episode)
         while episode.verdict is None:
             t, s, q = episode.t, episode.s, episode.q
             u, chance = explore[t]
@@ -50,20 +53,24 @@ class NaiveER(Batches, Clocked, Learner["ReplayRun"]):
             if t % self.period == 0:
                 for row in memory.rows[memory.draw(self.batch, episode.rng)]:
                     table.update(*row.tolist())
+        if (episode.number + 1) % EVERY == 0:
+            state.best.end(table.policy_table())
 
     def policy(self, state: ReplayRun) -> NDArray[Any]:
-        return state.table.policy_table()
+        return state.best.better(state.table.policy_table())
 
     def arrays(self, state: ReplayRun) -> dict[str, Kept]:
         h, S, N = state.problem.shape
         return {
             **state.table.arrays(),
+            **state.best.arrays(state.problem.n_choices),
             **state.memory.arrays(np.array([h, S, N, state.problem.most_choices, S, N]) - 1),
         }
 
     def check(self, state: ReplayRun) -> None:
         problem, table, memory = state.problem, state.table, state.memory
         table.check()
+        state.best.check(state.counts)
         t, s, q, a, s2, q2 = memory.checked(int(state.counts.seen.sum())).T
         if (a >= problem.n_choices[s]).any() or (problem.automaton.delta[problem.letter[s2], q] != q2).any():
             raise ValueError("the memory contains an impossible step")
@@ -89,4 +96,5 @@ class ReplayRun:
     problem: Problem
     table: ClockedTable
     memory: ReplayMemory
+    best: BestSoFar
     counts: Counts

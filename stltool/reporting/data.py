@@ -211,6 +211,8 @@ def training_data(training: Training) -> dict[str, Any]:
         "settings": training.settings,
         "budget": recorded(training.budget),
         "status": training.status,
+        "settled": training.settled,
+        "advice": training.advice,
         "environment_steps": training.environment_steps,
         "seconds": training.seconds,
         "history": [

@@ -137,6 +137,8 @@ def changed_values(name, array, rng, published):
     bad = [np.nan, np.inf, -1e300, 1e300, -1.0] if array.dtype.kind == "f" else [-1, -(2**31), 2**31 - 1]
     if array.dtype == np.int64:
         bad += [-(2**63), 2**63 - 1]
+    if array.dtype.kind == "i":
+        bad = [value for value in bad if np.iinfo(array.dtype).min <= value <= np.iinfo(array.dtype).max]
     for entry in entries:
         for value in bad:
             if name == "history probability" and np.isnan(value):
