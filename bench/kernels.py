@@ -22,13 +22,13 @@ from typing import Any
 
 import numpy as np
 from floors import open_floor
+from numba import njit
 
 import stltool as stl
 from stltool.checking.fixed import fixed_point
 from stltool.checking.induction import Budget, Game
 from stltool.checking.induction.words import Graph, prepared
 from stltool.kernels import nature, tiles
-from stltool.kernels.jit import kernel
 from stltool.kernels.lanes import add, greater, load, mul, select, splat_at, store
 from stltool.models.rows import Rows
 
@@ -37,7 +37,7 @@ SIZES = (10, 30)
 ROW = 512  # numbers: five rows are 20 KB
 
 
-@kernel
+@njit  # not with the package's cache, which does not know this file
 def micro_loop(p: Any, a: Any, b: Any, c: Any, d: Any, y: Any, times: int) -> None:
     p0, p1, p2, p3 = p[0], p[1], p[2], p[3]
     for _ in range(times):
@@ -45,7 +45,7 @@ def micro_loop(p: Any, a: Any, b: Any, c: Any, d: Any, y: Any, times: int) -> No
             y[i] = max(y[i], p0 * a[i] + p1 * b[i] + p2 * c[i] + p3 * d[i])
 
 
-@kernel
+@njit
 def micro_lanes(p: Any, a: Any, b: Any, c: Any, d: Any, y: Any, times: int) -> None:
     p0, p1, p2, p3 = splat_at(p, 0), splat_at(p, 1), splat_at(p, 2), splat_at(p, 3)
     for _ in range(times):
