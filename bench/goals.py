@@ -1,20 +1,29 @@
-"""How few environment steps learning takes: exact P of the learned policy against the optimum, ten seeds a scenario.
+"""How few environment steps learning takes: exact P of the learned policy against the optimum, twenty seeds a scenario.
 
-The paper's scenarios with its environment steps (episodes × (T + τ)); the model-based learner may use 1/50 of them, the
-model-free one 1/20. Run alone (`python bench/goals.py`), or by `make bench`.
+table    the paper's scenarios with its environment steps (episodes × (T + τ)); the model-based learner may use 1/50 of
+         them, the model-free one 1/20: the most steps taken, least … greatest P / P*, how many seeds reach 0.99
+beyond   families beyond the paper's floor (bench/families.py), beside posterior sampling and UCBVI on the same product
+         (bench/baselines.py): median and least P / P*
+
+The seeds are drawn anew each time and printed; `--draw N` repeats a draw. `python bench/goals.py` prints the first
+table, `--beyond` the second; names of scenarios or families, and `--seeds N`, make it shorter.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
+import secrets
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+import numpy as np
+
 import stltool as stl
 
 FACTORY = Path(__file__).resolve().parent.parent / "examples" / "factory"
-SEEDS = 10
+SEEDS = 20
 SHARE = {"model-based": 50, "cfer": 20}
 # id → task, cells a side, T, τ, the paper's episodes
 SCENARIOS = {
@@ -45,30 +54,79 @@ def learned(scenario: str, method: str, seed: int) -> tuple[float, int]:
     return probability, run.environment_steps
 
 
-def row(scenario: str, pool: ProcessPoolExecutor, seeds: int = SEEDS) -> str:
+def row(scenario: str, seeds: list[int], pool: ProcessPoolExecutor) -> str:
     best = stl.check(product_of(scenario)).probability
     _, _, T, tau, episodes = SCENARIOS[scenario]
-    jobs = {m: [pool.submit(learned, scenario, m, seed) for seed in range(seeds)] for m in SHARE}
+    jobs = {m: [pool.submit(learned, scenario, m, seed) for seed in seeds] for m in SHARE}
     cells = [f"{best:.6f}", str(episodes * (T + tau))]
     for method in SHARE:
         results = [job.result() for job in jobs[method]]
         ratios = sorted(p / best for p, _ in results)
         reached = sum(ratio >= 0.99 for ratio in ratios)
-        cells.append(f"{max(n for _, n in results)}: {ratios[0]:.4f} … {ratios[-1]:.4f}, {reached}/{seeds}")
+        cells.append(f"{max(n for _, n in results)}: {ratios[0]:.4f} … {ratios[-1]:.4f}, {reached}/{len(seeds)}")
     return f"| {scenario} | " + " | ".join(cells) + " |"
 
 
-def table(quick: bool = False, scenarios: list[str] | None = None) -> list[str]:
+def draw(n: int, entropy: int | None = None) -> tuple[list[int], str]:
+    """n new seeds, and a line that says how to draw them again."""
+    entropy = secrets.randbits(32) if entropy is None else entropy
+    seeds = [int(seed) for seed in np.random.SeedSequence(entropy).generate_state(n)]
+    return seeds, f"Seeds: drawn anew; `--draw {entropy}` repeats them."
+
+
+def table(quick: bool = False, names: list[str] | None = None, n: int = SEEDS, entropy: int | None = None) -> list[str]:
+    seeds, drawn = draw(2 if quick else n, entropy)
     lines = [
         "| scenario | P* | paper's steps | model-based: steps, P / P*, seeds ≥ 0.99 | cfer: the same |",
         "|---|---|---|---|---|",
     ]
     with ProcessPoolExecutor(os.cpu_count()) as pool:
-        for scenario in ["R1"] if quick else scenarios or SCENARIOS:
-            lines.append(row(scenario, pool, 2 if quick else SEEDS))
+        for scenario in names or (["R1", "P1"] if quick else SCENARIOS):
+            lines.append(row(scenario, seeds, pool))
             print(lines[-1], file=sys.stderr, flush=True)
-    return lines
+    return [*lines, "", drawn]
+
+
+def ratio(family: str, method: str, seed: int) -> float:
+    """Exact P of the learned policy over the optimum."""
+    import baselines
+    import families
+
+    product, steps = families.FAMILIES[family].product(seed), families.FAMILIES[family].steps
+    run = stl.learn(
+        product, baselines.METHODS[method], seed=seed, episodes=steps, evaluate_every=steps, most_steps=steps
+    )
+    probability = run.history[-1].probability
+    assert probability is not None
+    return probability / stl.check(product).probability
+
+
+def beyond(
+    quick: bool = False, names: list[str] | None = None, n: int = SEEDS, entropy: int | None = None
+) -> list[str]:
+    import baselines
+    import families
+
+    seeds, drawn = draw(2 if quick else n, entropy)
+    lines = [
+        "| family | steps | " + " | ".join(f"{method}: median, least" for method in baselines.METHODS) + " |",
+        "|---|---|" + "---|" * len(baselines.METHODS),
+    ]
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        for family in names or (["three states", "random, 10 states"] if quick else families.FAMILIES):
+            jobs = [[pool.submit(ratio, family, method, seed) for seed in seeds] for method in baselines.METHODS]
+            found = [[job.result() for job in some] for some in jobs]
+            cells = [f"{np.median(ratios):.4f}, {min(ratios):.4f}" for ratios in found]
+            lines.append(f"| {family} | {families.FAMILIES[family].steps} | " + " | ".join(cells) + " |")
+            print(lines[-1], file=sys.stderr, flush=True)
+    return [*lines, "", drawn]
 
 
 if __name__ == "__main__":
-    print("\n".join(table(scenarios=sys.argv[1:])))
+    parser = argparse.ArgumentParser()
+    parser.add_argument("names", nargs="*")
+    parser.add_argument("--beyond", action="store_true")
+    parser.add_argument("--seeds", type=int, default=SEEDS)
+    parser.add_argument("--draw", type=int)
+    given = parser.parse_args()
+    print("\n".join((beyond if given.beyond else table)(False, given.names, given.seeds, given.draw)))
