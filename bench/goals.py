@@ -6,7 +6,7 @@ beyond   families beyond the paper's floor (bench/families.py), beside posterior
          (bench/baselines.py): median and least P / P*
 
 The seeds are drawn anew each time and printed; `--draw N` repeats a draw. `python bench/goals.py` prints the first
-table, `--beyond` the second; names of scenarios or families, and `--seeds N`, make it shorter.
+table, `python bench/goals.py beyond` the second; names of scenarios or families, and `--seeds N`, make it shorter.
 """
 
 from __future__ import annotations
@@ -124,9 +124,9 @@ def beyond(
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
+    parser.add_argument("what", nargs="?", choices=["table", "beyond"], default="table")
     parser.add_argument("names", nargs="*")
-    parser.add_argument("--beyond", action="store_true")
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--draw", type=int)
     given = parser.parse_args()
-    print("\n".join((beyond if given.beyond else table)(False, given.names, given.seeds, given.draw)))
+    print("\n".join({"table": table, "beyond": beyond}[given.what](False, given.names, given.seeds, given.draw)))
