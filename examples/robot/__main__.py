@@ -14,8 +14,9 @@ from examples.robot.floor import OIL, Floor, factory
 from examples.robot.kinematic import Kinematic
 from examples.robot.page import rows, tests, write
 from examples.robot.story import story
+from stltool.files import require_folder
 
-DEFAULTS = {"kinematic": (1000, 200_000, 10_000), "mujoco": (64, 20_000, 500)}
+DEFAULTS = {"kinematic": (1000, 200_000, 10_000), "mujoco": (64, 15_000, 400)}
 """Robots side by side, moves of the random walk, fresh runs for each policy: as many as a minute or two allow."""
 
 
@@ -28,7 +29,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--robots", type=_from_one, help="side by side")
     parser.add_argument("--moves", type=_from_one, help="of the random walk that fills the tables")
     parser.add_argument("--runs", type=_from_one, help="fresh ones for each policy")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=_from_zero, default=0, help="the source of all random choices")
     parser.add_argument("--out", type=Path, default=Path("out/robot"), help="folder for the page")
     options = parser.parse_args(arguments)
     plant = options.plant if options.plant != "auto" else "mujoco" if find_spec("mujoco") else "kinematic"
@@ -41,6 +42,7 @@ def main(arguments: list[str] | None = None) -> int:
     floor = factory(() if options.dry else OIL)
     make_plant = physics if plant == "mujoco" else Kinematic
     try:
+        require_folder(options.out)
         found = story(
             floor, lambda n: make_plant(floor, n), window=options.window, robots=robots, moves=moves,
             episodes=options.episodes, runs=runs, seed=options.seed, told=lambda text: print(text, file=sys.stderr),
@@ -72,9 +74,15 @@ def physics(floor: Floor, n: int) -> Plant:
     return Physics(floor, n)
 
 
+def _from_zero(text: str) -> int:
+    if not text.isdecimal() or len(text) > 18:
+        raise argparse.ArgumentTypeError(f"{text!r} is not an integer from 0")
+    return int(text)
+
+
 def _from_one(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not an integer from 1")
+    if not _from_zero(text):
+        raise argparse.ArgumentTypeError("0 is too few; give an integer from 1")
     return int(text)
 
 

@@ -135,3 +135,33 @@ def test_counts_that_cannot_be_restored(codes, seen):
 def test_contexts_that_cannot_be_restored(contexts):
     with pytest.raises(ValueError, match="must be int64|out of range"):
         Counts(4, 5, 3).restore({"codes": np.array([7, 7]), "contexts": np.array(contexts), "seen": np.array([1, 1])})
+
+
+class Fleet:
+    """Robots in two rooms, side by side, which write down what they do."""
+
+    batch = 7
+
+    def __init__(self, rng, seen):
+        self.generator, self.seen = rng, seen
+
+    def reset(self, n):
+        self.here, self.before = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+        return self.here
+
+    def step(self, actions):
+        live = actions >= 0
+        choice = 2 * self.here + actions
+        after = np.where((actions == 1) & (self.generator.random(len(actions)) < 0.8), 1 - self.here, self.here)
+        self.seen.update(zip(*(one[live].tolist() for one in (choice, after, self.before)), strict=True))
+        self.here, self.before = np.where(live, after, self.here), np.where(live, choice + 1, self.before)
+        return self.here
+
+
+@pytest.mark.parametrize("method", ["cfer", "model-based"])
+def test_the_choice_before_is_that_of_the_same_run_of_many(method):
+    seen = Counter()
+    model = stl.MDP.black_box(2, ["stay", "move"], lambda rng: Fleet(rng, seen), labels={"goal": [False, True]})
+    run = stl.learn(stl.build_product(model, stl.parse("G[0,4] F[0,2] goal")), method, episodes=20)
+    rows = list(zip(*(column.tolist() for column in run.counts.in_context), strict=True))
+    assert rows == [(*row, n) for row, n in sorted(seen.items())]
