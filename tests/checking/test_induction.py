@@ -216,15 +216,14 @@ def test_engines_agree_to_the_bit_and_so_do_any_number_of_threads(seed, maximize
             assert np.array_equal(mine, theirs), name
 
 
-@pytest.mark.parametrize("threads", [1, 3])
-@pytest.mark.parametrize("far", [False, True])
-def test_ranges_of_states_are_put_together_in_order(far, threads, monkeypatch):
-    """With ranges of a few words, whose rows are made for each range or, in graphs like this one, for all together."""
+@pytest.mark.parametrize(("threads", "most", "far"), [(1, 5, True), (3, 5, False), (3, 2**17, False), (3, 2**17, True)])
+def test_ranges_of_states_are_put_together_in_order(threads, most, far, monkeypatch):
+    """With ranges of a few words, or a few ranges: their rows are made for each or, if they lead far, together."""
     product = wide_product(1)
     arithmetic = Doubles(True)
     whole = induct(Game.of(product), arithmetic, engine="words", keep=np.uint8)
-    for name in ("_MOST_WORDS", "_WORTH_WORDS"):
-        monkeypatch.setattr(f"stltool.checking.induction.words.{name}", 5)
+    for name, words in (("_MOST_WORDS", most), ("_WORTH_WORDS", 5)):
+        monkeypatch.setattr(f"stltool.checking.induction.words.{name}", words)
     assert Words(Game.of(product), TRUE, EVERYTHING).crew.far
     monkeypatch.setattr("stltool.checking.induction.words.Crew.far", far)
     parts = induct(Game.of(product), arithmetic, engine="words", keep=np.uint8, threads=threads)

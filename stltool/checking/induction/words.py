@@ -563,7 +563,7 @@ class Crew:
 
         Before it, unite(scratch, lo, hi) makes the rows that a range leads to and returns their number, and
         prepare(scratch, a, b) fills rows a … b−1: for every range its own, or, if ranges lead to mostly the same
-        states, for all ranges the same.
+        states, for all ranges the same; not for more ranges than threads need, whose rows might take too much memory.
         """
         ranges = self._ranges(layer)
 
@@ -574,7 +574,7 @@ class Crew:
             scratch.forget(n)
             return found
 
-        if len(ranges) == 1 or not self.far:
+        if len(ranges) == 1 or len(ranges) > 2 * self.threads or not self.far:
             return self._each(alone, ranges)
         n, scratch = unite(self.first, 0, len(layer.states)), self.first
         cuts = np.linspace(0, n, 2 * self.threads + 1).astype(int).tolist()
