@@ -70,6 +70,7 @@ from .learning import (
     PublishedNaive as PublishedNaive,
     PublishedNaiveER as PublishedNaiveER,
     Counts as Counts,
+    Gap as Gap,
     Guarantee as Guarantee,
     Learner as Learner,
     MarkovTest as MarkovTest,
@@ -79,6 +80,7 @@ from .learning import (
     guarantee as guarantee,
     learn as learn,
     load_sweep as load_sweep,
+    optimality_gap as optimality_gap,
     markov_test as markov_test,
     run_sweep as run_sweep,
 )

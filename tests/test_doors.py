@@ -18,7 +18,7 @@ from stltool.learning.settings import settings_of
 
 # classes whose objects functions make, so that their constructors are no doors
 RESULTS = {
-    "CheckResult", "Estimate", "Fragment", "Front", "Guarantee", "JointProduct", "LikelyRuns", "MDP", "Meaning",
+    "CheckResult", "Estimate", "Fragment", "Front", "Gap", "Guarantee", "JointProduct", "LikelyRuns", "MDP", "Meaning",
     "MonitorResult", "ParametricResult", "Product", "Run", "Sensitivity", "SequentialTest", "SmoothRobustness",
     "StationaryResult", "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton",
     "Tradeoff", "Training", "Decision", "MarkovTest",
@@ -206,6 +206,7 @@ CALLS = {
     "Counts.add": lambda w: {"self": stl.Counts(2, 2), "choice": [0, 1], "target": [1, 1]},
     "Counts.contains": lambda w: {"self": stl.Counts(2, 2), "other": stl.Counts(2, 2)},
     "markov_test": lambda w: {"counts": w.training.counts},
+    "optimality_gap": lambda w: {"product": w.product, "policy": w.policy, "counts": w.training.counts},
     "load_sweep": lambda w: {"path": "sweep.toml"},
     "run_sweep": lambda w: {"sweep": w.sweep, "folder": "swept", "workers": 1},
     "Sweep.select": lambda w: {"self": w.sweep},
@@ -304,7 +305,11 @@ OWN = {
     "learn": {
         "method": {"text", "Learner"}, "faithful": {"True"}, "resume": {"True"}, "episodes": {"int"},
         "evaluate_every": {"int"}, "most_steps": {"None", "int"}, "stop_gap": {"None", *NUMBERS},
+        "until_gap": {"None", *NUMBERS},
         "checkpoint": {"None", *PATHS}, "checkpoint_every": NUMBERS,
+    },
+    "optimality_gap": {
+        "counts": {"Counts"}, "start": {"None", "int"}, "parameters": {"None"}, "successors": {"None", "function"},
     },
     "guarantee": {
         "counts": {"Counts"}, "start": {"None", "int"}, "parameters": {"None"}, "test_tie": {"True"},

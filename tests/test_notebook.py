@@ -44,6 +44,7 @@ class Walk:
     def step(self, i): return 1
 
 family = stl.MDP.from_arrays([[["p", "1-p"], [0, 1]]], {}, labels={"A": [0, 1]}, parameters={"p": (0.5, 1)})
+of_family = stl.build_product(family, stl.parse("F[0,2] A"))
 hidden = stl.MDP.black_box(2, 1, lambda rng: Walk(), labels={"A": [0, 1]})
 """
 
@@ -75,6 +76,7 @@ CELLS = {
     ),
     "Tradeoff": ("stl.tradeoff(joint, 'reach', at_least={'stay': 0.5})", "P(stay) >= 0.5"),
     "ParametricResult": ("stl.parametric(stl.build_product(family, stl.parse('F[0,2] A')))", "for p in [0.5, 1]"),
+    "Gap": ("stl.optimality_gap(of_family, None, stl.Counts(2, 2), parameters='model')", "p in [0.5, 1]"),
     "Front": ("stl.pareto(joint)", "reach and stay"),
     "Training": ("training", "naive, 30 episodes"),
     "Guarantee": ("stl.guarantee(product, training.policy, training.counts)", "with confidence 99 %"),
@@ -97,6 +99,7 @@ MORE = {
     "a long formula": ("stl.parse(' & '.join(f'F[0,{i}] A' for i in range(500)))", "..."),
     "a model with intervals": ("blurred", "intervals"),
     "a black box": ("stl.MDP.black_box(2, 2, lambda rng: None)", "a black box"),
+    "a gap without a tie": ("stl.optimality_gap(product, best.policy, training.counts)", "P* - P(policy) <="),
     "a model with a parameter": ("family", "depend on p in [0.5, 1]"),
     "a robust check": ("stl.robust_check(stl.build_product(blurred, stl.parse('F[0,3] A')))", "adversarial nature"),
     "an exact check": ("stl.check(product, exact=True)", "7/8"),

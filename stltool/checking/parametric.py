@@ -271,6 +271,10 @@ class Family:
             known = self._layers[id(policy)] = layers, policy  # which keeps its id
         return known[0]
 
+    def forget(self, policy: Policy) -> None:
+        """Drop the layers that are kept for a policy."""
+        self._layers.pop(id(policy), None)
+
     def work(self, policy: Policy | None = None) -> float:
         """The multiply-adds for a polynomial, roughly."""
         layers = self._open if policy is None else self._following(policy)
@@ -321,7 +325,7 @@ class Family:
             a, b = todo.pop()
             policy = self.best((a + b) / 2)
             theirs, own = self.enclosed(self.optimum(a, b)), self.enclosed(self.of(policy, a, b), policy)
-            del self._layers[id(policy)]
+            self.forget(policy)
             below, above = (own[0], theirs[1]) if self.maximize else (theirs[0], own[1])
             piece = Piece(a, b, below, above, policy)
             if piece.gap <= tolerance or a == b or len(done) + len(todo) + 2 > most:

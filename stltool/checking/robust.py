@@ -135,7 +135,7 @@ def robust_check(
         weights = judged.form.mixtures()
         mixed, weight_defect = weights.shape[1], defect(weights.tolist())
     initial_defect = product.model.initial_defect
-    a_sweep = (8 * longest + 2 * mixed) * _U + 2 * _defect(layers.kinds) + 2 * weight_defect
+    a_sweep = (8 * longest + 2 * mixed) * _U + 2 * rows_defect(layers.kinds) + 2 * weight_defect
     growth = product.horizon * weight_defect + initial_defect  # by what weight defects enlarge earlier errors
     slack = compounded(product.horizon * a_sweep + initial_defect, growth)
     lower, upper = enclose(value, 3, slack, underflow=False)  # the initial sum; the slack of a sweep is larger
@@ -152,7 +152,7 @@ def robust_check(
     )  # fmt: skip
 
 
-def _defect(rows: Rows) -> Fraction:
+def rows_defect(rows: Rows) -> Fraction:
     """The largest amount, exactly, by which a row's ends violate Σ lower ≤ 1 ≤ Σ upper; repeated rows are summed
     once."""
     intervals = rows.intervals

@@ -28,10 +28,12 @@ from stltool.cli.options import (
     StopGap,
     TaskFile,
     TaskName,
+    UntilGap,
 )
 from stltool.cli.roles import Writes
 from stltool.cli.steps import (
     LearnerCommand,
+    gap_facts,
     make_product,
     read_learner,
     resumable,
@@ -58,6 +60,8 @@ def learn(
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
+    until_gap: UntilGap = None,
+    confidence: Annotated[float, typer.Option("--confidence", help="confidence level for --until-gap")] = 0.99,
     checkpoint: Checkpoint = None,
     resume: Resume = False,
     checkpoint_every: CheckpointEvery = 30.0,
@@ -86,7 +90,8 @@ def learn(
     with resumable(checkpoint):
         training = train(
             product, learner, as_json, episodes=episodes, evaluate_every=evaluate_every, most_steps=most_steps,
-            stop_gap=stop_gap, seed=seed, checkpoint=checkpoint, resume=resume, checkpoint_every=checkpoint_every,
+            stop_gap=stop_gap, until_gap=until_gap, confidence=confidence, seed=seed, checkpoint=checkpoint,
+            resume=resume, checkpoint_every=checkpoint_every,
         )  # fmt: skip
     training.policy.save(out)
     if history is not None:
@@ -101,6 +106,7 @@ def learn(
     unknown = "unknown: the model is a black box; use stltool estimate --policy for bounds"
     print_facts({
         "learned": training_text(training),
+        **gap_facts(training),
         "exact P": f"{exact:.12g}" if exact is not None else unknown,
         "policy": out,
         **({"Markov test": markov["statement"]} if markov is not None else {}),

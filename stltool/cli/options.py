@@ -72,6 +72,13 @@ MostSteps = Annotated[
 StopGap = Annotated[
     float | None, typer.Option("--stop-gap", help="stop once an evaluation is within this of the exact optimum")
 ]
+UntilGap = Annotated[
+    float | None,
+    typer.Option(
+        "--until-gap",
+        help="stop once the transitions prove, with --confidence, that the policy is within this of the optimum",
+    ),
+]
 Checkpoint = Annotated[
     Path | None,
     typer.Option("--checkpoint", help="file that keeps the run, to resume it after an interruption"),

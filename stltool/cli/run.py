@@ -28,11 +28,13 @@ from stltool.cli.options import (
     StopGap,
     TaskFile,
     TaskName,
+    UntilGap,
 )
 from stltool.cli.roles import Writes, task_folder, within
 from stltool.cli.steps import (
     ROLLOUTS,
     LearnerCommand,
+    gap_facts,
     guarantees_of,
     make_product,
     read_learner,
@@ -61,6 +63,7 @@ def run(
     evaluate_every: EvaluateEvery = 20,
     most_steps: MostSteps = None,
     stop_gap: StopGap = None,
+    until_gap: UntilGap = None,
     seed: Seed = 0,
     setting: Set = None,
     confidence: Annotated[
@@ -128,7 +131,8 @@ def run(
                 checks.append(stl.check(product, progress=bar))
         training = train(
             product, learner, as_json, episodes=episodes, evaluate_every=evaluate_every, most_steps=most_steps,
-            stop_gap=stop_gap, seed=seed, checkpoint=checkpoint, resume=resume, checkpoint_every=checkpoint_every,
+            stop_gap=stop_gap, until_gap=until_gap, confidence=confidence, seed=seed, checkpoint=checkpoint,
+            resume=resume, checkpoint_every=checkpoint_every,
         )  # fmt: skip
         if known:
             checks.append(stl.check(product, training.policy))
@@ -147,6 +151,7 @@ def run(
         "product": f"{product.shape[0]} model states × {product.shape[1]} automaton states, horizon {product.horizon}",
         **({"starts in": data["initial"]} if data["initial_states"] > 1 else {}),
         "learned": training_text(training),
+        **gap_facts(training),
         **({"Markov test": data["markov"]["statement"]} if data["markov"] is not None else {}),
     })  # fmt: skip
     if known:

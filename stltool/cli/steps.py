@@ -304,6 +304,21 @@ def training_text(training: Training) -> str:
     return f"{method}, {episodes} episodes, {steps} environment steps, {training.seconds:.1f} s{ended}"
 
 
+def gap_facts(training: Training) -> dict[str, str]:
+    """What the transitions prove about the distance to the optimum, if that was asked for."""
+    from stltool.numbers import ceiling_text
+
+    gap = training.gap
+    if gap is None:
+        return {}
+    at = ", ".join(f"{one.name} = {float(one.estimate):.6g}" for one in gap.parameters)
+    return {
+        "certified": f"within {ceiling_text(gap.upper)} of the optimum with confidence {100 * gap.confidence:.12g} % "
+        f"(without data: {ceiling_text(gap.without_data)})" + (f"; the policy is optimal for {at}" if at else ""),
+        "assumes": gap.assumes,
+    }
+
+
 def this_command(*more: str) -> str:
     """The command line as given, quoted for a shell, with more options."""
     return shlex.join(["stltool", *sys.argv[1:], *more])

@@ -4,6 +4,7 @@ from stltool.learning.cfer import Cfer, PublishedCfer
 from stltool.learning.cfper import PublishedCfper
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
+from stltool.learning.gap import Gap, optimality_gap
 from stltool.learning.guarantee import Guarantee, guarantee
 from stltool.learning.kept import Kept
 from stltool.learning.learn import Training, learn
@@ -19,8 +20,8 @@ from stltool.learning.sweep import Sweep, SweepResult, run_sweep
 from stltool.learning.sweep_file import load_sweep
 
 __all__ = [
-    "LEARNERS", "METHODS", "Budget", "Cfer", "Counts", "Episode", "Guarantee", "Kept", "Learner", "MarkovTest",
-    "ModelBased", "Naive", "NaiveER", "Problem", "PublishedCfer", "PublishedCfper", "PublishedNaive",
+    "LEARNERS", "METHODS", "Budget", "Cfer", "Counts", "Episode", "Gap", "Guarantee", "Kept", "Learner",
+    "MarkovTest", "ModelBased", "Naive", "NaiveER", "Problem", "PublishedCfer", "PublishedCfper", "PublishedNaive",
     "PublishedNaiveER", "Sweep", "SweepResult", "Training", "guarantee", "learn", "load_sweep", "markov_test",
-    "run_sweep", "setting",
+    "optimality_gap", "run_sweep", "setting",
 ]  # fmt: skip

@@ -49,6 +49,8 @@ def save_checkpoint(
     arrays["history steps"] = np.array([point.steps for point in points], dtype=np.int64)
     values = [math.nan if point.probability is None else point.probability for point in points]
     arrays["history probability"] = np.array(values, dtype=np.float64)
+    gaps = [math.nan if point.gap is None else point.gap for point in points]
+    arrays["history gap"] = np.array(gaps, dtype=np.float64)
     arrays["history time"] = np.array([point.time for point in points], dtype=np.float64)
     header = {
         "format": FORMAT,
@@ -198,6 +200,7 @@ def _arrays(members: Members, header: dict[str, Any], trainer: Trainer) -> dict[
         "history episode": (np.int64, (None,), points),
         "history steps": (np.int64, (None,), points),
         "history probability": (np.float64, (None,), points),
+        "history gap": (np.float64, (None,), points),
         "history time": (np.float64, (None,), points),
     }
     schema |= {
@@ -216,8 +219,9 @@ def _progress(header: dict[str, Any], arrays: Mapping[str, NDArray[Any]], traine
         raise ValueError(f"its status is {status!r}")
     if (status == "nothing to learn") != (trainer.state is None):
         raise ValueError(f"its status is {status!r}")
-    at, of, values, times = (arrays[f"history {name}"] for name in ("episode", "steps", "probability", "time"))
-    if not len(at) == len(of) == len(values) == len(times):
+    columns = ("episode", "steps", "probability", "time", "gap")
+    at, of, values, times, gaps = (arrays[f"history {name}"] for name in columns)
+    if len({len(at), len(of), len(values), len(times), len(gaps)}) > 1:
         raise ValueError("its learning curve has columns of different lengths")
     every = trainer.budget.evaluate_every
     due = set(range(every, episode + 1, every)) if len(at) >= episode // every else {-1}
@@ -233,8 +237,14 @@ def _progress(header: dict[str, Any], arrays: Mapping[str, NDArray[Any]], traine
         raise ValueError("its learning curve does not fit what is known of the model")
     if not ((values[known] >= 0) & (values[known] <= 1)).all() or not np.isfinite(times).all():
         raise ValueError("its learning curve contains a number that is not a probability")
-    points = zip(at.tolist(), of.tolist(), values.tolist(), times.tolist(), strict=True)
-    history = [Point(e, s, None if math.isnan(p) else p, when) for e, s, p, when in points]
+    certified = ~np.isnan(gaps)
+    if (certified != (trainer.certifier is not None)).any() or not ((gaps >= 0) & (gaps <= 1))[certified].all():
+        raise ValueError("its learning curve does not fit the gaps that are to be certified")
+    points = zip(at.tolist(), of.tolist(), values.tolist(), times.tolist(), gaps.tolist(), strict=True)
+    history = [
+        Point(e, s, None if math.isnan(p) else p, when, None if math.isnan(gap) else gap)
+        for e, s, p, when, gap in points
+    ]
     return Progress(episode, steps, history, status)
 
 

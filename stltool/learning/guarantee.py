@@ -198,14 +198,14 @@ def guarantee(
             f"the counts are of {counts.n_choices} choices and {counts.n_states} states, the model has "
             f"{model.n_choices} and {model.n_states}; give the counts of a learner of this model"
         )
-    initial = _initial(model, start)
+    initial = initial_of(model, start)
     share: float | Fraction = confidence if fresh is None else 1 - (1 - exact(confidence)) / 2
     if parameters is not None:
         if successors is not None:
             raise SettingsError("a model with parameters knows its successors; leave out successors or parameters")
         found = _tied(product, policy, counts, initial, share, test_tie, began, memory_limit, progress)
         return _with_runs(found, fresh, confidence, share)
-    possible = _possible(model, successors) if successors is not None else None
+    possible = possible_successors(model, successors) if successors is not None else None
     judge, rebased = policy.on(product) if policy is not None else (product, None)
     visits = counts.visits
     extended = with_outcome(judge, _of_intervals(model, initial, counts, visits, share, support, possible), FALSE)
@@ -244,7 +244,7 @@ def _with_runs(found: Guarantee, fresh: Estimate | None, confidence: float, shar
 # ------------------------------------------------------------------------------------------------- the interval model
 
 
-def _initial(model: MDP, start: int | None) -> Floats:
+def initial_of(model: MDP, start: int | None) -> Floats:
     """The initial distribution (n_states,)."""
     if start is None:
         if not model.initial.any():
@@ -266,6 +266,13 @@ def _decided(product: Product, initial: Floats) -> float:
         return 1.0
     share = math.fsum(initial[states[satisfied]]) / math.fsum(initial[states])
     return math.nextafter(share * (1 - 4 * np.finfo(np.float64).eps), 0)
+
+
+def interval_model(
+    model: MDP, initial: Floats, counts: Counts, confidence: float | Fraction, given: Whole | None = None
+) -> MDP:
+    """The model's states and choices with intervals from the counts, for known (or given) successors."""
+    return _of_intervals(model, initial, counts, counts.visits, confidence, "known", given)
 
 
 def _of_intervals(
@@ -349,7 +356,7 @@ def _of_graph(model: MDP, counts: Counts, given: Whole | None = None) -> tuple[W
     return codes, seen
 
 
-def _possible(model: MDP, given: Successors) -> Whole:
+def possible_successors(model: MDP, given: Successors) -> Whole:
     """The successors given, as choice · n_states + successor, ascending."""
     S, M = model.n_states, model.n_choices
     if callable(given):

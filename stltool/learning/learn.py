@@ -15,6 +15,7 @@ from stltool.arguments import described, flag, function, real
 from stltool.arguments import path as path_of
 from stltool.automata import TRUE, UNDECIDED
 from stltool.checking import check
+from stltool.checking.statistical import require_confidence
 from stltool.choices import Form
 from stltool.display import Card, Displayed, counted, probability_text
 from stltool.errors import SettingsError, named
@@ -26,6 +27,7 @@ from stltool.learning.checkpoint import (
     save_checkpoint,
 )
 from stltool.learning.counts import Counts
+from stltool.learning.gap import Certifier, Gap
 from stltool.learning.interrupt import Interrupt, interruptible
 from stltool.learning.judged import settled
 from stltool.learning.learner import Learner, require_learner
@@ -51,8 +53,10 @@ class Training(Displayed):
     """A finished run: the policy at the end, the exact learning curve that led there, the transitions it saw.
 
     learner    the method with its settings; budget: the settings of the run
-    status     how it ended: "complete" (all episodes), "within the gap" (`stop_gap`), "out of steps" (`most_steps`), or
+    status     how it ended: "complete" (all episodes), "within the gap" (`stop_gap`), "gap
+               certified" (`until_gap`), "out of steps" (`most_steps`), or
                "nothing to learn" (the first state decides the task, so all policies are equally good)
+    gap        with `until_gap`: what its transitions prove about the policy's distance to the optimum
     seconds    wall time, for a resumed run since it was resumed
     """
 
@@ -64,6 +68,7 @@ class Training(Displayed):
     counts: Counts
     seconds: float
     status: Status = "complete"
+    gap: Gap | None = None
 
     def _card(self) -> Card:
         home = self.policy.home
@@ -101,7 +106,9 @@ class Training(Displayed):
     @property
     def stopped_early(self) -> bool:
         """Whether `stop_gap` or `most_steps` ended it before its last episode."""
-        return self.status in ("within the gap", "out of steps") and self.episodes < self.budget.episodes
+        return (
+            self.status in ("within the gap", "gap certified", "out of steps") and self.episodes < self.budget.episodes
+        )
 
     @property
     def settled(self) -> bool | None:
@@ -140,6 +147,8 @@ def learn(
     evaluate_every: int = 20,
     most_steps: int | None = None,
     stop_gap: float | None = None,
+    until_gap: float | None = None,
+    confidence: float = 0.99,
     seed: int = 0,
     environment: BlackBox | None = None,
     checkpoint: str | Path | None = None,
@@ -158,6 +167,10 @@ def learn(
     evaluate_every   episodes between exact evaluations of the learned policy, the points of the learning curve
     most_steps    stop before the total of environment steps could exceed this
     stop_gap      stop once an evaluation is within this of the exact optimum (known models only)
+    until_gap     stop once the transitions alone prove, with this `confidence`, that the policy is within this of the
+                  optimum (`optimality_gap`; docs/guarantees.md): tied if the model's rows depend on one parameter (of
+                  grids: always), unless the data contradict that. The policy learned is then the one that is optimal at
+                  the estimate of the parameter
     seed          an integer from 0, the source of all random choices: same seed, same result
     environment   anything whose `reset()` and `step(i)` (the i-th available action of the current state) return the
                   index of a state of the model. Default: the model, sampled
@@ -191,16 +204,27 @@ def learn(
     require_checkpoint(checkpoint, resume)
     world = _environment(product, environment, rng_of_environment, length)
     judge = _Judge(home, product, budget)
+    require_confidence(confidence)
+    if until_gap is not None and not 0 < real(until_gap, "until_gap", "0.01") < 1:
+        raise SettingsError(f"{named('until_gap')} is {until_gap}; give a probability between 0 and 1, such as 0.01")
+    if until_gap is not None and learner.published:
+        raise SettingsError(f"{named('until_gap')} is not for methods as published; leave one of the two out")
     counts = Counts(product.model.n_choices, product.model.n_states, product.model.n_choices + 1)
     problem = Problem.of(home)
     state = learner.start(problem, counts, rng) if decided is None else None
+    certifier = None
+    if until_gap is not None and decided is None:
+        certifier = Certifier(home, product, counts, float(until_gap), confidence)
     trainer = Trainer(
-        problem, world, learner, state, budget, rng, counts, length, judge.known, judge.evaluate, judge.enough
-    )
+        problem, world, learner, state, budget, rng, counts, length, judge.known, judge.evaluate, judge.enough,
+        certifier,
+    )  # fmt: skip
     with interruptible(checkpoint is not None) as interrupt:
         so_far, save = Progress(), None
         if checkpoint is not None:
             what = _identity(product, learner, budget, seed)
+            if until_gap is not None:
+                what |= {"until_gap": float(until_gap), "confidence": float(confidence)}
             kept = _Checkpoint(Path(checkpoint), what, trainer, checkpoint_every, interrupt)
             so_far, save = kept.begin(), kept.save
         if decided is not None and so_far.status is None:
@@ -211,9 +235,13 @@ def learn(
     table: NDArray[Any] | Form = np.zeros(home.shape, dtype=np.int64)
     if state is not None:
         table = learner.policy(state)
+    policy, gap = Policy(home, table), None
+    if certifier is not None:
+        gap = certifier.last if certifier.last is not None else certifier(lambda: table)  # resumed at its end
+        policy = gap.policy
     return Training(
-        Policy(home, table), so_far.history, learner, budget, seed, counts, time.perf_counter() - start,
-        so_far.status or "complete",
+        policy, so_far.history, learner, budget, seed, counts, time.perf_counter() - start,
+        so_far.status or "complete", gap,
     )  # fmt: skip
 
 

@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from stltool.choices import Form
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
+from stltool.learning.gap import Certifier, due
 from stltool.learning.learner import Learner
 from stltool.learning.problem import Problem
 from stltool.learning.settings import Budget
 from stltool.learning.side_by_side import MOST, play
 from stltool.models.environment import Environment
 
-Status: TypeAlias = Literal["complete", "within the gap", "out of steps", "nothing to learn"]
+Status: TypeAlias = Literal["complete", "within the gap", "gap certified", "out of steps", "nothing to learn"]
 
 
 @dataclass(frozen=True)
@@ -32,13 +33,15 @@ class Point:
     """One evaluation: the policy's exact probability after a number of episodes and environment steps.
 
     The probability is None if the model is not known. `time` is when it was evaluated, in seconds since 1970; runs that
-    differ only in it are equal.
+    differ only in it are equal. `gap`: the bound on the distance to the optimum that the transitions so far prove, if
+    asked for (`until_gap`).
     """
 
     episode: int
     steps: int
     probability: float | None
     time: float = field(default=0.0, compare=False)
+    gap: float | None = None
 
 
 @dataclass
@@ -58,6 +61,7 @@ class Trainer:
     state      the state of the learner; None if there is nothing to learn
     evaluate   the exact probability of a policy table; None if it cannot be known, that is, unless `knows`
     enough     whether that probability ends the run
+    certifier  with `until_gap`: what the transitions prove about the distance to the optimum
     The learner never sees more than the states that `environment` reports.
     """
 
@@ -72,6 +76,7 @@ class Trainer:
     knows: bool
     evaluate: Callable[[NDArray[Any] | Form], float | None]
     enough: Callable[[float], bool]
+    certifier: Certifier | None = None
 
     def run(
         self,
@@ -90,10 +95,17 @@ class Trainer:
             if self._out_of_steps(progress):
                 progress.status = "out of steps"
             last = progress.status is not None or progress.episode == budget.episodes
-            if last or progress.episode // budget.evaluate_every > before // budget.evaluate_every:
-                value = self.evaluate(learner.policy(state))
-                progress.history.append(Point(progress.episode, progress.steps, value, time.time()))
-                if value is not None and self.enough(value):
+            now = last or progress.episode // budget.evaluate_every > before // budget.evaluate_every
+            certifier, gap = self.certifier, None
+            if certifier is not None and (now or any(map(due, range(before + 1, progress.episode + 1)))):
+                now, gap = True, certifier(lambda: learner.policy(state))
+            if now:
+                value = self.evaluate(learner.policy(state) if gap is None else gap.policy.form)
+                bound = gap.upper if gap is not None else None
+                progress.history.append(Point(progress.episode, progress.steps, value, time.time(), bound))
+                if certifier is not None and bound is not None and bound <= certifier.until:
+                    progress.status = "gap certified"
+                elif value is not None and self.enough(value):
                     progress.status = "within the gap"
             if shown is not None:
                 value = progress.history[-1].probability if progress.history else None

@@ -35,7 +35,7 @@ from stltool.reporting.guarantees import guarantee_data
 from stltool.reporting.runs import likely_data, sensitivity_data
 
 if TYPE_CHECKING:  # a check loads no learners
-    from stltool.learning import Guarantee, Training
+    from stltool.learning import Gap, Guarantee, Training
 
 FORMAT, SWEEP_FORMAT = "stltool-report-1", "stltool-sweep-1"
 _LIKELY, _SENSITIVE = 5, 5  # runs and states that a report shows
@@ -217,7 +217,25 @@ def training_data(training: Training) -> dict[str, Any]:
         "seconds": training.seconds,
         "history": [
             {"episode": point.episode, "steps": point.steps, "probability": point.probability}
+            | ({"gap": point.gap} if point.gap is not None else {})
             for point in training.history
+        ],
+        **({"gap": gap_data(training.gap)} if training.gap is not None else {}),
+    }
+
+
+def gap_data(gap: Gap) -> dict[str, Any]:
+    """What transitions prove about a policy's distance to the optimum."""
+    return {
+        "upper": gap.upper,
+        "confidence": gap.confidence,
+        "without_data": gap.without_data,
+        "transitions": gap.transitions,
+        "assumes": gap.assumes,
+        "statement": gap.statement,
+        "parameters": [
+            {"name": one.name, "lower": float(one.lower), "upper": float(one.upper), "estimate": float(one.estimate)}
+            for one in gap.parameters
         ],
     }
 

@@ -531,7 +531,7 @@ def test_every_public_function_on_products_knows_of_intervals():
     """A function that is new here must answer for intervals or refuse them, with a line in the test above."""
     refusing = {"check", "learn", "sample_run", "likely_runs", "sensitivity", "estimate", "sprt", "pareto", "tradeoff",
                 "surrogate_optimum", "to_gymnasium", "stationary", "parametric"}  # fmt: skip
-    fit = {"robust_check", "build_product", "build_joint_product", "guarantee", "explain", "report"}
+    fit = {"robust_check", "build_product", "build_joint_product", "guarantee", "explain", "report", "optimality_gap"}
     found = {name: getattr(stl, name) for name in stl.__all__ if inspect.isfunction(getattr(stl, name))}
     models = {"product", "model", "joint"}
     asks = {name for name, ask in found.items() if models & set(inspect.signature(ask).parameters)}
