@@ -256,11 +256,7 @@ class MDP(Displayed):
 
     def require_points(self) -> None:
         """SettingsError if the probabilities are intervals or unknown: for everything that needs one distribution."""
-        if self.blackbox is not None:
-            raise SettingsError(
-                f"the probabilities of {self.name} are unknown: it is a black box; use {named('learn', 'stl.learn')} "
-                f"and {named('estimate', 'stl.estimate')}, or give a model with probabilities"
-            )
+        self.require_probabilities()
         if self.parameters:
             names = [parameter.name for parameter in self.parameters]
             raise SettingsError(
@@ -272,6 +268,14 @@ class MDP(Displayed):
             raise SettingsError(
                 f"the model's probabilities are intervals; use {named('check', 'stl.robust_check')}, or the ordinary "
                 f"model inside them{named('nominal', ': model.nominal()')}"
+            )
+
+    def require_probabilities(self) -> None:
+        """SettingsError if the probabilities are unknown: for a black box."""
+        if self.blackbox is not None:
+            raise SettingsError(
+                f"the probabilities of {self.name} are unknown: it is a black box; use {named('learn', 'stl.learn')} "
+                f"and {named('estimate', 'stl.estimate')}, or give a model with probabilities"
             )
 
     # ------------------------------------------------------------------------------------------ parameters
@@ -294,7 +298,8 @@ class MDP(Displayed):
         return replace(self, source=source) if source is not None else None
 
     def require_family(self) -> MDP:
-        """The family. SettingsError if there is none."""
+        """The family. SettingsError if there is none, or if the model is a black box."""
+        self.require_probabilities()
         if self.family is None:
             raise SettingsError(
                 f"the probabilities of {self.name} do not depend on parameters; declare them in the model "

@@ -18,7 +18,8 @@ def sweep_file(tmp_path):
 def test_a_sweep_from_start_to_report(stltool, sweep_file, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     code, out, err = stltool("sweep", sweep_file, "--workers", 1)
-    assert (code, len(err.splitlines())) == (0, 8)
+    assert code == 0
+    assert len(re.findall("of 8 runs,", err)) == 8  # and, on a slow machine, that it goes on
     assert "sweep: 8 of 8 runs," in err
     lines = out.splitlines()
     heading = "scenario  method  seeds  P median  [q1, q3]  least  greatest  published  P*  0.99 P* at  steps  time"
