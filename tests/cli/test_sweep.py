@@ -22,8 +22,8 @@ def test_a_sweep_from_start_to_report(stltool, sweep_file, tmp_path, monkeypatch
     assert len(re.findall("of 8 runs,", err)) == 8  # and, on a slow machine, that it goes on
     assert "sweep: 8 of 8 runs," in err
     lines = out.splitlines()
-    heading = "scenario  method  seeds  P median  [q1, q3]  least  greatest  published  P*  0.99 P* at  steps  regret  time"
-    assert re.split(r"  +", lines[0]) == heading.split("  ")
+    statistics = "P median  [q1, q3]  least  greatest  published  P*  0.99 P* at  steps  regret  time"
+    assert re.split(r"  +", lines[0]) == ["scenario", "method", "seeds", *statistics.split("  ")]
     assert [line.split()[:3] for line in lines[1:5]] == [[s, m, "2"] for s in "RC" for m in ("naive", "replay")]
     assert "runs    8 finished, 0 of them earlier; 0 failed" in out
     assert "report  out/tiny/report.html" in out
