@@ -46,7 +46,7 @@ from stltool.cli.steps import (
 def learn(
     task: TaskFile,
     out: Annotated[Path, typer.Option("--out", "-o", help="policy file to write (.npz)", show_default=False), Writes()],
-    method: Method = "cfer",
+    method: Method = None,
     faithful: Faithful = False,
     episodes: Episodes = 1000,
     evaluate_every: EvaluateEvery = 20,

@@ -60,7 +60,13 @@ Encoding = Annotated[
     str, typer.Option("--encoding", help="exact, paper (Wang et al. 2024: flags) or history (tau-MDP)")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON object instead of a table")]
-Method = Annotated[str, typer.Option("--method", "-m", help="cfer, model-based, naive or naive-er; cfper as published")]
+Method = Annotated[
+    str | None,
+    typer.Option(
+        "--method", "-m",
+        help="model-based (default), cfer (default with --faithful), naive or naive-er; cfper as published",
+    ),
+]  # fmt: skip
 Faithful = Annotated[bool, typer.Option("--faithful", help="the method as published, including its slips")]
 Episodes = Annotated[int, typer.Option("--episodes", "-e", help="training episodes")]
 EvaluateEvery = Annotated[

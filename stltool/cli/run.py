@@ -57,7 +57,7 @@ def run(
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
-    method: Method = "cfer",
+    method: Method = None,
     faithful: Faithful = False,
     episodes: Episodes = 1000,
     evaluate_every: EvaluateEvery = 20,

@@ -266,11 +266,13 @@ def read_params(pairs: list[str] | None) -> dict[str, str]:
     return values
 
 
-def read_learner(method: str, faithful: bool, pairs: list[str] | None) -> Learner[Any]:
+def read_learner(method: str | None, faithful: bool, pairs: list[str] | None) -> Learner[Any]:
     """The learner of that name with the settings that `--set` gives it."""
     from stltool.learning.methods import class_of, make, require_setting
     from stltool.learning.settings import Budget, settings_of
 
+    if method is None:
+        method = "cfer" if faithful else "model-based"
     cls = class_of(method, faithful)
     settings: dict[str, Any] = {}
     for pair in pairs or []:

@@ -228,7 +228,7 @@ def test_run_learns_checks_and_reports(stltool, tmp_path):
     data = json.loads((tmp_path / "report.json").read_text())
     assert f"{data['checks'][0]['probability']:.15g}" in out
     assert f"{data['checks'][1]['probability']:.15g}" in out
-    assert "learning (cfer): 100 of 100" in err
+    assert "learning (model-based): 100 of 100" in err
     assert data["command"].startswith("stltool run")
     page = (tmp_path / "report.html").read_text()
     (tmp_path / "report.html").unlink()
@@ -400,24 +400,30 @@ def test_other_bad_input_ends_with_code_2(stltool, tmp_path):
         (["check", no_model, "--model", row], "sum to 1.2, not 1"),
         (["run", PATROLLING, "--method", "cefr"], "did you mean cfer"),
         (["run", PATROLLING, "--episodes", "0"], "episodes is 0"),
-        (["run", PATROLLING, "--set", "replay=3"], "no setting 'replay'; did you mean replays"),
+        (["run", PATROLLING, "-m", "cfer", "--set", "replay=3"], "no setting 'replay'; did you mean replays"),
         (["run", PATROLLING, *SMALL, "-e", "1", "--out", no_model], "is not a writable directory; name another"),
         (["run", PATROLLING, "--set", "seed=3"], "--set seed: this setting has its own option; use --seed"),
         (["run", PATROLLING, "--set", "evaluate_every=3"], "its own option; use --evaluate-every"),
-        (["run", PATROLLING, "--set", "replays=3", "--set", "replays=4"], "--set replays is given twice"),
-        (["learn", PATROLLING, "-o", "p.npz", "--set", "gamma=0.1"], "cfer has no setting gamma; naive as published"),
+        (["run", PATROLLING, "-m", "cfer", "--set", "replays=3", "--set", "replays=4"], "--set replays is given twice"),
         (
-            ["learn", PATROLLING, "-o", "p.npz", "--set", "replays=1_0"],
+            ["learn", PATROLLING, "-o", "p.npz", "--set", "gamma=0.1"],
+            "model-based has no setting gamma; naive as published",
+        ),
+        (
+            ["learn", PATROLLING, "-o", "p.npz", "-m", "cfer", "--set", "replays=1_0"],
             "replays is '1_0'; it must be an integer",
         ),
         (
-            ["learn", PATROLLING, "-o", "p.npz", "--set", "replays=2.5"],
+            ["learn", PATROLLING, "-o", "p.npz", "-m", "cfer", "--set", "replays=2.5"],
             "replays is '2.5'; it must be an integer",
         ),
         (["learn", PATROLLING, "-o", "p.npz", "--most-steps", "3"], "--most-steps is 3, and one episode takes 18"),
         (["run", PATROLLING, "--set", "optimism=abc"], "--set optimism is 'abc'; it must be a number above 0"),
         (["run", PATROLLING, "--seed", "-1"], "seed is -1; give an integer from 0"),
-        (["run", PATROLLING, "--set", "memory=99999999999999"], "a replay memory of 99999999999999 transitions"),
+        (
+            ["run", PATROLLING, "-m", "cfer", "--set", "memory=99999999999999"],
+            "a replay memory of 99999999999999 transitions",
+        ),
         (["learn", PATROLLING, *SMALL, "-e", "1", "--out", tmp_path / "q.csv"], "policies are saved as .npz"),
         (["learn", PATROLLING, *SMALL, "-e", "1", "--out", tmp_path], "not a regular file"),
         (["report", no_model], "not the JSON file of a report"),

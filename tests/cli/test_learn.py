@@ -33,7 +33,7 @@ def test_tensorboard_events_in_a_folder_of_each_run(stltool, tmp_path):
         assert Path(events).is_dir()
     runs = read(tmp_path / "events")
     assert len(runs) == 2
-    assert all(name.startswith("patrolling-cfer-seed0-") for name in runs)
+    assert all(name.startswith("patrolling-model-based-seed0-") for name in runs)
     (tmp_path / "file").write_text("")
     code, out, err = stltool("learn", PATROLLING, *SMALL, "--episodes", 10**6, "--out", tmp_path / "q.npz",
                              "--tensorboard", tmp_path / "file")  # fmt: skip
