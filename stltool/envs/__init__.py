@@ -42,9 +42,9 @@ def to_gymnasium(
 
     Of a model, observations are Discrete(S), rewards are 0, and episodes do not end by themselves. Of a product:
 
-    observation      Dict: `state` Discrete(S), or `observation`, what the environment of a black box that is one of
-                     Gymnasium's observes; `memory` Discrete(Q), the automaton state; `to_go` Discrete(h + 1), steps
-                     until the horizon. An episode terminates with the verdict; it is never truncated.
+    observation      Dict: `state` Discrete(S), or if states are cells, `observation`, the environment's own array;
+                     `memory` Discrete(Q), the automaton state; `to_go` Discrete(h + 1), steps until the horizon. An
+                     episode terminates with the verdict; it is never truncated.
     reward           "exact": 1 when the task is satisfied, else 0, so that the undiscounted return is the verdict, and
                      its mean P. "surrogate": that of [Wang24], at every step until the horizon; it needs a product with
                      encoding="paper"

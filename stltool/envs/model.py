@@ -50,6 +50,13 @@ class Moves:
                 "make the environment with unavailable='stay'"
             )
 
+    @property
+    def observed(self) -> Any:
+        """What the environment of a model of cells observes now."""
+        assert self._environment is not None
+        assert self._environment.observed is not None
+        return self._environment.observed()
+
     def require(self, action: Any) -> None:
         """ModelError unless there is an episode, and such an action."""
         if self._environment is None:

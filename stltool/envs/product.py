@@ -29,7 +29,7 @@ from stltool.logic.fragment import check_fragment
 from stltool.product import Product
 
 Observation: TypeAlias = dict[str, Any]
-Observed: TypeAlias = dict[str, NDArray[np.int64]]
+Observed: TypeAlias = dict[str, NDArray[Any]]
 
 
 class Counterfactuals(NamedTuple):
@@ -76,8 +76,12 @@ class ProductEnv(gymnasium.Env[Observation, int]):
     ) -> None:
         self.product, self.reward = product, reward
         S, Q = product.shape
+        sensing = product.model.sensing
+        own: Any = sensing.space if sensing is not None else None
+        self._real = getattr(own, "dtype", None) is not None  # one array; others are shown by their cells
+        here: dict[str, Any] = {"observation": own} if self._real else {"state": spaces.Discrete(S)}
         self.observation_space: Any = spaces.Dict(
-            {"state": spaces.Discrete(S), "memory": spaces.Discrete(Q), "to_go": spaces.Discrete(product.horizon + 1)}
+            {**here, "memory": spaces.Discrete(Q), "to_go": spaces.Discrete(product.horizon + 1)}
         )
         self._moves = Moves(product.model, unavailable, product.horizon)
         self.action_space: Any = self._moves.actions
@@ -112,7 +116,9 @@ class ProductEnv(gymnasium.Env[Observation, int]):
         info = self._info()
         if self._k:
             real = (before, int(action), reward, after, self._over)
-            info["crm-experience"] = [real, *self.counterfactuals(s, int(action), self._moves.state, self._k).rows()]
+            seen = (before["observation"], after["observation"]) if self._real else None
+            others = self.counterfactuals(s, int(action), self._moves.state, self._k, seen)
+            info["crm-experience"] = [real, *others.rows()]
         return after, reward, self._over, False, info
 
     def action_masks(self) -> NDArray[np.bool_]:
@@ -120,12 +126,19 @@ class ProductEnv(gymnasium.Env[Observation, int]):
         return self._moves.mask
 
     def _observed(self) -> Observation:
-        return self.observation(self._t, self._moves.state, self._q)
+        here = self._moves.observed if self._real else self._moves.state
+        return self.observation(self._t, here, self._q)
 
-    def observation(self, t: int, s: int, q: int) -> Observation:
+    def observation(self, t: int, s: Any, q: int) -> Observation:
         """What is observed in model state s and automaton state q after step t; for a `Situation` of
-        `Policy.from_function`: observation(here.step, here.state, here.memory)."""
-        return {"state": np.int64(s), "memory": np.int64(q), "to_go": np.int64(self.product.horizon - t)}
+        `Policy.from_function`: observation(here.step, here.state, here.memory). If states are cells of real
+        observations, s is such an observation."""
+        here = {"observation": np.asarray(s, dtype=self._dtype)} if self._real else {"state": np.int64(s)}
+        return {**here, "memory": np.int64(q), "to_go": np.int64(self.product.horizon - t)}
+
+    @property
+    def _dtype(self) -> Any:
+        return self.observation_space["observation"].dtype
 
     def _info(self) -> dict[str, Any]:
         info = {**self._moves.info(), "memory": self._automaton.describe(self._q)}
@@ -155,11 +168,14 @@ class ProductEnv(gymnasium.Env[Observation, int]):
         steps = np.arange(automaton.horizon)
         return [(np.repeat(steps, len(q)), np.tile(q, len(steps))) for q in reached]
 
-    def counterfactuals(self, s: int, action: int, s2: int, most: int | None = None) -> Counterfactuals:
+    def counterfactuals(
+        self, s: int, action: int, s2: int, most: int | None = None, observed: tuple[Any, Any] | None = None
+    ) -> Counterfactuals:
         """The transitions of the product that a transition of the model is evidence for, the real one among them.
 
         s, s2   model states;  action  its number
         most    so many of them, drawn at random with replacement (by `np_random`); None: all of them
+        observed   if states are cells of real observations: what was observed in s and in s2
 
         One for every step t and automaton state q that a run in s can have with nothing decided, whatever it read
         before; for the surrogate reward, decided or not. Raises SettingsError for numbers out of range.
@@ -183,12 +199,20 @@ class ProductEnv(gymnasium.Env[Observation, int]):
                 verdict[there] = automaton.verdicts(int(step) + 1)[q2[there]]
             rewards, over = (verdict == TRUE).astype(np.float64), verdict != UNDECIDED
         return Counterfactuals(
-            {"state": np.full(n, s), "memory": q, "to_go": h - t},
+            {**self._repeated(s, n, observed, 0), "memory": q, "to_go": h - t},
             np.full(n, action),
             rewards,
-            {"state": np.full(n, s2), "memory": q2, "to_go": h - t - 1},
+            {**self._repeated(s2, n, observed, 1), "memory": q2, "to_go": h - t - 1},
             over,
         )
+
+    def _repeated(self, s: int, n: int, observed: tuple[Any, Any] | None, which: int) -> dict[str, NDArray[Any]]:
+        """What is observed of a model state, n times."""
+        if not self._real:
+            return {"state": np.full(n, s)}
+        if observed is None:
+            raise SettingsError("states are cells of real observations; give observed=, what was seen in s and s2")
+        return {"observation": np.repeat(np.asarray(observed[which], dtype=self._dtype)[None], n, axis=0)}
 
 
 def _surrogate_of(product: Product) -> NDArray[np.float64]:

@@ -49,7 +49,7 @@ class ModelBased(Learner["Planner"]):
     """Acts on hopeful plans over models drawn from the counted transitions; a cautious plan gives the judged policy."""
 
     name: ClassVar[str] = "model-based"
-    side_by_side: ClassVar[bool] = False  # an episode counts its own visits
+    side_by_side: ClassVar[bool] = False  # it acts on one plan at a time
 
     optimism: float = setting(0.3, "b in the share of hope b / (n + b) of a choice seen n times", above=0)
     caution: float = setting(0.1, "κ in the judged policy's weight n / (n + κ) for a choice seen n times", least=0)

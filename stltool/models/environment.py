@@ -77,6 +77,7 @@ class Environment:
                a run can then not be resumed
     tables     the model that it simulates, one number of `generator` per reset and per step; None: a black box
     runs       the same as many runs at once, if it is a `Batched` one
+    observed   what the environment itself observes now, if its states are cells of that
     """
 
     reset: Callable[[], int]
@@ -84,6 +85,7 @@ class Environment:
     generator: np.random.Generator | None = None
     tables: Tables | None = None
     runs: Runs | None = None
+    observed: Callable[[], Any] | None = None
 
 
 def cumulated(model: MDP) -> NDArray[np.float64]:
@@ -167,7 +169,7 @@ def guarded(model: MDP, environment: BlackBox) -> Environment:
     def step(action: int) -> int:
         return require_state(one.step(action), f"step({action})", model.n_states, model.name)
 
-    return Environment(reset, step, generator)
+    return Environment(reset, step, generator, observed=getattr(environment, "observed", None))
 
 
 class Runs:

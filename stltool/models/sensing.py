@@ -51,6 +51,8 @@ class Sensor(Protocol):
     def signals(self) -> Mapping[str, float]: ...
     @property
     def labels(self) -> Mapping[str, bool]: ...
+    @property
+    def observation(self) -> object: ...
     def reset(self) -> int: ...
     def step(self, action: int, /) -> int: ...
 
@@ -59,12 +61,15 @@ class Sensor(Protocol):
 class Sensing:
     """What a black box senses at each step: the names of signals and labels; `begin` as `MDP.blackbox`, a sensor.
 
+    space   of the environment's own observations
+
     atoms   once a task is bound, its atoms
     """
 
     signals: tuple[str, ...]
     labels: tuple[str, ...]
     begin: Callable[[np.random.Generator, int | None], Sensor]
+    space: object
     atoms: tuple[Atom, ...] | None = None
 
     def bound(self, model: MDP, atoms: Sequence[Atom]) -> tuple[MDP, NDArray[np.bool_], NDArray[np.int32]]:
@@ -112,4 +117,5 @@ class Sensing:
             code = sum(atom.holds(sensor.signals, sensor.labels) << i for i, atom in enumerate(atoms))
             return (cell << len(atoms)) + code
 
-        return Environment(lambda: state(sensor.reset()), lambda i: state(sensor.step(i)), rng)
+        step = lambda i: state(sensor.step(i))  # noqa: E731
+        return Environment(lambda: state(sensor.reset()), step, rng, observed=lambda: sensor.observation)

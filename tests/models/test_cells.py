@@ -4,6 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium import spaces
+from gymnasium.utils.env_checker import check_env
 
 import stltool as stl
 from stltool.errors import ModelError, NameLookupError, SettingsError, SizeError
@@ -102,10 +103,6 @@ def test_it_is_learned_estimated_and_bounded(tmp_path):
     assert (stl.load_policy(tmp_path / "p.npz", again).table == run.policy.table).all()
     stl.report([], run, tmp_path / "r.html", guarantees=[found])
     assert "takes cells for states" in (tmp_path / "r.html").read_text()
-    env = stl.to_gymnasium(product)
-    observation, info = env.reset(seed=0)
-    assert env.observation_space.contains(observation)
-    assert "<= x < " in info["state"]
 
 
 def test_where_a_run_has_ended_it_stays():
@@ -199,3 +196,24 @@ def test_observations_that_are_none():
     near = Scripted((np.array([1.0000001, 0.0]), {}), [step_of(np.array([0.2, 9.0]))], Drift().observation_space)
     environment = simulator(stl.from_gymnasium(near, {}, {"x": 0}, cells={"x": 0.5}), np.random.default_rng(0))
     assert (environment.reset(), environment.step(0)) == (1, 0)  # bounds are not held against real numbers
+
+
+def test_deep_learners_see_the_real_observation():
+    model = stl.from_gymnasium(drift := Drift(), LABELS, SIGNALS, cells={"x": 0.5})
+    env = stl.to_gymnasium(stl.build_product(model, stl.parse("F[0,5] x > 0.9")), counterfactuals=4)
+    check_env(env)
+    observation, info = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    assert "<= x" in info["state"]
+    assert observation["observation"].tolist() == np.array(drift.trace[-1], np.float32).tolist()
+    after, _, _, _, info = env.step(1)
+    assert after["observation"].tolist() == np.array(drift.trace[-1], np.float32).tolist()
+    told = info["crm-experience"]
+    assert len(told) == 5
+    for before, action, _, later, _ in told:
+        assert action == 1
+        assert (before["observation"] == observation["observation"]).all()
+        assert (later["observation"] == after["observation"]).all()
+        assert later["to_go"] == before["to_go"] - 1
+    with pytest.raises(SettingsError, match="give observed=, what was seen in s and s2"):
+        env.counterfactuals(0, 0, 0)

@@ -185,7 +185,7 @@ def _sensed(
         return senses.cells.name(cell) + (", ended" if ended else "")
 
     model = MDP.black_box(2 * n, list(action_names), lambda rng: episodes(rng, None), name=name)
-    sensing = Sensing(tuple(signals), tuple(labels), begin)
+    sensing = Sensing(tuple(signals), tuple(labels), begin, senses.space)
     return replace(
         model, blackbox=episodes, state_names=StateNames(2 * n, cell_name), sensing=sensing, notes={"cells": CELLS}
     )
