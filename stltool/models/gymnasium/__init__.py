@@ -1,4 +1,4 @@
-"""Gymnasium environments with discrete observations and actions → MDP; the way back is stltool/envs.
+"""Gymnasium environments with discrete actions → MDP; the way back is stltool/envs.
 
     stl.from_gymnasium(gymnasium.make("FrozenLake-v1"), labels={"goal": {15}})
 
