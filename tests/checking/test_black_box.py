@@ -68,7 +68,18 @@ def test_what_was_seen_while_learning_bounds_it_too(known, unknown):
     run = stl.learn(unknown, "model-based", episodes=2000, seed=1)
     start = int(known.model.initial.argmax())
     bound = stl.guarantee(unknown, run.policy, run.counts, start=start)
-    assert 0.3 < bound.lower <= stl.check(known, stl.Policy(known, run.policy.table)).upper
+    judged = stl.check(known, stl.Policy(known, run.policy.table))
+    assert 0.3 < bound.lower <= judged.upper
+    with pytest.raises(SettingsError, match="hidden is a black box, whose possible successors are not known"):
+        stl.optimality_gap(unknown, run.policy, run.counts, start=start)
+    model = known.model
+
+    def successors(s, a):
+        c = s * model.n_actions + a  # every state has every action
+        return model.target[model.row_start[c] : model.row_start[c + 1]]
+
+    gap = stl.optimality_gap(unknown, run.policy, run.counts, start=start, successors=successors)
+    assert stl.check(known).lower - judged.upper <= gap.upper < 1
     with pytest.raises(SettingsError, match="hidden does not say where runs start"):
         stl.guarantee(unknown, run.policy, run.counts)
     with pytest.raises(SettingsError, match="the model does not say where this leads; use support='unknown'"):
@@ -151,7 +162,7 @@ def test_every_public_function_on_products_knows_of_black_boxes():
     refusing = {"check", "robust_check", "likely_runs", "sensitivity", "pareto", "tradeoff", "surrogate_optimum",
                 "stationary", "parametric"}  # fmt: skip
     fit = {"learn", "guarantee", "estimate", "sprt", "sample_run", "build_product", "build_joint_product",
-           "to_gymnasium", "explain", "report"}  # fmt: skip
+           "to_gymnasium", "explain", "report", "optimality_gap"}  # fmt: skip
     found = {name: getattr(stl, name) for name in stl.__all__ if inspect.isfunction(getattr(stl, name))}
     models = {"product", "model", "joint"}
     asks = {name for name, ask in found.items() if models & set(inspect.signature(ask).parameters)}
