@@ -215,6 +215,7 @@ def test_a_mutation_is_found(name, tmp_path):
                 kept.unlink()
     options = ["-x", "-n", "0", "-p", "no:cacheprovider", "--tb", "line", tests]
     settings = {key: value for key, value in os.environ.items() if not key.startswith(("STLTOOL_", "PYTEST_"))}
+    settings["STLTOOL_MORE"] = "1"  # some faults take more instances to be seen than `make test` has
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, tmp_path, jit.SOURCES, *options],
         cwd=ROOT,
