@@ -84,7 +84,9 @@ def test_steps_that_repeat_are_left_out_in_blocks_too():
 
 @pytest.fixture(scope="module")
 def cluster():
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as made:
+    with distributed.LocalCluster(  # without an address it takes port 8787, if that is free
+        n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50
+    ) as made:
         yield made
 
 

@@ -12,7 +12,7 @@ distributed = pytest.importorskip("distributed")
 @pytest.fixture(scope="module")
 def address():
     settings = {"n_workers": 1, "threads_per_worker": 2, "processes": False, "protocol": "tcp://"}
-    with distributed.LocalCluster(**settings, dashboard_address=None, silence_logs=50) as cluster:
+    with distributed.LocalCluster(**settings, dashboard_address=":0", silence_logs=50) as cluster:
         yield cluster.scheduler_address
 
 
