@@ -5,7 +5,7 @@ PosteriorSampling   one model an episode, drawn from the counts; half a pseudo-c
 Ucbvi               optimism in the values: Q = min(1, P̂V + √(2 Var/n) + 7/(3n)), an empirical Bernstein bonus, without
                     the logarithm that its theory needs, which would make it slower still
 
-Both are judged by the cautious plan that the model-based learner is judged by.
+Both act otherwise than the model-based learner, and are judged by its cautious plan.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 import stltool as stl
 from stltool.automata import TRUE, UNDECIDED
 from stltool.learning import Counts, Episode, Problem
-from stltool.learning.kept import Kept
 from stltool.learning.learner import Learner, rarest
 from stltool.learning.model_based import Planner
 
@@ -28,14 +27,10 @@ _LEAST = 1e-300
 
 
 @dataclass(frozen=True, kw_only=True)
-class PosteriorSampling(Learner[Planner]):
+class PosteriorSampling(stl.ModelBased):
     """Posterior sampling."""
 
     name: ClassVar[str] = "posterior sampling"
-    side_by_side: ClassVar[bool] = False
-
-    def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> Planner:
-        return Planner(problem, counts)
 
     def episode(self, state: Planner, episode: Episode) -> None:
         counts, chances = state.counts, episode.rng.random(episode.length).tolist()
@@ -60,22 +55,12 @@ class PosteriorSampling(Learner[Planner]):
             episode.step(a)
             visits[first + a] += 1
 
-    def policy(self, state: Planner) -> Any:
-        return state.judged(0.1)
-
-    def arrays(self, state: Planner) -> dict[str, Kept]:
-        return {"starts": Kept(state.starts, 0)}
-
 
 @dataclass(frozen=True, kw_only=True)
-class Ucbvi(Learner[Planner]):
+class Ucbvi(stl.ModelBased):
     """UCBVI with Bernstein bonuses."""
 
     name: ClassVar[str] = "UCBVI"
-    side_by_side: ClassVar[bool] = False
-
-    def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> Planner:
-        return Planner(problem, counts)
 
     def episode(self, state: Planner, episode: Episode) -> None:
         chances = episode.rng.random(episode.length).tolist()
@@ -89,12 +74,6 @@ class Ucbvi(Learner[Planner]):
             a = int(plan[t, s, episode.q]) if episode.verdict is None else rarest(visits[first:after], chances[t])
             episode.step(a)
             visits[first + a] += 1
-
-    def policy(self, state: Planner) -> Any:
-        return state.judged(0.1)
-
-    def arrays(self, state: Planner) -> dict[str, Kept]:
-        return {"starts": Kept(state.starts, 0)}
 
 
 def optimistic(problem: Problem, counts: Counts) -> NDArray[np.int16]:

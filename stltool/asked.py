@@ -268,6 +268,15 @@ class Asked(Displayed):
             )
         return number
 
+    def _certain(self, t: int, s: I64, q: I64, answer: Any) -> int:
+        """The same where the function mixes actions: None is none of them."""
+        if answer is None:
+            raise PolicyError(
+                f"the policy function returned None at {self._place(t, s, q)}; a function that mixes actions returns "
+                "weights everywhere, or the name of one action"
+            )
+        return self._action(t, s, q, answer)
+
     @cached_property
     def _codes(self) -> I64:
         """(n_choices,): s · A + action of every choice, ascending."""
@@ -296,10 +305,10 @@ class Asked(Displayed):
         if isinstance(answer, Mapping) and not self._batched:
             row = np.zeros(model.n_actions)
             for action, weight in answer.items():
-                row[self._action(t, s, q, action)] += weight
+                row[self._certain(t, s, q, action)] += weight
             answer = row
         elif not self._batched and not _shape(answer):  # one action, for certain
-            answer = np.eye(model.n_actions)[self._action(t, s, q, answer)]
+            answer = np.eye(model.n_actions)[self._certain(t, s, q, answer)]
         shape = (len(s), model.n_actions)
         try:
             given = np.asarray(answer, dtype=np.float64).reshape(shape if not self._batched else np.shape(answer))

@@ -242,6 +242,8 @@ def test_answers_that_are_no_actions_are_refused(answer, says, batched):
         ([1.0, 0.0, 0.0], "returned .* at .*; return 2 weights, one an action"),
         ([np.nan, 0.0], "are not a distribution"),
         (["a", "b"], "return 2 weights"),
+        (None, "returned None at step 0.*; a function that mixes actions returns weights everywhere"),
+        ({None: 1.0}, "returned None at step 0"),
     ],
 )
 def test_weights_that_are_none_are_refused(answer, says):

@@ -147,8 +147,7 @@ MUTATIONS = {
     ),
     "nature by tiles always minimises": (NATURE, "1.0 if ascending else -1.0", "1.0", EIGHT),
     "nature by tiles: equal values in another order": (
-        NATURE, "greater(x0, x1)\n" + " " * 24 + "x0,", "greater(add(x0, splat(1e-15)), x1)\n" + " " * 24 + "x0,",
-        EIGHT,
+        NATURE, "m = greater(x, y)\n", "m = greater(add(x, splat(1e-15)), y)\n", EIGHT,
     ),
     "nature by tiles: one lane speaks for all": (NATURE, "if not any_bit(m):", "if any_bit(m):", EIGHT),
     "nature by tiles: lanes whose policy takes another choice": (

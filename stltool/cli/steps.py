@@ -8,7 +8,7 @@ import re
 import shlex
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
@@ -81,7 +81,7 @@ def load_product(
     nominal: bool = False,
     normalize: bool = False,
 ) -> Product:
-    loaded, world = load_with_model(task, model, param, name, normalize)
+    (loaded,), world = load_with_model(task, model, param, [name], normalize)
     if nominal and not world.uncertain:
         raise SettingsError("--nominal: the model's probabilities are not intervals; leave out --nominal")
     return bind(loaded, world.nominal() if nominal else world, encoding)
@@ -130,33 +130,34 @@ def make_joint_product(
     """The joint product of the definitions `names` of a task file."""
     import stltool as stl
 
-    pairs = [load_with_model(task, model, param, name, normalize) for name in names]
-    loaded, world = [one for one, _ in pairs], pairs[0][1]
+    loaded, world = load_with_model(task, model, param, names, normalize)
     with warnings_shown():
         return stl.build_joint_product(world, loaded, encoding)  # type: ignore[arg-type]
 
 
 def load_with_model(
-    task: Path, model: Path | None, param: list[str] | None, name: str | None, normalize: bool = False
-) -> tuple[Task, MDP]:
-    """A task file and its model. -p gives values to params of the task, and to parameters of the model that the task
-    does not declare."""
+    task: Path, model: Path | None, param: list[str] | None, names: Sequence[str | None], normalize: bool = False
+) -> tuple[list[Task], MDP]:
+    """Definitions of a task file and its model. -p gives values to params of the task, and to parameters of the model
+    that the task does not declare."""
     import stltool as stl
     from stltool.errors import StlToolError
 
+    def loaded(params: dict[str, str]) -> list[Task]:
+        return [stl.load_task(task, params, name) for name in names]
+
     params = read_params(param)
     try:
-        loaded, of_model = stl.load_task(task, params, name), {}
-        world = task_model(loaded, model, normalize)
+        tasks = loaded(params)
     except StlToolError:
-        loaded = stl.load_task(task, {}, name) if params else stl.load_task(task, params, name)
-        of_model = {key: value for key, value in params.items() if key not in loaded.params}
-        world = task_model(loaded, model, normalize)
+        tasks = loaded({})
+        of_model = {key: value for key, value in params.items() if key not in tasks[0].params}
+        world = task_model(tasks[0], model, normalize)
         known = [one.name for one in world.family.parameters] if world.family is not None else []
         if not of_model or not set(of_model) <= set(known):
             raise  # what the task says
-        loaded = stl.load_task(task, {key: params[key] for key in params if key not in of_model}, name)
-    return loaded, world.at(**of_model) if of_model else world
+        return loaded({key: params[key] for key in params if key not in of_model}), world.at(**of_model)
+    return tasks, task_model(tasks[0], model, normalize)
 
 
 def judge_by(product: Product, nature: str | None) -> tuple[Product, Callable[..., CheckResult]]:

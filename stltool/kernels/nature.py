@@ -78,8 +78,7 @@ def sweep(
                         w1 = splat_at(width, e + 1)
                         x1 = mul(sign, load(W, at(near_block, np.int64(at(position, e + 1))) + q))
                         x = add(x, mul(splat_at(lower, e + 1), x1))
-                        m = greater(x0, x1)
-                        x0, x1, w0, w1 = select(m, x1, x0), select(m, x0, x1), select(m, w1, w0), select(m, w0, w1)
+                        x0, x1, w0, w1 = _ordered(x0, x1, w0, w1)
                         if d == 2:
                             w0 = _least(w0, left)
                             x = add(x, mul(w0, x0))
@@ -88,10 +87,8 @@ def sweep(
                             w2 = splat_at(width, e + 2)
                             x2 = mul(sign, load(W, at(near_block, np.int64(at(position, e + 2))) + q))
                             x = add(x, mul(splat_at(lower, e + 2), x2))
-                            m = greater(x1, x2)
-                            x1, x2, w1, w2 = select(m, x2, x1), select(m, x1, x2), select(m, w2, w1), select(m, w1, w2)
-                            m = greater(x0, x1)
-                            x0, x1, w0, w1 = select(m, x1, x0), select(m, x0, x1), select(m, w1, w0), select(m, w0, w1)
+                            x1, x2, w1, w2 = _ordered(x1, x2, w1, w2)
+                            x0, x1, w0, w1 = _ordered(x0, x1, w0, w1)
                             if d == 3:
                                 w0 = _least(w0, left)
                                 x = add(x, mul(w0, x0))
@@ -103,15 +100,9 @@ def sweep(
                                 w3 = splat_at(width, e + 3)
                                 x3 = mul(sign, load(W, at(near_block, np.int64(at(position, e + 3))) + q))
                                 x = add(x, mul(splat_at(lower, e + 3), x3))
-                                m = greater(x2, x3)
-                                x2, x3 = select(m, x3, x2), select(m, x2, x3)
-                                w2, w3 = select(m, w3, w2), select(m, w2, w3)
-                                m = greater(x1, x2)
-                                x1, x2 = select(m, x2, x1), select(m, x1, x2)
-                                w1, w2 = select(m, w2, w1), select(m, w1, w2)
-                                m = greater(x0, x1)
-                                x0, x1 = select(m, x1, x0), select(m, x0, x1)
-                                w0, w1 = select(m, w1, w0), select(m, w0, w1)
+                                x2, x3, w2, w3 = _ordered(x2, x3, w2, w3)
+                                x1, x2, w1, w2 = _ordered(x1, x2, w1, w2)
+                                x0, x1, w0, w1 = _ordered(x0, x1, w0, w1)
                                 w0 = _least(w0, left)
                                 x = add(x, mul(w0, x0))
                                 left = sub(left, w0)
@@ -153,3 +144,10 @@ def sweep(
 @kernel
 def _least(x: Any, y: Any) -> Any:
     return select(greater(x, y), y, x)
+
+
+@kernel
+def _ordered(x: Any, y: Any, v: Any, w: Any) -> tuple[Any, Any, Any, Any]:
+    """Two values and their widths v and w, in every lane the smaller value first."""
+    m = greater(x, y)
+    return select(m, y, x), select(m, x, y), select(m, w, v), select(m, v, w)
