@@ -30,6 +30,7 @@ FILLED = {
     "--certificate FILE": "--certificate best.jsonl.gz",
     "--save-policy FILE": "--save-policy best.policy",
     "certify FILE [TASK]": f"certify best.jsonl.gz {FACTORY}patrolling.stl",
+    "--vary p=0.5:1": "--vary success=0.5:1",
     "--policy FILE": "--policy out/patrolling/policy.npz",
     "--out FILE": "--out learned.npz --checkpoint run.npz --history run.csv",
     "sweep FILE": "sweep examples/paper/small.toml --workers 2",
@@ -37,6 +38,8 @@ FILLED = {
     "REPORT.json": "out/patrolling/report.json",
     "TASK": f"{FACTORY}patrolling.stl",
 }
+# the policy function that README's table names
+AGENT = "def act(situation):\n    return situation.actions[situation.step % len(situation.actions)]\n"
 # what needs an extra, and its package
 EXTRAS = {
     f"learn {FACTORY}patrolling.stl --out l.npz --tensorboard events": "tensorboard",
@@ -82,6 +85,7 @@ def main() -> None:
         folder = work / "elsewhere"
         shutil.copytree(ROOT / "examples", folder / "examples")
         (folder / "trace.parquet").touch()
+        (folder / "my_agent.py").write_text(AGENT)
 
         used = set()
         for command in commands(readme):
