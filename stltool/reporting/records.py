@@ -1,0 +1,788 @@
+"""The records that commands print with `--json` and that reports are made from: one class for each kind of object.
+
+`docs/schema.py` writes the JSON schema of all of them, docs/reports.schema.json, from these classes; mypy compares them
+with the functions that fill them in. A file that stltool writes names its format and version (`FORMATS`): a field may
+be added within a version; what is removed, renamed or changes its meaning makes a new one.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal, NotRequired, TypeAlias, TypedDict
+
+Question: TypeAlias = Literal["maximum", "minimum", "policy"]
+Nature: TypeAlias = Literal["against", "with", "nominal"]
+Robustness: TypeAlias = float | Literal["inf", "-inf"]
+"""JSON has no infinity."""
+Verdict: TypeAlias = Literal["holds", "does not hold", "undecided", "error"]
+
+
+# ------------------------------------------------------------------------------------------------------------- tasks
+
+
+class ProductRecord(TypedDict):
+    """A task on a model: names, digests and sizes. `transitions` is null for a black box."""
+
+    task: str
+    formula: str
+    horizon: int
+    encoding: str
+    exact_encoding: bool
+    model: str
+    model_digest: str
+    automaton_digest: str
+    model_notes: list[str]
+    initial: str
+    initial_states: int
+    states: int
+    actions: list[str]
+    transitions: int | None
+    automaton_states: int
+    letters: int
+    product_states: int
+
+
+class PartRecord(TypedDict):
+    """A part of an automaton: what it judges, how long after a start that is known, and its size."""
+
+    part: str
+    obligation_of_each_start: str
+    delay: int
+    method: str
+    explored: int
+    states: int
+
+
+class EncodingSizes(TypedDict):
+    """States that the other encodings of a formula would have; null if there is no such encoding."""
+
+    flag_states: int | None
+    history_states: int | Literal["over 1e300"]
+
+
+class DisagreementRecord(TypedDict):
+    """A shortest trace on which an encoding and its formula disagree: a row for each step."""
+
+    steps: list[dict[str, Any]]
+    encoding_says: bool
+    formula_is: bool
+
+
+class TreeRecord(TypedDict):
+    """An operator of a formula, with its horizon, its position in the text and its operands."""
+
+    operator: str
+    horizon: int | None
+    line: NotRequired[int]
+    column: NotRequired[int]
+    operands: list[TreeRecord]
+
+
+# ------------------------------------------------------------------------------------------------------------ checks
+
+
+class CheckRecord(ProductRecord):
+    """The probability of a task, enclosed: lower <= P <= upper; `optimum` is the best over all policies."""
+
+    question: Question
+    nature: Nature | None
+    policy: str | None
+    probability: float
+    lower: float
+    upper: float
+    exact: str | None
+    arithmetic: str
+    optimum: float
+    optimum_lower: float
+    optimum_upper: float
+    gap: float
+    status: str
+    certain: str | None
+    engine: str
+    sweeps: int
+    seconds: float
+
+
+class CandidateRecord(TypedDict):
+    """A policy that was evaluated in a search, how it was made, and its P."""
+
+    made: str
+    probability: float
+
+
+class StationaryRecord(TypedDict):
+    """A search among policies that do not know the step: what it found, and the bound that none exceeds."""
+
+    kind: str
+    probability: float
+    lower: float
+    upper: float
+    optimum: float
+    gap: float
+    bound: float
+    proved: bool
+    status: str
+    evaluated: int
+    candidates: list[CandidateRecord]
+    relaxations: int
+    seconds: float
+
+
+class CheckOutput(CheckRecord):
+    """What `stltool check --json` prints: a check, and the verdict on the bounds that were asked for."""
+
+    stationary: NotRequired[StationaryRecord]
+    at_least: NotRequired[float]
+    at_most: NotRequired[float]
+    holds: NotRequired[bool]
+    decided: NotRequired[bool]
+
+
+class PointRecord(TypedDict):
+    """P, enclosed, at one value of a parameter."""
+
+    value: float
+    lower: float
+    upper: float
+
+
+PieceRecord = TypedDict("PieceRecord", {"from": float, "to": float, "lower": list[float], "upper": list[float]})
+"""Two polynomials that enclose P on a range of a parameter, in Bernstein's basis."""
+
+
+ParametricRecord = TypedDict(
+    "ParametricRecord",
+    {
+        "task": str,
+        "formula": str,
+        "model": str,
+        "model_digest": str,
+        "horizon": int,
+        "encoding": str,
+        "question": Question,
+        "parameter": str,
+        "from": float,
+        "to": float,
+        "least": list[float],
+        "greatest": list[float],
+        "gap": float,
+        "tolerance": float,
+        "status": str,
+        "points": list[PointRecord],
+        "pieces": list[PieceRecord],
+        "seconds": float,
+        "at_least": NotRequired[float],
+        "at_most": NotRequired[float],
+        "holds": NotRequired[bool],
+        "decided": NotRequired[bool],
+    },
+)
+"""P as a function of a parameter of the model, enclosed on its whole range."""
+
+
+class EstimateRecord(TypedDict):
+    """How many sampled runs satisfied the task, and bounds on P that hold with this confidence."""
+
+    runs: int
+    satisfied: int
+    probability: float
+    lower: float
+    upper: float
+    confidence: float
+    side: str
+    method: str
+    steps: int | None
+    seed: int | None
+    seconds: float
+    statement: str
+
+
+class EstimateOutput(ProductRecord):
+    """What `stltool estimate --json` prints: an interval, or with `verdict` how a sequential test ended."""
+
+    policy: str
+    runs: int
+    satisfied: int
+    seed: int | None
+    seconds: float
+    statement: str
+    exact: float | None
+    exact_lower: float | None
+    exact_upper: float | None
+    exact_inside: bool | None
+    probability: NotRequired[float]
+    lower: NotRequired[float]
+    upper: NotRequired[float]
+    confidence: NotRequired[float]
+    side: NotRequired[str]
+    method: NotRequired[str]
+    steps: NotRequired[int | None]
+    verdict: NotRequired[Literal["holds", "does not hold", "undecided"]]
+    holds: NotRequired[bool]
+    at_least: NotRequired[float]
+    indifference: NotRequired[float]
+    alpha: NotRequired[float]
+    beta: NotRequired[float]
+    log_likelihood_ratio: NotRequired[float]
+    accept_below: NotRequired[float]
+    reject_above: NotRequired[float]
+
+
+# -------------------------------------------------------------------------------------------------------------- runs
+
+
+class StepRecord(TypedDict):
+    """One step of a sampled run, in the user's names; the last has no action."""
+
+    step: int
+    state: str
+    signals: dict[str, float]
+    labels: list[str]
+    memory: str
+    action: str | None
+
+
+class RunRecord(TypedDict):
+    """A sampled run, its states also by index."""
+
+    satisfied: bool
+    seed: int
+    states: list[int]
+    steps: list[StepRecord]
+
+
+class LikelyRunRecord(TypedDict):
+    """One of the most probable runs: state i was left by action i; `remembered` is null at step 0."""
+
+    probability: float
+    log_probability: float
+    share: float | None
+    satisfied: bool
+    step: int
+    certain_from: int
+    remembered: str | None
+    state_indices: list[int]
+    states: list[str]
+    labels: list[list[str]]
+    actions: list[str]
+    memory: list[str]
+
+
+class LikelyRecord(TypedDict):
+    """The most probable runs of a verdict, and how much of its probability they cover."""
+
+    satisfied: bool
+    verdict_probability: float
+    mass: float
+    covered: float
+    exhausted: bool
+    status: str
+    runs: list[LikelyRunRecord]
+
+
+class ActionSensitivityRecord(TypedDict):
+    """An action of a state: its intended successor, the derivative of P, and how often it is expected to be taken."""
+
+    action: str
+    intended: str
+    success: float
+    derivative: float
+    times: float
+
+
+class SensitivityRecord(TypedDict):
+    """A state whose success probability moves P."""
+
+    state: int
+    name: str
+    derivative: float
+    steepest: float
+    visits: float
+    actions: list[ActionSensitivityRecord]
+
+
+class WhyRecord(LikelyRecord):
+    """Why a task fails: the most probable violations, and the states on which P depends most."""
+
+    sensitive: list[SensitivityRecord]
+
+
+class WhyOutput(ProductRecord):
+    """What `stltool why --json` prints."""
+
+    question: Question
+    policy: str
+    probability: float
+    lower: float
+    upper: float
+    asked_mass: float | None
+    satisfied: bool
+    verdict_probability: float
+    mass: float
+    covered: float
+    exhausted: bool
+    status: str
+    runs: list[LikelyRunRecord]
+    sensitive: list[SensitivityRecord]
+
+
+# ---------------------------------------------------------------------------------------------------------- learning
+
+
+class HistoryRecord(TypedDict):
+    """A point of a learning curve: the exact probability of the greedy policy; null for a black box."""
+
+    episode: int
+    steps: int
+    probability: float | None
+    gap: NotRequired[float]
+
+
+class ParameterRecord(TypedDict):
+    """What transitions say about a parameter of the model."""
+
+    name: str
+    lower: float
+    upper: float
+    estimate: float
+    transitions: NotRequired[int]
+
+
+class GapRecord(TypedDict):
+    """What transitions prove about a policy's distance to the optimum."""
+
+    upper: float
+    confidence: float
+    without_data: float
+    transitions: int
+    assumes: str
+    statement: str
+    parameters: list[ParameterRecord]
+
+
+class TrainingRecord(TypedDict):
+    """A training run: method, settings, and its exact learning curve."""
+
+    method: str
+    faithful: bool
+    seed: int
+    settings: dict[str, Any]
+    budget: dict[str, Any]
+    status: str
+    settled: bool | None
+    advice: str | None
+    environment_steps: int
+    seconds: float
+    history: list[HistoryRecord]
+    gap: NotRequired[GapRecord]
+
+
+class DeviationRecord(TypedDict):
+    """A choice whose outcomes depend on the context, by so many standard deviations."""
+
+    choice: str
+    deviations: float
+
+
+class MarkovRecord(TypedDict):
+    """Whether data contradict the assumption that the next state depends on state and action alone."""
+
+    p_value: float
+    confidence: float
+    dependence: float
+    transitions: int
+    choices: int
+    most: list[DeviationRecord]
+    statistic: float
+    expected: float
+    draws: int
+    seed: int
+    seconds: float
+    rejected: bool
+    statement: str
+
+
+class TrainingOutput(TrainingRecord):
+    """What `stltool learn --json` prints."""
+
+    task: str
+    formula: str
+    markov: MarkovRecord | None
+
+
+class GuaranteeRecord(TypedDict):
+    """A lower bound on a policy's P from data, at a confidence, and what it assumes; `refused` if none is given."""
+
+    source: str
+    lower: float
+    confidence: float
+    seconds: float
+    assumes: str
+    statement: str
+    support: NotRequired[str]
+    transitions: NotRequired[int]
+    choices: NotRequired[int]
+    never_tried: NotRequired[int]
+    parameters: NotRequired[list[ParameterRecord]]
+    evidence_against_tie: NotRequired[float]
+    runs: NotRequired[int]
+    satisfied: NotRequired[int]
+    seed: NotRequired[int | None]
+    refused: NotRequired[str]
+
+
+# ----------------------------------------------------------------------------------------------------------- reports
+
+
+class FloorRecord(TypedDict):
+    """The floor of a grid world: column and row of each state, and the states of each label."""
+
+    width: int
+    height: int
+    column: list[int]
+    row: list[int]
+    labels: dict[str, list[int]]
+    initial: list[int]
+
+
+class ReportRecord(ProductRecord):
+    """A report of `stltool run` or `stl.report`: checks, training, guarantees from data, and runs of the policy."""
+
+    format: Literal["stltool-report-1"]
+    version: str
+    source: str | None
+    command: str | None
+    checks: list[CheckRecord]
+    estimates: list[EstimateRecord]
+    guarantees: list[GuaranteeRecord]
+    stationary: list[StationaryRecord]
+    training: TrainingRecord | None
+    markov: MarkovRecord | None
+    run: RunRecord | None
+    why: WhyRecord | None
+    floor: FloorRecord | None
+
+
+class MethodRecord(TypedDict):
+    """A method of a sweep, with the settings that the sweep gives it."""
+
+    id: str
+    name: str
+    faithful: bool
+    settings: dict[str, Any]
+
+
+class ScenarioRecord(TypedDict):
+    """A scenario of a sweep: a task on a model, and its optimum."""
+
+    id: str
+    task: str
+    formula: str
+    model: str
+    model_digest: str
+    params: dict[str, str]
+    horizon: int
+    states: int
+    automaton_states: int
+    settings: dict[str, Any]
+    optimum: float
+    optimum_lower: float
+    optimum_upper: float
+
+
+class CurveRecord(TypedDict):
+    """Quartiles over the seeds, at environment steps."""
+
+    steps: list[int]
+    q1: list[float]
+    median: list[float]
+    q3: list[float]
+
+
+class SweepRunRecord(TypedDict):
+    """The learning curve of one seed."""
+
+    seed: int
+    episode: list[int]
+    steps: list[int]
+    probability: list[float]
+
+
+class SweepResultRecord(TypedDict):
+    """One scenario with one method, over its seeds."""
+
+    scenario: str
+    method: str
+    settings: dict[str, Any]
+    budget: dict[str, Any]
+    seeds: list[int]
+    median: float
+    q1: float
+    q3: float
+    least: float
+    greatest: float
+    published: float | None
+    optimum: float
+    environment_steps: int
+    near_optimum_at: int | None
+    regret: float
+    seconds: float
+    curve: CurveRecord
+    runs: list[SweepRunRecord]
+
+
+class FailureRecord(TypedDict):
+    """Runs of a sweep that failed for one reason."""
+
+    scenario: str
+    method: str
+    seeds: list[int]
+    message: str
+
+
+class SweepCounts(TypedDict):
+    """Runs of a sweep."""
+
+    finished: int
+    failed: int
+    all: int
+
+
+class SectionRecord(TypedDict):
+    """A section of a sweep's page: a table and a figure."""
+
+    title: str
+    text: str
+    rows: list[dict[str, Any]]
+    figure: dict[str, Any] | None
+
+
+class SweepRecord(TypedDict):
+    """A report of `stltool sweep`."""
+
+    format: Literal["stltool-sweep-1"]
+    version: str
+    name: str
+    command: str | None
+    columns: int
+    settings: dict[str, Any]
+    methods: list[MethodRecord]
+    scenarios: list[ScenarioRecord]
+    results: list[SweepResultRecord]
+    runs: SweepCounts
+    failures: list[FailureRecord]
+    sections: list[SectionRecord]
+
+
+# ------------------------------------------------------------------------------------------------------ expectations
+
+
+class CertificateRecord(TypedDict):
+    """A certificate that was written: its file, and the bounds that it proves, as fractions."""
+
+    file: str
+    lower: str
+    upper: str
+
+
+class ExpectationRecord(TypedDict):
+    """One expectation of a task file, and whether it holds.
+
+    `decided_by` is "enclosure" (lower <= P <= upper on one side of the bound), "fraction" (the exact value), or "trace";
+    null if it is undecided or in error, and `reason` states why. `bound` is exact, `exact` too.
+    """
+
+    file: str
+    line: int
+    column: int
+    text: str
+    question: Literal["Pmax", "Pmin", "P", "holds"]
+    robust: bool
+    task: str | None
+    formula: str
+    relation: Literal[">=", "<=", ">", "<"] | None
+    bound: str | None
+    policy: str | None
+    trace: str | None
+    verdict: Verdict
+    decided_by: Literal["enclosure", "fraction", "trace"] | None
+    reason: str | None
+    probability: float | None
+    lower: float | None
+    upper: float | None
+    exact: str | None
+    robustness: Robustness | None
+    model: str | None
+    model_digest: str | None
+    horizon: int | None
+    product_states: int | None
+    certificate: CertificateRecord | None
+    seconds: float
+
+
+class VerdictCounts(TypedDict):
+    """Expectations by verdict."""
+
+    holds: int
+    does_not_hold: int
+    undecided: int
+    error: int
+
+
+class VerifyRecord(TypedDict):
+    """A report of `stltool verify`: every expectation of every file."""
+
+    format: Literal["stltool-verify-1"]
+    version: str
+    command: str | None
+    files: list[str]
+    holds: bool
+    counts: VerdictCounts
+    expectations: list[ExpectationRecord]
+    seconds: float
+
+
+# ----------------------------------------------------------------------------------------------- trade-offs, monitors
+
+
+class FigureRecord(TypedDict):
+    """A value with its enclosure."""
+
+    value: float
+    lower: float
+    upper: float
+
+
+class JointRecord(TypedDict):
+    """Several tasks on one model: names, formulas and sizes."""
+
+    tasks: dict[str, str]
+    model: str
+    model_digest: str
+    horizon: int
+    encoding: str
+    states: int
+    automaton_states: dict[str, int]
+    joint_states: int
+
+
+class TradeoffRecord(JointRecord):
+    """The best probability of one task under constraints, and the bound that no policy exceeds."""
+
+    objective: str
+    at_least: dict[str, float]
+    budget: dict[str, float]
+    probabilities: dict[str, FigureRecord]
+    costs: dict[str, FigureRecord]
+    bound: float
+    gap: float
+    multipliers: dict[str, float]
+    policy: str | None
+    randomised: int
+    size: dict[str, int]
+    status: str
+    seconds: float
+
+
+class CornerRecord(TypedDict):
+    """A corner of a front: the probabilities of a policy, and the weights for which it is optimal."""
+
+    probabilities: dict[str, FigureRecord]
+    weights: dict[str, float]
+    bound: float
+
+
+class LineRecord(TypedDict):
+    """A line that no policy crosses: the weighted sum is at most the bound."""
+
+    weights: list[float]
+    bound: float
+
+
+class FrontRecord(JointRecord):
+    """Which pairs of probabilities two tasks can have."""
+
+    corners: list[CornerRecord]
+    lines: list[LineRecord]
+    gap: float
+    inductions: int
+    status: str
+    seconds: float
+
+
+class TraceRecord(TypedDict):
+    """The verdicts on one trace, in short."""
+
+    verdict: bool
+    holds: bool
+    violations: int
+    first_violation: int | None
+    least_robustness: Robustness
+    least_robustness_at: int
+
+
+class MonitorRecord(TraceRecord):
+    """Verdicts and robustness of a trace at every judged step; of a batch, lists of lists, and `each` trace."""
+
+    task: str | None
+    formula: str
+    trace: str
+    traces: int | None
+    samples: int
+    horizon: int | None
+    end: str
+    at: int | None
+    judged: int
+    verdicts: list[bool | list[bool]]
+    robustness: list[Robustness | list[Robustness]]
+    violating_traces: NotRequired[int]
+    each: NotRequired[list[TraceRecord]]
+
+
+class SurrogateRecord(TypedDict):
+    """P of the policies that are optimal for one reading of the paper's surrogate reward."""
+
+    reading: str
+    gamma: float | None
+    at_random: float
+    at_random_lower: float
+    at_random_upper: float
+    least: float
+    least_lower: float
+    least_upper: float
+    greatest: float
+    greatest_lower: float
+    greatest_upper: float
+    optimum: float
+    optimum_lower: float
+    optimum_upper: float
+    gap: float
+    tolerance: float
+    sweeps: int
+    seconds: float
+    status: str
+
+
+class SurrogateOutput(ProductRecord):
+    """What `stltool surrogate --json` prints."""
+
+    surrogates: list[SurrogateRecord]
+
+
+FORMATS = {"stltool-report-1": ReportRecord, "stltool-sweep-1": SweepRecord, "stltool-verify-1": VerifyRecord}
+"""The files that stltool writes, by their `format`."""
+
+OUTPUTS = {
+    "check": CheckOutput,
+    "check --vary": ParametricRecord,
+    "estimate": EstimateOutput,
+    "learn": TrainingOutput,
+    "monitor": MonitorRecord,
+    "pareto": FrontRecord,
+    "run": ReportRecord,
+    "surrogate": SurrogateOutput,
+    "sweep": SweepRecord,
+    "tradeoff": TradeoffRecord,
+    "verify": VerifyRecord,
+    "why": WhyOutput,
+}
+"""What commands print with --json."""
