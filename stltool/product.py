@@ -6,19 +6,35 @@ A product state is a pair (s, q): model state s just read, automaton state q aft
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.arguments import mapping, require, whole
-from stltool.automata import Encoding, JointAutomaton, TaskAutomaton, compile_automaton, join_automata
+from stltool.automata import (
+    Encoding,
+    JointAutomaton,
+    Remembered,
+    TaskAutomaton,
+    Text,
+    compile_automaton,
+    join_automata,
+)
 from stltool.automata.compile import MOST_STATES, atoms_of
 from stltool.automata.reach import reachable_pairs
-from stltool.display import Card, Displayed, StateNames, counted
+from stltool.display import Card, Displayed, counted
 from stltool.errors import NameLookupError, SettingsError, near_misses
-from stltool.logic.formula import Composable, Formula, Label, bounded_formula_of, label_names, variables
+from stltool.logic.formula import (
+    Composable,
+    Formula,
+    Label,
+    bounded_formula_of,
+    is_temporal,
+    label_names,
+    variables,
+)
 from stltool.logic.task import Task
 from stltool.models import MDP
 from stltool.models.sensing import Atom
@@ -33,12 +49,14 @@ class Product(Displayed):
 
     letter        (n_model_states,) int32: the automaton's letter L(s) of each model state
     task_name     the name of the definition if the formula came from a task file
+    definitions   the task file's formulas without temporal operators, which reports call by their names
     """
 
     model: MDP
     automaton: TaskAutomaton
     letter: NDArray[np.int32]
     task_name: str = "formula"
+    definitions: Mapping[str, Formula] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require(self.model, MDP, "Product's model")
@@ -193,11 +211,29 @@ def joined(task: Product, memory: Product | JointProduct) -> tuple[Product, NDAr
         delta=delta,
         initial=int(np.flatnonzero((q == left.initial) & (m == right.initial))[0]),
         verdict_rows=np.ascontiguousarray(left.verdict_rows[:, q]),
-        state_names=StateNames(len(q), lambda i: f"{left.describe(int(q[i]))} | {right.describe(int(m[i]))}"),
+        memory=_Both(left, right, q, m),
         registers=np.empty((0, 0), dtype=np.int32),
         register_names=(),
     )
-    return Product(task.model, automaton, letter, task.task_name), m
+    return Product(task.model, automaton, letter, task.task_name, task.definitions), m
+
+
+class _Both:
+    """What the states of two automata remember together; `right` is the one that a policy uses."""
+
+    def __init__(
+        self, left: TaskAutomaton, right: TaskAutomaton | JointAutomaton, q: NDArray[np.int64], m: NDArray[np.int64]
+    ) -> None:
+        self._left, self._right, self._q, self._m = left, right, q, m
+
+    def __call__(self, q: int, text: Text = str) -> tuple[Remembered, ...]:
+        own, other = int(self._q[q]), int(self._m[q])
+        if isinstance(self._right, TaskAutomaton):
+            kept = self._right.memory(other, text)
+        else:
+            kept = (Remembered(self._right.describe(other), rank=other),)
+        policys = (replace(one, phrase=f"the policy: {one.phrase}", subject="") for one in kept)
+        return (*self._left.memory(own, text), *policys)
 
 
 def with_outcome(product: Product, model: MDP, verdict: int) -> Product:
@@ -207,7 +243,7 @@ def with_outcome(product: Product, model: MDP, verdict: int) -> Product:
     is hoped for. The automaton gets one more letter and one more state, the last ones (`TaskAutomaton.with_outcome`).
     """
     letter = np.append(product.letter, np.int32(product.automaton.n_letters))
-    return Product(model, product.automaton.with_outcome(verdict), letter, product.task_name)
+    return replace(product, model=model, automaton=product.automaton.with_outcome(verdict), letter=letter)
 
 
 def build_product(
@@ -226,7 +262,7 @@ def build_product(
     """
     require(model, MDP, "build_product's model")
     formula = bounded_formula_of(task, "build_product's task")
-    name = task.name if isinstance(task, Task) else "formula"
+    name, named = (task.name, _predicates(task)) if isinstance(task, Task) else ("formula", {})
     sensing = model.sensing
     labels = model.labels if sensing is None else sensing.labels
     signals = model.signals if sensing is None else sensing.signals
@@ -243,7 +279,7 @@ def build_product(
     if sensing is not None:
         model, told, code = sensing.bound(model, list(map(_sensed, atoms)))
         automaton = compile_automaton(formula, encoding, told, memory_limit, most_states)
-        return Product(model, automaton, automaton.letter_of[code], name)
+        return Product(model, automaton, automaton.letter_of[code], name, named)
     require_memory(
         model.n_states * 24,
         f"reading {len(atoms)} predicates in {model.n_states} states",
@@ -253,7 +289,13 @@ def build_product(
     values = ((truth(psi, model.signals, model.labels, model.n_states), 2) for psi in atoms)
     valuations, which = _distinct(values, model.n_states)
     automaton = compile_automaton(formula, encoding, valuations != 0, memory_limit, most_states)
-    return Product(model, automaton, automaton.letter_of[which], name)
+    return Product(model, automaton, automaton.letter_of[which], name, named)
+
+
+def _predicates(task: Task) -> dict[str, Formula]:
+    """The definitions of a task file that are formulas without temporal operators."""
+    formulas = {name: phi for name, phi in task.definitions.items() if isinstance(phi, Composable)}
+    return {name: phi._formula() for name, phi in formulas.items() if not is_temporal(phi._formula())}
 
 
 def _sensed(psi: Formula) -> Atom:

@@ -10,8 +10,9 @@ against `logic/semantics.py`.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,47 @@ from stltool.logic.formula import Formula
 
 UNDECIDED, FALSE, TRUE = -1, 0, 1
 _SHOWN = 10  # parts listed in a notebook
+
+
+Text: TypeAlias = Callable[[Formula], str]
+"""How a formula is written; `str`, unless definitions are to keep their names."""
+
+
+@dataclass(frozen=True)
+class Remembered:
+    """What one part of an automaton remembers in one of its states.
+
+    phrase   in words
+    rank     its position among what the part can remember: a slider goes through the phrases in this order
+    status   "open"; "due": the next step decides the oldest obligation; "done": nothing is pending, or the part has
+             succeeded; "failed"
+    subject  what is counted, or ""
+    number   of steps, up to `limit`, if it counts; else None
+    risk     whether a larger number brings failure nearer; else success
+    """
+
+    phrase: str
+    rank: int = 0
+    status: Literal["open", "due", "done", "failed"] = "open"
+    subject: str = ""
+    number: int | None = None
+    limit: int | None = None
+    risk: bool = False
+
+
+class Memory(Protocol):
+    """What state q remembers, one entry for each part; formulas are written by `text`."""
+
+    def __call__(self, q: int, text: Text = str) -> tuple[Remembered, ...]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """What one part of an automaton can remember: `levels` in ascending order, and the level of each state, (n,)."""
+
+    name: str
+    levels: tuple[Remembered, ...]
+    level_of: NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -57,7 +99,7 @@ class TaskAutomaton(Displayed):
     horizon     h: the step by which every run is decided
     verdict_starts  (k,) int64, ascending from 0: row i of `verdict_rows` applies from step verdict_starts[i] on
     verdict_rows    (k, n_states) int8: TRUE, FALSE or UNDECIDED
-    state_names (n_states,): what each state remembers, in terms of the formula
+    memory      what each state remembers, part by part, in terms of the formula
     parts       its parts, with delays and sizes
     registers   (n_states, n_registers) int32: the flags, by `register_names` (no columns for other encodings)
     """
@@ -73,7 +115,7 @@ class TaskAutomaton(Displayed):
     horizon: int
     verdict_starts: NDArray[np.int64]
     verdict_rows: NDArray[np.int8]
-    state_names: Sequence[str]
+    memory: Memory
     parts: tuple[Part, ...]
     registers: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 0), dtype=np.int32))
     register_names: tuple[str, ...] = ()
@@ -124,14 +166,35 @@ class TaskAutomaton(Displayed):
             self,
             delta=delta,
             verdict_rows=np.concatenate([self.verdict_rows, decided], axis=1),
-            state_names=StateNames(self.n_states + 1, _WithOutcome(self.state_names)),
+            memory=_WithOutcome(self.memory, self.n_states),
             registers=np.empty((0, 0), dtype=np.int32),
             register_names=(),
         )
 
     def describe(self, q: int) -> str:
         """What state q remembers, in terms of the formula."""
-        return self.state_names[whole(q, "the automaton's state q", 0, self.n_states - 1)]
+        remembered = self.memory(whole(q, "the automaton's state q", 0, self.n_states - 1))
+        return "; ".join(one.phrase for one in remembered)
+
+    @property
+    def state_names(self) -> Sequence[str]:
+        """(n_states,): what each state remembers, made on demand."""
+        return StateNames(self.n_states, self.describe)
+
+    def tracks(self, text: Text = str) -> tuple[Track, ...]:
+        """What each part can remember, as data: for sliders, tables and pictures of the memory."""
+        rows = [self.memory(q, text) for q in range(self.n_states)]
+        if len({len(row) for row in rows}) > 1:  # of a product with an outcome
+            rows = [(Remembered("; ".join(one.phrase for one in row), rank=q),) for q, row in enumerate(rows)]
+        formulas = [text(part.formula) for part in self.parts]
+        tracks = []
+        for i, column in enumerate(zip(*rows, strict=True)):
+            levels = sorted(dict.fromkeys(column), key=lambda one: (one.rank, one.phrase))
+            number = {one: level for level, one in enumerate(levels)}
+            subject = next((one.subject for one in levels if one.subject), "")
+            name = subject or (formulas[i] if i < len(formulas) else f"memory {i + 1}")
+            tracks.append(Track(name, tuple(levels), np.array([number[one] for one in column], dtype=np.int32)))
+        return tuple(tracks)
 
     def letters_at(self, truth: NDArray[np.bool_]) -> NDArray[np.int32]:
         """The letters of truth assignments (n, m), all of which the automaton must accept."""
@@ -148,10 +211,10 @@ class TaskAutomaton(Displayed):
 
 
 class _WithOutcome:
-    """Names of the states, and of the added one."""
+    """What the states remember, and the added one."""
 
-    def __init__(self, names: Sequence[str]) -> None:
-        self._names = names
+    def __init__(self, memory: Memory, n_states: int) -> None:
+        self._memory, self._n = memory, n_states
 
-    def __call__(self, q: int) -> str:
-        return self._names[q] if q < len(self._names) else "the outcome"
+    def __call__(self, q: int, text: Text = str) -> tuple[Remembered, ...]:
+        return self._memory(q, text) if q < self._n else (Remembered("the outcome"),)

@@ -17,8 +17,7 @@ from decimal import Decimal
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, TaskAutomaton
-from stltool.display import StateNames
+from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, Remembered, TaskAutomaton, Text
 from stltool.logic.formula import Formula
 from stltool.logic.fragment import Fragment, FragmentPart
 from stltool.sizes import require_memory, require_numbered
@@ -81,7 +80,7 @@ def flag_automaton(
         horizon=fragment.T + max(taus) - 2,
         verdict_starts=np.array(starts, dtype=np.int64),
         verdict_rows=np.array(rows, dtype=np.int8),
-        state_names=StateNames(n_states, _Names(fragment)),
+        memory=_Memory(fragment),
         parts=tuple(
             Part(part.formula, part.psi, part.tau - 1, "flag", part.tau + 1, part.tau + 1) for part in fragment.parts
         ),
@@ -90,27 +89,31 @@ def flag_automaton(
     )
 
 
-class _Names:
-    """Describes a flag vector in words."""
+class _Memory:
+    """What a flag vector remembers."""
 
     def __init__(self, fragment: Fragment) -> None:
         self._parts = fragment.parts
 
-    def __call__(self, q: int) -> str:
-        words: list[str] = []
+    def __call__(self, q: int, text: Text = str) -> tuple[Remembered, ...]:
+        found: list[Remembered] = []
         for part in reversed(self._parts):
             q, flag = divmod(q, part.tau + 1)
-            words.append(_flag_text(part, flag))
-        return "; ".join(reversed(words))
+            found.append(_flag(part, flag, text(part.psi)))
+        return tuple(reversed(found))
 
 
-def _flag_text(part: FragmentPart, flag: int) -> str:
+def _flag(part: FragmentPart, flag: int, psi: str) -> Remembered:
+    """A flag counts down for F, from the last time that ψ held, and up for G, while ψ holds."""
     if part.operator == "G":
-        return f"{part.psi} for {flag} step{'s' if flag != 1 else ''}" if flag else f"{part.psi} does not hold"
+        phrase = f"{psi} for {flag} step{'s' if flag != 1 else ''}" if flag else f"{psi} does not hold"
+        return Remembered(phrase, flag, "done" if flag == part.tau else "open", psi, flag, part.tau)
     ago = part.tau - flag
     if flag == 0:
-        return f"{part.psi} not seen in {part.tau} steps"
-    return f"{part.psi} seen now" if ago == 0 else f"{part.psi} seen {ago} step{'s' if ago != 1 else ''} ago"
+        phrase = f"{psi} not seen in {part.tau} steps"
+    else:
+        phrase = f"{psi} seen now" if ago == 0 else f"{psi} seen {ago} step{'s' if ago != 1 else ''} ago"
+    return Remembered(phrase, ago, "done" if ago == 0 else "open", psi, ago, part.tau, risk=True)
 
 
 def _update(operator: str, tau: int, holds: bool, flag: NDArray[np.int32]) -> NDArray[np.int32]:

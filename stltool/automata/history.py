@@ -15,8 +15,7 @@ from typing import TypeAlias, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, TaskAutomaton
-from stltool.display import StateNames
+from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, Remembered, TaskAutomaton, Text
 from stltool.logic.formula import (
     Always,
     And,
@@ -103,7 +102,7 @@ def history_automaton(
         horizon=horizon(phi),
         verdict_starts=np.array(list(at), dtype=np.int64),
         verdict_rows=np.array(list(at.values()), dtype=np.int8),
-        state_names=StateNames(n_states, _Names(atoms, valuations)),
+        memory=_Memory(atoms, valuations),
         parts=(Part(phi, inner, depth - 1, "history", n_states, n_states),),
     )
 
@@ -168,22 +167,25 @@ def _any(values: Iterable[_Truth]) -> _Truth:
     return result
 
 
-class _Names:
+class _Memory:
     """The last letters, newest first, given by the atoms that held."""
 
     def __init__(self, atoms: tuple[Formula, ...], valuations: _Truth) -> None:
-        self._words = [
-            "{" + ", ".join(str(atom) for atom, holds in zip(atoms, row, strict=True) if holds) + "}"
-            for row in valuations.tolist()
-        ]
+        self._letters = [[atom for atom, holds in zip(atoms, row, strict=True) if holds] for row in valuations.tolist()]
 
-    def __call__(self, q: int) -> str:
-        n, length = len(self._words), 0
+    def __call__(self, q: int, text: Text = str) -> tuple[Remembered, ...]:
+        return (Remembered(self._phrase(q, text), rank=q),)
+
+    def _phrase(self, q: int, text: Text) -> str:
+        n, length = len(self._letters), 0
         while q >= n**length:  # q minus the number of shorter histories: its digits are letters, newest lowest
             q -= n**length
             length += 1
         if not length:
             return "at the start"
         if length > _LONGEST_NAME:
-            return f"{self._words[q % n]} after …"
-        return " after ".join(self._words[q // n**i % n] for i in range(length))
+            return f"{self._word(q % n, text)} after …"
+        return " after ".join(self._word(q // n**i % n, text) for i in range(length))
+
+    def _word(self, letter: int, text: Text) -> str:
+        return "{" + ", ".join(map(text, self._letters[letter])) + "}"

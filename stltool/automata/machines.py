@@ -15,13 +15,13 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata.automaton import Part
+from stltool.automata.automaton import Part, Remembered, Text
 from stltool.automata.minimise import coarsest_partition, quotient
 from stltool.automata.residuals import FALSE as NO
 from stltool.automata.residuals import TRUE as YES
@@ -52,14 +52,14 @@ class Machine:
     delta    (n_own, n_states) int32: over the letters that it distinguishes
     reads    (n_letters,): the own letter for each letter
     outcome  (n_states,) int8: GOOD if the part holds; BAD if it fails, which counts from step `first` to step `last`
-    name     describes a state in words
+    memory   what a state remembers
     """
 
     part: Part
     delta: NDArray[np.int32]
     reads: NDArray[np.int64]
     outcome: NDArray[np.int8]
-    name: Callable[[int], str]
+    memory: Callable[[int, Text], Remembered]
     first: int
     last: int
     good_at_end: bool
@@ -222,7 +222,7 @@ class _Search:
             delta=small,
             reads=reads,
             outcome=outcome[representative],
-            name=_Names(table, [states[i] for i in representative.tolist()], obligation, method, turned),
+            memory=_Memory(table, [states[i] for i in representative.tolist()], obligation, method, turned),
             first=a + delay if method not in ("single", "until") else 0,
             last=b + delay if method != "single" else table.horizon(x),
             good_at_end=not self.negated and not (method == "until" and table.node(x)[0] == "U"),
@@ -313,62 +313,87 @@ def _single(after: Progression, obligation: Residual) -> Callable[[_State], Sequ
     return successors
 
 
-# --------------------------------------------------------------------------------------------------- names
+# --------------------------------------------------------------------------------------------------- memory
 
 
-class _Names:
-    """Describes what a state remembers, in terms of φ even if ¬φ is watched: a pending ¬φ means that φ is possible.
+_BEFORE, _AFTER = -(10**9), 10**9  # ranks before and after those of counters
 
-    A name refers to starts, never to the verdict: the clock of the verdict determines which starts count.
+
+class _Memory:
+    """What a state remembers, in terms of φ even if ¬φ is watched: a pending ¬φ means that φ is possible.
+
+    A phrase refers to starts, never to the verdict: the clock of the verdict determines which starts count.
     """
 
     def __init__(
         self, table: Residuals, states: Sequence[_State], obligation: Residual, method: Method, negated: bool
     ) -> None:
         self._table, self._obligation, self._method, self._negated = table, obligation, method, negated
-        # a name needs the first pending start and their number
+        # a phrase needs the first pending start and their number
         self._states = [(kind, waits, ages[:1], xs[:1], len(xs)) for kind, waits, ages, xs in states]
 
-    def __call__(self, q: int) -> str:
+    def __call__(self, q: int, text: Text) -> Remembered:
         table, obligation, method, negated = self._table, self._obligation, self._method, self._negated
         kind, waits, ages, residuals, n_pending = self._states[q]
         if method == "oldest" and table.horizon(obligation) == 0 and kind not in ("waits", "begins"):
             # F[a,b] ψ or G[a,b] ψ with a Boolean ψ: what counts is whether ψ has occurred, or failed, in the window
-            psi = table.formula(table.negation(obligation) if negated else obligation)
+            psi = text(table.formula(table.negation(obligation) if negated else obligation))
             if negated:
-                return f"{psi} seen" if kind == "bad" else f"{psi} not seen yet"
-            return f"{psi} has failed" if kind == "bad" else f"{psi} so far"
+                return Remembered(f"{psi} seen", _AFTER, "done") if kind == "bad" else Remembered(f"{psi} not seen yet")
+            return Remembered(f"{psi} has failed", _AFTER, "failed") if kind == "bad" else Remembered(f"{psi} so far")
         if kind == "waits":
-            return f"{_steps(waits)} before the window"
+            return Remembered(f"{_steps(waits)} before the window", -waits)
         if kind == "begins":
-            return "at the start"
+            return Remembered("at the start", _BEFORE)
         if kind in ("good", "bad"):
-            ended = "succeeded" if (kind == "good") != negated else "failed"
+            good = (kind == "good") != negated
+            ended = "succeeded" if good else "failed"
             if method in ("single", "until"):
-                return ended
-            return (
-                f"a start has {ended}"
-                if method == "oldest"
-                else f"the start {_steps(table.horizon(obligation))} ago {ended}"
-            )
+                phrase = ended
+            elif method == "oldest":
+                phrase = f"a start has {ended}"
+            else:
+                phrase = f"the start {_steps(table.horizon(obligation))} ago {ended}"
+            return Remembered(phrase, _AFTER, "done" if good else "failed")
         if not n_pending:
-            return "nothing pending"
-        text = self._pending(ages[0], residuals[0])
-        return text if n_pending == 1 else f"{text} (and {n_pending - 1} later)"
+            return Remembered("nothing pending", 0, "done" if method != "until" else "open")
+        found = self._pending(ages[0], residuals[0], text)
+        return found if n_pending == 1 else replace(found, phrase=f"{found.phrase} (and {n_pending - 1} later)")
 
-    def _pending(self, age: int, x: Residual) -> str:
-        """Describes a pending start."""
+    def _pending(self, age: int, x: Residual, text: Text) -> Remembered:
+        """A pending start."""
         table, obligation, negated = self._table, self._obligation, self._negated
+        left = text(table.formula(table.negation(x) if negated else x))
+        phrase = f"{'possible' if negated else 'due'} since {_steps(age)}: {left}"
+        if self._method == "single":  # which counts no steps: its residual shrinks
+            return Remembered(phrase, table.horizon(obligation) - table.horizon(x))
+        status: Literal["open", "due"] = "due" if table.horizon(x) == 0 and not negated else "open"
+        found = Remembered(phrase, age + 1, status, "", age + 1, table.horizon(obligation), risk=not negated)
+        counted = self._counted(age, x)
+        if counted is None:
+            return found
+        index, positive, ends_now = counted
+        psi = text(table.atoms[index])
+        if not ends_now:  # else the phrase names what must hold now
+            phrase = f"{psi} {'not seen ' if positive else ''}for {_steps(age + 1)}"
+        return replace(found, phrase=phrase, subject=psi)
+
+    def _counted(self, age: int, x: Residual) -> tuple[int, bool, bool] | None:
+        """For an F[0,D] ψ, alone or as an alternative, that is still open: the atom ψ has not been seen since the
+        start. Its index, its sign, and whether the next step is the last one of its window."""
+        table, obligation = self._table, self._obligation
         kind, *rest = table.node(x)
-        # an F[0,D] ψ, alone or as an alternative, that is still open: ψ has not been seen since the start
         alternatives = table.node(obligation)[1] if table.node(obligation)[0] == "or" else (obligation,)
-        if kind == "F" and self._method != "single":
-            node = table.node(rest[2])
-            since_the_start = ("F", 0, rest[1] + age + 1, rest[2]) in map(table.node, alternatives)
-            if since_the_start and rest[0] == 0 and node[0] == "atom":
-                return f"{table.atoms[node[1]]} {'not seen ' if node[2] else ''}for {_steps(age + 1)}"
-        left = table.formula(table.negation(x) if negated else x)
-        return f"{'possible' if negated else 'due'} since {_steps(age)}: {left}"
+        if kind == "F" and rest[0] == 0:
+            window, psi = rest[1], rest[2]
+        elif kind == "atom":
+            window, psi = 0, x
+        else:
+            return None
+        if table.node(psi)[0] != "atom" or ("F", 0, window + age + 1, psi) not in map(table.node, alternatives):
+            return None
+        _, index, positive = table.node(psi)
+        return index, positive, window == 0
 
 
 def _steps(n: int) -> str:

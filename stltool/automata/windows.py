@@ -18,14 +18,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata.automaton import FALSE, UNDECIDED, TaskAutomaton
+from stltool.automata.automaton import FALSE, UNDECIDED, Remembered, TaskAutomaton, Text
 from stltool.automata.automaton import TRUE as HOLDS
 from stltool.automata.machines import BAD, GOOD, Machine, machine_of
 from stltool.automata.minimise import coarsest_partition, quotient
 from stltool.automata.reach import reachable_pairs
 from stltool.automata.residuals import Residual, Residuals
 from stltool.automata.rows import distinct_rows
-from stltool.display import StateNames
 from stltool.errors import SizeError
 from stltool.logic.formula import Formula
 from stltool.logic.formula import horizon as formula_horizon
@@ -75,7 +74,7 @@ def window_automaton(
         horizon=horizon,
         verdict_starts=np.array([changes[i] for i in different], dtype=np.int64),
         verdict_rows=np.ascontiguousarray(rows[different]),
-        state_names=StateNames(delta.shape[1], _Names(machines, index)),
+        memory=_Memory(machines, index),
         parts=tuple(machine.part for machine in machines),
     )
 
@@ -162,12 +161,12 @@ def _tells_less(rows: NDArray[np.int8], machine: Machine) -> bool:
     return len(distinct_rows(rows[:, first].T)[0]) < len(first)
 
 
-class _Names:
-    """Describes what the machine of every part remembers."""
+class _Memory:
+    """What the machine of every part remembers."""
 
     def __init__(self, machines: Sequence[Machine], index: NDArray[np.int64]) -> None:
-        self._names = [machine.name for machine in machines]
+        self._memories = [machine.memory for machine in machines]
         self._index = index.astype(np.int32)
 
-    def __call__(self, q: int) -> str:
-        return "; ".join(name(i) for name, i in zip(self._names, self._index[:, q].tolist(), strict=True))
+    def __call__(self, q: int, text: Text = str) -> tuple[Remembered, ...]:
+        return tuple(memory(i, text) for memory, i in zip(self._memories, self._index[:, q].tolist(), strict=True))
