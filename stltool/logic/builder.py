@@ -15,6 +15,7 @@ from fractions import Fraction
 from typing import NoReturn, TypeVar, cast, get_args
 
 from stltool.errors import StlSyntaxError, near_misses
+from stltool.logic.expectation import ASKED, RELATIONS, Asked, Expectation, Relation
 from stltool.logic.formula import (
     DEEPEST,
     LARGEST_BOUND,
@@ -89,6 +90,7 @@ class Builder:
         self.definitions: dict[str, Formula | Term] = {}
         self.signals: dict[str, Span] = {}
         self.model: str | None = None
+        self.expectations: list[Expectation] = []
         self.faults: list[SyntaxFault] = []
         self.faulty = set(faulty)
         self.given: dict[str, Quantity] = {}  # params as given on their lines, without overrides
@@ -100,7 +102,8 @@ class Builder:
 
     def statements(self, trees: Iterable[Branch]) -> None:
         """Read the statements of a task file; what is wrong with them is collected in `faults`."""
-        for tree in sorted(trees, key=lambda tree: tree.data != "signals"):  # signal lines apply to the whole file
+        order = {"signals": 0, "expectation": 2}  # signal lines apply to the whole file, and all of it to expectations
+        for tree in sorted(trees, key=lambda tree: order.get(str(tree.data), 1)):
             try:
                 self.statement(tree)
                 continue
@@ -131,6 +134,8 @@ class Builder:
                 self.step_line(tree)
             case "definition":
                 self.definition(tree)
+            case "expectation":
+                self.expectations.append(self.expectation(tree))
             case other:
                 raise AssertionError(f"the grammar's rule {other} has no builder")
 
@@ -182,6 +187,96 @@ class Builder:
                 f"{name} is used as a label or signal on line {place.line}, before this {what}; "
                 f"rename this {what}, or move it up if line {place.line} refers to it",
             )
+
+    # ------------------------------------------------------------------------------------------ expectations
+
+    def expectation(self, tree: Branch) -> Expectation:
+        at = next(i for i, part in enumerate(tree.children) if not isinstance(part, Token))
+        words = cast(list[Token], tree.children[:at])
+        body = bare(branches(cast(Branch, tree.children[at]))[0])
+        rest = list(tree.children[at + 1 :])
+        named = cast(list[Token], [rest.pop(0), rest.pop(0)]) if rest and cast(Token, rest[0]).type == "NAME" else []
+        question, robust = self.asked(words)
+        file = self.file_of(question, words[-1], named)
+        unbounded, self.unbounded = self.unbounded, self.unbounded or question == "holds"  # a monitor judges it
+        try:
+            formula = self.formula(body)
+        finally:
+            self.unbounded = unbounded
+        self.require_shallow(formula)
+        written = str(body.children[0]) if body.data == "name" else None
+        relation, bound = self.bound_of(tree, question, words[-1], rest)
+        return Expectation(
+            question,
+            formula,
+            written if written in self.definitions else None,
+            relation,
+            bound,
+            robust,
+            file if question == "P" else None,
+            file if question == "holds" else None,
+            span=self.span(tree),
+        )
+
+    def asked(self, words: list[Token]) -> tuple[Asked, bool]:
+        """The question, and whether it is robust."""
+        first, question = words[0], str(words[-1])
+        if len(words) > 1 and str(first) != "robust":
+            self.fail(first, f"expected robust or a question, found {first}; {near_misses(str(first), ['robust'])}")
+        if question not in ASKED:
+            close = near_misses(question, ASKED)
+            known = close if close.startswith("did") else "write Pmax, Pmin, P (of a policy) or holds (on a trace)"
+            self.fail(words[-1], f"{question} is not something to expect; {known}")
+        if question == "holds" and len(words) > 1:
+            self.fail(first, "robust is for probabilities that are intervals; a trace has none, so leave robust out")
+        return question, len(words) > 1
+
+    def file_of(self, question: Asked, at: Token, named: list[Token]) -> str | None:
+        """The file that a question needs."""
+        needed = {"P": ("policy", "p.npz"), "holds": ("trace", "log.csv")}.get(question)
+        if not named:
+            if needed is not None:
+                word, example = needed
+                over = ", or Pmax or Pmin over all policies" if question == "P" else ""
+                self.fail(at, f'{question} needs a {word}; write {question}(…, {word} "{example}"){over}')
+            return None
+        word, file = str(named[0]), str(named[1])[1:-1]
+        if needed is None:
+            of = 'for the probability of one policy, write P(…, policy "p.npz")' if word == "policy" else "leave it out"
+            self.fail(named[0], f"{question} is over all policies and takes no {word}; {of}")
+        if word != needed[0]:
+            self.fail(named[0], f'{question} needs a {needed[0]}, not a {word}; write {needed[0]} "{needed[1]}"')
+        if not file:
+            self.fail(named[1], f'this names no file; write, for example, {word} "{needed[1]}"')
+        return file
+
+    def bound_of(
+        self, tree: Branch, question: Asked, at: Token, rest: list[Token | Branch]
+    ) -> tuple[Relation | None, Fraction | None]:
+        """The bound that a probability is compared with."""
+        if question == "holds":
+            if rest:
+                self.fail(cast(Token, rest[0]), "a formula holds on a trace or does not; leave the bound out")
+            return None, None
+        if not rest:
+            self.fail(
+                at, f"{question} needs a bound; write, for example, expect {self.span(tree).text()[7:].strip()} >= 0.95"
+            )
+        written, place = cast(Token, rest[0]), cast(Branch, rest[1])
+        relation = _COMPARATOR_SPELLINGS.get(str(written), str(written))
+        if relation not in RELATIONS:
+            self.fail(
+                written,
+                f"a probability is known as an enclosure, so {relation} cannot be decided; write >=, <=, > or <",
+            )
+        value = self.constant(place)
+        if isinstance(value, Duration):
+            self.fail(place, "expected a probability, found a time; write a number such as 0.95 or 19/20")
+        if not 0 <= value <= 1:
+            self.fail(
+                place, f"{number_text(value)} is not a probability, which lies between 0 and 1; write another bound"
+            )
+        return relation, value
 
     # ------------------------------------------------------------------------------------------ truth values
 

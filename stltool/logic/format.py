@@ -208,8 +208,30 @@ class _Layout:
                 else:
                     self.lines.append(f"{tree.children[0]} :=")
                     self.block(body, _INDENT)
+            case "expectation":
+                self.expectation(tree)
             case other:
                 raise AssertionError(f"the grammar's rule {other} has no layout")
+
+    def expectation(self, tree: Branch) -> None:
+        at = next(i for i, part in enumerate(tree.children) if not isinstance(part, Token))
+        body = bare(branches(cast(Branch, tree.children[at]))[0])
+        opening = f"expect {' '.join(map(str, tree.children[:at]))}("
+        rest = deque(tree.children[at + 1 :])
+        closing = ""
+        if rest and cast(Token, rest[0]).type == "NAME":
+            closing = f", {rest.popleft()} {rest.popleft()}"
+        closing += ")"
+        if rest:
+            closing += f" {_comparator(cast(Token, rest.popleft()))} {_term(cast(Branch, rest.popleft()))[0]}"
+        line = f"{opening}{flat_text(body)}{closing}"
+        if self.fits(line, tree) or not _breakable(body):
+            self.lines.append(line)
+            return
+        self.lines.append(opening)
+        self.block(body, _INDENT)
+        self.flush(body.meta.end_pos, " " * _INDENT)
+        self.lines.append(closing)
 
     def list(self, word: str, items: list[tuple[int, str]]) -> None:
         """Several params or signals on one line; on several lines if there are comments between them."""

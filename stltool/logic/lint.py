@@ -14,8 +14,9 @@ from typing import cast
 
 from stltool.arguments import require
 from stltool.errors import near_misses
+from stltool.logic.builder import Builder
 from stltool.logic.format import flat_text
-from stltool.logic.syntax import Branch, Document, Token, branches
+from stltool.logic.syntax import Branch, Document, Token, bare, branches
 from stltool.logic.task import Task
 from stltool.source import Span
 
@@ -45,7 +46,8 @@ def ambiguities(task: Task | Document) -> list[Advice]:
     found = [advice for tree in document.trees for advice in _of_statement(document, tree)]
     found += _divisions(document)
     found += _undeclared(document)
-    found += _misspelled(document)
+    misspelled = list(_misspelled(document))
+    found += [*misspelled, *_expected(document, {advice.span.start for advice in misspelled})]
     return sorted(found, key=lambda advice: advice.span.start)
 
 
@@ -108,14 +110,15 @@ def _divisions(document: Document) -> Iterator[Advice]:
 def _undeclared(document: Document) -> Iterator[Advice]:
     """Signals that the file's signal lines do not declare."""
     lines = {
-        kind: [tree for tree in document.trees if tree.data == kind] for kind in ("signals", "params", "definition")
+        kind: [tree for tree in document.trees if tree.data == kind]
+        for kind in ("signals", "params", "definition", "expectation")
     }
     declared = {str(name) for tree in lines["signals"] for name in tree.children}
     if not declared:
         return
     known = {str(param.children[0]) for tree in lines["params"] for param in branches(tree)}
     known |= {str(tree.children[0]) for tree in lines["definition"]} | declared
-    for tree in lines["definition"]:
+    for tree in lines["definition"] + lines["expectation"]:
         for token in _signal_names(tree):
             if str(token) not in known:
                 known.add(str(token))
@@ -135,6 +138,26 @@ def _misspelled(document: Document) -> Iterator[Advice]:
         if close and not _siblings(name, close[0]):
             place = Span(document.source, _start(first[name]), _start(first[name]) + len(name))
             yield Advice(place, f"{name} is read as a signal or label; did you mean {close[0]}?")
+
+
+def _expected(document: Document, told: set[int]) -> Iterator[Advice]:
+    """Expectations about what the file does not define, and those that hold, or fail, whatever the model is."""
+    trees = [tree for tree in document.trees if tree.data == "expectation"]
+    if not trees:
+        return
+    builder = Builder(document.source)
+    builder.statements(document.trees)
+    for expectation in builder.expectations:
+        if expectation.trivial is not None and expectation.span is not None:
+            yield Advice(expectation.span, f"{expectation.trivial}; write another bound")
+    for tree in trees:
+        body = bare(branches(next(part for part in branches(tree) if not isinstance(part, Token)))[0])
+        if body.data == "name" and str(body.children[0]) not in builder.definitions:
+            token = cast(Token, body.children[0])
+            if _start(token) not in told:
+                place = Span(document.source, _start(token), _start(token) + len(token))
+                known = near_misses(str(token), builder.definitions)
+                yield Advice(place, f"{token} is not defined here and is read as a label at step 0; {known}")
 
 
 def _siblings(name: str, other: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import cast
@@ -143,19 +144,18 @@ def _build(
             f"{name}: {chosen} is a number, not a task; end the file with a formula, or choose one by name"
         )
     builder.require_shallow(cast(Formula, formula))
-    folder = path.parent if path is not None else Path()
-    model = folder / builder.model if builder.model is not None else None
-    return Task(
+    task_read = Task(
         chosen,
         cast(Formula, formula),
-        model,
-        builder.params,
-        builder.definitions,
-        path,
+        params=builder.params,
+        definitions=builder.definitions,
+        path=path,
         step=builder.step,
+        expectations=tuple(builder.expectations),
         document=document,
         rebuild=partial(_build, document, path, unbounded, chosen, overrides),
     )
+    return replace(task_read, model=task_read.folder / builder.model) if builder.model is not None else task_read
 
 
 def _exact(params: Mapping[str, ParamValue] | None) -> dict[str, Quantity]:

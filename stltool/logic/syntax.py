@@ -31,7 +31,7 @@ _EQUAL_HINT = "write == to compare, := to define"
 _TEMPORAL = ("_EVENTUALLY", "_ALWAYS", "_UNTIL")
 _TEMPORAL_WORDS = ("always", "globally", "eventually", "finally", "until")
 WORDS = (*_TEMPORAL_WORDS, "true", "false", "and", "or", "not", "xor", "implies", "iff")
-_LINE_WORDS = {"_MODEL": "model", "_PARAM": "param", "_SIGNAL": "signal", "_STEP": "step"}
+_LINE_WORDS = {"_MODEL": "model", "_PARAM": "param", "_SIGNAL": "signal", "_STEP": "step", "_EXPECT": "expect"}
 
 # Operators of other tools that do not exist here, and what to write instead.
 _PAST = "{word} refers to the past, formulas to the future; for once[0,5] a at t + 5, write F[0,5] a at t"
@@ -85,6 +85,7 @@ TERMINAL_WORDS = {
     "SEMICOLON": "';'",
     "STRING": 'a file name in quotes ("floor.toml")',
     **{terminal: f"a {word} line" for terminal, word in _LINE_WORDS.items()},
+    "_EXPECT": "an expect line",
     "COMMENT": "a comment",
     "$END": "the end",
 }
@@ -220,6 +221,8 @@ def _foreign(source: Source, place: int) -> str:
         message = 'this quote is not closed; close it on the same line, as in model "floor.toml"'
     elif character in "²³":
         message = f"write ^{'2' if character == '²' else '3'} for a power"
+    elif re.search(r"\b(?:policy|trace)\s+\S*$", before) and before.split()[:1] == ["expect"]:
+        message = 'a file name belongs in double quotes here; write, for example, policy "p.npz"'
     elif before.split()[:1] == ["model"] or character == "'":
         message = 'a file name belongs in double quotes on a model line; write model "floor.toml"'
     elif character == "." and re.search(r"[A-Za-z_]\w*$", before):
@@ -365,6 +368,8 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
     before = tokens[i - 1] if i else None
     last = before.type if before is not None else ""
     opened = _open_bracket(tokens, i)
+    if tokens[0].type == "_EXPECT" and (expected := _expectation_hint(tokens, i, accepted)) is not None:
+        return expected
     if kind in ("COMMA", "COLON", "_DOTS") and opened > 0 and tokens[opened].type == "LSQB":
         word = tokens[opened - 1]
         if word.type == "NAME":
@@ -408,6 +413,19 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
     return None
 
 
+def _expectation_hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
+    """What to write instead on an expect line."""
+    before, kind = str(tokens[i - 1]), tokens[i].type if i < len(tokens) else "$END"
+    if "LPAR" in accepted and i <= 3 and all(t.type == "NAME" for t in tokens[1:i]):
+        return "write a question with what it is about in parentheses, such as expect Pmax(name) >= 0.95"
+    if kind == "STRING":
+        return 'a file name belongs after policy or trace; write, for example, policy "p.npz"'
+    if before in ("policy", "trace") and i > 1 and tokens[i - 2].type == "COMMA":
+        example = "p.npz" if before == "policy" else "log.csv"
+        return f'a file name belongs in double quotes here; write {before} "{example}"'
+    return None
+
+
 def _open_bracket(tokens: Sequence[Token], i: int) -> int:
     """The last bracket or parenthesis before token i that is still open, or −1."""
     depth = 0
@@ -431,7 +449,7 @@ def _expected(accepted: set[str]) -> str:
     rest = set(accepted)
     if rest.issuperset(_LINE_WORDS):
         rest -= {*_LINE_WORDS, "NAME", "SEMICOLON"}
-        words.append("the next line (model, param, signal, step or name := formula)")
+        words.append("the next line (model, param, signal, step, expect or name := formula)")
     if rest.issuperset(_FORMULA_STARTS):
         rest -= set(_FORMULA_STARTS)
         words.append("a formula")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from stltool.display import Card
 from stltool.errors import SettingsError
+from stltool.logic.expectation import Expectation
 from stltool.logic.formula import Composable, Formula, Term, horizon, is_bounded
 from stltool.logic.quantities import Duration, ParamValue, Quantity
 
@@ -23,7 +24,7 @@ class Task(Composable):
     `params` holds the values after overrides, as exact fractions or times; `definitions` holds all definitions in file
     order, each a formula or an arithmetic term; `model` is the path of the model file, already resolved against the
     folder of the task file, or None if the file names none; `step` is the duration of a step, if the file declares one;
-    `document` is the text as read.
+    `expectations` are the `expect` lines of the file, about any of its definitions; `document` is the text as read.
     """
 
     KIND: ClassVar[str] = "Task"
@@ -35,6 +36,7 @@ class Task(Composable):
     definitions: Mapping[str, Formula | Term] = field(default_factory=dict)
     path: Path | None = None
     step: Duration | None = None
+    expectations: tuple[Expectation, ...] = ()
     document: Document | None = field(default=None, compare=False, repr=False)
     rebuild: Callable[[Mapping[str, ParamValue]], Task] | None = field(default=None, compare=False, repr=False)
 
@@ -47,6 +49,11 @@ class Task(Composable):
         if self.rebuild is None:
             raise SettingsError("this task was not parsed from text, so it has no params to change; use stl.parse_task")
         return self.rebuild(params)
+
+    @property
+    def folder(self) -> Path:
+        """Where the files are that the task file names, relative to it."""
+        return self.path.parent if self.path is not None else Path()
 
     def _formula(self) -> Formula:
         return self.formula

@@ -587,8 +587,8 @@ class CertificateRecord(TypedDict):
 class ExpectationRecord(TypedDict):
     """One expectation of a task file, and whether it holds.
 
-    `decided_by` is "enclosure" (lower <= P <= upper on one side of the bound), "fraction" (the exact value), or "trace";
-    null if it is undecided or in error, and `reason` states why. `bound` is exact, `exact` too.
+    `decided_by` is "enclosure" (lower <= P <= upper on one side of the bound), "fraction" (the exact value) or "trace";
+    it is null if the expectation is undecided or in error, and `reason` then states why. `bound` and `exact` are exact.
     """
 
     file: str

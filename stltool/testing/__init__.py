@@ -1,5 +1,13 @@
-"""Hypothesis strategies for formulas, traces and MDPs, for your own property tests."""
+"""Hypothesis strategies for formulas, expectations, traces and MDPs, for your own property tests."""
 
-from stltool.testing.strategies import flag_formulas, formulas, interval_models, models, predicates, traces
+from stltool.testing.strategies import (
+    expectations,
+    flag_formulas,
+    formulas,
+    interval_models,
+    models,
+    predicates,
+    traces,
+)
 
-__all__ = ["flag_formulas", "formulas", "interval_models", "models", "predicates", "traces"]
+__all__ = ["expectations", "flag_formulas", "formulas", "interval_models", "models", "predicates", "traces"]

@@ -13,6 +13,7 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from stltool.logic.expectation import ASKED, RELATIONS, Expectation
 from stltool.logic.formula import (
     COMPARATORS,
     Always,
@@ -107,6 +108,18 @@ def _formulas(
         )
 
     return st.recursive(predicates(labels, signals), grow, max_leaves=max_leaves)
+
+
+@st.composite
+def expectations(draw: st.DrawFn, labels: Sequence[str] = LABELS, signals: Sequence[str] = SIGNALS) -> Expectation:
+    """What a task file may expect of a formula: any question with its bound and files."""
+    question = draw(st.sampled_from(ASKED))
+    formula, file = draw(formulas(labels, signals)), draw(st.text("abz é#/.\\'-", min_size=1))
+    if question == "holds":
+        return Expectation(question, formula, trace=file)
+    relation, bound = draw(st.sampled_from(RELATIONS)), draw(st.fractions(0, 1))
+    policy = file if question == "P" else None
+    return Expectation(question, formula, None, relation, bound, draw(st.booleans()), policy)
 
 
 @st.composite

@@ -7,7 +7,7 @@ import stltool as stl
 from stltool.logic.quantities import quantity
 from tests.conftest import DATA
 from tests.golden.capture import refusal, rows
-from tests.logic import test_compose, test_fragment, test_language, test_lint, test_parser
+from tests.logic import test_compose, test_expectation, test_fragment, test_language, test_lint, test_parser
 
 TASK = 'model "floor.toml"\nparam T = 10, tau = T/2\nnear := x < 0.5\npatrolling := G[0,T) F[0,tau) near\n'
 
@@ -40,6 +40,8 @@ def entries():
     for table in (test_parser.test_a_task_file_with_a_slip_is_refused, test_language.test_a_refusal_says_what_to_write):
         for text, *_ in rows(table):
             yield given("task file", text), refusal(stl.parse_task, text)
+    for line, *_ in rows(test_expectation.test_a_slip_is_refused_with_its_place_and_a_remedy):
+        yield given("expectation", line), refusal(stl.parse_task, f"r := a\n{line}")
     for text, options in FILES:
         step = {"step": options.pop("step")} if "step" in options else {}
         read = stl.parse if step else stl.parse_task
@@ -66,6 +68,8 @@ def entries():
 def warnings():
     """What could be read in two ways."""
     texts = [f"r := {text}" for text, _ in rows(test_lint.test_an_ambiguous_text_is_told_with_its_reading)]
+    lines = [line for line, _ in rows(test_expectation.test_what_is_suspicious_is_told)]
+    texts += [f"param p = 0\npatrolling := F[0,3] A\n{line}" for line in lines]
     for text in (*texts, "r := x > 5 // 2\n", "signal speed\nr := speeed > 3", "patrolling := A\nr := patroling"):
         yield given("ambiguities", text), "\n".join(map(str, stl.ambiguities(stl.parse_task(text))))
 
