@@ -4,6 +4,7 @@ scenarios   the table of docs/reproduction.md, from examples/paper/table.toml
 sweep       README and docs/sweeps.md: what a finished sweep in out/table took, and how its seeds differ
 guarantees  the table of docs/guarantees.md: bounds from learning data and from fresh runs, by episodes
 tied        the second one there: bounds if one parameter governs all rows
+alarm       the third one there: after how many steps a wrong tie is refused
 robust      docs/robust.md: a robust check beside an ordinary one
 tradeoff    docs/tradeoffs.md: a linear programme of a large task
 why         docs/why.md: the most probable runs and the derivatives of a long shift
@@ -28,6 +29,8 @@ from stltool import kernels
 from stltool.automata import TRUE
 from stltool.checking.induction import Doubles
 from stltool.checking.unfold import Unfolding, flows
+from stltool.learning.tied import Evidence
+from stltool.models.environment import simulator
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 FACTORY, PAPER = EXAMPLES / "factory", EXAMPLES / "paper"
@@ -82,6 +85,32 @@ def tied() -> None:
             ]  # fmt: skip
             cut = [f"{math.floor(bound * 10**4) / 10**4:.4f}" for bound in bounds]
             print("|", " | ".join([str(T), spaced(episodes), spaced(run.environment_steps), *cut]), "|", flush=True)
+
+
+def alarm() -> None:
+    """Uniform random moves on the 5 × 5 floor; one cell, (4,3), succeeds less often than the others."""
+    floor, every, odd = stl.load_model(FACTORY / "floor-5x5.toml"), 250, 8
+    rows = slice(*floor.row_start[floor.choice_start[odd : odd + 2]].tolist())
+    print("| one cell succeeds with | runs | refused | after steps: least | median | greatest |")
+    print("|---|---:|---:|---:|---:|---:|")
+    for success, runs in (("0.5", 10), ("0.6", 10), ("0.8", 10), ("0.93", 20)):
+        probability = floor.probability.copy()
+        probability[rows] = floor.at(success=success).probability[rows]
+        strange, steps = floor.with_rows(probability=probability, exact=None), []
+        for seed in range(runs):
+            rng = np.random.default_rng(seed)
+            env, counts = simulator(strange, rng), stl.Counts(floor.n_choices, floor.n_states)
+            state = env.reset()
+            for n in range(every, 100_001, every):
+                for i in rng.integers(9, size=every).tolist():
+                    choice, state = int(floor.choice_start[state]) + i, env.step(i)
+                    counts.add_one(choice, state, 0)
+                if Evidence(floor.family, counts).against_the_tie[0] >= math.log(100):
+                    steps.append(n)
+                    break
+        times = [spaced(min(steps)), spaced(round(float(np.median(steps)))), spaced(max(steps))] if steps else ["–"] * 3
+        shown = success if success != "0.93" else "0.93, as all do"
+        print(f"| {shown} | {runs} | {len(steps)} | {' | '.join(times)} |", flush=True)
 
 
 def scenarios() -> None:
@@ -168,7 +197,7 @@ def why() -> None:
 
 
 if __name__ == "__main__":
-    programs = {f.__name__: f for f in (guarantees, robust, scenarios, sweep, tied, tradeoff, why)}
+    programs = {f.__name__: f for f in (alarm, guarantees, robust, scenarios, sweep, tied, tradeoff, why)}
     if sys.argv[1] not in ("scenarios", "sweep"):
         kernels.warm_up()
     programs[sys.argv[1]]()

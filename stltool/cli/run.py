@@ -100,7 +100,7 @@ def run(
     from stltool.checking.statistical import planned_runs
     from stltool.files import read_text, require_folder
     from stltool.learning.checkpoint import require_checkpoint
-    from stltool.reporting import guarantee_rows, report_data, write_report
+    from stltool.reporting import guarantee_rows, looser_note, report_data, write_report
     from stltool.reporting.terminal import print_checks, print_facts, print_json, print_table, progress_bar
 
     if split is not None:
@@ -157,4 +157,6 @@ def run(
     if known:
         print_checks(data["checks"])
     print_table(guarantee_rows(data["guarantees"], data["checks"]))
+    if (note := looser_note(data["guarantees"])) is not None:
+        print_facts({"looser": note})
     print_facts({"report": folder / "report.html", "data": folder / "report.json", "policy": folder / "policy.npz"})

@@ -319,6 +319,8 @@ def gap_facts(training: Training) -> dict[str, str]:
         "certified": f"within {ceiling_text(gap.upper)} of the optimum with confidence {100 * gap.confidence:.12g} % "
         f"(without data: {ceiling_text(gap.without_data)})" + (f"; the policy is optimal for {at}" if at else ""),
         "assumes": gap.assumes,
+        **({"looser": gap.looser} if gap.looser is not None else {}),
+        **({"refused": gap.refused} if gap.refused is not None else {}),
     }
 
 

@@ -24,7 +24,8 @@ here (`policy=None`) has the greatest bound, with the same confidence.
 **Tied parameters.** If rows depend on parameters (models/parameters.py), the same in all rows, all transitions are
 evidence on them (tied.py), and the bound is the policy's least probability over the set where they lie: for one
 parameter that of a polynomial (checking/parametric.py), never below the value if nature picks the parameters again in
-every row. Of all policies no induction finds the one with the greatest bound, for nature cannot adapt: `policy=None` is
+every row. That value alone is the bound for several parameters, and where a polynomial takes too long: `looser` says
+so. Of all policies no induction finds the one with the greatest bound, for nature cannot adapt: `policy=None` is
 the best of four, optimal at the ends of the set, at the estimate, and where nature picks again.
 
 Where runs start is a part of what is asked: the
@@ -38,7 +39,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, Literal, TypeAlias, get_args
@@ -55,7 +56,7 @@ from stltool.checking.polynomial import least
 from stltool.checking.statistical import clopper_pearson, require_confidence
 from stltool.choices import Choices
 from stltool.display import Card, Displayed, counted
-from stltool.errors import SettingsError
+from stltool.errors import SettingsError, SizeError
 from stltool.learning.confidence import Floats, Whole, entry_interval, log_inverse, unseen_mass
 from stltool.learning.counts import Counts
 from stltool.learning.tied import Evidence, TiedParameter
@@ -81,6 +82,8 @@ class Guarantee(Displayed):
     parameters   if the rows are taken as known up to parameters: in which sets these lie
     fresh        if the bound is the greater one from transitions and from these runs: the runs
     evidence     how much more probable the data are if a parameter differs somewhere (`learning/tied.py`)
+    looser       with parameters: why the bound may be lower than the tie allows; None: it is the least value over their
+                 sets, but for 1e-7
     transitions  how many were seen
     never_tried  how many of the `choices` (a state with one of its actions) were never tried
     policy       whose probability it is: the one given, or the one with the greatest bound
@@ -97,6 +100,7 @@ class Guarantee(Displayed):
     parameters: tuple[TiedParameter, ...] = ()
     evidence: float | None = None
     fresh: Estimate | None = None
+    looser: str | None = None
 
     def _card(self) -> Card:
         home = self.policy.home
@@ -108,6 +112,7 @@ class Guarantee(Displayed):
                     "from": counted(self.transitions, "transition"),
                     "successors": self.support if not self.parameters else None,
                     "parameters": ", ".join(one.text for one in self.parameters) or None,
+                    "looser": "see statement" if self.looser is not None else None,
                     "never tried": f"{self.never_tried} of {counted(self.choices, 'choice')}",
                 },
                 {"task": task, "policy": self.policy.kind},
@@ -119,7 +124,8 @@ class Guarantee(Displayed):
         """What was found, in words; the bound is rounded down."""
         found = f"with confidence {100 * self.confidence:.12g} % the probability is at least {floor_text(self.lower)}"
         runs = f" and {self.fresh.runs} fresh runs" if self.fresh is not None else ""
-        return f"{found}, from {self.transitions} transitions seen while learning{runs}; assumed: {self.assumes}"
+        seen = f"from {self.transitions} transitions seen while learning{runs}"
+        return f"{found}, {seen}; assumed: {self.assumes}" + (f"; {self.looser}" if self.looser is not None else "")
 
     @property
     def assumes(self) -> str:
@@ -167,7 +173,9 @@ def guarantee(
                 choices and S states, or a function of a state and one of its actions, by their numbers, that returns
                 the indices of states. It is then taken as known instead of `support`
     parameters  "model" takes the model as known up to its parameters, the same in all rows: those declared, or of a
-                grid its success probability. Of the model only the graph and the form of the rows are read
+                grid its success probability. Of the model only the graph and the form of the rows are read. With one
+                parameter the bound is the least value over its set, but for 1e-7; with several, or if that takes too
+                long, nature picks them again in every row, and the result says so (`looser`)
     test_tie    with parameters: refuse (TieError) where the data contradict that they are the same everywhere; if they
                 are, this happens with a probability of at most 1 − confidence
     fresh       fresh runs of the policy (`estimate`), whose number was fixed beforehand: the bound is the greater one
@@ -416,32 +424,58 @@ def _tied(
         tied = replace(judge, model=narrow)
         return robust_check(tied, Policy(tied, judged.form) if judged is not None else None, memory_limit=memory_limit)
 
-    def bound(judged: Policy) -> float:
+    def bound(judged: Policy) -> tuple[float, str | None]:
+        """The bound, and why it may be loose."""
         lower = again(judged).lower
-        if one is None or one.work(judged) > _MOST_WORK:
-            return lower
-        below, _ = one.enclosed(one.of(judged, sets[0].lower, sets[0].upper), judged)
-        found, _, depth = least(below, _TOLERANCE)
-        return max(lower, found * (1 - 8 * (depth + 1) * len(below) * 2.0**-53))
+        if one is None:
+            return lower, by_rows(sets)
+        if too_long := polynomial_too_long(one, judged):
+            return lower, by_rows(sets, too_long)
+        try:
+            below, _ = one.enclosed(one.of(judged, sets[0].lower, sets[0].upper), judged)
+        except SizeError:
+            return lower, by_rows(sets, "its polynomial takes more memory than is available")
+        found, attained, depth = least(below, _TOLERANCE)
+        known = f"the least value of its polynomial is known to {attained - found:.1g} only"
+        loose = known if attained - found > 2 * _TOLERANCE else None
+        return max(lower, found * (1 - 8 * (depth + 1) * len(below) * 2.0**-53)), loose
 
     if rebased is not None:
-        lower = bound(Policy(home, rebased.form))
+        lower, looser = bound(Policy(home, rebased.form))
     else:
         best = again(None).policy
         assert best is not None
         tried = [best.form]
-        if one is not None and one.work() <= _MOST_WORK:
+        if one is not None:
             tried += [one.best(p).form for p in (sets[0].estimate, sets[0].lower, sets[0].upper)]
-        found = [(bound(Policy(home, form)), form) for form in tried]
-        lower, form = max(found, key=lambda each: each[0])
+        found = [(*bound(Policy(home, form)), form) for form in tried]
+        lower, looser, form = max(found, key=lambda each: each[0])
         policy = Policy(product, form)
     assert policy is not None
     visits = counts.visits
     return Guarantee(
         lower=max(lower, _decided(product, initial)), confidence=float(confidence), support="known",
         transitions=int(visits.sum()), choices=product.model.n_choices, never_tried=int((visits == 0).sum()),
-        policy=policy, seconds=time.perf_counter() - began, parameters=sets, evidence=tie,
+        policy=policy, seconds=time.perf_counter() - began, parameters=sets, evidence=tie, looser=looser,
     )  # fmt: skip
+
+
+BY_ROWS = "row by row"
+"""How the probability is bounded if nature picks the parameters again in every row."""
+
+
+def by_rows(sets: Sequence[TiedParameter], reason: str | None = None) -> str:
+    """Why a bound is that of nature picking the parameters again in every row; `reason`, of one parameter."""
+    names = " and ".join(one.name for one in sets)
+    several = f"of {len(sets)} parameters" if reason is None else f"of {names}"
+    why = "only for one parameter can all rows be bounded together" if reason is None else reason
+    return f"bounded {BY_ROWS}, as if each row had a value {several} of its own, since {why}"
+
+
+def polynomial_too_long(family: Family, policy: Policy | None = None) -> str | None:
+    """Why P of the policy, or of the optimum, is not computed as a polynomial; None if it can be."""
+    work = family.work(policy)
+    return f"its polynomial takes {work:.1g} multiply-adds, more than {_MOST_WORK:.0g}" if work > _MOST_WORK else None
 
 
 _WHAT = "bounding the probability"

@@ -168,9 +168,9 @@ def learn(
     most_steps    stop before the total of environment steps could exceed this
     stop_gap      stop once an evaluation is within this of the exact optimum (known models only)
     until_gap     stop once the transitions alone prove, with this `confidence`, that the policy is within this of the
-                  optimum (`optimality_gap`; docs/guarantees.md): tied if the model's rows depend on one parameter (of
+                  optimum (`optimality_gap`; docs/guarantees.md): tied if the model's rows depend on parameters (of
                   grids: always), unless the data contradict that. The policy learned is then the one that is optimal at
-                  the estimate of the parameter
+                  the estimates of the parameters
     seed          an integer from 0, the source of all random choices: same seed, same result
     environment   anything whose `reset()` and `step(i)` (the i-th available action of the current state) return the
                   index of a state of the model. Default: the model, sampled

@@ -3,7 +3,7 @@
 from .curves import write_history
 from .data import check_data, estimate_data, markov_data, product_data, report_data, stationary_data, training_data
 from .explanation import explain
-from .guarantees import guarantee_data, guarantee_rows, refused_data
+from .guarantees import guarantee_data, guarantee_rows, looser_note, refused_data
 from .monitoring import monitor_data, write_monitor_picture
 from .page import load_report, render, report, write_report
 from .parametrics import parametric_data
@@ -14,7 +14,7 @@ from .tradeoffs import front_data, tradeoff_data, write_front_picture
 
 __all__ = [
     "check_data", "encoding_data", "encoding_rows", "estimate_data", "explain", "front_data", "guarantee_data",
-    "guarantee_rows", "likely_data", "load_report", "markov_data", "monitor_data", "parametric_data",
+    "guarantee_rows", "likely_data", "load_report", "looser_note", "markov_data", "monitor_data", "parametric_data",
     "product_data", "refused_data", "render", "report", "report_data", "sensitivity_data", "stationary_data",
     "surrogate_data", "surrogate_rows", "sweep_data", "tradeoff_data", "training_data", "write_front_picture",
     "write_history", "write_monitor_picture", "write_report", "write_sweep",

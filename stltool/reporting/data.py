@@ -233,6 +233,8 @@ def gap_data(gap: Gap) -> dict[str, Any]:
         "transitions": gap.transitions,
         "assumes": gap.assumes,
         "statement": gap.statement,
+        "looser": gap.looser,
+        "refused": gap.refused,
         "parameters": [
             {"name": one.name, "lower": float(one.lower), "upper": float(one.upper), "estimate": float(one.estimate)}
             for one in gap.parameters

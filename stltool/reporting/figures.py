@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from stltool.numbers import probability_text
+from stltool.numbers import ceiling_text, probability_text
 from stltool.reporting.drawing import COLOURS, INK, alone, drawing, picture, shown, svg, text_width
 
 if TYPE_CHECKING:
@@ -36,10 +36,7 @@ def learning_curve(history: Sequence[Mapping[str, Any]], optimum: float | None =
         marked = np.arange(len(steps)) if len(steps) <= _MARKED else np.flatnonzero(alone(drawn))
         axes.plot(steps, drawn, color=_CURVE, linewidth=1.6, label="greedy policy, exact", gid=name,
                   marker=".", markersize=6 if len(steps) <= 60 else 3, markevery=marked.tolist())  # fmt: skip
-        axes.set_xlim(left=0)
-        axes.set_xlabel("environment steps")
-        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-        axes.grid(alpha=0.25)
+        _steps_axis(axes, steps)
     panels[0].set(ylabel="P(task)", ylim=(-0.03, 1.03))
     if optimum is not None:
         panels[0].axhline(float(optimum), color=_OPTIMUM, linestyle="--", linewidth=1.2, gid="optimum",
@@ -50,14 +47,33 @@ def learning_curve(history: Sequence[Mapping[str, Any]], optimum: float | None =
     return svg(figure, "curve", "the exact probability of the greedy policy while learning")
 
 
+@drawing()
+def gap_curve(history: Sequence[Mapping[str, Any]], without_data: float) -> str:
+    """What was certified of the distance to the optimum over environment steps, on a logarithmic axis, and dashed what
+    needs no data. `history`: `steps` and `gap` of each certificate; a triangle at the lower end for 0."""
+    steps, gaps = (_reals([point[key] for point in history]) for key in ("steps", "gap"))
+    figure = Figure(figsize=(7.2, 3.3), layout="constrained")
+    axes = figure.subplots()
+    drawn = np.where(gaps > 0, gaps, np.nan)
+    marked = np.arange(len(steps)) if len(steps) <= _MARKED else np.flatnonzero(alone(drawn))
+    axes.plot(steps, drawn, color=_CURVE, linewidth=1.6, label="gap, from the transitions so far", gid="gap",
+              marker=".", markersize=6 if len(steps) <= 60 else 3, markevery=marked.tolist())  # fmt: skip
+    _steps_axis(axes, steps)
+    low = _powers_of_ten(axes, [*gaps, without_data], "P* − P, at most")
+    if without_data > 0:
+        axes.axhline(without_data, color=_OPTIMUM, linestyle="--", linewidth=1.2, gid="without-data",
+                     label=f"without data: {ceiling_text(without_data)}")  # fmt: skip
+    nothing = steps[gaps <= 0]
+    if len(nothing):
+        axes.plot(nothing, np.full(len(nothing), low), color=_CURVE, linestyle="", marker="v", markersize=5,
+                  clip_on=False, label="0: it is optimal", gid="closed")  # fmt: skip
+    axes.legend(loc="best", frameon=False)
+    return svg(figure, "gap", "the certified distance to the optimum while learning")
+
+
 def _distance_axis(axes: Axes, steps: Any, distances: Any, least: float | None) -> None:
-    """A logarithmic axis of 1 − P over integer powers of ten; a triangle at its lower end for 0."""
-    positive = [*distances[distances > 0], *([least] if least else [])]
-    low = 10 ** np.floor(np.log10(min(positive)) - 0.1)
-    axes.set(yscale="log", ylim=(low, 1.3 * 10 ** np.ceil(np.log10(max(positive)))), ylabel="1 − P(task)")
-    axes.yaxis.set_major_locator(LogLocator(numticks=8))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"10{str(round(np.log10(y))).translate(_POWERS)}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    """A logarithmic axis of 1 − P; a triangle at its lower end for 0."""
+    low = _powers_of_ten(axes, [*distances, least or 0.0], "1 − P(task)")
     if least:
         axes.axhline(least, color=_OPTIMUM, linestyle="--", linewidth=1.2, gid="least-distance")
     certain = steps[distances <= 0]
@@ -65,6 +81,24 @@ def _distance_axis(axes: Axes, steps: Any, distances: Any, least: float | None) 
         axes.plot(certain, np.full(len(certain), low), color=_CURVE, linestyle="", marker="v", markersize=5,
                   clip_on=False, label="0: the task always holds", gid="certain")  # fmt: skip
         axes.legend(frameon=False)
+
+
+def _steps_axis(axes: Axes, steps: NDArray[np.float64]) -> None:
+    """From 0 to the last step, whatever is drawn there or left out."""
+    axes.set(xlim=(0, 1.05 * max(steps.max(), 1.0)), xlabel="environment steps")
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    axes.grid(alpha=0.25)
+
+
+def _powers_of_ten(axes: Axes, values: Sequence[float], label: str) -> float:
+    """A logarithmic axis over integer powers of ten, around the positive values; its lower end."""
+    positive = [value for value in values if value > 0] or [1.0]
+    low = float(10 ** np.floor(np.log10(min(positive)) - 0.1))
+    axes.set(yscale="log", ylim=(low, 1.3 * 10 ** np.ceil(np.log10(max(positive)))), ylabel=label)
+    axes.yaxis.set_major_locator(LogLocator(numticks=8))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"10{str(round(np.log10(y))).translate(_POWERS)}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    return low
 
 
 @drawing()

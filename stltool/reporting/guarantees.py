@@ -36,6 +36,7 @@ def guarantee_data(found: Guarantee | Estimate) -> dict[str, Any]:
                 for one in found.parameters
             ]
             details["evidence_against_tie"] = found.evidence
+            details["looser"] = found.looser
         if found.fresh is not None:
             details |= {"runs": found.fresh.runs, "satisfied": found.fresh.satisfied, "seed": found.fresh.seed}
     elif found.side == "upper":
@@ -50,6 +51,12 @@ def guarantee_data(found: Guarantee | Estimate) -> dict[str, Any]:
         }
     bound = {"lower": found.lower, "confidence": found.confidence, "seconds": found.seconds}
     return {**details, **bound, "statement": found.statement}
+
+
+def looser_note(guarantees: Sequence[dict[str, Any]]) -> str | None:
+    """Why bounds of `guarantee_data` may be lower than what they assume allows; None if none is."""
+    reasons = dict.fromkeys(data["looser"] for data in guarantees if data.get("looser"))  # each once
+    return "; ".join(reasons) or None
 
 
 def refused_data(reason: str, transitions: int, confidence: float) -> dict[str, Any]:
@@ -80,7 +87,7 @@ def guarantee_rows(guarantees: Sequence[dict[str, Any]], checks: Sequence[dict[s
     ][:1]
     for data in guarantees:
         numbers = [f"{data[key]} {key}" for key in ("transitions", "runs") if key in data]
-        samples = " and ".join(numbers)
+        samples = " and ".join(numbers) + ("; looser, see below" if data.get("looser") else "")
         rows.append({
             "guaranteed_by": f"{data['source']}, {samples}",
             "P_at_least": floor_text(data["lower"]) if "refused" not in data else "refused",

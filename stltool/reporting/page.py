@@ -24,7 +24,7 @@ from stltool.numbers import bound_texts, probability_text
 from stltool.product import Product
 from stltool.randomness import require_seed
 from stltool.reporting.data import FORMAT, SWEEP_FORMAT, report_data
-from stltool.reporting.guarantees import guarantee_rows
+from stltool.reporting.guarantees import guarantee_rows, looser_note
 from stltool.reporting.runs import trace_text, verdict_text
 
 
@@ -124,7 +124,9 @@ def render(data: dict[str, Any]) -> str:
         data=data,
         why=why,
         guarantees=guarantee_rows(found, data["checks"]) if found else [],
+        looser=looser_note(found or []),
         curve=curve_picture(data),
+        gaps=gap_picture(data),
         floor=run_picture(data),
         likely_floor=likely_picture(data),
         bound_texts=bound_texts,
@@ -141,6 +143,14 @@ def curve_picture(data: dict[str, Any]) -> str | None:
         return None
     maximum = next((check for check in data["checks"] if check["question"] == "maximum"), None)
     return learning_curve(data["training"]["history"], maximum and maximum["probability"])
+
+
+def gap_picture(data: dict[str, Any]) -> str | None:
+    """The certified gap over environment steps, if it was asked for."""
+    from stltool.reporting.figures import gap_curve
+
+    gap = data["training"] and data["training"].get("gap")
+    return gap_curve(data["training"]["history"], gap["without_data"]) if gap else None
 
 
 def run_picture(data: dict[str, Any]) -> str | None:

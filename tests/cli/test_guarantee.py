@@ -1,6 +1,7 @@
 """`stltool run` tells what is guaranteed from data beside the exact value; reports show it."""
 
 import html
+import importlib
 import json
 import re
 import sys
@@ -104,6 +105,29 @@ def test_a_tie_that_the_data_contradict_is_refused(run, monkeypatch):
     assert "warning: the data contradict the assumption that the same success holds in every row" in err
     assert re.search(r"learning data, \d+ transitions  refused +99 % +one parameter for all rows", text)
     assert "best of both" not in text
+
+
+def test_a_bound_that_is_looser_says_so(run, monkeypatch, tmp_path):
+    """Where a polynomial takes too long; on the terminal, in the data and on the page."""
+    monkeypatch.setattr(importlib.import_module("stltool.learning.guarantee"), "_MOST_WORK", 1.0)
+    code, text, _ = run("--rollouts", "100", "--until-gap", "0.5")
+    assert code == 0
+    data = load_report(tmp_path / "out" / "report.json")
+    looser = [row.get("looser") for row in data["guarantees"]]
+    assert looser[:2] == [None, None]
+    assert looser[3] is None
+    assert looser[2] == looser[4]
+    assert looser[2].startswith("bounded row by row, as if each row had a value of success of its own, since its poly")
+    assert looser[2] in data["guarantees"][2]["statement"]
+    transitions = data["training"]["environment_steps"]
+    assert f"learning data, {transitions} transitions; looser, see below" in text
+    assert re.search(r"^looser +bounded row by row.*more than 1$", text, flags=re.MULTILINE)
+    of_gap = data["training"]["gap"]["looser"]
+    assert of_gap.startswith("bounded row by row, as if each row had a value of success of its own")
+    assert text.count("bounded row by row") == 2  # of the gap, and below the table, there once
+    page = html.unescape((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
+    assert f"Looser than what it assumes allows: {looser[2]}." in page
+    assert f"{of_gap}.</p>" in page[page.index("<b>Certified</b>") :]
 
 
 @pytest.mark.parametrize(

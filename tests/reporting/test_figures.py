@@ -7,10 +7,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.numbers import probability_text
+from stltool.numbers import ceiling_text, probability_text
 from stltool.reporting import monitor_data
 from stltool.reporting.drawing import COLOURS
-from stltool.reporting.figures import learning_curve, learning_curves, line_chart, pareto_front
+from stltool.reporting.figures import gap_curve, learning_curve, learning_curves, line_chart, pareto_front
 from stltool.reporting.monitor_figure import HOLDS, VIOLATED, monitored
 from tests.conftest import many
 from tests.reporting.svg import Picture, overlapping
@@ -39,7 +39,7 @@ def history(values, every=360):
 
 @given(st.lists(PROBABILITIES, min_size=2, max_size=70), st.none() | PROBABILITIES)
 @settings(max_examples=many(12))
-@example([0.2, 1 - 1e-9, 1.0], 1.0)
+@example([0.2, 1 - 1e-9, *[1.0] * 9], 1.0)
 @example([1.0, 1.0], None)
 def test_a_learning_curve_and_its_optimum(values, optimum):
     told = history(values)
@@ -67,6 +67,7 @@ def test_a_learning_curve_and_its_optimum(values, optimum):
         certain = panel.markers("certain")
         assert certain[:, 0] == pytest.approx(points(steps, values)[distances <= 0, 0], rel=1e-2)
         assert certain[:, 1] == pytest.approx(panel.ylim[0], rel=1e-2)
+        assert (certain[:, 0] < panel.xlim[1]).all()
         least = panel.levels("least-distance")
         assert least == ([] if optimum in (None, 1.0) else pytest.approx([1 - optimum], rel=1e-2))
 
@@ -89,6 +90,46 @@ def test_a_learning_curve_of_a_training(patrolling):
     [curve] = panel.shapes("curve")
     same(curve, [(p.steps, p.probability) for p in run.history], panel)
     assert panel.levels("optimum") == pytest.approx([best.probability], abs=1e-3)
+
+
+# ---------------------------------------------------------------------------------------------------------------- gaps
+
+
+@given(st.lists(st.sampled_from([0.0, 1e-16, 1e-6, 1.0]) | st.floats(0, 1), min_size=2, max_size=70), PROBABILITIES)
+@settings(max_examples=many(12))
+@example([0.5, 1e-3, 0.0], 0.14)
+@example([0.0, 0.0], 0.0)
+def test_a_gap_over_steps_and_without_data(values, without_data):
+    values = [value if value > 1e-20 else 0.0 for value in values]
+    found = [{**point, "gap": gap} for point, gap in zip(history(values), values, strict=True)]
+    steps = [point["steps"] for point in found]
+    picture = Picture(gap_curve(found, without_data))
+    panel, kept = picture.panel, np.array(values) > 0
+    marked, drawn = panel.markers("gap"), points(steps, values)
+    assert marked[:, 0] == pytest.approx(drawn[kept, 0], rel=1e-2)
+    assert marked[:, 1] == pytest.approx(drawn[kept, 1], rel=2e-2)
+    closed = panel.markers("closed")
+    assert closed[:, 0] == pytest.approx(drawn[~kept, 0], rel=1e-2)
+    assert closed[:, 1] == pytest.approx(panel.ylim[0], rel=2e-2)
+    assert panel.xlim == pytest.approx((0, 1.05 * max(steps)), rel=1e-2)
+    assert panel.levels("without-data") == ([] if not without_data else pytest.approx([without_data], rel=2e-2))
+    legend = [text.text for text in picture.texts("legend")]
+    assert (f"without data: {ceiling_text(without_data)}" in legend) == (without_data > 0)
+
+
+def test_the_gaps_of_a_training(patrolling):
+    from stltool.reporting import render, report_data
+
+    run = stl.learn(patrolling, "model-based", episodes=500, until_gap=0.01, seed=0)
+    data = report_data([stl.check(patrolling), stl.check(patrolling, run.policy)], run)
+    page = render(data)
+    pictures = [Picture(f"<svg{text[: text.index('</svg>')]}</svg>") for text in page.split("<svg")[1:]]
+    (panel,) = [panel for picture in pictures for panel in picture.panels if "gap" in panel.names()]
+    positive = np.array([(p.steps, p.gap) for p in run.history if p.gap > 0])
+    assert panel.markers("gap") == pytest.approx(positive, rel=2e-2)
+    assert panel.levels("without-data") == pytest.approx([run.gap.without_data], rel=2e-2)
+    del data["training"]["gap"]
+    assert 'class="without-data"' not in render(data)
 
 
 # -------------------------------------------------------------------------------------------------------------- fronts
