@@ -12,13 +12,18 @@ from stltool.arguments import one_of, require, whole
 from stltool.errors import SettingsError
 from stltool.models import MDP
 from stltool.models.gymnasium import require_gymnasium
-from stltool.product import Product
+from stltool.product import JointProduct, Product
 
 if TYPE_CHECKING:
     from stltool.envs.model import MDPEnv
     from stltool.envs.product import ProductEnv
 
 __all__ = ["to_gymnasium"]
+
+_ONE_TASK = (
+    "an episode has the reward of one task: take that of one, joint.tasks[0], or build a product with all at once, "
+    "stl.build_product(model, first & second)"
+)
 
 
 @overload
@@ -40,7 +45,8 @@ def to_gymnasium(
 ) -> Any:
     """A model or a product as a `gymnasium.Env`; its actions are Discrete(A), numbered as in the model.
 
-    Of a model, observations are Discrete(S), rewards are 0, and episodes do not end by themselves. Of a product:
+    Of a model, observations are Discrete(S) (the cells, if states are cells), rewards are 0, and episodes do not end by
+    themselves. Of a product, which is of one task:
 
     observation      Dict: `state` Discrete(S), or if states are cells, `observation`, the environment's own array;
                      `memory` Discrete(Q), the automaton state; `to_go` Discrete(h + 1), steps until the horizon. An
@@ -56,7 +62,8 @@ def to_gymnasium(
     unchanged, which is a move that the model does not have. Black boxes work, too; a model with intervals raises
     SettingsError.
     """
-    require(model, (MDP, Product), "to_gymnasium's model")
+    joint = isinstance(model, JointProduct)
+    require(model, (MDP, Product), "to_gymnasium's model", _ONE_TASK if joint else None)
     one_of(unavailable, "unavailable", ("error", "stay"))
     one_of(reward, "reward", ("exact", "surrogate"))
     counterfactuals = whole(counterfactuals, "counterfactuals", 0)

@@ -189,3 +189,15 @@ def test_what_does_not_fit_is_refused():
     other = random_product(np.random.default_rng(7))
     with pytest.raises(PolicyError):
         stl.parametric(product, random_policy(other, rng, False))
+
+
+def test_several_parameters_are_refused_and_the_others_can_be_fixed():
+    rows = [[["1-p", "p", 0], ["1-q", 0, "q"], [0, 0, 1]]]
+    model = stl.MDP.from_arrays(rows, {}, labels={"A": [0, 0, 1]}, parameters={"p": (0, 1), "q": (0, 1)})
+    phi = stl.parse("F[0,3] A")
+    with pytest.raises(SettingsError, match="one parameter, the model has p and q; fix the others with from_family"):
+        stl.parametric(stl.build_product(model, phi))
+    fixed = stl.MDP.from_family(lambda p: model.at(p=p, q="1/2"), {"p": (0, 1)})
+    lower, upper = stl.parametric(stl.build_product(fixed, phi)).at("3/4")
+    exact = stl.check(stl.build_product(model.at(p="3/4", q="1/2"), phi)).probability
+    assert lower <= exact <= upper

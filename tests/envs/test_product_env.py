@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.automata import UNDECIDED
-from stltool.errors import ModelError, SettingsError
+from stltool.errors import ArgumentError, ModelError, SettingsError
 from tests import oracles
 from tests.checking.test_black_box import hidden
 from tests.conftest import many
@@ -222,6 +222,23 @@ def test_the_surrogate_reward_counts_true_steps(floor5):
         stl.to_gymnasium(product, reward="paper")
     with pytest.raises(SettingsError, match="give a product of model and task"):
         stl.to_gymnasium(floor5, counterfactuals=3)
+
+
+def test_several_tasks_are_refused_and_cells_are_not(floor5):
+    first, second = stl.parse("F[0,2] A"), stl.parse("F[0,3] G[0,1] A")
+    joint = stl.build_joint_product(floor5, {"first": first, "second": second})
+    with pytest.raises(ArgumentError, match=r"take that of one, joint\.tasks\[0\], or build a product with all"):
+        stl.to_gymnasium(joint)
+    for way_out in (joint.tasks[0], stl.build_product(floor5, first & second)):
+        observation, _ = stl.to_gymnasium(way_out).reset(seed=0)
+        assert int(observation["to_go"]) == way_out.horizon
+    cells = stl.from_gymnasium(gymnasium.make("CartPole-v1"), signals={"angle": 2}, cells={"angle": [-0.05, 0, 0.05]})
+    env = stl.to_gymnasium(cells)
+    observation, info = env.reset(seed=0)
+    assert info["state"] == cells.state_name(int(observation))
+    assert env.observation_space.contains(observation)
+    real = stl.to_gymnasium(stl.build_product(cells, stl.parse("G[0,5] angle < 0.1")))
+    assert real.reset(seed=0)[0]["observation"].shape == (4,)
 
 
 def test_black_boxes_and_actions_that_are_not_there(floor5):
