@@ -356,6 +356,8 @@ class GapRecord(TypedDict):
     transitions: int
     assumes: str
     statement: str
+    looser: str | None
+    refused: str | None
     parameters: list[ParameterRecord]
 
 
@@ -423,7 +425,8 @@ class GuaranteeRecord(TypedDict):
     choices: NotRequired[int]
     never_tried: NotRequired[int]
     parameters: NotRequired[list[ParameterRecord]]
-    evidence_against_tie: NotRequired[float]
+    evidence_against_tie: NotRequired[float | None]
+    looser: NotRequired[str | None]
     runs: NotRequired[int]
     satisfied: NotRequired[int]
     seed: NotRequired[int | None]
