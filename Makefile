@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo robot test soak fuzz lint bench claims format clean
+.PHONY: demo robot test soak fuzz lint bench claims docs format clean
 
 demo: .venv/installed
 	$(BIN)/stltool run examples/factory/patrolling.stl --method cfer --episodes 1000 --seed 0 --out out/patrolling
@@ -38,6 +38,12 @@ bench: .venv/installed-dev
 CLASS ?= quick
 claims: .venv/installed-dev
 	$(BIN)/python docs/claims.py --class $(CLASS) $(if $(ONLY),--only $(ONLY)) $(if $(UPDATE),--update) $(if $(LIST),--list)
+
+# the documentation site: open out/docs/site/index.html in a browser
+docs: .venv/installed-dev
+	rm -rf out/docs
+	$(BIN)/python docs/generated.py --site out/docs
+	$(BIN)/zensical build --strict --config-file out/docs/zensical.yml
 
 # ten minutes; FUZZ=-max_total_time=60 for another time, and libFuzzer's other options
 FUZZ ?= -max_total_time=600

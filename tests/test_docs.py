@@ -5,12 +5,14 @@ import runpy
 import shlex
 import shutil
 import sys
+from pathlib import Path
 
 import pytest
 
 from stltool import cli
 from tests.conftest import ROOT
 
+PROSE = {"architecture", "comparison", "index", "references", "semantics", "supported"}
 PAGES = sorted((ROOT / "docs").glob("*.md"))
 
 
@@ -28,7 +30,23 @@ def folder(tmp_path, monkeypatch):
 
 def test_there_are_pages_with_commands():
     assert {page.stem for page in PAGES} >= {"certificates", "reproduction"}
-    assert {page.stem for page in PAGES if not blocks(page, "console")} <= {"references", "semantics"}  # prose
+    assert {page.stem for page in PAGES if not blocks(page, "console")} <= PROSE
+
+
+def saved(page):
+    """The files that a page tells its reader to save, by name."""
+    found = re.findall(
+        r"Save this as `([^`]+)`:\n\n```\w*\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL
+    )
+    for name, content in found:
+        Path(name).write_text(content, encoding="utf-8")
+    return dict(found)
+
+
+def test_the_tutorial_s_files_are_those_of_the_example(folder):
+    for name, text in saved(ROOT / "docs" / "tutorial.md").items():
+        example = (ROOT / "examples" / "ward" / name).read_text(encoding="utf-8")
+        assert example.endswith(text), name
 
 
 def comparable(text):
@@ -38,6 +56,7 @@ def comparable(text):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_commands_print_what_the_page_shows(page, folder, capsys, monkeypatch):
+    saved(page)
     for block in blocks(page, "console"):
         for command, shown in re.findall(r"^\$ (stltool .*)\n((?:(?!\$ ).*\n)*)", block, flags=re.MULTILINE):
             monkeypatch.setattr(sys, "argv", shlex.split(command))
@@ -48,6 +67,7 @@ def test_commands_print_what_the_page_shows(page, folder, capsys, monkeypatch):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_programs_run(page, folder):
+    saved(page)
     for code in blocks(page, "python"):
         (folder / "program.py").write_text(code, encoding="utf-8")
         runpy.run_path("program.py", run_name="__main__")

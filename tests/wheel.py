@@ -7,13 +7,17 @@ programs; and what needs an extra says so. A row that names something new fails 
 
 from __future__ import annotations
 
+import email
 import re
 import shlex
 import shutil
 import subprocess
 import sys
 import tempfile
+import zipfile
 from pathlib import Path
+
+from readme_renderer import markdown
 
 ROOT = Path(__file__).resolve().parent.parent
 MOST_MEGABYTES = 800
@@ -73,12 +77,15 @@ def main() -> None:
         work = Path(temporary)
         run = [sys.executable, "-m", "build", "--wheel", "--outdir", work / "dist", ROOT]
         subprocess.run(run, check=True, stdout=subprocess.DEVNULL)
+        (wheel,) = (work / "dist").glob("*.whl")
+        description = shown_on_an_index(wheel)
+        print(f"wheel: README as a package index shows it has {len(description)} characters of HTML")
         subprocess.run([sys.executable, "-m", "venv", work / "fresh"], check=True)
         scripts = work / "fresh" / ("Scripts" if sys.platform == "win32" else "bin")
         python = scripts / "python"
         pip = [python, "-m", "pip", "--disable-pip-version-check", "--quiet"]
         before = megabytes(work / "fresh")
-        subprocess.run([*pip, "install", *(work / "dist").glob("*.whl")], check=True)
+        subprocess.run([*pip, "install", wheel], check=True)
         size = megabytes(work / "fresh") - before
         print(f"wheel: {size:.0f} MB installed")
         assert size <= MOST_MEGABYTES, f"a plain install takes {size:.0f} MB, over {MOST_MEGABYTES}"
@@ -99,6 +106,20 @@ def main() -> None:
         for code in [*re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL), "import stltool.testing"]:
             subprocess.run([python, "-c", code], cwd=folder, check=True, stdout=subprocess.DEVNULL)
     print(f"wheel: {len(used)} commands of README and its programs work from another folder, without extras")
+
+
+def shown_on_an_index(wheel: Path) -> str:
+    """README as an index renders it, which has no other file: nothing in it may lead to one."""
+    with zipfile.ZipFile(wheel) as archive:
+        name = next(one for one in archive.namelist() if one.endswith(".dist-info/METADATA"))
+        text = email.message_from_bytes(archive.read(name)).get_payload(decode=True).decode("utf-8")
+    html = markdown.render(text)
+    assert html, "README cannot be rendered"
+    led = re.findall(r'(?:href|src)="([^"]*)"', html)
+    nowhere = [one for one in led if not one.startswith(("https://", "http://", "#"))]
+    assert led, "README has no links left"
+    assert not nowhere, f"README on a package index leads to files that are not there: {nowhere}"
+    return html
 
 
 def call(scripts: Path, folder: Path, command: str, code: int = 0, says: str = "") -> None:

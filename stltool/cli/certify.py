@@ -85,5 +85,5 @@ def certify(
 def _compared(task: Path | None, policy: Path | None, nominal: bool) -> str:
     if task is None:
         return "with nothing: model and automaton are those in the file; give TASK to compare them with yours"
-    same = f"with {task}: the same task, model and automaton{' and policy' if policy else ''}"
+    same = f"with {task}: the same task, {'model, automaton and policy' if policy else 'model and automaton'}"
     return same + (" with its nominal probabilities; nothing is proved about its intervals" if nominal else "")
