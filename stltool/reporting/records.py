@@ -742,7 +742,7 @@ class MonitorRecord(TraceRecord):
 
 
 class SurrogateRecord(TypedDict):
-    """P of the policies that are optimal for one reading of the paper's surrogate reward."""
+    """P of the policies that are optimal for one reading of the surrogate reward [Wang24]."""
 
     reading: str
     gamma: float | None
