@@ -23,6 +23,7 @@ class Episode:
 
     number    counted from 0
     length    the maximum number of steps; `over` when they are done
+    batch     the numbers of the episodes that are played side by side with it, its own among them; None: it is alone
     rng       the source of the learner's random numbers
     t, s, q   the current step, model state, and automaton state after reading it
     verdict   whether the task is satisfied; None until the run is decided. Further steps may still be taken, to explore
@@ -30,7 +31,7 @@ class Episode:
 
     __slots__ = (
         "_actions", "_before", "_counts", "_delta", "_first_choice", "_letter", "_n_choices", "_problem", "_states",
-        "environment", "length", "number", "q", "rng", "s", "t", "verdict",
+        "batch", "environment", "length", "number", "q", "rng", "s", "t", "verdict",
     )  # fmt: skip
 
     def __init__(
@@ -41,11 +42,12 @@ class Episode:
         rng: np.random.Generator,
         number: int,
         length: int,
+        batch: range | None = None,
     ) -> None:
         self._problem, self._counts = problem, counts
         self._letter, self._n_choices, self._first_choice = problem.lists
         self._delta = problem.automaton.delta
-        self.environment, self.rng, self.number, self.length = environment, rng, number, length
+        self.environment, self.rng, self.number, self.length, self.batch = environment, rng, number, length, batch
         self.t, self.s = 0, require_state(environment.reset(), "reset()", problem.n_states, "the model")
         self.q = int(self._delta[self._letter[self.s], problem.automaton.initial])
         self.verdict: bool | None = None

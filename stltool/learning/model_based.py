@@ -10,6 +10,10 @@ meantime, or says nothing, another untried choice of that state will do, which p
 the rest of the episode is planned again. Small products are planned wherever a run could be; large ones where runs can
 be by the transitions seen.
 
+Side by side, where a black box takes many runs at once, episodes act on what was counted when their batch began: up to
+16 models are drawn, and episodes with the same one share its plans, whatever has been tried in the meantime. So a batch
+costs about as many plans as 16 episodes, and hopes are the same as alone, at most a batch later.
+
 The policy that is judged trusts counts with caution: of n(s,a) visits, successor s' has the share n(s,a,s') / (n + κ),
 and the rest fails. So a choice seen once is not preferred to one that has proved itself many times. It is the best
 policy by these data.
@@ -17,6 +21,7 @@ policy by these data.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -41,6 +46,7 @@ from stltool.models.rows import Chances, Rows, starts
 from stltool.sizes import memory_limit, unsigned_type
 
 _SMALL = 300_000  # situations (t, s, q): with more, only those that can be reached are planned for
+_BELIEFS = 16  # different ones, of the episodes of a batch
 _LEAST = 1e-300  # drawn frequencies are positive, so that every successor that was seen stays one
 
 
@@ -49,8 +55,6 @@ class ModelBased(Learner["Planner"]):
     """Acts on hopeful plans over models drawn from the counted transitions; a cautious plan gives the judged policy."""
 
     name: ClassVar[str] = "model-based"
-    side_by_side: ClassVar[bool] = False  # it acts on one plan at a time
-
     optimism: float = setting(0.3, "b in the share of hope b / (n + b) of a choice seen n times", above=0)
     caution: float = setting(0.1, "κ in the judged policy's weight n / (n + κ) for a choice seen n times", least=0)
 
@@ -59,22 +63,28 @@ class ModelBased(Learner["Planner"]):
 
     def episode(self, state: Planner, episode: Episode) -> None:
         chances = episode.rng.random((episode.length, 2))[:, 1].tolist()
-        belief, visits = Belief(state, self.optimism, int(episode.rng.integers(2**62))), state.counts.visits
+        drawn, visits = Belief(state, self.optimism, int(episode.rng.integers(2**62))), state.counts.visits
+        planner, belief, tried = state, drawn.rows, visits
+        if episode.batch is not None:
+            planner, shared = state.beside(episode.batch, episode.number, drawn, visits)
+            belief, visits, tried = shared.rows, shared.visits, visits.copy()
         if episode.verdict is None:
             state.starts[episode.s] += 1
-            state.follow(belief.rows(visits), episode.t, episode.s, episode.q, visits)
+            planner.follow(belief(visits), episode.t, episode.s, episode.q, visits)
         while not episode.over and episode.verdict is not True:
             t, s, q = episode.t, episode.s, episode.q
             first, after = state.problem.first_choice[s : s + 2].tolist()
             if episode.verdict is False:
-                a = rarest(visits[first:after], chances[t])
+                a = rarest(tried[first:after], chances[t])
             else:
-                a = state.action(t, s, q, visits)
+                a = planner.action(t, s, q, visits)
                 if a < 0:
-                    state.follow(belief.rows(visits), t, s, q, visits)
-                    a = state.action(t, s, q, visits)
+                    planner.follow(belief(visits), t, s, q, visits)
+                    a = planner.action(t, s, q, visits)
+                if episode.batch is not None and not visits[first + a]:  # others promise as much: not all take the same
+                    a = rarest(tried[first:after], chances[t])
             episode.step(a)
-            visits[first + a] += 1
+            tried[first + a] += 1
 
     def policy(self, state: Planner) -> Form:
         return state.judged(self.caution)
@@ -103,6 +113,21 @@ class Belief:
         return self.planner.rows(np.maximum(drawn, _LEAST), hopes)
 
 
+class Shared:
+    """A belief of several episodes, by what had been counted when their batch began, and the plans made for it.
+
+    visits   (choices,) as they were then;  plans   by where they begin: step, state and memory
+    """
+
+    def __init__(self, belief: Belief, visits: NDArray[np.int64]) -> None:
+        self.visits, self.plans = visits, dict[tuple[int, int, int], Choices]()
+        self._rows = belief.rows(visits)
+
+    def rows(self, visits: NDArray[np.int64]) -> Rows:
+        """As in `Belief`, whatever was tried in the meantime."""
+        return self._rows
+
+
 class Planner:
     """Plans over the transitions counted so far; `plan` is the one that is acted on, its steps counted from `since`.
 
@@ -118,6 +143,8 @@ class Planner:
         self.starts = np.zeros(problem.n_states, dtype=np.int64)
         self.plan, self.since = Choices(problem.shape[1:], problem.automaton.horizon, [], problem.choice_type), 0
         self._tried = np.zeros(counts.n_choices, dtype=np.bool_)
+        self._known: dict[tuple[int, int, int], Choices] | None = None  # plans already made, of a batch's episode
+        self._batch, self._beliefs = range(0), dict[int, Shared]()
         # one more state, outside, where hopes and doubts lead: what that is worth is the plan's to say
         outside = [Single(problem.automaton.with_outcome(verdict)) for verdict in (FALSE, TRUE)]
         letter = np.append(problem.letter, np.int32(problem.automaton.n_letters))
@@ -127,6 +154,17 @@ class Planner:
         fits = float(np.prod([float(n) for n in problem.shape])) <= small
         self._anywhere = Anywhere(outside[0], problem.letter, self._choices) if fits else None
         self._kind, self._limit = kind, memory_limit(None)  # which takes longer to find out than some plans
+
+    def beside(self, batch: range, number: int, belief: Belief, visits: NDArray[np.int64]) -> tuple[Planner, Shared]:
+        """For an episode of a batch: a planner with a plan of its own, and its belief, which others may share."""
+        if self._batch != batch:
+            self._batch, self._beliefs = batch, {}
+        group = (number - batch.start) % _BELIEFS
+        if group not in self._beliefs:
+            self._beliefs[group] = Shared(belief, visits)
+        lane = copy.copy(self)
+        lane._known = self._beliefs[group].plans
+        return lane, self._beliefs[group]
 
     def action(self, t: int, s: int, q: int, visits: NDArray[np.int64]) -> int:
         """What to do by the plan; −1 if it does not say, or hoped for what has been tried in the meantime.
@@ -144,8 +182,12 @@ class Planner:
 
     def follow(self, rows: Rows, t: int, s: int, q: int, visits: NDArray[np.int64]) -> None:
         """Make the optimistic plan over these rows from there, and act on it."""
-        start = From(self._automata[True], t, q)
-        self.plan, self.since, self._tried = self.induct(rows, True, start, np.array([s])), t, visits > 0
+        plan = self._known.get((t, s, q)) if self._known is not None else None
+        if plan is None:
+            plan = self.induct(rows, True, From(self._automata[True], t, q), np.array([s]))
+            if self._known is not None:
+                self._known[t, s, q] = plan
+        self.plan, self.since, self._tried = plan, t, visits > 0
 
     def judged(self, caution: float) -> Choices:
         """The best policy by the counts, from the states where episodes started."""

@@ -123,10 +123,12 @@ class Trainer:
         n = min(runs.batch, MOST, self.budget.episodes - number)
         if self.budget.most_steps is not None:
             n = max(1, min(n, (self.budget.most_steps - progress.steps) // max(self.length, 1)))
-        return play(runs, self._begin, partial(self.learner.episode, self.state), range(number, number + n))
+        batch = range(number, number + n)
+        begin = partial(self._begin, batch=batch if n > 1 else None)
+        return play(runs, begin, partial(self.learner.episode, self.state), batch)
 
-    def _begin(self, environment: Environment, number: int) -> Episode:
-        return Episode(self.problem, environment, self.counts, self.rng, number, self.length)
+    def _begin(self, environment: Environment, number: int, batch: range | None = None) -> Episode:
+        return Episode(self.problem, environment, self.counts, self.rng, number, self.length, batch)
 
     def ends(self, progress: Progress) -> bool:
         """Whether that was the last episode."""

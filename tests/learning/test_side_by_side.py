@@ -8,8 +8,10 @@ import pytest
 
 import stltool as stl
 from stltool.errors import ModelError, SettingsError
+from stltool.learning.model_based import Planner
 from tests.checking.test_batched import OneByOne, SideBySide
 from tests.checking.test_black_box import hidden
+from tests.conftest import many
 
 LEARNERS = [stl.Cfer(replays=20), stl.Naive(), stl.NaiveER(), stl.ModelBased()]
 
@@ -76,7 +78,7 @@ def test_every_episode_is_the_one_it_would_be_alone(product, batch, monkeypatch)
     assert [p.episode for p in lanes.history] == {3: [6, 12, 15, 20], 8: [8, 16, 20], 20: [20]}[batch]
 
 
-@pytest.mark.parametrize("learner", LEARNERS[:3], ids=lambda learner: learner.name)
+@pytest.mark.parametrize("learner", LEARNERS, ids=lambda learner: learner.name)
 def test_side_by_side_is_learned_too(product, learner):
     found = [
         stl.learn(product, learner, episodes=150, seed=3, environment=SideBySide(product.model, 25)) for _ in range(2)
@@ -84,8 +86,61 @@ def test_side_by_side_is_learned_too(product, learner):
     assert found[0].history == found[1].history  # threads take turns: the same seed, the same result
     assert (found[0].policy.table == found[1].policy.table).all()
     best = stl.check(product).probability
-    if learner.name == "cfer":
+    if learner.name in ("cfer", "model-based"):
         assert found[0].history[-1].probability > 0.9 * best
+
+
+GOOD, BAD = 0.9, 0.5
+
+
+@pytest.mark.parametrize("batch", [7, 30])
+@pytest.mark.parametrize("seed", range(many(3)))
+def test_model_based_recovers_from_an_unlucky_beginning_in_batches(batch, seed):
+    """The first action is better, but fails four times, while the second one succeeds four times."""
+    rows = [[[0, p, 1 - p], [0, 1, 0], [0, 0, 1]] for p in (GOOD, BAD)]
+    product = stl.build_product(stl.MDP.from_arrays(rows, {}, labels={"good": [0, 1, 0]}), stl.parse("F[0,1] good"))
+    rng, tries, last = np.random.default_rng(seed), [0, 0], []
+
+    class Unlucky:
+        def reset(self, n):
+            return np.zeros(n, dtype=int)
+
+        def step(self, actions):
+            found = np.empty(len(actions), dtype=int)
+            for i, a in enumerate(actions.tolist()):
+                lucky = a == 1 if tries[a] < 4 else rng.random() < (GOOD, BAD)[a]
+                tries[a] += 1
+                found[i] = 1 if lucky else 2
+            last.append(actions.mean())
+            return found
+
+    Unlucky.batch = batch
+    run = stl.learn(product, "model-based", episodes=1200, evaluate_every=1200, seed=seed,
+                    environment=Unlucky())  # fmt: skip
+    assert run.history[-1].probability == pytest.approx(GOOD)
+    assert np.mean(last[-200 // batch :]) < 0.2
+
+
+def test_model_based_explores_deeply_in_batches():
+    """A corridor of 12 cells: only the way right, to the end, satisfies the task; left leads back at once."""
+    n = 12
+    rows = np.zeros((3, n, n))
+    rows[0, :, 0] = rows[1, np.arange(n), np.minimum(np.arange(n) + 1, n - 1)] = 1
+    rows[2] = np.eye(n)
+    model = stl.MDP.from_arrays(rows, {}, labels={"end": np.arange(n) == n - 1})
+    product = stl.build_product(model, stl.parse("F[0,15] end"))
+    run = stl.learn(product, "model-based", episodes=160, evaluate_every=160, environment=SideBySide(model, 16))
+    assert run.history[-1].probability == 1.0
+
+
+def test_a_batch_takes_as_many_plans_as_models_are_drawn(product, monkeypatch):
+    made, induct = [], Planner.induct
+    monkeypatch.setattr(Planner, "induct", lambda self, *rest: made.append(rest[1]) or induct(self, *rest))
+    stl.learn(product, "model-based", episodes=96, evaluate_every=96, environment=SideBySide(product.model, 48))
+    assert made.count(True) == 2 * 16  # optimistic ones, of two batches
+    made.clear()
+    stl.learn(product, "model-based", episodes=96, evaluate_every=96, environment=OneByOne(product.model))
+    assert made.count(True) >= 96
 
 
 def test_budgets_hold(product):
