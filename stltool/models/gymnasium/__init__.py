@@ -28,7 +28,7 @@ from stltool.arguments import require as require_kind
 from stltool.display import StateNames
 from stltool.errors import ModelError, SettingsError
 from stltool.extras import require
-from stltool.models.environment import Environment
+from stltool.models.environment import BlackBox, Environment
 from stltool.models.gymnasium.episodes import Episodes, Shared
 from stltool.models.gymnasium.spaces import (
     LabelGiven,
@@ -90,7 +90,8 @@ def from_gymnasium(
     these (stltool/models/sensing.py), not from cells. A label may also be the text "info.KEY", the truth of what `info`
     has under that key, or `stltool.models.gymnasium.cells.OfStep`, a function of the step.
 
-    A black box shares `env`: one run at a time. Raises ModelError, naming the space or the row, if
+    A vector environment (`gymnasium.make_vec`) is a black box that takes as many runs at once as it has environments.
+    A black box shares `env`: one run at a time, or one batch. Raises ModelError, naming the space or the row, if
     environment, labels or signals do not fit, if `table=True` and there is no table, or if the environment deviates
     from its table: it is reset and stepped up to 2000 times to check this.
     """
@@ -106,13 +107,23 @@ def from_gymnasium(
         action_names = texts(action_names, "from_gymnasium's action_names")
     title = env_name(env)
     from stltool.models.gymnasium.cells import of_step  # gymnasium is slow to load
+    from stltool.models.gymnasium.vector import Single, Vectors, is_vector
 
+    vector = is_vector(env)
+    if vector and (cells is not None or any(map(of_step, labels.values()))):
+        raise SettingsError(
+            f"{title} is a vector environment, whose runs are read by their observations alone; give one of its "
+            "environments for cells and labels of steps"
+        )
+    if vector and table is True:
+        raise ModelError(f"{title} is a vector environment, which has no table; give one of its environments")
     if cells is not None or any(map(of_step, labels.values())):
         return _sensed(env, labels, signals, table, name or title, action_names, cells, n_cells)
     if n_cells is not None:
         raise SettingsError("n_cells is the number of cells of a function; give cells, too, or leave it out")
-    observations = Observations.of(env)
-    first_action, n_actions = actions_of(env, title)
+    one: Any = Single(env) if vector else env
+    observations = Observations.of(one)
+    first_action, n_actions = actions_of(one, title)
     apart = ends == "apart"
     size = observations.n_states * (2 if apart else 1)
     columns = len(labels) + len(signals)
@@ -130,7 +141,7 @@ def from_gymnasium(
     }
     if len(action_names) != n_actions:
         raise ModelError(f"{title}: {len(action_names)} action names for {n_actions} actions")
-    missing = without_table(env, title, observations, first_action, n_actions)
+    missing = without_table(env, title, observations, first_action, n_actions) if not vector else "several at once"
     if table is True and missing:
         raise ModelError(f"{missing}; use table=False (learn and estimate do not need a table)")
     if table is not False and not missing:
@@ -141,7 +152,9 @@ def from_gymnasium(
         env, title, observations.space, observations.index, text, observations.n_states, first_action, apart
     )
 
-    def episodes(rng: np.random.Generator, steps: int | None) -> Environment:
+    def episodes(rng: np.random.Generator, steps: int | None) -> BlackBox:
+        if vector:
+            return Vectors(shared, observations, rng, steps)
         adapter = Episodes(shared, rng, steps)
         return Environment(adapter.reset, adapter.step, rng)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from stltool.errors import ModelError
 
-_SEEDS = 2**31  # every environment accepts seeds below this
+SEEDS = 2**31  # every environment accepts seeds below this
 
 
 @dataclass(eq=False)
@@ -31,9 +31,21 @@ class Shared:
     size: int
     first_action: int
     apart: bool
-    running: Episodes | None = None
+    running: object | None = None
     before: set[int] = field(default_factory=set)
     at_end: set[int] = field(default_factory=set)
+
+    def note(self, goes_on: set[int], ends: set[int]) -> None:
+        """Note states from which runs continue, and in which they end; ModelError if one is both, as then observations
+        form no MDP."""
+        self.before |= goes_on
+        self.at_end |= ends
+        both = (goes_on & self.at_end) | (ends & self.before)
+        if both and not self.apart:
+            raise ModelError(
+                f"{self.title}: the observation {self.name(min(both))} occurred both during an episode and at its end, "
+                "so observations are not states of an MDP; use ends='apart' (in a model file: ends = \"apart\")"
+            )
 
 
 class Episodes:
@@ -52,13 +64,13 @@ class Episodes:
             raise self._too_short(longest)
 
     def reset(self) -> int:
-        answer = self._call("reset(seed=…)", self._env.reset, seed=int(self._rng.integers(_SEEDS)))
+        answer = self._call("reset(seed=…)", self._env.reset, seed=int(self._rng.integers(SEEDS)))
         if not (isinstance(answer, tuple) and len(answer) == 2):
             raise old_api(self._title, "reset(seed=…)", answer, "(observation, info)")
         self._shared.running = self
         self._t, self._terminated, self._truncated = 0, False, False
         self._state = self._read(answer, "reset(seed=…)", None)
-        self._note(self._state, self._shared.before, self._shared.at_end)
+        self._shared.note({self._state}, set())
         return self._state
 
     def step(self, action: int) -> int:
@@ -86,9 +98,9 @@ class Episodes:
         if self._terminated and self._shared.apart:
             self._state += self._shared.size
         elif self._terminated:
-            self._note(self._state, self._shared.at_end, self._shared.before)
+            self._shared.note(set(), {self._state})
         else:
-            self._note(self._state, self._shared.before, self._shared.at_end)
+            self._shared.note({self._state}, set())
         return self._state
 
     def _call(self, call: str, method: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
@@ -111,22 +123,18 @@ class Episodes:
             f"its space {self._shared.space}; correct the environment or its observation_space"
         )
 
-    def _note(self, s: int, one: set[int], other: set[int]) -> None:
-        """Note a state from which runs continue, or in which they end; if it is both, the observations form no MDP."""
-        if s in other:
-            raise ModelError(
-                f"{self._title}: the observation {self._shared.name(s)} occurred both during an episode and at its "
-                "end, so observations are not states of an MDP; use ends='apart' (in a model file: ends = \"apart\")"
-            )
-        one.add(s)
-
     def _too_short(self, length: int) -> ModelError:
-        needed, option = ("more", "…") if self._steps is None else (str(self._steps), str(self._steps))
-        return ModelError(
-            f"{self._title}: its episodes are cut off (truncated) after {length} steps, and the task needs "
-            f"{needed}; make it with gymnasium.make(…, max_episode_steps={option}), in a model file under [options], "
-            "or shorten the task's windows"
-        )
+        return too_short(self._title, length, self._steps)
+
+
+def too_short(title: str, length: int, steps: int | None) -> ModelError:
+    """For an environment whose episodes are cut off before the task is decided, after `steps` at the latest."""
+    needed, option = ("more", "…") if steps is None else (str(steps), str(steps))
+    return ModelError(
+        f"{title}: its episodes are cut off (truncated) after {length} steps, and the task needs {needed}; make it "
+        f"with gymnasium.make(…, max_episode_steps={option}), in a model file under [options], or shorten the task's "
+        "windows"
+    )
 
 
 def old_api(title: str, call: str, answer: object, needed: str) -> ModelError:
