@@ -2,24 +2,31 @@
 
 learning-curve, floor  from out/patrolling, which `make demo` writes
 sweep                  from out/table, which `.venv/bin/stltool sweep examples/paper/table.toml --out out/table` writes
-front, monitor         by themselves
+the others             by themselves
 
 tests/reporting/test_pictures.py and `make claims` draw them again and compare.
 """
 
 import argparse
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 import stltool as stl
 from stltool.files import write_atomically
 from stltool.reporting import front_data, load_report
-from stltool.reporting.figures import learning_curves, pareto_front
+from stltool.reporting.drawing import drawing, svg
+from stltool.reporting.figures import learning_curves, line_chart, pareto_front
+from stltool.reporting.floor import floor_map
 from stltool.reporting.monitor_figure import monitored
 from stltool.reporting.page import curve_picture, run_picture
 
 HERE = Path(__file__).parent
 EXAMPLES, OUT = HERE.parent / "examples", HERE.parent / "out"
+sys.path.insert(0, str(HERE.parent))  # the robot's example draws its own floor
 
 
 def curve() -> str:
@@ -36,10 +43,113 @@ def front() -> str | bytes:
     return pareto_front(front_data(stl.pareto(joint)), "svg")
 
 
-def monitor() -> str | bytes:
-    task = stl.load_task(EXAMPLES / "monitor" / "duty.stl")
-    trace = stl.load_trace(EXAMPLES / "monitor" / "shift.csv", ["battery", "x", "y", "docked"])
+def log(task_file: str, log_file: str) -> str | bytes:
+    task = stl.load_task(EXAMPLES / task_file)
+    names = (EXAMPLES / log_file).read_text(encoding="utf-8").partition("\n")[0].split(",")
+    trace = stl.load_trace(EXAMPLES / log_file, [name for name in names if name not in ("step", "note")])
     return monitored(stl.monitor(task, trace), trace, task, "svg")
+
+
+def monitor() -> str | bytes:
+    return log("monitor/duty.stl", "monitor/shift.csv")
+
+
+def drone() -> str | bytes:
+    return log("drone/rules.stl", "drone/flight.csv")
+
+
+def insulin() -> str | bytes:
+    return log("insulin/therapy.stl", "insulin/day.csv")
+
+
+def product_of(file: str, **params: int) -> stl.Product:
+    task = stl.load_task(EXAMPLES / file, params={name: str(value) for name, value in params.items()})
+    return stl.build_product(stl.load_model(task.model), task)
+
+
+def line(name: str, xs: Any, ys: Any) -> dict[str, Any]:
+    return {"name": name, "x": list(xs), "y": list(ys)}
+
+
+def chart(x: str, y: str, *lines: dict[str, Any]) -> str:
+    return line_chart({"lines": lines, "x": x, "y": y}, "chart")
+
+
+def ward() -> str:
+    """The most probable run of the best policy."""
+    product = product_of("ward/delivery.stl")
+    run = stl.likely_runs(product, satisfied=True, count=1).runs[0]
+    return str(floor_map(floor_of(product), run.states))
+
+
+def lift() -> str:
+    """The best policy, and one that goes to the nearest call."""
+    patience = range(3, 9)
+    products = [product_of("lift/service.stl", patience=k) for k in patience]
+
+    def nearest(here: Any) -> str:
+        called = [floor for floor in range(3) if f"call{floor}" in here.labels]
+        aim = min(called, key=lambda floor: abs(floor - here.signals["floor"]), default=here.signals["floor"])
+        return "open" if aim == here.signals["floor"] else "up" if aim > here.signals["floor"] else "down"
+
+    best = [stl.check(product).probability for product in products]
+    simple = [stl.check(product, stl.Policy.from_function(product, nearest)).probability for product in products]
+    return chart("patience, steps", "P", line("best", patience, best), line("nearest call first", patience, simple))
+
+
+def zeroconf() -> str:
+    """The best policy for the time there is, and those that ask a fixed number of times before they take an address."""
+    soon = range(3, 13)
+    products = [product_of("zeroconf/address.stl", soon=k) for k in soon]
+    lines = [line("best", soon, [1 - stl.check(product).probability for product in products])]
+    for times in (1, 2, 4):
+
+        def policy(here: Any, times: int = times) -> str:
+            return "take" if here.signals["asked"] == times else here.actions[-1]
+
+        found = [stl.check(product, stl.Policy.from_function(product, policy)).probability for product in products]
+        lines.append(line(f"asks {times} times" if times > 1 else "asks once", soon, [1 - p for p in found]))
+    return chart("steps", "1 − P", *lines)
+
+
+def battery() -> str:
+    """What the charge demanded at the end costs."""
+    text = (EXAMPLES / "battery" / "inspection.stl").read_text(encoding="utf-8")
+    model = stl.load_model(EXAMPLES / "battery" / "robot.tra")
+    charges = range(1, 15)
+    values = []
+    for charge in charges:
+        task = stl.parse_task(text.replace("charge >= 7", f"charge >= {charge}"))
+        values.append(stl.check(stl.build_product(model, task), keep_policy=False).probability)
+    return chart("charge demanded at the end", "P", line("best", charges, values))
+
+
+def frozenlake() -> str:
+    """The best P within a number of steps, and of never falling in."""
+    steps = range(5, 81, 5)
+    values = [stl.check(product_of("frozenlake/crossing.stl", T=T), keep_policy=False).probability for T in steps]
+    return chart("T, steps", "P(!hole U[0,T] goal)", line("best", steps, values))
+
+
+def robot() -> str:
+    """A shift of the kinematic robot under the nominal model's best policy."""
+    from matplotlib.figure import Figure
+
+    from examples.robot.floor import factory
+    from examples.robot.kinematic import Kinematic
+    from examples.robot.page import draw_track
+    from examples.robot.story import patrolling, run_of
+
+    place = factory()
+    product = stl.build_product(place.nominal, patrolling(5))
+    best = stl.check(product).policy
+    assert best is not None
+    complete = stl.Policy(product, np.maximum(best.table, 0))  # where no run of the model leads: stay
+    track, _ = run_of(product, complete, Kinematic(place, 1), seed=0)
+    figure = Figure(figsize=(4.2, 4.2), layout="constrained")
+    with drawing():
+        draw_track(figure.add_subplot(), place, track)
+    return svg(figure, "robot", "the way of a robot over the factory floor")
 
 
 def sweep() -> str | bytes:
@@ -48,6 +158,8 @@ def sweep() -> str | bytes:
 
 PICTURES: dict[str, Callable[[], str | bytes]] = {
     "learning-curve": curve, "floor": floor, "front": front, "monitor": monitor, "sweep": sweep,
+    "ward": ward, "battery": battery, "lift": lift, "frozenlake": frozenlake, "zeroconf": zeroconf, "drone": drone,
+    "insulin": insulin, "robot": robot,
 }  # fmt: skip
 
 if __name__ == "__main__":

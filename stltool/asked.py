@@ -278,18 +278,21 @@ class Asked(Displayed):
         return self._action(t, s, q, answer)
 
     @cached_property
-    def _codes(self) -> I64:
-        """(n_choices,): s · A + action of every choice, ascending."""
+    def _codes(self) -> tuple[I64, I64]:
+        """s · A + action of every choice, ascending, and the choice of each: a file may list actions in any order."""
         model = self._product.model
         state = np.repeat(np.arange(model.n_states), np.diff(model.choice_start))
-        return state * model.n_actions + model.choice_action
+        codes = state * model.n_actions + model.choice_action
+        order = np.argsort(codes)
+        return codes[order], order
 
     def _choices(self, t: int, s: I64, q: I64, actions: I64) -> I64:
         """The indices of actions (n,) within their states s (n,)."""
         model = self._product.model
         wanted = s * model.n_actions + actions
-        choice = np.minimum(np.searchsorted(self._codes, wanted), len(self._codes) - 1)
-        wrong = np.flatnonzero((self._codes[choice] != wanted) & (actions >= 0))
+        codes, order = self._codes
+        place = np.minimum(np.searchsorted(codes, wanted), len(codes) - 1)
+        wrong = np.flatnonzero((codes[place] != wanted) & (actions >= 0))
         if wrong.size:
             i = int(wrong[0])
             here = self.situation(t, int(s[i]), int(q[i]))
@@ -297,7 +300,7 @@ class Asked(Displayed):
                 f"the policy function returned {model.action_names[actions[i]]} at "
                 f"{self._place(t, s[i:], q[i:])}, where it is not available; choose among {', '.join(here.actions)}"
             )
-        found: I64 = np.where(actions >= 0, choice - model.choice_start[s], -1)
+        found: I64 = np.where(actions >= 0, order[place] - model.choice_start[s], -1)
         return found
 
     def _weights(self, t: int, s: I64, q: I64, answer: Any) -> NDArray[np.float64]:

@@ -114,6 +114,22 @@ def test_weights_are_followed(seed, text, batched):
             assert not stl.Policy.from_function(product, one).deterministic  # as its first answer is
 
 
+@pytest.mark.parametrize("batched", [False, True])
+def test_a_file_may_list_a_state_s_actions_in_any_order(tmp_path, batched):
+    rows = ["2 4 5", "0 0 1 1 b", "0 1 0 1 a", "1 0 1 1 a", "1 1 0 1/2 b", "1 1 1 1/2 b"]
+    (tmp_path / "m.tra").write_text("\n".join(rows) + "\n")
+    (tmp_path / "m.lab").write_text('0="init" 1="deadlock" 2="here"\n0: 0\n1: 2\n')
+    model = stl.load_model(tmp_path / "m.tra")
+    assert model.action_names[model.choice_action[0]] == "b"
+    for name, p in (("a", 0), ("b", 0.5)):
+        product = stl.build_product(model, stl.parse("F[1,1] G[0,1] here"))
+        number = model.action_names.index(name)
+        asked = (lambda here, n=number: np.full(len(here), n)) if batched else (lambda here, n=name: n)
+        assert stl.check(product, stl.Policy.from_function(product, asked, batched=batched)).probability == p
+        sure = (lambda here, n=number: np.eye(2)[np.full(len(here), n)]) if batched else (lambda here, n=name: {n: 1})
+        assert stl.check(product, stl.Policy.from_function(product, sure, batched=batched, mixed=True)).probability == p
+
+
 def test_what_it_sees(floor5):
     task = stl.parse("F[0,6] (A & F[0,3] x > 0.5)")
     product = stl.build_product(floor5, task)

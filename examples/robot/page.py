@@ -59,10 +59,14 @@ def _floor_picture(story: Story, plant: str) -> str:
     """The run's track over the floor: rendered by MuJoCo where that and OpenGL are present, drawn otherwise."""
     from matplotlib.figure import Figure
 
-    floor, track = story.walk.floor, story.track
     figure = Figure(figsize=(6, 6), layout="constrained")
-    axes = figure.add_subplot()
-    if plant != "mujoco" or not _render(axes, floor, track):
+    draw_track(figure.add_subplot(), story.walk.floor, story.track, rendered=plant == "mujoco")
+    return _png(figure)
+
+
+def draw_track(axes: Any, floor: Floor, track: np.ndarray, rendered: bool = False) -> None:
+    """The floor and a robot's way over it, with the number of each move."""
+    if not rendered or not _render(axes, floor, track):
         _draw(axes, floor)
     axes.plot(track[:, 0], track[:, 1], color="black", lw=1.6)
     stops = track[::_TICKS]
@@ -73,7 +77,6 @@ def _floor_picture(story: Story, plant: str) -> str:
     axes.set_ylim(-0.15, floor.height + 0.15)
     axes.set_aspect("equal")
     axes.set_axis_off()
-    return _png(figure)
 
 
 def _render(axes: Any, floor: Floor, track: np.ndarray) -> bool:
