@@ -18,6 +18,7 @@ import numpy as np
 import stltool as stl
 from stltool.files import write_atomically
 from stltool.reporting import front_data, load_report
+from stltool.reporting.data import floor_data
 from stltool.reporting.drawing import drawing, svg
 from stltool.reporting.figures import learning_curves, line_chart, pareto_front
 from stltool.reporting.floor import floor_map
@@ -79,12 +80,12 @@ def ward() -> str:
     """The most probable run of the best policy."""
     product = product_of("ward/delivery.stl")
     run = stl.likely_runs(product, satisfied=True, count=1).runs[0]
-    return str(floor_map(floor_of(product), run.states))
+    return str(floor_map(floor_data(product) or {}, run.states))
 
 
 def lift() -> str:
     """The best policy, and one that goes to the nearest call."""
-    patience = range(3, 9)
+    patience = range(2, 6)
     products = [product_of("lift/service.stl", patience=k) for k in patience]
 
     def nearest(here: Any) -> str:
@@ -99,17 +100,21 @@ def lift() -> str:
 
 def zeroconf() -> str:
     """The best policy for the time there is, and those that ask a fixed number of times before they take an address."""
-    soon = range(3, 13)
+    soon = range(3, 15)
     products = [product_of("zeroconf/address.stl", soon=k) for k in soon]
-    lines = [line("best", soon, [1 - stl.check(product).probability for product in products])]
+    lines = [line("best", soon, [nines(stl.check(product)) for product in products])]
     for times in (1, 2, 4):
 
         def policy(here: Any, times: int = times) -> str:
             return "take" if here.signals["asked"] == times else here.actions[-1]
 
-        found = [stl.check(product, stl.Policy.from_function(product, policy)).probability for product in products]
-        lines.append(line(f"asks {times} times" if times > 1 else "asks once", soon, [1 - p for p in found]))
-    return chart("steps", "1 − P", *lines)
+        found = [nines(stl.check(product, stl.Policy.from_function(product, policy))) for product in products]
+        lines.append(line(f"asks {times} times" if times > 1 else "asks once", soon, found))
+    return chart("steps", "−log₁₀(1 − P)", *lines)
+
+
+def nines(found: stl.CheckResult) -> float:
+    return -float(np.log10(1 - found.probability))
 
 
 def battery() -> str:
@@ -126,7 +131,7 @@ def battery() -> str:
 
 def frozenlake() -> str:
     """The best P within a number of steps, and of never falling in."""
-    steps = range(5, 81, 5)
+    steps = range(10, 81, 10)
     values = [stl.check(product_of("frozenlake/crossing.stl", T=T), keep_policy=False).probability for T in steps]
     return chart("T, steps", "P(!hole U[0,T] goal)", line("best", steps, values))
 
@@ -141,7 +146,7 @@ def robot() -> str:
     from examples.robot.story import patrolling, run_of
 
     place = factory()
-    product = stl.build_product(place.nominal, patrolling(5))
+    product = stl.build_product(place.nominal, patrolling(10))
     best = stl.check(product).policy
     assert best is not None
     complete = stl.Policy(product, np.maximum(best.table, 0))  # where no run of the model leads: stay

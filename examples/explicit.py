@@ -48,6 +48,8 @@ def write(
     stem.with_suffix(".lab").write_text("\n".join(lines) + "\n", encoding="utf-8")
     if variables:
         lines = ["(" + ",".join(variables) + ")"]
-        lines += [f"{s}:(" + ",".join(str(of(state)) for of in variables.values()) + ")" for s, state in enumerate(order)]
+        lines += [
+            f"{s}:(" + ",".join(str(of(state)) for of in variables.values()) + ")" for s, state in enumerate(order)
+        ]
         stem.with_suffix(".sta").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return tra

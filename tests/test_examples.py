@@ -1,6 +1,7 @@
 """Examples, the package's tour, and the README's code run as they stand."""
 
 import doctest
+import importlib
 import re
 import subprocess
 import sys
@@ -11,7 +12,11 @@ import stltool as stl
 from stltool.errors import SettingsError
 from tests.conftest import ROOT
 
-TASKS = sorted(path for path in (ROOT / "examples").rglob("*.stl") if path.parent.name != "monitor")  # which has logs
+ALL = sorted((ROOT / "examples").rglob("*.stl"))
+LOGS = [path for path in ALL if list(path.parent.glob("*.csv"))]
+TASKS = [path for path in ALL if path not in LOGS]
+MODELS = {"battery": "robot", "lift": "lift", "zeroconf": "zeroconf"}  # written by a script of the same name
+RECORDED = {"drone": "flight", "insulin": "day"}
 
 
 def test_there_are_examples():
@@ -30,7 +35,27 @@ def test_every_example_task_can_be_checked(path):
     assert (0.69 if path.parent.name == "frozenlake" else 0.9) < best.probability <= best.upper <= 1
 
 
-@pytest.mark.parametrize("path", TASKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", LOGS, ids=lambda path: path.stem)
+def test_every_example_log_is_judged_and_somewhere_violated(path):
+    task = stl.load_task(path)
+    (log,) = path.parent.glob("*.csv")
+    names = log.read_text(encoding="utf-8").partition("\n")[0].split(",")
+    found = stl.monitor(task, stl.load_trace(log, [name for name in names if name not in ("step", "note")]))
+    assert found.verdicts.any()
+    assert not found.verdicts.all()
+
+
+@pytest.mark.parametrize(("folder", "name"), [*MODELS.items(), *RECORDED.items()])
+def test_scripts_write_the_files_that_lie_beside_them(folder, name, tmp_path):
+    importlib.import_module(f"examples.{folder}.{name}").main(tmp_path)
+    written = sorted(path.name for path in tmp_path.iterdir())
+    assert len(written) >= (3 if folder in MODELS else 1)
+    for file in written:
+        there = (ROOT / "examples" / folder / file).read_text(encoding="utf-8")
+        assert (tmp_path / file).read_text(encoding="utf-8") == there, f"python -m examples.{folder}.{name}"
+
+
+@pytest.mark.parametrize("path", ALL, ids=lambda path: path.stem)
 def test_every_example_task_is_in_canonical_layout(path):
     text = path.read_text(encoding="utf-8")
     assert stl.format_task(text) == text

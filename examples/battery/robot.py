@@ -1,6 +1,6 @@
 """A robot that inspects a hall and must not run out of charge: `python -m examples.battery.robot` writes robot.tra.
 
-The hall has 4 × 3 cells, the dock D at the bottom left and the valve V at the top right. A move takes one unit of charge,
+The hall has 4 × 3 cells, the dock at the bottom left and the valve at the top right. A move takes one unit of charge,
 and another one with probability 1/5, where the floor is wet; it ends where it should 19 times of 20, else the robot
 stays. At the dock, `charge` loads three units of at most fourteen.
 """

@@ -25,7 +25,9 @@ def main(folder: Path = Path(__file__).parent) -> Path:
         for step in range(STEPS):
             aim = 100.0 if battery > 35 and step < 190 else 0.0
             gust = 0.8 * gust + float(rng.normal(0, 0.5)) + (9.0 if 118 <= step < 122 else 0.0)
-            height = max(0.0, height + float(np.clip(0.2 * (aim - height), -3.0, 3.0)) + (0.3 * gust if height > 5 else 0))
+            height = max(
+                0.0, height + float(np.clip(0.2 * (aim - height), -3.0, 3.0)) + (0.3 * gust if height > 5 else 0)
+            )
             speed = max(0.0, 0.9 * speed + (0.9 if height > 60 and aim else 0.0) + float(rng.normal(0, 0.05)))
             battery -= 0.12 + 0.02 * speed
             landed = height < 0.5 and step > 10

@@ -310,7 +310,7 @@ def report_data(
         "markov": markov_data(training) if training is not None else None,
         "run": _run_data(product, policy, seed) if policy is not None and points else None,
         "why": _why_data(product, policy) if policy is not None and points and results else None,
-        "floor": _floor_data(product),
+        "floor": floor_data(product),
     }
 
 
@@ -343,7 +343,7 @@ def _run_data(product: Product, policy: Policy, seed: int) -> dict[str, Any]:
     return {"satisfied": run.satisfied, "seed": seed, "states": list(run.states), "steps": steps}
 
 
-def _floor_data(product: Product) -> dict[str, Any] | None:
+def floor_data(product: Product) -> dict[str, Any] | None:
     layout = product.model.layout
     if layout is None:
         return None

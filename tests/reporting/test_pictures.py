@@ -11,6 +11,7 @@ import pytest
 
 import stltool as stl
 from stltool.reporting import load_report
+from stltool.reporting.data import floor_data
 from tests.conftest import ROOT
 from tests.reporting.svg import Picture, same_picture
 from tests.reporting.test_floor import Picture as Floor
@@ -54,7 +55,10 @@ def test_every_picture_of_the_docs_has_its_command(pictures):
     assert shown == set(re.findall(r"!\[[^]]*\]\((?:docs/)?([\w-]+)\.svg\)", pages))
 
 
-@pytest.mark.parametrize("name", ["front", "monitor"])
+CHARTS = ["front", "monitor", "battery", "lift", "frozenlake", "zeroconf", "drone", "insulin"]
+
+
+@pytest.mark.parametrize("name", CHARTS)
 def test_a_committed_picture_is_what_is_drawn_today(pictures, name):
     same_picture(Picture(committed(name)), Picture(pictures.PICTURES[name]()))
 
@@ -63,6 +67,28 @@ def test_a_committed_picture_is_what_is_drawn_today(pictures, name):
 def test_the_committed_pictures_of_the_demo(pictures, demo, monkeypatch, name):
     monkeypatch.setattr(pictures, "OUT", demo)
     same_picture(Picture(committed(name)), Picture(pictures.PICTURES[name]()))
+
+
+def test_the_committed_ward_has_the_most_probable_delivery():
+    task = stl.load_task(ROOT / "examples" / "ward" / "delivery.stl")
+    product = stl.build_product(stl.load_model(task.model), task)
+    (run,) = stl.likely_runs(product, satisfied=True, count=1).runs
+    require_run(Floor(committed("ward")), floor_data(product), run.states)
+
+
+def test_the_committed_robot_drives_as_it_does_today(pictures):
+    """Its floor has no axes: the corners of every patch and line are compared, and the numbers of the moves."""
+
+    def drawn(text):
+        paths = re.findall(r'<path[^>]* d="([^"]*)"', text)
+        return re.findall(r">([^<>\s]+)</text>", text), [
+            float(n) for path in paths for n in re.findall(r"-?[\d.]+", path)
+        ]
+
+    (names, numbers), (names_today, numbers_today) = drawn(committed("robot")), drawn(pictures.PICTURES["robot"]())
+    assert names == names_today
+    assert {"A", "B", "C", "0", "17"} <= set(names)
+    assert numbers == pytest.approx(numbers_today, abs=0.05)
 
 
 def test_the_committed_floor_has_the_demos_run(demo):
