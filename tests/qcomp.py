@@ -15,6 +15,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from examples import explicit
+
 State = Any
 Choice = list[tuple[Fraction, State]]
 
@@ -85,25 +87,4 @@ def write(
     labels: Mapping[str, Callable[[State], bool]],
 ) -> Path:
     """The reachable part as .tra and .lab; the path of the .tra."""
-    index, order, rows = {initial: 0}, [initial], []
-    n_choices = 0
-    for s, state in enumerate(order):
-        for i, choice in enumerate(choices(state)):
-            n_choices += 1
-            for probability, successor in choice:
-                if successor not in index:
-                    index[successor] = len(order)
-                    order.append(successor)
-                rows.append(f"{s} {i} {index[successor]} {probability}")
-    tra = stem.with_suffix(".tra")
-    tra.write_text("\n".join([f"{len(order)} {n_choices} {len(rows)}", *rows]) + "\n")
-    names = ["init", "deadlock", *labels]
-    held = [f"{s}: " + " ".join(held) for s, state in enumerate(order) if (held := _held(s, state, labels))]
-    header = " ".join(f'{i}="{name}"' for i, name in enumerate(names))
-    stem.with_suffix(".lab").write_text("\n".join([header, *held]) + "\n")
-    return tra
-
-
-def _held(s: int, state: State, labels: Mapping[str, Callable[[State], bool]]) -> list[str]:
-    found = [str(i) for i, holds in enumerate(labels.values(), start=2) if holds(state)]
-    return ["0", *found] if s == 0 else found
+    return explicit.write(stem, initial, lambda state: ((None, row) for row in choices(state)), labels)
