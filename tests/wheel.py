@@ -20,7 +20,7 @@ from pathlib import Path
 from readme_renderer import markdown
 
 ROOT = Path(__file__).resolve().parent.parent
-MOST_MEGABYTES = 800
+MOST_MEGABYTES = 600
 FACTORY = "examples/factory/"
 # the text of a row → what is filled in, longest first; later rows use what earlier ones write
 FILLED = {

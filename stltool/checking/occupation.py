@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 MOST_VARIABLES = 500_000  # some minutes
 
-_BYTES = 200  # for each non-zero, in our matrices, cvxpy's and the solver's
+_BYTES = 200  # for each non-zero, in our matrices and the solver's
 _TOLERANCE = 1e-9  # of the solver, on rows and on reduced costs
 _NOISE = 1e-9  # a choice with a smaller share of its pair is the solver's rounding
 
@@ -144,7 +144,7 @@ def solve(lp: Programme, objective: int, bounds: Mapping[int, float], most_itera
     Raises SolverError, with the solver's status, if it ends without an optimum. The simplex method is slow to detect
     infeasibility: ask for bounds that can be met, or limit its iterations.
     """
-    import cvxpy as cp
+    from scipy.optimize import linprog
 
     constrained = list(bounds)
     if lp.flow.shape[1] == 0:  # decided by the first state
@@ -152,31 +152,29 @@ def solve(lp: Programme, objective: int, bounds: Mapping[int, float], most_itera
     rows = lp.reward[constrained]
     scale = np.maximum(abs(rows).max(axis=1).toarray().ravel(), 1e-300)  # costs come in any unit
     needed = np.array([bounds[i] - lp.constant[i] for i in constrained])
-    x = cp.Variable(lp.flow.shape[1], nonneg=True)
-    requirements = [lp.flow @ x == lp.inflow]
-    if constrained:
-        requirements.append(rows.multiply(1 / scale[:, None]).tocsr() @ x >= needed / scale)
-    problem = cp.Problem(cp.Maximize(lp.reward[[objective]].toarray()[0] @ x), requirements)
-    options: dict[str, Any] = {"method": "highs-ds"}  # of SciPy's own HiGHS, which prints nothing
-    options |= {"primal_feasibility_tolerance": _TOLERANCE, "dual_feasibility_tolerance": _TOLERANCE}
+    options: dict[str, Any] = {"primal_feasibility_tolerance": _TOLERANCE, "dual_feasibility_tolerance": _TOLERANCE}
     if most_iterations is not None:
         options["maxiter"] = most_iterations
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # inaccurate results are refused below
-            problem.solve(solver=cp.SCIPY, scipy_options=options)  # type: ignore[no-untyped-call]
-        status = problem.status
-    except cp.SolverError:
-        status = cp.SOLVER_ERROR
-    if status != cp.OPTIMAL:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # inaccurate results are refused below
+        found = linprog(  # which minimises
+            -lp.reward[[objective]].toarray()[0],
+            A_ub=-rows.multiply(1 / scale[:, None]).tocsr() if constrained else None,
+            b_ub=-needed / scale if constrained else None,
+            A_eq=lp.flow, b_eq=lp.inflow, bounds=(0, None), method="highs-ds", options=options,
+        )  # fmt: skip
+    if found.status != 0:
         limit = f" within {counted(most_iterations, 'iteration')}" if most_iterations is not None else ""
         raise SolverError(
             f"the linear programme of {lp.flow.shape[1]} variables and {lp.flow.shape[0]} rows: HiGHS found no optimum"
-            f"{limit} ({status}); shorten the windows, scale costs closer to 1, or move the bounds slightly away from "
-            "the limits of what is possible"
+            f"{limit} ({_ENDED.get(found.status, 'numerical difficulties')}); shorten the windows, scale costs closer "
+            "to 1, or move the bounds slightly away from the limits of what is possible"
         )
-    duals = np.array(requirements[1].dual_value) if constrained else np.empty(0)
-    return Solution(np.maximum(np.array(x.value), 0), np.maximum(duals, 0) / scale)
+    duals = -np.asarray(found.ineqlin.marginals) if constrained else np.empty(0)
+    return Solution(np.maximum(found.x, 0), np.maximum(duals, 0) / scale)
+
+
+_ENDED = {1: "its limit is reached", 2: "infeasible", 3: "unbounded"}
 
 
 def policy_of(lp: Programme, x: Floats, otherwise: Choices) -> Mixtures:
