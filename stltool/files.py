@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
@@ -51,6 +52,33 @@ def write_atomically(path: str | Path, data: bytes | str) -> None:
     """Write `data` next to `path` and move it into place, so that a crash leaves the old file."""
     with atomic_file(path) as file:
         file.write(data.encode("utf-8", errors="backslashreplace") if isinstance(data, str) else data)
+
+
+def write_folder(folder: str | Path, files: Mapping[str, bytes]) -> None:
+    """Make a folder with these files, by name relative to it: all of them or none.
+
+    FileError if there is something already; an empty folder is filled.
+    """
+    folder = Path(folder).absolute()
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise FileError(f"{folder}: it exists, and nothing is replaced; name a new folder")
+    temporary = None
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+        for name, content in files.items():
+            (temporary / name).parent.mkdir(parents=True, exist_ok=True)
+            (temporary / name).write_bytes(content)
+        os.chmod(temporary, 0o777 & ~_umask())
+        if folder.exists():
+            folder.rmdir()
+        os.replace(temporary, folder)
+    except BaseException as error:
+        if temporary is not None:
+            shutil.rmtree(temporary, ignore_errors=True)
+        if isinstance(error, OSError):
+            raise FileError(f"{folder}: cannot be made: {error.strerror}") from None
+        raise
 
 
 @contextmanager

@@ -28,7 +28,10 @@ class Stage:
 
 
 class Log:
-    """`write` prints a line, `clock` returns seconds; without `watched`, nothing is printed unless `beat` is called."""
+    """`write` prints a line, `clock` returns seconds; without `watched`, nothing is printed unless `beat` is called.
+
+    quiet   whether nothing is printed at all
+    """
 
     def __init__(
         self,
@@ -37,6 +40,7 @@ class Log:
         watched: bool = True,
     ) -> None:
         self._write, self._clock, self._watched = write, clock, watched
+        self.quiet = False
         self._stages: list[Stage] = []
         self._last = clock()
         self._lock = threading.RLock()
@@ -61,10 +65,11 @@ class Log:
             self._changed.set()
 
     def say(self, line: str) -> None:
-        """Print a line; the next one is due `EVERY` seconds later."""
+        """Print a line, unless `quiet`; the next one is due `EVERY` seconds later."""
         with self._lock:
             self._last = self._clock()
-            self._write(line)
+            if not self.quiet:
+                self._write(line)
 
     def beat(self) -> float:
         """Print a line if one is due; returns seconds until the next one, infinite if no stage is active."""

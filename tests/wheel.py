@@ -40,6 +40,9 @@ FILLED = {
     "sweep FILE": "sweep examples/paper/small.toml --workers 2",
     "fmt FILE...": f"fmt {FACTORY}patrolling.stl {FACTORY}charging.stl",
     "REPORT.json": "out/patrolling/report.json",
+    "new NAME --kind grid": "new shift --kind grid",
+    "new NAME --example factory": "new copied --example factory",
+    "diff A.json B.json": "diff out/patrolling/report.json out/patrolling/report.json",
     "TASK": f"{FACTORY}patrolling.stl",
 }
 # the policy function that README's table names

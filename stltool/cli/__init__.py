@@ -19,11 +19,11 @@ from stltool.errors import StlToolError
 # each module registers its command, in the order of --help
 # isort: off
 from stltool.cli import run, check, why, surrogate, tradeoff, pareto, certify, estimate, learn, sweep
-from stltool.cli import monitor, explain, fmt, export, report
+from stltool.cli import monitor, explain, fmt, export, report, diff, new, doctor
 
 __all__ = [
-    "app", "certify", "check", "estimate", "explain", "export", "fmt", "learn", "main", "monitor", "pareto", "report",
-    "run", "surrogate", "sweep", "tradeoff", "why",
+    "app", "certify", "check", "diff", "doctor", "estimate", "explain", "export", "fmt", "learn", "main", "monitor",
+    "new", "pareto", "report", "run", "surrogate", "sweep", "tradeoff", "why",
 ]  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Callable
 from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
@@ -20,12 +21,12 @@ _Number = TypeVar("_Number", int, float)
 
 class _App(typer.Typer):
     """What all commands have in common: numbers in options are read as everywhere (stltool/numbers.py: `--runs 1_0` is
-    refused), results never replace inputs (roles.py), messages name options (words.py), and --help ends with an
-    example.
+    refused), results never replace inputs (roles.py), messages name options (words.py), --help and -h end with an
+    example, and --quiet and --version are understood.
     """
 
     def command(self, example: str, **named: Any) -> Callable[[_Command], _Command]:  # type: ignore[override]
-        register = super().command(epilog=f"Example: {example}", **named)
+        register = super().command(epilog=f"Example: {example}", context_settings=_HELP, **named)
 
         def registered(function: _Command) -> _Command:
             hints: dict[str, Any] = get_type_hints(function, include_extras=True)
@@ -46,7 +47,10 @@ class _App(typer.Typer):
             function.__annotations__ = hints
 
             @functools.wraps(function)
-            def command(**given: Any) -> Any:
+            def command(quiet: bool, version: bool, **given: Any) -> Any:
+                from stltool.log import LOG
+
+                LOG.quiet = quiet
                 try:
                     require_apart(files, given)
                     return function(**given)
@@ -54,6 +58,15 @@ class _App(typer.Typer):
                     fault.args = (reworded(fault, spelling(options)),)
                     raise
 
+            signature = inspect.signature(function)
+            common = [
+                inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
+                for name, kind in (("quiet", Quiet), ("version", Version))
+            ]
+            given = [one.replace(annotation=hints[name], kind=inspect.Parameter.KEYWORD_ONLY)
+                     for name, one in signature.parameters.items()]  # fmt: skip
+            command.__signature__ = signature.replace(parameters=[*given, *common])  # type: ignore[attr-defined]
+            command.__annotations__ = {**hints, "quiet": Quiet, "version": Version}
             command.files = files  # type: ignore[attr-defined]  # for tests over all commands
             register(command)
             return function
@@ -97,19 +110,22 @@ def _version(asked: bool) -> None:
         raise typer.Exit
 
 
+_HELP = {"help_option_names": ["-h", "--help"]}
+Version = Annotated[
+    bool, typer.Option("--version", help="Show the version and exit.", callback=_version, is_eager=True)
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="no progress on stderr; warnings and errors only")]
+
 app = _App(
     help="Signal temporal logic tasks on Markov decision processes, learned and verified exactly.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings=_HELP,
+    epilog="Example: stltool new shift, then cd shift, then stltool run task.stl",
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
 
 
 @app.callback()
-def options(
-    version: Annotated[
-        bool, typer.Option("--version", help="Show the version and exit.", callback=_version, is_eager=True)
-    ] = False,
-) -> None:
+def options(version: Version = False) -> None:
     """Signal temporal logic tasks on Markov decision processes, learned and verified exactly."""

@@ -38,6 +38,8 @@ def progress_bar(title: str, quiet: bool = False) -> Iterator[Advance | None]:
     """
     console = Console(stderr=True, highlight=False, soft_wrap=True)
 
+    quiet = quiet or LOG.quiet
+
     def tell(kept: bool) -> None:
         if not quiet:
             (console.print if console.is_terminal else LOG.say)(_compiling_text(kept))
@@ -87,7 +89,7 @@ def _notes(steps: int, probability: float | None) -> list[str]:
 def sweep_bar(quiet: bool = False) -> Iterator[Callable[[SweepProgress], None] | None]:
     """Runs done, environment steps per second and time left; in a log, a line at every tenth of the runs."""
     console = Console(stderr=True, highlight=False)
-    start = time.perf_counter()
+    start, quiet = time.perf_counter(), quiet or LOG.quiet
 
     def told(state: SweepProgress) -> str:
         passed = time.perf_counter() - start
@@ -126,7 +128,7 @@ def _compiling_text(kept: bool) -> str:
 def kernels_ready(quiet: bool = False) -> Iterator[None]:
     """Announce that kernels are compiled in this block; usually they are only loaded, and nothing is printed."""
     console = Console(stderr=True, highlight=False, soft_wrap=True)
-    status = console.status("")
+    status, quiet = console.status(""), quiet or LOG.quiet
 
     def tell(kept: bool) -> None:
         message = _compiling_text(kept)
@@ -149,7 +151,7 @@ def kernels_ready(quiet: bool = False) -> Iterator[None]:
 @contextmanager
 def working(title: str, quiet: bool = False) -> Iterator[None]:
     """Show on stderr what is going on: on a terminal at once, in a log only if it takes long."""
-    console = Console(stderr=True, soft_wrap=True, highlight=False)
+    console, quiet = Console(stderr=True, soft_wrap=True, highlight=False), quiet or LOG.quiet
     if not console.is_terminal:
         with LOG.stage(title, patience=None if quiet else _PATIENCE):
             yield

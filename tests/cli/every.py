@@ -37,6 +37,9 @@ CASES = {
     "fmt": ["patrolling.stl"],
     "export": ["patrolling.stl", *SMALL, "--to", "dot"],
     "report": ["report.json"],
+    "diff": ["report.json", "report.json"],
+    "new": ["made"],
+    "doctor": [],
 }
 
 

@@ -97,8 +97,28 @@ def test_the_optimal_policy_is_saved(stltool, tmp_path):
     assert (code, out.split()[-2:]) == (0, ["policy", str(policy)])
 
 
-def test_the_version(stltool):
-    assert stltool("--version")[1].startswith("stltool 0.")
+@pytest.mark.parametrize("before", [[], ["check"], ["new"]])
+def test_the_version(stltool, before):
+    assert stltool(*before, "--version")[1].startswith("stltool 0.")
+
+
+def test_help_has_a_short_form(stltool):
+    for command in ([], ["check"], ["doctor"]):
+        short, long = (stltool(*command, option)[1] for option in ("-h", "--help"))
+        assert short == long
+        assert "Example: stltool" in short
+
+
+def test_quiet_shows_no_progress(stltool, monkeypatch, tmp_path):
+    """A log that is impatient reports at once; with --quiet it reports nothing, and results are the same."""
+    monkeypatch.setattr("stltool.log.EVERY", 0.05)
+    monkeypatch.setattr("stltool.reporting.terminal._PATIENCE", 0.0)
+    arguments = ["learn", PATROLLING, *SMALL, "-e", "40", "--out", "policy.npz"]
+    monkeypatch.chdir(tmp_path)
+    loud, quiet, shortly = (stltool(*arguments, *more) for more in ([], ["--quiet"], ["-q"]))
+    assert "learning (model-based)" in loud[2]
+    assert quiet[2] == shortly[2] == ""
+    assert quiet[1].splitlines()[1:] == loud[1].splitlines()[1:]  # the first has the seconds
 
 
 def test_fractions_of_any_length(stltool, tmp_path):

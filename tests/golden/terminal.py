@@ -64,5 +64,6 @@ def entries():
     lie = Path("certificate.jsonl").read_text().replace('"upper":', '"uper":')
     Path("refused.jsonl").write_text(lie)
     with mock.patch("stltool.reporting.page.render", return_value=""):  # pictures take long
-        for arguments in (*([name, *given] for name, given in CASES.items()), *MORE):
+        cases = ([name, *given] for name, given in CASES.items() if name != "doctor")  # which is of this machine
+        for arguments in (*cases, *MORE):
             yield shown(*arguments), said(*command(*arguments))

@@ -1,0 +1,178 @@
+"""`diagnose`: what this installation of stltool has, what it lacks, and what for.
+
+Packages and their least versions are those of the installed metadata; each is really imported, so one that is there
+but broken is found, too. Nothing is downloaded or changed, except that the folder for compiled kernels is made, as by
+the first command that compiles.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import platform
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Literal
+
+from packaging.markers import default_environment
+from packaging.requirements import Requirement
+
+Status = Literal["ok", "missing", "too old", "broken"]
+
+PURPOSES = {
+    "cluster": "sweeps and checks on a dask cluster",
+    "gymnasium": "Gymnasium environments as models, and models as environments",
+    "parquet": "traces in Parquet files",
+    "tensorboard": "learning curves as TensorBoard events",
+    "robot": "the physical robot of the sources' examples/robot",
+}
+"""Extra → what it is for. Those of developers are not listed."""
+
+_MODULES = {"lazy-loader": "lazy_loader"}  # package → what is imported, where the names differ
+
+
+@dataclass(frozen=True)
+class Package:
+    """A package that is needed: `extra` None for every installation.
+
+    needed   its least version, as in ">=2"; version: the one installed, None if there is none
+    fault    what is wrong, in words; None if nothing is
+    """
+
+    name: str
+    needed: str
+    version: str | None
+    status: Status
+    extra: str | None = None
+    fault: str | None = None
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What `stltool doctor` reports.
+
+    cache     the folder where compiled kernels are kept; None: they are compiled in every process
+    kernels   how many of them are there now
+    memory    bytes: of the machine, available now, and what stltool would allocate at most
+    check     how the small check went: None, or what was wrong
+    """
+
+    version: str
+    python: str
+    system: str
+    threads: int
+    place: Path
+    packages: tuple[Package, ...]
+    cache: Path | None
+    kernels: int
+    memory: tuple[int, int, int]
+    check: str | None
+
+    @property
+    def faults(self) -> list[str]:
+        """What keeps stltool from working, each with its remedy; without extras that are simply not installed."""
+        found = []
+        for one in self.packages:
+            needed = one.name + one.needed
+            if one.extra is None and one.status == "missing":
+                found.append(f"{one.name} is not installed; pip install '{needed}'")
+            elif one.status == "too old":
+                found.append(f"{one.name} {one.version} is too old; pip install --upgrade '{needed}'")
+            elif one.status == "broken":
+                found.append(f"{one.name} cannot be imported ({one.fault}); pip install --force-reinstall '{needed}'")
+        if self.cache is None:
+            found.append(
+                "no folder for compiled kernels can be written, so every process compiles for itself; set "
+                "NUMBA_CACHE_DIR to a writable folder"
+            )
+        if self.check is not None:
+            found.append(f"a small check went wrong: {self.check}; reinstall stltool")
+        return found
+
+    def missing(self, extra: str) -> list[Package]:
+        """What of an extra is not there."""
+        return [one for one in self.packages if one.extra == extra and one.status == "missing"]
+
+
+def diagnose() -> Diagnosis:
+    """Look at this installation. Imports every package that is there, which takes some seconds."""
+    import psutil
+
+    from stltool.sizes import memory_limit
+
+    packages = tuple(_package(*one) for one in _required())
+    cache, kernels = _cache() if _works(packages, "numba") else (None, 0)
+    machine = psutil.virtual_memory()
+    return Diagnosis(
+        version=metadata.version("stltool"),
+        python=platform.python_version(),
+        system=f"{platform.system()} {platform.release()}, {platform.machine()}",
+        threads=len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1,
+        place=Path(__file__).resolve().parent,
+        packages=packages,
+        cache=cache,
+        kernels=kernels,
+        memory=(int(machine.total), int(machine.available), memory_limit()),
+        check=_small_check(),
+    )
+
+
+def _required() -> Iterator[tuple[Requirement, str | None]]:
+    """The packages of a plain installation, then those of its extras for users, from the installed metadata."""
+    here: dict[str, Any] = {**default_environment()}
+    listed = [Requirement(text) for text in metadata.requires("stltool") or []]
+    for extra in (None, *PURPOSES):
+        for one in listed:
+            always = one.marker is None or one.marker.evaluate({**here, "extra": ""})
+            if extra is None:
+                needed = always
+            else:
+                needed = not always and one.marker is not None and one.marker.evaluate({**here, "extra": extra})
+            if needed:
+                yield one, extra
+
+
+def _package(required: Requirement, extra: str | None) -> Package:
+    name, needed = required.name, str(required.specifier)
+    try:
+        version = metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return Package(name, needed, None, "missing", extra)
+    if not required.specifier.contains(version, prereleases=True):
+        return Package(name, needed, version, "too old", extra)
+    try:
+        importlib.import_module(_MODULES.get(name, name).replace("-", "_"))
+    except Exception as error:  # whatever is wrong in there
+        return Package(name, needed, version, "broken", extra, f"{type(error).__name__}: {error}".splitlines()[0])
+    return Package(name, needed, version, "ok", extra)
+
+
+def _works(packages: tuple[Package, ...], name: str) -> bool:
+    return any(one.name == name and one.status == "ok" for one in packages)
+
+
+def _cache() -> tuple[Path | None, int]:
+    from stltool.kernels.cache import folders
+
+    readable, written = folders()
+    return written, sum(len(list(folder.glob("*.nbc"))) for folder in readable if folder.is_dir())
+
+
+def _small_check() -> str | None:
+    """P of reaching the goal in two steps, each succeeding with 3/4, must be 15/16."""
+    try:
+        import stltool as stl
+
+        model = stl.MDP.from_arrays([[["1/4", "3/4"], [0, 1]]], {}, labels={"goal": [False, True]})
+        found = stl.check(stl.build_product(model, stl.parse("F[0,2] goal")), exact=True).fraction
+    except Exception as error:  # whatever is wrong with this installation
+        return f"{type(error).__name__}: {error}".splitlines()[0]
+    return None if str(found) == "15/16" else f"its result is {found} instead of 15/16"
+
+
+def in_virtual_environment() -> bool:
+    """Whether this Python is one of a virtual environment."""
+    return sys.prefix != sys.base_prefix

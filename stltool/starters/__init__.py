@@ -1,0 +1,71 @@
+"""What `stltool new` writes: starters, and the examples, inside the package in a wheel, beside it in a checkout.
+
+A starter is a folder of this package: a task, a model or a log, and comments that say what can be changed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from stltool.errors import SettingsError, near_misses
+
+_HERE = Path(__file__).resolve().parent
+
+KINDS = {
+    "grid": "a robot on a floor, drawn as a map",
+    "gymnasium": "a Gymnasium environment",
+    "prism": "a model in PRISM's explicit files",
+    "trace": "a recorded log to monitor, without a model",
+}
+EXAMPLES = {
+    "factory": "the paper's robot on a factory floor: tasks, floors, uncertain and parametric ones, trade-offs",
+    "frozenlake": "FrozenLake, exact and as a black box",
+    "monitor": "the log of a delivery robot's shift",
+    "paper": "the paper's comparison of methods as sweeps",
+    "ward": "a hospital corridor with a task of deliveries",
+}
+_NEXT = {
+    "grid": ["stltool explain task.stl", "stltool check task.stl", "stltool run task.stl"],
+    "gymnasium": ["stltool check task.stl", "stltool run task.stl"],
+    "prism": ["stltool check task.stl", "stltool why task.stl"],
+    "trace": ["stltool explain task.stl", "stltool monitor task.stl log.csv --plot log.png"],
+    "factory": ["stltool check patrolling.stl -p T=5 -p tau=5", "stltool run patrolling.stl"],
+    "frozenlake": ["stltool check crossing.stl", "stltool run crossing-blackbox.stl"],
+    "monitor": ["stltool monitor duty.stl shift.csv --plot shift.png"],
+    "paper": ["stltool sweep small.toml"],
+    "ward": ["stltool check delivery.stl"],
+}
+
+
+@dataclass(frozen=True)
+class Starter:
+    """Files to write, by name relative to a folder, and commands to go on with there."""
+
+    files: dict[str, bytes]
+    next: list[str]
+
+
+def starter(kind: str) -> Starter:
+    """The starter of a kind. Raises SettingsError for another one."""
+    if kind not in KINDS:
+        raise SettingsError(f"--kind {kind}: there is no such kind; {near_misses(kind, KINDS)}")
+    return Starter(_files(_HERE / kind), _NEXT[kind])
+
+
+def example(name: str) -> Starter:
+    """An example as shipped. Raises SettingsError for another one."""
+    if name not in EXAMPLES:
+        raise SettingsError(f"--example {name}: there is no such example; {near_misses(name, EXAMPLES)}")
+    for folder in (_HERE.parent / "examples", _HERE.parent.parent / "examples"):
+        if (folder / name).is_dir():
+            return Starter(_files(folder / name), _NEXT[name])
+    raise FileNotFoundError(f"the example {name} is missing from this installation; reinstall stltool")
+
+
+def _files(folder: Path) -> dict[str, bytes]:
+    paths = sorted(path for path in folder.rglob("*") if path.is_file() and path.suffix in _SUFFIXES)
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+
+_SUFFIXES = {".stl", ".toml", ".csv", ".tra", ".lab", ".sta"}  # not what runs of an example have left

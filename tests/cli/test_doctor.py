@@ -1,0 +1,89 @@
+"""`stltool doctor`: it finds what is there, and what is missing, too old or broken."""
+
+import importlib
+import json
+from importlib import metadata
+
+import pytest
+
+from stltool import doctor
+
+
+def test_this_installation_is_sound(stltool):
+    code, text, _ = stltool("doctor")
+    data = json.loads(stltool("doctor", "--json")[1])
+    assert (code, data["faults"]) == (0, [])
+    assert text.rstrip().endswith("faults  none")
+    assert data["version"] == metadata.version("stltool")
+    packages = {one["name"]: one for one in data["packages"]}
+    assert packages["numpy"]["version"] == metadata.version("numpy")
+    assert packages["numpy"]["extra"] is None
+    assert packages["gymnasium"]["extra"] == "gymnasium"
+    assert {one["name"] for one in data["packages"]}.isdisjoint({"ruff", "mypy"})
+    assert 0 < data["memory"]["most_used"] <= data["memory"]["available"] <= data["memory"]["total"]
+    assert all(f"{name} " in text for name in ("numpy", "numba", "gymnasium", "a small check"))
+
+
+def broken(monkeypatch, *, missing=(), old=(), failing=()):
+    """An installation in which some packages are not as they should be."""
+    version, load = metadata.version, importlib.import_module
+
+    def of(name):
+        if name in missing:
+            raise metadata.PackageNotFoundError(name)
+        return "0.0.1" if name in old else version(name)
+
+    def imported(name):
+        if name in failing:
+            raise ImportError("libsomething.so: cannot open\nshared object")
+        return load(name)
+
+    monkeypatch.setattr(doctor.metadata, "version", of)
+    monkeypatch.setattr(doctor.importlib, "import_module", imported)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "fault"),
+    [
+        ({"missing": ["lark"]}, r"lark is not installed; pip install 'lark"),
+        ({"old": ["rich"]}, r"rich 0.0.1 is too old; pip install --upgrade 'rich"),
+        (
+            {"failing": ["networkx"]},
+            "networkx cannot be imported (ImportError: libsomething.so: cannot open); pip install",
+        ),
+        ({"old": ["gymnasium"]}, "gymnasium 0.0.1 is too old; pip install --upgrade 'gymnasium>="),
+    ],
+)
+def test_what_is_wrong_is_found(stltool, monkeypatch, kinds, fault):
+    broken(monkeypatch, **kinds)
+    code, text, _ = stltool("doctor")
+    assert code == 1
+    assert fault in text
+    assert "fault 1" in text
+    assert "fault 2" not in text
+
+
+def test_extras_that_are_not_there_are_no_fault(stltool, monkeypatch):
+    broken(monkeypatch, missing=["gymnasium", "pyarrow"])
+    code, text, _ = stltool("doctor")
+    assert code == 0
+    assert "missing: pip install 'stltool[gymnasium]'" in text
+    assert "missing: pip install 'stltool[parquet]'" in text
+    assert "missing: pip install 'stltool[cluster]'" not in text
+
+
+def test_a_cache_that_cannot_be_written_and_a_wrong_result_are_faults(stltool, monkeypatch):
+    monkeypatch.setattr(doctor, "_cache", lambda: (None, 0))
+    monkeypatch.setattr(doctor, "_small_check", lambda: "its result is 7/8 instead of 15/16")
+    code, text, _ = stltool("doctor")
+    assert code == 1
+    assert "fault 1" in text
+    assert "set NUMBA_CACHE_DIR to a writable folder" in text
+    assert "fault 2" in text
+    assert "a small check went wrong: its result is 7/8 instead of 15/16" in text
+
+
+def test_the_small_check_notices_a_wrong_result(monkeypatch):
+    assert doctor._small_check() is None
+    monkeypatch.setattr("stltool.check", lambda *_, **__: 1 / 0)
+    assert doctor._small_check().startswith("ZeroDivisionError")

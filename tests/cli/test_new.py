@@ -1,0 +1,101 @@
+"""`stltool new`: every starter and every example runs as it stands, and nothing is ever replaced."""
+
+import json
+import shlex
+
+import pytest
+
+from stltool.starters import EXAMPLES, KINDS, example, starter
+from tests.conftest import ROOT
+
+QUICK = {"run": ["--rollouts", "50", "--episodes", "20"], "sweep": ["--workers", "1"], "check": [], "why": [],
+         "explain": [], "monitor": []}  # fmt: skip
+SLOW = {
+    "stltool sweep small.toml",
+    "stltool run patrolling.stl",
+    "stltool run crossing-blackbox.stl",
+}  # tested elsewhere
+
+
+@pytest.mark.parametrize("made", [f"--kind {kind}" for kind in KINDS] + [f"--example {name}" for name in EXAMPLES])
+def test_what_is_made_runs(stltool, tmp_path, monkeypatch, made):
+    monkeypatch.chdir(tmp_path)
+    code, text, _ = stltool("new", "shift", *made.split())
+    assert code == 0
+    assert text.splitlines()[1] == "next  cd shift"
+    commands = [line.strip() for line in text.splitlines()[2:]]
+    assert commands
+    assert all(command.startswith("stltool ") for command in commands)
+    monkeypatch.chdir("shift")
+    for command in [one for one in commands if one not in SLOW]:
+        _, name, *arguments = shlex.split(command)
+        code, out, err = stltool(name, *arguments, *QUICK[name])
+        assert (code, err.count("error")) == (int(made == "--example monitor"), 0), err  # its log has violations
+        assert out
+    for task in (tmp_path / "shift").glob("*.stl"):
+        if made.startswith("--kind"):
+            assert stltool("fmt", "--check", task)[0] == 0
+
+
+def test_the_violation_that_a_comment_promises(stltool, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    stltool("new", "log", "--kind", "trace")
+    monkeypatch.chdir("log")
+    (line,) = [line for line in (tmp_path / "log" / "task.stl").read_text().splitlines() if "violation" in line]
+    _, name, *arguments = shlex.split(line[line.index("stltool") :])
+    assert stltool(name, *arguments)[0] == 1
+
+
+def test_examples_are_those_of_the_sources():
+    for name in EXAMPLES:
+        assert (ROOT / "examples" / name).is_dir()
+        listed = (ROOT / "pyproject.toml").read_text()
+        assert f'"examples/{name}" = "stltool/examples/{name}"' in listed
+        for file, content in example(name).files.items():
+            assert (ROOT / "examples" / name / file).read_bytes() == content
+    assert set(starter("grid").files) == {"floor.toml", "task.stl"}
+    assert all(len(starter(kind).files["task.stl"].split(b"#")) > 1 for kind in KINDS)  # commented
+
+
+def test_the_list_and_the_files_as_json(stltool, tmp_path):
+    listed = json.loads(stltool("new", "--json")[1])
+    assert (listed["kinds"], listed["examples"]) == (KINDS, EXAMPLES)
+    text = stltool("new")[1]
+    assert all(f"--kind {kind}" in text for kind in KINDS)
+    assert all(f"--example {name}" in text for name in EXAMPLES)
+    made = json.loads(stltool("new", tmp_path / "a", "--json")[1])
+    assert sorted(made["files"]) == sorted(path.name for path in (tmp_path / "a").iterdir())
+
+
+def test_nothing_is_replaced(stltool, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    assert stltool("new", "empty")[0] == 0
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "task.stl").write_text("mine")
+    (tmp_path / "file").write_text("mine")
+    for name in ("full", "file", "empty"):
+        code, _, err = stltool("new", name)
+        assert code == 2
+        assert "it exists, and nothing is replaced; name a new folder" in err
+    assert (tmp_path / "full" / "task.stl").read_text() == "mine"
+    code, _, err = stltool("new", "file/below")
+    assert code == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["empty", "file", "full"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["x", "--kind", "gird"], "--kind gird: there is no such kind; did you mean grid?"),
+        (["x", "--example", "factry"], "--example factry: there is no such example; did you mean factory?"),
+        (["x", "--kind", "grid", "--example", "ward"], "give one of them"),
+        (["--kind", "grid"], "no folder is named"),
+    ],
+)
+def test_what_does_not_fit_is_refused(stltool, tmp_path, monkeypatch, arguments, says):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = stltool("new", *arguments)
+    assert code == 2
+    assert says in err
+    assert not list(tmp_path.iterdir())
