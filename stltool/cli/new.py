@@ -48,7 +48,7 @@ def new(
             print_facts({f"--kind {name}": what for name, what in KINDS.items()})
             print_facts({f"--example {name}": what for name, what in EXAMPLES.items()})
         return
-    made = example(shipped) if shipped is not None else starter(kind or "grid")
+    made = example(shipped) if shipped is not None else starter(kind if kind is not None else "grid")
     write_folder(folder, made.files)
     if as_json:
         print_json({"folder": str(folder), "files": list(made.files), "next": made.next})

@@ -20,10 +20,15 @@ KINDS = {
 }
 EXAMPLES = {
     "factory": "the paper's robot on a factory floor: tasks, floors, uncertain and parametric ones, trade-offs",
+    "ward": "a delivery in a hospital, the example of the tutorial",
+    "battery": "a robot that must not run flat, in PRISM's explicit files",
+    "lift": "a lift whose passengers do not wait for long",
+    "zeroconf": "a protocol by which devices choose addresses",
     "frozenlake": "FrozenLake, exact and as a black box",
+    "drone": "the log of a flight, judged rule by rule",
+    "insulin": "a day of an insulin pump, judged by its therapy",
     "monitor": "the log of a delivery robot's shift",
     "paper": "the paper's comparison of methods as sweeps",
-    "ward": "a hospital corridor with a task of deliveries",
 }
 _NEXT = {
     "grid": ["stltool explain task.stl", "stltool check task.stl", "stltool run task.stl"],
@@ -34,7 +39,12 @@ _NEXT = {
     "frozenlake": ["stltool check crossing.stl", "stltool run crossing-blackbox.stl"],
     "monitor": ["stltool monitor duty.stl shift.csv --plot shift.png"],
     "paper": ["stltool sweep small.toml"],
-    "ward": ["stltool check delivery.stl"],
+    "ward": ["stltool check delivery.stl", "stltool run delivery.stl"],
+    "battery": ["stltool check inspection.stl", "stltool why inspection.stl"],
+    "lift": ["stltool check service.stl --exact"],
+    "zeroconf": ["stltool check address.stl --exact"],
+    "drone": ["stltool monitor rules.stl flight.csv --plot flight.png"],
+    "insulin": ["stltool monitor therapy.stl day.csv --plot day.png"],
 }
 
 
