@@ -38,7 +38,7 @@ CASES = {
     "export": ["patrolling.stl", *SMALL, "--to", "dot"],
     "report": ["report.json"],
     "diff": ["report.json", "report.json"],
-    "new": ["made"],
+    "new": [],
     "doctor": [],
 }
 

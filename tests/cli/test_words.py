@@ -25,7 +25,7 @@ BESIDE = {
 }  # fmt: skip
 INSTEAD = {
     ("estimate", "--at-least"): ["patrolling.stl", *SMALL], ("sweep", "--cluster"): ["sweep.toml", "--out", "swept"],
-    ("explain", "--step"): ["F[0,2] a"],
+    ("explain", "--step"): ["F[0,2] a"], ("new", "--kind"): ["made"], ("new", "--example"): ["made"],
 }  # fmt: skip
 for option in ("--alpha", "--beta", "--indifference", "--most-runs"):
     INSTEAD["estimate", option] = ["patrolling.stl", *SMALL]
