@@ -16,6 +16,7 @@ from statistics import median
 
 import stltool as stl
 from stltool import kernels
+from stltool.checking.encodings import compare_encodings
 from stltool.reporting import encoding_data, encoding_rows, surrogate_data, surrogate_rows
 
 FACTORY = Path(__file__).resolve().parent.parent / "examples" / "factory"
@@ -43,7 +44,8 @@ def surrogate_table() -> list[str]:
 
 
 def encoding_table() -> list[str]:
-    return markdown(encoding_rows({name: encoding_data(product(*scenario)) for name, scenario in SCENARIOS.items()}))
+    found = {name: compare_encodings(product(*scenario)) for name, scenario in SCENARIOS.items()}
+    return markdown(encoding_rows({name: encoding_data(encodings) for name, encodings in found.items()}))
 
 
 def memory_table() -> list[str]:

@@ -45,7 +45,7 @@ PAGES = {
     "formulas": ("Formulas and tasks", ("logic",)),
     "monitoring": ("Monitors", ("monitoring",)),
     "models": ("Automata, models and products", ("automata", "models", "product", "envs", "policy")),
-    "checking": ("Checking", ("checking",)),
+    "checking": ("Checking", ("checking", "gate")),
     "learning": ("Learning and guarantees", ("learning",)),
     "reporting": ("Reports and errors", ("reporting", "errors")),
 }
@@ -193,12 +193,12 @@ def language() -> str:
 
 
 def site(folder: Path) -> None:
-    """The settings of the two builders, and all pages and pictures."""
+    """The settings of the two builders, all pages and pictures, and the schema that a page links to."""
     reference = folder / "pages" / "reference"
     reference.mkdir(parents=True, exist_ok=True)
     for path in HERE.glob("*.yml"):
         shutil.copy(path, folder)
-    for path in [*HERE.glob("*.md"), *HERE.glob("*.svg")]:
+    for path in [*HERE.glob("*.md"), *HERE.glob("*.svg"), HERE / "reports.schema.json"]:
         shutil.copy(path, folder / "pages")
     for name, (title, modules) in PAGES.items():
         (reference / f"{name}.md").write_text(page(title, modules), encoding="utf-8")

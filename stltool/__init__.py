@@ -23,6 +23,7 @@ The path through the package, and a map in reading order:
     product.py    MDP × TaskAutomaton, never built as a matrix
     policy.py     a table over (t?, s, q), saved and loaded without pickle
     checking/     the exact probability of the best policy, or of a given one, with bounds; estimates from runs
+    gate.py       whether task files keep what they expect
     recheck.py    re-checks certificates of those bounds; imports nothing from stltool
     learning/     policies from experience only, and guarantees from its data
     reporting/    results → JSON, HTML, terminal

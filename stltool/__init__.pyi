@@ -60,6 +60,7 @@ from .checking import (
     tradeoff as tradeoff,
     write_certificate as write_certificate,
 )
+from .gate import Verification as Verification, Verified as Verified, verify as verify
 from .learning import (
     Cfer as Cfer,
     ModelBased as ModelBased,

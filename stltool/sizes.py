@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.arguments import real
-from stltool.errors import SettingsError, SizeError
+from stltool.errors import SettingsError, SizeError, named
 
 _USABLE = 0.8  # of the memory that is free now
 _LITTLE = 2**20  # bytes
@@ -98,6 +98,14 @@ def require_limit(given: object) -> int:
     return int(limit)
 
 
+def seconds_of(given: object, what: str) -> float:
+    """A limit in seconds, the argument `what`; SettingsError for anything but a number from 0."""
+    limit = float(real(given, what, "60"))
+    if limit < 0:
+        raise SettingsError(f"{named(what)} is {given}; give seconds from 0, such as 60")
+    return limit
+
+
 def require_memory(needed: float, what: str, remedy: str, limit: int | None = None) -> None:
     """Raise SizeError, before anything is allocated, if `needed` bytes are over the limit.
 
@@ -122,8 +130,10 @@ def bytes_text(n: float) -> str:
     return f"{n:.3g} {unit}"
 
 
-def require_time(operations: float, rate: float, what: str, remedy: str) -> None:
-    """Raise SizeError if `operations` at `rate` per second would take more than a week."""
-    days = operations / rate / 86400
-    if days > _MOST_DAYS:
-        raise SizeError(f"{what} would take about {days:.3g} days; {remedy}")
+def require_time(operations: float, rate: float, what: str, remedy: str, limit: float | None = None) -> None:
+    """Raise SizeError if `operations` at `rate` per second would take more than a week, or than `limit` seconds."""
+    seconds = operations / rate
+    if seconds > _MOST_DAYS * 86400:
+        raise SizeError(f"{what} would take about {seconds / 86400:.3g} days; {remedy}")
+    if limit is not None and seconds > limit:
+        raise SizeError(f"{what} would take about {seconds:.3g} s, over the limit of {limit:.3g} s; {remedy}")

@@ -21,7 +21,7 @@ RESULTS = {
     "CheckResult", "Estimate", "Fragment", "Front", "Gap", "Guarantee", "JointProduct", "LikelyRuns", "MDP", "Meaning",
     "MonitorResult", "ParametricResult", "Product", "Run", "Sensitivity", "SequentialTest", "SmoothRobustness",
     "StationaryResult", "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton",
-    "Tradeoff", "Training", "Decision", "MarkovTest",
+    "Tradeoff", "Training", "Decision", "MarkovTest", "Verification", "Verified",
 }  # fmt: skip
 
 # called from within, or in inner loops with indices of their own
@@ -78,6 +78,7 @@ model = "model.toml"
 
 def write_inputs(folder, text):
     (folder / "task.stl").write_text(text)
+    (folder / "gate.stl").write_text(f'model "model.toml"\n{text}\nexpect Pmax(reach) >= 0.5\n')
     (folder / "trace.csv").write_text("x,A\n0.5,true\n")
     (folder / "model.toml").write_text('kind = "grid"\nmap = "SA"\ncell = 1\nmoves = "cross"\nsuccess = 1\n')
     (folder / "q.csv").write_text("state,0,1\n[0 0],1,2\n")
@@ -207,6 +208,7 @@ CALLS = {
     "Counts.contains": lambda w: {"self": stl.Counts(2, 2), "other": stl.Counts(2, 2)},
     "markov_test": lambda w: {"counts": w.training.counts},
     "optimality_gap": lambda w: {"product": w.product, "policy": w.policy, "counts": w.training.counts},
+    "verify": lambda w: {"files": "gate.stl"},
     "load_sweep": lambda w: {"path": "sweep.toml"},
     "run_sweep": lambda w: {"sweep": w.sweep, "folder": "swept", "workers": 1},
     "Sweep.select": lambda w: {"self": w.sweep},
@@ -237,7 +239,7 @@ TAKES = {
     **dict.fromkeys(
         ("gamma", "alpha", "beta", "confidence", "tolerance", "indifference", "at_least", "bound", "second"), NUMBERS
     ),
-    **{key: {"None", *NUMBERS} for key in ("epsilon", "mass", "memory_limit")},
+    **{key: {"None", *NUMBERS} for key in ("epsilon", "mass", "memory_limit", "time_limit")},
     **{key: {"True"} for key in ("maximize", "exact", "keep_policy", "satisfied", "cut", "unbounded", "normalize")},
     **{key: {"text"} for key in ("text", "name", "objective")},
     **dict.fromkeys(("source", "command", "step"), TEXT),
@@ -319,6 +321,9 @@ OWN = {
     "Counts.add": {"choice": {"int", *LISTS}, "target": {"int", *LISTS}, "context": {"None", "int", *LISTS}},
     "Counts.contains": {"other": {"Counts"}},
     "markov_test": {"counts": {"Counts"}, "draws": {"int"}},
+    "verify": {
+        "files": {*PATHS, *LISTS}, "certificates": {"None", *PATHS}, "exact_seconds": NUMBERS, "stage": CALLABLE,
+    },
     "run_sweep": {"sweep": {"Sweep"}, "folder": PATHS, "workers": {"None", "int"}, "cluster": TEXT},
     "Sweep.select": {"scenarios": NAMES, "methods": NAMES, "seeds": {"None", "int", *LISTS}},
     **{name: {key: kinds_of(one) for key, one in settings_of(getattr(stl, name)).items()} for name in LEARNERS},

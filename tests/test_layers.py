@@ -11,8 +11,8 @@ from tests.conftest import ROOT
 # each room may import itself and the rooms before it; kernels import nothing, nobody imports testing
 ORDER = ["errors", "streams", "log", "arguments", "numbers", "display", "extras", "source", "files", "grammar",
          "arrays", "sizes", "cluster", "choices", "layered", "randomness", "logic", "monitoring", "automata", "models",
-         "product", "asked", "policy", "envs", "recheck", "checking", "learning", "reporting", "starters",
-         "doctor", "cli", "__main__"]  # fmt: skip
+         "product", "anatomy", "asked", "policy", "envs", "recheck", "checking", "gate", "learning", "reporting",
+         "starters", "doctor", "cli", "__main__"]  # fmt: skip
 FORBIDDEN = {("automata", "models"), ("models", "automata"), ("models", "logic"), ("checking", "learning")}
 
 

@@ -38,6 +38,8 @@ FILLED = {
     "--policy FILE": "--policy out/patrolling/policy.npz",
     "--out FILE": "--out learned.npz --checkpoint run.npz --history run.csv",
     "sweep FILE": "sweep examples/paper/small.toml --workers 2",
+    "verify FILE...": f"verify {FACTORY}gate.stl --junit verify.xml --certificates proofs",
+    "lint FILE...": f"lint {FACTORY}patrolling.stl",
     "fmt FILE...": f"fmt {FACTORY}patrolling.stl {FACTORY}charging.stl",
     "REPORT.json": "out/patrolling/report.json",
     "new NAME --kind grid": "new shift --kind grid",

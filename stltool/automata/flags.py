@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, Remembered, TaskAutomaton, Text
+from stltool.errors import FragmentError
 from stltool.logic.formula import Formula
-from stltool.logic.fragment import Fragment, FragmentPart
+from stltool.logic.fragment import Fragment, FragmentPart, check_fragment
 from stltool.sizes import require_memory, require_numbered
 
 SCALES = {"published": (-0.5, 0.5), "printed": (-1.9, -0.9), "shifted": (-0.9, 0.1)}
@@ -32,6 +33,14 @@ def surrogate_reward(automaton: TaskAutomaton, outer: str, scale: str = "publish
     G, where χ is the truth of the inner formula that its flags show [Wang24, eq. 12 up to e^−50, and Table I]."""
     low, high = (-1.0, 1.0) if outer == "F" else SCALES[scale]
     return np.where(automaton.verdict_rows[-1] == TRUE, high, low)
+
+
+def flag_states(phi: Formula) -> int | None:
+    """The number of flag vectors of a formula; None if it is outside the fragment."""
+    try:
+        return math.prod(part.tau + 1 for part in check_fragment(phi).parts)
+    except FragmentError:
+        return None
 
 
 def flag_automaton(

@@ -55,7 +55,7 @@ from stltool.models.rows import Demand, Rows, least_positive
 from stltool.numbers import round_down, round_up
 from stltool.policy import Policy, layered_header, require_door, require_policy_file
 from stltool.product import Product
-from stltool.sizes import UnsignedType
+from stltool.sizes import UnsignedType, seconds_of
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -157,6 +157,7 @@ def check(
     threads: int | None = None,
     cluster: str | None = None,
     memory_limit: int | None = None,
+    time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> CheckResult:
     """The probability that the task holds: under `policy`, or the maximum (minimum) over all policies.
@@ -167,11 +168,11 @@ def check(
     that it need not fit into memory; every `save_every` seconds, and on Ctrl-C, the state of the computation is saved
     next to it, and `resume=True` continues from there, with bit-for-bit the same result. `engine` and `threads`
     (default: all cores) change no bit of the result; nor does `cluster`, the address of a dask scheduler whose workers
-    compute instead (docs/large.md).
+    compute instead (docs/large.md). `time_limit` is for exact answers: the seconds that one may take, by estimate.
 
     Raises PolicyError if the policy belongs to another task or model, or defines no action in a state it reaches;
     ModelError if an exact answer is asked for and rows do not sum to 1; SizeError before allocating more memory than is
-    available.
+    available, or taking more time.
     """
     start = time.perf_counter()
     require_door("check", product, policy)
@@ -189,6 +190,7 @@ def check(
     require(cluster, str, "check's cluster", "write the scheduler's address in quotes", optional=True)
     if cluster is not None:
         require_for_cluster(exact, policy, resume, engine, threads)
+    limit = seconds_of(time_limit, "time_limit") if time_limit is not None else None
     path = _policy_file(policy_file, policy, keep_policy, resume)
     if exact and product.model.kinds is not None:
         require_exact(product.model, product.model.kinds)
@@ -206,8 +208,9 @@ def check(
     try:
         if exact:
             fraction, found = exact_probability(
-                asked.layers, judge.model, maximize, keep, memory_limit=memory_limit, recorder=asked.recorder("exact")
-            )
+                asked.layers, judge.model, maximize, keep, memory_limit=memory_limit, time_limit=limit,
+                recorder=asked.recorder("exact"),
+            )  # fmt: skip
             value, lower, upper, used = float(fraction), round_down(fraction), round_up(fraction), "rational"
         else:
             value, lower, upper, used, found = asked.enclosed(arithmetic)

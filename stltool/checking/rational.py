@@ -38,6 +38,7 @@ def exact_probability(
     *,
     in_digits: bool = True,
     memory_limit: int | None = None,
+    time_limit: float | None = None,
     recorder: Recorder | None = None,
 ) -> tuple[Fraction, Solution]:
     """P as a fraction, over the layers of a question (checking/check.py), and the solution it comes from.
@@ -45,7 +46,9 @@ def exact_probability(
     Raises ModelError if the model's rows do not sum to 1 exactly, SizeError before it needs more than is available.
     """
     require_exact(model, layers.kinds)
-    arithmetic = exact_arithmetic(layers, maximize, in_digits=in_digits, memory_limit=memory_limit)
+    arithmetic = exact_arithmetic(
+        layers, maximize, in_digits=in_digits, memory_limit=memory_limit, time_limit=time_limit
+    )
     found = solve(layers, arithmetic, maximize, keep, recorder)
     entries = [arithmetic.number(value) for value in found.entry]
     shares = (model.initial_share(s) for s in layers.game.first.tolist())
@@ -55,7 +58,12 @@ def exact_probability(
 
 
 def exact_arithmetic(
-    layers: Layers[Any, Any], maximize: bool, *, in_digits: bool = True, memory_limit: int | None = None
+    layers: Layers[Any, Any],
+    maximize: bool,
+    *,
+    in_digits: bool = True,
+    memory_limit: int | None = None,
+    time_limit: float | None = None,
 ) -> Digits | Integers:
     """The arithmetic without any rounding over these layers. Raises SizeError before it needs more than is
     available."""
@@ -72,7 +80,7 @@ def exact_arithmetic(
     what = f"exact arithmetic on {pairs} pairs over {h} steps"
     remedy = "shorten the windows, round the probabilities to fewer digits, or use the enclosure, without --exact"
     require_memory(24 * words * widest, what, remedy, memory_limit)
-    require_time(pairs * layers.game.widest * (1 + words / 2), rate, what, remedy)
+    require_time(pairs * layers.game.widest * (1 + words / 2), rate, what, remedy, time_limit)
     return arithmetic
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import nullcontext
 from fractions import Fraction
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 
@@ -124,6 +124,7 @@ def check(
     from stltool.checking.certificate import require_certificate_file
     from stltool.policy import require_policy_file
     from stltool.reporting import check_data, stationary_data
+    from stltool.reporting.records import CheckOutput, Nature
     from stltool.reporting.terminal import print_checks, print_facts, print_json, progress_bar
 
     bounds: list[tuple[str, str, Fraction]] = [
@@ -202,16 +203,16 @@ def check(
     if certificate is not None:
         with progress_bar("writing the certificate", quiet=as_json) as bar:
             proved = stl.write_certificate(result, certificate, progress=bar, cluster=cluster)
-    data = check_data(result, optimum)
+    data = cast(CheckOutput, check_data(result, optimum))
     if uncertain:
-        data["nature"] = nature or "against"
+        data["nature"] = cast(Nature, nature or "against")
     if found is not None:
         data["stationary"] = stationary_data(found)
     verdicts = []
     for option, text, bound in bounds:
         holds = result.at_least(bound) if option == "--at-least" else result.at_most(bound)
         verdicts.append((f"P {'>=' if option == '--at-least' else '<='} {text}", holds))
-        data[option.strip("-").replace("-", "_")] = float(bound)
+        data["at_least" if option == "--at-least" else "at_most"] = float(bound)
     if verdicts:
         data["holds"] = all(holds is True for _, holds in verdicts)
         data["decided"] = all(holds is not None for _, holds in verdicts)
@@ -222,7 +223,7 @@ def check(
         if data["initial_states"] > 1:
             print_facts({"starts in": data["initial"]})
         if uncertain:
-            print_facts({"nature": nature_text(data["nature"], product.model)})
+            print_facts({"nature": nature_text(nature or "against", product.model)})
         print_checks([check_data(optimum), data] if chosen is not None else [data])
         if found is not None:
             limit = bound_texts(found.bound, found.bound)[0 if minimize else 1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 import typer
@@ -119,7 +120,7 @@ def estimate(
             result = stl.estimate(product, chosen, seed=seed, progress=bar, **fixed)
         else:
             result = stl.sprt(product, chosen, bound, seed=seed, progress=bar, **sequential)
-    data = estimate_data(result, product, chosen, truth)
+    data: Mapping[str, Any] = estimate_data(result, product, chosen, truth)
     if as_json:
         print_json(data)
     else:

@@ -73,6 +73,7 @@ def learn(
 ) -> None:
     """Learn a policy without knowledge of the probabilities, and save it."""
     from stltool.learning.checkpoint import require_checkpoint
+    from stltool.learning.markov import tested
     from stltool.policy import require_policy_file
     from stltool.reporting import markov_data, training_data, write_history
     from stltool.reporting.curves import require_history_file
@@ -97,7 +98,8 @@ def learn(
     if history is not None:
         write_history(training, history)
     events = write_tensorboard(training, tensorboard) if tensorboard is not None else None
-    markov = markov_data(training)
+    test = tested(training)
+    markov = markov_data(test, product.model) if test is not None else None
     if as_json:
         found = {**training_data(training), "markov": markov}
         print_json({"task": product.task_name, "formula": str(product.formula), **found})

@@ -122,6 +122,18 @@ def task_files(path: Path) -> Iterable[Path]:
     return [path, *(model_files(model) if model is not None else ())]
 
 
+def expectation_files(path: Path) -> Iterable[Path]:
+    """A task file, the files of its model, and the policies and traces that its expectations name."""
+    import stltool as stl
+    from stltool.gate import task_reads
+
+    try:
+        task = stl.load_task(path, unbounded=True) if path.is_file() else None
+    except (StlToolError, OSError, ValueError):
+        task = None
+    return [*task_files(path), *(task_reads(task) if task is not None else ())]
+
+
 def sweep_files(path: Path) -> Iterable[Path]:
     """A sweep file, its tasks and their models."""
     yield path

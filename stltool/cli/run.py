@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -38,6 +38,7 @@ from stltool.cli.steps import (
     guarantees_of,
     make_product,
     read_learner,
+    read_probability,
     resumable,
     split_episodes,
     this_command,
@@ -46,6 +47,15 @@ from stltool.cli.steps import (
 )
 from stltool.cli.words import Named
 from stltool.errors import SettingsError
+
+if TYPE_CHECKING:
+    from stltool.reporting.records import AskedRecord
+
+_VERDICTS = {
+    True: "holds",
+    False: "does not hold",
+    None: "undecided: the bound lies inside the enclosure; stltool check --policy FILE --exact decides it",
+}
 
 
 @app.command("stltool run patrolling.stl --episodes 1000 --out out/first", cls=LearnerCommand)
@@ -82,6 +92,10 @@ def run(
             help="learn in this share of the episodes, and use the others as fresh runs instead of --rollouts",
         ),
     ] = None,
+    at_least: Annotated[
+        str | None,
+        typer.Option("--at-least", metavar="P", help="exit code 1 unless the learned policy's P is at least this"),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="folder for the results; default: out/NAME"),
@@ -97,14 +111,17 @@ def run(
     A black box cannot be checked; instead, P of the learned policy is bounded from fresh runs.
     """
     import stltool as stl
+    from stltool.checking.evidence import evidence_of
     from stltool.checking.statistical import planned_runs
     from stltool.files import read_text, require_folder
     from stltool.learning.checkpoint import require_checkpoint
+    from stltool.learning.markov import tested
     from stltool.reporting import guarantee_rows, looser_note, report_data, write_report
     from stltool.reporting.terminal import print_checks, print_facts, print_json, print_table, progress_bar
 
     if split is not None:
         episodes, rollouts = split_episodes(split, episodes, rollouts)
+    bound = read_probability(at_least, "--at-least") if at_least is not None else None
     planned_runs(rollouts or None, confidence=confidence, side="lower")
     learner = read_learner(method, faithful, setting)
     product = make_product(
@@ -123,6 +140,11 @@ def run(
     known = product.model.blackbox is None
     if not known and not rollouts:
         raise SettingsError("--rollouts 0: a policy for a black box is judged only by fresh runs; request some")
+    if not known and bound is not None:
+        raise SettingsError(
+            f"--at-least {at_least}: {product.model.name} is a black box, whose probabilities are unknown; test the "
+            "bound by runs: stltool estimate --policy FILE --at-least P"
+        )
     require_checkpoint(checkpoint, resume)
     with resumable(checkpoint):
         checks = []
@@ -138,13 +160,15 @@ def run(
             checks.append(stl.check(product, training.policy))
         guarantees = guarantees_of(product, training, confidence, rollouts, as_json)
         data = report_data(
-            checks, training, source=read_text(task, "task file"), command=this_command(), seed=seed,
-            guarantees=guarantees, product=product,
+            checks, training, source=read_text(task, "task file"), command=this_command(), guarantees=guarantees,
+            evidence=evidence_of(product, training.policy, seed, why=known), markov=tested(training), at_least=bound,
+            product=product,
         )  # fmt: skip
         training.policy.save(folder / "policy.npz")
         write_report(data, folder / "report.html")
     if as_json:
         print_json(data)
+        _require(data["asked"])
         return
     print_facts({
         "task": f"{product.task_name} := {product.formula}",
@@ -159,4 +183,12 @@ def run(
     print_table(guarantee_rows(data["guarantees"], data["checks"]))
     if (note := looser_note(data["guarantees"])) is not None:
         print_facts({"looser": note})
+    if (asked := data["asked"]) is not None:
+        print_facts({f"P >= {at_least}": _VERDICTS[asked["holds"] if asked["decided"] else None]})
     print_facts({"report": folder / "report.html", "data": folder / "report.json", "policy": folder / "policy.npz"})
+    _require(data["asked"])
+
+
+def _require(asked: AskedRecord | None) -> None:
+    if asked is not None and not asked["holds"]:
+        raise typer.Exit(1)

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from stltool.models import MDP
     from stltool.policy import Policy
     from stltool.product import JointProduct, Product
+    from stltool.reporting.records import GuaranteeRecord
 
 
 NATURES = {
@@ -385,7 +386,7 @@ ROLLOUTS = 10_000
 
 def guarantees_of(
     product: Product, training: Training, confidence: float, rollouts: int, quiet: bool
-) -> list[dict[str, Any]]:
+) -> list[GuaranteeRecord]:
     """Lower bounds for a learned policy, as data: from the transitions it was learned from, also if the model's rows
     are tied by a parameter, from fresh runs, and the best of the last two.
 

@@ -52,6 +52,7 @@ def sweep(
     continue.
     """
     import stltool as stl
+    from stltool.checking.encodings import story_of
     from stltool.learning.sweep import finished_runs
     from stltool.reporting import sweep_data, write_sweep
     from stltool.reporting.sweeps import failure_text, failures_data, result_rows
@@ -75,7 +76,14 @@ def sweep(
     # the report covers everything of the sweep in the folder, whatever part was requested this time
     shown = whole.select(seeds=sorted({*whole.seeds, *part.seeds}))
     known = finished_runs(shown, folder)
-    data = sweep_data(stl.SweepResult(shown, known.runs, result.failures, result.skipped), this_command())
+    finished = {run.scenario for run in known.runs}
+    told = [one for one in whole.scenarios if whole.story and one.id in finished]
+    stories = [story_of(one.id, one.product) for one in told]
+    data = sweep_data(
+        stl.SweepResult(shown, known.runs, result.failures, result.skipped),
+        this_command(),
+        stories=[story for story in stories if story is not None],
+    )
     paths = write_sweep(data, folder) if known.runs else []
     if as_json:
         print_json(data)

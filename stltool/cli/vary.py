@@ -36,7 +36,7 @@ def check_range(
         below = option == "--at-least"
         holds = found.at_least(bound) if below else found.at_most(bound)
         verdicts[f"P {'>=' if below else '<='} {text} everywhere"] = holds
-        data[option.strip("-").replace("-", "_")] = float(bound)
+        data["at_least" if below else "at_most"] = float(bound)
     all_hold = all(holds is True for holds in verdicts.values())
     if verdicts:
         data["holds"] = all_hold

@@ -50,6 +50,7 @@ def why(
     """Explain P: the most probable runs that violate the task, and the states that P depends on most."""
     import stltool as stl
     from stltool.reporting import likely_data, product_data, sensitivity_data
+    from stltool.reporting.records import WhyOutput
     from stltool.reporting.terminal import print_facts, print_json, print_likely, print_sensitive, progress_bar
 
     named = require_one_policy(policy, policy_function)
@@ -75,7 +76,7 @@ def why(
         moves = stl.sensitivity(product, followed, progress=bar)
     if given is not None:
         result = stl.check(product, given)
-    data = {
+    data: WhyOutput = {
         **product_data(product),
         "question": result.question,
         "policy": followed.kind,

@@ -32,7 +32,7 @@ import itertools
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,11 @@ from stltool.display import Card, Displayed, counted
 from stltool.errors import SettingsError
 from stltool.learning.counts import Counts, Whole
 from stltool.numbers import exact
+from stltool.product import Product
 from stltool.randomness import Purpose, generator, require_seed
+
+if TYPE_CHECKING:
+    from stltool.learning.learn import Training
 
 _CELLS = 1 << 22  # of the tables drawn at once
 _MOST_SHOWN = 5
@@ -188,6 +192,15 @@ def markov_test(
         seed=seed,
         seconds=time.perf_counter() - began,
     )
+
+
+def tested(training: Training) -> MarkovTest | None:
+    """For a black box, whether the data of a training contradict the assumption; None if the model is known, or nothing
+    was learned."""
+    model = cast(Product, training.policy.home).model  # learners do not support joint products
+    if model.blackbox is None or not training.environment_steps:
+        return None
+    return markov_test(training.counts, seed=training.seed)
 
 
 def _tables(counts: Counts) -> Iterator[tuple[int, Whole]]:

@@ -27,6 +27,7 @@ import numpy as np
 
 from stltool.arguments import described, function, require, texts, whole
 from stltool.arguments import path as path_of
+from stltool.checking import CheckResult, check
 from stltool.choices import Choices
 from stltool.display import Card, Displayed, counted, listed, probability_text
 from stltool.errors import FileError, SettingsError, StlToolError, named, near_misses
@@ -83,6 +84,11 @@ class Scenario(Displayed):
     @functools.cached_property
     def product(self) -> Product:
         return build_product(self.model, self.task)
+
+    @functools.cached_property
+    def optimum(self) -> CheckResult:
+        """The check over all policies."""
+        return check(self.product, keep_policy=False)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from typing import NoReturn, TypeVar, cast, get_args
 
 from stltool.errors import StlSyntaxError, near_misses
 from stltool.logic.expectation import ASKED, RELATIONS, Asked, Expectation, Relation
+from stltool.logic.format import expectation_text
 from stltool.logic.formula import (
     DEEPEST,
     LARGEST_BOUND,
@@ -215,6 +216,7 @@ class Builder:
             robust,
             file if question == "P" else None,
             file if question == "holds" else None,
+            written=expectation_text(tree),
             span=self.span(tree),
         )
 

@@ -29,6 +29,7 @@ class Expectation:
     relation, bound   of a probability, exactly; None for "holds"
     robust      what is guaranteed whatever the probabilities are in their intervals
     policy, trace     the file as written; its path is relative to the task file
+    written     the text of the file on one line, with its names of definitions and params
     """
 
     question: Asked
@@ -39,6 +40,7 @@ class Expectation:
     robust: bool = False
     policy: str | None = None
     trace: str | None = None
+    written: str = field(default="", compare=False, repr=False)
     span: Span | None = field(default=None, compare=False, repr=False)
 
     @property

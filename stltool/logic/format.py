@@ -88,6 +88,36 @@ def flat_text(tree: Branch) -> str:
             return _term(tree)[0]
 
 
+def expectation_text(tree: Branch) -> str:
+    """An expectation on one line."""
+    opening, body, closing = _expectation(tree)
+    return f"{opening}{flat_text(body)}{closing}"
+
+
+def _expectation(tree: Branch) -> tuple[str, Branch, str]:
+    """What comes before the formula, the formula, and what comes after it."""
+    at = next(i for i, part in enumerate(tree.children) if not isinstance(part, Token))
+    body = bare(branches(cast(Branch, tree.children[at]))[0])
+    rest = deque(tree.children[at + 1 :])
+    closing = ")"
+    if rest and cast(Token, rest[0]).type == "NAME":
+        closing = f", {rest.popleft()} {rest.popleft()})"
+    if rest:
+        closing += f" {_comparator(cast(Token, rest.popleft()))} {_bound(cast(Branch, rest.popleft()))}"
+    return f"expect {' '.join(map(str, tree.children[:at]))}(", body, closing
+
+
+def _bound(tree: Branch) -> str:
+    """A fraction of two numbers is one number, so it has no spaces."""
+    parts = bare(tree).children
+    fraction = bare(tree).data == "binary" and all(not isinstance(p, Token) and p.data == "number" for p in parts[::2])
+    return (
+        "".join(_term(p)[0] if not isinstance(p, Token) else str(p) for p in parts)
+        if (fraction and str(parts[1]) == "/")
+        else _term(tree)[0]
+    )
+
+
 def _sign(tree: Branch) -> str:
     """An operator with its interval, as written before or between its operands."""
     interval = next((_interval(part) for part in branches(tree) if part.data == "interval"), "")
@@ -214,16 +244,7 @@ class _Layout:
                 raise AssertionError(f"the grammar's rule {other} has no layout")
 
     def expectation(self, tree: Branch) -> None:
-        at = next(i for i, part in enumerate(tree.children) if not isinstance(part, Token))
-        body = bare(branches(cast(Branch, tree.children[at]))[0])
-        opening = f"expect {' '.join(map(str, tree.children[:at]))}("
-        rest = deque(tree.children[at + 1 :])
-        closing = ""
-        if rest and cast(Token, rest[0]).type == "NAME":
-            closing = f", {rest.popleft()} {rest.popleft()}"
-        closing += ")"
-        if rest:
-            closing += f" {_comparator(cast(Token, rest.popleft()))} {_term(cast(Branch, rest.popleft()))[0]}"
+        opening, body, closing = _expectation(tree)
         line = f"{opening}{flat_text(body)}{closing}"
         if self.fits(line, tree) or not _breakable(body):
             self.lines.append(line)

@@ -46,9 +46,14 @@ def ambiguities(task: Task | Document) -> list[Advice]:
     found = [advice for tree in document.trees for advice in _of_statement(document, tree)]
     found += _divisions(document)
     found += _undeclared(document)
-    misspelled = list(_misspelled(document))
-    found += [*misspelled, *_expected(document, {advice.span.start for advice in misspelled})]
+    found += _misspelled(document)
+    found += _expected(document)
     return sorted(found, key=lambda advice: advice.span.start)
+
+
+def about_expectations(task: Task) -> list[Advice]:
+    """Those about expectations alone: what they refer to is not defined, or their bound decides them."""
+    return list(_expected(task.document)) if task.document is not None else []
 
 
 def _of_statement(document: Document, statement: Branch) -> Iterator[Advice]:
@@ -140,8 +145,9 @@ def _misspelled(document: Document) -> Iterator[Advice]:
             yield Advice(place, f"{name} is read as a signal or label; did you mean {close[0]}?")
 
 
-def _expected(document: Document, told: set[int]) -> Iterator[Advice]:
+def _expected(document: Document) -> Iterator[Advice]:
     """Expectations about what the file does not define, and those that hold, or fail, whatever the model is."""
+    told = {advice.span.start for advice in _misspelled(document)}
     trees = [tree for tree in document.trees if tree.data == "expectation"]
     if not trees:
         return

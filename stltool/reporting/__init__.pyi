@@ -11,11 +11,13 @@ from .runs import likely_data, sensitivity_data
 from .story import encoding_data, encoding_rows, surrogate_data, surrogate_rows
 from .sweeps import sweep_data, write_sweep
 from .tradeoffs import front_data, tradeoff_data, write_front_picture
+from .verification import junit_text, markdown_text, verification_data
 
 __all__ = [
     "check_data", "encoding_data", "encoding_rows", "estimate_data", "explain", "front_data", "guarantee_data",
-    "guarantee_rows", "likely_data", "load_report", "looser_note", "markov_data", "monitor_data", "parametric_data",
-    "product_data", "refused_data", "render", "report", "report_data", "sensitivity_data", "stationary_data",
-    "surrogate_data", "surrogate_rows", "sweep_data", "tradeoff_data", "training_data", "write_front_picture",
-    "write_history", "write_monitor_picture", "write_report", "write_sweep",
+    "guarantee_rows", "junit_text", "likely_data", "load_report", "looser_note", "markdown_text", "markov_data",
+    "monitor_data", "parametric_data", "product_data", "refused_data", "render", "report", "report_data",
+    "sensitivity_data", "stationary_data", "surrogate_data", "surrogate_rows", "sweep_data", "tradeoff_data",
+    "training_data", "verification_data", "write_front_picture", "write_history", "write_monitor_picture",
+    "write_report", "write_sweep",
 ]  # fmt: skip

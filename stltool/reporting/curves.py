@@ -14,6 +14,7 @@ import numpy as np
 from stltool.files import require_folder, require_own, write_atomically
 from stltool.learning import Training
 from stltool.learning.settings import recorded
+from stltool.reporting.records import CurveRecord
 
 _HISTORY = ("episode", "steps", "probability", "method", "faithful", "seed", "settings")
 
@@ -47,7 +48,7 @@ def write_csv(path: str | Path, heading: Sequence[str], rows: Iterable[Sequence[
     write_atomically(path, buffer.getvalue())
 
 
-def quartile_curves(curves: Sequence[tuple[Sequence[int], Sequence[float]]]) -> dict[str, list[float]]:
+def quartile_curves(curves: Sequence[tuple[Sequence[int], Sequence[float]]]) -> CurveRecord:
     """Curves (steps, probabilities), one per seed, as steps, q1, median and q3 over the seeds.
 
     The points are the evaluations of all seeds, from where every seed has been evaluated: the probability of a seed is

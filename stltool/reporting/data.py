@@ -2,47 +2,62 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
+from fractions import Fraction
 from importlib import metadata
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from stltool.automata import TaskAutomaton, compile_automaton
-from stltool.automata.compare import disagreement
-from stltool.automata.compile import all_valuations, atoms_of
+from stltool.automata import TaskAutomaton
+from stltool.automata.compare import Disagreement
+from stltool.automata.flags import flag_states
 from stltool.automata.history import history_states
-from stltool.checking import (
-    CheckResult,
-    Estimate,
-    Run,
-    SequentialTest,
-    StationaryResult,
-    likely_runs,
-    sample_run,
-    sensitivity,
-)
-from stltool.errors import FragmentError, SettingsError
-from stltool.logic.formula import Comparison, Formula, Label, boolean_value, walk
-from stltool.logic.fragment import check_fragment
+from stltool.checking import CheckResult, Estimate, Run, SequentialTest, StationaryResult
+from stltool.checking.evidence import Evidence
+from stltool.errors import SettingsError
+from stltool.models import MDP
 from stltool.numbers import fraction_text
 from stltool.policy import Policy
 from stltool.product import Product
 from stltool.reporting.guarantees import guarantee_data
+from stltool.reporting.records import (
+    AskedRecord,
+    CheckRecord,
+    DisagreementRecord,
+    EncodingSizes,
+    EstimateOutput,
+    EstimateRecord,
+    FloorRecord,
+    GapRecord,
+    GuaranteeRecord,
+    HistoryRecord,
+    MarkovRecord,
+    PartRecord,
+    ProductRecord,
+    ReportRecord,
+    RunRecord,
+    SequentialOutput,
+    StationaryRecord,
+    StatisticalRecord,
+    StepRecord,
+    TrainingRecord,
+    WhyRecord,
+)
 from stltool.reporting.runs import likely_data, sensitivity_data
 
 if TYPE_CHECKING:  # a check loads no learners
-    from stltool.learning import Gap, Guarantee, Training
+    from stltool.learning import Gap, Guarantee, MarkovTest, Training
+    from stltool.learning.trainer import Point
 
-FORMAT, SWEEP_FORMAT = "stltool-report-1", "stltool-sweep-1"
-_LIKELY, _SENSITIVE = 5, 5  # runs and states that a report shows
-_MOST_EDGES = 1e7  # of the unfolded product, at most (some seconds); beyond, `stltool why` can still be used
+FORMAT: Literal["stltool-report-1"] = "stltool-report-1"
+SWEEP_FORMAT: Literal["stltool-sweep-1"] = "stltool-sweep-1"
+VERIFY_FORMAT: Literal["stltool-verify-1"] = "stltool-verify-1"
+_SENSITIVE = 5  # states that a report shows
 
 
-def product_data(product: Product) -> dict[str, Any]:
+def product_data(product: Product) -> ProductRecord:
     """The task and the sizes."""
     model, automaton = product.model, product.automaton
     return {
@@ -66,7 +81,7 @@ def product_data(product: Product) -> dict[str, Any]:
     }
 
 
-def part_data(automaton: TaskAutomaton) -> list[dict[str, Any]]:
+def part_data(automaton: TaskAutomaton) -> list[PartRecord]:
     """The parts of an automaton, with delays and sizes."""
     return [
         {
@@ -81,52 +96,24 @@ def part_data(automaton: TaskAutomaton) -> list[dict[str, Any]]:
     ]
 
 
-def encoding_sizes(automaton: TaskAutomaton) -> dict[str, Any]:
+def sizes_data(automaton: TaskAutomaton) -> EncodingSizes:
     """How many states the other encodings of the same formula would have; None if there is no such encoding."""
-    flags: int | None
-    try:
-        flags = math.prod(part.tau + 1 for part in check_fragment(automaton.formula).parts)
-    except FragmentError:
-        flags = None
-    histories = history_states(automaton.formula, len(automaton.valuations))
-    return {"flag_states": flags, "history_states": histories if histories < math.inf else "over 1e300"}
+    flags, histories = flag_states(automaton.formula), history_states(automaton.formula, len(automaton.valuations))
+    return {"flag_states": flags, "history_states": int(histories) if histories < math.inf else "over 1e300"}
 
 
-def disagreement_data(automaton: TaskAutomaton) -> dict[str, Any] | None:
-    """A shortest trace on which an automaton and its formula disagree, in labels and comparisons; None if none.
-
-    Only valuations that the automaton accepts occur: with a model, those of its states. Without one, comparisons are
-    treated as independent of each other. Raises SizeError if the search would be too large.
-    """
-    leaves = list(dict.fromkeys(n for n in walk(automaton.formula) if isinstance(n, Label | Comparison)))
-    valuations = all_valuations(len(leaves))
-
-    def truths(psis: Sequence[Formula]) -> NDArray[np.bool_]:
-        known: list[dict[Formula, bool]] = [dict(zip(leaves, row, strict=True)) for row in valuations.tolist()]
-        return np.array([[boolean_value(psi, row.get) for psi in psis] for row in known], dtype=np.bool_)
-
-    truth, exact_truth = truths(automaton.atoms), truths(atoms_of(automaton.formula))
-    occurring = {row.tobytes() for row in automaton.valuations}
-    possible = np.array([row.tobytes() in occurring for row in truth])
-    valuations, truth, exact_truth = valuations[possible], truth[possible], exact_truth[possible]
-    exact = compile_automaton(automaton.formula, "exact", np.unique(exact_truth, axis=0))
-    letters = exact.letters_at(exact_truth)
-    trace = disagreement(automaton, exact, automaton.letters_at(truth), letters)
-    if trace is None:
-        return None
-    judged = exact.judge(letters[trace].tolist())
-    assert judged is not None
+def disagreement_data(found: Disagreement) -> DisagreementRecord:
+    """A trace on which an automaton and its formula disagree, in labels and comparisons."""
     return {
         "steps": [
-            {"step": t, **{str(leaf): bool(value) for leaf, value in zip(leaves, valuations[symbol], strict=True)}}
-            for t, symbol in enumerate(trace)
+            {"step": t, **{str(leaf): truth for leaf, truth in step.items()}} for t, step in enumerate(found.steps)
         ],
-        "encoding_says": not judged[0],
-        "formula_is": judged[0],
+        "encoding_says": found.encoding_says,
+        "formula_is": found.formula_is,
     }
 
 
-def check_data(result: CheckResult, optimum: CheckResult | None = None) -> dict[str, Any]:
+def check_data(result: CheckResult, optimum: CheckResult | None = None) -> CheckRecord:
     """One check, flat; `optimum` is the best over all policies, for the gap (default: the result itself)."""
     best = optimum if optimum is not None else result
     return {
@@ -151,7 +138,7 @@ def check_data(result: CheckResult, optimum: CheckResult | None = None) -> dict[
     }
 
 
-def stationary_data(found: StationaryResult) -> dict[str, Any]:
+def stationary_data(found: StationaryResult) -> StationaryRecord:
     """A search among policies that do not know the step: what it found, its bound, and the candidates."""
     return {
         "kind": found.kind,
@@ -164,7 +151,7 @@ def stationary_data(found: StationaryResult) -> dict[str, Any]:
         "proved": found.proved,
         "status": found.status,
         "evaluated": len(found.candidates),
-        "candidates": [dataclasses.asdict(candidate) for candidate in found.candidates],
+        "candidates": [{"made": one.made, "probability": one.probability} for one in found.candidates],
         "relaxations": found.nodes,
         "seconds": found.seconds,
     }
@@ -175,36 +162,54 @@ def estimate_data(
     product: Product,
     policy: Policy,
     exact: CheckResult | None = None,
-) -> dict[str, Any]:
+) -> EstimateOutput | SequentialOutput:
     """One statistical check, flat; `exact` is the exact check of the same policy, shown next to it."""
-    inside, decided = None, {}
-    if isinstance(result, SequentialTest):
-        decided = {"holds": result.verdict == "holds"}
-    elif exact is not None:
+    inside = None
+    if isinstance(result, Estimate) and exact is not None:
         inside = result.lower <= exact.upper and exact.lower <= result.upper
-    return {
+    found: StatisticalRecord = {
         **product_data(product),
         "policy": policy.kind,
-        **_finite(dataclasses.asdict(result)),
-        **decided,
+        "runs": result.runs,
+        "satisfied": result.satisfied,
+        "seed": result.seed,
+        "seconds": result.seconds,
         "statement": result.statement,
         "exact": exact.probability if exact is not None else None,
         "exact_lower": exact.lower if exact is not None else None,
         "exact_upper": exact.upper if exact is not None else None,
         "exact_inside": inside,
     }
+    if isinstance(result, Estimate):
+        return {
+            **found,
+            "probability": result.probability,
+            "lower": result.lower,
+            "upper": result.upper,
+            "confidence": result.confidence,
+            "side": result.side,
+            "method": result.method,
+            "steps": result.steps,
+        }
+    return {
+        **found,
+        "verdict": result.verdict,
+        "holds": result.verdict == "holds",
+        "at_least": result.at_least,
+        "indifference": result.indifference,
+        "alpha": result.alpha,
+        "beta": result.beta,
+        "log_likelihood_ratio": ratio if math.isfinite(ratio := result.log_likelihood_ratio) else None,
+        "accept_below": result.accept_below,
+        "reject_above": result.reject_above,
+    }
 
 
-def _finite(data: dict[str, Any]) -> dict[str, Any]:
-    """JSON has no infinity: an infinite ratio is omitted."""
-    return {key: value for key, value in data.items() if not (isinstance(value, float) and math.isinf(value))}
-
-
-def training_data(training: Training) -> dict[str, Any]:
+def training_data(training: Training) -> TrainingRecord:
     """A training run: method, settings, and its exact learning curve."""
     from stltool.learning.settings import recorded
 
-    return {
+    data: TrainingRecord = {
         "method": training.method,
         "faithful": training.faithful,
         "seed": training.seed,
@@ -215,16 +220,21 @@ def training_data(training: Training) -> dict[str, Any]:
         "advice": training.advice,
         "environment_steps": training.environment_steps,
         "seconds": training.seconds,
-        "history": [
-            {"episode": point.episode, "steps": point.steps, "probability": point.probability}
-            | ({"gap": point.gap} if point.gap is not None else {})
-            for point in training.history
-        ],
-        **({"gap": gap_data(training.gap)} if training.gap is not None else {}),
+        "history": [_point_data(point) for point in training.history],
     }
+    if training.gap is not None:
+        data["gap"] = gap_data(training.gap)
+    return data
 
 
-def gap_data(gap: Gap) -> dict[str, Any]:
+def _point_data(point: Point) -> HistoryRecord:
+    data: HistoryRecord = {"episode": point.episode, "steps": point.steps, "probability": point.probability}
+    if point.gap is not None:
+        data["gap"] = point.gap
+    return data
+
+
+def gap_data(gap: Gap) -> GapRecord:
     """What transitions prove about a policy's distance to the optimum."""
     return {
         "upper": gap.upper,
@@ -242,20 +252,22 @@ def gap_data(gap: Gap) -> dict[str, Any]:
     }
 
 
-def markov_data(training: Training) -> dict[str, Any] | None:
-    """For a black box, whether the data contradict the Markov assumption; None if the model is known, or nothing was
-    learned."""
-    from stltool.learning.markov import markov_test
-
-    model = cast(Product, training.policy.home).model  # learners do not support joint products
-    if model.blackbox is None or not training.environment_steps:
-        return None
-    found = markov_test(training.counts, seed=training.seed)
+def markov_data(found: MarkovTest, model: MDP) -> MarkovRecord:
+    """Whether data contradict the Markov assumption."""
     return {
-        **dataclasses.asdict(found),
+        "p_value": found.p_value,
+        "confidence": found.confidence,
+        "dependence": found.dependence,
+        "transitions": found.transitions,
+        "choices": found.choices,
+        "most": [{"choice": model.place(choice), "deviations": deviations} for choice, deviations in found.most],
+        "statistic": found.statistic,
+        "expected": found.expected,
+        "draws": found.draws,
+        "seed": found.seed,
+        "seconds": found.seconds,
         "rejected": found.rejected,
         "statement": found.statement,
-        "most": [{"choice": model.place(choice), "deviations": deviations} for choice, deviations in found.most],
     }
 
 
@@ -265,29 +277,27 @@ def report_data(
     *,
     source: str | None = None,
     command: str | None = None,
-    seed: int = 0,
     estimates: Sequence[Estimate] = (),
-    guarantees: Sequence[Guarantee | Estimate | dict[str, Any]] = (),
+    guarantees: Sequence[Guarantee | Estimate | GuaranteeRecord] = (),
     stationary: Sequence[StationaryResult] = (),
+    evidence: Evidence | None = None,
+    markov: MarkovTest | None = None,
+    at_least: Fraction | None = None,
     product: Product | None = None,
-) -> dict[str, Any]:
+) -> ReportRecord:
     """Everything a report shows. `source` is the text of the task file, `command` the command that repeats the run.
 
-    `estimates` of the policy shown (the given one, else the optimal one) appear next to its exact probability, and so
-    do `guarantees` for it from data: as found, or in the form of `guarantee_data`. `stationary` are
-    searches among policies that do not know the step. A black box has no results: its
-    report opens with the first of `guarantees`, for the policy of `training`, on `product` (default: the policy's own).
+    `estimates` of the policy shown (`policy_shown`) appear next to its exact probability, and so do `guarantees` for it
+    from data, as found or in the form of `guarantee_data`, and the `evidence` of its runs. `stationary` are searches
+    among policies that do not know the step. A black box has no results: its report opens with the first of
+    `guarantees`, for the policy of `training`, on `product` (default: the policy's own); `markov` tests its data.
+    `at_least` is a bound on the last of `results`.
     """
-    if results:
-        shown = next((r for r in results if r.question == "policy"), results[0])
-        policy, home = shown.policy, results[0].product
-    elif training is not None and guarantees:
-        policy, home = training.policy, cast(Product, training.policy.home)  # learners do not support joint products
-    else:
+    if not results and (training is None or not guarantees):
         raise SettingsError(
             "a report needs at least one check result, or, for a black box, a training and a guarantee for its policy"
         )
-    product = product if product is not None else home
+    product = product if product is not None else policy_shown(results, training)[1]
     for result in (*results, *(found.optimum for found in stationary)):
         if (result.product.model.digest(), result.product.automaton.digest()) != (
             product.model.digest(),
@@ -295,7 +305,6 @@ def report_data(
         ):
             raise SettingsError("the results belong to several models or tasks; write one report for each")
     optima = {r.nature: r for r in reversed(results) if r.question != "policy"}
-    points = not product.model.uncertain  # else there is no single distribution to sample from
     return {
         "format": FORMAT,
         "version": metadata.version("stltool"),
@@ -303,33 +312,59 @@ def report_data(
         "source": source,
         "command": command,
         "checks": [check_data(result, optima.get(result.nature)) for result in results],
-        "estimates": [{**dataclasses.asdict(estimate), "statement": estimate.statement} for estimate in estimates],
+        "estimates": [_estimate_record(estimate) for estimate in estimates],
         "guarantees": [found if isinstance(found, dict) else guarantee_data(found) for found in guarantees],
         "stationary": [stationary_data(found) for found in stationary],
         "training": training_data(training) if training is not None else None,
-        "markov": markov_data(training) if training is not None else None,
-        "run": _run_data(product, policy, seed) if policy is not None and points else None,
-        "why": _why_data(product, policy) if policy is not None and points and results else None,
+        "markov": markov_data(markov, product.model) if markov is not None else None,
+        "run": run_data(evidence.run, evidence.seed, product) if evidence is not None else None,
+        "why": _why_data(evidence) if evidence is not None else None,
         "floor": floor_data(product),
+        "asked": _asked_data(results[-1], at_least) if at_least is not None else None,
     }
 
 
-def _why_data(product: Product, policy: Policy) -> dict[str, Any] | None:
-    """The most probable violating runs and the most sensitive states; None if finding them could take long."""
-    branches = 1 if policy.deterministic else product.model.most_choices
-    successors = product.model.n_transitions / product.model.n_choices
-    if product.horizon * product.n_states * branches * successors > _MOST_EDGES:
-        return None
+def _asked_data(result: CheckResult, bound: Fraction) -> AskedRecord:
+    holds = result.at_least(bound)
+    return {"at_least": float(bound), "holds": holds is True, "decided": holds is not None}
+
+
+def policy_shown(results: Sequence[CheckResult], training: Training | None) -> tuple[Policy | None, Product]:
+    """The policy that a report is about, the given one, else the optimal one, else the learned one; and its product."""
+    if results:
+        shown = next((r for r in results if r.question == "policy"), results[0])
+        return shown.policy, results[0].product
+    assert training is not None
+    return training.policy, cast(Product, training.policy.home)  # learners do not support joint products
+
+
+def _estimate_record(found: Estimate) -> EstimateRecord:
     return {
-        **likely_data(likely_runs(product, policy, count=_LIKELY)),
-        "sensitive": sensitivity_data(sensitivity(product, policy), _SENSITIVE),
+        "runs": found.runs,
+        "satisfied": found.satisfied,
+        "probability": found.probability,
+        "lower": found.lower,
+        "upper": found.upper,
+        "confidence": found.confidence,
+        "side": found.side,
+        "method": found.method,
+        "steps": found.steps,
+        "seed": found.seed,
+        "seconds": found.seconds,
+        "statement": found.statement,
     }
 
 
-def _run_data(product: Product, policy: Policy, seed: int) -> dict[str, Any]:
-    run: Run = sample_run(product, policy, seed)
+def _why_data(found: Evidence) -> WhyRecord | None:
+    if found.likely is None or found.sensitive is None:
+        return None
+    return {**likely_data(found.likely), "sensitive": sensitivity_data(found.sensitive, _SENSITIVE)}
+
+
+def run_data(run: Run, seed: int, product: Product) -> RunRecord:
+    """A sampled run, in the user's names."""
     model = product.model
-    steps = [
+    steps: list[StepRecord] = [
         {
             "step": t,
             "state": model.state_name(s),
@@ -343,7 +378,7 @@ def _run_data(product: Product, policy: Policy, seed: int) -> dict[str, Any]:
     return {"satisfied": run.satisfied, "seed": seed, "states": list(run.states), "steps": steps}
 
 
-def floor_data(product: Product) -> dict[str, Any] | None:
+def floor_data(product: Product) -> FloorRecord | None:
     layout = product.model.layout
     if layout is None:
         return None

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from stltool.anatomy import Anatomy, take_apart
 from stltool.arguments import one_of, require
-from stltool.automata import TaskAutomaton, compile_automaton
+from stltool.automata import TaskAutomaton
 from stltool.automata.compile import ENCODINGS, Encoding
-from stltool.automata.vacuity import meaning
-from stltool.errors import FragmentError, SizeError
 from stltool.logic.formula import (
     Always,
     And,
@@ -27,12 +26,11 @@ from stltool.logic.formula import (
     horizon,
     is_bounded,
 )
-from stltool.logic.fragment import check_fragment
+from stltool.logic.fragment import Fragment
 from stltool.logic.quantities import quantity_text
 from stltool.logic.task import Task
 from stltool.models import MDP
-from stltool.product import build_product
-from stltool.reporting.data import disagreement_data, encoding_sizes, part_data, product_data
+from stltool.reporting.data import disagreement_data, part_data, product_data, sizes_data
 
 _MOST_NODES = 500  # nodes of a tree that are listed
 
@@ -54,23 +52,22 @@ def explain(task: Formula | Task, *, model: MDP | None = None, encoding: Encodin
     one_of(encoding, "encoding", ENCODINGS)
     if not isinstance(task, Task):
         task = Task("formula", formula_of(task, "explain's task"))
+    parts = take_apart(task, model, encoding)
     facts = _text_data(task)
-    if not is_bounded(task.formula):
+    if (told := parts.meaning) is None:
         return facts
-    told = meaning(task.formula)
     facts |= {"meaning": told.data(), "warnings": told.warnings()}
     if told.holds is not None:
         facts["holds_for_example_on"] = str(told.holds)
     if told.fails is not None:
         facts["fails_for_example_on"] = str(told.fails)
-    try:
-        facts["fragment"] = _fragment_data(task.formula)
-    except FragmentError as refusal:
-        facts["fragment"] = {"refused": str(refusal)}
-    try:
-        facts |= _automaton_data(task, model, encoding)
-    except (FragmentError, SizeError) as refusal:
-        facts["automaton"] = {"refused": str(refusal)}
+    facts["fragment"] = (
+        _fragment_data(parts.fragment) if isinstance(parts.fragment, Fragment) else {"refused": parts.fragment}
+    )
+    if isinstance(parts.automaton, TaskAutomaton):
+        facts |= _automaton_data(parts.automaton, parts)
+    else:
+        facts["automaton"] = {"refused": parts.automaton}
     return facts
 
 
@@ -120,8 +117,7 @@ def _operator(phi: Formula) -> str:
             return _SIGNS[type(phi)]
 
 
-def _fragment_data(phi: Formula) -> dict[str, Any]:
-    fragment = check_fragment(phi)
+def _fragment_data(fragment: Fragment) -> dict[str, Any]:
     return {
         "outer": f"{fragment.outer}[0,{fragment.T})",
         "parts": [str(part) for part in fragment.parts],
@@ -129,21 +125,16 @@ def _fragment_data(phi: Formula) -> dict[str, Any]:
     }
 
 
-def _automaton_data(task: Task, model: MDP | None, encoding: Encoding) -> dict[str, Any]:
+def _automaton_data(automaton: TaskAutomaton, parts: Anatomy) -> dict[str, Any]:
     facts: dict[str, Any] = {}
-    automaton: TaskAutomaton
-    if model is not None:
-        product = build_product(model, task, encoding)
-        automaton = product.automaton
-        facts |= product_data(product)
+    if parts.product is not None:
+        facts |= product_data(parts.product)
     else:
-        automaton = compile_automaton(task.formula, encoding)
         facts["automaton_states"] = automaton.n_states
-    facts |= encoding_sizes(automaton)
+    facts |= sizes_data(automaton)
     facts["parts"] = part_data(automaton)
-    if not automaton.exact:
-        try:
-            facts["disagrees_on"] = disagreement_data(automaton)
-        except SizeError as refusal:
-            facts["disagreement"] = str(refusal)
+    if isinstance(parts.disagreement, str):
+        facts["disagreement"] = parts.disagreement
+    elif not automaton.exact:
+        facts["disagrees_on"] = disagreement_data(parts.disagreement) if parts.disagreement is not None else None
     return facts

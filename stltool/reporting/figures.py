@@ -102,7 +102,7 @@ def _powers_of_ten(axes: Axes, values: Sequence[float], label: str) -> float:
 
 
 @drawing()
-def pareto_front(data: dict[str, Any], kind: str) -> str | bytes:
+def pareto_front(data: Mapping[str, Any], kind: str) -> str | bytes:
     """The corners of a front (`front_data`) and the area below them; a small front is shown enlarged.
 
     `kind` is svg, png or pdf.
@@ -136,7 +136,7 @@ def pareto_front(data: dict[str, Any], kind: str) -> str | bytes:
 
 
 @drawing()
-def learning_curves(data: dict[str, Any], kind: str) -> str | bytes:
+def learning_curves(data: Mapping[str, Any], kind: str) -> str | bytes:
     """A sweep's exact learning curves, a panel per scenario: median and quartiles over the seeds, the optimum dashed.
 
     Where curves coincide, each remains visible under the narrower ones on it. `kind` is svg, png or pdf.

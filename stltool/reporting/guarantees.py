@@ -3,29 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from stltool.checking import Estimate
 from stltool.errors import SettingsError
 from stltool.numbers import floor_text
+from stltool.reporting.records import CheckRecord, GuaranteeRecord
 
 if TYPE_CHECKING:
     from stltool.learning import Guarantee
 
 
-def guarantee_data(found: Guarantee | Estimate) -> dict[str, Any]:
+def guarantee_data(found: Guarantee | Estimate) -> GuaranteeRecord:
     """One guarantee, flat."""
+    data: GuaranteeRecord
     if not isinstance(found, Estimate):
-        details: dict[str, Any] = {
+        data = {
             "source": "learning data" if found.fresh is None else "best of both",
+            "lower": found.lower,
+            "confidence": found.confidence,
+            "seconds": found.seconds,
+            "assumes": found.assumes,
+            "statement": found.statement,
             "support": found.support,
             "transitions": found.transitions,
             "choices": found.choices,
             "never_tried": found.never_tried,
-            "assumes": found.assumes,
         }
         if found.parameters:
-            details["parameters"] = [
+            data["parameters"] = [
                 {
                     "name": one.name,
                     "lower": float(one.lower),
@@ -35,31 +41,33 @@ def guarantee_data(found: Guarantee | Estimate) -> dict[str, Any]:
                 }
                 for one in found.parameters
             ]
-            details["evidence_against_tie"] = found.evidence
-            details["looser"] = found.looser
+            data["evidence_against_tie"] = found.evidence
+            data["looser"] = found.looser
         if found.fresh is not None:
-            details |= {"runs": found.fresh.runs, "satisfied": found.fresh.satisfied, "seed": found.fresh.seed}
-    elif found.side == "upper":
+            data |= {"runs": found.fresh.runs, "satisfied": found.fresh.satisfied, "seed": found.fresh.seed}
+        return data
+    if found.side == "upper":
         raise SettingsError('an estimate with side="upper" gives no lower bound; make it with side="lower"')
-    else:
-        details = {
-            "source": "fresh runs",
-            "runs": found.runs,
-            "satisfied": found.satisfied,
-            "seed": found.seed,
-            "assumes": "the runs are independent of each other and of the learning",
-        }
-    bound = {"lower": found.lower, "confidence": found.confidence, "seconds": found.seconds}
-    return {**details, **bound, "statement": found.statement}
+    return {
+        "source": "fresh runs",
+        "lower": found.lower,
+        "confidence": found.confidence,
+        "seconds": found.seconds,
+        "assumes": "the runs are independent of each other and of the learning",
+        "statement": found.statement,
+        "runs": found.runs,
+        "satisfied": found.satisfied,
+        "seed": found.seed,
+    }
 
 
-def looser_note(guarantees: Sequence[dict[str, Any]]) -> str | None:
+def looser_note(guarantees: Sequence[GuaranteeRecord]) -> str | None:
     """Why bounds of `guarantee_data` may be lower than what they assume allows; None if none is."""
-    reasons = dict.fromkeys(data["looser"] for data in guarantees if data.get("looser"))  # each once
+    reasons = dict.fromkeys(told for data in guarantees if (told := data.get("looser")))  # each once
     return "; ".join(reasons) or None
 
 
-def refused_data(reason: str, transitions: int, confidence: float) -> dict[str, Any]:
+def refused_data(reason: str, transitions: int, confidence: float) -> GuaranteeRecord:
     """A guarantee that is not given, since the data contradict what it would assume."""
     return {
         "source": "learning data",
@@ -73,7 +81,7 @@ def refused_data(reason: str, transitions: int, confidence: float) -> dict[str, 
     }
 
 
-def guarantee_rows(guarantees: Sequence[dict[str, Any]], checks: Sequence[dict[str, Any]] = ()) -> list[dict[str, Any]]:
+def guarantee_rows(guarantees: Sequence[GuaranteeRecord], checks: Sequence[CheckRecord] = ()) -> list[dict[str, str]]:
     """The rows shown for `guarantee_data`, preceded by the exact check of the policy if `checks` has one."""
     rows = [
         {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,14 @@ from stltool.errors import SettingsError
 from stltool.files import write_atomically
 from stltool.logic.task import Task
 from stltool.monitoring.offline import MonitorResult
+from stltool.reporting.records import MonitorRecord, Robustness, TraceRecord
 from stltool.reporting.tradeoffs import require_picture
 
 PICTURES = (".png", ".svg", ".pdf")
 _RANGES, _TRACES = 5, 20  # rows of the terminal's tables
 
 
-def monitor_data(result: MonitorResult, task: Task, trace: str | Path, at: int | None = None) -> dict[str, Any]:
+def monitor_data(result: MonitorResult, task: Task, trace: str | Path, at: int | None = None) -> MonitorRecord:
     """Verdicts and robustness of all judged steps, or only of step `at`, with a summary.
 
     For a batch, `verdicts` and `robustness` are lists of lists, the other figures are over all traces, and `each` has
@@ -35,7 +36,8 @@ def monitor_data(result: MonitorResult, task: Task, trace: str | Path, at: int |
     verdicts, robustness = (np.atleast_2d(values)[:, start:stop] for values in whole)
     each = [_figures(*rows, start) for rows in zip(verdicts, robustness, strict=True)]
     batch = whole[0].ndim == 2
-    return {
+    total = _totals(each) if batch else each[0]
+    data: MonitorRecord = {
         "task": task.name if task.path is not None else None,
         "formula": str(task.formula),
         "trace": str(trace),
@@ -45,11 +47,19 @@ def monitor_data(result: MonitorResult, task: Task, trace: str | Path, at: int |
         "end": result.end,
         "at": at,
         "judged": stop - start,
-        **(_totals(each) if batch else each[0]),
+        "verdict": total["verdict"],
+        "holds": total["holds"],
+        "violations": total["violations"],
+        "first_violation": total["first_violation"],
+        "least_robustness": total["least_robustness"],
+        "least_robustness_at": total["least_robustness_at"],
         "verdicts": verdicts.tolist() if batch else verdicts[0].tolist(),
-        "robustness": [_jsonable(row) for row in robustness] if batch else _jsonable(robustness[0]),
-        **({"each": each} if batch else {}),
+        "robustness": [_jsonable(row) for row in robustness] if batch else list(_jsonable(robustness[0])),
     }
+    if batch:
+        data["violating_traces"] = sum(not figures["holds"] for figures in each)
+        data["each"] = each
+    return data
 
 
 def both(result: MonitorResult) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
@@ -59,7 +69,7 @@ def both(result: MonitorResult) -> tuple[NDArray[np.bool_], NDArray[np.float64]]
     return result.verdicts, result.robustness
 
 
-def _figures(verdicts: NDArray[np.bool_], robustness: NDArray[np.float64], start: int) -> dict[str, Any]:
+def _figures(verdicts: NDArray[np.bool_], robustness: NDArray[np.float64], start: int) -> TraceRecord:
     """A summary of the judged steps of one trace, which are counted from `start`."""
     violations = np.flatnonzero(~verdicts)
     least = int(robustness.argmin())
@@ -73,31 +83,30 @@ def _figures(verdicts: NDArray[np.bool_], robustness: NDArray[np.float64], start
     }
 
 
-def _totals(each: list[dict[str, Any]]) -> dict[str, Any]:
-    violated = [figures["first_violation"] for figures in each if not figures["holds"]]
+def _totals(each: list[TraceRecord]) -> TraceRecord:
+    violated = [first for figures in each if (first := figures["first_violation"]) is not None]
     least = min(each, key=lambda figures: float(figures["least_robustness"]))
     return {
         "verdict": all(figures["verdict"] for figures in each),
         "holds": not violated,
         "violations": sum(figures["violations"] for figures in each),
-        "violating_traces": len(violated),
         "first_violation": min(violated, default=None),
         "least_robustness": least["least_robustness"],
         "least_robustness_at": least["least_robustness_at"],
     }
 
 
-def _jsonable(values: NDArray[np.float64]) -> list[float | str]:
+def _jsonable(values: NDArray[np.float64]) -> list[Robustness]:
     """JSON has no infinity: "inf" and "-inf" stand for it."""
     if np.isfinite(values).all():
         return values.tolist()  # type: ignore[no-any-return]
-    return [value if math.isfinite(value) else str(value) for value in values.tolist()]
+    return [value if math.isfinite(value) else "inf" if value > 0 else "-inf" for value in values.tolist()]
 
 
 # ------------------------------------------------------------------------------------------------------------ tables
 
 
-def monitor_facts(data: dict[str, Any]) -> dict[str, str]:
+def monitor_facts(data: MonitorRecord) -> dict[str, str]:
     """The terminal's first lines: what was judged, and the result."""
     judged, at, traces = data["judged"], data["at"], data["traces"]
     last = judged - 1
@@ -134,7 +143,7 @@ _ENDS = {
 }
 
 
-def range_rows(data: dict[str, Any]) -> tuple[list[dict[str, Any]], int]:
+def range_rows(data: MonitorRecord) -> tuple[list[dict[str, Any]], int]:
     """The first ranges of steps that one trace violates, and how many more there are."""
     robustness = np.array(data["robustness"], dtype=np.float64)
     ranges = true_ranges(~np.array(data["verdicts"], dtype=np.bool_))
@@ -156,7 +165,7 @@ def true_ranges(truth: NDArray[np.bool_]) -> NDArray[np.int64]:
     return np.stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)], axis=1)
 
 
-def trace_rows(data: dict[str, Any]) -> tuple[list[dict[str, Any]], int]:
+def trace_rows(data: MonitorRecord) -> tuple[list[dict[str, Any]], int]:
     """The first traces of a batch, one per row, and how many more there are."""
     rows = []
     for number, figures in enumerate(data["each"][:_TRACES]):
@@ -169,9 +178,9 @@ def trace_rows(data: dict[str, Any]) -> tuple[list[dict[str, Any]], int]:
     return rows, len(data["each"]) - len(rows)
 
 
-def step_lines(data: dict[str, Any], trace: int | None) -> Iterator[str]:
+def step_lines(data: MonitorRecord, trace: int | None) -> Iterator[str]:
     """Every judged step of one trace, one per line, below a heading."""
-    verdicts, robustness = data["verdicts"], data["robustness"]
+    verdicts, robustness = cast(Any, data["verdicts"]), cast(Any, data["robustness"])
     if trace is not None:
         verdicts, robustness = verdicts[trace], robustness[trace]
     first = data["at"] or 0
@@ -181,7 +190,7 @@ def step_lines(data: dict[str, Any], trace: int | None) -> Iterator[str]:
         yield f"{step:<{width}}  {_verdict(verdict):<8}  {robustness_text(value)}"
 
 
-def shown_trace(data: dict[str, Any], asked: int | None) -> int | None:
+def shown_trace(data: MonitorRecord, asked: int | None) -> int | None:
     """Which trace of a batch to show: the requested one, else the first violating one, else the first. None: no batch.
 
     Raises SettingsError if there is no such trace.

@@ -5,26 +5,29 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jinja2
 
 from stltool.arguments import described, require
 from stltool.arguments import path as path_of
 from stltool.checking import CheckResult, Estimate, StationaryResult
+from stltool.checking.evidence import evidence_of
 from stltool.display import NATURES
 from stltool.errors import ArgumentError, FileError
 from stltool.files import read_text, write_atomically
 from stltool.learning import Guarantee, Training
+from stltool.learning.markov import tested
 from stltool.numbers import bound_texts, probability_text
 from stltool.product import Product
 from stltool.randomness import require_seed
-from stltool.reporting.data import FORMAT, SWEEP_FORMAT, report_data
+from stltool.reporting.data import FORMAT, SWEEP_FORMAT, VERIFY_FORMAT, policy_shown, report_data
 from stltool.reporting.guarantees import guarantee_rows, looser_note
+from stltool.reporting.records import SweepRecord
 from stltool.reporting.runs import trace_text, verdict_text
 
 
@@ -64,12 +67,19 @@ def report(
     for value, name in ((source, "source"), (command, "command")):
         require(value, str, f"report's {name}", optional=True)
     require(product, Product, "report's product", optional=True)
+    checks: list[CheckResult] = _each(
+        [results] if isinstance(results, CheckResult) else results, CheckResult, "results"
+    )
+    seed = require_seed(seed)
+    policy, home = policy_shown(checks, training) if checks or training is not None else (None, product)
+    at = product if product is not None else home
     data = report_data(
-        _each([results] if isinstance(results, CheckResult) else results, CheckResult, "results"),
+        checks,
         training,
         source=source,
         command=command,
-        seed=require_seed(seed),
+        evidence=evidence_of(at, policy, seed, why=bool(checks)) if at is not None else None,
+        markov=tested(training) if training is not None else None,
         estimates=_each(estimates, Estimate, "estimates"),
         guarantees=_each(guarantees, (Guarantee, Estimate), "guarantees"),
         stationary=_each(stationary, StationaryResult, "stationary"),
@@ -86,7 +96,7 @@ def _each(given: object, kinds: type | tuple[type, ...], name: str) -> list[Any]
     return list(given)
 
 
-def write_report(data: dict[str, Any], path: str | Path) -> None:
+def write_report(data: Mapping[str, Any], path: str | Path) -> None:
     """Both files of a report, each whole or not at all; the page is made before either is written."""
     path = Path(path)
     if path.suffix.lower() == ".json":
@@ -102,21 +112,24 @@ def load_report(path: str | Path) -> dict[str, Any]:
     text = read_text(path, "report")
     try:
         data = json.loads(text)
-        if data["format"] not in (FORMAT, SWEEP_FORMAT):
+        if data["format"] not in (FORMAT, SWEEP_FORMAT, VERIFY_FORMAT):
             raise KeyError
         render(data)  # fails if anything is missing or of another type
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError, jinja2.TemplateError):
         raise FileError(
-            f"{path}: not the JSON file of a report ({FORMAT}, {SWEEP_FORMAT}); write one with stltool run or sweep"
+            f"{path}: not the JSON file of a report ({FORMAT}, {SWEEP_FORMAT}, {VERIFY_FORMAT}); write one with "
+            "stltool run, sweep or verify --report"
         ) from None
     return dict(data)
 
 
-def render(data: dict[str, Any]) -> str:
+def render(data: Mapping[str, Any]) -> str:
     """The HTML page. Its pictures are made here, from numbers and names; nothing is loaded from elsewhere, and the
     content security policy allows only the page's own style sheet."""
     if data["format"] == SWEEP_FORMAT:
         return render_sweep(data)
+    if data["format"] == VERIFY_FORMAT:
+        return render_verification(data)
     why = data.get("why")  # missing in reports of earlier versions
     found = data.get("guarantees")  # these, too
     return _page(
@@ -135,7 +148,7 @@ def render(data: dict[str, Any]) -> str:
     )
 
 
-def curve_picture(data: dict[str, Any]) -> str | None:
+def curve_picture(data: Mapping[str, Any]) -> str | None:
     """The learning curve of a report, if it has an exact one."""
     from stltool.reporting.figures import learning_curve
 
@@ -145,7 +158,7 @@ def curve_picture(data: dict[str, Any]) -> str | None:
     return learning_curve(data["training"]["history"], maximum and maximum["probability"])
 
 
-def gap_picture(data: dict[str, Any]) -> str | None:
+def gap_picture(data: Mapping[str, Any]) -> str | None:
     """The certified gap over environment steps, if it was asked for."""
     from stltool.reporting.figures import gap_curve
 
@@ -153,7 +166,7 @@ def gap_picture(data: dict[str, Any]) -> str | None:
     return gap_curve(data["training"]["history"], gap["without_data"]) if gap else None
 
 
-def run_picture(data: dict[str, Any]) -> str | None:
+def run_picture(data: Mapping[str, Any]) -> str | None:
     """The floor of a report with the sampled run, if the model has a floor."""
     from stltool.reporting.floor import floor_map
 
@@ -161,7 +174,7 @@ def run_picture(data: dict[str, Any]) -> str | None:
     return floor_map(data["floor"], run["states"] if run else None) if data["floor"] else None
 
 
-def likely_picture(data: dict[str, Any]) -> str | None:
+def likely_picture(data: Mapping[str, Any]) -> str | None:
     """The floor with the most probable violation, if there is one."""
     from stltool.reporting.floor import floor_map
 
@@ -169,7 +182,22 @@ def likely_picture(data: dict[str, Any]) -> str | None:
     return floor_map(data["floor"], runs[0]["state_indices"], "likely") if data["floor"] and runs else None
 
 
-def render_sweep(data: dict[str, Any]) -> str:
+def render_verification(data: Mapping[str, Any]) -> str:
+    """The HTML page of a verification (`verification_data`), as made by `render`."""
+    from stltool.reporting import verification
+
+    return _page(
+        "verify.html",
+        data=data,
+        asked_text=verification.asked_text,
+        counts_text=verification.counts_text,
+        enclosure_text=verification.enclosure_text,
+        found_text=verification.found_text,
+        place_text=verification.place_text,
+    )
+
+
+def render_sweep(data: Mapping[str, Any]) -> str:
     """The HTML page of a sweep (`sweep_data`), as made by `render`."""
     from stltool.reporting import sweeps
     from stltool.reporting.figures import learning_curves, line_chart
@@ -179,7 +207,7 @@ def render_sweep(data: dict[str, Any]) -> str:
     return _page(
         "sweep.html",
         data=data,
-        rows=sweeps.result_rows(data),
+        rows=sweeps.result_rows(cast(SweepRecord, data)),
         curves=learning_curves(data, "svg") if data["results"] else None,
         charts=charts,
         failure_text=sweeps.failure_text,

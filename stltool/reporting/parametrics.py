@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from stltool.checking import ParametricResult
+from stltool.reporting.records import ParametricRecord
 
 
-def parametric_data(found: ParametricResult) -> dict[str, Any]:
+def parametric_data(found: ParametricResult) -> ParametricRecord:
     """The result, flat; `pieces` are polynomials in Bernstein's basis on [from, to], `points` are values."""
     product = found.product
     return {

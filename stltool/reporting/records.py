@@ -196,8 +196,8 @@ class EstimateRecord(TypedDict):
     statement: str
 
 
-class EstimateOutput(ProductRecord):
-    """What `stltool estimate --json` prints: an interval, or with `verdict` how a sequential test ended."""
+class StatisticalRecord(ProductRecord):
+    """How many sampled runs satisfied a task, next to the exact probability of the same policy, if it is known."""
 
     policy: str
     runs: int
@@ -209,22 +209,32 @@ class EstimateOutput(ProductRecord):
     exact_lower: float | None
     exact_upper: float | None
     exact_inside: bool | None
-    probability: NotRequired[float]
-    lower: NotRequired[float]
-    upper: NotRequired[float]
-    confidence: NotRequired[float]
-    side: NotRequired[str]
-    method: NotRequired[str]
-    steps: NotRequired[int | None]
-    verdict: NotRequired[Literal["holds", "does not hold", "undecided"]]
-    holds: NotRequired[bool]
-    at_least: NotRequired[float]
-    indifference: NotRequired[float]
-    alpha: NotRequired[float]
-    beta: NotRequired[float]
-    log_likelihood_ratio: NotRequired[float]
-    accept_below: NotRequired[float]
-    reject_above: NotRequired[float]
+
+
+class EstimateOutput(StatisticalRecord):
+    """What `stltool estimate --json` prints: an interval that has this confidence."""
+
+    probability: float
+    lower: float
+    upper: float
+    confidence: float
+    side: str
+    method: str
+    steps: int | None
+
+
+class SequentialOutput(StatisticalRecord):
+    """What `stltool estimate --at-least P --json` prints: how the test ended. An infinite ratio is null."""
+
+    verdict: Literal["holds", "does not hold", "undecided"]
+    holds: bool
+    at_least: float
+    indifference: float
+    alpha: float
+    beta: float
+    log_likelihood_ratio: float | None
+    accept_below: float
+    reject_above: float
 
 
 # -------------------------------------------------------------------------------------------------------------- runs
@@ -447,6 +457,14 @@ class FloorRecord(TypedDict):
     initial: list[int]
 
 
+class AskedRecord(TypedDict):
+    """A bound on the policy's probability that was asked for; not decided if it lies inside the enclosure."""
+
+    at_least: float
+    holds: bool
+    decided: bool
+
+
 class ReportRecord(ProductRecord):
     """A report of `stltool run` or `stl.report`: checks, training, guarantees from data, and runs of the policy."""
 
@@ -463,6 +481,7 @@ class ReportRecord(ProductRecord):
     run: RunRecord | None
     why: WhyRecord | None
     floor: FloorRecord | None
+    asked: AskedRecord | None
 
 
 class MethodRecord(TypedDict):
@@ -580,15 +599,17 @@ class SweepRecord(TypedDict):
 
 
 class CertificateRecord(TypedDict):
-    """A certificate that was written: its file, and the bounds that it proves, as fractions."""
+    """A certificate that was written: its file, the bounds it proves, as fractions, and whether they decide the
+    expectation."""
 
     file: str
     lower: str
     upper: str
+    decides: bool
 
 
 class ExpectationRecord(TypedDict):
-    """One expectation of a task file, and whether it holds.
+    """One expectation of a task file, and whether it holds; `text` is its line, `formula` what it is about.
 
     `decided_by` is "enclosure" (lower <= P <= upper on one side of the bound), "fraction" (the exact value) or "trace";
     it is null if the expectation is undecided or in error, and `reason` then states why. `bound` and `exact` are exact.
@@ -614,6 +635,7 @@ class ExpectationRecord(TypedDict):
     upper: float | None
     exact: str | None
     robustness: Robustness | None
+    traces: int | None
     model: str | None
     model_digest: str | None
     horizon: int | None
@@ -765,6 +787,38 @@ class SurrogateRecord(TypedDict):
     status: str
 
 
+class SizeRecord(TypedDict):
+    """States of an automaton and of its product, and the size of a table Q(s, q, a)."""
+
+    automaton_states: int
+    product_states: int
+    q_entries: int
+    q_bytes: int
+
+
+class HistoriesRecord(TypedDict):
+    """Sequences of model states, all and those along transitions, and the size of a Q-table on these."""
+
+    all: int
+    possible: int
+    q_entries: int
+    q_bytes: int
+
+
+class EncodingsRecord(TypedDict):
+    """The encodings of a task on a model, side by side."""
+
+    states: int
+    remembered_steps: int
+    flags: SizeRecord
+    exact: SizeRecord
+    history: SizeRecord | None
+    state_histories: HistoriesRecord
+    optimum: float
+    history_optimum: float | None
+    history_refused: str | None
+
+
 class SurrogateOutput(ProductRecord):
     """What `stltool surrogate --json` prints."""
 
@@ -778,6 +832,7 @@ OUTPUTS = {
     "check": CheckOutput,
     "check --vary": ParametricRecord,
     "estimate": EstimateOutput,
+    "estimate --at-least": SequentialOutput,
     "learn": TrainingOutput,
     "monitor": MonitorRecord,
     "pareto": FrontRecord,

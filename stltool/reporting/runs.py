@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from stltool.checking import LikelyRun, LikelyRuns, Sensitivity
 from stltool.product import Product
+from stltool.reporting.records import LikelyRecord, LikelyRunRecord, SensitivityRecord
 
 
-def likely_data(result: LikelyRuns) -> dict[str, Any]:
+def likely_data(result: LikelyRuns) -> LikelyRecord:
     """The most probable runs of a verdict, in the user's names; `share` is of the probability of the verdict."""
     return {
         "satisfied": result.satisfied,
@@ -24,7 +24,7 @@ def likely_data(result: LikelyRuns) -> dict[str, Any]:
     }
 
 
-def _run_data(product: Product, run: LikelyRun, whole: float) -> dict[str, Any]:
+def _run_data(product: Product, run: LikelyRun, whole: float) -> LikelyRunRecord:
     """State i was left by action i; `remembered` describes the automaton state before the verdict, None at step 0."""
     model = product.model
     return {
@@ -52,17 +52,34 @@ def trace_text(states: Sequence[str], labels: Sequence[Sequence[str]], actions: 
     return " → ".join(text if n == 1 else f"{n} × {text}" for text, n in grouped)
 
 
-def verdict_text(run: dict[str, Any]) -> str:
+def verdict_text(run: Mapping[str, Any]) -> str:
     """When a run was decided: violated at step 7 (certain from step 3)."""
     verdict = "satisfied" if run["satisfied"] else "violated"
     early = f" (certain from step {run['certain_from']})" if run["certain_from"] < run["step"] else ""
     return f"{verdict} at step {run['step']}{early}"
 
 
-def sensitivity_data(result: Sensitivity, count: int) -> list[dict[str, Any]]:
+def sensitivity_data(result: Sensitivity, count: int) -> list[SensitivityRecord]:
     """The `count` states whose success probability moves P most, with those actions; none that do not move it."""
     return [
-        dataclasses.asdict(row) | {"actions": [dataclasses.asdict(a) for a in row.actions if a.derivative]}
+        {
+            "state": row.state,
+            "name": row.name,
+            "derivative": row.derivative,
+            "steepest": row.steepest,
+            "visits": row.visits,
+            "actions": [
+                {
+                    "action": one.action,
+                    "intended": one.intended,
+                    "success": one.success,
+                    "derivative": one.derivative,
+                    "times": one.times,
+                }
+                for one in row.actions
+                if one.derivative
+            ],
+        }
         for row in result.ranked(count)
         if row.derivative
     ]

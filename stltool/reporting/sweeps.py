@@ -3,31 +3,42 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from stltool.checking import check
+from stltool.checking.encodings import Story
 from stltool.files import write_atomically
 from stltool.learning.settings import recorded
 from stltool.learning.sweep import Failure, Method, RunResult, Scenario, Sweep, SweepResult
 from stltool.reporting.curves import quartile_curves, write_csv
 from stltool.reporting.data import SWEEP_FORMAT
+from stltool.reporting.records import (
+    FailureRecord,
+    MethodRecord,
+    ScenarioRecord,
+    SectionRecord,
+    SweepRecord,
+    SweepResultRecord,
+)
 from stltool.reporting.story import story_sections
 
 _NEAR = 0.99  # fraction of the optimum from which a task is considered learned
 
 
 def sweep_data(
-    result: SweepResult, command: str | None = None, sections: Sequence[dict[str, Any]] = ()
-) -> dict[str, Any]:
+    result: SweepResult,
+    command: str | None = None,
+    sections: Sequence[Mapping[str, Any]] = (),
+    stories: Sequence[Story] = (),
+) -> SweepRecord:
     """Everything that a sweep's report shows; scenarios and methods without a finished run are left out.
 
     `sections` appear below the table: {"title": …, "text": …, "rows": [{column: value}], "figure": …} each, the figure
-    as for `figures.line_chart`, or None; before them those of reporting/story.py, if the sweep requests its story.
+    as for `figures.line_chart`, or None; before them the paper's claims, if `stories` are given.
     """
     sweep = result.sweep
     found: dict[tuple[str, str], list[RunResult]] = {}
@@ -35,8 +46,7 @@ def sweep_data(
         found.setdefault((run.scenario, run.method), []).append(run)
     scenarios = [scenario for scenario in sweep.scenarios if any(key[0] == scenario.id for key in found)]
     methods = [method for method in sweep.methods if any(key[1] == method.id for key in found)]
-    if sweep.story:
-        sections = [*story_sections([(scenario.id, scenario.product) for scenario in scenarios]), *sections]
+    sections = [*story_sections([one for one in stories if any(key[0] == one.scenario for key in found)]), *sections]
     described = [_scenario_data(scenario) for scenario in scenarios]
     return {
         "format": SWEEP_FORMAT,
@@ -55,17 +65,25 @@ def sweep_data(
         ],
         "runs": {"finished": len(result.runs), "failed": len(result.failures), "all": len(sweep.runs())},
         "failures": failures_data(result.failures),
-        "sections": [{"text": "", "rows": [], "figure": None, **section} for section in sections],
+        "sections": [_section_data(section) for section in sections],
     }
 
 
-def _method_data(method: Method) -> dict[str, Any]:
+def _section_data(section: Mapping[str, Any]) -> SectionRecord:
+    return {
+        "title": section["title"],
+        "text": section.get("text", ""),
+        "rows": section.get("rows", []),
+        "figure": section.get("figure"),
+    }
+
+
+def _method_data(method: Method) -> MethodRecord:
     return {"id": method.id, "name": method.name, "faithful": method.faithful, "settings": dict(method.settings)}
 
 
-def _scenario_data(scenario: Scenario) -> dict[str, Any]:
-    product = scenario.product
-    best = check(product, keep_policy=False)
+def _scenario_data(scenario: Scenario) -> ScenarioRecord:
+    product, best = scenario.product, scenario.optimum
     return {
         "id": scenario.id,
         "task": product.task_name,
@@ -85,7 +103,7 @@ def _scenario_data(scenario: Scenario) -> dict[str, Any]:
 
 def _result_data(
     sweep: Sweep, scenario: Scenario, method: Method, runs: list[RunResult], optimum: float
-) -> dict[str, Any]:
+) -> SweepResultRecord:
     """One scenario with one method, over its seeds; `settings` are those of the learner, `budget` those of the runs."""
     learner, budget = sweep.settled(scenario, method)
     final = np.array([run.probability[-1] for run in runs])
@@ -126,7 +144,7 @@ def regret(episode: Sequence[int], probability: Sequence[float], optimum: float)
     return float((optimum - np.interp(every, [0, *episode], [0.0, *probability])).sum())
 
 
-def failures_data(failures: Sequence[Failure]) -> list[dict[str, Any]]:
+def failures_data(failures: Sequence[Failure]) -> list[FailureRecord]:
     """Failed runs, grouped by scenario, method and reason."""
     grouped: dict[tuple[str, str, str], list[int]] = {}
     for failure in failures:
@@ -137,14 +155,14 @@ def failures_data(failures: Sequence[Failure]) -> list[dict[str, Any]]:
     ]
 
 
-def failure_text(failure: dict[str, Any]) -> str:
+def failure_text(failure: FailureRecord) -> str:
     """P1 cfer, seeds 0, 1: why."""
     seeds = ", ".join(map(str, failure["seeds"]))
     many = "s" if len(failure["seeds"]) > 1 else ""
     return f"{failure['scenario']} {failure['method']}, seed{many} {seeds}: {failure['message']}"
 
 
-def result_rows(data: dict[str, Any]) -> list[dict[str, str]]:
+def result_rows(data: SweepRecord) -> list[dict[str, str]]:
     """The table as text, one row per scenario and method."""
     some_published = any(result["published"] is not None for result in data["results"])
     rows = []
@@ -175,13 +193,13 @@ def _figure(value: float | None) -> str:
     return f"{min(value, 0.9999) if value < 1 else value:.4f}"
 
 
-def panel_title(scenario: dict[str, Any]) -> str:
+def panel_title(scenario: ScenarioRecord) -> str:
     """P1: patrolling, floor-5x5, T = 10, tau = 10."""
     params = (f"{name} = {value}" for name, value in scenario["params"].items())
     return f"{scenario['id']}: " + ", ".join([scenario["task"], scenario["model"], *params])
 
 
-def write_sweep(data: dict[str, Any], folder: str | Path) -> list[Path]:
+def write_sweep(data: SweepRecord, folder: str | Path) -> list[Path]:
     """report.html, report.json, table.csv, curves.csv, figure.svg and figure.png; their paths.
 
     Each is written whole or not at all; page and pictures are made before any file is written.
@@ -199,7 +217,8 @@ def write_sweep(data: dict[str, Any], folder: str | Path) -> list[Path]:
     columns = ("scenario", "method", "median", "q1", "q3", "least", "greatest", "published", "optimum",
                "environment_steps", "near_optimum_at", "regret", "seconds")  # fmt: skip
     write_csv(paths[2], (*columns, "seeds"), (
-        [*(result[column] for column in columns), len(result["seeds"])] for result in data["results"]
+        [*(cast(dict[str, Any], result)[column] for column in columns), len(result["seeds"])]
+        for result in data["results"]
     ))  # fmt: skip
     points = (
         (result["scenario"], result["method"], run["seed"], *point)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,7 @@ from stltool.streams import printable
 
 if TYPE_CHECKING:
     from stltool.learning.sweep import SweepProgress
+    from stltool.reporting.records import SensitivityRecord
 
 _PATIENCE = 2.0  # seconds without output
 Advance = Callable[..., None]
@@ -30,8 +31,8 @@ Advance = Callable[..., None]
 
 
 @contextmanager
-def progress_bar(title: str, quiet: bool = False) -> Iterator[Advance | None]:
-    """A bar on a terminal; in a log, a line at every tenth and at least every ten seconds.
+def progress_bar(title: str, quiet: bool = False, patience: float | None = None) -> Iterator[Advance | None]:
+    """A bar on a terminal; in a log, a line at every tenth and at least every ten seconds, the first after `patience`.
 
     `quiet` shows no bar, and in a log only stages that take longer than that. Kernels that are compiled meanwhile are
     announced.
@@ -44,14 +45,14 @@ def progress_bar(title: str, quiet: bool = False) -> Iterator[Advance | None]:
         if not quiet:
             (console.print if console.is_terminal else LOG.say)(_compiling_text(kept))
 
-    with compiling(tell), _bar(console, title, quiet) as advance:
+    with compiling(tell), _bar(console, title, quiet, patience) as advance:
         yield advance
 
 
 @contextmanager
-def _bar(console: Console, title: str, quiet: bool) -> Iterator[Advance | None]:
+def _bar(console: Console, title: str, quiet: bool, patience: float | None) -> Iterator[Advance | None]:
     if not console.is_terminal:
-        with LOG.stage(title) as stage:
+        with LOG.stage(title, None if quiet else patience) as stage:
             yield _to_log(stage, quiet)
     elif quiet:
         yield None
@@ -162,7 +163,7 @@ def working(title: str, quiet: bool = False) -> Iterator[None]:
             yield
 
 
-def print_checks(checks: list[dict[str, Any]]) -> None:
+def print_checks(checks: Sequence[Mapping[str, Any]]) -> None:
     """Probabilities with their bounds, one row per check; lines are never cut."""
     rows: list[tuple[str, ...]] = [("", "P", "lower bound", "upper bound", "gap", "status")]
     rows += [
@@ -184,7 +185,7 @@ def print_facts(facts: dict[str, Any]) -> None:
     _print_columns([(name, str(value)) for name, value in facts.items()])
 
 
-def print_table(rows: list[dict[str, Any]]) -> None:
+def print_table(rows: Sequence[Mapping[str, Any]]) -> None:
     """Rows of one kind, their keys as the heading."""
     if rows:
         heading = tuple(key.replace("_", " ") for key in rows[0])
@@ -208,7 +209,7 @@ def print_tree(data: dict[str, Any]) -> None:
     Console(soft_wrap=True, highlight=False).print(root)
 
 
-def print_likely(data: dict[str, Any], count: int) -> None:
+def print_likely(data: Mapping[str, Any], count: int) -> None:
     """The first `count` of the most probable runs of a verdict, three lines per run."""
     verdict, found = "satisfied" if data["satisfied"] else "violated", data["runs"]
     whole = probability_text(data["verdict_probability"])
@@ -237,7 +238,7 @@ def print_likely(data: dict[str, Any], count: int) -> None:
         print_facts({"\nand": f"{len(found) - count} more; -k prints more of them, --json all"})
 
 
-def print_sensitive(rows: list[dict[str, Any]]) -> None:
+def print_sensitive(rows: Sequence[SensitivityRecord]) -> None:
     """States by the effect of their success probability on P, with the most relevant actions."""
     print()
     if not rows:
@@ -268,7 +269,7 @@ def _print_columns(rows: list[tuple[str, ...]]) -> None:
         console.print(Text.assemble((cells[0], "bold"), "  ", "  ".join(cells[1:]).rstrip()))
 
 
-def print_json(data: dict[str, Any]) -> None:
+def print_json(data: Mapping[str, Any]) -> None:
     """One JSON object on a line, strictly: no NaN, no infinity."""
     print(json.dumps(data, allow_nan=False))
 

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from stltool.checking import Front, Tradeoff
+from stltool.checking.weighted import Figure
 from stltool.errors import SettingsError
 from stltool.files import require_output, write_atomically
 from stltool.product import JointProduct
+from stltool.reporting.records import FigureRecord, FrontRecord, JointRecord, TradeoffRecord
 
 _PICTURES = (".svg", ".png")
 
 
-def joint_data(joint: JointProduct) -> dict[str, Any]:
+def joint_data(joint: JointProduct) -> JointRecord:
     """The tasks and the sizes."""
     return {
         "tasks": {task.task_name: str(task.formula) for task in joint.tasks},
@@ -29,15 +29,15 @@ def joint_data(joint: JointProduct) -> dict[str, Any]:
     }
 
 
-def tradeoff_data(result: Tradeoff) -> dict[str, Any]:
+def tradeoff_data(result: Tradeoff) -> TradeoffRecord:
     """A trade-off, flat; figures are {value, lower, upper}."""
     return {
         **joint_data(result.joint),
         "objective": result.objective,
         "at_least": {name: float(bound) for name, bound in result.at_least.items()},
         "budget": {name: float(bound) for name, bound in result.budget.items()},
-        "probabilities": {name: dataclasses.asdict(figure) for name, figure in result.probabilities.items()},
-        "costs": {name: dataclasses.asdict(figure) for name, figure in result.costs.items()},
+        "probabilities": {name: _figure(figure) for name, figure in result.probabilities.items()},
+        "costs": {name: _figure(figure) for name, figure in result.costs.items()},
         "bound": result.bound,
         "gap": result.gap,
         "multipliers": dict(result.multipliers),
@@ -49,7 +49,7 @@ def tradeoff_data(result: Tradeoff) -> dict[str, Any]:
     }
 
 
-def front_data(front: Front) -> dict[str, Any]:
+def front_data(front: Front) -> FrontRecord:
     """A front: its corners in order, and the lines that no policy crosses."""
     names = front.joint.names
     return {
@@ -57,7 +57,7 @@ def front_data(front: Front) -> dict[str, Any]:
         "corners": [
             {
                 "probabilities": {
-                    name: dataclasses.asdict(figure) for name, figure in zip(names, corner.probabilities, strict=True)
+                    name: _figure(figure) for name, figure in zip(names, corner.probabilities, strict=True)
                 },
                 "weights": dict(zip(names, corner.weights, strict=True)),
                 "bound": corner.bound,
@@ -70,6 +70,10 @@ def front_data(front: Front) -> dict[str, Any]:
         "status": front.status,
         "seconds": front.seconds,
     }
+
+
+def _figure(figure: Figure) -> FigureRecord:
+    return {"value": figure.value, "lower": figure.lower, "upper": figure.upper}
 
 
 def require_picture(path: str | Path, endings: Sequence[str] = _PICTURES) -> None:

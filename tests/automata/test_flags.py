@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.automata import UNDECIDED
-from stltool.automata.compare import disagreement
+from stltool.automata.compare import disagreement, with_formula
 from stltool.errors import FragmentError, InexactEncodingWarning, SettingsError, SizeError
 from stltool.reporting.data import disagreement_data
 from stltool.testing import flag_formulas, traces
@@ -45,7 +45,7 @@ def test_different_windows_are_wrong_both_ways():
 
 def test_the_shortest_disagreement_is_one_and_shortest():
     automaton = paper(SEMANTICS_EXAMPLE)
-    found = disagreement_data(automaton)
+    found = disagreement_data(with_formula(automaton))
     n = automaton.horizon + 1
     trace = {name: np.array([step[name] for step in found["steps"]] + [False] * n)[:n] for name in ("a", "b")}
     assert stl.satisfies(automaton.formula, trace) == found["formula_is"] != found["encoding_says"]
@@ -64,14 +64,14 @@ def test_the_shortest_disagreement_is_one_and_shortest():
 
 def test_disagreements_are_of_labels_not_of_predicates():
     """`a & b` cannot hold without `a`: the trace is told by labels, so it can happen."""
-    found = disagreement_data(paper("G[0,3] (F[0,2] (a & b) & F[0,4] a)"))
-    assert all(set(step) == {"step", "a", "b"} for step in found["steps"])
+    found = with_formula(paper("G[0,3] (F[0,2] (a & b) & F[0,4] a)"))
+    assert all({str(leaf) for leaf in step} == {"a", "b"} for step in found.steps)
 
 
 def test_a_search_too_large_is_given_up_in_words(monkeypatch):
     monkeypatch.setattr("stltool.automata.compare._MOST_VISITED", 50_000)
     with pytest.raises(SizeError, match="no disagreement searched for: over 50000 pairs of states would have to"):
-        disagreement_data(paper("G[0,20] ((F[0,6] a & G[0,7] b) | (F[0,5] c & F[0,8] d))"))
+        with_formula(paper("G[0,20] ((F[0,6] a & G[0,7] b) | (F[0,5] c & F[0,8] d))"))
 
 
 def test_equal_automata_do_not_disagree():
@@ -79,7 +79,7 @@ def test_equal_automata_do_not_disagree():
     flags, exact = stl.compile_automaton(phi, "paper"), stl.compile_automaton(phi)
     symbols = exact.valuations
     assert disagreement(flags, exact, flags.letters_at(symbols), exact.letters_at(symbols)) is None
-    assert disagreement_data(flags) is None
+    assert with_formula(flags) is None
 
 
 def test_outside_the_fragment_the_paper_has_no_encoding():

@@ -21,9 +21,16 @@ id = "P"
 task = "patrolling.stl"
 params = { T = 3, tau = 8 }
 """
+EXPECTED = """
+model "floor-5x5.toml"
+patrolling := G[0,2] ((F[0,7] A) & (F[0,7] (x < 0.4 & y > 0.6)))
+expect Pmax(patrolling) >= 0.5
+expect holds(F[0,2] x > 0.5, trace "trace.csv")
+"""
 CASES = {
     "run": ["patrolling.stl", *SMALL, "--episodes", "20", "--rollouts", "100", "--out", "out"],
     "check": ["patrolling.stl", *SMALL, "--policy", "policy.npz"],
+    "verify": ["expected.stl", "patrolling.stl"],
     "why": ["patrolling.stl", *SMALL],
     "surrogate": ["patrolling.stl", *SMALL],
     "tradeoff": ["tradeoff.stl", *SMALL, "--objective", "charging", "--budget", "C<=2"],
@@ -35,6 +42,7 @@ CASES = {
     "monitor": ["F[0,2] x > 0.5", "trace.csv"],
     "explain": ["patrolling.stl", *SMALL],
     "fmt": ["patrolling.stl"],
+    "lint": ["patrolling.stl"],
     "export": ["patrolling.stl", *SMALL, "--to", "dot"],
     "report": ["report.json"],
     "diff": ["report.json", "report.json"],
@@ -53,4 +61,5 @@ def make_inputs(folder):
     stl.write_certificate(best, folder / "certificate.jsonl")
     stl.report([best], None, folder / "report.html")
     (folder / "sweep.toml").write_text(SWEEP)
+    (folder / "expected.stl").write_text(EXPECTED)
     (folder / "trace.csv").write_text("x\n0\n1\n1\n1\n")

@@ -504,3 +504,23 @@ def test_what_is_certain_is_said(stltool):
         code, out, _ = stltool("check", FACTORY / "charging.stl", *options)
         assert (code, said in out) == (0, True)
     assert "certain " not in stltool("check", PATROLLING, *SMALL)[1]
+
+
+@pytest.mark.parametrize(("bound", "code", "told"), [("0.5", 0, "holds"), ("0.999", 1, "does not hold")])
+@pytest.mark.parametrize("as_json", [False, True])
+def test_a_run_may_be_asked_for_a_bound(stltool, tmp_path, bound, code, told, as_json):
+    given = ["-e", 60, "--rollouts", 100, "--out", tmp_path, "--at-least", bound, *["--json"] * as_json]
+    got, out, err = stltool("run", PATROLLING, "-p", "T=3", "-p", "tau=8", *given)
+    assert (got, "error" in err) == (code, False)
+    data = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    policy = next(check for check in data["checks"] if check["question"] == "policy")
+    assert data["asked"] == {"at_least": float(bound), "holds": code == 0, "decided": True}
+    assert (policy["lower"] >= float(bound)) == (code == 0)
+    assert json.loads(out) == data if as_json else f"P >= {bound}" in out
+    assert as_json or re.search(rf"^P >= {bound} +{told}$", out, flags=re.MULTILINE)
+
+
+def test_a_run_with_a_bound_that_is_none_begins_nothing(stltool, tmp_path):
+    code, _, err = stltool("run", PATROLLING, "--at-least", "1.5", "--out", tmp_path / "out")
+    assert (code, "a probability lies between 0 and 1" in err) == (2, True)
+    assert not (tmp_path / "out").exists()

@@ -74,11 +74,11 @@ def test_undecided_is_neither(estimate):
     assert "is undecided after 100 runs; no claim is made" in out
 
 
-def test_an_infinite_ratio_is_left_out_of_the_json(estimate):
+def test_an_infinite_ratio_is_null_in_the_json(estimate):
     code, out, _ = estimate("--at-least", 0.95, "--indifference", 0.05, "--json")
     data = json.loads(out)
     assert (code, data["verdict"]) == (1, "does not hold")
-    assert "log_likelihood_ratio" not in data
+    assert data["log_likelihood_ratio"] is None
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,23 @@ MONITOR = [
 ]  # fmt: skip
 
 
+# expectations that cannot be judged
+GATED = """
+model "none.toml"
+r := A
+expect Pmax(r) > 2
+expect P(r, policy "no.npz") > 0
+expect holds(r, trace "no.csv")
+"""
+UNFIT = """
+model "floor-5x5-uncertain.toml"
+r := F[0,3] A
+expect Pmax(r) > 0.5
+expect P(r, policy "no.npz") > 0
+expect robust P(r, policy "trace.csv") > 0
+expect holds(r, trace "no.csv")
+"""
+
 # command lines, each on the files of `make_inputs` and those below
 FAULTY = [
     *(["check", "patrolling.stl", *options] for options in (
@@ -65,7 +82,11 @@ FAULTY = [
     ["certify", "certificate.jsonl", "patrolling.stl"], ["certify", "certificate.jsonl", "charging.stl"],
     ["certify", "patrolling.stl"], ["certify", "certificate.jsonl", "--policy", "policy.npz"],
     ["export", "patrolling.stl", "--to", "pdf"], ["export", "patrolling.stl", "--to", "dot", "--out", "a.pdf"],
-    ["fmt", "broken.stl"], ["fmt", "none.stl"],
+    ["fmt", "broken.stl"], ["fmt", "none.stl"], ["lint", "broken.stl", "gated.stl"],
+    *(["verify", *files] for files in (["bare.stl"], ["broken.stl", "none.stl"], ["gated.stl"], ["unfit.stl"])),
+    ["verify", "expected.stl", "--junit", "expected.stl"], ["verify", "expected.stl", "--exact-seconds", "-1"],
+    ["run", "patrolling.stl", "--at-least", "1.2"],
+    ["run", "crossing-blackbox.stl", "--at-least", "0.5", "--out", "out"],
 ]  # fmt: skip
 
 
@@ -75,6 +96,8 @@ def entries():
         shutil.copy(ROOT / "examples" / "frozenlake" / name, name)
     Path("bare.stl").write_text("task := F[0,3] A\n")
     Path("broken.stl").write_text("task := F[0,3 A\n")
+    Path("gated.stl").write_text(GATED)
+    Path("unfit.stl").write_text(UNFIT)
     Path("two.stl").write_text("bounded := G[0,9] x > 0\nforever := x > 0\n")
     Path("row.toml").write_text('kind = "grid"\nmap = "SA"\nsuccess = 0.9\nslip = 0.1\n')
     Path("log.csv").write_text("when,x,door\nMon,1,true\nTue,-1,true\nWed,-2,false\nThu,-3,false\nFri,4,true\n")

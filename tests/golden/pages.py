@@ -13,6 +13,7 @@ DIGEST = re.compile(r"[0-9a-f]{16}")
 PAGES = {
     "out/report.html": ["run", *CASES["run"]],
     "decided/report.html": ["run", "decided.stl", "--out", "decided"],
+    "verified/report.html": ["verify", *CASES["verify"], "--report", "verified"],
     "lake/report.html": ["run", "crossing-blackbox.stl", "-p", "T=10", "-e", "20", "--rollouts", "9", "--out", "lake"],
     "swept/report.html": ["sweep", *CASES["sweep"]],
     "log.svg": ["monitor", "G[0,1] x > 0", "trace.csv", "--plot", "log.svg"],

@@ -49,7 +49,24 @@ MORE = [
     ["export", "decided.stl", "--to", "dot", "--out", "a.dot"],
     ["certify", "certificate.jsonl"], ["certify", "proof.jsonl.gz", "patrolling.stl", *SMALL],
     ["certify", "refused.jsonl"],
+    ["verify", "mixed.stl", "expected.stl", "--junit", "v.xml", "--markdown", "v.md", "--report", "v",
+     "--certificates", "proofs", "--exact-seconds", "0"],
+    ["lint", "mixed.stl", "untidy.stl"],
+    ["run", "decided.stl", "--out", "decided", "--at-least", "1"],
 ]  # fmt: skip
+
+
+MIXED = """
+model "floor-5x5.toml"
+r := F[0,2] A
+all := r & F[0,5] B or C
+expect Pmax(r) >= 0.99
+expect Pmax(r) >= 0.999
+expect P(r, policy "policy.npz") > 0
+expect Pmin(F[0,2] B) >= 0
+expect Pmax(F[0,5] B) <= 0.99986
+expect holds(F[0,9] x > 0.5, trace "trace.csv")
+"""
 
 
 def entries():
@@ -61,6 +78,7 @@ def entries():
     Path("untidy.stl").write_text("# a task\nr:=F[0,3]A&  B\n")
     Path("log.csv").write_text("when,x,door\nMon,1,true\nTue,-1,true\nWed,-2,false\nThu,-3,false\nFri,4,true\n")
     np.savez("batch.npz", x=np.array([[1.0, 2, 3], [1, -1, -2], [-1, 1, 1]]))
+    Path("mixed.stl").write_text(MIXED)
     lie = Path("certificate.jsonl").read_text().replace('"upper":', '"uper":')
     Path("refused.jsonl").write_text(lie)
     with mock.patch("stltool.reporting.page.render", return_value=""):  # pictures take long

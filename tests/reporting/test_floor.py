@@ -273,9 +273,11 @@ def test_any_name_of_a_label_can_be_drawn(name):
 
 def test_a_report_shows_the_run_that_it_tells(patrolling):
     import stltool as stl
+    from stltool.checking.evidence import evidence_of
     from stltool.reporting import render
 
-    data = report_data([stl.check(patrolling)], seed=3)
+    best = stl.check(patrolling)
+    data = report_data([best], evidence=evidence_of(patrolling, best.policy, seed=3))
     page = render(data)
     drawn = re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL)
     for picture, run in zip(drawn, (data["run"]["states"], data["why"]["runs"][0]["state_indices"]), strict=True):

@@ -6,6 +6,7 @@ import hashlib
 import json
 import re
 from collections import Counter
+from fractions import Fraction
 from html.parser import HTMLParser
 
 import jinja2
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 import stltool as stl
+from stltool.checking.evidence import evidence_of
 from stltool.errors import FileError
 from stltool.learning.sweep import Failure, RunResult
 from stltool.reporting import guarantee_data, load_report, render, report_data, sweep_data
@@ -126,7 +128,8 @@ def checked():
     found = [stl.guarantee(product, run.policy, run.counts), guarantee_data(judged)]
     checks = [stl.check(product, exact=True), stl.check(product, run.policy)]
     data = report_data(checks, run, source="task", command="stltool run", guarantees=found,
-                       estimates=[stl.estimate(product, run.policy, runs=50, seed=4)])  # fmt: skip
+                       estimates=[stl.estimate(product, run.policy, runs=50, seed=4)], at_least=Fraction(1, 2),
+                       evidence=evidence_of(product, run.policy, 0))  # fmt: skip
     data["exact_encoding"] = False  # for the warning
     return json.loads(json.dumps(data))
 

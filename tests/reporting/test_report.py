@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import stltool as stl
+from stltool.checking.evidence import evidence_of
 from stltool.errors import FileError, InexactEncodingWarning, SettingsError
 from stltool.reporting import check_data, load_report, render, report_data
 from stltool.reporting.page import bound_texts, probability_text
@@ -77,7 +78,7 @@ def test_a_report_says_what_a_clock_is_worth(patrolling, floor5, tmp_path):
 
 def test_a_report_tells_why_it_fails(results):
     checks, run = results
-    data = report_data(checks, run)
+    data = report_data(checks, run, evidence=evidence_of(checks[1].product, run.policy, 0))
     page = html.unescape(render(data))
     likely = stl.likely_runs(checks[1].product, run.policy, count=5)
     assert [row["probability"] for row in data["why"]["runs"]] == [row.probability for row in likely.runs]
@@ -93,7 +94,8 @@ def test_a_report_tells_why_it_fails(results):
 
 def test_a_report_without_a_violating_run(floor5):
     product = stl.build_product(floor5, stl.parse("F[0,2) (A | !A)"))
-    page = render(report_data([stl.check(product)]))
+    best = stl.check(product)
+    page = render(report_data([best], evidence=evidence_of(product, best.policy, 0)))
     assert "No run of positive probability violates the task." in page
     assert page.count("<svg") == 1
     assert "dP" not in page
@@ -101,9 +103,10 @@ def test_a_report_without_a_violating_run(floor5):
 
 def test_a_large_unfolding_is_left_to_those_who_ask(results, monkeypatch):
     checks, _ = results
-    monkeypatch.setattr("stltool.reporting.data._MOST_EDGES", 100)
-    data = report_data(checks)
+    monkeypatch.setattr("stltool.checking.evidence._MOST_EDGES", 100)
+    data = report_data(checks, evidence=evidence_of(checks[1].product, checks[1].policy, 0))
     assert data["why"] is None
+    assert data["run"] is not None
     assert "Why it fails" not in render(data)
 
 

@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
+from stltool.checking.encodings import compare_encodings, state_histories
 from stltool.errors import FragmentError
 from stltool.reporting import encoding_data, encoding_rows, surrogate_data, surrogate_rows
-from stltool.reporting.story import count_text, state_histories
+from stltool.reporting.story import count_text
 from stltool.testing import models
 from tests import oracles
 from tests.conftest import FACTORY, many
@@ -32,7 +33,7 @@ def test_state_histories_are_the_paths_of_the_model(model, length):
 
 def test_what_each_encoding_takes(patrolling):
     """Patrolling with τ = 5 on 18 cells of nine actions: flags 6 · 6, histories of three letters (3⁶ − 1)/2."""
-    data = encoding_data(patrolling)
+    data = encoding_data(compare_encodings(patrolling))
     assert data["flags"] == {"automaton_states": 36, "product_states": 648, "q_entries": 5832, "q_bytes": 46656}
     assert data["exact"]["automaton_states"] == 26 == patrolling.automaton.n_states
     assert data["history"]["automaton_states"] == 364
@@ -50,12 +51,12 @@ def test_what_each_encoding_takes(patrolling):
 def test_histories_that_do_not_fit_are_counted_only(floor5):
     task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 15, "tau": 15})
     product = stl.build_product(floor5, task)
-    data = encoding_data(product)
+    data = encoding_data(compare_encodings(product))
     assert data["history"]["automaton_states"] == (3**16 - 1) // 2
     assert data["history_optimum"] is None
     assert "history encoding" in data["history_refused"]
     assert data["state_histories"]["all"] == 18**15
-    large = encoding_data(stl.build_product(floor5, stl.parse("F[0,2) F[0,2000) A")))
+    large = encoding_data(compare_encodings(stl.build_product(floor5, stl.parse("F[0,2) F[0,2000) A"))))
     assert large["history"] is None
     assert large["state_histories"]["all"] == 18**2000
     rows = encoding_rows({"P2": data, "large": large})
@@ -69,7 +70,7 @@ def test_histories_that_do_not_fit_are_counted_only(floor5):
 
 def test_a_task_without_flags_has_nothing_to_compare(floor5):
     with pytest.raises(FragmentError, match="until"):
-        encoding_data(stl.build_product(floor5, stl.parse("F[0,3) (A U[0,2) B)")))
+        compare_encodings(stl.build_product(floor5, stl.parse("F[0,3) (A U[0,2) B)")))
 
 
 def test_histories_are_learned_like_flags_only_slower(floor5):

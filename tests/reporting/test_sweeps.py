@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import stltool as stl
+from stltool.checking.encodings import story_of
 from stltool.errors import FileError
 from stltool.learning.sweep import Failure, RunResult
 from stltool.reporting import load_report, render, sweep_data, write_history, write_sweep
@@ -162,7 +163,9 @@ def test_the_story_is_told_where_it_is_asked_for(result, tmp_path):
     path.write_text(SWEEP.replace("columns = 3", "story = true").replace(f"{FACTORY}/charging.stl", "until.stl", 1))
     sweep = stl.load_sweep(path)
     mine = [{"title": "mine"}]
-    data = sweep_data(stl.SweepResult(sweep, result.runs, [], 0), sections=mine)
+    stories = [story_of(scenario.id, scenario.product) for scenario in sweep.scenarios]
+    assert [story is None for story in stories] == [False, True, False]
+    data = sweep_data(stl.SweepResult(sweep, result.runs, [], 0), sections=mine, stories=stories[:1])
     gap, sizes, own = data["sections"]
     assert (gap["title"], sizes["title"], own["title"]) == ("The surrogate's gap", "Flags against histories", "mine")
     assert [row["scenario"] for row in gap["rows"]] == [row["scenario"] for row in sizes["rows"]] == ["R"]
@@ -171,7 +174,7 @@ def test_the_story_is_told_where_it_is_asked_for(result, tmp_path):
     page = render(data)
     assert f'<td class="number">{18**3}</td>' in page
     until = stl.SweepResult(sweep, result.runs[-1:], [], 0)
-    assert sweep_data(until)["sections"] == []
+    assert sweep_data(until, stories=stories[:1])["sections"] == []  # of a scenario without runs
 
 
 def test_a_sweep_without_any_result_has_a_page_too(sweep):

@@ -1,0 +1,425 @@
+"""`verify`: whether task files keep what they promise. Every `expect` line is judged, and the answers are collected.
+
+Each model is read once, each product built once, and each question answered once, however many expectations share it.
+A probability is compared with its bound by its enclosure; if the bound lies inside, by the exact fraction, unless that
+would take too long. All files are read before anything is computed.
+
+`robust` asks for what is guaranteed whatever the probabilities are in their intervals, so nature opposes the claim: it
+minimises the probability in claims of >= and >, and maximises it in claims of <= and <.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Literal, TypeAlias, cast
+
+from stltool.arguments import flag, function, require
+from stltool.arguments import path as path_of
+from stltool.checking import CheckResult, check, robust_check, write_certificate
+from stltool.checking.certificate import require_certificate_file
+from stltool.checking.induction import Progress
+from stltool.display import Card, Displayed, counted
+from stltool.errors import ModelError, SettingsError, SizeError, StlToolError, TraceError, all_told
+from stltool.files import require_folder
+from stltool.logic.expectation import Expectation, Relation
+from stltool.logic.formula import Formula, is_bounded, label_names, variables
+from stltool.logic.parser import load_task
+from stltool.logic.task import Task
+from stltool.models import MDP, load_model
+from stltool.monitoring import MonitorResult, load_trace, monitor
+from stltool.policy import load_policy
+from stltool.product import Product, build_product
+from stltool.sizes import require_limit, seconds_of
+
+Verdict: TypeAlias = Literal["holds", "does not hold", "undecided", "error"]
+DecidedBy: TypeAlias = Literal["enclosure", "fraction", "trace"]
+Stage: TypeAlias = Callable[[str], AbstractContextManager[Progress | None]]
+
+EXACT_SECONDS = 60.0  # that an exact fraction may take, by estimate
+_VERDICTS: dict[bool | None, Verdict] = {True: "holds", False: "does not hold", None: "undecided"}
+
+
+@dataclass(frozen=True)
+class Certified:
+    """A certificate that was written, the bounds it proves, and whether these decide the expectation."""
+
+    path: Path
+    lower: Fraction
+    upper: Fraction
+    decides: bool
+
+
+@dataclass(frozen=True, repr=False)
+class Verified(Displayed):
+    """One expectation, and how it was judged.
+
+    verdict      "holds", "does not hold", "undecided" (the bound lies inside the enclosure), or "error"
+    decided_by   "enclosure", "fraction" or "trace"; None without a verdict, and `reason` states why
+    result       the check, with its product; `monitored` the verdicts on a trace, of which step 0 counts
+    """
+
+    path: Path
+    task: Task
+    expectation: Expectation
+    verdict: Verdict
+    decided_by: DecidedBy | None = None
+    reason: str | None = None
+    result: CheckResult | None = None
+    monitored: MonitorResult | None = None
+    certificate: Certified | None = None
+    seconds: float = 0.0
+
+    @property
+    def line(self) -> int:
+        """The expectation's line in its file."""
+        return self.expectation.span.line if self.expectation.span is not None else 1
+
+    def _card(self) -> Card:
+        facts = {"decided by": self.decided_by, "reason": self.reason}
+        return Card(f"Verified: {self.verdict}, {self.path}:{self.line}: {self.expectation.written}", [facts])
+
+
+@dataclass(frozen=True, repr=False)
+class Verification(Displayed):
+    """All expectations of some task files, in order; `quiet` are the files without any."""
+
+    files: tuple[Path, ...]
+    results: tuple[Verified, ...]
+    quiet: tuple[Path, ...] = ()
+    seconds: float = 0.0
+
+    @property
+    def holds(self) -> bool:
+        """Whether every expectation holds."""
+        return all(result.verdict == "holds" for result in self.results)
+
+    def count(self) -> dict[Verdict, int]:
+        """The number of expectations with each verdict."""
+        verdicts: tuple[Verdict, ...] = ("holds", "does not hold", "undecided", "error")
+        return {verdict: sum(result.verdict == verdict for result in self.results) for verdict in verdicts}
+
+    def _card(self) -> Card:
+        found = "; ".join(f"{n} {verdict}" for verdict, n in self.count().items() if n)
+        rows = [(result.verdict, f"{result.path}:{result.line}", result.expectation.written) for result in self.results]
+        title = f"Verification: {counted(len(self.results), 'expectation')}: {found}"
+        return Card(title, [{"files": len(self.files)}], (("verdict", "at", "expectation"), rows))
+
+
+def verify(
+    files: str | Path | Sequence[str | Path],
+    *,
+    normalize: bool = False,
+    certificates: str | Path | None = None,
+    exact_seconds: float = EXACT_SECONDS,
+    memory_limit: int | None = None,
+    stage: Stage | None = None,
+) -> Verification:
+    """Judge every expectation of one or several task files.
+
+    normalize       as for `load_model`
+    certificates    a folder that receives a certificate of every probability without intervals
+    exact_seconds   where a bound lies inside an enclosure, the exact fraction is computed if it takes no longer than
+                    this, by estimate; otherwise the expectation is undecided
+    stage           called with the title of each longer step; returns a context manager that yields a progress
+                    function (done, total), or None
+
+    Raises StlToolError, before anything is computed, with all faults of the files: texts that do not parse, models,
+    policies and traces that are missing, files without any expectation. What goes wrong later (a policy of another
+    model, a product that would not fit into memory) is the "error" of that expectation; the others are judged.
+    """
+    start = time.perf_counter()
+    paths = _paths(files)
+    flag(normalize, "verify's normalize")
+    function(stage, "verify's stage")
+    seconds = seconds_of(exact_seconds, "exact_seconds")
+    memory_limit = require_limit(memory_limit) if memory_limit is not None else None
+    folder = path_of(certificates, "verify's certificates") if certificates is not None else None
+    gate = _Gate(normalize, seconds, memory_limit, _staged(stage) if stage is not None else lambda title: nullcontext())
+    tasks = gate.read(paths)
+    if folder is not None:
+        require_folder(folder)
+        gate.certificates_in(folder, tasks)
+    results = [gate.judge(task, expectation) for task in tasks for expectation in task.expectations]
+    quiet = tuple(path for path, task in zip(paths, tasks, strict=True) if not task.expectations)
+    return Verification(tuple(paths), tuple(results), quiet, time.perf_counter() - start)
+
+
+def _staged(stage: Stage) -> Stage:
+    """ArgumentError if what the function returns is not a context manager."""
+
+    def staged(title: str) -> AbstractContextManager[Progress | None]:
+        made = stage(title)
+        require(
+            made, AbstractContextManager, "what verify's stage returns", "return one, e.g. contextlib.nullcontext()"
+        )
+        return made
+
+    return staged
+
+
+def _paths(files: object) -> list[Path]:
+    if isinstance(files, str | Path):
+        files = [files]
+    require(files, (list, tuple), "verify's files", "give one path, or a list of them")
+    paths = [path_of(file, "one of verify's files") for file in cast(list[object], files)]
+    if not paths:
+        raise SettingsError("verify's files are an empty list; name a task file")
+    return list(dict.fromkeys(paths))
+
+
+def task_reads(task: Task) -> Iterator[Path]:
+    """The policies and traces that a task's expectations name."""
+    for expectation in task.expectations:
+        for file in (expectation.policy, expectation.trace):
+            if file is not None:
+                yield task.folder / file
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A question that several expectations may share."""
+
+    product: Product
+    question: str
+    policy: Path | None
+    minimal: bool | None  # nature's aim; None: one distribution
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        return id(self.product), self.question, self.policy, self.minimal
+
+
+@dataclass
+class _Gate:
+    normalize: bool
+    exact_seconds: float
+    memory_limit: int | None
+    stage: Stage
+    models: dict[Path, MDP] = field(default_factory=dict)
+    products: dict[tuple[Path, Formula], Product] = field(default_factory=dict)
+    checked: dict[tuple[Any, ...], CheckResult] = field(default_factory=dict)
+    exactly: dict[tuple[Any, ...], CheckResult | str] = field(default_factory=dict)
+    certificate_names: dict[tuple[Path, Expectation], Path] = field(default_factory=dict)
+    certified: dict[tuple[Any, ...], tuple[Path, Fraction, Fraction]] = field(default_factory=dict)
+
+    # ------------------------------------------------------------------------------------------------------- reading
+
+    def read(self, paths: Sequence[Path]) -> list[Task]:
+        """The tasks, with their models read; StlToolError lists all faults."""
+        tasks, faults = [], []
+        for path in paths:
+            try:
+                task = load_task(path, unbounded=True)
+                faults += self._faults(task)
+                tasks.append(task)
+            except StlToolError as error:
+                faults.append(str(error))
+        if not faults and not any(task.expectations for task in tasks):
+            named = ", ".join(map(str, paths))
+            faults.append(
+                f"{named}: no expectations to verify; add a line such as expect Pmax({tasks[-1].name}) >= 0.95"
+            )
+        if len(faults) == 1:
+            raise StlToolError(faults[0])
+        if faults:
+            raise StlToolError(all_told(faults))
+        return tasks
+
+    def _faults(self, task: Task) -> list[str]:
+        faults = []
+        for expectation in task.expectations:
+            for file, what in ((expectation.policy, "policy file"), (expectation.trace, "trace file")):
+                if file is not None and not (task.folder / file).is_file():
+                    path = task.folder / file
+                    fault = "is not a regular file" if path.exists() else "does not exist"
+                    faults.append(_at(expectation, f"the {what} {path} {fault}; paths are relative to the task file"))
+            if expectation.question == "holds":
+                continue
+            if task.model is None:
+                faults.append(_at(expectation, 'the task file names no model; add a line such as model "floor.toml"'))
+                continue
+            try:
+                model = self._model(task.model)
+            except StlToolError as error:
+                if str(error) not in faults:
+                    faults.append(str(error))
+                continue
+            faults += [_at(expectation, told) for told in [_unfit(expectation, model)] if told is not None]
+        return faults
+
+    def _model(self, path: Path) -> MDP:
+        key = path.resolve()
+        if key not in self.models:
+            with self.stage(f"reading {path}"):
+                self.models[key] = load_model(path, self.normalize)
+        return self.models[key]
+
+    # ------------------------------------------------------------------------------------------------------- judging
+
+    def judge(self, task: Task, expectation: Expectation) -> Verified:
+        start = time.perf_counter()
+        path = task.path
+        assert path is not None  # it was read from a file
+        try:
+            if expectation.question == "holds":
+                found = self._on_trace(task, expectation)
+            else:
+                found = self._probability(task, expectation)
+        except StlToolError as error:
+            found = Verified(path, task, expectation, "error", reason=str(error))
+        return replace(found, seconds=time.perf_counter() - start)
+
+    def _on_trace(self, task: Task, expectation: Expectation) -> Verified:
+        assert expectation.trace is not None
+        assert task.path is not None
+        phi, file = expectation.formula, task.folder / expectation.trace
+        names = {**variables(phi), **label_names(phi)}
+        if not names:
+            raise SettingsError(f"{phi}: this formula is constant; name a signal or a label of the trace")
+        with self.stage(f"judging {expectation.asked}"):
+            signals = load_trace(file, list(names))
+            try:
+                found = monitor(phi, signals, end="error" if is_bounded(phi) else "cut")
+            except TraceError as error:  # its advice on `end` does not apply here
+                raise TraceError(f"{file}: {str(error).partition(', or end=')[0]}") from None
+        assert found.verdicts is not None
+        verdict = _VERDICTS[bool(found.verdicts[..., 0].all())]
+        return Verified(task.path, task, expectation, verdict, "trace", monitored=found)
+
+    def _probability(self, task: Task, expectation: Expectation) -> Verified:
+        assert task.path is not None
+        relation, bound = expectation.relation, expectation.bound
+        assert relation is not None
+        assert bound is not None
+        asked = self._asked(task, expectation)
+        result = self._answer(asked, expectation)
+        by: DecidedBy
+        holds, by, reason = decided(result, relation, bound), "enclosure", None
+        if holds is None:
+            exact = self._exactly(asked, expectation)
+            if isinstance(exact, CheckResult):
+                result, holds, by = exact, decided(exact, relation, bound), "fraction"
+            else:
+                reason = f"the bound lies inside the enclosure, and {exact}"
+        done = Verified(
+            task.path, task, expectation, _VERDICTS[holds], by if holds is not None else None, reason, result
+        )
+        name = self.certificate_names.get((task.path, expectation))
+        return replace(done, certificate=self._certify(asked, done, name)) if name is not None else done
+
+    def _asked(self, task: Task, expectation: Expectation) -> _Asked:
+        assert task.model is not None
+        model, phi = self._model(task.model), expectation.formula
+        key = (task.model.resolve(), phi)
+        if key not in self.products:
+            given = replace(task, name=expectation.name, formula=phi) if expectation.name is not None else phi
+            with self.stage(f"compiling {expectation.subject}"):
+                self.products[key] = build_product(model, given)
+        minimal = expectation.relation in (">=", ">") if expectation.robust else None
+        policy = (task.folder / expectation.policy).resolve() if expectation.policy is not None else None
+        return _Asked(self.products[key], expectation.question, policy, minimal)
+
+    def _answer(self, asked: _Asked, expectation: Expectation) -> CheckResult:
+        if asked.key not in self.checked:
+            self.checked[asked.key] = self._compute(asked, expectation, exact=False)
+        return self.checked[asked.key]
+
+    def _exactly(self, asked: _Asked, expectation: Expectation) -> CheckResult | str:
+        """The exact answer, or why there is none."""
+        if asked.minimal is not None:
+            return "there is no exact arithmetic for interval probabilities"
+        if asked.key not in self.exactly:
+            try:
+                self.exactly[asked.key] = self._compute(asked, expectation, exact=True)
+            except SizeError as error:
+                self.exactly[asked.key] = f"the exact fraction is not computed: {str(error).partition(';')[0]}"
+            except ModelError as error:
+                self.exactly[asked.key] = f"there is no exact fraction: {error}"
+        return self.exactly[asked.key]
+
+    def _compute(self, asked: _Asked, expectation: Expectation, exact: bool) -> CheckResult:
+        product, maximize = asked.product, asked.question != "Pmin"
+        policy = load_policy(asked.policy, product) if asked.policy is not None else None
+        options: dict[str, Any] = {"maximize": maximize, "keep_policy": False, "memory_limit": self.memory_limit}
+        how = " as a fraction" if exact else ""
+        with self.stage(f"checking {expectation.asked}{how}") as progress:
+            if asked.minimal is not None:
+                nature: Literal["against", "with"] = "against" if asked.minimal == maximize else "with"
+                return robust_check(product, policy, nature=nature, progress=progress, **options)
+            if exact:
+                options |= {"exact": True, "time_limit": self.exact_seconds}
+            return check(product, policy, progress=progress, **options)
+
+    # -------------------------------------------------------------------------------------------------- certificates
+
+    def certificates_in(self, folder: Path, tasks: Sequence[Task]) -> None:
+        """Choose a file for every certificate, before the work; FileError if one cannot be written."""
+        taken: set[str] = set()
+        for task in tasks:
+            for expectation in task.expectations:
+                if expectation.question == "holds" or expectation.robust:
+                    continue
+                assert task.path is not None
+                subject = expectation.name if expectation.name is not None else f"line-{expectation.span.line}"  # type: ignore[union-attr]
+                stem = name = f"{task.path.stem}-{subject}-{expectation.question}"
+                number = 1
+                while name in taken:
+                    number += 1
+                    name = f"{stem}-{number}"
+                taken.add(name)
+                path = require_certificate_file(folder / f"{name}.jsonl.gz")
+                self.certificate_names[task.path, expectation] = path
+
+    def _certify(self, asked: _Asked, done: Verified, path: Path) -> Certified:
+        """The certificate of an answer; expectations that share it share the file."""
+        assert done.result is not None
+        key = (*asked.key, done.result.fraction is not None)
+        if key not in self.certified:
+            with self.stage(f"certifying {done.expectation.asked}") as progress:
+                lower, upper = write_certificate(done.result, path, self.memory_limit, progress)
+            self.certified[key] = (path, lower, upper)
+        path, lower, upper = self.certified[key]
+        relation, bound = done.expectation.relation, done.expectation.bound
+        assert relation is not None
+        assert bound is not None
+        proves = _compared(relation, bound, lower, upper)
+        return Certified(path, lower, upper, proves is not None)
+
+
+def decided(result: CheckResult, relation: Relation, bound: Fraction) -> bool | None:
+    """Whether the exact probability satisfies the relation; None if the bound lies inside the enclosure."""
+    if result.fraction is not None:
+        return _compared(relation, bound, result.fraction, result.fraction)
+    return _compared(relation, bound, Fraction(result.lower), Fraction(result.upper))
+
+
+def _compared(relation: Relation, bound: Fraction, lower: Fraction, upper: Fraction) -> bool | None:
+    """Whether all of [lower, upper] satisfies the relation, or none of it; None if some of it does."""
+    if relation in (">=", "<"):
+        at_least = True if lower >= bound else False if upper < bound else None
+        return at_least if relation == ">=" or at_least is None else not at_least
+    at_most = True if upper <= bound else False if lower > bound else None
+    return at_most if relation == "<=" or at_most is None else not at_most
+
+
+def _unfit(expectation: Expectation, model: MDP) -> str | None:
+    """Why a question cannot be asked of this model."""
+    if model.blackbox is not None:
+        return (
+            f"{model.name} is a black box, whose probabilities are unknown; an expectation needs a model, and stltool "
+            "estimate --at-least tests a bound by runs"
+        )
+    if model.uncertain and not expectation.robust:
+        return f"the probabilities of {model.name} are intervals; write robust {expectation.question}(…)"
+    if expectation.robust and not model.uncertain:
+        return f"the probabilities of {model.name} are not intervals; leave robust out"
+    return None
+
+
+def _at(expectation: Expectation, message: str) -> str:
+    return expectation.span.show(message) if expectation.span is not None else message

@@ -1,0 +1,112 @@
+"""What commands print, and what reports are made from, is what the published schema says: no field more, none less."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+import stltool as stl
+from stltool.reporting import load_report, report_data
+from stltool.reporting.records import FORMATS, OUTPUTS
+from tests.cli.every import CASES, SMALL, make_inputs
+from tests.conftest import ROOT
+from tests.golden.capture import command
+
+spec = importlib.util.spec_from_file_location("schema", ROOT / "docs" / "schema.py")
+schema = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(schema)
+PUBLISHED = json.loads(schema.SCHEMA.read_text(encoding="utf-8"))
+
+# what each command prints with --json, by its name in OUTPUTS: more of what it can print
+MORE = {
+    "check": [
+        ["check", "patrolling.stl", *SMALL, "--exact", "--at-least", "0.5", "--at-most", "0.9"],
+        ["check", "patrolling.stl", *SMALL, "--stationary"],
+        ["check", "uncertain.stl", "-p", "T=3", "-p", "tau=8"],
+    ],
+    "check --vary": [["check", "patrolling.stl", *SMALL, "--model", "floor-5x5-p.toml", "--vary", "p=0.8:0.9",
+                      "--at-least", "0.1"]],
+    "estimate --at-least": [["estimate", "patrolling.stl", *SMALL, "--at-least", "0.2"],
+                            ["estimate", "patrolling.stl", *SMALL, "--at-least", "1e-9", "--indifference", "1e-10",
+                             "--most-runs", "10"]],
+    "run": [
+        ["run", "patrolling.stl", *SMALL, "--episodes", "60", "--rollouts", "50", "--out", "bound", "--at-least", "0.9",
+         "--until-gap", "0.5"],
+    ],
+    "monitor": [["monitor", "F[0,1] x > 0.5", "batch.npz"], ["monitor", "G[0,1] (x > 0.5) | F[0,1] true", "trace.csv"]],
+    "verify": [["verify", "all.stl", "expected.stl", "--certificates", "proofs", "--exact-seconds", "0"]],
+    "why": [["why", "patrolling.stl", *SMALL, "--mass", "0.001", "--satisfying"]],
+}  # fmt: skip
+ALL = """
+model "floor-5x5-uncertain.toml"
+r := F[0,2] A
+expect robust Pmax(r) >= 0.99
+expect robust P(r, policy "trace.csv") >= 0.99
+expect holds(F[0,2] x > 0.5, trace "batch.npz")
+"""
+
+
+def require_valid(data, kind):
+    """Also that the same data, with a field more or one less, is not valid."""
+    chosen = {"$ref": f"#/$defs/{kind}", "$defs": PUBLISHED["$defs"]}
+    checker = jsonschema.Draft202012Validator(chosen)
+    checker.validate(data)
+    assert not checker.is_valid({**data, "another": 1})
+    assert not checker.is_valid({key: value for key, value in data.items() if key != next(iter(data))})
+
+
+def test_the_schema_is_what_the_records_say():
+    jsonschema.Draft202012Validator.check_schema(PUBLISHED)
+    assert schema.SCHEMA.read_text(encoding="utf-8") == schema.text(), "python docs/schema.py"
+
+
+def test_every_output_is_tried():
+    assert set(OUTPUTS) <= {*CASES, *MORE}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    made = tmp_path_factory.mktemp("records")
+    make_inputs(made)
+    np.savez(made / "batch.npz", x=np.array([[1.0, 2, 3], [1, -1, -2], [-1, 1, 1]]))
+    (made / "all.stl").write_text(ALL)
+    return made
+
+
+@pytest.mark.parametrize("name", OUTPUTS)
+def test_commands_print_what_the_schema_says(name, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr("stltool.reporting.page.render", lambda data: "")  # pictures take long
+    kind = PUBLISHED["commands"][name]["$ref"].rpartition("/")[2]
+    cases = [*([[name, *CASES[name]]] if name in CASES else []), *MORE.get(name, [])]
+    for arguments in cases:
+        _, out, err = command(*arguments, "--json")
+        assert out, err
+        data = json.loads(out)
+        require_valid(data, kind)
+        if "format" in data:
+            jsonschema.validate(data, PUBLISHED)
+            assert FORMATS[data["format"]].__name__ == kind
+
+
+def test_files_name_their_format(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    for path in (Path("report.json"), Path("swept/report.json")):
+        if path.exists():
+            jsonschema.validate(load_report(path), PUBLISHED)
+    assert [name.rpartition("-")[2].isdigit() for name in FORMATS] == [True] * len(FORMATS)
+
+
+def test_a_report_of_all_that_there_is_keeps_to_it(patrolling):
+    run = stl.learn(patrolling, "cfer", episodes=40, seed=1)
+    data = report_data(
+        [stl.check(patrolling, exact=True), stl.check(patrolling, run.policy)],
+        run,
+        estimates=[stl.estimate(patrolling, run.policy, runs=20)],
+        guarantees=[stl.guarantee(patrolling, run.policy, run.counts)],
+        stationary=[stl.stationary(patrolling, most=1)],
+    )
+    require_valid(json.loads(json.dumps(data)), "ReportRecord")
