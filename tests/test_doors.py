@@ -28,7 +28,7 @@ RESULTS = {
 INNER = {
     "Counts.add_known", "Counts.add_one", "Counts.restore", "MDP.initial_share",
     "Product.enter", "Product.first_verdicts", "Sweep.settled", "TaskAutomaton.letters_at",
-    "TaskAutomaton.verdicts", "TaskAutomaton.with_outcome",
+    "TaskAutomaton.tracks", "TaskAutomaton.verdicts", "TaskAutomaton.with_outcome",
 }  # fmt: skip
 
 
