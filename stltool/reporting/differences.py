@@ -1,8 +1,8 @@
 """What changed between two results of the same kind: reports, sweeps, or what commands print with --json.
 
-Both are compared place by place. Times, and the command that was typed, are no results and are left out. Records in a
-list are matched by what names them (the question, the source of a bound, a file), not by their position. A number has
-changed if it differs by more than the tolerance.
+Both are compared place by place. Times, lines of texts and the command that was typed are no results and are left out.
+Records in a list are matched by what names them (the question, the source of a bound, a file with an expectation), not
+by their position. A number has changed if it differs by more than the tolerance.
 """
 
 from __future__ import annotations
@@ -92,7 +92,8 @@ def _walk(what: str, a: Any, b: Any, tolerance: float, worse: bool = False) -> I
 
 def _records(first: str, a: dict[str, Any], b: dict[str, Any], tolerance: float) -> Iterator[Difference]:
     for key in dict.fromkeys([*a, *b]):
-        if key not in _NO_RESULTS:
+        moved = key in ("line", "column") and first.startswith("expectations[")
+        if key not in _NO_RESULTS and not moved:
             mine, theirs = (one.get(key, _NOTHING) for one in (a, b))
             yield from _walk(f"{first}{key}", mine, theirs, tolerance, _worse(key, a, b))
 
@@ -103,6 +104,8 @@ def _worse(key: str, a: dict[str, Any], b: dict[str, Any]) -> bool:
     mine, theirs = a.get(key), b.get(key)
     if key in _BETTER_TRUE:
         return mine is True and theirs is not True
+    if key == "verdict":
+        return mine == "holds" != theirs
     if not (isinstance(mine, int | float) and isinstance(theirs, int | float)):
         return False
     smaller = (key == "probability" and "question" in a) or (key == "lower" and "confidence" in a)
@@ -111,11 +114,11 @@ def _worse(key: str, a: dict[str, Any], b: dict[str, Any]) -> bool:
 
 
 def _lists(what: str, a: list[Any], b: list[Any], tolerance: float) -> Iterator[Difference]:
-    named = _named(a, b)
+    named = _named(a, b, ("file", "text"), 200) if what == "expectations" else _named(a, b)
     if named is not None:
         mine, theirs = named
         for name in dict.fromkeys([*mine, *theirs]):
-            lost = name not in theirs and what == "guarantees"
+            lost = name not in theirs and what in ("guarantees", "expectations")
             pair = mine.get(name, _NOTHING), theirs.get(name, _NOTHING)
             yield from _walk(f"{what}[{name}]", *pair, tolerance, lost)
         return
@@ -132,15 +135,15 @@ def _lists(what: str, a: list[Any], b: list[Any], tolerance: float) -> Iterator[
         yield Difference(what, before, after)
 
 
-def _named(a: list[Any], b: list[Any]) -> list[dict[str, Any]] | None:
+def _named(a: list[Any], b: list[Any], by: Sequence[str] = _NAMES, longest: int = 40) -> list[dict[str, Any]] | None:
     """Two lists of records by what names them, with as few of the names as tell them apart; None if none do."""
     if not all(isinstance(one, dict) for one in [*a, *b]) or not (a or b):
         return None
-    for most in range(1, len(_NAMES) + 1):
+    for most in range(1, len(by) + 1):
         found = []
         for entries in (a, b):
             names = [
-                ", ".join(_cut(str(one[key]), 40) for key in _NAMES[:most] if isinstance(one.get(key), str | int))
+                ", ".join(_cut(str(one[key]), longest) for key in by[:most] if isinstance(one.get(key), str | int))
                 for one in entries
             ]
             found.append(dict(zip(names, entries, strict=True)))

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import stltool as stl
-from stltool.reporting import report_data
+from stltool.checking.evidence import evidence_of
+from stltool.reporting import report_data, verification_data
 from stltool.reporting.differences import differences, summarised
 from tests.conftest import FACTORY
 
@@ -19,7 +20,8 @@ def report():
     run = stl.learn(product, "model-based", episodes=60, seed=0)
     bounds = [stl.guarantee(product, run.policy, run.counts, support=support) for support in ("unknown", "known")]
     checks = [stl.check(product), stl.check(product, run.policy)]
-    return json.loads(json.dumps(report_data(checks, run, guarantees=bounds)))
+    evidence = evidence_of(product, run.policy, 0)
+    return json.loads(json.dumps(report_data(checks, run, guarantees=bounds, evidence=evidence)))
 
 
 @pytest.fixture
@@ -81,13 +83,32 @@ def test_only_what_is_worse_fails_if_only_that_is_asked(two, change, bad):
 
 
 def test_bounds_that_no_longer_hold_and_gaps_that_grow_are_worse():
-    before = {"expectations": [{"name": "a", "holds": True}, {"name": "b", "holds": True}],
-              "gap": {"upper": 0.01, "without_data": 0.1}}  # fmt: skip
-    after = {"expectations": [{"name": "b", "holds": None}, {"name": "a", "holds": True}],
-             "gap": {"upper": 0.02, "without_data": 0.1}}  # fmt: skip
+    before = {"asked": {"holds": True}, "gap": {"upper": 0.01, "without_data": 0.1}}
+    after = {"asked": {"holds": None}, "gap": {"upper": 0.02, "without_data": 0.1}}
     found = differences(before, after)
-    assert [(one.what, one.worse) for one in found] == [("expectations[b].holds", True), ("gap.upper", True)]
+    assert [(one.what, one.worse) for one in found] == [("asked.holds", True), ("gap.upper", True)]
     assert not any(one.worse for one in differences(after, before))
+
+
+def test_expectations_are_matched_by_their_text(tmp_path):
+    """Whatever line they are on; one that no longer holds, or is gone, is worse."""
+
+    def verified(*lines):
+        (tmp_path / "coin.toml").write_text('kind = "grid"\nmap = "SA"\ncell = 1\nmoves = "cross"\nsuccess = 0.5\n')
+        path = tmp_path / "task.stl"
+        path.write_text("\n".join(['model "coin.toml"', "param p = 0.5", "reach := F[0,1] A", *lines, ""]))
+        return json.loads(json.dumps(verification_data(stl.verify(path))))
+
+    first, second = "expect Pmax(reach) >= p", "expect Pmin(reach) <= 0"
+    before = verified(first, second, "expect Pmax(reach) > 0")
+    assert differences(before, verified(second, "", first, "expect Pmax(reach) > 0")) == []
+    after = copy.deepcopy(verified(second, first))
+    after["expectations"][1]["verdict"] = "undecided"
+    found = {one.what: one.worse for one in differences(before, after)}
+    gone, changed = (f"expectations[{tmp_path / 'task.stl'}, expect {text}]" for text in ("Pmax(reach) > 0", first[7:]))
+    assert found[gone]
+    assert found[f"{changed}.verdict"]
+    assert not any(one.worse for one in differences(after, before) if one.what.startswith("expectations"))
 
 
 def test_parts_that_differ_in_many_places_are_summed_up(two, report):
