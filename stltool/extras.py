@@ -7,7 +7,13 @@ from typing import Any
 
 from stltool.errors import MissingExtraError
 
-EXTRAS = {"distributed": "cluster", "gymnasium": "gymnasium", "pyarrow": "parquet", "tensorboard": "tensorboard"}
+EXTRAS = {
+    "distributed": "cluster",
+    "gymnasium": "gymnasium",
+    "pyarrow": "parquet",
+    "tensorboard": "tensorboard",
+    "sklearn": "trees",
+}
 """Package → the extra of stltool that installs it."""
 
 

@@ -54,7 +54,8 @@ def test_the_action_has_what_github_needs():
 @pytest.mark.parametrize(
     ("files", "code", "told"),
     [
-        ("tasks/**/*.stl\nbad.stl", 1, "1 of 2 expectations hold, 1 does not"),
+        ("tasks/**/*.stl", 0, "1 of 1 expectation holds"),
+        ("tasks/deep/good.stl\nbad.stl", 1, "1 of 2 expectations hold, 1 does not"),
         ("none/*.stl", 2, ""),
         ("$(touch owned).stl", 2, ""),
     ],

@@ -19,9 +19,9 @@ from stltool.learning.settings import settings_of
 # classes whose objects functions make, so that their constructors are no doors
 RESULTS = {
     "CheckResult", "Estimate", "Fragment", "Front", "Gap", "Guarantee", "JointProduct", "LikelyRuns", "MDP", "Meaning",
-    "MonitorResult", "ParametricResult", "Product", "Run", "Sensitivity", "SequentialTest", "SmoothRobustness",
-    "StationaryResult", "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton",
-    "Tradeoff", "Training", "Decision", "MarkovTest", "Verification", "Verified",
+    "MonitorResult", "ParametricResult", "PolicyTree", "Product", "Run", "Sensitivity", "SequentialTest",
+    "SmoothRobustness", "StationaryResult", "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult",
+    "Task", "TaskAutomaton", "Tradeoff", "Training", "Decision", "MarkovTest", "Verification", "Verified",
 }  # fmt: skip
 
 # called from within, or in inner loops with indices of their own
@@ -186,6 +186,7 @@ CALLS = {
     "ParametricResult.at_least": lambda w: {"self": stl.parametric(w.family), "bound": 0.5},
     "ParametricResult.at_most": lambda w: {"self": stl.parametric(w.family), "bound": 0.5},
     "ParametricResult.points": lambda w: {"self": stl.parametric(w.family)},
+    "policy_tree": lambda w: {"product": w.product},
     "MDP.from_family": lambda w: {"build": lambda p: w.family.model.at(p=p), "parameters": {"p": (0, 1)}},
     "sample_run": lambda w: {"product": w.product},
     "estimate": lambda w: {"product": w.product, "policy": w.policy, "runs": 5},
@@ -246,6 +247,8 @@ TAKES = {
     **dict.fromkeys(("labels", "params", "budget", "over", "parameters"), MAPPING),
     "tol": NUMBERS,
     "most_pieces": {"int"},
+    "most_leaves": {"int"},
+    "price": NUMBERS,
     **dict.fromkeys(("names", "action_names", "state_names"), NAMES),
     **dict.fromkeys(("letters", "chi", "estimates", "guarantees", "stationary"), LISTS),
     **{key: {"array", "list"} for key in ("table", "transitions", "lower", "upper")},

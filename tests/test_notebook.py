@@ -38,6 +38,7 @@ Path("sweep.toml").write_text(
     '[[scenario]]\\nid = "R1"\\ntask = "task.stl"\\nmodel = "model.toml"\\n'
 )
 sweep = stl.load_sweep("sweep.toml")
+Path("expected.stl").write_text('model "model.toml"\\nreach := F[0,3] A\\nexpect Pmax(reach) >= 1\\n')
 
 class Walk:
     def reset(self): return 0
@@ -76,6 +77,9 @@ CELLS = {
     ),
     "Tradeoff": ("stl.tradeoff(joint, 'reach', at_least={'stay': 0.5})", "P(stay) >= 0.5"),
     "ParametricResult": ("stl.parametric(stl.build_product(family, stl.parse('F[0,2] A')))", "for p in [0.5, 1]"),
+    "PolicyTree": ("stl.policy_tree(product)", "leaves, P = "),
+    "Verification": ("stl.verify('expected.stl')", "1 expectation: 1 holds"),
+    "Verified": ("stl.verify('expected.stl').results[0]", "Verified: holds, expected.stl:3"),
     "Gap": ("stl.optimality_gap(of_family, None, stl.Counts(2, 2), parameters='model')", "p in [0.5, 1]"),
     "Front": ("stl.pareto(joint)", "reach and stay"),
     "Training": ("training", "naive, 30 episodes"),

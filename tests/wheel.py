@@ -35,6 +35,7 @@ FILLED = {
     "--save-policy FILE": "--save-policy best.policy",
     "certify FILE [TASK]": f"certify best.jsonl.gz {FACTORY}patrolling.stl",
     "--vary p=0.5:1": "--vary success=0.5:1",
+    "explain TASK --policy FILE": f"explain {FACTORY}patrolling.stl --policy out/patrolling/policy.npz",
     "--policy FILE": "--policy out/patrolling/policy.npz",
     "--out FILE": "--out learned.npz --checkpoint run.npz --history run.csv",
     "sweep FILE": "sweep examples/paper/small.toml --workers 2",

@@ -3,16 +3,55 @@
 from __future__ import annotations
 
 from decimal import Decimal
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, Step, TaskName, TaskOrFormula
-from stltool.cli.steps import load_task_or_formula, task_model, warnings_shown
+from stltool.cli.options import (
+    AsJson,
+    Encoding,
+    Model,
+    Normalize,
+    Params,
+    PolicyFile,
+    PolicyFunction,
+    Step,
+    TaskName,
+    TaskOrFormula,
+)
+from stltool.cli.roles import Writes
+from stltool.cli.steps import (
+    given_policy,
+    load_task_or_formula,
+    make_product,
+    require_one_policy,
+    task_model,
+    warnings_shown,
+)
+from stltool.errors import SettingsError
+
+if TYPE_CHECKING:
+    from stltool.product import Product
 
 
 @app.command('stltool explain "G[0,9] (request -> F[0,5] grant)"')
 def explain(
     task: TaskOrFormula,
+    policy: PolicyFile = None,
+    policy_function: PolicyFunction = None,
+    price: Annotated[
+        float | None, typer.Option("--price", metavar="P", help="how much of P the tree may lose, default: 0.001")
+    ] = None,
+    most_leaves: Annotated[
+        int | None, typer.Option("--most-leaves", metavar="N", help="give up there, default: 200")
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option("--plot", metavar="FILE", help="draw P over the number of leaves (.svg or .png)"),
+        Writes(),
+    ] = None,
     model: Model = None,
     normalize: Normalize = False,
     param: Params = None,
@@ -25,10 +64,22 @@ def explain(
 
     Warns if the task can never hold or always holds, if a part of it is vacuous, and if other tools would read the text
     differently.
+
+    With --policy: the policy as a small decision tree, with the exact P of the tree itself.
     """
     import stltool as stl
     from stltool.reporting.terminal import print_facts, print_json, print_table, print_tree
 
+    asked = {"--price": price, "--most-leaves": most_leaves, "--plot": plot}
+    if require_one_policy(policy, policy_function) is not None:
+        if step is not None:
+            raise SettingsError(f"--step {step}: a task file declares its own step; write step = {step} there")
+        product = make_product(Path(task), model, param, name, encoding, as_json, learning=False, normalize=normalize)
+        _explain_policy(product, policy, policy_function, price, most_leaves, plot, as_json)
+        return
+    for option, value in asked.items():
+        if value is not None:
+            raise SettingsError(f"{option} is about the tree of a policy; give --policy, too")
     loaded = load_task_or_formula(task, param, name, step)
     world = task_model(loaded, model, normalize) if model is not None or loaded.model is not None else None
     with warnings_shown():
@@ -54,6 +105,50 @@ def explain(
         print(f"\nnote: {note}")
     for advice in facts.get("warnings", []) + facts["ambiguities"]:
         print(f"\nwarning: {advice}")
+
+
+def _explain_policy(
+    product: Product,
+    policy: Path | None,
+    policy_function: str | None,
+    price: float | None,
+    most_leaves: int | None,
+    plot: Path | None,
+    as_json: bool,
+) -> None:
+    import stltool as stl
+    from stltool.numbers import probability_text
+    from stltool.reporting.terminal import print_facts, print_json, print_table, print_text, progress_bar
+    from stltool.reporting.tradeoffs import require_picture
+    from stltool.reporting.trees import tree_data, write_tree_picture
+
+    if plot is not None:
+        require_picture(plot)
+    given = given_policy(product, policy, policy_function)
+    settings: dict[str, Any] = {"price": price, "most_leaves": most_leaves}
+    with progress_bar("growing trees", quiet=as_json) as bar:
+        found = stl.policy_tree(
+            product, given, progress=bar, **{key: value for key, value in settings.items() if value is not None}
+        )
+    if plot is not None:
+        write_tree_picture(found, plot)
+    if as_json:
+        print_json(tree_data(found))
+        return
+    lost = found.given.probability - found.check.probability
+    print_facts({
+        "task": f"{product.task_name} := {product.formula}",
+        "policy": policy or policy_function,
+        "P": probability_text(found.given.probability),
+        "tree": f"{found.leaves} leaves",
+        "P of it": f"{probability_text(found.check.probability)}, {lost:.3g} less; "
+        + ("within the price" if found.met else f"no tree of up to this size is within {found.price:g}: --most-leaves"),
+        **({"plot": plot} if plot is not None else {}),
+    })  # fmt: skip
+    print()
+    print_text("\n".join([found.rules, "", *found.legend, ""]))
+    print("\nthe best trees found of each size:")
+    print_table([{"leaves": leaves, "P": probability_text(p)} for leaves, p in found.curve])
 
 
 def _shown(facts: dict[str, Any]) -> dict[str, Any]:

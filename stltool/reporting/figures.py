@@ -183,6 +183,30 @@ def learning_curves(data: Mapping[str, Any], kind: str) -> str | bytes:
 
 
 @drawing()
+def leaves_curve(data: Mapping[str, Any], kind: str) -> str | bytes:
+    """What a tree loses to its policy over the number of its leaves (`tree_data`), on a logarithmic axis, and dashed
+    the price. `kind` is svg, png or pdf."""
+    points = [(point["leaves"], max(data["given"] - point["probability"], 0.0)) for point in data["curve"]]
+    leaves, lost = (_reals(column) for column in zip(*points, strict=True))
+    figure = Figure(figsize=(7.2, 3.3), layout="constrained")
+    axes = figure.subplots()
+    drawn = np.where(lost > 0, lost, np.nan)
+    axes.plot(leaves, drawn, color=_CURVE, linewidth=1.6, marker=".", gid="curve",
+              label="the best tree found of each size, exact")  # fmt: skip
+    low = _powers_of_ten(axes, [*lost, data["price"]], "P(policy) − P(tree)")
+    axes.axhline(data["price"], color=_OPTIMUM, linestyle="--", linewidth=1.2, gid="price",
+                 label=f"price {data['price']:g}")  # fmt: skip
+    equal = leaves[lost <= 0]
+    if len(equal):
+        axes.plot(equal, np.full(len(equal), low), color=_CURVE, linestyle="", marker="v", markersize=5, clip_on=False,
+                  label="0: as good as the policy", gid="equal")  # fmt: skip
+    axes.set(xlabel="leaves", xlim=(0, 1.05 * max(leaves.max(), 2.0)))
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False)
+    return picture(figure, kind, "leaves", "what a tree loses to its policy, over the number of its leaves")
+
+
+@drawing()
 def line_chart(chart: Mapping[str, Any], salt: str) -> str:
     """Lines over one axis as SVG. `chart`: `lines`, each with `name`, `x` and `y`; and the axes' names `x` and `y`."""
     figure = Figure(figsize=(7.2, 3.3), layout="constrained")

@@ -335,6 +335,30 @@ class WhyOutput(ProductRecord):
     sensitive: list[SensitivityRecord]
 
 
+class LeavesRecord(TypedDict):
+    """The best tree found of a size."""
+
+    leaves: int
+    probability: float
+
+
+class TreeOutput(ProductRecord):
+    """What `stltool explain --policy --json` prints: a decision tree in place of a policy. `tree` nests `if`, `then`
+    and `else` down to an `action`, each with its `share` of the steps."""
+
+    given: float
+    price: float
+    probability: float
+    lower: float
+    upper: float
+    met: bool
+    leaves: int
+    rules: list[str]
+    legend: list[str]
+    tree: dict[str, Any]
+    curve: list[LeavesRecord]
+
+
 # ---------------------------------------------------------------------------------------------------------- learning
 
 
@@ -833,6 +857,7 @@ OUTPUTS = {
     "check --vary": ParametricRecord,
     "estimate": EstimateOutput,
     "estimate --at-least": SequentialOutput,
+    "explain --policy": TreeOutput,
     "learn": TrainingOutput,
     "monitor": MonitorRecord,
     "pareto": FrontRecord,

@@ -38,7 +38,7 @@ def sweep_data(
     """Everything that a sweep's report shows; scenarios and methods without a finished run are left out.
 
     `sections` appear below the table: {"title": …, "text": …, "rows": [{column: value}], "figure": …} each, the figure
-    as for `figures.line_chart`, or None; before them the paper's claims, if `stories` are given.
+    as for `figures.line_chart`, or None; before them the claims of [Wang24], if `stories` are given.
     """
     sweep = result.sweep
     found: dict[tuple[str, str], list[RunResult]] = {}

@@ -19,7 +19,7 @@ KINDS = {
     "trace": "a recorded log to monitor, without a model",
 }
 EXAMPLES = {
-    "factory": "the paper's robot on a factory floor: tasks, floors, uncertain and parametric ones, trade-offs",
+    "factory": "the robot of Wang et al. (2024) on a factory floor: tasks, floors, trade-offs",
     "ward": "a delivery in a hospital, the example of the tutorial",
     "battery": "a robot that must not run flat, in PRISM's explicit files",
     "lift": "a lift whose passengers do not wait for long",
@@ -28,7 +28,7 @@ EXAMPLES = {
     "drone": "the log of a flight, judged rule by rule",
     "insulin": "a day of an insulin pump, judged by its therapy",
     "monitor": "the log of a delivery robot's shift",
-    "paper": "the paper's comparison of methods as sweeps",
+    "paper": "the comparison of methods of Wang et al. (2024) as sweeps",
 }
 _NEXT = {
     "grid": ["stltool explain task.stl", "stltool check task.stl", "stltool run task.stl"],

@@ -1,0 +1,50 @@
+"""`stltool explain --policy`: a policy as a decision tree, as users meet it."""
+
+import json
+
+import pytest
+
+import stltool as stl
+from tests.conftest import PATROLLING, SMALL
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory):
+    task = stl.load_task(PATROLLING, params={"T": 5, "tau": 5})
+    path = tmp_path_factory.mktemp("tree") / "best.npz"
+    stl.check(stl.build_product(stl.load_model(task.model), task)).policy.save(path)
+    return path
+
+
+def test_the_tree_is_printed_drawn_and_told(stltool, policy, tmp_path):
+    code, out, _ = stltool("explain", PATROLLING, *SMALL, "--policy", policy, "--plot", tmp_path / "leaves.svg")
+    assert code == 0
+    assert "P of it" in out
+    assert "within the price" in out
+    assert "[at_A]: 0 nothing pending" in out
+    assert (tmp_path / "leaves.svg").read_text().startswith("<svg")
+    code, out, _ = stltool(
+        "explain", PATROLLING, *SMALL, "--policy", policy, "--most-leaves", 3, "--price", 1e-6, "--json"
+    )
+    data = json.loads(out)
+    assert (code, data["met"], data["price"]) == (0, False, 1e-6)
+    assert data["lower"] <= data["probability"] <= data["upper"] < data["given"]
+    assert {"if", "then", "else", "share"} == set(data["tree"])
+    assert data["leaves"] == len([line for line in data["rules"] if not line.endswith(":")])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--price", 0.1), "--price is about the tree of a policy; give --policy, too"),
+        (("--policy", "POLICY", "--price", 2), "--price is 2.0; give a number between 0 and 1"),
+        (("--policy", "POLICY", "--most-leaves", 0), "--most-leaves is 0"),
+        (("--policy", "POLICY", "--step", "1s"), "--step 1s: a task file declares its own step"),
+        (("--policy", "POLICY", "--plot", "leaves.txt"), "leaves.txt: pictures are written as"),
+    ],
+)
+def test_what_it_refuses(stltool, policy, arguments, says):
+    given = [policy if one == "POLICY" else one for one in arguments]
+    code, _, err = stltool("explain", PATROLLING, *SMALL, *given)
+    assert code == 2
+    assert says in err
