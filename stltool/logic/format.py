@@ -109,13 +109,11 @@ def _expectation(tree: Branch) -> tuple[str, Branch, str]:
 
 def _bound(tree: Branch) -> str:
     """A fraction of two numbers is one number, so it has no spaces."""
-    parts = bare(tree).children
-    fraction = bare(tree).data == "binary" and all(not isinstance(p, Token) and p.data == "number" for p in parts[::2])
-    return (
-        "".join(_term(p)[0] if not isinstance(p, Token) else str(p) for p in parts)
-        if (fraction and str(parts[1]) == "/")
-        else _term(tree)[0]
-    )
+    tree = bare(tree)
+    parts = branches(tree)
+    if tree.data == "binary" and str(parts[1]) == "/" and parts[0].data == parts[2].data == "number":
+        return f"{_term(parts[0])[0]}/{_term(parts[2])[0]}"
+    return _term(tree)[0]
 
 
 def _sign(tree: Branch) -> str:

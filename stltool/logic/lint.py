@@ -151,18 +151,19 @@ def _expected(document: Document) -> Iterator[Advice]:
     trees = [tree for tree in document.trees if tree.data == "expectation"]
     if not trees:
         return
-    builder = Builder(document.source)
-    builder.statements(document.trees)
+    defined = {str(tree.children[0]) for tree in document.trees if tree.data == "definition"}
+    builder = Builder(document.source, unbounded=True)
+    builder.statements(document.trees)  # what is wrong with them is not reported here
     for expectation in builder.expectations:
         if expectation.trivial is not None and expectation.span is not None:
             yield Advice(expectation.span, f"{expectation.trivial}; write another bound")
     for tree in trees:
         body = bare(branches(next(part for part in branches(tree) if not isinstance(part, Token)))[0])
-        if body.data == "name" and str(body.children[0]) not in builder.definitions:
+        if body.data == "name" and str(body.children[0]) not in defined:
             token = cast(Token, body.children[0])
             if _start(token) not in told:
                 place = Span(document.source, _start(token), _start(token) + len(token))
-                known = near_misses(str(token), builder.definitions)
+                known = near_misses(str(token), defined)
                 yield Advice(place, f"{token} is not defined here and is read as a label at step 0; {known}")
 
 

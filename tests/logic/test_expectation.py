@@ -156,6 +156,11 @@ def test_what_is_suspicious_is_told(line, told):
     assert advice.span.line == 3
 
 
+def test_what_is_defined_is_known_whether_or_not_it_can_be_built():
+    text = 'forever := G a\nwrong := F[0,T] a\nexpect holds(forever, trace "log.csv")\nexpect Pmax(wrong) > 1/2\n'
+    assert ambiguities(read(Source("t", text), "task")) == []
+
+
 def test_signals_of_expectations_are_declared_too():
     task = stl.parse_task("signal x\nr := x > 0\nparam p = 1/2\nexpect Pmax(r & y > 0) >= p")
     assert [advice.message for advice in ambiguities(task)] == ["y is not declared on a signal line; known names: x"]
