@@ -17,7 +17,7 @@ import stltool as stl
 from stltool.checking.evidence import evidence_of
 from stltool.errors import FileError
 from stltool.learning.sweep import Failure, RunResult
-from stltool.reporting import guarantee_data, load_report, render, report_data, sweep_data
+from stltool.reporting import guarantee_data, load_report, render, report_data, sweep_data, verification_data
 from tests.conftest import FACTORY, some
 
 EVIL = (
@@ -140,6 +140,18 @@ def black_box(checked):
 
 
 @pytest.fixture(scope="module")
+def verified(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("verified")
+    (folder / "log.csv").write_text("x\n1\n0\n")
+    (folder / "task.stl").write_text(
+        f'model "{FACTORY}/floor-5x5.toml"\nreach := F[0,2] A\nexpect Pmax(reach) >= 4433/5000\n'
+        'expect Pmax(reach) >= 1/2\nexpect Pmin(nowhere) <= 0\nexpect holds(F[0,1] x > 0, trace "log.csv")\n'
+    )
+    found = stl.verify(folder / "task.stl", certificates=folder, exact_seconds=0)
+    return json.loads(json.dumps(verification_data(found, "stltool verify")))
+
+
+@pytest.fixture(scope="module")
 def swept(tmp_path_factory):
     path = tmp_path_factory.mktemp("sweep") / "small.toml"
     path.write_text(f"""
@@ -163,7 +175,7 @@ def swept(tmp_path_factory):
     return json.loads(json.dumps(sweep_data(result, "stltool sweep", sections)))
 
 
-@pytest.mark.parametrize("kind", ["checked", "black_box", "swept"])
+@pytest.mark.parametrize("kind", ["checked", "black_box", "swept", "verified"])
 def test_texts_stay_texts(kind, request):
     data = request.getfixturevalue(kind)
     plain = require_safe(render(poisoned(data, "some words ")))
@@ -186,7 +198,7 @@ def strings(value):
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize("kind", ["checked", "black_box", "swept"])
+@pytest.mark.parametrize("kind", ["checked", "black_box", "swept", "verified"])
 def test_a_text_in_the_place_of_anything_stays_a_text_or_is_refused(kind, request, monkeypatch):
     """Pictures are drawn only where the place is of a picture: they take most of the time."""
     data = request.getfixturevalue(kind)
