@@ -43,6 +43,21 @@ def test_imports_point_one_way():
     assert not wrong
 
 
+# what reporting/ calls in other rooms: for the doors `report` and `explain`, for counts, and for what a picture shades
+GATHERED = {"evidence_of", "tested", "take_apart", "recorded", "flag_states", "history_states", "monitor"}
+
+
+def test_reports_only_tell():
+    """Apart from those, reporting/ takes classes from the rooms that compute."""
+    called = set()
+    for path in (ROOT / "stltool" / "reporting").glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            room = node.module.split(".")[1:2] if isinstance(node, ast.ImportFrom) and node.module else []
+            if room and room[0] in ("anatomy", "automata", "checking", "gate", "learning", "monitoring", "product"):
+                called |= {alias.name for alias in node.names if alias.name[0].islower()}
+    assert called == GATHERED
+
+
 @pytest.mark.parametrize(
     "module", ["numba", "cvxpy", "matplotlib", "gymnasium", "scipy", "lark", "hypothesis", "pyarrow"]
 )

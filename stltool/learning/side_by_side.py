@@ -60,7 +60,9 @@ class _Lane:
         self.asks, self.choice = False, -1
         self._answer, self._stopped = -1, False
         self._fault: BaseException | None = None
-        self._mine, self._others = threading.Semaphore(0), threading.Semaphore(0)  # whose turn it is
+        self._mine, self._others = threading.Lock(), threading.Lock()  # whose turn it is: each is let go by the other
+        self._mine.acquire()
+        self._others.acquire()
         self._thread: threading.Thread | None = None
 
     def start(self, play: Callable[[], None]) -> None:

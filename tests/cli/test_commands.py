@@ -506,8 +506,9 @@ def test_what_is_certain_is_said(stltool):
     assert "certain " not in stltool("check", PATROLLING, *SMALL)[1]
 
 
-@pytest.mark.parametrize(("bound", "code", "told"), [("0.5", 0, "holds"), ("0.999", 1, "does not hold")])
-@pytest.mark.parametrize("as_json", [False, True])
+@pytest.mark.parametrize(
+    ("bound", "code", "told", "as_json"), [("0.5", 0, "holds", False), ("0.999", 1, "does not hold", True)]
+)
 def test_a_run_may_be_asked_for_a_bound(stltool, tmp_path, bound, code, told, as_json):
     given = ["-e", 60, "--rollouts", 100, "--out", tmp_path, "--at-least", bound, *["--json"] * as_json]
     got, out, err = stltool("run", PATROLLING, "-p", "T=3", "-p", "tau=8", *given)

@@ -20,6 +20,7 @@ from stltool.reporting import render, report_data
 from tests import oracles
 from tests.conftest import FACTORY, many
 from tests.learning.test_guarantee import counts_of, sampled
+from tests.reporting.svg import Picture
 
 FLOOR = stl.load_model(FACTORY / "floor-5x5.toml")
 
@@ -214,6 +215,10 @@ def test_learning_stops_when_the_gap_is_certified(patrolling, tmp_path):
     page = render(data)
     assert "<b>Certified</b>: with confidence 99 %" in page
     assert '<td class="number">without data</td>' in page
+    pictures = [Picture(f"<svg{text[: text.index('</svg>')]}</svg>") for text in page.split("<svg")[1:]]
+    (panel,) = [panel for picture in pictures for panel in picture.panels if "gap" in panel.names()]
+    assert panel.markers("gap") == pytest.approx(np.array([(p.steps, p.gap) for p in run.history]), rel=2e-2)
+    assert panel.levels("without-data") == pytest.approx([run.gap.without_data], rel=2e-2)
     assert json.loads(json.dumps(data))["training"]["gap"]["transitions"] == run.environment_steps
     # the same, stopped and resumed
     path = tmp_path / "run.checkpoint"

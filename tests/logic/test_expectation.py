@@ -3,7 +3,7 @@
 from fractions import Fraction
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
@@ -13,6 +13,7 @@ from stltool.logic.lint import ambiguities
 from stltool.logic.syntax import read
 from stltool.source import Source
 from stltool.testing import expectations
+from tests.conftest import many
 
 
 def of(text):
@@ -26,6 +27,7 @@ def test_an_expectation_prints_and_parses_back(expected):
     assert str(again) == str(expected)
 
 
+@settings(max_examples=many(40))
 @given(st.lists(expectations(), max_size=3), st.sampled_from(["\n", " ; ", " # why\n", "\n// so\n\n"]))
 def test_the_layout_keeps_expectations_and_comments(expected, between):
     text = between.join(["r := a", *map(str, expected)])
