@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -151,7 +152,7 @@ def _explain_policy(
     print_table([{"leaves": leaves, "P": probability_text(p)} for leaves, p in found.curve])
 
 
-def _shown(facts: dict[str, Any]) -> dict[str, Any]:
+def _shown(facts: Mapping[str, Any]) -> dict[str, Any]:
     """The facts that take one line each, as text."""
 
     shown = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import cast
 
 from stltool.anatomy import Anatomy, take_apart
 from stltool.arguments import one_of, require
@@ -31,6 +31,7 @@ from stltool.logic.quantities import quantity_text
 from stltool.logic.task import Task
 from stltool.models import MDP
 from stltool.reporting.data import disagreement_data, part_data, product_data, sizes_data
+from stltool.reporting.records import ExplainOutput, FragmentRecord, TreeRecord
 
 _MOST_NODES = 500  # nodes of a tree that are listed
 
@@ -39,7 +40,7 @@ _SIGNS: dict[type, str] = {
 }  # fmt: skip
 
 
-def explain(task: Formula | Task, *, model: MDP | None = None, encoding: Encoding = "exact") -> dict[str, Any]:
+def explain(task: Formula | Task, *, model: MDP | None = None, encoding: Encoding = "exact") -> ExplainOutput:
     """The structure of a task as JSON-compatible data; with a model also the sizes of automaton and product.
 
     `tree` nests the operators: each has its `operator`, `horizon`, position (`line`, `column`) and `operands`.
@@ -56,55 +57,59 @@ def explain(task: Formula | Task, *, model: MDP | None = None, encoding: Encodin
     facts = _text_data(task)
     if (told := parts.meaning) is None:
         return facts
-    facts |= {"meaning": told.data(), "warnings": told.warnings()}
+    facts["meaning"], facts["warnings"] = told.data(), told.warnings()
     if told.holds is not None:
         facts["holds_for_example_on"] = str(told.holds)
     if told.fails is not None:
         facts["fails_for_example_on"] = str(told.fails)
-    facts["fragment"] = (
-        _fragment_data(parts.fragment) if isinstance(parts.fragment, Fragment) else {"refused": parts.fragment}
-    )
+    if isinstance(parts.fragment, Fragment):
+        facts["fragment"] = _fragment_data(parts.fragment)
+    elif parts.fragment is not None:
+        facts["fragment"] = {"refused": parts.fragment}
     if isinstance(parts.automaton, TaskAutomaton):
-        facts |= _automaton_data(parts.automaton, parts)
-    else:
+        _add_automaton(facts, parts.automaton, parts)
+    elif parts.automaton is not None:
         facts["automaton"] = {"refused": parts.automaton}
     return facts
 
 
-def _text_data(task: Task) -> dict[str, Any]:
+def _text_data(task: Task) -> ExplainOutput:
     from stltool.logic.lint import ambiguities  # imports lark, which is slow to load
 
     steps = horizon(task.formula) if is_bounded(task.formula) else None
-    return {
+    facts: ExplainOutput = {
         "task": task.name,
         "formula": str(task.formula),
         "params": {key: quantity_text(value) for key, value in task.params.items()},
-        **({"step": str(task.step)} if task.step is not None else {}),
         "horizon": steps,
         "samples_needed": None if steps is None else steps + 1,
         "tree": tree_data(task.formula),
         "ambiguities": [str(advice) for advice in ambiguities(task)],
     }
+    if task.step is not None:
+        facts["step"] = str(task.step)
+    return facts
 
 
-def tree_data(phi: Formula) -> dict[str, Any]:
+def tree_data(phi: Formula) -> TreeRecord:
     """The operators of a formula, nested, each with its horizon and position; cut after the first few hundred."""
     budget = [_MOST_NODES]
     return _tree(phi, budget)
 
 
-def _tree(phi: Formula, budget: list[int]) -> dict[str, Any]:
+def _tree(phi: Formula, budget: list[int]) -> TreeRecord:
     budget[0] -= 1
-    node: dict[str, Any] = {"operator": _operator(phi), "horizon": horizon(phi) if is_bounded(phi) else None}
-    if phi.span is not None:
-        node |= {"line": phi.span.line, "column": phi.span.column}
-    operands: list[dict[str, Any]] = []
+    operands: list[TreeRecord] = []
     for child in children(phi):
         if budget[0] <= 0:
             operands.append({"operator": "…", "horizon": None, "operands": []})
             break
         operands.append(_tree(child, budget))
-    return {**node, "operands": operands}
+    steps = horizon(phi) if is_bounded(phi) else None
+    if phi.span is None:
+        return {"operator": _operator(phi), "horizon": steps, "operands": operands}
+    line, column = phi.span.line, phi.span.column
+    return {"operator": _operator(phi), "horizon": steps, "line": line, "column": column, "operands": operands}
 
 
 def _operator(phi: Formula) -> str:
@@ -117,7 +122,7 @@ def _operator(phi: Formula) -> str:
             return _SIGNS[type(phi)]
 
 
-def _fragment_data(fragment: Fragment) -> dict[str, Any]:
+def _fragment_data(fragment: Fragment) -> FragmentRecord:
     return {
         "outer": f"{fragment.outer}[0,{fragment.T})",
         "parts": [str(part) for part in fragment.parts],
@@ -125,16 +130,14 @@ def _fragment_data(fragment: Fragment) -> dict[str, Any]:
     }
 
 
-def _automaton_data(automaton: TaskAutomaton, parts: Anatomy) -> dict[str, Any]:
-    facts: dict[str, Any] = {}
+def _add_automaton(facts: ExplainOutput, automaton: TaskAutomaton, parts: Anatomy) -> None:
     if parts.product is not None:
-        facts |= product_data(parts.product)
+        facts |= cast(ExplainOutput, product_data(parts.product))
     else:
         facts["automaton_states"] = automaton.n_states
-    facts |= sizes_data(automaton)
+    facts |= cast(ExplainOutput, sizes_data(automaton))
     facts["parts"] = part_data(automaton)
     if isinstance(parts.disagreement, str):
         facts["disagreement"] = parts.disagreement
     elif not automaton.exact:
         facts["disagrees_on"] = disagreement_data(parts.disagreement) if parts.disagreement is not None else None
-    return facts

@@ -77,6 +77,65 @@ class TreeRecord(TypedDict):
     operands: list[TreeRecord]
 
 
+class RefusedRecord(TypedDict):
+    """Why there is none."""
+
+    refused: str
+
+
+class FragmentRecord(TypedDict, total=False):
+    """A formula as the paper's fragment has it, or `refused`: why it is outside."""
+
+    outer: str
+    parts: list[str]
+    equal_windows: bool
+    refused: str
+
+
+class TextRecord(TypedDict):
+    """A task's text: its formula, params and operators, and what other tools would read differently."""
+
+    task: str
+    formula: str
+    params: dict[str, str]
+    horizon: int | None
+    samples_needed: int | None
+    tree: TreeRecord
+    ambiguities: list[str]
+
+
+class ExplainOutput(TextRecord, total=False):
+    """What `stltool explain --json` prints. Without a horizon, only the text; the sizes of a product with a model only;
+    `automaton` if none could be built."""
+
+    step: str
+    meaning: dict[str, Any]
+    warnings: list[str]
+    holds_for_example_on: str
+    fails_for_example_on: str
+    fragment: FragmentRecord
+    automaton: RefusedRecord
+    encoding: str
+    exact_encoding: bool
+    model: str
+    model_digest: str
+    automaton_digest: str
+    model_notes: list[str]
+    initial: str
+    initial_states: int
+    states: int
+    actions: list[str]
+    transitions: int | None
+    automaton_states: int
+    letters: int
+    product_states: int
+    flag_states: int | None
+    history_states: int | Literal["over 1e300"]
+    parts: list[PartRecord]
+    disagrees_on: DisagreementRecord | None
+    disagreement: str
+
+
 # ------------------------------------------------------------------------------------------------------------ checks
 
 
@@ -858,6 +917,7 @@ OUTPUTS = {
     "estimate": EstimateOutput,
     "estimate --at-least": SequentialOutput,
     "explain --policy": TreeOutput,
+    "explain": ExplainOutput,
     "learn": TrainingOutput,
     "monitor": MonitorRecord,
     "pareto": FrontRecord,
@@ -868,4 +928,4 @@ OUTPUTS = {
     "verify": VerifyRecord,
     "why": WhyOutput,
 }
-"""What commands print with --json."""
+"""What the commands that compute something print with --json."""

@@ -192,15 +192,15 @@ def print_table(rows: Sequence[Mapping[str, Any]]) -> None:
         _print_columns([heading, *(tuple(str(value) for value in row.values()) for row in rows)])
 
 
-def print_tree(data: dict[str, Any]) -> None:
+def print_tree(data: Mapping[str, Any]) -> None:
     """A formula's operators, nested, each with its horizon (one per line; lines are never cut)."""
     from rich.tree import Tree
 
-    def label(node: dict[str, Any]) -> Text:
+    def label(node: Mapping[str, Any]) -> Text:
         reach = f"  horizon {node['horizon']}" if node["horizon"] and node["operands"] else ""
         return Text.assemble(node["operator"], (reach, "dim"))
 
-    def grow(node: dict[str, Any], tree: Tree) -> None:
+    def grow(node: Mapping[str, Any], tree: Tree) -> None:
         for operand in node["operands"]:
             grow(operand, tree.add(label(operand)))
 

@@ -11,7 +11,7 @@ import pytest
 import stltool as stl
 from stltool.reporting import report_data
 from stltool.reporting.records import FORMATS, OUTPUTS
-from tests.cli.every import CASES, SMALL, make_inputs
+from tests.cli.every import CASES, COMMANDS, SMALL, make_inputs
 from tests.conftest import ROOT
 from tests.golden.capture import command
 
@@ -33,6 +33,9 @@ MORE = {
                             ["estimate", "patrolling.stl", *SMALL, "--at-least", "1e-9", "--indifference", "1e-10",
                              "--most-runs", "10"]],
     "explain --policy": [["explain", "patrolling.stl", *SMALL, "--policy", "policy.npz", "--most-leaves", "3"]],
+    "explain": [["explain", "charging.stl", "--encoding", "paper"], ["explain", "always a"], ["explain", "timed.stl"],
+                ["explain", "G[0,3] (F[0,2] (a & b) & F[0,4] a)", "--encoding", "paper"],
+                ["explain", "a U[0,3] b", "--encoding", "paper"]],
     "run": [
         ["run", "patrolling.stl", *SMALL, "--episodes", "60", "--rollouts", "50", "--out", "bound", "--at-least", "0.9",
          "--until-gap", "0.5"],
@@ -66,6 +69,8 @@ def test_the_schema_is_what_the_records_say():
 
 def test_every_output_is_tried():
     assert set(OUTPUTS) <= {*CASES, *MORE}
+    computed = {name.split()[0] for name in OUTPUTS}
+    assert set(COMMANDS) - computed == {"certify", "diff", "doctor", "export", "fmt", "lint", "new", "report"}
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +79,7 @@ def folder(tmp_path_factory):
     make_inputs(made)
     np.savez(made / "batch.npz", x=np.array([[1.0, 2, 3], [1, -1, -2], [-1, 1, 1]]))
     (made / "all.stl").write_text(ALL)
+    (made / "timed.stl").write_text("step = 0.5s\nr := G[0,2s] (a | always c)\n")
     return made
 
 
