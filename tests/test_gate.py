@@ -2,15 +2,22 @@
 
 import itertools
 import operator
+import tempfile
 from fractions import Fraction
+from pathlib import Path
 from unittest import mock
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import stltool as stl
 from stltool import gate
 from stltool.errors import StlToolError
+from stltool.testing import interval_models
+from tests import oracles
+from tests.conftest import many
 
 COIN = 'kind = "grid"\nmap = "SA"\ncell = 1\nmoves = "cross"\nsuccess = "1/3"\n'
 BLURRED = COIN.replace('"1/3"', '["1/4", "1/2"]')
@@ -106,6 +113,28 @@ def test_robust_is_what_is_guaranteed(written):
     product = found.results[0].result.product
     least, greatest = (stl.robust_check(product, nature=nature).probability for nature in ("against", "with"))
     assert [result.result.probability for result in found.results] == [least, least, greatest, greatest]
+
+
+@pytest.mark.soak
+@given(interval_models(max_states=3), st.sampled_from([Fraction(n, 8) for n in range(1, 8)]))
+@settings(max_examples=many(15))
+def test_nature_opposes_every_claim(model, bound):
+    """Against the tree of all histories, in fractions: >= and > are about the least that nature can do, <= and < about
+    the greatest."""
+    claims = [(question, relation) for question in ("Pmax", "Pmin") for relation in RELATIONS]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "task.stl")
+        lines = [f"expect robust {question}(phi) {relation} {bound}" for question, relation in claims]
+        path.write_text("\n".join(['model "blurred.toml"', "phi := F[0,2] a & (b | G[0,1] c)", *lines, ""]))
+        with mock.patch.object(gate, "load_model", return_value=model):
+            found = stl.verify(path)
+    formula = found.results[0].task.formula
+    for (question, relation), result in zip(claims, found.results, strict=True):
+        exact = oracles.robust_optimum(model, formula, question == "Pmax", relation in (">=", ">"))
+        if result.verdict == "undecided":
+            assert abs(exact - bound) < 1e-9
+        else:
+            assert (result.verdict == "holds") == RELATIONS[relation](exact, bound), (question, relation, exact)
 
 
 def test_robust_minimum_and_policy(written, tmp_path):
