@@ -83,3 +83,16 @@ def test_sweeps_too(stltool, tmp_path):
     assert {row["environment_steps"] for row in data["results"]} == {0}
     assert data["results"][0]["settings"] == {**stl.Cfer().__dict__}
     assert stltool("sweep", tmp_path / "sweep.toml", "--workers", 1, "--out", tmp_path / "x", "--dry-run")[0] == 0
+
+
+def test_a_bound_inside_the_enclosure_is_undecided(stltool, tmp_path, monkeypatch):
+    monkeypatch.setattr(stl.CheckResult, "at_least", lambda self, bound: None)
+    (tmp_path / "tasks.stl").write_text(TASKS)
+    given = [tmp_path / "tasks.stl", "--task", "soon", "--rollouts", 10, "--out", tmp_path / "out", "--at-least", "0.5"]
+    code, out, _ = stltool("run", *given)
+    assert code == 1
+    assert (
+        "P >= 0.5  undecided: the bound lies inside the enclosure; stltool check" in out
+    )
+    code, out, _ = stltool("run", *given, "--json")
+    assert (code, json.loads(out)["asked"]) == (1, {"at_least": 0.5, "holds": False, "decided": False})
