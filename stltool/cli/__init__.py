@@ -33,7 +33,7 @@ def main() -> None:
     try:
         try:
             with _heard_of():
-                app()
+                app(prog_name="stltool")
         finally:
             sys.stdout.flush()  # a failed write is reported here, not when Python exits
     except StlToolError as fault:

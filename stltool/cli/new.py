@@ -11,6 +11,7 @@ import typer
 from stltool.cli.app import app
 from stltool.cli.options import AsJson
 from stltool.cli.roles import Writes
+from stltool.starters import EXAMPLES, KINDS, example, starter
 
 
 @app.command("stltool new shift --kind grid")
@@ -21,10 +22,21 @@ def new(
         Writes(),
     ] = None,
     kind: Annotated[
-        str | None, typer.Option("--kind", help="grid (default), gymnasium, prism or trace; see the list without NAME")
+        str | None,
+        typer.Option(
+            "--kind",
+            help="grid (default), gymnasium, prism or trace; see the list without NAME",
+            autocompletion=lambda: list(KINDS),
+        ),
     ] = None,
     shipped: Annotated[
-        str | None, typer.Option("--example", metavar="EXAMPLE", help="copy one of the examples instead")
+        str | None,
+        typer.Option(
+            "--example",
+            metavar="EXAMPLE",
+            help="copy one of the examples instead",
+            autocompletion=lambda: list(EXAMPLES),
+        ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -35,7 +47,6 @@ def new(
     from stltool.errors import SettingsError
     from stltool.files import write_folder
     from stltool.reporting.terminal import print_facts, print_json
-    from stltool.starters import EXAMPLES, KINDS, example, starter
 
     if kind is not None and shipped is not None:
         raise SettingsError("--kind and --example each say what to start from; give one of them")

@@ -57,7 +57,12 @@ Params = Annotated[
 ]
 TaskName = Annotated[str | None, typer.Option("--task", help="the definition to use; default: the last one")]
 Encoding = Annotated[
-    str, typer.Option("--encoding", help="exact, paper (Wang et al. 2024: flags) or history (tau-MDP)")
+    str,
+    typer.Option(
+        "--encoding",
+        help="exact, paper (Wang et al. 2024: flags) or history (tau-MDP)",
+        autocompletion=lambda: ["exact", "paper", "history"],
+    ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON object instead of a table")]
 Method = Annotated[
@@ -65,6 +70,7 @@ Method = Annotated[
     typer.Option(
         "--method", "-m",
         help="model-based (default), cfer (default with --faithful), naive or naive-er; cfper as published",
+        autocompletion=lambda: ["model-based", "cfer", "naive", "naive-er", "cfper"],
     ),
 ]  # fmt: skip
 Faithful = Annotated[bool, typer.Option("--faithful", help="the method as published, including its slips")]

@@ -102,6 +102,25 @@ def test_the_version(stltool, before):
     assert stltool(*before, "--version")[1].startswith("stltool 0.")
 
 
+@pytest.mark.parametrize(
+    ("typed", "completed"),
+    [
+        ("stltool ch", ["check"]),
+        ("stltool check --certi", ["--certificate"]),
+        ("stltool run --method naive", ["naive", "naive-er"]),
+        ("stltool check --encoding p", ["paper"]),
+        ("stltool new --kind gr", ["grid"]),
+        ("stltool new --example ba", ["battery"]),
+    ],
+)
+def test_shells_complete(stltool, monkeypatch, typed, completed):
+    """As bash asks: the words typed so far, and which of them to complete."""
+    monkeypatch.setenv("_STLTOOL_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", typed)
+    monkeypatch.setenv("COMP_CWORD", str(len(typed.split()) - 1))
+    assert stltool()[1].split() == completed
+
+
 def test_help_has_a_short_form(stltool):
     for command in ([], ["check"], ["doctor"]):
         short, long = (stltool(*command, option)[1] for option in ("-h", "--help"))
