@@ -199,5 +199,5 @@ def why() -> None:
 if __name__ == "__main__":
     programs = {f.__name__: f for f in (alarm, guarantees, robust, scenarios, sweep, tied, tradeoff, why)}
     if sys.argv[1] not in ("scenarios", "sweep"):
-        kernels.warm_up()
+        kernels.warm_up("published", "clocked")
     programs[sys.argv[1]]()

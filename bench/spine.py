@@ -109,7 +109,7 @@ def memory() -> str:
 
 def table(quick: bool = False) -> list[str]:
     """It takes seconds in any case."""
-    kernels.warm_up(rollouts=True)
+    kernels.warm_up("published", "clocked", "rollouts")
     product = p4()
     lines = ["| what | against | figure |", "|---|---|---|"]
     return [*lines, check_ratio(product), update_ratio(product), rollout_ratio(), memory()]

@@ -79,6 +79,6 @@ def markdown(rows: list[dict[str, str]]) -> list[str]:
 TABLES = {"surrogate": surrogate_table, "encodings": encoding_table, "memory": memory_table}
 
 if __name__ == "__main__":
-    kernels.warm_up()
+    kernels.warm_up("published", "clocked")
     for title in sys.argv[1:] or TABLES:
         print(f"\n{title.capitalize()}\n", *TABLES[title](), sep="\n", flush=True)

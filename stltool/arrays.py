@@ -1,4 +1,5 @@
-"""Arrays from untrusted .npz files: every member is measured before it is unpacked, and nothing is unpickled."""
+"""Arrays that cannot be written to; and arrays from untrusted .npz files, where every member is measured before it is
+unpacked, and nothing is unpickled."""
 
 from __future__ import annotations
 
@@ -7,12 +8,24 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.errors import FileError, StlToolError
+
+_Entry = TypeVar("_Entry", bound=np.generic)
+
+
+def read_only(array: NDArray[_Entry]) -> NDArray[_Entry]:
+    """A view that cannot be written to.
+
+    Kernels are compiled for such arrays and for others separately; what they read should always be of one kind.
+    """
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 class Members:

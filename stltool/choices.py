@@ -21,6 +21,7 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arrays import read_only
 from stltool.display import Card, Displayed
 from stltool.sizes import IntegerType
 
@@ -332,12 +333,12 @@ class Choices(Displayed):
         """keys, bits, the number of choices before each word, and choices of step t; empty if none is listed."""
         i = int(np.searchsorted(self._first, t, side="right")) - 1
         if i < 0 or t > self._last[i]:
-            return _NO_KEYS, _NO_BITS, _NO_KEYS, _NO_CHOICES
+            return read_only(_NO_KEYS), read_only(_NO_BITS), _NO_KEYS, read_only(_NO_CHOICES)
         layer = self.layers[i]
         if self._rank[0] != i:
             counts = np.bitwise_count(layer.bits)
             self._rank = (i, np.cumsum(counts, dtype=np.int64) - counts)
-        return layer.keys, layer.bits, self._rank[1], layer.choice
+        return read_only(layer.keys), read_only(layer.bits), self._rank[1], read_only(layer.choice)
 
     def alike(self, t: int) -> tuple[int, int]:
         i = int(np.searchsorted(self._first, t, side="right")) - 1

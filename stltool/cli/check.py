@@ -158,7 +158,7 @@ def check(
         raise SettingsError("--resume continues a policy file; add --save-policy FILE.policy")
     if certificate is not None:
         require_certificate_file(certificate)
-    product = make_product(task, model, param, name, encoding, as_json, learning=False, normalize=normalize)
+    product = make_product(task, model, param, name, encoding, as_json, normalize=normalize)
     uncertain = product.model.uncertain
     product, judge = judge_by(product, nature)
     robust = uncertain and nature != "nominal"

@@ -98,7 +98,7 @@ def estimate(
     else:
         hypotheses(bound, **sequential)
     product = make_product(
-        task, model, param, name, encoding, as_json, learning=False, rollouts=True, nominal=nominal, normalize=normalize
+        task, model, param, name, encoding, as_json, kernels=["rollouts"], nominal=nominal, normalize=normalize
     )
     if product.model.blackbox is not None:
         if given is None:

@@ -75,7 +75,7 @@ def explain(
     if require_one_policy(policy, policy_function) is not None:
         if step is not None:
             raise SettingsError(f"--step {step}: a task file declares its own step; write step = {step} there")
-        product = make_product(Path(task), model, param, name, encoding, as_json, learning=False, normalize=normalize)
+        product = make_product(Path(task), model, param, name, encoding, as_json, normalize=normalize)
         _explain_policy(product, policy, policy_function, price, most_leaves, plot, as_json)
         return
     for option, value in asked.items():

@@ -87,7 +87,9 @@ def learn(
     if tensorboard is not None:
         require_tensorboard(tensorboard)
     learner = read_learner(method, faithful, setting)
-    product = make_product(task, model, param, name, encoding, as_json, nominal=nominal, normalize=normalize)
+    product = make_product(
+        task, model, param, name, encoding, as_json, kernels=learner.kernels, nominal=nominal, normalize=normalize
+    )
     with resumable(checkpoint):
         training = train(
             product, learner, as_json, episodes=episodes, evaluate_every=evaluate_every, most_steps=most_steps,

@@ -131,7 +131,7 @@ def run(
         name,
         encoding,
         as_json,
-        rollouts=rollouts > 0,
+        kernels=(*learner.kernels, "rollouts") if rollouts > 0 else learner.kernels,
         nominal=nominal,
         normalize=normalize,
     )

@@ -26,6 +26,7 @@ from stltool.numbers import NumberError, read
 if TYPE_CHECKING:
     from stltool.automata import TaskAutomaton
     from stltool.checking import CheckResult
+    from stltool.kernels import Group
     from stltool.learning import Learner, Training
     from stltool.logic.task import Task
     from stltool.models import MDP
@@ -57,19 +58,19 @@ def make_product(
     name: str | None,
     encoding: str,
     quiet: bool,
-    learning: bool = True,
-    rollouts: bool = False,
+    kernels: Sequence[Group] = (),
     nominal: bool = False,
     normalize: bool = False,
 ) -> Product:
-    """The product of a task file and its model, with the kernels that the command needs loaded."""
-    from stltool import kernels
+    """The product of a task file and its model, with the kernels that the command needs loaded; those of checking are
+    loaded where a check is large enough for them."""
+    from stltool.kernels import warm_up
     from stltool.reporting.terminal import kernels_ready
 
     product = load_product(task, model, param, name, encoding, nominal, normalize)
-    if learning or rollouts:  # those of checking are loaded where a check is large enough for them
+    if kernels:
         with kernels_ready(quiet):
-            kernels.warm_up(learning, rollouts)
+            warm_up(*kernels)
     return product
 
 

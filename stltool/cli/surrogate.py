@@ -31,9 +31,7 @@ def surrogate(
     from stltool.reporting.story import gap_text, reading_text
     from stltool.reporting.terminal import print_facts, print_json, print_table, progress_bar
 
-    product = make_product(
-        task, model, param, name, "exact", as_json, learning=False, nominal=nominal, normalize=normalize
-    )
+    product = make_product(task, model, param, name, "exact", as_json, nominal=nominal, normalize=normalize)
     with progress_bar("solving the surrogate", quiet=as_json) as bar:
         results = [stl.surrogate_optimum(product, reading, gamma=gamma, progress=bar) for reading in READINGS]
     data: dict[str, Any] = {**product_data(product), "surrogates": [surrogate_data(result) for result in results]}

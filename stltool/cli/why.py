@@ -59,9 +59,7 @@ def why(
         raise SettingsError(f"--minimize asks for the worst policy, {option} for a given one; keep one of them")
     count = whole(count, "--count", least=1)
     states = whole(states, "--states", least=0)
-    product = make_product(
-        task, model, param, name, encoding, as_json, learning=False, nominal=nominal, normalize=normalize
-    )
+    product = make_product(task, model, param, name, encoding, as_json, nominal=nominal, normalize=normalize)
     given = given_policy(product, policy, policy_function)
     if given is None:
         with progress_bar("checking", quiet=as_json) as bar:

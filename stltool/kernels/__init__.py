@@ -4,21 +4,27 @@ All are declared with `jit.kernel`: compiled once per machine, and again if a so
 package loads nothing else.
 """
 
+from typing import Literal, TypeAlias
+
 from stltool.kernels import jit  # first, so that it sees the sources before they are read
 
-__all__ = ["jit", "warm_up"]
+__all__ = ["Group", "jit", "warm_up"]
+
+Group: TypeAlias = Literal["published", "clocked", "rollouts"]
+"""Kernels that are needed together: those of the methods as published, of tables with the clock, of fresh runs."""
 
 
-def warm_up(learning: bool = True, rollouts: bool = False) -> None:
+def warm_up(*groups: Group) -> None:
     """Load the requested kernels; the first call on a machine compiles them, which takes some seconds.
 
     Those of checking are loaded when an induction is large enough to need them.
     """
-    if learning:
-        from stltool.kernels import learning as learners
+    for group in groups:
+        if group == "rollouts":
+            from stltool.kernels import rollout
 
-        learners.warm_up()
-    if rollouts:
-        from stltool.kernels import rollout
+            rollout.warm_up()
+        else:
+            from stltool.kernels import learning
 
-        rollout.warm_up()
+            learning.WARM_UP[group]()

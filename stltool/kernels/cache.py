@@ -24,6 +24,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
@@ -41,6 +42,27 @@ config = cast(Any, _numba_config)  # its settings are created at import
 _UNUSED = 30 * 86400  # seconds
 _TOUCHED = 86400
 _CODE_SETTINGS = ("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK", "DEBUGINFO_DEFAULT")  # of numba's NUMBA_*
+
+
+def _load_array_functions() -> None:
+    """numba's functions of arrays, without scipy.linalg, which is a third of the time before the first kernel.
+
+    numba imports it only to see whether there is one, and it is among our dependencies; a compiled function that calls
+    it asks again.
+    """
+    from numba.np import linalg
+
+    ensure = getattr(linalg, "ensure_blas", None)
+    if ensure is not None:
+        linalg.ensure_blas = lambda: None
+    try:
+        import_module("numba.np.arraymath")
+    finally:
+        if ensure is not None:
+            linalg.ensure_blas = ensure
+
+
+_load_array_functions()
 
 
 def compiler() -> str:

@@ -4,7 +4,8 @@ surrogate   Q (S, N, C):   Q[s,q,a] += α (r(q') + γ max Q[s',q',·] − Q[s,q,
 clocked     Q (S, C, E), V (S, E+2):   Q[s,a,e] += α (V[s', succ(e)] − Q[s,a,e]),   V = max over a that were tried
 hopeful     U, W alike:   U[s,a,e] += α ((1−h) W[s', succ(e)] + h · paradise − U[s,a,e]),   h the hope of (s, a)
 
-`env`, `table` and `replay` are the named tuples of kernels/tuples.py.
+`env`, `table` and `replay` are the named tuples of kernels/tuples.py. Kernels pass int64 to each other, whatever arrays
+hold, so that each is compiled once.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def greedy(values: F64, n: int, chance: float) -> int:
 
 
 @kernel
-def surrogate_update(table: Any, s: int, q: int, a: int, s2: int, q2: int) -> None:
+def surrogate_update(table: Any, s: Any, q: Any, a: Any, s2: Any, q2: Any) -> None:
     best = table.Q[s2, q2, 0]
     for b in range(1, table.Q.shape[2]):
         best = max(best, table.Q[s2, q2, b])
@@ -53,7 +54,7 @@ def surrogate_update(table: Any, s: int, q: int, a: int, s2: int, q2: int) -> No
 
 
 @kernel
-def remember(rows: I32, place: I64, s: int, q: int, a: int, s2: int, q2: int) -> int:
+def remember(rows: I32, place: I64, s: Any, q: Any, a: Any, s2: Any, q2: Any) -> int:
     """Store a row, replacing the oldest if the memory is full; place = (next, size). Returns its index."""
     i = int(place[0])
     rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3], rows[i, 4] = s, q, a, s2, q2
@@ -72,15 +73,17 @@ def replay_batch(table: Any, replay: Any, u: F64) -> None:
         if j < replay.n_facts:
             row = replay.facts[int(u[j] * replay.facts_place[1])]
         elif replay.weighted:
-            row = replay.rows[inversion(sums, 0, len(sums), u[j] * sums[-1])]
+            row = replay.rows[inversion(sums, np.int64(0), len(sums), u[j] * sums[-1])]
         else:
             row = replay.rows[int(u[j] * replay.place[1])]
-        surrogate_update(table, row[0], row[1], row[2], row[3], row[4])
+        surrogate_update(
+            table, np.int64(row[0]), np.int64(row[1]), np.int64(row[2]), np.int64(row[3]), np.int64(row[4])
+        )
 
 
 @kernel
 def surrogate_observe(
-    table: Any, replay: Any, draws: F64, letter: int, t: int, s: int, q: int, a: int, s2: int, q2: int
+    table: Any, replay: Any, draws: F64, letter: Any, t: int, s: Any, q: Any, a: int, s2: Any, q2: Any
 ) -> None:
     """The update of a published method for one transition; `letter` is that of s', draws (n, batch) of the episode."""
     if replay.online:
@@ -92,7 +95,8 @@ def surrogate_observe(
     if len(replay.imagined) == 0:
         remember(replay.rows, replay.place, s, q, a, s2, q2)
     for i in range(len(replay.imagined)):
-        row = remember(replay.rows, replay.place, s, replay.imagined[i], a, s2, replay.after[letter, i])
+        before, after = np.int64(replay.imagined[i]), np.int64(replay.after[letter, i])
+        row = remember(replay.rows, replay.place, s, before, a, s2, after)
         replay.weight[row] = replay.closeness[q, i] if replay.weighted else 1.0
     if t % replay.period == 0:
         replay_batch(table, replay, draws[t // replay.period])
@@ -100,12 +104,12 @@ def surrogate_observe(
 
 @kernel
 def surrogate_episode(
-    env: Any, letter: I32, delta: I32, initial: int, table: Any, replay: Any,
+    env: Any, letter: I32, delta: I32, initial: Any, table: Any, replay: Any,
     moves: F64, explore: F64, epsilon: float, draws: F64, states: I32, actions: I32,
 ) -> None:  # fmt: skip
     """A whole episode of len(actions) steps from states[0], which is not read; states (n+1,) and actions (n,) are
     filled."""
-    s, q = states[0], initial
+    s, q = np.int64(states[0]), initial
     for t in range(len(actions)):
         n = env.choice_start[s + 1] - env.choice_start[s]
         if explore[t, 0] < epsilon:
@@ -114,9 +118,9 @@ def surrogate_episode(
             a = greedy(table.Q[s, q], n, explore[t, 1])
         c = env.choice_start[s] + a
         lo, hi = env.row_start[c], env.row_start[c + 1]
-        s2 = env.target[inversion(env.sums, lo, hi, moves[t] * env.sums[hi - 1])]
-        q2 = delta[letter[s2], q]
-        surrogate_observe(table, replay, draws, letter[s2], t, s, q, a, s2, q2)
+        s2 = np.int64(env.target[inversion(env.sums, lo, hi, moves[t] * env.sums[hi - 1])])
+        q2 = np.int64(delta[letter[s2], q])
+        surrogate_observe(table, replay, draws, np.int64(letter[s2]), t, s, q, a, s2, q2)
         states[t + 1], actions[t] = s2, a
         s, q = s2, q2
 
@@ -188,8 +192,7 @@ def hopeful_transitions(
                 values[e] = best
 
 
-def warm_up() -> None:
-    """Compile or load every kernel here that Python calls, on a model of one state and one step."""
+def _published() -> None:
     env = Tables(*one_state(), np.ones(1), np.ones(1))
     rows, place, one = np.zeros((1, 5), dtype=np.int32), np.zeros(2, dtype=np.int64), np.ones(1)
     whole = np.zeros((1, 1), dtype=np.int32)
@@ -202,8 +205,16 @@ def warm_up() -> None:
     )  # fmt: skip
     surrogate_observe(table, replay, draws, 0, 0, 0, 0, 0, 0, 0)
     greedy(table.Q[0, 0], 1, 0.5)
+
+
+def _clocked() -> None:
     Q, V, visits = np.zeros((1, 1, 1)), np.zeros((1, 3)), np.ones((1, 1, 1), dtype=np.int64)
+    letter, successor = np.zeros(1, dtype=np.int32), np.zeros((1, 1, 1), dtype=np.int32)
     clocked_update(Q, V, visits, 0, 0, 0, 1, 0.0, 0.1)
     n, rows = np.ones(1, dtype=np.int64), np.zeros((1, 3), dtype=np.int32)
-    clocked_transitions(Q, V, visits[0], letter, n, whole[None], n, 0.1, rows)
-    hopeful_transitions(Q, V, visits[0], letter, n, whole[None], n, 0.1, np.zeros((1, 1)), np.zeros((1, 1)), rows)
+    clocked_transitions(Q, V, visits[0], letter, n, successor, n, 0.1, rows)
+    hopeful_transitions(Q, V, visits[0], letter, n, successor, n, 0.1, np.zeros((1, 1)), np.zeros((1, 1)), rows)
+
+
+WARM_UP = {"published": _published, "clocked": _clocked}
+"""Compile or load every kernel of a group that Python calls, on a model of one state and one step."""

@@ -47,7 +47,7 @@ def sweep(
     sorted_values, sorted_widths = np.empty(8 * longest, np.float64), np.empty(8 * longest, np.float64)
     sures, rests, nothing, one = splat(sure), splat(rest), splat(worst), splat(1.0)
     sign = splat(1.0 if ascending else -1.0)
-    first_choice = splat(np.int64(0))
+    first_choice, divisor = splat(np.int64(0)), splat(np.int64(1))
     for i in range(lo, hi):
         s, tile = states[i], tiles[i]
         near_first, n_near = near_start[s], near_start[s + 1] - near_start[s]
@@ -138,7 +138,7 @@ def sweep(
                     x = _least(mul(sign, x), one)
                     m = better(x, b, maximize, restricted, bits, q)
                     b, i_best = select(m, x, b), select(m, splat(c - c0), i_best)
-                finish(b, i_best, r, place, live, certain, one, one, sures, rests, keep, values, best)
+                finish(b, i_best, r, place, live, certain, divisor, one, sures, rests, keep, values, best)
 
 
 @kernel

@@ -25,7 +25,7 @@ I64: TypeAlias = NDArray[np.int64]
 
 
 @kernel
-def inversion(sums: F64, lo: int, hi: int, x: float) -> int:
+def inversion(sums: F64, lo: Any, hi: int, x: float) -> int:
     """The first entry of sums[lo:hi] that exceeds x; the last one if none does."""
     hi -= 1
     while lo < hi:
@@ -34,7 +34,7 @@ def inversion(sums: F64, lo: int, hi: int, x: float) -> int:
             hi = middle
         else:
             lo = middle + 1
-    return lo
+    return int(lo)
 
 
 @kernel

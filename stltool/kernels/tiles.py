@@ -209,7 +209,7 @@ def sweep(
             for e in range(n_near):
                 j = np.int64(slot[near[near_first + e]])
                 put(near_block, e, 64 * np.int64(at(block, j * n_words + w)))
-            r = 0
+            r = np.int64(0)  # a plain 0 is another type, for which `finish` would be compiled again
             while n - r >= 4:
                 q0, q1, q2, q3 = at(which, r), at(which, r + 1), at(which, r + 2), at(which, r + 3)
                 b0, b1, b2, b3 = nothing, nothing, nothing, nothing
@@ -317,7 +317,7 @@ def open_tiles(
 
 @kernel
 def finish(
-    x: Any, number: Any, r: int, place: I64, live: Bytes, certain: Bytes, divisor: Any, inverse: Any, sures: Any,
+    x: Any, number: Any, r: Any, place: I64, live: Bytes, certain: Bytes, divisor: Any, inverse: Any, sures: Any,
     rests: Any, keep: bool, values: Numbers, best: NDArray[Any],
 ) -> None:  # fmt: skip
     """One tile's result: the open lanes' optimum, `sure` and `rest` on the others."""

@@ -287,7 +287,7 @@ def _room(states: I32, start: I64, choice_start: I64) -> tuple[I64, U64]:
 
 
 @kernel
-def _open_group(rows: U64, groups: U64, j: int, d: Any, shift: int, width: int) -> None:
+def _open_group(rows: U64, groups: U64, j: Any, d: Any, shift: int, width: int) -> None:
     """Make row j writable at word d."""
     g = d >> shift
     if not (at(groups, j) >> np.uint64(g)) & ONE:
@@ -420,16 +420,16 @@ def push(
                         offset = np.uint64(d & 63)
                         d >>= 6
                         if going << offset != ZERO:
-                            _open_group(image, written, 0, d, shift, width)
+                            _open_group(image, written, np.int64(0), d, shift, width)
                             put(image, d, at(image, d) | (going << offset))
                         if offset != ZERO and going >> (np.uint64(64) - offset) != ZERO:
-                            _open_group(image, written, 0, d + 1, shift, width)
+                            _open_group(image, written, np.int64(0), d + 1, shift, width)
                             put(image, d + 1, at(image, d + 1) | (going >> (np.uint64(64) - offset)))
                     else:
                         d = 64 + at(piece_amount, i)
                         offset = np.uint64(d & 63)
                         d >>= 6
-                        _open_group(image, written, 0, d, shift, width)
+                        _open_group(image, written, np.int64(0), d, shift, width)
                         put(image, d, at(image, d) | (ONE << offset))
         before, left = n_bits, written[0]
         while left != ZERO:

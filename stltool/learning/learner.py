@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from stltool.choices import Form
 from stltool.display import Card
 from stltool.errors import SettingsError
+from stltool.kernels import Group
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
 from stltool.learning.kept import Kept
@@ -38,11 +39,13 @@ class Learner(ABC, Generic[State]):
     side_by_side   whether episodes may be played side by side, where a black box takes many runs at once
                 (`stltool.models.environment.Batched`): between two steps of one, others are played too, so that
                 `counts` and the state may have changed
+    kernels     groups of compiled kernels that its episodes use: they are loaded before the first one
     published   whether it is run as in [Wang24]: the policy remembers the paper's flags, and episodes take T + τ
                 transitions, two more than the horizon
     """
 
     name: ClassVar[str] = ""
+    kernels: ClassVar[tuple[Group, ...]] = ()
     published: ClassVar[bool] = False
     side_by_side: ClassVar[bool] = True
 

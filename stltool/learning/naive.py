@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.kernels import Group
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
 from stltool.learning.judged import EVERY, BestSoFar
@@ -30,6 +31,8 @@ class PublishedNaive(Published):
 @dataclass(frozen=True, kw_only=True)
 class Exact:
     """The settings of a Q-table that carries the clock, on the exact objective."""
+
+    kernels: ClassVar[tuple[Group, ...]] = ("clocked",)
 
     least_step: float = setting(0.02, "smallest learning rate, α = max(least_step, 1/n)", above=0, most=1)
     caution: float = setting(0.1, "κ in the judged policy's weight n / (n + κ) for a choice seen n times", least=0)

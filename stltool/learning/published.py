@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata.flags import SCALES
+from stltool.kernels import Group
 from stltool.kernels.tuples import Replay
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
@@ -32,6 +33,7 @@ from stltool.sizes import require_memory
 class Published(Decaying, Learner["PublishedRun"]):
     """One of the published methods; see the module docstring."""
 
+    kernels: ClassVar[tuple[Group, ...]] = ("published",)
     published: ClassVar[bool] = True
     online: ClassVar[bool] = True
     replays: ClassVar[bool] = True

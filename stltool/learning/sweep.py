@@ -32,6 +32,7 @@ from stltool.choices import Choices
 from stltool.display import Card, Displayed, counted, listed, probability_text
 from stltool.errors import FileError, SettingsError, StlToolError, named, near_misses
 from stltool.files import require_folder, write_atomically
+from stltool.kernels import warm_up
 from stltool.learning.learn import learn
 from stltool.learning.learner import Learner
 from stltool.learning.methods import make
@@ -269,10 +270,8 @@ def run_sweep(
         finished, waiting = _plan(sweep, folder)
         failures: list[Failure] = []
         skipped, steps, done = len(finished), 0, 0
-        if waiting and cluster is None:
-            from stltool.kernels import warm_up
-
-            warm_up()  # compiled once, here, not by each worker
+        if cluster is None:
+            _warm_up(waiting)  # compiled once, here, not by each worker
         pace = _Pace(waiting)
         with closing(spread(_execute, waiting, workers, cluster)) as outcomes:
             for run, outcome in outcomes:
@@ -302,10 +301,8 @@ def estimated_seconds(sweep: Sweep, folder: str | Path) -> dict[tuple[str, str],
 
     Three short runs measure a start, an episode and an evaluation.
     """
-    from stltool.kernels import warm_up
-
-    warm_up()
     _, waiting = _plan(sweep, Path(folder))
+    _warm_up(waiting)
     seconds = {}
     for run in {(run.scenario, run.method): run for run in waiting}.values():
         few = _seconds(run, _PROBE, _PROBE)
@@ -373,7 +370,7 @@ def _execute(run: Run) -> RunResult | str:
         here = metadata.version("stltool")
         if here != run.version:
             return f"the worker has stltool {here}, and the sweep has {run.version}; install the same version on both"
-        _warm_up_once()
+        warm_up(*run.learner.kernels)
         start = time.perf_counter()
         product = build_product(run.model, parse(run.formula))
         training = learn(product, run.learner, seed=run.seed, **recorded(run.budget))
@@ -394,11 +391,9 @@ def _execute(run: Run) -> RunResult | str:
     )  # fmt: skip
 
 
-@functools.cache
-def _warm_up_once() -> None:
-    from stltool.kernels import warm_up
-
-    warm_up()
+def _warm_up(runs: Iterable[Run]) -> None:
+    """Load the kernels that these runs need."""
+    warm_up(*sorted({group for run in runs for group in run.learner.kernels}))
 
 
 # ------------------------------------------------------------------------------------------------------ the store

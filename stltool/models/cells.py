@@ -19,6 +19,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arrays import read_only
 from stltool.models.fractions import LARGEST_SUM, Integers, Shares, doubles_of
 from stltool.models.intervals import Intervals
 from stltool.models.parameters import Parameter, Ties, Values
@@ -97,7 +98,7 @@ class Cells(Source):
 
     @cached_property
     def choice_start(self) -> I64:
-        return np.arange(self.n_states + 1, dtype=np.int64) * len(self._moves)
+        return read_only(np.arange(self.n_states + 1, dtype=np.int64) * len(self._moves))
 
     @cached_property
     def choice_action(self) -> I32:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stltool.arguments import described
+from stltool.arrays import read_only
 from stltool.errors import ModelError
 from stltool.models.fractions import Shares, nearest
 from stltool.models.rows import I32, I64, ROW_TOLERANCE, Chances, Gathered, Place, Rows, Source, spans, starts
@@ -67,8 +68,8 @@ class Function(Source):
     @cached_property
     def choice_start(self) -> I64:
         if self._available is None:
-            return np.arange(self._n_states + 1, dtype=np.int64) * len(self._names)
-        return starts(self._available.sum(axis=1))
+            return read_only(np.arange(self._n_states + 1, dtype=np.int64) * len(self._names))
+        return read_only(starts(self._available.sum(axis=1)))
 
     @cached_property
     def choice_action(self) -> I32:

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arrays import read_only
 from stltool.display import Card, Displayed, counted
 from stltool.errors import ModelError
 from stltool.models.fractions import Integers, Shares, doubles_of, of_doubles, over_one
@@ -86,6 +87,14 @@ class Rows(Displayed):
     parts: tuple[I64, I64] | None = None
     states: I64 | None = None
 
+    def __post_init__(self) -> None:
+        for name in ("choice_start", "row_start", "target"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self.__post_init__()
+
     def __len__(self) -> int:
         return len(self.choice_start) - 1
 
@@ -121,7 +130,7 @@ class Rows(Displayed):
         )
 
     def _of(self, column: NDArray[Any]) -> NDArray[Any]:
-        return column if self.entry is None else column[self.entry]
+        return read_only(column if self.entry is None else column[self.entry])
 
     # ------------------------------------------------------------------------------------------ columns (e,)
 

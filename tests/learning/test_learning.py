@@ -10,6 +10,7 @@ import stltool as stl
 from stltool.automata import UNDECIDED
 from stltool.errors import ModelError, SettingsError
 from stltool.kernels import learning as kernels
+from stltool.kernels import warm_up
 from stltool.learning import LEARNERS, Counts, Episode, Problem
 from stltool.learning.methods import budget_table, class_of, methods_table, settings_table
 from stltool.learning.model_based import Belief
@@ -20,7 +21,7 @@ from stltool.learning.tables import ClockedTable, HopefulTable, SurrogateTable
 from stltool.models.environment import Environment, simulator
 from stltool.policy import with_flags
 from tests.checking.test_check import products
-from tests.conftest import FACTORY, ROOT, many
+from tests.conftest import FACTORY, ROOT, many, some
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +35,8 @@ def p1_flags(floor5):
     return stl.build_product(floor5, stl.load_task(FACTORY / "patrolling.stl"), encoding="paper")
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", some(range(5)))
 def test_cfer_learns_p1_within_a_twentieth_of_the_papers_steps(p1, seed):
     run = stl.learn(p1, "cfer", episodes=220, evaluate_every=110, seed=seed)
     assert run.environment_steps <= 4000 * 20 / 20
@@ -42,7 +44,8 @@ def test_cfer_learns_p1_within_a_twentieth_of_the_papers_steps(p1, seed):
     assert run.history[-1].probability == stl.check(p1, run.policy).probability
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", some(range(5)))
 def test_the_model_based_learner_does_within_a_fiftieth(p1, seed):
     run = stl.learn(p1, "model-based", episodes=90, evaluate_every=90, seed=seed)
     assert run.environment_steps <= 4000 * 20 / 50 + 20
@@ -372,6 +375,32 @@ def test_kernels_equal_their_python_twins(p1_flags, monkeypatch):
 
 
 # ------------------------------------------------------------------------------------------- as published
+
+
+@pytest.mark.parametrize(("method", "faithful"), RUNS)
+def test_what_episodes_call_is_loaded_before_the_first(patrolling, monkeypatch, method, faithful):
+    """Every kernel for the types that it gets: nobody waits for a compiler in the middle of learning."""
+    from numba import typeof
+
+    needed, called = class_of(method, faithful).kernels, set()
+    warm_up(*needed)
+    for name, kernel in list(vars(kernels).items()):
+        if hasattr(kernel, "py_func"):
+
+            def watched(*given, name=name, kernel=kernel):
+                called.add((name, *map(typeof, given)))
+                return kernel(*given)
+
+            monkeypatch.setattr(kernels, name, watched)
+    warm_up(*needed)
+    loaded = called.copy()
+    called.clear()
+    world = simulator(patrolling.model, np.random.default_rng(0))
+    for environment in (None, Environment(world.reset, world.step)):
+        settings = small(method, faithful, batch=8, replays=20, memory=150)
+        stl.learn(patrolling, method, faithful=faithful, episodes=2, environment=environment, **settings)
+    assert called <= loaded
+    assert bool(called) is bool(needed) is (method != "model-based")
 
 
 def surrogate(product, **settings) -> SurrogateTable:

@@ -125,9 +125,10 @@ def make_block(
         given = Shares(graph.rows.numerator[worth], graph.rows.denominator)
     chances = Chances(graph.rows.probability[worth], row_start, given)
     rows = Rows(choice_start, row_start, inner, chances, states=graph.states[known].astype(np.int64))
+    structure = rows.choice_start, rows.row_start, rows.target
     part = Graph(
-        graph.states[known], first, choice_start, row_start, inner, np.arange(len(row_start) - 1),
-        np.arange(len(inner)), rows, *words.neighbours(choice_start, row_start, inner), graph.letter[known],
+        graph.states[known], first, *structure, np.arange(len(row_start) - 1), np.arange(len(inner)), rows,
+        *words.neighbours(*structure), graph.letter[known],
     )  # fmt: skip
     return Block(number, cuts, known, part, automaton, arithmetic=arithmetic, **rest)
 

@@ -13,6 +13,7 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arrays import read_only
 from stltool.automata import UNDECIDED
 from stltool.checking.induction.allowed import Allowed
 from stltool.checking.induction.edges import OPEN, REST, SURE, Edges
@@ -57,6 +58,14 @@ class Graph:
     position: I32
     letter: I32
 
+    def __post_init__(self) -> None:
+        for name in ("choice_start", "row_start", "target"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self.__post_init__()
+
     @classmethod
     def of(cls, game: Game, need: Callable[[int], None]) -> Graph:
         """`need` is called with the number of bytes about to be allocated."""
@@ -68,17 +77,19 @@ class Graph:
             assert rows.states is not None
             states, number = rows.states.astype(np.int32), np.full(game.n_states, -1, dtype=np.int32)
             number[states] = np.arange(len(states), dtype=np.int32)
-            structure = (rows.choice_start, rows.row_start, number[rows.target])
+            structure = (rows.choice_start, rows.row_start, read_only(number[rows.target]))
         else:
             need(8 * len(rows.target) + 60 * len(rows))
             structure = (rows.choice_start, rows.row_start, rows.target)
             states = words.reachable_states(*structure, starts, game.horizon)
         if len(states) == len(rows):
-            part = (*structure, np.arange(len(rows.row_start) - 1), np.arange(len(rows.target)))
+            choice, entry = np.arange(len(rows.row_start) - 1), np.arange(len(rows.target))
         else:
-            part = words.submodel(*structure, states)
+            choices, of_rows, target, choice, entry = words.submodel(*structure, states)
+            structure = (read_only(choices), read_only(of_rows), read_only(target))
+        near = words.neighbours(*structure)
         where = np.searchsorted(states, starts).astype(np.int32)
-        return cls(states, where, *part, rows, *words.neighbours(*part[:3]), game.letter[states])
+        return cls(states, where, *structure, choice, entry, rows, *near, game.letter[states])
 
 
 @dataclass(frozen=True, eq=False)
