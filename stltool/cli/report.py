@@ -24,11 +24,11 @@ def report(
 ) -> None:
     """Rebuild the HTML page of a report next to its JSON file."""
     from stltool.files import write_atomically
-    from stltool.reporting import load_report, render
+    from stltool.reporting.page import read_report
     from stltool.reporting.terminal import print_facts, print_json
 
     pages = [path.with_suffix(".html") for path in data]
-    texts = [render(load_report(path)) for path in data]
+    texts = [read_report(path)[1] for path in data]
     for page, text in zip(pages, texts, strict=True):
         write_atomically(page, text)
     if as_json:

@@ -109,25 +109,30 @@ def write_report(data: Mapping[str, Any], path: str | Path) -> None:
 
 def load_report(path: str | Path) -> dict[str, Any]:
     """The data in a report's JSON file."""
+    return read_report(path)[0]
+
+
+def read_report(path: str | Path) -> tuple[dict[str, Any], str]:
+    """The same with the page, which is made to see whether the data are whole."""
     text = read_text(path, "report")
     try:
         data = json.loads(text)
         if data["format"] not in (FORMAT, SWEEP_FORMAT, VERIFY_FORMAT):
             raise KeyError
-        render(data)  # fails if anything is missing or of another type
+        page = render(data)  # fails if anything is missing or of another type
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError, jinja2.TemplateError):
         raise FileError(
             f"{path}: not the JSON file of a report ({FORMAT}, {SWEEP_FORMAT}, {VERIFY_FORMAT}); write one with "
             "stltool run, sweep or verify --report"
         ) from None
-    return dict(data)
+    return dict(data), page
 
 
-def render(data: Mapping[str, Any]) -> str:
+def render(data: Mapping[str, Any], curves: str | None = None) -> str:
     """The HTML page. Its pictures are made here, from numbers and names; nothing is loaded from elsewhere, and the
-    content security policy allows only the page's own style sheet."""
+    content security policy allows only the page's own style sheet. `curves` are those of a sweep, if drawn already."""
     if data["format"] == SWEEP_FORMAT:
-        return render_sweep(data)
+        return render_sweep(data, curves)
     if data["format"] == VERIFY_FORMAT:
         return render_verification(data)
     why = data.get("why")  # missing in reports of earlier versions
@@ -197,18 +202,20 @@ def render_verification(data: Mapping[str, Any]) -> str:
     )
 
 
-def render_sweep(data: Mapping[str, Any]) -> str:
+def render_sweep(data: Mapping[str, Any], curves: str | None = None) -> str:
     """The HTML page of a sweep (`sweep_data`), as made by `render`."""
     from stltool.reporting import sweeps
     from stltool.reporting.figures import learning_curves, line_chart
 
+    if curves is None and data["results"]:
+        curves = str(learning_curves(data, "svg"))
     charts = [section["figure"] and line_chart(section["figure"], f"section-{i}")
               for i, section in enumerate(data["sections"])]  # fmt: skip
     return _page(
         "sweep.html",
         data=data,
         rows=sweeps.result_rows(cast(SweepRecord, data)),
-        curves=learning_curves(data, "svg") if data["results"] else None,
+        curves=curves,
         charts=charts,
         failure_text=sweeps.failure_text,
         panel_title=sweeps.panel_title,

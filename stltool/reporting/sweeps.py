@@ -208,8 +208,8 @@ def write_sweep(data: SweepRecord, folder: str | Path) -> list[Path]:
     from stltool.reporting.page import render
 
     folder = Path(folder)
-    svg, png = learning_curves(data, "svg"), learning_curves(data, "png")
-    page = render(data)
+    svg, png = str(learning_curves(data, "svg")), learning_curves(data, "png")
+    page = render(data, svg)
     paths = [folder / f"{name}" for name in ("report.html", "report.json", "table.csv", "curves.csv", "figure.svg",
                                              "figure.png")]  # fmt: skip
     write_atomically(paths[1], json.dumps(data, indent=1) + "\n")

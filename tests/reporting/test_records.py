@@ -86,7 +86,7 @@ def folder(tmp_path_factory):
 @pytest.mark.parametrize("name", OUTPUTS)
 def test_commands_print_what_the_schema_says(name, folder, monkeypatch):
     monkeypatch.chdir(folder)
-    monkeypatch.setattr("stltool.reporting.page.render", lambda data: "")  # pictures take long
+    monkeypatch.setattr("stltool.reporting.page.render", lambda *given: "")  # pictures take long
     kind = PUBLISHED["commands"][name]["$ref"].rpartition("/")[2]
     cases = [*([[name, *CASES[name]]] if name in CASES else []), *MORE.get(name, [])]
     for arguments in cases:

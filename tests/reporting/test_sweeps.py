@@ -45,9 +45,9 @@ task = "{FACTORY}/charging.stl"
 """
 
 
-@pytest.fixture
-def sweep(tmp_path):
-    path = tmp_path / "made-up.toml"
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory):
+    path = tmp_path_factory.mktemp("sweep") / "made-up.toml"
     path.write_text(SWEEP)
     return stl.load_sweep(path)
 
@@ -57,7 +57,7 @@ def run(scenario, method, seed, probability, seconds=1.0):
     return RunResult(scenario, method, seed, [s // 5 for s in steps], steps, probability, "0" * 64, seconds)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def result(sweep):
     optimum = stl.check(sweep.scenarios[0].product).probability
     runs = [
@@ -70,6 +70,14 @@ def result(sweep):
     ]
     failures = [Failure("C", "naive", seed, "no good") for seed in (0, 2)] + [Failure("C", "naive", 1, "<worse>")]
     return stl.SweepResult(sweep, runs, failures, 0)
+
+
+@pytest.fixture(scope="module")
+def written(result, tmp_path_factory):
+    """The folder of its report."""
+    folder = tmp_path_factory.mktemp("written")
+    write_sweep(sweep_data(result), folder)
+    return folder
 
 
 def quantile(values, share):
@@ -188,10 +196,9 @@ def test_regret_is_summed_over_episodes():
     assert regret([2, 4], [0.2, 0.4], 0.5) == pytest.approx(0.4 + 0.3 + 0.2 + 0.1)  # linear between, from 0
 
 
-def test_tables_and_curves_as_csv(result, tmp_path):
+def test_tables_and_curves_as_csv(result, written):
     data = sweep_data(result)
-    write_sweep(data, tmp_path)
-    with open(tmp_path / "table.csv", newline="") as file:
+    with open(written / "table.csv", newline="") as file:
         table = list(csv.DictReader(file))
     assert [(row["scenario"], row["method"], row["seeds"]) for row in table] == [
         ("R", "naive", "3"), ("R", "cf", "2"), ("C", "cf", "1")
@@ -199,7 +206,7 @@ def test_tables_and_curves_as_csv(result, tmp_path):
     assert float(table[1]["optimum"]) == data["scenarios"][0]["optimum"]
     assert [float(row["regret"]) for row in table] == [found["regret"] for found in data["results"]]
     assert (table[0]["published"], table[1]["published"]) == ("", "0.25")
-    with open(tmp_path / "curves.csv", newline="") as file:
+    with open(written / "curves.csv", newline="") as file:
         curves = list(csv.DictReader(file))
     wanted = [
         (r.scenario, r.method, str(r.seed), str(e), str(s), repr(p))
@@ -208,24 +215,20 @@ def test_tables_and_curves_as_csv(result, tmp_path):
     assert [tuple(row.values()) for row in curves] == wanted
 
 
-def test_the_figure_has_a_panel_a_scenario(result, tmp_path):
-    for folder in ("first", "again"):
-        write_sweep(sweep_data(result), tmp_path / folder)
-    svg = (tmp_path / "first" / "figure.svg").read_text()
-    assert svg == (tmp_path / "again" / "figure.svg").read_text()
+def test_the_figure_has_a_panel_a_scenario(written):
+    svg = (written / "figure.svg").read_text()
     assert svg.startswith("<svg")
     for text in ("R: reaching", "C: charging", "naive", ">cf<", "optimum", "environment steps"):
         assert text in svg
     assert "unfinished" not in svg
-    assert (tmp_path / "first" / "figure.png").read_bytes().startswith(b"\x89PNG")
+    assert (written / "figure.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_runs_that_take_longer_change_wall_times_and_no_other_byte(sweep, result, tmp_path):
+def test_runs_that_take_longer_change_wall_times_and_no_other_byte(sweep, result, written, tmp_path):
     """What docs/sweeps.md says of interrupted sweeps: which files are the same bytes, how others differ."""
     slower = [dataclasses.replace(run, seconds=10 * run.seconds) for run in result.runs]
-    write_sweep(sweep_data(result), tmp_path / "first")
-    write_sweep(sweep_data(stl.SweepResult(sweep, slower, result.failures, 0)), tmp_path / "again")
-    first, again = ({p.name: p.read_bytes() for p in (tmp_path / name).iterdir()} for name in ("first", "again"))
+    write_sweep(sweep_data(stl.SweepResult(sweep, slower, result.failures, 0)), tmp_path)
+    first, again = ({p.name: p.read_bytes() for p in folder.iterdir()} for folder in (written, tmp_path))
     differ = {name for name in first if first[name] != again[name]}
     assert first.keys() == again.keys()
     assert differ == {"table.csv", "report.html", "report.json"}
