@@ -4,6 +4,7 @@ import gc
 import hashlib
 import os
 import random
+import shutil
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -97,6 +98,38 @@ def flagged(floor5):
     """The same with the paper's flags, which are exact here."""
     task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 5, "tau": 5})
     return stl.build_product(floor5, task, encoding="paper")
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory, worker_id):
+    """once(name, make): the folder that make(folder) fills, in whichever of the tests' processes comes first."""
+    base = tmp_path_factory.getbasetemp()
+    shared = base if worker_id == "master" else base.parent
+
+    def made(name, make):
+        folder, half = shared / name, shared / f"half of {name}"
+        with FileLock(shared / f"{name}.lock"):
+            if not folder.exists():
+                shutil.rmtree(half, ignore_errors=True)
+                half.mkdir()
+                make(half)
+                half.rename(folder)
+        return folder
+
+    return made
+
+
+@pytest.fixture(scope="session")
+def demo(once):
+    """The folder in which `make demo` was run: its out/, and in `printed` what it said."""
+    from tests import test_claims as claims
+
+    def make(folder):
+        for part in ("examples", "bench", "docs"):
+            (folder / part).symlink_to(ROOT / part, target_is_directory=True)
+        (folder / "printed").write_text(claims.execute(claims.DEMO, folder, False), encoding="utf-8")
+
+    return once("demo", make)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,4 +1,7 @@
-"""Every page of docs/ tells the truth: its commands print what stands there, its programs run."""
+"""Every page of docs/ tells the truth: its commands print what stands there, its programs run.
+
+Programs whose output the page shows, too, are claims: tests/test_claims.py runs those and compares it.
+"""
 
 import re
 import runpy
@@ -11,6 +14,7 @@ import pytest
 
 from stltool import cli
 from tests.conftest import ROOT
+from tests.test_claims import BOOK
 
 PROSE = {"architecture", "comparison", "index", "references", "semantics", "supported"}
 PAGES = sorted((ROOT / "docs").glob("*.md"))
@@ -26,6 +30,13 @@ def folder(tmp_path, monkeypatch):
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+def claimed(page):
+    """The numbers of the page's programs that are claims."""
+    commands = [command for claim in BOOK.claims if claim.kind == "quick" for command in claim.command]
+    program = re.compile(rf"python -c .*docs/{page.stem}\.md.*re\.S\)\[(\d+)\]")
+    return {int(found[1]) for found in map(program.match, commands) if found}
 
 
 def test_there_are_pages_with_commands():
@@ -68,6 +79,13 @@ def test_commands_print_what_the_page_shows(page, folder, capsys, monkeypatch):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_programs_run(page, folder):
     saved(page)
-    for code in blocks(page, "python"):
-        (folder / "program.py").write_text(code, encoding="utf-8")
-        runpy.run_path("program.py", run_name="__main__")
+    for i, code in enumerate(blocks(page, "python")):
+        if i not in claimed(page):
+            (folder / "program.py").write_text(code, encoding="utf-8")
+            runpy.run_path("program.py", run_name="__main__")
+
+
+def test_programs_that_are_claims_are_found():
+    assert {page.stem: claimed(page) for page in PAGES if claimed(page)} == {
+        "stationary": {0}, "surrogate": {0}, "why": {0}
+    }  # fmt: skip

@@ -3,8 +3,7 @@
 import doctest
 import importlib
 import re
-import subprocess
-import sys
+import runpy
 
 import pytest
 
@@ -68,13 +67,13 @@ def test_the_tour_of_the_package_runs():
     assert results.failed == 0
 
 
-def test_the_readmes_python_runs(tmp_path):
+def test_the_readmes_python_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
     assert blocks
     for block in blocks:
-        code = block.replace('"examples/', f'"{ROOT.as_posix()}/examples/')
-        done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
+        (tmp_path / "program.py").write_text(block.replace('"examples/', f'"{ROOT.as_posix()}/examples/'))
+        runpy.run_path("program.py", run_name="__main__")
 
 
 def test_the_readmes_commands_exist():

@@ -1,6 +1,7 @@
 """What a plain install brings, and what it says where a package of an extra is missing."""
 
 import ast
+import json
 import re
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import pytest
 from stltool.errors import MissingExtraError
 from stltool.extras import EXTRAS, require
 from tests.conftest import ROOT
+from tests.sources import sources
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 # every module of stltool that imports a package of an extra when it is itself imported, or in a function
@@ -30,13 +32,10 @@ def names(requirements):
     return {re.match(r"[\w-]+", requirement)[0] for requirement in requirements}
 
 
-def third_party(path):
+def third_party(source):
     """The packages that a module imports, but for annotations."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    hints = [node for node in ast.walk(tree) if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)]
-    only_hints = {below for node in hints for below in ast.walk(node)}
-    for node in ast.walk(tree):
-        if node in only_hints:
+    for node in source.imports:
+        if node in source.hints:
             continue
         if isinstance(node, ast.Import):
             yield from (alias.name.split(".")[0] for alias in node.names)
@@ -46,9 +45,9 @@ def third_party(path):
 
 def test_whatever_is_imported_is_brought_by_the_install_or_by_a_named_extra():
     found = {}
-    for path in (ROOT / "stltool").rglob("*.py"):
-        for package in set(third_party(path)) - {"stltool", "__future__"} - set(sys.stdlib_module_names):
-            found.setdefault(package, set()).add(path.relative_to(ROOT / "stltool").as_posix())
+    for path, source in sources().items():
+        for package in set(third_party(source)) - {"stltool", "__future__"} - set(sys.stdlib_module_names):
+            found.setdefault(package, set()).add(path.as_posix())
     brought = names(PROJECT["dependencies"])
     assert set(found) - set(EXTRAS) - {"llvmlite"} == brought  # none missing, none idle; numba brings llvmlite
     assert {module: package for package in EXTRAS for module in found.get(package, ())} == IMPORTERS
@@ -65,23 +64,28 @@ DOORS = {
 }
 
 
-@pytest.mark.parametrize("package", EXTRAS)
-def test_a_missing_package_is_told_with_its_extra(package, tmp_path):
-    (tmp_path / "trace.parquet").touch()
-    code = f"""
-import sys
-sys.modules[{package!r}], folder = None, sys.argv[1]
+WITHOUT = """
+import json, sys
+doors, folder = json.load(sys.stdin), sys.argv[1]
+sys.modules.update(dict.fromkeys(doors))
 import stltool as stl
 from stltool.reporting import tensorboard
-try:
-    {DOORS[package]}
-except stl.StlToolError as error:
-    print(error)
+for door in doors.values():
+    try:
+        eval(door)
+    except stl.StlToolError as error:
+        print(error)
 """
-    done = subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True, cwd=ROOT)
+
+
+def test_a_missing_package_is_told_with_its_extra(tmp_path):
+    (tmp_path / "trace.parquet").touch()
+    command = [sys.executable, "-c", WITHOUT, tmp_path]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, input=json.dumps(DOORS))
     assert (done.returncode, done.stderr) == (0, "")
-    says = rf".+ needs the package {package}, .+; pip install 'stltool\[{EXTRAS[package]}\]'"
-    assert re.match(says, done.stdout)
+    assert set(DOORS) == set(EXTRAS)
+    for package, told in zip(DOORS, done.stdout.splitlines(), strict=True):
+        assert re.match(rf".+ needs the package {package}, .+; pip install 'stltool\[{EXTRAS[package]}\]'", told)
 
 
 def test_a_package_that_cannot_be_imported_says_why(tmp_path, monkeypatch):

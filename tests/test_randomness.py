@@ -1,6 +1,5 @@
 """One seed, independent streams: no two purposes draw the same numbers."""
 
-import ast
 import itertools
 import sys
 
@@ -12,7 +11,7 @@ from stltool import randomness
 from stltool.errors import SettingsError
 from stltool.models.environment import simulator
 from stltool.randomness import Purpose, generator
-from tests.conftest import ROOT
+from tests.sources import sources
 
 # searches and trials that are always the same: their numbers are not data
 FIXED = {"automata/samples.py", "logic/feasible.py", "models/gymnasium/replay.py"}
@@ -30,11 +29,7 @@ def test_streams_differ_in_purpose_part_and_seed():
 
 def test_nobody_makes_generators_elsewhere():
     makers = {"default_rng", "SeedSequence", "RandomState", "PCG64", "seed"}
-    found = set()
-    for path in (ROOT / "stltool").rglob("*.py"):
-        calls = [node.func for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.Call)]
-        if any(isinstance(call, ast.Attribute) and call.attr in makers for call in calls):
-            found.add(path.relative_to(ROOT / "stltool").as_posix())
+    found = {path.as_posix() for path, source in sources().items() if source.attributes & makers}
     assert found == {"randomness.py", *FIXED, *AGAIN}
 
 

@@ -1,6 +1,5 @@
 """The widths of integers at their borders: what does not fit is wider, or refused, and never wraps."""
 
-import ast
 import math
 import subprocess
 import sys
@@ -23,7 +22,7 @@ from stltool.learning.tables import ClockedTable
 from stltool.logic.formula import Always, And, Eventually, Interval, Label, Or
 from stltool.product import joined
 from stltool.sizes import integer_type, require_numbered
-from tests.conftest import ROOT
+from tests.sources import sources
 
 MOST = 2**31 - 2
 
@@ -185,10 +184,10 @@ def test_steps_of_any_horizon(last):
 def test_what_the_doors_make_of_an_integer_is_used():
     """`whole` returns an int: whoever goes on with what was given goes on with an int8, say."""
     thrown_away = [
-        f"{path.relative_to(ROOT)}, line {node.lineno}"
-        for path in (ROOT / "stltool").rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Call) and ast.unparse(node.value.func) == "whole"
+        f"{path}, line {line}"
+        for path, source in sources().items()
+        for line, function in source.statements
+        if function == "whole"
     ]
     assert not thrown_away
 

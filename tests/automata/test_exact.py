@@ -13,7 +13,7 @@ from stltool.errors import SizeError
 from stltool.logic.formula import Always, And, Eventually, Interval, Label, Not, Or, Until, atoms, temporal_depth
 from stltool.testing import flag_formulas, formulas, traces
 from tests.automata.judging import every_trace, judge, judge_all, truth_of_all
-from tests.conftest import many
+from tests.conftest import many, some
 
 EXACT = ("exact", "history")
 
@@ -208,9 +208,10 @@ def related_formulas():
     return [stl.parse(text) for text in ["a", "!a", *plain, *until, *deep, *both]]
 
 
+@pytest.mark.soak
 def test_implication_seen_is_implication():
     """On every trace, for every pair; and it is seen often enough to be worth its name."""
-    family = related_formulas()
+    family = some(related_formulas())
     everything = every_trace(4)
     truths = np.array([truth_of_all(phi, everything) for phi in family])
     table = Residuals((Label("a"), Label("b"), And((Label("a"), Label("b")))))

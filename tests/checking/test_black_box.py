@@ -65,7 +65,7 @@ def test_estimates_contain_the_exact_probability(known, unknown):
 
 
 def test_what_was_seen_while_learning_bounds_it_too(known, unknown):
-    run = stl.learn(unknown, "model-based", episodes=2000, seed=1)
+    run = stl.learn(unknown, "model-based", episodes=600, seed=1)
     start = int(known.model.initial.argmax())
     bound = stl.guarantee(unknown, run.policy, run.counts, start=start)
     judged = stl.check(known, stl.Policy(known, run.policy.table))

@@ -20,7 +20,7 @@ from stltool.policy import with_flags
 from stltool.testing import flag_formulas, formulas, interval_models, models
 from tests import dense, oracles
 from tests.checking.test_check import close, random_policy
-from tests.conftest import many
+from tests.conftest import many, some
 
 QUESTIONS = [(maximize, nature) for maximize in (True, False) for nature in ("against", "with")]
 
@@ -129,8 +129,7 @@ def test_the_exact_greedy_takes_the_best_corner(seed, minimize):
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize("denominator", [10, 1000, 3**7, 10**17, 2**52])
-@pytest.mark.parametrize("n_block", [3, 12])
+@pytest.mark.parametrize(("denominator", "n_block"), some(itertools.product([10, 1000, 3**7, 10**17, 2**52], [3, 12])))
 @pytest.mark.parametrize("part", range(many(1)))
 def test_thousands_of_exact_values_lie_in_their_enclosures(denominator, n_block, part):
     """Many small models in one, ends read from fractions; the exact values in integers. Never outside, never wide."""

@@ -20,7 +20,7 @@ from stltool.models.rows import Stored
 from stltool.randomness import Purpose
 from stltool.testing import flag_formulas, formulas, models
 from tests import oracles
-from tests.conftest import many
+from tests.conftest import many, some
 
 
 def coin(p, rest="0"):
@@ -334,8 +334,11 @@ def test_calibration_on_coins(p):
 # ------------------------------------------------------------------------------------------------------ planning
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize("side", ["both", "lower"])
-@pytest.mark.parametrize(("epsilon", "confidence"), [(0.2, 0.5), (0.1, 0.9), (0.05, 0.99), (0.02, 0.95), (0.3, 0.999)])
+@pytest.mark.parametrize(
+    ("epsilon", "confidence"), some([(0.2, 0.5), (0.1, 0.9), (0.05, 0.99), (0.02, 0.95), (0.3, 0.999)])
+)
 def test_planned_runs_are_enough_whatever_is_seen(epsilon, confidence, side):
     n = runs_needed(epsilon, confidence, side)
     assert n <= okamoto_runs(epsilon, confidence, side)

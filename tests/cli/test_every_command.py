@@ -12,7 +12,7 @@ import pytest
 from stltool import cli, log, streams
 from stltool.log import Log
 from tests.cli.every import CASES, COMMANDS, make_inputs
-from tests.conftest import PATROLLING
+from tests.conftest import MORE, PATROLLING, some
 
 HELP = [[], *([name] for name in COMMANDS)]
 
@@ -101,16 +101,20 @@ def test_json_is_one_object_and_nothing_else(folder, tmp_path):
     assert (tmp_path / "end.out").read_bytes() == b""
 
 
-def test_so_it_is_of_a_process_of_its_own(folder):
-    """Of the command whose solver prints a banner if it may."""
-    done = started("tradeoff", *CASES["tradeoff"], "--json", cwd=folder, stdout=subprocess.PIPE)
+@pytest.mark.soak
+@pytest.mark.parametrize("name", list(CASES) if MORE > 1 else ["explain"])
+def test_so_it_is_of_a_process_of_its_own(folder, name):
+    """A second each, so `make test` starts one of those that load little."""
+    done = started(name, *CASES[name], "--json", cwd=folder, stdout=subprocess.PIPE)
     assert done.returncode == 0, done.stderr
     assert isinstance(json.loads(done.stdout, parse_constant=no_constant), dict)
     assert done.stdout.count(b"\n") == 1
 
 
-@pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.soak
+@pytest.mark.parametrize(
+    ("name", "encoding"), [*((name, "ascii") for name in CASES), *((name, "cp1252") for name in some(CASES))]
+)
 def test_every_command_prints_in_any_encoding(printed, name, encoding):
     code, out, err = printed(encoding, name, *CASES[name])
     assert (code, b"fault of stltool" in err) == (0, False), err

@@ -18,7 +18,7 @@ KNOWN, UNKNOWN = LAKE / "crossing.stl", LAKE / "crossing-blackbox.stl"
 
 
 def test_a_black_box_is_run_and_bounded(stltool, tmp_path):
-    arguments = [UNKNOWN, "--episodes", 400, "--rollouts", 300, "--seed", 4, "--out", tmp_path]
+    arguments = [UNKNOWN, "--episodes", 150, "--rollouts", 300, "--seed", 4, "--out", tmp_path]
     code, out, _ = stltool("run", *arguments)
     assert code == 0
     bound = float(re.search(r"\nfresh runs, 300 runs +(\S+) +99 %", out)[1])

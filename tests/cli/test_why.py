@@ -1,15 +1,12 @@
 """`stltool why` as its users meet it."""
 
 import json
-import re
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 
 import stltool as stl
-from tests.conftest import FACTORY, PATROLLING, ROOT, SMALL
+from tests.conftest import FACTORY, PATROLLING, SMALL
 
 
 def test_the_runs_and_states_of_the_optimum(stltool):
@@ -110,10 +107,3 @@ def test_bad_input_ends_with_code_2(stltool, tmp_path):
         code, out, err = stltool("why", PATROLLING, *SMALL, *arguments)
         assert (code, out) == (2, ""), arguments
         assert says in " ".join(err.replace("│", " ").split()), arguments
-
-
-def test_the_pages_program_prints_what_it_shows():
-    page = (ROOT / "docs" / "why.md").read_text(encoding="utf-8")
-    program, printed = re.search(r"(?s)```python\n(.*?)```\n\nprints\n\n```\n(.*?)```", page).groups()
-    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True)
-    assert (done.stdout, done.stderr) == (printed, "")

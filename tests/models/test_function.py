@@ -109,7 +109,7 @@ def test_calls_are_cut_into_blocks(monkeypatch):
 def test_a_function_compiled_by_numba():
     numba = pytest.importorskip("numba")
 
-    @numba.njit
+    @numba.njit(cache=True)  # by far the most of this test's time
     def step(s, a):
         successors, shares = np.empty((len(s), 2), dtype=np.int64), np.empty((len(s), 2))
         for i in range(len(s)):

@@ -174,7 +174,7 @@ def test_the_front_of_two_tasks():
     from stltool.reporting import front_data
     from tests.conftest import FACTORY
 
-    tasks = [stl.load_task(FACTORY / "tradeoff.stl", task=name) for name in ("charging", "patrolling")]
+    tasks = [stl.load_task(FACTORY / "tradeoff.stl", {"T": 5, "tau": 6}, name) for name in ("charging", "patrolling")]
     found = stl.pareto(stl.build_joint_product(stl.load_model(tasks[0].model), tasks))
     panel = Picture(pareto_front(front_data(found), "svg")).panel
     same(panel.markers("front"), sorted(corner.point for corner in found.corners), panel)

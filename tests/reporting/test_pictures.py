@@ -5,7 +5,6 @@ Compared in the units of their axes, not byte by byte: another version of matplo
 
 import importlib.util
 import re
-import shlex
 
 import pytest
 
@@ -16,6 +15,7 @@ from tests.conftest import ROOT
 from tests.reporting.svg import Picture, same_picture
 from tests.reporting.test_floor import Picture as Floor
 from tests.reporting.test_floor import require_run
+from tests.test_claims import DEMO
 
 DOCS = ROOT / "docs"
 
@@ -28,24 +28,12 @@ def pictures():
     return module
 
 
-@pytest.fixture(scope="module")
-def demo(tmp_path_factory):
-    """The report of `make demo`, made by its own command with fewer fresh runs, which no picture shows."""
-    from typer.testing import CliRunner
-
-    from stltool.cli.app import app
-
-    [command] = re.findall(r"\$\(BIN\)/stltool (run .*)", (ROOT / "Makefile").read_text())
-    out = tmp_path_factory.mktemp("out")
-    words = [str(ROOT / word) if word.startswith("examples/") else word for word in shlex.split(command)]
-    words[words.index("--out") + 1] = str(out / "patrolling")
-    done = CliRunner().invoke(app, [*words, "--rollouts", "100"], catch_exceptions=False)
-    assert done.exit_code == 0
-    return out
-
-
 def committed(name):
     return (DOCS / f"{name}.svg").read_text(encoding="utf-8")
+
+
+def test_the_demo_of_the_readme_is_that_of_the_makefile():
+    assert f"$(BIN)/{DEMO}\n" in (ROOT / "Makefile").read_text(encoding="utf-8")
 
 
 def test_every_picture_of_the_docs_has_its_command(pictures):
@@ -65,7 +53,7 @@ def test_a_committed_picture_is_what_is_drawn_today(pictures, name):
 
 @pytest.mark.parametrize("name", ["learning-curve", "floor"])
 def test_the_committed_pictures_of_the_demo(pictures, demo, monkeypatch, name):
-    monkeypatch.setattr(pictures, "OUT", demo)
+    monkeypatch.setattr(pictures, "OUT", demo / "out")
     same_picture(Picture(committed(name)), Picture(pictures.PICTURES[name]()))
 
 
@@ -92,7 +80,7 @@ def test_the_committed_robot_drives_as_it_does_today(pictures):
 
 
 def test_the_committed_floor_has_the_demos_run(demo):
-    data = load_report(demo / "patrolling" / "report.json")
+    data = load_report(demo / "out" / "patrolling" / "report.json")
     require_run(Floor(committed("floor")), data["floor"], data["run"]["states"])
 
 

@@ -1,7 +1,7 @@
 """What the strategies give, and that they are not made again for every example that is drawn."""
 
 import pytest
-from hypothesis import find, given, settings
+from hypothesis import Phase, find, given, settings
 
 import stltool as stl
 from stltool.logic.formula import And, Iff, Implies, Not, Or
@@ -19,7 +19,8 @@ def test_a_strategy_is_made_once_for_each_set_of_options():
 
 @pytest.mark.parametrize("node", [And, Or, Implies, Iff, Not])
 def test_formulas_with_flags_combine_their_parts_in_every_way(node):
-    phi = find(flag_formulas(), lambda phi: isinstance(getattr(phi, "arg", None), node))
+    found = settings(max_examples=2000, phases=[Phase.generate])  # not shrunk, which takes long
+    phi = find(flag_formulas(), lambda phi: isinstance(getattr(phi, "arg", None), node), settings=found)
     assert stl.check_fragment(phi)
 
 
