@@ -91,8 +91,6 @@ def test_a_bound_inside_the_enclosure_is_undecided(stltool, tmp_path, monkeypatc
     given = [tmp_path / "tasks.stl", "--task", "soon", "--rollouts", 10, "--out", tmp_path / "out", "--at-least", "0.5"]
     code, out, _ = stltool("run", *given)
     assert code == 1
-    assert (
-        "P >= 0.5  undecided: the bound lies inside the enclosure; stltool check" in out
-    )
+    assert "P >= 0.5  undecided: the bound lies inside the enclosure; stltool check" in out
     code, out, _ = stltool("run", *given, "--json")
     assert (code, json.loads(out)["asked"]) == (1, {"at_least": 0.5, "holds": False, "decided": False})
