@@ -31,7 +31,6 @@ from stltool.logic.formula import (
     Formula,
     Label,
     bounded_formula_of,
-    is_temporal,
     label_names,
     variables,
 )
@@ -81,6 +80,11 @@ class Product(Displayed):
     @property
     def n_states(self) -> int:
         return self.shape[0] * self.shape[1]
+
+    def where(self) -> dict[Formula, NDArray[np.bool_]]:
+        """Where each of the automaton's atoms holds, (n_model_states,)."""
+        model = self.model
+        return {psi: truth(psi, model.signals, model.labels, model.n_states) for psi in self.automaton.atoms}
 
     def enter(self, s: int, q: int) -> int:
         """The automaton state after reading model state s in q."""
@@ -262,7 +266,7 @@ def build_product(
     """
     require(model, MDP, "build_product's model")
     formula = bounded_formula_of(task, "build_product's task")
-    name, named = (task.name, _predicates(task)) if isinstance(task, Task) else ("formula", {})
+    name, named = (task.name, task.predicates) if isinstance(task, Task) else ("formula", {})
     sensing = model.sensing
     labels = model.labels if sensing is None else sensing.labels
     signals = model.signals if sensing is None else sensing.signals
@@ -290,12 +294,6 @@ def build_product(
     valuations, which = _distinct(values, model.n_states)
     automaton = compile_automaton(formula, encoding, valuations != 0, memory_limit, most_states)
     return Product(model, automaton, automaton.letter_of[which], name, named)
-
-
-def _predicates(task: Task) -> dict[str, Formula]:
-    """The definitions of a task file that are formulas without temporal operators."""
-    formulas = {name: phi for name, phi in task.definitions.items() if isinstance(phi, Composable)}
-    return {name: phi._formula() for name, phi in formulas.items() if not is_temporal(phi._formula())}
 
 
 def _sensed(psi: Formula) -> Atom:

@@ -207,7 +207,7 @@ def test_a_policy_that_remembers_flags_is_judged_by_the_exact_automaton(floor5, 
     again = stl.load_policy(path, patrolling)
     assert stl.check(patrolling, again).probability == joined.probability
     run = stl.sample_run(patrolling, again, seed=0)
-    assert " | " in run.memory[0]
+    assert "the policy: " in run.memory[0]
 
 
 def test_a_policy_with_the_papers_memory_is_judged_by_the_formula(floor5):

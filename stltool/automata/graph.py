@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from stltool.automata.automaton import TRUE, UNDECIDED, TaskAutomaton
 from stltool.automata.cover import literals, shortest_cover
@@ -60,6 +63,29 @@ def to_dot(automaton: TaskAutomaton) -> str:
     for q, successor, edge in graph.edges(data=True):
         dot.edge(str(q), str(successor), label=graphviz.escape(edge["condition"]))
     return str(dot.source)
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A small automaton as boxes, in order of a walk from the initial state, and arrows (from, to, condition)."""
+
+    boxes: list[int]
+    arrows: list[tuple[int, int, Formula]]
+
+    @classmethod
+    def of(cls, automaton: TaskAutomaton, most: int) -> Drawing:
+        """Empty if there are more than `most` states, or if its letters are unknown."""
+        if automaton.n_states > most or not len(automaton.valuations):
+            return cls([], [])
+        leads = [
+            {r: tuple(np.flatnonzero(column == r).tolist()) for r in np.unique(column).tolist()}
+            for column in automaton.delta.T
+        ]
+        boxes = [int(automaton.initial)]
+        for q in boxes:
+            boxes += [r for r in sorted(leads[q], reverse=True) if r not in boxes]
+        arrows = [(q, r, condition(automaton, letters)) for q in boxes for r, letters in leads[q].items()]
+        return cls(boxes, arrows)
 
 
 def verdict_text(automaton: TaskAutomaton, q: int) -> str:

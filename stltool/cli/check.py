@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from contextlib import nullcontext
 from fractions import Fraction
 from pathlib import Path
@@ -18,6 +19,7 @@ from stltool.cli.options import (
     Params,
     PolicyFile,
     PolicyFunction,
+    ReportFolder,
     TaskFile,
     TaskName,
 )
@@ -31,6 +33,7 @@ from stltool.cli.steps import (
     read_probability,
     require_one_policy,
     resumable,
+    this_command,
 )
 from stltool.cli.vary import check_range
 from stltool.errors import SettingsError
@@ -112,6 +115,7 @@ def check(
             help="P as a function of a model's parameter (a grid's: success), enclosed on the whole range",
         ),
     ] = None,
+    report: ReportFolder = None,
     model: Model = None,
     normalize: Normalize = False,
     param: Params = None,
@@ -122,9 +126,11 @@ def check(
     """The exact probability that the task holds: of the best policy, or of a given one."""
     import stltool as stl
     from stltool.checking.certificate import require_certificate_file
+    from stltool.checking.evidence import evidence_of
+    from stltool.files import read_text, require_folder
     from stltool.policy import require_policy_file
-    from stltool.reporting import check_data, stationary_data
-    from stltool.reporting.records import CheckOutput, Nature
+    from stltool.reporting import check_data, report_data, stationary_data, write_report
+    from stltool.reporting.records import CheckOutput, Nature, ProvedRecord
     from stltool.reporting.terminal import print_checks, print_facts, print_json, progress_bar
 
     bounds: list[tuple[str, str, Fraction]] = [
@@ -138,7 +144,7 @@ def check(
         for forbidden, option in (
             (clockless, "--stationary and --memoryless"), (exact, "--exact"), (nature is not None, "--nature"),
             (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
-            (cluster is not None, "--cluster"),
+            (cluster is not None, "--cluster"), (report is not None, "--report"),
         ):  # fmt: skip
             if forbidden:
                 raise SettingsError(f"{option} is for one value of the parameter; leave it or --vary out")
@@ -158,6 +164,8 @@ def check(
         raise SettingsError("--resume continues a policy file; add --save-policy FILE.policy")
     if certificate is not None:
         require_certificate_file(certificate)
+    if report is not None:
+        require_folder(report)
     product = make_product(task, model, param, name, encoding, as_json, normalize=normalize)
     uncertain = product.model.uncertain
     product, judge = judge_by(product, nature)
@@ -181,7 +189,7 @@ def check(
     if clockless and cluster is not None:
         raise SettingsError("--cluster is for the optimum and for given policies; leave it or the other option out")
     where = {"cluster": cluster} if cluster is not None else {}
-    keep = save_policy is not None
+    keep = save_policy is not None or (report is not None and cluster is None)  # workers keep none
     found = None
     if clockless:
         with progress_bar("searching", quiet=as_json) as bar:
@@ -216,6 +224,23 @@ def check(
     if verdicts:
         data["holds"] = all(holds is True for _, holds in verdicts)
         data["decided"] = all(holds is not None for _, holds in verdicts)
+    if report is not None:
+        proof: ProvedRecord | None = None
+        if certificate is not None:
+            lower, upper = map(fraction_text, proved)
+            command = ["stltool", "certify", str(certificate), str(task)]
+            command += [*(["--model", str(model)] if model is not None else []), *(f"-p{pair}" for pair in param or [])]
+            proof = {"file": str(certificate), "lower": lower, "upper": upper, "command": shlex.join(command)}
+        page = report_data(
+            [optimum] if chosen is None else [optimum, result],
+            source=read_text(task, "task file"),
+            command=this_command(),
+            stationary=[found] if found is not None else [],
+            evidence=evidence_of(product, optimum.policy if chosen is None else chosen, seed=0),
+            asked=[{"claim": claim, "holds": holds} for claim, holds in verdicts],
+            certificate=proof,
+        )
+        write_report(page, report / "report.html")
     if as_json:
         print_json(data)
     else:
@@ -242,5 +267,7 @@ def check(
             print_facts({"certificate": f"{certificate} proves {lower} <= P <= {upper}"})
         if save_policy is not None:
             print_facts({"policy": save_policy})
+        if report is not None:
+            print_facts({"report": report / "report.html"})
     if verdicts and not data["holds"]:
         raise typer.Exit(1)

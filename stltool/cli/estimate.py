@@ -17,11 +17,12 @@ from stltool.cli.options import (
     Params,
     PolicyFile,
     PolicyFunction,
+    ReportFolder,
     Seed,
     TaskFile,
     TaskName,
 )
-from stltool.cli.steps import given_policy, make_product, read_probability, require_one_policy
+from stltool.cli.steps import given_policy, make_product, read_probability, require_one_policy, this_command
 from stltool.errors import SettingsError
 
 
@@ -66,6 +67,7 @@ def estimate(
     ] = None,
     no_exact: Annotated[bool, typer.Option("--no-exact", help="skip the exact check of the policy")] = False,
     seed: Seed = 0,
+    report: ReportFolder = None,
     nominal: Nominal = False,
     model: Model = None,
     normalize: Normalize = False,
@@ -77,7 +79,8 @@ def estimate(
     """The probability that the task holds, from sampled runs of a policy: an interval, or a test of a bound."""
     import stltool as stl
     from stltool.checking.statistical import hypotheses, planned_runs
-    from stltool.reporting import estimate_data
+    from stltool.files import require_folder
+    from stltool.reporting import estimate_data, estimate_report, write_report
     from stltool.reporting.terminal import print_facts, print_json, progress_bar
 
     fixed = _given(runs=runs, epsilon=epsilon, confidence=confidence, side=side)
@@ -91,6 +94,8 @@ def estimate(
             "--most-runs; leave out one of the two"
         )
     given = require_one_policy(policy, policy_function)
+    if report is not None:
+        require_folder(report)
     if given is None and no_exact:
         raise SettingsError("--no-exact needs --policy FILE: the best policy comes from the exact check")
     if bound is None:
@@ -121,6 +126,8 @@ def estimate(
         else:
             result = stl.sprt(product, chosen, bound, seed=seed, progress=bar, **sequential)
     data: Mapping[str, Any] = estimate_data(result, product, chosen, truth)
+    if report is not None:
+        write_report(estimate_report(data, product, this_command()), report / "report.html")
     if as_json:
         print_json(data)
     else:
@@ -134,6 +141,8 @@ def estimate(
         if truth is not None:
             inside = {True: ", in the interval", False: ", outside the interval", None: ""}[data["exact_inside"]]
             facts["exact P"] = f"{truth.probability:.12g}{inside}"
+        if report is not None:
+            facts["report"] = str(report / "report.html")
         print_facts(facts)
     if bound is not None and not data["holds"]:
         raise typer.Exit(1)

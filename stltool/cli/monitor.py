@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Params, Step, TaskName, TaskOrFormula
+from stltool.cli.options import AsJson, Params, ReportFolder, Step, TaskName, TaskOrFormula
 from stltool.cli.roles import Reads, Writes
-from stltool.cli.steps import load_task_or_formula
+from stltool.cli.steps import load_task_or_formula, this_command
 from stltool.errors import SettingsError
 
 _ENDS = ("error", "cut", "hold")
@@ -48,6 +48,7 @@ def monitor(
         typer.Option("--plot", metavar="FILE", help="draw the trace with its verdicts (.png, .svg, .pdf)"),
         Writes(),
     ] = None,
+    report: ReportFolder = None,
     param: Params = None,
     name: TaskName = None,
     step: Step = None,
@@ -59,8 +60,9 @@ def monitor(
     are columns of the trace.
     """
     import stltool as stl
+    from stltool.files import require_folder
     from stltool.logic.formula import label_names, variables
-    from stltool.reporting import monitor_data, write_monitor_picture
+    from stltool.reporting import monitor_data, monitor_report, write_monitor_picture, write_report
     from stltool.reporting.monitoring import (
         monitor_facts,
         range_rows,
@@ -79,6 +81,8 @@ def monitor(
         raise SettingsError(f"--trace {which} selects the trace for --plot or --steps; add one of them")
     if plot is not None:
         require_monitor_picture(plot)
+    if report is not None:
+        require_folder(report)
     loaded = load_task_or_formula(task, param, name, step)
     names = {**variables(loaded.formula), **label_names(loaded.formula)}
     if not names:
@@ -92,6 +96,8 @@ def monitor(
     if plot is not None:
         with working(f"drawing {plot}", quiet=as_json):
             write_monitor_picture(result, signals, loaded, plot, shown, at)
+    if report is not None:
+        write_report(monitor_report(data, loaded, this_command()), report / "report.html")
     if as_json:
         print_json(data)
     else:
@@ -108,5 +114,7 @@ def monitor(
         if plot is not None:
             print()
             print_facts({"plot": f"{plot}" + (f", trace {shown}" if shown is not None else "")})
+        if report is not None:
+            print_facts({"report": report / "report.html"})
     if not data["holds"]:
         raise typer.Exit(1)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from stltool.cli.roles import Reads, Writes, model_files, task_files
+from stltool.cli.roles import Reads, Writes, model_files, task_files, within
 from stltool.cli.words import Named
 
 TaskFile = Annotated[Path, typer.Argument(help="task file (.stl)", show_default=False), Reads("task file", task_files)]
@@ -63,6 +63,11 @@ Encoding = Annotated[
         help="exact, paper (Wang et al. 2024: flags) or history (tau-MDP)",
         autocompletion=lambda: ["exact", "paper", "history"],
     ),
+]
+ReportFolder = Annotated[
+    Path | None,
+    typer.Option("--report", metavar="FOLDER", help="write report.html there, and report.json, which it is made from"),
+    Writes(within("report.html", "report.json")),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON object instead of a table")]
 Method = Annotated[

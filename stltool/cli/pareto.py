@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, TaskFile
+from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, ReportFolder, TaskFile
 from stltool.cli.roles import Writes
-from stltool.cli.steps import make_joint_product
+from stltool.cli.steps import make_joint_product, this_command
 from stltool.errors import SettingsError
 
 
@@ -22,6 +22,7 @@ def pareto(
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="draw the front (.svg or .png)"), Writes()
     ] = None,
+    report: ReportFolder = None,
     model: Model = None,
     normalize: Normalize = False,
     param: Params = None,
@@ -30,7 +31,8 @@ def pareto(
 ) -> None:
     """The Pareto front of two tasks: the pairs of probabilities where improving one lowers the other."""
     import stltool as stl
-    from stltool.reporting import front_data, write_front_picture
+    from stltool.files import require_folder
+    from stltool.reporting import front_data, front_report, write_front_picture, write_report
     from stltool.reporting.terminal import print_facts, print_json, print_table, progress_bar
     from stltool.reporting.tradeoffs import require_picture
 
@@ -41,11 +43,15 @@ def pareto(
         )
     if plot is not None:
         require_picture(plot)
+    if report is not None:
+        require_folder(report)
     joint = make_joint_product(task, names, model, param, encoding, as_json, normalize=normalize)
     with progress_bar("finding corners", quiet=as_json) as bar:
         front = stl.pareto(joint, points=points, progress=bar)
     if plot is not None:
         write_front_picture(front, plot)
+    if report is not None:
+        write_report(front_report(front, this_command()), report / "report.html")
     if as_json:
         print_json(front_data(front))
         return
@@ -65,4 +71,5 @@ def pareto(
         "front": f"{front.status}; {front.inductions} backward inductions, {front.seconds:.1f} s",
         "gap": f"at most {front.gap:.3g} above the segments",
         **({"plot": plot} if plot is not None else {}),
+        **({"report": report / "report.html"} if report is not None else {}),
     })  # fmt: skip

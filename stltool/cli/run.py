@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -161,8 +162,8 @@ def run(
         guarantees = guarantees_of(product, training, confidence, rollouts, as_json)
         data = report_data(
             checks, training, source=read_text(task, "task file"), command=this_command(), guarantees=guarantees,
-            evidence=evidence_of(product, training.policy, seed, why=known), markov=tested(training), at_least=bound,
-            product=product,
+            evidence=evidence_of(product, training.policy, seed, why=known), markov=tested(training), product=product,
+            asked=[{"claim": f"P >= {at_least}", "holds": checks[-1].at_least(bound)}] if bound is not None else [],
         )  # fmt: skip
         training.policy.save(folder / "policy.npz")
         write_report(data, folder / "report.html")
@@ -183,12 +184,11 @@ def run(
     print_table(guarantee_rows(data["guarantees"], data["checks"]))
     if (note := looser_note(data["guarantees"])) is not None:
         print_facts({"looser": note})
-    if (asked := data["asked"]) is not None:
-        print_facts({f"P >= {at_least}": _VERDICTS[asked["holds"] if asked["decided"] else None]})
+    print_facts({asked["claim"]: _VERDICTS[asked["holds"]] for asked in data["asked"]})
     print_facts({"report": folder / "report.html", "data": folder / "report.json", "policy": folder / "policy.npz"})
     _require(data["asked"])
 
 
-def _require(asked: AskedRecord | None) -> None:
-    if asked is not None and not asked["holds"]:
+def _require(asked: Sequence[AskedRecord]) -> None:
+    if not all(one["holds"] for one in asked):
         raise typer.Exit(1)

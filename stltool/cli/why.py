@@ -51,7 +51,14 @@ def why(
     import stltool as stl
     from stltool.reporting import likely_data, product_data, sensitivity_data
     from stltool.reporting.records import WhyOutput
-    from stltool.reporting.terminal import print_facts, print_json, print_likely, print_sensitive, progress_bar
+    from stltool.reporting.terminal import (
+        print_facts,
+        print_findings,
+        print_json,
+        print_likely,
+        print_sensitive,
+        progress_bar,
+    )
 
     named = require_one_policy(policy, policy_function)
     if minimize and named is not None:
@@ -96,3 +103,4 @@ def why(
     print_likely(data, count)
     if states:
         print_sensitive(data["sensitive"])
+    print_findings(data)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 from stltool.display import Card
 from stltool.errors import SettingsError
 from stltool.logic.expectation import Expectation
-from stltool.logic.formula import Composable, Formula, Term, horizon, is_bounded
+from stltool.logic.formula import Composable, Formula, Term, horizon, is_bounded, is_temporal
 from stltool.logic.quantities import Duration, ParamValue, Quantity
 
 if TYPE_CHECKING:
@@ -54,6 +54,12 @@ class Task(Composable):
     def folder(self) -> Path:
         """Where the files are that the task file names, relative to it."""
         return self.path.parent if self.path is not None else Path()
+
+    @property
+    def predicates(self) -> dict[str, Formula]:
+        """The definitions that are formulas without temporal operators."""
+        formulas = {name: phi._formula() for name, phi in self.definitions.items() if isinstance(phi, Composable)}
+        return {name: phi for name, phi in formulas.items() if not is_temporal(phi)}
 
     def _formula(self) -> Formula:
         return self.formula

@@ -6,6 +6,7 @@ from .explanation import explain
 from .guarantees import guarantee_data, guarantee_rows, looser_note, refused_data
 from .monitoring import monitor_data, write_monitor_picture
 from .page import load_report, render, report, write_report
+from .pages import estimate_report, front_report, monitor_report
 from .parametrics import parametric_data
 from .runs import likely_data, sensitivity_data
 from .story import encoding_data, encoding_rows, surrogate_data, surrogate_rows
@@ -14,10 +15,10 @@ from .tradeoffs import front_data, tradeoff_data, write_front_picture
 from .verification import junit_text, markdown_text, verification_data
 
 __all__ = [
-    "check_data", "encoding_data", "encoding_rows", "estimate_data", "explain", "front_data", "guarantee_data",
-    "guarantee_rows", "junit_text", "likely_data", "load_report", "looser_note", "markdown_text", "markov_data",
-    "monitor_data", "parametric_data", "product_data", "refused_data", "render", "report", "report_data",
-    "sensitivity_data", "stationary_data", "surrogate_data", "surrogate_rows", "sweep_data", "tradeoff_data",
-    "training_data", "verification_data", "write_front_picture", "write_history", "write_monitor_picture",
-    "write_report", "write_sweep",
+    "check_data", "encoding_data", "encoding_rows", "estimate_data", "estimate_report", "explain", "front_data",
+    "front_report", "guarantee_data", "guarantee_rows", "junit_text", "likely_data", "load_report", "looser_note",
+    "markdown_text", "markov_data", "monitor_data", "monitor_report", "parametric_data", "product_data",
+    "refused_data", "render", "report", "report_data", "sensitivity_data", "stationary_data", "surrogate_data",
+    "surrogate_rows", "sweep_data", "tradeoff_data", "training_data", "verification_data", "write_front_picture",
+    "write_history", "write_monitor_picture", "write_report", "write_sweep",
 ]  # fmt: skip

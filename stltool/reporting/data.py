@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from fractions import Fraction
 from importlib import metadata
 from typing import TYPE_CHECKING, Literal, cast
 
@@ -21,6 +20,7 @@ from stltool.models import MDP
 from stltool.numbers import fraction_text
 from stltool.policy import Policy
 from stltool.product import Product
+from stltool.reporting.explorer import automaton_data, explorer_data
 from stltool.reporting.guarantees import guarantee_data
 from stltool.reporting.records import (
     AskedRecord,
@@ -36,6 +36,7 @@ from stltool.reporting.records import (
     MarkovRecord,
     PartRecord,
     ProductRecord,
+    ProvedRecord,
     ReportRecord,
     RunRecord,
     SequentialOutput,
@@ -46,6 +47,7 @@ from stltool.reporting.records import (
     WhyRecord,
 )
 from stltool.reporting.runs import likely_data, sensitivity_data
+from stltool.reporting.words import sentences, with_names
 
 if TYPE_CHECKING:  # a check loads no learners
     from stltool.learning import Gap, Guarantee, MarkovTest, Training
@@ -282,7 +284,8 @@ def report_data(
     stationary: Sequence[StationaryResult] = (),
     evidence: Evidence | None = None,
     markov: MarkovTest | None = None,
-    at_least: Fraction | None = None,
+    asked: Sequence[AskedRecord] = (),
+    certificate: ProvedRecord | None = None,
     product: Product | None = None,
 ) -> ReportRecord:
     """Everything a report shows. `source` is the text of the task file, `command` the command that repeats the run.
@@ -291,7 +294,7 @@ def report_data(
     from data, as found or in the form of `guarantee_data`, and the `evidence` of its runs. `stationary` are searches
     among policies that do not know the step. A black box has no results: its report opens with the first of
     `guarantees`, for the policy of `training`, on `product` (default: the policy's own); `markov` tests its data.
-    `at_least` is a bound on the last of `results`.
+    `asked` are bounds with their verdicts, and `certificate` is what was written to prove the value shown.
     """
     if not results and (training is None or not guarantees):
         raise SettingsError(
@@ -305,6 +308,8 @@ def report_data(
         ):
             raise SettingsError("the results belong to several models or tasks; write one report for each")
     optima = {r.nature: r for r in reversed(results) if r.question != "policy"}
+    shown = next((r for r in results if r.question == "policy"), results[0] if results else None)
+    text = with_names(product.definitions)
     return {
         "format": FORMAT,
         "version": metadata.version("stltool"),
@@ -320,13 +325,26 @@ def report_data(
         "run": run_data(evidence.run, evidence.seed, product) if evidence is not None else None,
         "why": _why_data(evidence) if evidence is not None else None,
         "floor": floor_data(product),
-        "asked": _asked_data(results[-1], at_least) if at_least is not None else None,
+        "asked": list(asked),
+        "certificate": certificate,
+        "words": sentences(product.formula, text),
+        "names": {name: str(phi) for name, phi in product.definitions.items() if name != str(phi)},
+        "automaton": automaton_data(_explored(product, shown).automaton, text),
+        "explorer": explorer_data(
+            product,
+            shown,
+            optima.get(shown.nature) if shown is not None else None,
+            evidence.run if evidence is not None else None,
+            learned=training is not None,
+        ),
     }
 
 
-def _asked_data(result: CheckResult, bound: Fraction) -> AskedRecord:
-    holds = result.at_least(bound)
-    return {"at_least": float(bound), "holds": holds is True, "decided": holds is not None}
+def _explored(product: Product, shown: CheckResult | None) -> Product:
+    """The product that the explorer works on: it also has the memory of a policy with its own automaton."""
+    if shown is None or shown.policy is None or product.model.uncertain:
+        return product
+    return shown.policy.on(product)[0]
 
 
 def policy_shown(results: Sequence[CheckResult], training: Training | None) -> tuple[Policy | None, Product]:

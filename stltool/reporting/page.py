@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from os import PathLike
 from pathlib import Path
@@ -27,8 +27,20 @@ from stltool.product import Product
 from stltool.randomness import require_seed
 from stltool.reporting.data import FORMAT, SWEEP_FORMAT, VERIFY_FORMAT, policy_shown, report_data
 from stltool.reporting.guarantees import guarantee_rows, looser_note
+from stltool.reporting.headline import headline
+from stltool.reporting.pages import (
+    ESTIMATE_FORMAT,
+    FRONT_FORMAT,
+    MONITOR_FORMAT,
+    TEST_FORMAT,
+    certificate_bounds,
+    estimate_content,
+    front_content,
+    monitor_content,
+)
 from stltool.reporting.records import SweepRecord
 from stltool.reporting.runs import trace_text, verdict_text
+from stltool.reporting.words import run_sentences, sensitivity_sentences
 
 
 def report(
@@ -117,37 +129,44 @@ def read_report(path: str | Path) -> tuple[dict[str, Any], str]:
     text = read_text(path, "report")
     try:
         data = json.loads(text)
-        if data["format"] not in (FORMAT, SWEEP_FORMAT, VERIFY_FORMAT):
-            raise KeyError
         page = render(data)  # fails if anything is missing or of another type
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError, jinja2.TemplateError):
         raise FileError(
-            f"{path}: not the JSON file of a report ({FORMAT}, {SWEEP_FORMAT}, {VERIFY_FORMAT}); write one with "
-            "stltool run, sweep or verify --report"
+            f"{path}: not the JSON file of a report of this version; write one with stltool run, sweep, or --report"
         ) from None
     return dict(data), page
 
 
 def render(data: Mapping[str, Any], curves: str | None = None) -> str:
-    """The HTML page. Its pictures are made here, from numbers and names; nothing is loaded from elsewhere, and the
-    content security policy allows only the page's own style sheet. `curves` are those of a sweep, if drawn already."""
+    """The HTML page. Its pictures are made here, from numbers and names, or in the page, by its own script; nothing is
+    loaded from elsewhere, and the content security policy allows only the page's own style sheet and script. `curves`
+    are those of a sweep, if drawn already."""
     if data["format"] == SWEEP_FORMAT:
         return render_sweep(data, curves)
-    if data["format"] == VERIFY_FORMAT:
-        return render_verification(data)
+    return _RENDERED[data["format"]](data)
+
+
+def render_report(data: Mapping[str, Any]) -> str:
+    """The page of a run or a check (`report_data`)."""
     why = data.get("why")  # missing in reports of earlier versions
     found = data.get("guarantees")  # these, too
+    guarantees = guarantee_rows(found, data["checks"]) if found else []
     return _page(
         "report.html",
+        {"explorer": data.get("explorer"), "automaton": data.get("automaton")},
         data=data,
+        head=headline(data, guarantees),
         why=why,
-        guarantees=guarantee_rows(found, data["checks"]) if found else [],
+        why_sentences=run_sentences(why) if why else [],
+        sensitive_sentences=sensitivity_sentences(why["sensitive"]) if why else [],
+        guarantees=guarantees,
         looser=looser_note(found or []),
         curve=curve_picture(data),
         gaps=gap_picture(data),
         floor=run_picture(data),
         likely_floor=likely_picture(data),
         bound_texts=bound_texts,
+        certified=certificate_bounds(data["certificate"]) if data.get("certificate") else None,
         trace_text=trace_text,
         verdict_text=verdict_text,
     )
@@ -188,11 +207,12 @@ def likely_picture(data: Mapping[str, Any]) -> str | None:
 
 
 def render_verification(data: Mapping[str, Any]) -> str:
-    """The HTML page of a verification (`verification_data`), as made by `render`."""
+    """The page of a verification (`verification_data`)."""
     from stltool.reporting import verification
 
     return _page(
         "verify.html",
+        None,
         data=data,
         asked_text=verification.asked_text,
         counts_text=verification.counts_text,
@@ -203,7 +223,7 @@ def render_verification(data: Mapping[str, Any]) -> str:
 
 
 def render_sweep(data: Mapping[str, Any], curves: str | None = None) -> str:
-    """The HTML page of a sweep (`sweep_data`), as made by `render`."""
+    """The page of a sweep (`sweep_data`)."""
     from stltool.reporting import sweeps
     from stltool.reporting.figures import learning_curves, line_chart
 
@@ -213,6 +233,7 @@ def render_sweep(data: Mapping[str, Any], curves: str | None = None) -> str:
               for i, section in enumerate(data["sections"])]  # fmt: skip
     return _page(
         "sweep.html",
+        None,
         data=data,
         rows=sweeps.result_rows(cast(SweepRecord, data)),
         curves=curves,
@@ -220,6 +241,23 @@ def render_sweep(data: Mapping[str, Any], curves: str | None = None) -> str:
         failure_text=sweeps.failure_text,
         panel_title=sweeps.panel_title,
     )
+
+
+def _rendered(
+    template: str, content: Callable[[Mapping[str, Any]], dict[str, Any]]
+) -> Callable[[Mapping[str, Any]], str]:
+    """The page of a template, from the data and from what `content` makes of them."""
+    return lambda data: _page(template, None, data=data, **content(data))
+
+
+_RENDERED: dict[str, Callable[[Mapping[str, Any]], str]] = {
+    FORMAT: render_report,
+    VERIFY_FORMAT: render_verification,
+    FRONT_FORMAT: _rendered("front.html", front_content),
+    MONITOR_FORMAT: _rendered("monitor.html", monitor_content),
+    ESTIMATE_FORMAT: _rendered("estimate.html", estimate_content),
+    TEST_FORMAT: _rendered("estimate.html", estimate_content),
+}
 
 
 @cache
@@ -233,9 +271,29 @@ def _templates() -> jinja2.Environment:
     return environment
 
 
-def _page(template: str, **content: Any) -> str:
+def _page(template: str, payload: object, **content: Any) -> str:
+    """A page; `payload` is what its explorer's script reads, None without one."""
+    css = _source("page.css")
+    scripts = ["theme.js", *(("engine.js", "explorer.js") if payload is not None else ())]
+    script = "\n".join(map(_source, scripts))
+    policy = (
+        f"default-src 'none'; style-src {_digest(css)}; script-src {_digest(script)}; base-uri 'none'; "
+        "form-action 'none'"
+    )
+    inside = None
+    if payload is not None:  # no "</script>" and no "<!--" in there
+        inside = json.dumps(payload, separators=(",", ":"), allow_nan=False)
+        inside = inside.replace("<", "\\u003c")
+    page = _templates().get_template(template)
+    return page.render(css=css, script=script, policy=policy, payload=inside, **content)
+
+
+def _source(name: str) -> str:
+    """A style sheet or a script as it stands."""
     environment = _templates()
-    css = environment.get_template("page.css").render()
-    digest = base64.b64encode(hashlib.sha256(css.encode("utf-8")).digest()).decode("ascii")
-    policy = f"default-src 'none'; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
-    return environment.get_template(template).render(css=css, policy=policy, **content)
+    assert environment.loader is not None
+    return environment.loader.get_source(environment, name)[0]
+
+
+def _digest(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode('utf-8')).digest()).decode('ascii')}'"

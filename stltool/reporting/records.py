@@ -9,6 +9,9 @@ from __future__ import annotations
 
 from typing import Any, Literal, NotRequired, TypeAlias, TypedDict
 
+from stltool.reporting.explorer import AutomatonRecord, ExplorerRecord
+from stltool.reporting.words import SentenceRecord
+
 Question: TypeAlias = Literal["maximum", "minimum", "policy"]
 Nature: TypeAlias = Literal["against", "with", "nominal"]
 Robustness: TypeAlias = float | Literal["inf", "-inf"]
@@ -541,11 +544,19 @@ class FloorRecord(TypedDict):
 
 
 class AskedRecord(TypedDict):
-    """A bound on the policy's probability that was asked for; not decided if it lies inside the enclosure."""
+    """A bound that was asked for, such as "P >= 19/20", and whether it holds; null: it lies inside the enclosure."""
 
-    at_least: float
-    holds: bool
-    decided: bool
+    claim: str
+    holds: bool | None
+
+
+class ProvedRecord(TypedDict):
+    """A certificate that was written, the bounds that it proves, as fractions, and the command that re-checks it."""
+
+    file: str
+    lower: str
+    upper: str
+    command: str
 
 
 class ReportRecord(ProductRecord):
@@ -564,7 +575,12 @@ class ReportRecord(ProductRecord):
     run: RunRecord | None
     why: WhyRecord | None
     floor: FloorRecord | None
-    asked: AskedRecord | None
+    asked: list[AskedRecord]
+    certificate: ProvedRecord | None
+    words: SentenceRecord
+    names: dict[str, str]
+    automaton: AutomatonRecord | None
+    explorer: ExplorerRecord
 
 
 class MethodRecord(TypedDict):
@@ -846,6 +862,63 @@ class MonitorRecord(TraceRecord):
     each: NotRequired[list[TraceRecord]]
 
 
+class FrontReport(FrontRecord):
+    """A report of `stltool pareto`: a front, and its tasks in words."""
+
+    format: Literal["stltool-front-1"]
+    version: str
+    command: str | None
+    words: dict[str, SentenceRecord]
+
+
+class MonitorReport(MonitorRecord):
+    """A report of `stltool monitor`: a judged trace, and the task in words; null if an interval has no end."""
+
+    format: Literal["stltool-monitor-1"]
+    version: str
+    command: str | None
+    words: SentenceRecord | None
+
+
+class EstimateReport(EstimateOutput):
+    """A report of `stltool estimate`: an interval, and the task in words."""
+
+    format: Literal["stltool-estimate-1"]
+    version: str
+    command: str | None
+    words: SentenceRecord
+
+
+class SequentialReport(SequentialOutput):
+    """A report of `stltool estimate --at-least P`: how the test ended, and the task in words."""
+
+    format: Literal["stltool-test-1"]
+    version: str
+    command: str | None
+    words: SentenceRecord
+
+
+class PlayedStepRecord(TypedDict):
+    """A step of a played run: what is remembered, P from there under the policy, and the action taken."""
+
+    step: int
+    state: str
+    labels: list[str]
+    memory: str
+    probability: float
+    action: str | None
+
+
+class PlayOutput(TypedDict):
+    """What `stltool play --json` prints: the run; `satisfied` is null while the verdict is open."""
+
+    task: str
+    formula: str
+    policy: str
+    satisfied: bool | None
+    steps: list[PlayedStepRecord]
+
+
 class SurrogateRecord(TypedDict):
     """P of the policies that are optimal for one reading of the surrogate reward [Wang24]."""
 
@@ -908,7 +981,15 @@ class SurrogateOutput(ProductRecord):
     surrogates: list[SurrogateRecord]
 
 
-FORMATS = {"stltool-report-1": ReportRecord, "stltool-sweep-1": SweepRecord, "stltool-verify-1": VerifyRecord}
+FORMATS = {
+    "stltool-report-1": ReportRecord,
+    "stltool-sweep-1": SweepRecord,
+    "stltool-verify-1": VerifyRecord,
+    "stltool-front-1": FrontReport,
+    "stltool-monitor-1": MonitorReport,
+    "stltool-estimate-1": EstimateReport,
+    "stltool-test-1": SequentialReport,
+}
 """The files that stltool writes, by their `format`."""
 
 OUTPUTS = {
@@ -921,6 +1002,7 @@ OUTPUTS = {
     "learn": TrainingOutput,
     "monitor": MonitorRecord,
     "pareto": FrontRecord,
+    "play": PlayOutput,
     "run": ReportRecord,
     "surrogate": SurrogateOutput,
     "sweep": SweepRecord,

@@ -19,6 +19,7 @@ from stltool.kernels.jit import compiling
 from stltool.log import LOG, Stage
 from stltool.numbers import bound_texts, probability_text
 from stltool.reporting.runs import trace_text, verdict_text
+from stltool.reporting.words import run_sentences, sensitivity_sentences
 from stltool.streams import printable
 
 if TYPE_CHECKING:
@@ -236,6 +237,13 @@ def print_likely(data: Mapping[str, Any], count: int) -> None:
             print_facts({" " * len(f"run {number}"): f"before the verdict: {run['remembered']}"})
     if len(found) > count:
         print_facts({"\nand": f"{len(found) - count} more; -k prints more of them, --json all"})
+
+
+def print_findings(data: Mapping[str, Any]) -> None:
+    """The first findings of `why` in sentences."""
+    print()
+    for text in (*run_sentences(data, 1), *sensitivity_sentences(data["sensitive"], 1)):
+        print(printable(text))
 
 
 def print_sensitive(rows: Sequence[SensitivityRecord]) -> None:

@@ -32,6 +32,7 @@ CASES = {
     "check": ["patrolling.stl", *SMALL, "--policy", "policy.npz"],
     "verify": ["expected.stl", "patrolling.stl"],
     "why": ["patrolling.stl", *SMALL],
+    "play": ["patrolling.stl", *SMALL, "--policy", "policy.npz", "--moves", ". 2 < *"],
     "surrogate": ["patrolling.stl", *SMALL],
     "tradeoff": ["tradeoff.stl", *SMALL, "--objective", "charging", "--budget", "C<=2"],
     "pareto": ["tradeoff.stl", *SMALL, "--tasks", "charging,patrolling"],

@@ -534,7 +534,7 @@ def test_a_run_may_be_asked_for_a_bound(stltool, tmp_path, bound, code, told, as
     assert (got, "error" in err) == (code, False)
     data = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
     policy = next(check for check in data["checks"] if check["question"] == "policy")
-    assert data["asked"] == {"at_least": float(bound), "holds": code == 0, "decided": True}
+    assert data["asked"] == [{"claim": f"P >= {bound}", "holds": code == 0}]
     assert (policy["lower"] >= float(bound)) == (code == 0)
     assert json.loads(out) == data if as_json else f"P >= {bound}" in out
     assert as_json or re.search(rf"^P >= {bound} +{told}$", out, flags=re.MULTILINE)

@@ -93,4 +93,4 @@ def test_a_bound_inside_the_enclosure_is_undecided(stltool, tmp_path, monkeypatc
     assert code == 1
     assert "P >= 0.5  undecided: the bound lies inside the enclosure; stltool check" in out
     code, out, _ = stltool("run", *given, "--json")
-    assert (code, json.loads(out)["asked"]) == (1, {"at_least": 0.5, "holds": False, "decided": False})
+    assert (code, json.loads(out)["asked"]) == (1, [{"claim": "P >= 0.5", "holds": None}])

@@ -22,7 +22,9 @@ def test_the_runs_and_states_of_the_optimum(stltool):
     assert lines[7] == "       before the verdict: due since 3 steps: A; due since 3 steps: x < 0.4 & y > 0.6"
     assert lines[13].split() == ["state", "dP/dp", "steepest", "visits", "mostly", "by"]
     assert lines[14].startswith("(2,2)  0.9179  0.9234    1.581   NW to (1,3) (p = 0.93), SE to (3,1) (p = 0.93)")
-    assert len(lines) == 15
+    assert lines[16].startswith("The most probable run that violates the task has probability 0.0466667, 17.8 %")
+    assert lines[17].startswith("P depends most on state (2,2)")
+    assert len(lines) == 18
 
 
 def test_one_object(stltool):

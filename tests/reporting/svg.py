@@ -20,6 +20,11 @@ _UNITS = {"": 1, "k": 1e3, "M": 1e6, "m": 1e-3}
 _PLAIN = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
 
 
+def drawn(page):
+    """The pictures of a report's page that were made before it, in order."""
+    return re.findall(r'<div class="pictures">(<svg.*?</svg>)', page, flags=re.DOTALL)
+
+
 @dataclass(frozen=True)
 class Text:
     """A text with the box of its ink on the page (points, y downwards) and the classes of the groups around it."""

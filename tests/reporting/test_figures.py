@@ -13,7 +13,7 @@ from stltool.reporting.drawing import COLOURS
 from stltool.reporting.figures import gap_curve, learning_curve, learning_curves, line_chart, pareto_front
 from stltool.reporting.monitor_figure import HOLDS, VIOLATED, monitored
 from tests.conftest import many
-from tests.reporting.svg import Picture, overlapping
+from tests.reporting.svg import Picture, drawn, overlapping
 
 PROBABILITIES = st.floats(0, 1) | st.sampled_from([0.0, 0.5, 1 - 1e-3, 1 - 1e-9, 1.0])
 
@@ -86,7 +86,7 @@ def test_a_learning_curve_of_a_training(patrolling):
 
     best, run = stl.check(patrolling), stl.learn(patrolling, "cfer", episodes=60, seed=1)
     page = render(report_data([best, stl.check(patrolling, run.policy)], run))
-    panel = Picture(page[page.index("<svg") : page.index("</svg>") + 6]).panel
+    (panel,) = [panel for text in drawn(page) for panel in Picture(text).panels if "curve" in panel.names()]
     [curve] = panel.shapes("curve")
     same(curve, [(p.steps, p.probability) for p in run.history], panel)
     assert panel.levels("optimum") == pytest.approx([best.probability], abs=1e-3)

@@ -14,7 +14,7 @@ from stltool.reporting import report_data
 from stltool.reporting.floor import floor_map, visits
 from tests.conftest import many
 from tests.reporting import svg
-from tests.reporting.svg import overlapping
+from tests.reporting.svg import drawn, overlapping
 
 Picture = partial(svg.Picture, shift=0.5)
 
@@ -279,6 +279,6 @@ def test_a_report_shows_the_run_that_it_tells(patrolling):
     best = stl.check(patrolling)
     data = report_data([best], evidence=evidence_of(patrolling, best.policy, seed=3))
     page = render(data)
-    drawn = re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL)
-    for picture, run in zip(drawn, (data["run"]["states"], data["why"]["runs"][0]["state_indices"]), strict=True):
+    runs = data["why"]["runs"][0]["state_indices"], data["run"]["states"]
+    for picture, run in zip(drawn(page), runs, strict=True):
         require_run(Picture(picture), data["floor"], run)

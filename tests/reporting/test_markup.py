@@ -1,4 +1,4 @@
-"""No text of a report's JSON becomes markup of its page, and a page allows nothing but its own style sheet."""
+"""No text of a report's JSON becomes markup of its page; a page allows nothing but its own style sheet and script."""
 
 import base64
 import copy
@@ -6,7 +6,6 @@ import hashlib
 import json
 import re
 from collections import Counter
-from fractions import Fraction
 from html.parser import HTMLParser
 
 import jinja2
@@ -17,14 +16,28 @@ import stltool as stl
 from stltool.checking.evidence import evidence_of
 from stltool.errors import FileError
 from stltool.learning.sweep import Failure, RunResult
-from stltool.reporting import guarantee_data, load_report, render, report_data, sweep_data, verification_data
+from stltool.reporting import (
+    estimate_data,
+    estimate_report,
+    front_report,
+    guarantee_data,
+    load_report,
+    monitor_data,
+    monitor_report,
+    render,
+    report_data,
+    sweep_data,
+    verification_data,
+)
 from tests.conftest import FACTORY, some
 
 EVIL = (
     "EVIL</title></style></svg></code>]]>--><script>alert(1)</script><img src=x onerror=alert(1)>"
     "\" onload=\"x\" ' style='x' {{ 7 * 7 }}{% raw %} &lt;b&gt; javascript:alert(1) <svg/onload=x>"
 )
-NAMED = ("labels", "signals", "settings", "params", "published")  # dictionaries with the user's names as keys
+# dictionaries with the user's names as keys
+NAMED = ("labels", "signals", "settings", "params", "published", "names", "tasks", "probabilities", "weights",
+         "automaton_states")  # fmt: skip
 
 
 class Elements(HTMLParser):
@@ -59,7 +72,7 @@ def require_safe(page):
     """Nothing of EVIL is more than text; everything that the page allows itself is its own."""
     elements = Elements(page)
     for tag, attributes in elements.found:
-        assert tag not in ("script", "img", "iframe", "object", "embed", "link", "base", "form", "image", "a")
+        assert tag not in ("img", "iframe", "object", "embed", "link", "base", "form", "image", "a")
         for name, value in attributes.items():
             assert not name.startswith("on")
             assert name not in ("style", "src", "action", "formaction", "srcset")
@@ -68,10 +81,19 @@ def require_safe(page):
             if name in ("href", "xlink:href"):
                 assert value.startswith("#")
     [style] = re.findall("<style>(.*?)</style>", page, flags=re.DOTALL)
-    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
+    scripts = re.findall("<script([^>]*)>(.*?)</script>", page, flags=re.DOTALL)
+    kinds, texts = zip(*scripts, strict=True)
+    assert kinds in (("",), (' type="application/json" id="data"', ""))
+    assert "EVIL" not in texts[-1]
+    assert "<" not in "".join(texts[:-1])  # of the data
+    assert sum(tag == "script" for tag, _ in elements.found) == len(scripts)
+    digests = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (style, texts[-1])]
     [policy] = [attributes["content"] for tag, attributes in elements.found
                 if attributes.get("http-equiv") == "Content-Security-Policy"]  # fmt: skip
-    assert policy == f"default-src 'none'; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
+    assert policy == (
+        f"default-src 'none'; style-src 'sha256-{digests[0]}'; script-src 'sha256-{digests[1]}'; base-uri 'none'; "
+        "form-action 'none'"
+    )
     assert page.index("Content-Security-Policy") < page.index("<style>")
     assert sum(tag == "style" for tag, _ in elements.found) == 1
     assert "EVIL" not in style
@@ -86,7 +108,7 @@ def skeleton(elements):
 def poisoned(value, text, key=None):
     """The data with every text of the user's replaced, names as well; what belongs together still does."""
     if isinstance(value, str):
-        return value if key == "format" else text + value
+        return value if key in ("format", "end") else text + value
     if isinstance(value, list):
         return [poisoned(entry, text, "row" if key == "rows" else None) for entry in value]
     if isinstance(value, dict):
@@ -128,7 +150,8 @@ def checked():
     found = [stl.guarantee(product, run.policy, run.counts), guarantee_data(judged)]
     checks = [stl.check(product, exact=True), stl.check(product, run.policy)]
     data = report_data(checks, run, source="task", command="stltool run", guarantees=found,
-                       estimates=[stl.estimate(product, run.policy, runs=50, seed=4)], at_least=Fraction(1, 2),
+                       estimates=[stl.estimate(product, run.policy, runs=50, seed=4)],
+                       asked=[{"claim": "P >= 1/2", "holds": True}],
                        evidence=evidence_of(product, run.policy, 0))  # fmt: skip
     data["exact_encoding"] = False  # for the warning
     return json.loads(json.dumps(data))
@@ -136,7 +159,8 @@ def checked():
 
 @pytest.fixture(scope="module")
 def black_box(checked):
-    return {**checked, "checks": [], "why": None, "run": None, "floor": None, "transitions": None}
+    refused = {"refused": "the model is a black box"}
+    return {**checked, "checks": [], "why": None, "run": None, "floor": None, "transitions": None, "explorer": refused}
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +199,34 @@ def swept(tmp_path_factory):
     return json.loads(json.dumps(sweep_data(result, "stltool sweep", sections)))
 
 
-@pytest.mark.parametrize("kind", ["checked", "black_box", "swept", "verified"])
+@pytest.fixture(scope="module")
+def front():
+    tasks = [stl.load_task(FACTORY / "tradeoff.stl", params={"T": 2, "tau": 5}, task=name)
+             for name in ("charging", "patrolling")]  # fmt: skip
+    joint = stl.build_joint_product(stl.load_model(tasks[0].model), tasks)
+    return json.loads(json.dumps(front_report(stl.pareto(joint, points=3), "stltool pareto")))
+
+
+@pytest.fixture(scope="module")
+def monitored():
+    task = stl.parse_task("param T = 2\nhigh := x > 0.5\nkept := F[0,T] high")
+    result = stl.monitor(task, {"x": np.array([1.0, 0, 0, 0, 0, 1, 1])})
+    return json.loads(json.dumps(monitor_report(monitor_data(result, task, "log.csv"), task, "stltool monitor")))
+
+
+@pytest.fixture(scope="module")
+def estimated():
+    task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 2, "tau": 5})
+    product = stl.build_product(stl.load_model(task.model), task)
+    best = stl.check(product)
+    data = estimate_data(stl.estimate(product, best.policy, runs=50), product, best.policy, best)
+    return json.loads(json.dumps(estimate_report(data, product, "stltool estimate")))
+
+
+KINDS = ["checked", "black_box", "swept", "verified", "front", "monitored", "estimated"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_texts_stay_texts(kind, request):
     data = request.getfixturevalue(kind)
     plain = require_safe(render(poisoned(data, "some words ")))
@@ -183,7 +234,8 @@ def test_texts_stay_texts(kind, request):
     elements = require_safe(render(json.loads(json.dumps(evil))))
     assert skeleton(elements) == skeleton(plain)
     texts = " ".join(elements.texts)
-    wanted = [value for value in strings(data) if not value.startswith("stltool-")]
+    seen = {key: value for key, value in data.items() if key not in ("explorer", "automaton")}  # drawn by the script
+    wanted = [value for value in strings(seen) if not value.startswith("stltool-")]
     assert texts.count("EVIL</title>") > len(set(wanted)) / 2  # the page shows what it should show, as text
     assert "{{ 7 * 7 }}" in texts
     assert "49" not in "".join(re.findall(r"EVIL.*?onload=x>", texts))
@@ -198,18 +250,18 @@ def strings(value):
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize("kind", ["checked", "black_box", "swept", "verified"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_text_in_the_place_of_anything_stays_a_text_or_is_refused(kind, request, monkeypatch):
     """Pictures are drawn only where the place is of a picture: they take most of the time."""
     data = request.getfixturevalue(kind)
-    drawn = {"floor", "states", "state_indices", "history", "columns", "curve", "figure"}
+    drawn = {"floor", "states", "state_indices", "history", "columns", "curve", "figure", "corners", "robustness"}
     shown = refused = 0
     tried = some(places(data))
     for path in tried:
         with monkeypatch.context() as patch:
             if not drawn.intersection(path):
                 for name in ("figures.learning_curve", "figures.learning_curves", "figures.line_chart",
-                             "floor.floor_map"):  # fmt: skip
+                             "figures.pareto_front", "floor.floor_map"):  # fmt: skip
                     patch.setattr(f"stltool.reporting.{name}", lambda *args: "")
             try:
                 page = render(with_evil_at(data, path))

@@ -1,0 +1,240 @@
+"""The undecided situations that runs can come to, and P from each: what an explorer of a policy shows.
+
+A *node* is an undecided (t, s, q) that some policy reaches: state s was just read at step t, the automaton is then in
+q. The nodes of a step are listed by their codes s·|Q| + q, ascending. In a node a policy has a number,
+
+    i ≥ 0   its state's i-th choice        −1   no action        −2 − k   the k-th mixture
+
+and P from there under it follows by backward induction, also where the policy itself never comes (NaN where P depends
+on a node without action):
+
+    V_t(s,q) = Σ_c π_t(c|s,q) Q_t(s,q,c),    Q_t(s,q,c) = Σ_s' P(s'|c) V_{t+1}(s', δ(L(s'), q))
+
+in doubles, as in the twin of this file in a report's page (reporting/templates/engine.js).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.asked import Asked
+from stltool.automata import TRUE, UNDECIDED
+from stltool.choices import distinct
+from stltool.errors import SizeError
+from stltool.policy import Policy
+from stltool.product import Product
+
+I64 = NDArray[np.int64]
+F64 = NDArray[np.float64]
+
+MOST_NODES, MOST_EDGES = 400_000, 6_000_000  # a second to compute, in a page as well as here
+NO_ACTION = -1
+
+
+def reachable(product: Product, most_nodes: int = MOST_NODES, most_edges: int = MOST_EDGES) -> list[I64] | None:
+    """For t = 0 … h − 1 the codes of the nodes.
+
+    None if there are more than `most_nodes`, or they have more than `most_edges` outgoing transitions.
+    """
+    model, automaton = product.model, product.automaton
+    here = _entered(product, np.flatnonzero(model.initial), automaton.initial)
+    found: list[I64] = []
+    n_nodes = n_edges = 0
+    for t in range(product.horizon):
+        here = here[automaton.verdicts(t)[here % automaton.n_states] == UNDECIDED]
+        s, q = np.divmod(here, automaton.n_states)
+        entry, count = _transitions(product, s)
+        n_nodes, n_edges = n_nodes + len(here), n_edges + len(entry)
+        if n_nodes > most_nodes or n_edges > most_edges:
+            return None
+        found.append(here)
+        possible = model.probability[entry] > 0
+        here = _entered(product, model.target[entry][possible], np.repeat(q, count)[possible])
+    return found
+
+
+def _transitions(product: Product, s: I64) -> tuple[I64, I64]:
+    """The transitions of all choices of states s (n,), one state after another, and how many each has (n,)."""
+    edges = product.model.row_start[product.model.choice_start]
+    return _spans(edges[s], edges[s + 1] - edges[s])
+
+
+def _spans(first: I64, count: I64) -> tuple[I64, I64]:
+    entry: I64 = np.repeat(first - np.cumsum(count) + count, count) + np.arange(count.sum())
+    return entry, count
+
+
+def _entered(product: Product, s: NDArray[Any], q: NDArray[Any] | int) -> I64:
+    """The codes of the pairs after reading states s (n,) in automaton states q."""
+    codes: I64 = np.unique(_read(product, s, q))
+    return codes
+
+
+def _read(product: Product, s: NDArray[Any], q: NDArray[Any] | int) -> I64:
+    automaton = product.automaton
+    codes: I64 = s.astype(np.int64) * automaton.n_states + automaton.delta[product.letter[s], q]
+    return codes
+
+
+def policy_numbers(product: Product, policy: Policy, nodes: list[I64]) -> tuple[NDArray[np.int32], F64]:
+    """The policy's number in every node, one step after another, and its mixtures (k, C).
+
+    A function is asked only where runs under it come; elsewhere it has no action here.
+    """
+    n_memories, most = product.automaton.n_states, product.model.most_choices
+    asked = isinstance(policy.form, Asked)
+    numbers: list[NDArray[Any]] = []
+    reached = nodes[0] if nodes else np.empty(0, dtype=np.int64)
+    for t, codes in enumerate(nodes):
+        there = np.isin(codes, reached) if asked else np.ones(len(codes), dtype=np.bool_)
+        s, q = np.divmod(codes[there], n_memories)
+        found = policy.at(t, s, q) if len(s) else np.empty(0 if policy.deterministic else (0, most))
+        full = np.full((len(codes), *found.shape[1:]), -1 if policy.deterministic else 0.0, dtype=found.dtype)
+        full[there] = found
+        numbers.append(full)
+        if asked:
+            reached = _followed(product, s, q, found)
+    if policy.deterministic:
+        joined = np.concatenate(numbers).astype(np.int32) if numbers else np.empty(0, dtype=np.int32)
+        return np.maximum(joined, NO_ACTION), np.empty((0, most))
+    rows, which = distinct(np.concatenate(numbers) if numbers else np.empty((0, most)))
+    mixed = rows.any(axis=1) & (rows.max(axis=1, initial=0) != 1)
+    number = np.where(mixed, -1 - np.cumsum(mixed), np.where(rows.any(axis=1), rows.argmax(axis=1), NO_ACTION))
+    return number[which].astype(np.int32), rows[mixed]
+
+
+def _followed(product: Product, s: I64, q: I64, taken: NDArray[Any]) -> I64:
+    """The codes that the choices (n,) or weights (n, C) taken in these pairs lead to."""
+    model = product.model
+    owner, i = (np.flatnonzero(taken >= 0), taken[taken >= 0]) if taken.ndim == 1 else np.nonzero(taken > 0)
+    c = model.choice_start[s[owner]] + i.astype(np.int64)
+    entry, count = _spans(model.row_start[c], model.row_start[c + 1] - model.row_start[c])
+    possible = model.probability[entry] > 0
+    return _entered(product, model.target[entry][possible], np.repeat(q[owner], count)[possible])
+
+
+@dataclass(frozen=True, eq=False)
+class Explored:
+    """The nodes of a product, and a policy's numbers there and its mixtures (k, C); see the module's text."""
+
+    nodes: list[I64]
+    numbers: NDArray[np.int32]
+    mixtures: F64
+
+    @classmethod
+    def of(cls, product: Product, policy: Policy) -> Explored | None:
+        """None if there are more than MOST_NODES nodes or MOST_EDGES transitions."""
+        nodes = reachable(product)
+        return None if nodes is None else cls(nodes, *policy_numbers(product, policy, nodes))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A successor: the model state, the automaton state after reading it, and its probability."""
+
+    s: int
+    q: int
+    probability: float
+
+
+class Situations:
+    """P under a policy from every node, and after every choice there.
+
+    Raises SizeError if there are too many nodes.
+    """
+
+    def __init__(self, product: Product, policy: Policy) -> None:
+        product.model.require_points()
+        self.product, self.policy = product, policy = policy.on(product)
+        explored = Explored.of(product, policy)
+        if explored is None:
+            raise SizeError(
+                f"runs can come to more than {MOST_NODES} situations of step, state and memory, or have more than "
+                f"{MOST_EDGES} moves there; shorten the windows"
+            )
+        self.nodes, self.numbers, self.mixtures = explored.nodes, explored.numbers, explored.mixtures
+        self._offset = np.cumsum([0, *map(len, self.nodes)])
+        self._by_choice: list[tuple[F64, I64]] = [(np.empty(0), np.zeros(1, dtype=np.int64))] * len(self.nodes)
+        ahead: F64 = np.empty(0)
+        for t in range(len(self.nodes) - 1, -1, -1):
+            ahead = self._layer(t, ahead)
+
+    def _layer(self, t: int, ahead: F64) -> F64:
+        """The values of the nodes of step t, from those of step t + 1; those of choices are kept."""
+        product, model, automaton = self.product, self.product.model, self.product.automaton
+        s, q = np.divmod(self.nodes[t], automaton.n_states)
+        entry, count = _transitions(product, s)
+        code = _read(product, model.target[entry], np.repeat(q, count))
+        verdict = automaton.verdicts(t + 1)[code % automaton.n_states]
+        value = (verdict == TRUE).astype(np.float64)
+        still = np.flatnonzero((verdict == UNDECIDED) & (model.probability[entry] > 0))
+        if len(still):
+            value[still] = ahead[np.searchsorted(self.nodes[t + 1], code[still])]
+        weighted = model.probability[entry] * value
+        choices = model.choice_start[s + 1] - model.choice_start[s]
+        c, _ = _spans(model.choice_start[s], choices)
+        lengths = model.row_start[c + 1] - model.row_start[c]
+        sums = np.add.reduceat(weighted, np.cumsum(lengths) - lengths) if len(c) else np.empty(0)
+        start = np.concatenate([[0], np.cumsum(choices)])
+        self._by_choice[t] = sums, start
+        numbers = self.numbers[self._offset[t] : self._offset[t + 1]]
+        values = np.full(len(s), np.nan)
+        sure = numbers >= 0
+        values[sure] = sums[start[:-1][sure] + numbers[sure]]
+        for n in np.flatnonzero(numbers < NO_ACTION).tolist():
+            row = self.mixtures[-2 - numbers[n]][: choices[n]]
+            used = row > 0
+            values[n] = row[used] @ sums[start[n] : start[n + 1]][used]
+        return values
+
+    def _place(self, t: int, s: int, q: int) -> int:
+        """The position of a node among those of its step."""
+        return int(np.searchsorted(self.nodes[t], s * self.product.automaton.n_states + q))
+
+    def known(self, t: int, s: int, q: int) -> bool:
+        """Whether (t, s, q) is a node."""
+        n, code = self._place(t, s, q), s * self.product.automaton.n_states + q
+        return n < len(self.nodes[t]) and int(self.nodes[t][n]) == code
+
+    def undecided(self, t: int, q: int) -> bool:
+        """Whether the verdict is open in automaton state q after step t."""
+        return bool(self.product.automaton.verdicts(t)[q] == UNDECIDED)
+
+    def choices(self, t: int, s: int, q: int) -> F64:
+        """P after each choice of a node, if the policy is followed from the next step on."""
+        sums, start = self._by_choice[t]
+        n = self._place(t, s, q)
+        values: F64 = sums[start[n] : start[n + 1]]
+        return values
+
+    def weights(self, t: int, s: int, q: int) -> F64:
+        """The policy's weight on each choice of a node; zeros where it takes none."""
+        number = int(self.numbers[self._offset[t] + self._place(t, s, q)])
+        n = len(self.choices(t, s, q))
+        weights: F64 = np.zeros(n)
+        if number < NO_ACTION:
+            weights = self.mixtures[-2 - number][:n]
+        if number >= 0:
+            weights[number] = 1.0
+        return weights
+
+    def value(self, t: int, s: int, q: int) -> float:
+        """P from a node, or the verdict."""
+        if not self.undecided(t, q):
+            return float(self.product.automaton.verdicts(t)[q] == TRUE)
+        weights, values = self.weights(t, s, q), self.choices(t, s, q)
+        used = weights > 0
+        return float(weights[used] @ values[used]) if used.any() else float("nan")
+
+    def outcomes(self, s: int, q: int, i: int) -> list[Outcome]:
+        """The successors of a state's i-th choice, most probable first."""
+        model = self.product.model
+        c = model.choice_start[s] + i
+        entry = slice(model.row_start[c], model.row_start[c + 1])
+        pairs = zip(model.target[entry].tolist(), model.probability[entry].tolist(), strict=True)
+        found = [Outcome(u, self.product.enter(u, q), p) for u, p in pairs if p > 0]
+        return sorted(found, key=lambda one: (-one.probability, one.s))

@@ -1,0 +1,104 @@
+"""`stltool play`: a policy, move by move in the terminal."""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections.abc import Iterator
+from typing import Annotated
+
+import typer
+
+from stltool.cli.app import app
+from stltool.cli.options import (
+    AsJson,
+    Encoding,
+    Model,
+    Nominal,
+    Normalize,
+    Params,
+    PolicyFile,
+    PolicyFunction,
+    Seed,
+    TaskFile,
+    TaskName,
+)
+from stltool.cli.steps import given_policy, make_product, require_one_policy
+from stltool.errors import SettingsError
+
+
+@app.command("stltool play patrolling.stl --policy policy.npz")
+def play(
+    task: TaskFile,
+    policy: PolicyFile = None,
+    policy_function: PolicyFunction = None,
+    moves: Annotated[
+        str | None,
+        typer.Option("--moves", metavar="LIST", help='moves to make instead of asking, such as ". N N>(2,1) *"'),
+    ] = None,
+    seed: Seed = 0,
+    nominal: Nominal = False,
+    model: Model = None,
+    normalize: Normalize = False,
+    param: Params = None,
+    name: TaskName = None,
+    encoding: Encoding = "exact",
+    as_json: AsJson = False,
+) -> None:
+    """Step through a run of a policy, with P at every step; take other actions and see what they cost."""
+    from rich.console import Console
+
+    import stltool as stl
+    from stltool.checking.playing import Game
+    from stltool.randomness import require_seed
+    from stltool.reporting.playing import HELP, Told
+    from stltool.reporting.terminal import print_json, progress_bar
+
+    require_one_policy(policy, policy_function)
+    require_seed(seed)
+    if moves is not None and not moves.split():
+        raise SettingsError('--moves is empty; list moves, such as --moves ". N *", or leave it out to be asked')
+    product = make_product(task, model, param, name, encoding, as_json, nominal=nominal, normalize=normalize)
+    if product.model.blackbox is not None:
+        raise SettingsError(f"{product.model.name} is a black box, whose probabilities are unknown; play needs them")
+    chosen = given_policy(product, policy, policy_function)
+    with progress_bar("checking", quiet=as_json) as bar:
+        chosen = chosen if chosen is not None else stl.check(product, progress=bar).policy
+        assert chosen is not None  # set by every check
+        game = Game(product, chosen, seed)
+        told = Told(game)
+    kept = io.StringIO() if moves is not None else None  # nothing is printed if one of them is refused
+    console = Console(highlight=False, soft_wrap=True, file=kept)
+    if not as_json:
+        told.show(console)
+    for move in _asked() if moves is None else moves.split():
+        if move == "q":
+            break
+        if move == "?":
+            console.print(HELP, markup=False)
+            continue
+        try:
+            game.move(move)
+        except SettingsError as error:
+            if kept is not None:
+                raise
+            console.print(str(error), markup=False)
+            continue
+        if not as_json:
+            console.print()
+            told.show(console)
+    if kept is not None:
+        print(kept.getvalue(), end="")
+    if as_json:
+        print_json(told.data())
+
+
+def _asked() -> Iterator[str]:
+    """The lines of stdin, asked for until it ends."""
+    while True:
+        print("move (? for help): ", end="", file=sys.stderr, flush=True)
+        line = sys.stdin.readline()
+        if not line:
+            print(file=sys.stderr)
+            return
+        yield line.strip()

@@ -1,0 +1,166 @@
+"""The top of a report's page: the verdict in words, and all that is known about P on one scale."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from stltool.display import NATURES
+from stltool.numbers import ceiling_text, floor_text, probability_text
+
+_VERDICTS = {
+    True: ("good", "✓ holds"),
+    False: ("bad", "✕ does not hold"),
+    None: ("", "? undecided"),
+}
+_TICKS = (0.01, 0.1, 0.25, 0.5, 0.75, 0.9, 0.99, 0.999, 0.9999, 0.99999, 0.999999, 0.9999999)
+_APART = 13.0  # per cent of the scale between its numbers
+_SURE = 1e-15  # odds of 0 and 1 are those of this distance
+
+
+def headline(data: Mapping[str, Any], guarantees: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What the page shows first: `value`, `whose`, `chips`, `lead`, `rows` and `ticks` of the scale."""
+    shown = next((c for c in data["checks"] if c["question"] == "policy"), next(iter(data["checks"]), None))
+    learned = bool(data["training"])
+    asked = [{"kind": _VERDICTS[one["holds"]][0], "text": f"{_VERDICTS[one['holds']][1]}: {one['claim']}"}
+             for one in data.get("asked") or ()]  # fmt: skip
+    if shown is None:
+        found: dict[str, Any] = {
+            "value": f"P ≥ {guarantees[0]['P_at_least']}",
+            "whose": f"under the learned policy, with confidence {guarantees[0]['confidence']}",
+            "chip": None,
+            "lead": "The model is a black box: its probabilities are unknown, so nothing can be checked exactly. The "
+            f"bound is from {guarantees[0]['guaranteed_by']}.",
+        }
+    else:
+        found = {
+            "value": f"P = {value_text(shown['probability'])}",
+            "whose": _whose(shown, learned),
+            "chip": _gap_chip(shown, data["checks"]),
+            "lead": _lead(shown, data["checks"]),
+        }
+    rows = _rows(data, shown, learned)
+    ticks = positions(rows)
+    return {**found, "asked": asked, "shown": shown, "rows": rows if len(rows) > 1 else [], "ticks": ticks}
+
+
+def positions(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Give each row, with its `values`, their positions `x` on one scale of odds; the numbers on that scale."""
+    place, ticks = _scale([p for row in rows for p in row["values"]])
+    for row in rows:
+        row["x"] = [place(p) for p in row["values"]]
+    return ticks
+
+
+def value_text(p: float) -> str:
+    """As many digits as tell it from 1: 0.9999862."""
+    if 0.999 < p < 1:
+        digits = min(15, math.ceil(-math.log10(1 - p)) + 2)
+        text = f"{p:.{digits}f}"
+        return text if float(text) < 1 else probability_text(p)
+    return probability_text(p)
+
+
+def one_in(p: float) -> str:
+    """How often the task fails, in words."""
+    failing = 1 - p
+    if failing <= 0:
+        return "no run fails"
+    if failing > 0.05:
+        return f"{100 * failing:.3g} % of runs fail"
+    n = 1 / failing
+    rounded = round(n, 1 - math.floor(math.log10(n)))
+    return f"about one run in {rounded:,.0f} fails".replace(",", "\u202f")
+
+
+def _whose(shown: Mapping[str, Any], learned: bool) -> str:
+    nature = f", {NATURES[shown['nature']]}" if shown.get("nature") in NATURES else ""
+    if shown["question"] == "policy":
+        return f"under the {'learned' if learned else 'given'} policy{nature}"
+    return f"{shown['question']} over all policies{nature}"
+
+
+def _gap_chip(shown: Mapping[str, Any], checks: Sequence[Mapping[str, Any]]) -> dict[str, str] | None:
+    """How far the policy is from the optimum; None if that was not computed."""
+    best = _optimum(shown, checks)
+    if shown["question"] != "policy" or best is None:
+        return None
+    if shown["gap"] <= shown["optimum_upper"] - shown["optimum_lower"]:
+        return {"kind": "good", "text": "optimal"}
+    below = "below the best possible" if best["question"] == "maximum" else "above the least possible"
+    return {"kind": "good" if shown["gap"] < 1e-3 else "", "text": f"{shown['gap']:.2g} {below}"}
+
+
+def _optimum(shown: Mapping[str, Any], checks: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
+    return next((c for c in checks if c["question"] != "policy" and c.get("nature") == shown.get("nature")), None)
+
+
+def _lead(shown: Mapping[str, Any], checks: Sequence[Mapping[str, Any]]) -> str:
+    how_often = f"{one_in(shown['probability'])[0].upper()}{one_in(shown['probability'])[1:]}."
+    best = _optimum(shown, checks)
+    if shown["question"] == "maximum":
+        return f"{how_often} No policy does better."
+    if shown["question"] == "minimum":
+        return f"{how_often} No policy does worse."
+    if best is None:
+        return how_often
+    if shown["gap"] <= shown["optimum_upper"] - shown["optimum_lower"]:
+        return f"{how_often} No policy does {'better' if best['question'] == 'maximum' else 'worse'}."
+    limit = probability_text(best["probability"])
+    return f"{how_often} No policy does {'better' if best['question'] == 'maximum' else 'worse'} than {limit}."
+
+
+def _rows(data: Mapping[str, Any], shown: Mapping[str, Any] | None, learned: bool) -> list[dict[str, Any]]:
+    """What is known about P: name, how sure, kind of mark, values, and text."""
+    rows: list[dict[str, Any]] = []
+    if shown is not None and shown["question"] == "policy":
+        rows.append(_row(f"The {'learned' if learned else 'given'} policy", "exactly", "ours", shown["probability"]))
+    for check in data["checks"]:
+        if check["question"] != "policy":
+            what = f"{'Best' if check['question'] == 'maximum' else 'Least'} over all policies"
+            nature = f", {NATURES[check['nature']]}" if check.get("nature") in NATURES else ""
+            rows.append(_row(what + nature, "exactly", "optimum", check["probability"]))
+    for found in data.get("guarantees") or ():
+        if "refused" not in found:
+            sure = f"{100 * found['confidence']:.12g} %"
+            what = {"learning data": "Learning data", "fresh runs": f"{found.get('runs')} fresh runs"}.get(
+                found["source"], "Learning data and fresh runs"
+            )
+            if found.get("support") == "known":
+                what += ", successors known"
+            if found.get("parameters"):
+                what += ", one parameter"
+            row = _row(what, sure, "from", found["lower"])
+            rows.append(row | {"text": f"≥ {floor_text(found['lower'])}"})
+    for found in data.get("estimates") or ():
+        sure = f"{100 * found['confidence']:.12g} %"
+        row = _row(f"{found['runs']} sampled runs", sure, "range", found["lower"])
+        text = f"{floor_text(found['lower'], 4)} … {ceiling_text(found['upper'], 4)}"
+        rows.append(row | {"values": [found["lower"], found["upper"]], "text": text})
+    return rows
+
+
+def _row(what: str, sure: str, kind: str, p: float) -> dict[str, Any]:
+    return {"what": what, "sure": sure, "kind": kind, "values": [p], "text": probability_text(p)}
+
+
+def _scale(values: Sequence[float]) -> tuple[Any, list[dict[str, Any]]]:
+    """A position in per cent for each probability, on a scale of odds, and the numbers on that scale."""
+    inside = [_odds(p) for p in values if 0 < p < 1]
+    low, high = min([*inside, _odds(0.5)]) - 0.15, max([*inside, _odds(0.9)]) + 0.35
+
+    def place(p: float) -> float:
+        return round(min(100.0, max(0.0, 100 * (_odds(p) - low) / (high - low))), 2)
+
+    ticks: list[dict[str, Any]] = []
+    for p in _TICKS:
+        x = place(p)
+        if 4 < x < 96 and (not ticks or x - ticks[-1]["x"] >= _APART):
+            ticks.append({"x": x, "text": f"{p:g}" if p < 0.99999 else f"1 − {1 - p:.0e}"})
+    return place, ticks
+
+
+def _odds(p: float) -> float:
+    p = min(1 - _SURE, max(_SURE, p))
+    return math.log10(p / (1 - p))

@@ -1,0 +1,177 @@
+"""The explorer's engine, a twin of the checker in JavaScript, against the checker: in node, where there is one."""
+
+import json
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+import stltool as stl
+from stltool.checking.situations import Situations, policy_numbers, reachable
+from stltool.reporting.explorer import automaton_data, explorer_data
+from tests.conftest import ROOT, many
+
+ENGINE = ROOT / "stltool" / "reporting" / "templates" / "engine.js"
+pytestmark = pytest.mark.skipif(shutil.which("node") is None, reason="the engine runs in node, which is absent")
+
+
+def run_twin(product, policy, edits=(), file=None, maximize=True):
+    """The explorer's data of a policy, and what the engine makes of it."""
+    checked = stl.check(product, policy)
+    data = explorer_data(product, checked, stl.check(product, maximize=maximize), None, False)
+    assert "refused" not in data
+    home, _ = policy.on(product)
+    given = {
+        "explorer": data,
+        "automaton": automaton_data(home.automaton),
+        "edits": list(edits),
+        "file": str(file or ""),
+    }
+    command = ["node", ROOT / "tests" / "reporting" / "twin.js", ENGINE]
+    done = subprocess.run(command, input=json.dumps(given), capture_output=True, text=True, check=True)
+    return checked, data, json.loads(done.stdout)
+
+
+def random_product(rng, n=6):
+    """A model with states of one to three choices, some of whose transitions have probability 0, and a task on it."""
+    rows = rng.dirichlet(np.full(n, 0.4), size=(3, n))
+    rows[rows < 0.05] = 0
+    rows /= rows.sum(axis=2, keepdims=True)
+    available = rng.random((3, n)) < 0.7
+    available[0] = True
+    labels = {name: rng.random(n) < 0.35 for name in "ab"}
+    initial = rng.dirichlet(np.ones(n))
+    rows[~available] = 0  # a row of zeros: the action is not available
+    model = stl.MDP.from_arrays(rows, {}, labels=labels, initial=initial)
+    text = rng.choice(["G[0,3] F[0,3] a", "F[0,6] (a & F[1,2] b)", "!a U[1,6] b", "F[0,4] G[0,2] a | G[0,5] !b"])
+    return stl.build_product(model, stl.parse(str(text)))
+
+
+def random_edits(product, rng, count):
+    nodes = np.concatenate(reachable(product))
+    if not len(nodes):
+        return []
+    chosen = rng.integers(len(nodes), size=count)
+    sizes = np.diff(product.model.choice_start)[nodes[chosen] // product.automaton.n_states]
+    return [(int(n), int(rng.integers(size))) for n, size in zip(chosen, sizes, strict=True)]
+
+
+def edited(product, policy, edits):
+    """The same edits made in Python, as a dense table by step."""
+    nodes = reachable(product)
+    numbers, _ = policy_numbers(product, policy, nodes)
+    for n, i in edits:
+        numbers[n] = i
+    table = np.full((product.horizon, *product.shape), -1)
+    step = np.repeat(np.arange(len(nodes)), [len(layer) for layer in nodes])
+    table[step, *np.divmod(np.concatenate(nodes), product.automaton.n_states)] = numbers
+    return stl.Policy(product, table)
+
+
+@pytest.mark.parametrize("seed", range(many(6)))
+def test_edits_have_the_probability_that_the_checker_finds(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    product = random_product(rng)
+    policy = stl.check(product).policy
+    edits, file = random_edits(product, rng, 20), tmp_path / "edited.npz"
+    checked, data, found = run_twin(product, policy, edits, file)
+    assert (found["nodes"], found["checksum"]) == (data["claim"]["nodes"], data["claim"]["checksum"])
+    assert found["probability"] == pytest.approx(checked.probability, abs=1e-12)
+    assert found["optimum"] == pytest.approx(data["claim"]["optimum"], abs=1e-12)
+    assert found["undone"] == found["probability"]  # bit for bit
+    if not edits:
+        return
+    exported = stl.load_policy(file, product)
+    judged = stl.check(product, exported).probability
+    assert found["edited"][-1] == pytest.approx(judged, abs=1e-12)
+    assert judged == pytest.approx(stl.check(product, edited(product, policy, edits)).probability, abs=1e-12)
+
+
+def test_the_factorys_policy_value_for_value(patrolling, tmp_path):
+    learned = stl.learn(patrolling, "cfer", episodes=40, seed=1).policy
+    rng = np.random.default_rng(0)
+    edits, file = random_edits(patrolling, rng, 20), tmp_path / "edited.npz"
+    checked, _, found = run_twin(patrolling, learned, edits, file)
+    assert found["probability"] == pytest.approx(checked.probability, abs=1e-12)
+    judged = stl.check(patrolling, stl.load_policy(file, patrolling)).probability
+    assert found["edited"][-1] == pytest.approx(judged, abs=1e-12)
+    here = Situations(patrolling, learned)
+    step = np.repeat(np.arange(len(here.nodes)), list(map(len, here.nodes))).tolist()
+    pairs = [divmod(code, patrolling.automaton.n_states) for code in np.concatenate(here.nodes).tolist()]
+    values = [here.value(t, s, q) for t, (s, q) in zip(step, pairs, strict=True)]
+    assert found["values"] == pytest.approx(values, abs=1e-15)
+    [worst] = stl.likely_runs(patrolling, learned, count=1).runs
+    assert found["worst"]["p"] == pytest.approx(worst.probability, rel=1e-9)
+    assert tuple(step[0] for step in found["worst"]["steps"]) == worst.states
+    [best] = stl.likely_runs(patrolling, learned, count=1, satisfied=True).runs
+    assert found["best"]["p"] == pytest.approx(best.probability, rel=1e-9)
+
+
+@pytest.mark.parametrize("stationary", [True, False])
+def test_mixed_policies_keep_their_mixtures(patrolling, tmp_path, stationary):
+    rng = np.random.default_rng(3)
+    steps = () if stationary else (patrolling.horizon,)
+    weights = rng.dirichlet(np.full(9, 0.3), size=(*steps, *patrolling.shape))
+    weights[..., 0, :] = np.eye(9)[4]  # some take one action for certain
+    policy = stl.Policy(patrolling, weights)
+    edits, file = random_edits(patrolling, rng, 5), tmp_path / "edited.npz"
+    checked, data, found = run_twin(patrolling, policy, edits, file)
+    assert found["probability"] == pytest.approx(checked.probability, abs=1e-12)
+    exported = stl.load_policy(file, patrolling)
+    assert not exported.deterministic
+    assert found["edited"][-1] == pytest.approx(stl.check(patrolling, exported).probability, abs=1e-12)
+    [worst] = stl.likely_runs(patrolling, policy, count=1).runs
+    assert found["worst"]["p"] == pytest.approx(worst.probability, rel=1e-9)
+    assert data["arrays"]["mixtures"][1]
+
+
+def test_a_policy_without_an_action_somewhere_has_no_value_there(patrolling, tmp_path):
+    """The optimal policy, silent where no run under it comes: P is known, until an edit leads there."""
+    best = stl.check(patrolling).policy
+    nodes = reachable(patrolling)
+    _, _, found = run_twin(patrolling, best)
+    unreached = np.flatnonzero(np.array(found["visits"]) == 0)
+    table = edited(patrolling, best, []).table.copy()
+    step = np.repeat(np.arange(len(nodes)), [len(layer) for layer in nodes])
+    s, q = np.divmod(np.concatenate(nodes), patrolling.automaton.n_states)
+    table[step[unreached], s[unreached], q[unreached]] = -1
+    silent = stl.Policy(patrolling, table)
+    rng = np.random.default_rng(0)
+    start = [(0, i) for i in range(9)]
+    checked, _, found = run_twin(patrolling, silent, [*start, *random_edits(patrolling, rng, 3)], tmp_path / "e.npz")
+    assert found["probability"] == pytest.approx(checked.probability, abs=1e-12)
+    assert [found["values"][n] is None for n in unreached] == [True] * len(unreached)
+    assert None in found["edited"]  # another first action leads where the policy takes none
+    assert found["undone"] == found["probability"]
+    stl.load_policy(tmp_path / "e.npz", patrolling)
+
+
+def test_the_worst_policy_is_explored_against_the_least_probability(patrolling):
+    worst = stl.check(patrolling, maximize=False)
+    _, data, found = run_twin(patrolling, worst.policy, maximize=False)
+    assert data["claim"]["maximize"] is False
+    assert found["optimum"] == pytest.approx(worst.probability, abs=1e-12)
+
+
+def test_a_policy_with_its_own_memory_is_explored_and_not_exported(patrolling, flagged):
+    policy = stl.Policy(flagged, stl.check(flagged).policy.table)
+    checked, data, found = run_twin(patrolling, policy)
+    assert found["probability"] == pytest.approx(checked.probability, abs=1e-12)
+    assert data["header"] is None
+    assert "remembers more" in data["no_export"]
+
+
+def test_a_function_is_asked_only_where_its_runs_come(patrolling):
+    asked = set()
+
+    def stay(situation):
+        asked.add((situation.step, situation.state, situation.memory))
+        return "stay" if situation.step else "NE"
+
+    policy = stl.Policy.from_function(patrolling, stay)
+    stl.check(patrolling, policy)
+    before = len(asked)
+    checked, _, found = run_twin(patrolling, policy)
+    assert len(asked) == before
+    assert found["probability"] == pytest.approx(checked.probability, abs=1e-12)
