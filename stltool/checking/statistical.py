@@ -327,11 +327,13 @@ def clopper_pearson(
     planned_runs(runs, None, confidence, side)
     if not 0 <= satisfied <= runs:
         raise SettingsError(f"{satisfied} of {runs} runs satisfied; give counts with 0 <= satisfied <= runs")
-    from scipy.stats import beta  # quantiles; binomtest's interval is only accurate to an absolute 1e-12
+    # quantiles of the beta distribution, those of scipy.stats, which takes half a second to load; the intervals of its
+    # binomtest are only accurate to an absolute 1e-12
+    from scipy.special import betainccinv, betaincinv
 
     tail = _tail(confidence, side)
-    lower = float(beta.ppf(tail, satisfied, runs - satisfied + 1)) if side != "upper" and satisfied > 0 else 0.0
-    upper = float(beta.isf(tail, satisfied + 1, runs - satisfied)) if side != "lower" and satisfied < runs else 1.0
+    lower = float(betaincinv(satisfied, runs - satisfied + 1, tail)) if side != "upper" and satisfied > 0 else 0.0
+    upper = float(betainccinv(satisfied + 1, runs - satisfied, tail)) if side != "lower" and satisfied < runs else 1.0
     return lower, upper
 
 
@@ -365,12 +367,12 @@ def runs_needed(epsilon: float | Fraction, confidence: float | Fraction = 0.99, 
 
 def _excess(runs: int, tail: float) -> float:
     """The largest upper − k/n over all outcomes k (by symmetry also of k/n − lower): it rises with k, then falls."""
-    from scipy.stats import beta
+    from scipy.special import betainccinv
 
     first, last = 0, runs - 1  # k = n has the trivial upper bound 1
     while True:
         k = np.unique(np.linspace(first, last, min(_GRID, last - first + 1)).round().astype(np.int64))
-        excess = beta.isf(tail, k + 1, runs - k) - k / runs
+        excess = betainccinv(k + 1, runs - k, tail) - k / runs
         top = int(excess.argmax())
         if last - first < _GRID:
             return float(excess[top])
