@@ -11,7 +11,7 @@ import pytest
 
 from stltool import cli, log, streams
 from stltool.log import Log
-from tests.cli.every import CASES, COMMANDS, make_inputs
+from tests.cli.every import CASES, COMMANDS, make_inputs, print_json
 from tests.conftest import MORE, PATROLLING, some
 
 HELP = [[], *([name] for name in COMMANDS)]
@@ -67,38 +67,14 @@ def test_help_ends_with_an_example_that_is_a_command(name):
     assert set(given) == {parameter.name for parameter in COMMANDS[name].params} - {"help"}
 
 
-# one process for all, which takes an eighth of the time; where its output goes is changed below Python, so that what C
-# code writes is seen as well, and what each command leaves for the end of the process comes in the last file
-ONE_BY_ONE = """
-import json, os, sys
-from stltool.cli import main
-for name, arguments in json.load(sys.stdin).items():
-    for number, kind in ((1, "out"), (2, "err")):
-        file = os.open(f"{sys.argv[1]}/{name}.{kind}", os.O_WRONLY | os.O_CREAT)
-        os.dup2(file, number)
-        os.close(file)
-    code, sys.argv[1:], here = 0, [name, *arguments, "--json"], sys.argv[1]
-    try:
-        main()
-    except SystemExit as ended:
-        code = ended.code or 0
-    sys.argv[1:] = [here]
-    assert code == 0, name
-    sys.stdout.flush()
-os.dup2(os.open(f"{sys.argv[1]}/end.out", os.O_WRONLY | os.O_CREAT), 1)
-"""
-
-
-def test_json_is_one_object_and_nothing_else(folder, tmp_path):
-    subprocess.run(
-        [sys.executable, "-c", ONE_BY_ONE, tmp_path], cwd=folder, input=json.dumps(CASES), text=True, check=True
-    )
+def test_json_is_one_object_and_nothing_else(once):
+    printed = once("json", print_json)
     for name in CASES:
-        out, err = ((tmp_path / f"{name}.{kind}").read_bytes() for kind in ("out", "err"))
+        out, err = ((printed / f"{name}.{kind}").read_bytes() for kind in ("out", "err"))
         assert isinstance(json.loads(out, parse_constant=no_constant), dict), name
         assert out.count(b"\n") == 1, name
         assert b"error" not in err, name  # on a slow machine it says how far it is
-    assert (tmp_path / "end.out").read_bytes() == b""
+    assert (printed / "end.out").read_bytes() == b""
 
 
 @pytest.mark.soak
