@@ -33,6 +33,7 @@ FILLED = {
     "explain TASK|FORMULA": 'explain "G[0,9] (a -> F[0,5] b)"',
     "--certificate FILE": "--certificate best.jsonl.gz",
     "--save-policy FILE": "--save-policy best.policy",
+    "--report FOLDER": "--report out/checked",
     "certify FILE [TASK]": f"certify best.jsonl.gz {FACTORY}patrolling.stl",
     "--vary p=0.5:1": "--vary success=0.5:1",
     "explain TASK --policy FILE": f"explain {FACTORY}patrolling.stl --policy out/patrolling/policy.npz",
