@@ -15,6 +15,7 @@ import stltool as stl
 from stltool.automata import UNDECIDED
 from stltool.reporting import render, report_data
 from tests.conftest import FACTORY, ROOT, many
+from tests.reporting.test_markup import estimated, front, monitored, swept, verified  # noqa: F401  # fixtures
 from tests.reporting.test_twin import random_edits, random_product
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="browser tests need playwright, which is absent")
@@ -338,6 +339,15 @@ def test_pages_fit_and_are_kept_as_pictures(browser, factory, width, scheme):
     with Opened(browser, factory[3], width=width, scheme=scheme) as page:
         assert page.js("document.documentElement.scrollWidth") == width
         page.page.screenshot(path=SCREENSHOTS / f"factory-{width}-{scheme}.png", full_page=True)
+
+
+@pytest.mark.parametrize("kind", ["swept", "verified", "front", "monitored", "estimated"])
+def test_pages_of_other_results_fit_a_phone_and_a_screen_reader(browser, kind, request, tmp_path):
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-core is absent")
+    with Opened(browser, write(tmp_path, request.getfixturevalue(kind)), width=390, bypass_csp=True) as page:
+        assert page.js("document.documentElement.scrollWidth") == 390
+        found = axe.Axe().run(page.page)
+        assert [violation["id"] for violation in found.response["violations"]] == []
 
 
 def test_on_paper_it_is_light_and_without_controls(browser, factory):
