@@ -131,6 +131,9 @@ def explorer_data(
     assert shown is not None
     assert policy is not None
     own, (product, policy) = product, policy.on(product)
+    if product.automaton.n_states > _MOST_MEMORIES:
+        many = product.automaton.n_states
+        return {"refused": f"task and policy have {many} states of memory together, too many to choose among"}
     explored = Explored.of(product, policy)
     if explored is None:
         return {
@@ -189,8 +192,6 @@ def _refusal(product: Product, policy: Policy | None) -> str | None:
         )
     if policy is None:
         return "the policy was not kept"
-    if product.automaton.n_states > _MOST_MEMORIES:
-        return f"the automaton has {product.automaton.n_states} states, too many to choose among"
     if model.n_states > _MOST_STATES or model.n_transitions > _MOST_TRANSITIONS:
         return f"the model is too large for a page: {model.n_states} states, {model.n_transitions} transitions"
     return None

@@ -10,7 +10,7 @@ import pytest
 import stltool as stl
 from stltool.checking.situations import Situations, policy_numbers, reachable
 from stltool.reporting.explorer import automaton_data, explorer_data
-from tests.conftest import ROOT, many
+from tests.conftest import FACTORY, ROOT, many
 
 ENGINE = ROOT / "stltool" / "reporting" / "templates" / "engine.js"
 pytestmark = pytest.mark.skipif(shutil.which("node") is None, reason="the engine runs in node, which is absent")
@@ -160,6 +160,19 @@ def test_a_policy_with_its_own_memory_is_explored_and_not_exported(patrolling, f
     assert found["probability"] == pytest.approx(checked.probability, abs=1e-12)
     assert data["header"] is None
     assert "remembers more" in data["no_export"]
+
+
+def test_a_joint_policy_is_explored_with_all_that_it_remembers(floor5, monkeypatch):
+    tasks = [stl.load_task(FACTORY / "tradeoff.stl", params={"T": 2, "tau": 5}, task=name)
+             for name in ("charging", "patrolling")]  # fmt: skip
+    joint = stl.build_joint_product(floor5, tasks)
+    policy = stl.tradeoff(joint, objective="patrolling", at_least={"charging": 0}).policy
+    checked, data, found = run_twin(joint.tasks[1], policy)
+    assert found["probability"] == pytest.approx(checked.probability, abs=1e-12)
+    assert data["header"] is None
+    monkeypatch.setattr("stltool.reporting.explorer._MOST_MEMORIES", 10)
+    refused = explorer_data(joint.tasks[1], checked, None, None, False)
+    assert "too many to choose among" in refused["refused"]
 
 
 def test_a_function_is_asked_only_where_its_runs_come(patrolling):
