@@ -7,6 +7,7 @@ A learner's fields are its method's settings; what belongs to a run, whatever it
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import math
 import typing
@@ -127,8 +128,12 @@ def _plain(value: Any, kind: type | None) -> tuple[bool, Any]:
 
 def settings_of(owner: Any) -> dict[str, Setting]:
     """The settings of a dataclass or of one of its instances, by name, in their order."""
-    cls = owner if isinstance(owner, type) else type(owner)
-    hints = typing.get_type_hints(cls)
+    return dict(_settings_of(owner if isinstance(owner, type) else type(owner)))
+
+
+@functools.cache
+def _settings_of(cls: Any) -> dict[str, Setting]:
+    hints = typing.get_type_hints(cls)  # which takes a millisecond, and a sweep asks for every run
     found = {}
     for field in dataclasses.fields(cls):
         kind, optional = _kind(hints[field.name])
