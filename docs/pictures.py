@@ -8,6 +8,7 @@ tests/reporting/test_pictures.py and `make claims` draw them again and compare.
 """
 
 import argparse
+import functools
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -31,12 +32,15 @@ EXAMPLES, OUT = HERE.parent / "examples", HERE.parent / "out"
 sys.path.insert(0, str(HERE.parent))  # the robot's example draws its own floor
 
 
+report = functools.cache(load_report)  # which makes its page, to see whether the data are whole
+
+
 def curve() -> str:
-    return str(curve_picture(load_report(OUT / "patrolling" / "report.json")))
+    return str(curve_picture(report(OUT / "patrolling" / "report.json")))
 
 
 def floor() -> str:
-    return str(run_picture(load_report(OUT / "patrolling" / "report.json")))
+    return str(run_picture(report(OUT / "patrolling" / "report.json")))
 
 
 def front() -> str | bytes:

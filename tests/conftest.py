@@ -64,9 +64,10 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    """What was imported and collected stays: the garbage collector need not look at it again and again."""
+    """What was imported and collected stays: the garbage collector need not look at it again and again, nor often."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(50_000, 50, 100)
 
 
 def needs_outside(name: str) -> pytest.MarkDecorator:

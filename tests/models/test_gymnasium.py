@@ -462,7 +462,7 @@ def trainings():
     found = []
     for model in (lake(), lake(table=False)):
         product = stl.build_product(model, CROSSING)
-        found.append((product, stl.learn(product, episodes=600, seed=3)))
+        found.append((product, stl.learn(product, episodes=300, seed=3)))
     return found
 
 
@@ -475,7 +475,7 @@ def test_the_lake_is_learned_with_and_without_its_table(trainings, tmp_path):
     exact = stl.check(known, transferred).probability
     assert exact > 0.95 * best
     assert {point.probability for point in by_steps.history} == {None}
-    found = stl.estimate(unknown, by_steps.policy, runs=800, seed=3)
+    found = stl.estimate(unknown, by_steps.policy, runs=400, seed=3)
     assert found.lower <= exact <= found.upper
     assert stl.sprt(unknown, by_steps.policy, 0.5, seed=3).verdict == "holds"
     run = stl.sample_run(unknown, by_steps.policy, seed=0)
@@ -490,7 +490,8 @@ def test_the_lake_is_learned_with_and_without_its_table(trainings, tmp_path):
 def test_same_seed_same_result(trainings):
     unknown, run = trainings[1]
     again = stl.build_product(lake(table=False), CROSSING)
-    assert (stl.learn(again, episodes=600, seed=3).policy.table == run.policy.table).all()
+    few = [stl.learn(p, episodes=40, seed=3).policy.table for p in (again, unknown)]
+    assert (few[0] == few[1]).all()
     first, second = (stl.estimate(p, run.policy, runs=100, seed=1) for p in (again, unknown))
     assert (first.satisfied, first.steps) == (second.satisfied, second.steps)
     counts = {stl.estimate(unknown, run.policy, runs=100, seed=seed).steps for seed in range(4)}

@@ -9,7 +9,6 @@ import re
 import pytest
 
 import stltool as stl
-from stltool.reporting import load_report
 from stltool.reporting.data import floor_data
 from tests.conftest import ROOT
 from tests.reporting.svg import Picture, same_picture
@@ -79,8 +78,8 @@ def test_the_committed_robot_drives_as_it_does_today(pictures):
     assert numbers == pytest.approx(numbers_today, abs=0.05)
 
 
-def test_the_committed_floor_has_the_demos_run(demo):
-    data = load_report(demo / "out" / "patrolling" / "report.json")
+def test_the_committed_floor_has_the_demos_run(pictures, demo):
+    data = pictures.report(demo / "out" / "patrolling" / "report.json")
     require_run(Floor(committed("floor")), data["floor"], data["run"]["states"])
 
 
