@@ -15,6 +15,7 @@ _VERDICTS = {
     None: ("", "? undecided"),
 }
 _TICKS = (0.01, 0.1, 0.25, 0.5, 0.75, 0.9, 0.99, 0.999, 0.9999, 0.99999, 0.999999, 0.9999999)
+_RARE = 0.05  # up to here it is one run in so many
 _APART = 13.0  # per cent of the scale between its numbers
 _SURE = 1e-15  # odds of 0 and 1 are those of this distance
 
@@ -63,15 +64,15 @@ def value_text(p: float) -> str:
 
 
 def one_in(p: float) -> str:
-    """How often the task fails, in words."""
-    failing = 1 - p
-    if failing <= 0:
-        return "no run fails"
-    if failing > 0.05:
-        return f"{100 * failing:.3g} % of runs fail"
-    n = 1 / failing
+    """How often the task fails, in words; what is rare is counted, so that it is not rounded away."""
+    if p <= 0 or p >= 1:
+        return "no run fails" if p >= 1 else "every run fails"
+    if _RARE < p < 1 - _RARE:
+        return f"{100 * (1 - p):.3g} % of runs fail"
+    n = 1 / min(p, 1 - p)
     rounded = round(n, 1 - math.floor(math.log10(n)))
-    return f"about one run in {rounded:,.0f} fails".replace(",", "\u202f")
+    what = "fails" if p > _RARE else "succeeds"
+    return f"about one run in {rounded:,.0f} {what}".replace(",", "\u202f")
 
 
 def _whose(shown: Mapping[str, Any], learned: bool) -> str:
