@@ -288,6 +288,7 @@ def test_a_run_branches_where_one_chooses(opened):
 
 def test_the_picture_is_a_table_too(opened):
     opened.page.click("#as-table summary")
+    opened.page.wait_for_selector("#map-table tbody tr")
     rows = opened.page.locator("#map-table tbody tr")
     assert rows.count() > 3
     assert opened.page.locator("#map-table th[scope=col]").count() == 7
@@ -385,6 +386,7 @@ def test_names_stay_texts(browser, tmp_path):
         assert page.js("document.querySelectorAll('img').length") == 0
         assert names[1] in page.text("#line") + page.text("#here")
         page.page.click("#as-table summary")
+        page.page.wait_for_selector("#map-table tbody tr")
         assert names[0] in page.text("#map-table")
 
 
