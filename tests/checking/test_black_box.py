@@ -142,6 +142,7 @@ def test_what_needs_probabilities_refuses_black_boxes(known, unknown, tmp_path):
         lambda: model.nominal().require_points(),
         lambda: stl.likely_runs(unknown, policy),
         lambda: stl.sensitivity(unknown, policy),
+        lambda: stl.policy_tree(unknown, policy),
         lambda: stl.pareto(joint),
         lambda: stl.tradeoff(joint, "one"),
         lambda: stl.stationary(unknown),
@@ -160,7 +161,7 @@ def test_what_needs_probabilities_refuses_black_boxes(known, unknown, tmp_path):
 def test_every_public_function_on_products_knows_of_black_boxes():
     """A function that is new here must answer for black boxes or refuse them, with a line in the tests above."""
     refusing = {"check", "robust_check", "likely_runs", "sensitivity", "pareto", "tradeoff", "surrogate_optimum",
-                "stationary", "parametric"}  # fmt: skip
+                "stationary", "parametric", "policy_tree"}  # fmt: skip
     fit = {"learn", "guarantee", "estimate", "sprt", "sample_run", "build_product", "build_joint_product",
            "to_gymnasium", "explain", "report", "optimality_gap"}  # fmt: skip
     found = {name: getattr(stl, name) for name in stl.__all__ if inspect.isfunction(getattr(stl, name))}

@@ -498,6 +498,7 @@ def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
         lambda: stl.write_certificate(stl.robust_check(product), tmp_path / "proof.jsonl"),
         lambda: stl.likely_runs(product, policy),
         lambda: stl.sensitivity(product, policy),
+        lambda: stl.policy_tree(product, policy),
         lambda: stl.estimate(product, policy, runs=10),
         lambda: stl.sprt(product, policy, 0.5),
         lambda: stl.pareto(joint),
@@ -529,7 +530,7 @@ def test_explain_reads_no_probability(floor5):
 def test_every_public_function_on_products_knows_of_intervals():
     """A function that is new here must answer for intervals or refuse them, with a line in the test above."""
     refusing = {"check", "learn", "sample_run", "likely_runs", "sensitivity", "estimate", "sprt", "pareto", "tradeoff",
-                "surrogate_optimum", "to_gymnasium", "stationary", "parametric"}  # fmt: skip
+                "surrogate_optimum", "to_gymnasium", "stationary", "parametric", "policy_tree"}  # fmt: skip
     fit = {"robust_check", "build_product", "build_joint_product", "guarantee", "explain", "report", "optimality_gap"}
     found = {name: getattr(stl, name) for name in stl.__all__ if inspect.isfunction(getattr(stl, name))}
     models = {"product", "model", "joint"}
