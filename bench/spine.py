@@ -21,8 +21,9 @@ import numpy as np
 import stltool as stl
 from stltool import kernels
 from stltool.checking import estimate_from
+from stltool.learning.optimism import Doubt
 from stltool.learning.problem import Problem
-from stltool.learning.tables import ClockedTable
+from stltool.learning.tables import ClockedTable, Entries
 
 ROOT = Path(__file__).resolve().parent.parent
 FACTORY = ROOT / "examples" / "factory"
@@ -54,21 +55,22 @@ def update_ratio(product: stl.Product) -> str:
     problem, rng = Problem.of(product), np.random.default_rng(0)
     rows = np.stack([rng.integers(n, size=2000) for n in (problem.n_states, 9, problem.n_states)], axis=1)
     rows = rows.astype(np.int32)
-    tables = [ClockedTable(problem, 0.02, 0.1, count_every_entry=False) for _ in range(2)]
-    for table in tables:
-        table.visits[:] = 10
+    entries = Entries(problem)
+    visits = np.full(entries.shape[:2], 10)
+    tables = [ClockedTable(entries, visits, Doubt(0.1), 0.02) for _ in range(2)]
+    trust = 1 - float(Doubt(0.1).share(visits, 10)[0, 0])
 
     def one_by_one(some: np.ndarray) -> None:
         """As it is written down: an update a pair (t, q), the best next value looked up in the Q-table."""
-        Q, E, alpha = tables[1].Q, tables[1].Q.shape[2], 0.1
+        Q, E, alpha = tables[1].Q, entries.E, 0.1
         for s, a, s2 in some.tolist():
-            letter, after = problem.letter[s], tables[1].successor[problem.letter[s], problem.letter[s2]]
-            for e in range(tables[1].entries[letter]):
+            letter, after = problem.letter[s], entries.successor[problem.letter[s], problem.letter[s2]]
+            for e in range(entries.numbers[letter]):
                 value = Q[s2, :, after[e]].max() if after[e] < E else float(after[e] == E + 1)
-                Q[s, a, e] += alpha * (value - Q[s, a, e])
+                Q[s, a, e] += alpha * (trust * value - Q[s, a, e])
 
     def updates(some: np.ndarray) -> int:
-        return int(tables[0].entries[problem.letter[some[:, 0]]].sum())
+        return int(entries.numbers[problem.letter[some[:, 0]]].sum())
 
     few = rows[:20]
     tables[0].update_all(few)

@@ -18,7 +18,7 @@ from stltool.automata.samples import truth_along
 from stltool.checking.induction import Game, layers_of
 from stltool.errors import SizeError
 from stltool.learning.problem import Problem
-from stltool.learning.tables import ClockedTable
+from stltool.learning.tables import Entries
 from stltool.logic.formula import Always, And, Eventually, Interval, Label, Or
 from stltool.product import joined
 from stltool.sizes import integer_type, require_numbered
@@ -131,8 +131,7 @@ def parts():
 def entries():
     model = stl.MDP.from_arrays(**line(4))
     product = stl.build_product(model, stl.parse("G[0,4] F[0,2] B"))
-    size = ClockedTable(Problem.of(product), least_step=0.1, caution=0.1, count_every_entry=False).Q.shape[2]
-    return size, lambda: stl.learn(product, "cfer", episodes=1, seed=0)
+    return Entries(Problem.of(product)).E, lambda: stl.learn(product, "cfer", episodes=1, seed=0)
 
 
 AUTOMATA = {

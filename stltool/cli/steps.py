@@ -274,8 +274,6 @@ def read_learner(method: str | None, faithful: bool, pairs: list[str] | None) ->
     from stltool.learning.methods import class_of, make, require_setting
     from stltool.learning.settings import Budget, settings_of
 
-    if method is None:
-        method = "cfer" if faithful else "model-based"
     cls = class_of(method, faithful)
     settings: dict[str, Any] = {}
     for pair in pairs or []:

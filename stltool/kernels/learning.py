@@ -1,8 +1,8 @@
 """Q-learning's inner loops. S model states, N automaton states, C choices, E entries (pairs (t, q) still open).
 
 surrogate   Q (S, N, C):   Q[s,q,a] += α (r(q') + γ max Q[s',q',·] − Q[s,q,a])                  [Wang24, eq. 5]
-clocked     Q (S, C, E), V (S, E+2):   Q[s,a,e] += α (V[s', succ(e)] − Q[s,a,e]),   V = max over a that were tried
-hopeful     U, W alike:   U[s,a,e] += α ((1−h) W[s', succ(e)] + h · paradise − U[s,a,e]),   h the hope of (s, a)
+clocked     Q (S, C, E), V (S, E+2):   Q[s,a,e] += α ((1−g) V[s', succ(e)] + g · worth(e) − Q[s,a,e]),   V = max over a,
+            g the share of (s, a) that leads outside, of doubt or of hope
 
 `env`, `table` and `replay` are the named tuples of kernels/tuples.py. Kernels pass int64 to each other, whatever arrays
 hold, so that each is compiled once.
@@ -132,8 +132,7 @@ def surrogate_episode(
 def clocked_update(
     Q: F64, V: F64, visits: I64, s: int, a: int, e: int, n_choices: int, value: float, least: float
 ) -> None:
-    """The factual update of one entry, α = max(least, 1/n)."""
-    visits[s, a, e] += 1
+    """The factual update of one entry, α = max(least, 1/n), n with this visit."""
     Q[s, a, e] += max(least, 1.0 / visits[s, a, e]) * (value - Q[s, a, e])
     best = Q[s, 0, e]
     for b in range(1, n_choices):
@@ -143,20 +142,22 @@ def clocked_update(
 
 @kernel
 def clocked_transitions(
-    Q: F64, V: F64, visits: I64, letter: I32, entries: I64, successor: I32, n_choices: I64, least: float, rows: I32
-) -> None:
+    Q: F64, V: F64, visits: I64, letter: I32, entries: I64, successor: I32, n_choices: I64, least: float,
+    share: F64, worth: F64, rows: I32,
+) -> None:  # fmt: skip
     """Every open (t, q) for which real transitions, rows (n, 3) of (s, a, s'), are evidence, one after another.
 
     entries (n_letters,): how many a state has, those of the last step first; successor (n_letters, n_letters, E).
+    share (S, C) of every choice's value is `worth` (n_letters, E).
     """
     for i in range(len(rows)):
         s, a, s2 = rows[i, 0], rows[i, 1], rows[i, 2]
-        alpha = max(least, 1.0 / visits[s, a])
-        after = successor[letter[s], letter[s2]]
+        alpha, outside = max(least, 1.0 / visits[s, a]), share[s, a]
+        after, aside = successor[letter[s], letter[s2]], worth[letter[s]]
         mine, values, ahead = Q[s, a], V[s], V[s2]
         for e in range(entries[letter[s]]):  # later steps come first, so values of the same state are already updated
             old = mine[e]
-            new = old + alpha * (ahead[after[e]] - old)
+            new = old + alpha * ((1.0 - outside) * ahead[after[e]] + outside * aside[e] - old)
             mine[e] = new
             if new >= values[e]:
                 values[e] = new
@@ -164,31 +165,6 @@ def clocked_transitions(
                 best = Q[s, 0, e]
                 for b in range(1, n_choices[s]):
                     best = max(best, Q[s, b, e])
-                values[e] = best
-
-
-@kernel
-def hopeful_transitions(
-    U: F64, W: F64, visits: I64, letter: I32, entries: I64, successor: I32, n_choices: I64, least: float,
-    hope: F64, worth: F64, rows: I32,
-) -> None:  # fmt: skip
-    """As `clocked_transitions`, for optimistic values U (S, C, E), W (S, E+2): a share of every choice's value,
-    hope (S, C), is that of a paradise, worth (n_letters, E)."""
-    for i in range(len(rows)):
-        s, a, s2 = rows[i, 0], rows[i, 1], rows[i, 2]
-        alpha, share = max(least, 1.0 / visits[s, a]), hope[s, a]
-        after, paradise = successor[letter[s], letter[s2]], worth[letter[s]]
-        mine, values, ahead = U[s, a], W[s], W[s2]
-        for e in range(entries[letter[s]]):
-            old = mine[e]
-            new = old + alpha * ((1.0 - share) * ahead[after[e]] + share * paradise[e] - old)
-            mine[e] = new
-            if new >= values[e]:
-                values[e] = new
-            elif old == values[e]:
-                best = U[s, 0, e]
-                for b in range(1, n_choices[s]):
-                    best = max(best, U[s, b, e])
                 values[e] = best
 
 
@@ -212,8 +188,8 @@ def _clocked() -> None:
     letter, successor = np.zeros(1, dtype=np.int32), np.zeros((1, 1, 1), dtype=np.int32)
     clocked_update(Q, V, visits, 0, 0, 0, 1, 0.0, 0.1)
     n, rows = np.ones(1, dtype=np.int64), np.zeros((1, 3), dtype=np.int32)
-    clocked_transitions(Q, V, visits[0], letter, n, successor, n, 0.1, rows)
-    hopeful_transitions(Q, V, visits[0], letter, n, successor, n, 0.1, np.zeros((1, 1)), np.zeros((1, 1)), rows)
+    share, worth = np.zeros((1, 1)), np.zeros((1, 1))
+    clocked_transitions(Q, V, visits[0], letter, n, successor, n, 0.1, share, worth, rows)
 
 
 WARM_UP = {"published": _published, "clocked": _clocked}

@@ -26,11 +26,12 @@ from stltool.learning.judged import EVERY, BestSoFar
 from stltool.learning.kept import Kept
 from stltool.learning.learner import Learner, rarest
 from stltool.learning.naive import Exact
+from stltool.learning.optimism import Doubt, Hope
 from stltool.learning.problem import Problem
 from stltool.learning.published import Counterfactual
 from stltool.learning.replay import ReplayMemory
 from stltool.learning.settings import setting
-from stltool.learning.tables import ClockedTable, HopefulTable
+from stltool.learning.tables import ClockedTable, Entries
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +53,10 @@ class Cfer(Exact, Learner["CferRun"]):
     replays: int = setting(1200, "real transitions replayed after each episode", least=0)
 
     def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> CferRun:
-        table = ClockedTable(problem, self.least_step, self.caution, count_every_entry=False)
-        hopeful = HopefulTable(problem, table, self.optimism)
+        entries = Entries(problem)
+        visits = np.zeros(entries.shape[:2], dtype=np.int64)
+        table = ClockedTable(entries, visits, Doubt(self.caution), self.least_step)
+        hopeful = ClockedTable(entries, visits, Hope(self.optimism), self.least_step, ("U", "W"))
         memory = ReplayMemory(self.memory, width=3)
         return CferRun(problem, table, hopeful, memory, BestSoFar(problem, counts, self.caution), counts)
 
@@ -87,7 +90,8 @@ class Cfer(Exact, Learner["CferRun"]):
         S, C = state.problem.n_states, state.problem.most_choices
         memory = state.memory.arrays(np.array([S, C, S]) - 1)
         best = state.best.arrays(state.problem.n_choices)
-        return {**state.table.arrays(), **state.hopeful.arrays(), **memory, **best}
+        visits = {"visits": Kept(state.table.visits, 0)}
+        return {**state.table.arrays(), **state.hopeful.arrays(), **visits, **memory, **best}
 
     def check(self, state: CferRun) -> None:
         table, counts = state.table, state.counts
@@ -110,7 +114,7 @@ class CferRun:
 
     problem: Problem
     table: ClockedTable
-    hopeful: HopefulTable
+    hopeful: ClockedTable
     memory: ReplayMemory
     best: BestSoFar
     counts: Counts

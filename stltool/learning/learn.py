@@ -140,7 +140,7 @@ def _shown(probability: float | None) -> str:
 
 def learn(
     product: Product,
-    method: str | Learner[Any] = "cfer",
+    method: str | Learner[Any] | None = None,
     *,
     faithful: bool = False,
     episodes: int = 1000,
@@ -159,9 +159,9 @@ def learn(
 ) -> Training:
     """Learn a policy without knowledge of the probabilities.
 
-    method        a learner, such as `Cfer(replays=50)` or one of your own (docs/learning.md); or a name: "cfer",
-                  "model-based", "naive", "naive-er" (exact objective, γ = 1, Q carries the clock), with `faithful=True`
-                  "naive", "naive-er", "cfer", "cfper" as published (docs/reproduction.md)
+    method        a learner, such as `Cfer(replays=50)` or one of your own (docs/learning.md); or a name: "model-based"
+                  (default), "cfer", "naive", "naive-er" (exact objective, γ = 1, Q carries the clock), with
+                  `faithful=True` "cfer" (default), "naive", "naive-er", "cfper" as published (docs/reproduction.md)
     settings      with a name: fields of its class, such as `replays=50`
     episodes      training episodes
     evaluate_every   episodes between exact evaluations of the learned policy, the points of the learning curve
@@ -245,9 +245,9 @@ def learn(
     )  # fmt: skip
 
 
-def _learner(method: str | Learner[Any], faithful: bool, settings: dict[str, Any]) -> Learner[Any]:
+def _learner(method: str | Learner[Any] | None, faithful: bool, settings: dict[str, Any]) -> Learner[Any]:
     """The requested learner, given by name or as an object."""
-    if isinstance(method, str):
+    if method is None or isinstance(method, str):
         return make(class_of(method, faithful), settings)
     if isinstance(method, type) and issubclass(method, Learner):
         raise SettingsError(f"method is the class {method.__name__}; give a learner, {method.__name__}(…)")

@@ -26,8 +26,10 @@ METHODS = tuple(dict.fromkeys(cls.name for cls in LEARNERS))
 _BY_NAME = {(cls.name, cls.published): cls for cls in LEARNERS}
 
 
-def class_of(method: str, faithful: bool) -> type[Learner[Any]]:
-    """The class of a method by its name; SettingsError if there is none."""
+def class_of(method: str | None, faithful: bool) -> type[Learner[Any]]:
+    """The class of a method by its name; SettingsError if there is none. None: the default."""
+    if method is None:
+        method = Cfer.name if faithful else ModelBased.name
     if method not in METHODS:
         raise SettingsError(f"there is no method {method!r}; {near_misses(method, METHODS)}")
     if (method, faithful) not in _BY_NAME:

@@ -39,7 +39,7 @@ from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
 from stltool.learning.kept import Kept
 from stltool.learning.learner import Learner, rarest
-from stltool.learning.optimism import hope, paradise
+from stltool.learning.optimism import doubt, hope, paradise
 from stltool.learning.problem import Problem
 from stltool.learning.settings import setting
 from stltool.models.rows import Chances, Rows, starts
@@ -257,12 +257,6 @@ def require_starts(starts: NDArray[np.int64], counts: Counts) -> None:
     """ValueError if more episodes started, undecided, than steps were counted."""
     if sum(starts.tolist()) > int(counts.seen.sum()):
         raise ValueError("more episodes started than steps were counted")
-
-
-def doubt(visits: NDArray[np.int64], caution: float) -> NDArray[np.float64]:
-    """The share of each choice that counts as a failure, after so many visits."""
-    share: NDArray[np.float64] = np.where(visits > 0, caution / np.maximum(visits + caution, _LEAST), 1.0)
-    return share
 
 
 class _Optimistic(Doubles):

@@ -14,11 +14,12 @@ from stltool.learning.episode import Episode
 from stltool.learning.judged import EVERY, BestSoFar
 from stltool.learning.kept import Kept
 from stltool.learning.learner import Learner
+from stltool.learning.optimism import Doubt
 from stltool.learning.problem import Problem
 from stltool.learning.published import Published
 from stltool.learning.schedule import Decaying
 from stltool.learning.settings import setting
-from stltool.learning.tables import ClockedTable
+from stltool.learning.tables import ClockedTable, Entries
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +43,9 @@ class Exact:
 class Clocked(Decaying, Exact):
     """The same, exploring with a probability that decays."""
 
-    def table(self, problem: Problem, count_every_entry: bool) -> ClockedTable:
-        return ClockedTable(problem, self.least_step, self.caution, count_every_entry)
+    def table(self, problem: Problem) -> ClockedTable:
+        entries = Entries(problem)
+        return ClockedTable(entries, np.zeros(entries.shape, dtype=np.int64), Doubt(self.caution), self.least_step)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +55,7 @@ class Naive(Clocked, Learner["NaiveRun"]):
     name: ClassVar[str] = "naive"
 
     def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> NaiveRun:
-        table = self.table(problem, count_every_entry=True)
+        table = self.table(problem)
         return NaiveRun(problem, table, BestSoFar(problem, counts, self.caution), counts)
 
     def episode(self, state: NaiveRun, episode: Episode) -> None:
@@ -73,7 +75,8 @@ class Naive(Clocked, Learner["NaiveRun"]):
         return state.best.better(state.table.policy_table())
 
     def arrays(self, state: NaiveRun) -> dict[str, Kept]:
-        return {**state.table.arrays(), **state.best.arrays(state.problem.n_choices)}
+        visits = {"visits": Kept(state.table.visits, 0)}
+        return {**state.table.arrays(), **visits, **state.best.arrays(state.problem.n_choices)}
 
     def check(self, state: NaiveRun) -> None:
         state.table.check()

@@ -35,7 +35,7 @@ class NaiveER(Batches, Clocked, Learner["ReplayRun"]):
     name: ClassVar[str] = "naive-er"
 
     def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> ReplayRun:
-        table = self.table(problem, count_every_entry=True)
+        table = self.table(problem)
         memory = ReplayMemory(self.memory, width=6)
         return ReplayRun(problem, table, memory, BestSoFar(problem, counts, self.caution), counts)
 
@@ -63,6 +63,7 @@ class NaiveER(Batches, Clocked, Learner["ReplayRun"]):
         h, S, N = state.problem.shape
         return {
             **state.table.arrays(),
+            "visits": Kept(state.table.visits, 0),
             **state.best.arrays(state.problem.n_choices),
             **state.memory.arrays(np.array([h, S, N, state.problem.most_choices, S, N]) - 1),
         }
@@ -74,7 +75,7 @@ class NaiveER(Batches, Clocked, Learner["ReplayRun"]):
         t, s, q, a, s2, q2 = memory.checked(int(state.counts.seen.sum())).T
         if (a >= problem.n_choices[s]).any() or (problem.automaton.delta[problem.letter[s2], q] != q2).any():
             raise ValueError("the memory contains an impossible step")
-        if not table.is_open(t, s, q).all():
+        if not table.entries.is_open(t, s, q).all():
             raise ValueError("the memory contains a step after the task was decided")
         if int(table.visits.sum(dtype=np.int64)) % self.batch:
             raise ValueError(f"visits do not add up to batches of {self.batch}")

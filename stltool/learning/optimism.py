@@ -9,15 +9,19 @@ that can be reached is tried again, for ever, and an unlucky beginning does not 
 
 Hope leads to a paradise that satisfies the task, worth a thousandth less than 1, and less the later it is entered:
 near-certain success comes first, and exploring is not postponed.
+
+Caution is the opposite, for the policy that is judged: the share κ / (n + κ) of a choice counts as a failure.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+_LEAST = 1e-300
 _HAIR = 1e-3  # far above rounding, below any gain worth exploring for
 
 
@@ -31,3 +35,39 @@ def hope(visits: NDArray[Any], of_state: NDArray[Any], optimism: float) -> NDArr
 def paradise(t: Any, horizon: int) -> Any:
     """What paradise is worth if it is entered after step t."""
     return 1.0 - _HAIR * (1 + t / horizon)
+
+
+def doubt(visits: NDArray[np.int64], caution: float) -> NDArray[np.float64]:
+    """The share of choices tried `visits` times that counts as a failure; κ is `caution`."""
+    share: NDArray[np.float64] = np.where(visits > 0, caution / np.maximum(visits + caution, _LEAST), 1.0)
+    return share
+
+
+@dataclass(frozen=True)
+class Hope:
+    """What a value with hope is made of: a share of it, and what that share is worth."""
+
+    optimism: float
+
+    def share(self, visits: NDArray[Any], of_state: Any) -> NDArray[np.float64]:
+        """Of choices tried `visits` times; `of_state`: the mean of the visits of their state's choices."""
+        return hope(visits, of_state, self.optimism)
+
+    def worth(self, t: Any, horizon: int) -> Any:
+        """After step t."""
+        return paradise(t, horizon)
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """The same with caution."""
+
+    caution: float
+
+    def share(self, visits: NDArray[Any], of_state: Any) -> NDArray[np.float64]:
+        """Of choices tried `visits` times."""
+        return doubt(visits, self.caution)
+
+    def worth(self, t: Any, horizon: int) -> Any:
+        """After step t."""
+        return np.zeros(np.shape(t))
