@@ -4,6 +4,7 @@ import math
 import subprocess
 import sys
 import tempfile
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from stltool.learning.tables import Entries
 from stltool.logic.formula import Always, And, Eventually, Interval, Label, Or
 from stltool.product import joined
 from stltool.sizes import integer_type, require_numbered
+from tests.conftest import FACTORY
 from tests.sources import sources
 
 MOST = 2**31 - 2
@@ -152,6 +154,23 @@ def test_memory_is_refused_beyond_what_can_be_numbered(monkeypatch, what):
     monkeypatch.setattr(sizes, "_MOST_NUMBERED", size - 1)
     with pytest.raises(SizeError, match="more than can be numbered"):
         build()
+
+
+@pytest.mark.parametrize("method", ["cfer", "naive", "naive-er"])
+def test_tables_that_would_not_fit_are_refused_before_memory_is_taken(monkeypatch, method):
+    """With the way out, which works."""
+    task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 10, "tau": 10})
+    product = stl.build_product(stl.load_model(FACTORY / "floor-5x5.toml"), task)
+    most = 900_000  # bytes; each table takes 1.1 million
+    monkeypatch.setattr(sizes, "_LITTLE", 0)
+    monkeypatch.setattr(sizes, "memory_limit", lambda given: most)
+    assert stl.learn(product, "model-based", episodes=1).episodes == 1
+    tracemalloc.start()
+    with pytest.raises(SizeError, match=r"Q-tables? of 18 × 9 × \d+ entries, .* use model-based, which needs no table"):
+        stl.learn(product, method, episodes=1)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < most
 
 
 # ---------------------------------------------------------------------------------------------------- counts, steps

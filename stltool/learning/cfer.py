@@ -4,12 +4,15 @@ One real transition (s, a, s') is evidence for every automaton state q at once, 
 published, each such tuple enters the memory. In the corrected version, the memory contains only real transitions, and
 each of them updates all open pairs (t, q) that it is evidence for in one vector operation, backwards along the episode.
 
-The corrected version explores deeply: it acts greedily on a second table, learned from the same transitions with hope
-(learning/optimism.py). There an untried choice is worth a paradise, and the Bellman updates carry that back to wherever
-it can be reached from. Once the task is violated, the choices tried least come first. The policy that is judged is
-that of the table without hope, where values are weighed by n / (n + κ) for n visits of the choice: a choice seen once
-is not preferred to one that has proved itself. The run ends with the best of its policies by its own data
-(learning/judged.py).
+The corrected version learns two tables from the same transitions. It acts greedily on one with hope
+(learning/optimism.py), and so explores deeply: there an untried choice is worth a paradise, and the Bellman updates
+carry that back to wherever it can be reached from. Once the task is violated, the choices tried least come first.
+
+The policy that is judged is that of the other table, which is cautious: of a choice seen n times, the share κ / (n + κ)
+counts as a failure, in every update. So what went well once is not preferred to what has proved itself, at no step on
+the way, and the table approaches the most cautious plan for the data. (A table without caution takes the best of many
+lucky choices for granted all along the way, and no longer tells good from bad.) The run ends with the best of its
+policies by its own data (learning/judged.py).
 """
 
 from __future__ import annotations
@@ -53,7 +56,7 @@ class Cfer(Exact, Learner["CferRun"]):
     replays: int = setting(1200, "real transitions replayed after each episode", least=0)
 
     def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> CferRun:
-        entries = Entries(problem)
+        entries = Entries(problem, tables=2)
         visits = np.zeros(entries.shape[:2], dtype=np.int64)
         table = ClockedTable(entries, visits, Doubt(self.caution), self.least_step)
         hopeful = ClockedTable(entries, visits, Hope(self.optimism), self.least_step, ("U", "W"))

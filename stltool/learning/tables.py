@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,15 @@ from numpy.typing import NDArray
 from stltool.automata import FALSE, TRUE
 from stltool.automata.flags import surrogate_reward
 from stltool.automata.reach import open_pairs
+from stltool.display import counted
 from stltool.kernels.tuples import Surrogate
 from stltool.learning.counts import Counts
 from stltool.learning.kept import Kept
 from stltool.learning.optimism import Doubt, Hope
 from stltool.learning.problem import Problem
 from stltool.sizes import require_memory, require_numbered
+
+_WAYS_OUT = "shorten the windows, or use model-based, which needs no table"
 
 
 class SurrogateTable:
@@ -27,7 +31,11 @@ class SurrogateTable:
     def __init__(self, problem: Problem, alpha: float, gamma: float, scale: str, outer: str) -> None:
         automaton = problem.automaton
         shape = (problem.n_states, automaton.n_states, problem.most_choices)
-        _require_table(shape)
+        require_memory(
+            2 * 8 * math.prod(map(float, shape)),
+            f"a Q-table of {' × '.join(map(str, shape))} entries",
+            "shorten the windows",
+        )
         self.Q = np.zeros(shape)
         unavailable = np.arange(shape[2]) >= problem.n_choices[:, None, None]
         self.Q[np.broadcast_to(unavailable, shape)] = -np.inf
@@ -51,23 +59,30 @@ class SurrogateTable:
 class Entries:
     """The *entries* of a state: the pairs (t, q) in which a run that has just read its letter can be, undecided.
 
-    Later steps come first. E: the most that a state has; two more, E and E + 1, stand for the verdicts.
+    Later steps come first. E: the most that a state has; two more, E and E + 1, stand for the verdicts. `tables`: how
+    many tables of values by entry there will be. SizeError if they would not fit into memory.
 
     numbers    (n_letters,): how many there are by letter; pairs: their t and q
     index      (n_letters, h, Q): the entry of (t, q), −1 if there is none
     successor  (n_letters, n_letters, E): by the letters of s and s', the entry that a transition leads to
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, tables: int = 1) -> None:
         automaton, n_letters = problem.automaton, problem.automaton.n_letters
         self.problem, self.pairs = problem, open_pairs(automaton)
         self.numbers = np.array([len(q) for _, q in self.pairs], dtype=np.int64)
         self.E = E = int(self.numbers.max())
-        require_numbered(E, "pairs of step and automaton state", "shorten the windows")
+        require_numbered(E, "pairs of step and automaton state", _WAYS_OUT)
         require_memory(
             4 * (n_letters * n_letters * E + n_letters * automaton.horizon * automaton.n_states),
             f"the successors of {E} entries under {n_letters} letters",
-            "shorten the windows",
+            _WAYS_OUT,
+        )
+        S, C, _ = self.shape
+        values = 8 * tables * float(S) * (C * E + E + 2)
+        policies = 2 * np.dtype(problem.choice_type).itemsize * math.prod(map(float, problem.shape))
+        require_memory(
+            values + policies, f"{counted(tables, 'Q-table')} of {S} × {C} × {E} entries, and policies,", _WAYS_OUT
         )
         self.index = np.full((n_letters, automaton.horizon, automaton.n_states), -1, dtype=np.int32)
         for letter, (t, q) in enumerate(self.pairs):
@@ -120,7 +135,6 @@ class ClockedTable:
         self.worth = np.zeros((problem.automaton.n_letters, entries.E))
         for letter, (t, _) in enumerate(entries.pairs):
             self.worth[letter, : len(t)] = outside.worth(t, problem.automaton.horizon)
-        _require_table(entries.shape)
         available = np.arange(problem.most_choices) < problem.n_choices[:, None]
         self.Q = np.where(available[:, :, None], self.worth[problem.letter][:, None, :], 0.0)
         self.V = np.zeros((problem.n_states, entries.E + 2))
@@ -197,8 +211,3 @@ class ClockedTable:
         s = np.repeat(np.arange(problem.n_states), problem.n_choices)
         if not np.array_equal(per_choice[s, np.arange(len(s)) - problem.first_choice[s]], counts.visits):
             raise ValueError("visits are not those that were counted")
-
-
-def _require_table(shape: tuple[int, ...]) -> None:
-    entries = int(np.prod([float(n) for n in shape]))
-    require_memory(2 * 8 * entries, f"a Q-table of {' × '.join(str(n) for n in shape)} entries", "shorten the windows")
