@@ -10,7 +10,7 @@
     >>> best = stl.check(product)                                # exact optimum, with its policy and enclosure
     >>> print(f"{best.lower:.6f} <= {best.probability:.6f} <= {best.upper:.6f}")
     0.996815 <= 0.996815 <= 0.996815
-    >>> run = stl.learn(product, "cfer", episodes=100, seed=0)   # never sees the probabilities
+    >>> run = stl.learn(product, episodes=100, seed=0)           # never sees the probabilities
     >>> stl.check(product, run.policy).probability <= best.upper
     True
 

@@ -12,8 +12,9 @@ their steps.
 from __future__ import annotations
 
 import bisect
+import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -27,6 +28,7 @@ Runs: TypeAlias = list[tuple[int, int]]
 """A sequence of letters as (letter, repetitions); consecutive entries may have the same letter."""
 
 _MOST_PAIRS = 20_000_000  # of states, and transitions between them
+_MOST_VERDICTS = 100_000_000  # steps times states
 _LONGEST = 10_000  # steps of a run that are found one by one
 _CELLS = 1000  # array cells that cost as much as one state explored under one letter
 
@@ -88,6 +90,22 @@ class ReachableVerdicts:
     def can_become(self, verdict: int) -> bool:
         """Whether some run ends with this verdict."""
         return bool(self.stretch(0).can[verdict, self.delta[:, self.automaton.initial]].any())
+
+
+def decided_early(automaton: TaskAutomaton, letters: Letters) -> TaskAutomaton:
+    """The same automaton, with verdicts as soon as nothing that can still come changes them, if only these letters do.
+
+    Unchanged if it is so large that the verdicts of all steps are no small matter.
+    """
+    if automaton.horizon * automaton.n_states > _MOST_VERDICTS:
+        return automaton
+    stretches = ReachableVerdicts(automaton, letters, Effort(sys.maxsize)).stretches
+    rows = [np.where(stretch.can.all(axis=0), UNDECIDED, stretch.can[TRUE]) for stretch in stretches]
+    return replace(
+        automaton,
+        verdict_starts=np.array([stretch.first for stretch in stretches], dtype=np.int64),
+        verdict_rows=np.array(rows, dtype=np.int8),
+    )
 
 
 def _backwards(starts: Sequence[int], end: int) -> Iterator[tuple[int, int]]:

@@ -1,4 +1,9 @@
-"""What a learner knows: the task automaton, the labels, and the number of actions per state; no probabilities."""
+"""What a learner knows: the task automaton, the labels, and the number of actions per state; no probabilities.
+
+The automaton decides a run as soon as no sequence of the model's letters can change the verdict any more. That is more
+than it does itself: after step 9, `F[0,9] G[0,9] A` is lost outside A, but decided only at the end. A learner that
+hopes would otherwise hope for a success where none is possible, and never avoid such situations.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata import TaskAutomaton
+from stltool.automata.reachable import decided_early
 from stltool.product import Product
 from stltool.sizes import IntegerType, integer_type
 
@@ -23,7 +29,8 @@ class Problem:
 
     @classmethod
     def of(cls, product: Product) -> Problem:
-        return cls(product.automaton, product.letter, np.diff(product.model.choice_start))
+        automaton = decided_early(product.automaton, product.letter)
+        return cls(automaton, product.letter, np.diff(product.model.choice_start))
 
     @property
     def n_states(self) -> int:

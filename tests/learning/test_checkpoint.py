@@ -327,23 +327,24 @@ def test_rows_that_no_run_can_have(uneven, tmp_path, learner, name, change, says
 
 def test_a_checkpoint_changed_within_its_ranges_has_another_digest(small_product, tmp_path):
     path, settings = tmp_path / "run.ckpt", {"seed": 3, "episodes": 6, "replays": 20}
-    stl.learn(small_product, checkpoint=path, **settings)
+    stl.learn(small_product, "cfer", checkpoint=path, **settings)
     header, arrays = unpacked(path)
     times = arrays["history time"] + 1
     path.write_bytes(packed(header, {**arrays, "history time": times}))
-    stl.learn(small_product, checkpoint=path, resume=True, **settings)  # whoever computes the digest is believed
+    # whoever computes the digest is believed
+    stl.learn(small_product, "cfer", checkpoint=path, resume=True, **settings)
     with np.load(path) as archive:
         members = {name: archive[name] for name in archive.files}
     with path.open("wb") as file:
         np.savez(file, **{**members, "history time": times + 1})
     with pytest.raises(SettingsError, match="its content was changed"):
-        stl.learn(small_product, checkpoint=path, resume=True, **settings)
+        stl.learn(small_product, "cfer", checkpoint=path, resume=True, **settings)
 
 
 def test_members_are_measured_before_they_are_unpacked(small_product, tmp_path, monkeypatch):
     """A small file whose member unpacks to 64 MB, and one that declares far more than it holds."""
     path, settings = tmp_path / "run.ckpt", {"seed": 3, "episodes": 6, "replays": 20}
-    stl.learn(small_product, checkpoint=path, **settings)
+    stl.learn(small_product, "cfer", checkpoint=path, **settings)
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
 
@@ -365,7 +366,7 @@ def test_members_are_measured_before_they_are_unpacked(small_product, tmp_path, 
                 archive.writestr(other, data)
         tracemalloc.start()
         with pytest.raises(SettingsError, match="damaged"):
-            stl.learn(small_product, checkpoint=path, resume=True, **settings)
+            stl.learn(small_product, "cfer", checkpoint=path, resume=True, **settings)
         _, peak = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         assert peak < 1 << 24, (name, peak)
@@ -384,7 +385,7 @@ def test_a_run_with_nothing_to_learn_is_kept_too(floor5, tmp_path):
 def test_an_interrupt_waits_for_the_episodes_end_and_is_kept(patrolling, tmp_path):
     """Ctrl-C in the middle of an episode: the run up to its end is in the checkpoint, and resumes to the same bits."""
     settings = {"episodes": 12, "seed": 4, "evaluate_every": 4, "replays": 20}
-    whole, path = stl.learn(patrolling, **settings), tmp_path / "run.ckpt"
+    whole, path = stl.learn(patrolling, "cfer", **settings), tmp_path / "run.ckpt"
     steps = []
     sampled = simulator(patrolling.model, generator(4, Purpose.LEARNING_ENVIRONMENT))
 
@@ -398,12 +399,12 @@ def test_an_interrupt_waits_for_the_episodes_end_and_is_kept(patrolling, tmp_pat
     previous = signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of shells ignore it
     try:
         with pytest.raises(KeyboardInterrupt):
-            stl.learn(patrolling, environment=environment, checkpoint=path, **settings)
+            stl.learn(patrolling, "cfer", environment=environment, checkpoint=path, **settings)
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, previous)
     assert len(steps) == 24  # the third episode was finished
-    resumed = stl.learn(patrolling, checkpoint=path, resume=True, **settings)
+    resumed = stl.learn(patrolling, "cfer", checkpoint=path, resume=True, **settings)
     assert (resumed.history, resumed.counts.seen.tolist()) == (whole.history, whole.counts.seen.tolist())
     assert np.array_equal(resumed.policy.table, whole.policy.table)
 

@@ -16,7 +16,7 @@ from stltool.learning.trainer import Point
 from stltool.product import first_verdicts, with_outcome
 from tests.checking.test_check import products
 from tests.conftest import many
-from tests.learning.test_planner import counted
+from tests.learning.test_planner import counted, early
 
 
 def counted_model(product, counts, caution, first):
@@ -39,7 +39,7 @@ def counted_model(product, counts, caution, first):
 def test_the_value_by_the_data_is_the_checkers_on_the_counts(product, seed, caution):
     if product.horizon == 0:
         return
-    rng, problem = np.random.default_rng(seed), Problem.of(product)
+    product, problem, rng = early(product), Problem.of(product), np.random.default_rng(seed)
     counts = counted(product, rng, 0.7)
     best = BestSoFar(problem, counts, caution)
     table = rng.integers(problem.n_choices[:, None], size=problem.shape).astype(problem.choice_type)

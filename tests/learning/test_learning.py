@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.automata import UNDECIDED
 from stltool.choices import Table
+from stltool.cli.steps import read_learner
 from stltool.errors import ModelError, SettingsError
 from stltool.kernels import learning as kernels
 from stltool.kernels import warm_up
@@ -21,8 +22,10 @@ from stltool.learning.settings import settings_of, shown_value
 from stltool.learning.tables import ClockedTable, Entries, SurrogateTable
 from stltool.models.environment import Environment, simulator
 from stltool.policy import with_flags
+from stltool.product import first_verdicts
 from tests.checking.test_check import products
 from tests.conftest import FACTORY, ROOT, many, some
+from tests.learning.test_planner import early
 
 
 @pytest.fixture(scope="module")
@@ -190,7 +193,7 @@ def test_transitions_update_every_pair_they_speak_for(outside, share, worth, pro
     if product.horizon == 0:
         return
     rng, least_step, h = np.random.default_rng(seed), 0.02, product.horizon
-    problem = Problem.of(product)
+    product, problem = early(product), Problem.of(product)
     table = clocked(product, outside, least_step)
     automaton, letter, pairs = product.automaton, product.letter, open_pairs(product)
     Q = np.empty((h, *product.shape, problem.most_choices))
@@ -234,7 +237,7 @@ def test_transitions_update_every_pair_they_speak_for(outside, share, worth, pro
 def test_replayed_long_enough_the_table_is_the_cautious_plan(product, seed):
     """Where every choice has led to one state only: the values, and the policy, are those of the plan by the counts."""
     problem = Problem.of(product)
-    if product.horizon == 0:
+    if product.horizon == 0 or (first_verdicts(early(product), np.arange(problem.n_states)) != UNDECIDED).all():
         return
     rng, counts = np.random.default_rng(seed), Counts(product.model.n_choices, problem.n_states)
     table, planner = clocked(product, Doubt(0.3), 0.005), Planner(problem, counts)
@@ -314,6 +317,41 @@ def test_optimism_goes_for_what_is_unknown_and_caution_does_not(patrolling):
     learner.episode(state, Episode(Problem.of(product), environment, state.counts, np.random.default_rng(0), 0, 1))
     assert taken == [2, 1]
     assert int(learner.policy(state).at(0, np.array([0]), np.array([q]))[0]) == 1
+
+
+@pytest.fixture(scope="module")
+def hold():
+    """In A (state 0), "walk" stays with .9, "stay" surely; outside, both actions stay there."""
+    walk, stay = np.array([[0.9, 0.1], [0.0, 1.0]]), np.eye(2)
+    model = stl.MDP.from_arrays([walk, stay], {}, labels={"A": [True, False]}, action_names=["walk", "stay"])
+    return stl.build_product(model, stl.parse("F[0,2] G[0,2] A"))
+
+
+@pytest.mark.parametrize("optimism", [0.01, 0.3])
+def test_nobody_hopes_for_a_success_where_none_is_possible(hold, optimism):
+    """Outside A after step 2, all is lost, whatever has not been tried there: "stay", tried once, is better."""
+    state, _ = begun(stl.ModelBased(), hold)
+    state.counts.add([0] * 30 + [1], [0] * 27 + [1] * 3 + [0])
+    visits, q = state.counts.visits, hold.automaton.initial
+    for s in (1, 0, 0):
+        q = hold.enter(s, q)
+    state.follow(Belief(state, optimism, 0).rows(visits), 2, 0, q, visits)
+    assert state.action(2, 0, q, visits) == 1
+    cfer, _ = begun(stl.Cfer(), hold)
+    open_ = cfer.hopeful.entries.is_open(np.array([1, 3]), np.array([1, 1]), np.full(2, hold.enter(1, q)))
+    assert open_.tolist() == [True, False]
+
+
+@pytest.mark.parametrize("method", ["model-based", "cfer", "naive", "naive-er"])
+def test_tasks_that_the_models_labels_decide(method):
+    """Before the horizon, as B is everywhere; and at once, as C is nowhere."""
+    model = stl.MDP.from_arrays([np.eye(2)] * 2, {}, labels={"A": [1, 0], "B": [1, 1], "C": [0, 0]}, initial=0)
+    product = stl.build_product(model, stl.parse("F[1,2] A & F[5,6] B"))
+    run = stl.learn(product, method, episodes=3)
+    assert (run.status, run.history[-1].probability, run.environment_steps) == ("complete", 1.0, 3)
+    never = stl.build_product(model, stl.parse("F[0,5] (A & C)"))
+    run = stl.learn(never, method, episodes=3)
+    assert (run.status, run.history[-1].probability, run.environment_steps) == ("nothing to learn", 0.0, 0)
 
 
 GOOD, BAD = 0.9, 0.5  # of a and b
@@ -576,6 +614,13 @@ def test_settings_of_other_methods_are_refused_with_who_has_them(patrolling):
             assert all(owner.name in text for owner in owners)
 
 
+def test_model_based_is_the_default_and_cfer_as_published(patrolling):
+    run, named = (stl.learn(patrolling, *method, episodes=3, seed=1) for method in ([], ["model-based"]))
+    assert (run.learner, run.history) == (stl.ModelBased(), named.history)
+    assert stl.learn(patrolling, faithful=True, episodes=1).learner == stl.PublishedCfer()
+    assert (read_learner(None, False, None), read_learner(None, True, None)) == (stl.ModelBased(), stl.PublishedCfer())
+
+
 def test_a_name_and_a_learner_are_the_same(patrolling):
     named = stl.learn(patrolling, "cfer", episodes=10, replays=7, caution=np.float64(0.5), seed=1)
     given = stl.learn(patrolling, stl.Cfer(replays=np.int64(7), caution=0.5), episodes=10, seed=1)
@@ -583,7 +628,8 @@ def test_a_name_and_a_learner_are_the_same(patrolling):
     assert np.array_equal(named.policy.table, given.policy.table)
     assert (given.method, given.faithful, given.settings["replays"]) == ("cfer", False, 7)
     assert json.loads(json.dumps(given.settings)) == named.settings
-    assert not np.array_equal(named.policy.table, stl.learn(patrolling, episodes=10, replays=8, seed=1).policy.table)
+    other = stl.learn(patrolling, "cfer", episodes=10, replays=8, seed=1)
+    assert not np.array_equal(named.policy.table, other.policy.table)
     published = stl.learn(patrolling, "cfer", faithful=True, episodes=2)
     assert (published.learner, published.faithful) == (stl.PublishedCfer(), True)
 

@@ -1,5 +1,7 @@
 """The model-based learner's plans against backward induction over all states, memories and steps, bit for bit."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,8 +14,8 @@ from stltool.checking.induction.anywhere import Anywhere, From
 from stltool.checking.induction.nodes import Nodes
 from stltool.checking.induction.words import Words
 from stltool.learning.counts import Counts
-from stltool.learning.model_based import Planner, doubt
-from stltool.learning.optimism import hope, paradise
+from stltool.learning.model_based import Planner
+from stltool.learning.optimism import doubt, hope, paradise
 from stltool.learning.problem import Problem
 from tests.checking.test_check import products
 from tests.conftest import many
@@ -27,6 +29,11 @@ def counted(product, rng, share):
     choice = np.repeat(tried, rng.integers(1, 6, size=len(tried)))
     counts.add(choice, rng.integers(model.n_states, size=len(choice)))
     return counts
+
+
+def early(product):
+    """With the automaton of a learner, which decides runs as soon as the letters do."""
+    return dataclasses.replace(product, automaton=Problem.of(product).automaton)
 
 
 def dense(product, counts, outside, since, optimistic):
@@ -64,7 +71,7 @@ def shares(counts, optimism, caution):
 
 
 def required(product, counts, outside, since, optimistic, kinds):
-    problem = Problem.of(product)
+    product, problem = early(product), Problem.of(product)
     anywhere = Anywhere(Single(product.automaton), problem.letter, np.uint8)
     wanted = dense(product, counts, outside, since, optimistic)
     for kind in kinds:
