@@ -204,13 +204,13 @@ def test_the_untied_gap_of_much_data_is_the_exact_one():
 
 
 def test_learning_stops_when_the_gap_is_certified(patrolling, tmp_path):
-    run = stl.learn(patrolling, "model-based", episodes=500, until_gap=0.01, seed=0)
+    run = stl.learn(patrolling, "model-based", episodes=500, until_gap=0.001, seed=0)
     assert run.status == "gap certified"
-    assert run.gap.upper <= 0.01
+    assert run.gap.upper <= 0.001
     assert run.environment_steps < 200
     assert stl.check(patrolling).probability - stl.check(patrolling, run.policy).probability <= run.gap.upper
     assert [point.gap for point in run.history][-1] == run.gap.upper
-    assert all(point.gap > 0.01 for point in run.history[:-1])
+    assert all(point.gap > 0.001 for point in run.history[:-1])
     data = report_data([stl.check(patrolling, run.policy)], run)
     page = render(data)
     assert "<b>Certified</b>: with confidence 99 %" in page
@@ -222,10 +222,10 @@ def test_learning_stops_when_the_gap_is_certified(patrolling, tmp_path):
     assert json.loads(json.dumps(data))["training"]["gap"]["transitions"] == run.environment_steps
     # the same, stopped and resumed
     path = tmp_path / "run.checkpoint"
-    part = stl.learn(patrolling, "model-based", episodes=1, until_gap=0.01, seed=0, checkpoint=path)
+    part = stl.learn(patrolling, "model-based", episodes=1, until_gap=0.001, seed=0, checkpoint=path)
     assert part.status == "complete"
-    whole = stl.learn(patrolling, "model-based", episodes=500, until_gap=0.01, seed=0, checkpoint=path, resume=True)
-    again = stl.learn(patrolling, "model-based", episodes=500, until_gap=0.01, seed=0, checkpoint=path, resume=True)
+    whole = stl.learn(patrolling, "model-based", episodes=500, until_gap=0.001, seed=0, checkpoint=path, resume=True)
+    again = stl.learn(patrolling, "model-based", episodes=500, until_gap=0.001, seed=0, checkpoint=path, resume=True)
     for other in (whole, again):
         assert other.environment_steps == run.environment_steps
         assert other.gap.upper == run.gap.upper
