@@ -53,7 +53,7 @@ class Cfer(Exact, Learner["CferRun"]):
     least_step: float = setting(0.005, "smallest learning rate, α = max(least_step, 1/n)", above=0, most=1)
     optimism: float = setting(0.15, "b in the share of hope b / (n + b) of a choice seen n times", above=0)
     memory: int = setting(100_000, "capacity of the replay memory in transitions; the oldest leave first", least=1)
-    replays: int = setting(300, "real transitions replayed after each episode", least=0)
+    replays: int = setting(1200, "real transitions replayed after each episode", least=0)
 
     def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> CferRun:
         entries = Entries(problem, tables=2)

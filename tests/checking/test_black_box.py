@@ -203,7 +203,7 @@ def test_states_that_lack_actions_count_their_own():
 def test_environments_that_return_no_state(wrong, known):
     def product_of(reset, step):
         model = stl.MDP.black_box(
-            2, 1, lambda rng: Environment(lambda: reset, lambda i: step, rng), labels={"B": [0, 0]}
+            2, 1, lambda rng: Environment(lambda: reset, lambda i: step, rng), labels={"B": [0, 1]}
         )
         return stl.build_product(model, stl.parse("F[0,1] B"))
 
