@@ -24,6 +24,7 @@ from stltool.automata import (
 )
 from stltool.automata.compile import MOST_STATES, atoms_of
 from stltool.automata.reach import reachable_pairs
+from stltool.automata.reachable import decided_early
 from stltool.display import Card, Displayed, counted
 from stltool.errors import NameLookupError, SettingsError, near_misses
 from stltool.logic.formula import (
@@ -245,9 +246,11 @@ def with_outcome(product: Product, model: MDP, verdict: int) -> Product:
 
     A model that knows only part of what may happen sends the rest there: FALSE where the rest is feared, TRUE where it
     is hoped for. The automaton gets one more letter and one more state, the last ones (`TaskAutomaton.with_outcome`).
+    It decides runs as early as the letters allow (`decided_early`): nothing need be known about the steps after that.
     """
     letter = np.append(product.letter, np.int32(product.automaton.n_letters))
-    return replace(product, model=model, automaton=product.automaton.with_outcome(verdict), letter=letter)
+    automaton = decided_early(product.automaton, product.letter).with_outcome(verdict)
+    return replace(product, model=model, automaton=automaton, letter=letter)
 
 
 def build_product(
