@@ -5,7 +5,7 @@ BIN := .venv/bin
 .PHONY: demo robot test soak fuzz lint bench claims docs format clean
 
 demo: .venv/installed
-	$(BIN)/stltool run examples/factory/patrolling.stl --method cfer --episodes 1000 --seed 0 --out out/patrolling
+	$(BIN)/stltool run examples/factory/patrolling.stl --episodes 1000 --seed 0 --out out/patrolling
 	@echo "open out/patrolling/report.html in a browser"
 
 # the paper's task on a simulated robot: learned, promised, and what models predict of it (docs/robot.md)
