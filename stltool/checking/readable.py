@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -58,17 +58,19 @@ _CUTS = (3.0, 10.0, 30.0)  # ε, in units of the price
 _CLIMBS = 60  # changes of a leaf's action at most, a round
 _TRIED = 6  # leaves whose change promises most are tried in turn
 _SIZES = tuple(dict.fromkeys(round(4 * 1.3**k) for k in range(30)))  # leaves
+_LINE = 160  # characters of a legend's line
 _GAIN = 1e-12  # changes of P below this are rounding
 
 
 @dataclass(frozen=True)
 class Question:
-    """`value <= threshold`, of an inner node: the feature's number and the condition as text, for yes and for no."""
+    """What an inner node asks: the condition as text, for yes and for no; of counts also the name, and the greatest
+    value for yes."""
 
-    feature: int
-    threshold: float
     yes: str
     no: str
+    name: str = ""
+    most: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +104,8 @@ class Node:
 class PolicyTree(Displayed):
     """A decision tree in place of a policy.
 
-    root      the tree; `rules` is its text, `legend` says what the names in brackets count
+    root      the tree; `rules` is its text
+    memory    what the names in brackets count: what each value from 0 on means. `legend` tells those that the tree uses
     check     P of the tree, enclosed;  given  P of the policy that it stands for
     curve     (leaves, P) of the best trees found of each size, ascending in both
     policy    the tree as a policy
@@ -111,7 +114,7 @@ class PolicyTree(Displayed):
 
     product: Product
     root: Node
-    legend: tuple[str, ...]
+    memory: Mapping[str, tuple[str, ...]]
     check: CheckResult
     given: CheckResult
     curve: tuple[tuple[int, float], ...]
@@ -127,6 +130,28 @@ class PolicyTree(Displayed):
             return 0 if node is None else 1 if node.question is None else count(node.yes) + count(node.no)
 
         return count(self.root)
+
+    @property
+    def legend(self) -> tuple[str, ...]:
+        """What the names in brackets that the tree uses count: first and last values, and those next to conditions."""
+        asked: dict[str, set[int]] = {}
+        todo: list[Node | None] = [self.root]
+        while todo:
+            node = todo.pop()
+            if node is None or node.question is None:
+                continue
+            todo += [node.no, node.yes]
+            for name in self.memory:
+                if name == node.question.name:
+                    asked.setdefault(name, set()).update((node.question.most, node.question.most + 1))
+                elif name in node.question.name.split(" - "):
+                    asked.setdefault(name, set()).add(1)
+        lines: list[str] = []
+        for name in (name for name in self.memory if name in asked):
+            values = _told(self.memory[name], asked[name])
+            line = f"{name}: {', '.join(values)}"
+            lines += [line] if len(line) <= _LINE else [f"{name}:", *(f"    {value}" for value in values)]
+        return tuple(lines)
 
     @property
     def met(self) -> bool:
@@ -188,7 +213,7 @@ def policy_tree(
     return PolicyTree(
         product=home,
         root=situations.node(grown.best),
-        legend=situations.features.legend,
+        memory=situations.features.memory,
         check=check(home, tree),
         given=found,
         curve=grown.curve,
@@ -213,7 +238,7 @@ def _of_memory(values: NDArray[Any]) -> _Column:
 class _Features:
     """What the tree may ask of a situation.
 
-    names   of each feature, as they stand in conditions;  legend  what those in brackets count
+    names   of each feature, as they stand in conditions;  memory  what each value of those in brackets means
     """
 
     def __init__(self, product: Product) -> None:
@@ -221,7 +246,7 @@ class _Features:
         self.names: list[str] = []
         self.kinds: list[str] = []
         self._columns: list[_Column] = []
-        legend: list[str] = []
+        self.memory: dict[str, tuple[str, ...]] = {}
         for name, values in model.signals.items():
             self._add(name, "signal", _of_state(values))
         for name, holds in model.labels.items():
@@ -232,13 +257,12 @@ class _Features:
             if len(track.levels) > 1:
                 name = f"[{track.name}]"
                 self._add(name, "count", _of_memory(track.level_of))
-                legend.append(f"{name}: " + _levels([level.phrase for level in track.levels]))
+                self.memory[name] = tuple(level.phrase for level in track.levels)
                 if any(level.number is not None for level in track.levels):
                     counters.append((name, track.level_of))
         for (one, a), (other, b) in itertools.combinations(counters, 2):
             self._add(f"{one} - {other}", "count", _of_memory(a.astype(np.int64) - b))
         self._add("steps_left", "count", lambda t, s, q: h - t)
-        self.legend = tuple(legend)
 
     def _add(self, name: str, kind: str, column: _Column) -> None:
         self.names.append(name)
@@ -249,21 +273,25 @@ class _Features:
         """(n, features) of situations."""
         return np.stack([column(t, s, q).astype(np.float64) for column in self._columns], axis=1)
 
-    def question(self, feature: int, threshold: float, below: float, above: float) -> Question:
-        """`below` and `above` are the values next to the threshold."""
+    def question(self, feature: int, below: float, above: float) -> Question:
+        """`below` and `above` are the values next to its threshold."""
         name, kind = self.names[feature], self.kinds[feature]
         if kind == "label":
-            return Question(feature, threshold, f"!{name}", name)
+            return Question(f"!{name}", name)
         if kind == "count":
-            return Question(feature, threshold, f"{name} <= {below:.0f}", f"{name} > {below:.0f}")
+            return Question(f"{name} <= {below:.0f}", f"{name} > {below:.0f}", name, round(below))
         number = _shortest(below, above)
-        return Question(feature, threshold, f"{name} < {number}", f"{name} >= {number}")
+        return Question(f"{name} < {number}", f"{name} >= {number}")
 
 
-def _levels(phrases: list[str]) -> str:
-    """What a counter's values mean: the first ones, and the last."""
-    shown = [f"{i} {phrase}" for i, phrase in enumerate(phrases)]
-    return ", ".join(shown if len(shown) <= 4 else [*shown[:3], "...", shown[-1]])
+def _told(phrases: Sequence[str], asked: set[int]) -> list[str]:
+    """What some values mean, and the first and the last one."""
+    wanted = sorted({0, len(phrases) - 1, *(value for value in asked if 0 <= value < len(phrases))})
+    parts: list[str] = []
+    for before, value in zip([-1, *wanted], wanted, strict=False):
+        parts += ["..."] if value > before + 1 else []
+        parts.append(f"{value} {phrases[value]}")
+    return parts
 
 
 def _shortest(below: float, above: float) -> str:
@@ -405,12 +433,20 @@ class _Situations:
             low = values[below].max() if below.any() else tree.threshold[i]
             high = values[~below].min() if (~below).any() else tree.threshold[i]
             yes, no = build(tree.left[i], here[below]), build(tree.right[i], here[~below])
-            if yes.question is None and no.question is None and yes.action == no.action:
-                return Node(share, action=yes.action)
-            question = self.features.question(int(tree.feature[i]), float(tree.threshold[i]), low, high)
+            if list(yes.lines()) == list(no.lines()):  # the question makes no difference
+                return _together(yes, no)
+            question = self.features.question(int(tree.feature[i]), low, high)
             return Node(share, question=question, yes=yes, no=no)
 
         return build(0, np.arange(len(self)))
+
+
+def _together(one: Node, other: Node) -> Node:
+    """Two sub-trees with the same text as one."""
+    share = one.share + other.share
+    if one.yes is None or one.no is None or other.yes is None or other.no is None:
+        return Node(share, one.action)
+    return Node(share, None, one.question, _together(one.yes, other.yes), _together(one.no, other.no))
 
 
 @dataclass(eq=False)
@@ -429,13 +465,15 @@ class _Tree:
 
     @cached_property
     def leaves(self) -> int:
-        """Leaves, where sub-trees of one action count once."""
+        """Leaves, where equal sub-trees count once."""
 
-        def walk(i: int) -> tuple[int, int]:  # (leaves, the only action or -1)
+        def walk(i: int) -> tuple[int, Any]:  # leaves, and the sub-tree
             if self.left[i] < 0:
                 return 1, int(self.action[i])
             (a, one), (b, other) = walk(int(self.left[i])), walk(int(self.right[i]))
-            return (1, one) if one == other >= 0 else (a + b, -1)
+            if one == other:
+                return a, one
+            return a + b, (int(self.feature[i]), float(self.threshold[i]), one, other)
 
         return walk(0)[0]
 

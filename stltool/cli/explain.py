@@ -43,7 +43,7 @@ def explain(
     policy: PolicyFile = None,
     policy_function: PolicyFunction = None,
     price: Annotated[
-        float | None, typer.Option("--price", metavar="P", help="how much of P the tree may lose, default: 0.001")
+        float | None, typer.Option("--price", metavar="P", help="how much of P its tree may lose, default: 0.001")
     ] = None,
     most_leaves: Annotated[
         int | None, typer.Option("--most-leaves", metavar="N", help="give up there, default: 200")
@@ -52,6 +52,9 @@ def explain(
         Path | None,
         typer.Option("--plot", metavar="FILE", help="draw P over the number of leaves (.svg or .png)"),
         Writes(),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="save the tree as a policy (.npz)"), Writes()
     ] = None,
     model: Model = None,
     normalize: Normalize = False,
@@ -66,21 +69,21 @@ def explain(
     Warns if the task can never hold or always holds, if a part of it is vacuous, and if other tools would read the text
     differently.
 
-    With --policy: the policy as a small decision tree, with the exact P of the tree itself.
+    With --policy, --price, --most-leaves, --plot or --out: the policy, or the best one, as a small decision tree, with
+    the exact P of the tree itself. Exit code 1 if no tree is within the price.
     """
     import stltool as stl
     from stltool.reporting.terminal import print_facts, print_json, print_table, print_tree
 
-    asked = {"--price": price, "--most-leaves": most_leaves, "--plot": plot}
-    if require_one_policy(policy, policy_function) is not None:
+    about_a_tree = any(value is not None for value in (price, most_leaves, plot, out))
+    if require_one_policy(policy, policy_function) is not None or about_a_tree:
+        if not task.endswith(".stl") and not Path(task).is_file():
+            raise SettingsError(f"{task}: the tree of a policy needs a task file with a model; give one")
         if step is not None:
             raise SettingsError(f"--step {step}: a task file declares its own step; write step = {step} there")
         product = make_product(Path(task), model, param, name, encoding, as_json, normalize=normalize)
-        _explain_policy(product, policy, policy_function, price, most_leaves, plot, as_json)
+        _explain_policy(product, policy, policy_function, price, most_leaves, plot, out, as_json)
         return
-    for option, value in asked.items():
-        if value is not None:
-            raise SettingsError(f"{option} is about the tree of a policy; give --policy, too")
     loaded = load_task_or_formula(task, param, name, step)
     world = task_model(loaded, model, normalize) if model is not None or loaded.model is not None else None
     with warnings_shown():
@@ -115,16 +118,20 @@ def _explain_policy(
     price: float | None,
     most_leaves: int | None,
     plot: Path | None,
+    out: Path | None,
     as_json: bool,
 ) -> None:
     import stltool as stl
     from stltool.numbers import probability_text
+    from stltool.policy import require_policy_file
     from stltool.reporting.terminal import print_facts, print_json, print_table, print_text, progress_bar
     from stltool.reporting.tradeoffs import require_picture
     from stltool.reporting.trees import tree_data, write_tree_picture
 
     if plot is not None:
         require_picture(plot)
+    if out is not None:
+        require_policy_file(out)
     given = given_policy(product, policy, policy_function)
     settings: dict[str, Any] = {"price": price, "most_leaves": most_leaves}
     with progress_bar("growing trees", quiet=as_json) as bar:
@@ -133,23 +140,33 @@ def _explain_policy(
         )
     if plot is not None:
         write_tree_picture(found, plot)
+    if out is not None:
+        found.policy.save(out)
     if as_json:
         print_json(tree_data(found))
+        _end(found.met)
         return
     lost = found.given.probability - found.check.probability
     print_facts({
         "task": f"{product.task_name} := {product.formula}",
-        "policy": policy or policy_function,
+        "policy": policy or policy_function or "maximum over all policies",
         "P": probability_text(found.given.probability),
         "tree": f"{found.leaves} leaves",
         "P of it": f"{probability_text(found.check.probability)}, {lost:.3g} less; "
-        + ("within the price" if found.met else f"no tree of up to this size is within {found.price:g}: --most-leaves"),
+        + ("within the price" if found.met else f"more than {found.price:g}; raise --most-leaves or the price"),
         **({"plot": plot} if plot is not None else {}),
+        **({"saved": out} if out is not None else {}),
     })  # fmt: skip
     print()
     print_text("\n".join([found.rules, "", *found.legend, ""]))
     print("\nthe best trees found of each size:")
     print_table([{"leaves": leaves, "P": probability_text(p)} for leaves, p in found.curve])
+    _end(found.met)
+
+
+def _end(met: bool) -> None:
+    if not met:
+        raise typer.Exit(1)
 
 
 def _shown(facts: Mapping[str, Any]) -> dict[str, Any]:

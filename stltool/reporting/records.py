@@ -417,6 +417,7 @@ class TreeOutput(ProductRecord):
     leaves: int
     rules: list[str]
     legend: list[str]
+    memory: dict[str, list[str]]
     tree: dict[str, Any]
     curve: list[LeavesRecord]
 

@@ -24,6 +24,7 @@ def tree_data(found: PolicyTree) -> TreeOutput:
         "leaves": found.leaves,
         "rules": found.rules.splitlines(),
         "legend": list(found.legend),
+        "memory": {name: list(phrases) for name, phrases in found.memory.items()},
         "tree": found.root.data(),
         "curve": [{"leaves": leaves, "probability": probability} for leaves, probability in found.curve],
     }

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.automata import UNDECIDED
-from stltool.checking.readable import _Situations
+from stltool.checking.readable import Node, Question, _Situations, _together
 from stltool.errors import PolicyError, SettingsError
 from stltool.reporting.figures import leaves_curve
 from stltool.reporting.trees import tree_data
@@ -134,7 +134,11 @@ def test_patrolling_in_a_few_leaves(patrolling):
     assert tree.met
     assert tree.leaves <= 12
     assert calls[0] == (4, 200)
-    assert "[at_B]: 0 nothing pending, 1 at_B not seen for 1 step" in "\n".join(tree.legend)
+    told = "\n".join(tree.legend)
+    assert "[at_B]: 0 nothing pending, 1 at_B not seen for 1 step" in told
+    for name, value in re.findall(r"(\[\w+\]) <= (\d+)", tree.rules):  # what a condition asks is told on both sides
+        for k in (int(value), int(value) + 1):
+            assert f"{k} {tree.memory[name][k]}" in told
     assert len(repr(tree).splitlines()) <= 3
 
 
@@ -148,6 +152,14 @@ def test_a_task_that_the_first_state_decides(floor5):
     product = stl.build_product(floor5, stl.parse("!A"))
     tree = stl.policy_tree(product)
     assert (tree.check.probability, tree.leaves) == (1, 1)
+
+
+def test_a_question_that_makes_no_difference_is_not_asked():
+    asked = Question("x < 2", "x >= 2")
+    one, other = (Node(share, None, asked, Node(share / 2, "N"), Node(share / 2, "E")) for share in (0.4, 0.6))
+    both = _together(one, other)
+    assert list(both.lines()) == list(one.lines())
+    assert (both.share, both.yes.share, both.no.action) == (1.0, 0.5, "E")
 
 
 def test_the_curve_is_drawn_as_it_is(patrolling):

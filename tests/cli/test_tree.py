@@ -1,6 +1,7 @@
 """`stltool explain --policy`: a policy as a decision tree, as users meet it."""
 
 import json
+import re
 
 import pytest
 
@@ -21,22 +22,33 @@ def test_the_tree_is_printed_drawn_and_told(stltool, policy, tmp_path):
     assert code == 0
     assert "P of it" in out
     assert "within the price" in out
-    assert "[at_A]: 0 nothing pending" in out
+    assert "[at_B]: 0 nothing pending" in out
     assert (tmp_path / "leaves.svg").read_text().startswith("<svg")
     code, out, _ = stltool(
         "explain", PATROLLING, *SMALL, "--policy", policy, "--most-leaves", 3, "--price", 1e-6, "--json"
     )
     data = json.loads(out)
-    assert (code, data["met"], data["price"]) == (0, False, 1e-6)
+    assert (code, data["met"], data["price"]) == (1, False, 1e-6)
     assert data["lower"] <= data["probability"] <= data["upper"] < data["given"]
     assert {"if", "then", "else", "share"} == set(data["tree"])
     assert data["leaves"] == len([line for line in data["rules"] if not line.endswith(":")])
 
 
+def test_the_best_policy_s_tree_is_saved_and_checked(stltool, tmp_path):
+    code, out, _ = stltool("explain", PATROLLING, *SMALL, "--price", 0.01, "--out", tmp_path / "tree.npz")
+    assert code == 0
+    assert "policy   maximum over all policies" in out
+    p = float(re.search(r"P of it +([\d.]+)", out)[1])
+    code, out, _ = stltool("check", PATROLLING, *SMALL, "--policy", tmp_path / "tree.npz", "--json")
+    assert (code, json.loads(out)["probability"]) == (0, pytest.approx(p, abs=1e-6))
+    code, _, err = stltool("explain", "F[0,3] A", "--price", 0.1)
+    assert code == 2
+    assert "F[0,3] A: the tree of a policy needs a task file with a model" in err
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("--price", 0.1), "--price is about the tree of a policy; give --policy, too"),
         (("--policy", "POLICY", "--price", 2), "--price is 2.0; give a number between 0 and 1"),
         (("--policy", "POLICY", "--most-leaves", 0), "--most-leaves is 0"),
         (("--policy", "POLICY", "--step", "1s"), "--step 1s: a task file declares its own step"),
