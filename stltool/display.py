@@ -6,6 +6,7 @@ A class defines what to show in `_card`; `Displayed` derives `__repr__` and `_re
 from __future__ import annotations
 
 import html
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import overload
@@ -64,6 +65,13 @@ class StateNames(Sequence[str]):
     def __getitem__(self, s: int | slice) -> str | tuple[str, ...]:
         found = range(self._n)[s]
         return tuple(map(self._name, found)) if isinstance(found, range) else self._name(found)
+
+
+def distinct(names: Sequence[str]) -> Sequence[str]:
+    """The names of states; those that repeat with the number of their state added: "x=0 (3)", "x=0 (4)"."""
+    while len(counts := Counter(names)) < len(names):
+        names = tuple(f"{name} ({s})" if counts[name] > 1 else name for s, name in enumerate(names))
+    return names
 
 
 class Displayed:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import shlex
 import sys
 from collections.abc import Iterator
 from typing import Annotated
@@ -34,7 +35,12 @@ def play(
     policy_function: PolicyFunction = None,
     moves: Annotated[
         str | None,
-        typer.Option("--moves", metavar="LIST", help='moves to make instead of asking, such as ". N N>(2,1) *"'),
+        typer.Option(
+            "--moves",
+            metavar="LIST",
+            help='moves to make instead of asking, such as ". N N>(2,1) *"; write names without their spaces '
+            "(go>x=0,y=1), or in quotes, or a state's number (go>3)",
+        ),
     ] = None,
     seed: Seed = 0,
     nominal: Nominal = False,
@@ -56,7 +62,8 @@ def play(
 
     require_one_policy(policy, policy_function)
     require_seed(seed)
-    if moves is not None and not moves.split():
+    listed = _split(moves) if moves is not None else None
+    if listed is not None and not listed:
         raise SettingsError('--moves is empty; list moves, such as --moves ". N *", or leave it out to be asked')
     product = make_product(task, model, param, name, encoding, as_json, nominal=nominal, normalize=normalize)
     if product.model.blackbox is not None:
@@ -71,14 +78,14 @@ def play(
     console = Console(highlight=False, soft_wrap=True, file=kept)
     if not as_json:
         told.show(console)
-    for move in _asked() if moves is None else moves.split():
+    for move in _asked() if listed is None else listed:
         if move == "q":
             break
         if move == "?":
             console.print(HELP, markup=False)
             continue
         try:
-            game.move(move)
+            remark = game.move(move)
         except SettingsError as error:
             if kept is not None:
                 raise
@@ -86,11 +93,25 @@ def play(
             continue
         if not as_json:
             console.print()
+            if remark is not None:
+                console.print(remark, markup=False)
             told.show(console)
+    if listed is None and not as_json:
+        console.print(told.ending(), markup=False)
     if kept is not None:
         print(kept.getvalue(), end="")
     if as_json:
         print_json(told.data())
+
+
+def _split(moves: str) -> list[str]:
+    """A list of moves; SettingsError if a quote is not closed."""
+    words = shlex.shlex(moves, posix=True, punctuation_chars=False)
+    words.whitespace_split, words.commenters, words.escape = True, "", ""
+    try:
+        return list(words)
+    except ValueError:
+        raise SettingsError(f"--moves {moves}: a quotation mark is not closed") from None
 
 
 def _asked() -> Iterator[str]:

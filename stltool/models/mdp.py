@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stltool.arguments import described, flag, mapping, require, texts, whole
-from stltool.display import Card, Displayed, StateNames, counted, listed
+from stltool.display import Card, Displayed, StateNames, counted, distinct, listed
 from stltool.errors import ModelError, SettingsError, named, near_misses
 from stltool.models.fractions import (
     Fractions,
@@ -83,6 +83,7 @@ class MDP(Displayed):
     blackbox       if the probabilities are unknown: makes the environment that replaces them, from a generator and the
                    steps of an episode (None: not known). There are then no rows: `row_start` and `initial` are zero,
                    `target` and `probability` empty; `learn`, `estimate` and `sprt` work with the model
+    state_names    a name for each state; names that repeat get the number of their state added: "x=0 (3)"
     notes          remarks on how the model was read, by subject: "normalize", or what a missing companion file would
                    define ("label", "signal")
     sensing        of a black box whose signals are real: its states are cells (models/sensing.py), and labels and
@@ -108,6 +109,8 @@ class MDP(Displayed):
         require(self.source, Source, "MDP's source", "make models by stl.MDP.from_arrays(...)")
         require(self.initial, np.ndarray, "MDP's initial", "make models by stl.MDP.from_arrays(...)")
         _validate(self)
+        if self.state_names is not None and not isinstance(self.state_names, StateNames):
+            object.__setattr__(self, "state_names", distinct(self.state_names))
         for array in (self.initial, *self.signals.values(), *self.labels.values()):
             array.setflags(write=False)  # so that the digest stays valid
 
@@ -852,9 +855,13 @@ def _initial(
 ) -> tuple[Floats, list[Fraction] | None]:
     """The initial distribution in doubles, and in Fractions if given so."""
     if isinstance(initial, str):
-        if state_names is None or initial not in state_names:
-            raise ModelError(f"there is no initial state {initial!r}; {near_misses(initial, state_names or ())}")
-        initial = list(state_names).index(initial)
+        given = state_names or ()
+        names = given if isinstance(given, StateNames) else distinct(given)
+        if initial not in names:
+            same = [names[s] for s, name in enumerate(given) if name == initial]
+            hint = f"several states have this name: {', '.join(same)}" if same else near_misses(initial, names)
+            raise ModelError(f"there is no initial state {initial!r}; {hint}")
+        initial = list(names).index(initial)
     if isinstance(initial, bool):
         raise ModelError(f"the initial state is {initial}; give its index, its name, or a distribution (S,)")
     if isinstance(initial, int | np.integer):

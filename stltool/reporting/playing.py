@@ -17,7 +17,7 @@ from stltool.streams import printable
 HELP = """\
 Enter, or .   the policy's action; chance decides where it leads
 NAME          another action, by its name or its number in the table
-NAME>STATE    an action and where it leads, such as N>(2,1)
+NAME>STATE    an action and where it leads, such as N>(2,1): the state's name, with or without its spaces, or its number
 <             one step back
 *             to the end, by the policy
 !             from the start, along the most probable violation
@@ -83,6 +83,11 @@ class Told:
             console.print(Line(printable(line)))
         for row in self._table() if self._game.verdict is None else ():
             console.print(row)
+
+    def ending(self) -> str:
+        """Where the run was left."""
+        outcome = {None: "undecided", True: "satisfied", False: "violated"}[self._game.verdict]
+        return f"left at step {self._game.t} of {self._game.product.horizon}: {outcome}"
 
     def _floor(self) -> Iterable[str]:
         """The floor from above: @ is the run; arrows, what the policy does there with this memory on arrival."""

@@ -126,3 +126,11 @@ def test_a_choice_without_successors_is_named(floor5):
     row_start[1] = 0  # the first choice's entries go to the second
     with pytest.raises(ModelError, match=r"state \(0,4\), action stay: the probabilities sum to 0, not 1"):
         floor5.with_rows(row_start=row_start)
+
+
+def test_state_names_that_repeat_get_numbers():
+    model = stl.MDP.from_arrays([np.eye(4)], {}, "a (1)", state_names=["a", "a", "b", "a (0)"])
+    assert tuple(model.state_names) == ("a (0) (0)", "a (1)", "b", "a (0) (3)")
+    assert model.initial.tolist() == [0, 1, 0, 0]
+    with pytest.raises(ModelError, match=r"several states have this name: a \(0\) \(0\), a \(1\)"):
+        stl.MDP.from_arrays([np.eye(4)], {}, "a", state_names=["a", "a", "b", "a (0)"])
