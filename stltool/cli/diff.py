@@ -16,7 +16,7 @@ from stltool.cli.roles import Reads
 def diff(
     before: Annotated[
         Path,
-        typer.Argument(help="report.json, or what a command printed with --json", show_default=False),
+        typer.Argument(help="report.json or its folder, or what a command printed with --json", show_default=False),
         Reads("report"),
     ],
     after: Annotated[Path, typer.Argument(help="the later one", show_default=False), Reads("report")],
@@ -34,17 +34,20 @@ def diff(
     """Show what changed between two reports, times aside; exit code 1 if anything did.
 
     Records are matched by what names them: a question, the source of a bound, a file. Something is worse if a bound no
-    longer holds, a probability or a guarantee is smaller, a guarantee is gone, or a certified gap is larger.
+    longer holds, a guarantee is weaker or gone, a certified gap is larger, or a probability went the wrong way: down,
+    or up if a bound asks for at most so much, or if no bound was given and a minimum was sought.
     """  # fmt: skip
     from dataclasses import asdict
 
     from stltool.errors import SettingsError
-    from stltool.reporting.differences import difference_rows, differences, load_result, summarised
+    from stltool.reporting.differences import difference_rows, differences, load_result, require_one_kind, summarised
     from stltool.reporting.terminal import print_facts, print_json, print_table
 
     if not 0 <= tolerance < float("inf"):
         raise SettingsError(f"--tolerance {tolerance:g}: give a number from 0, such as 1e-9")
-    found = differences(load_result(before), load_result(after), tolerance)
+    first, second = load_result(before), load_result(after)
+    require_one_kind(first, second)
+    found = differences(first, second, tolerance)
     bad = sum(one.worse for one in found)
     if as_json:
         print_json({"before": str(before), "after": str(after), "tolerance": tolerance, "worse": bad,

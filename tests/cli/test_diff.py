@@ -83,11 +83,12 @@ def test_only_what_is_worse_fails_if_only_that_is_asked(two, change, bad):
 
 
 def test_bounds_that_no_longer_hold_and_gaps_that_grow_are_worse():
-    before = {"asked": {"holds": True}, "gap": {"upper": 0.01, "without_data": 0.1}}
-    after = {"asked": {"holds": None}, "gap": {"upper": 0.02, "without_data": 0.1}}
+    before = {"holds": True, "training": {"gap": {"upper": 0.01, "without_data": 0.1}}, "gap": 0.0}
+    after = {"holds": None, "training": {"gap": {"upper": 0.02, "without_data": 0.1}}, "gap": 0.1}
     found = differences(before, after)
-    assert [(one.what, one.worse) for one in found] == [("asked.holds", True), ("gap.upper", True)]
+    assert [(one.what, one.worse) for one in found] == [("holds", True), ("training.gap.upper", True), ("gap", True)]
     assert not any(one.worse for one in differences(after, before))
+    assert [one.worse for one in differences(before, {**before, "training": {}})] == [True]
 
 
 def test_expectations_are_matched_by_their_text(tmp_path):
@@ -111,6 +112,74 @@ def test_expectations_are_matched_by_their_text(tmp_path):
     assert not any(one.worse for one in differences(after, before) if one.what.startswith("expectations"))
 
 
+WARD = """kind = "grid"
+map = '''
+PP..X
+.#..W
+S..#W
+'''
+cell = 1
+moves = "cross"
+success = "%s"
+slip = "%s"
+"""
+
+
+@pytest.mark.parametrize(
+    ("command", "options", "lines", "worse"),
+    [
+        ("verify", (), ["expect Pmin(danger) <= 0.5", "expect Pmax(danger) <= 0.999"], "to fewer slips"),
+        ("verify", (), ["expect Pmax(danger) < 0.999"], "to fewer slips"),
+        ("verify", (), ["expect Pmax(danger) >= 0.1"], "from fewer slips"),
+        ("check", (), [], "from fewer slips"),
+        ("check", ("--at-least", "0.1"), [], "from fewer slips"),
+        ("check", ("--at-most", "0.999"), [], "to fewer slips"),
+        ("check", ("--at-most", "0.999", "--at-least", "0.1"), [], "neither"),
+        ("check", ("--minimize",), [], "from fewer slips"),  # the least P of safe is larger with more slips
+    ],
+)
+def test_the_bound_asked_for_says_which_probability_is_worse(stltool, tmp_path, command, options, lines, worse):
+    """In the report, its folder, and what is printed; the ward with fewer slips has the larger P of danger."""
+    task = "danger := F[0,9] X" if "--minimize" not in options else "safe := G[0,9] !X"
+    (tmp_path / "t.stl").write_text("\n".join(['model "ward.toml"', task, *lines, ""]))
+    for name, chances in (("less", ("8/10", "1/15")), ("more", ("9/10", "1/30"))):
+        (tmp_path / "ward.toml").write_text(WARD % chances)
+        code, out, err = stltool(command, tmp_path / "t.stl", *options, "--report", tmp_path / name, "--json")
+        assert code == 0, err
+        (tmp_path / f"{name}.json").write_text(out)
+
+    def worse_from(before, after, ending):
+        files = (tmp_path / f"{before}{ending}", tmp_path / f"{after}{ending}")
+        found = json.loads(stltool("diff", *files, "--json")[1])
+        assert stltool("diff", *files, "--worse")[0] == bool(found["worse"])
+        return found["worse"]
+
+    for ending in ("", "/report.json", ".json"):
+        found = worse_from("less", "more", ending), worse_from("more", "less", ending)
+        assert found == (int(worse == "to fewer slips"), int(worse == "from fewer slips"))
+
+
+def test_a_policy_next_to_a_minimum_and_a_bound_from_above_are_judged_alike():
+    policy = {"question": "policy", "optimum_upper": 0.1, "lower": 0.2, "probability": 0.2}
+    minimum = {"question": "minimum", "probability": 0.1}
+    for checks in ([policy], [minimum, policy]):
+        more = [checks[0], {**policy, "probability": 0.3}][-len(checks) :]
+        assert [one.worse for one in differences({"checks": checks}, {"checks": more})] == [True]
+        assert not any(one.worse for one in differences({"checks": more}, {"checks": checks}))
+    upper = {"confidence": 0.9, "side": "upper", "upper": 0.5, "lower": 0.0}
+    assert [one.worse for one in differences(upper, {**upper, "upper": 0.6})] == [True]
+    assert [one.worse for one in differences(upper, {**upper, "upper": 0.4})] == [False]
+
+
+def test_a_report_shows_each_change_once(report):
+    """The page's explorer repeats the policy and the run, each check the task and the sizes."""
+    other = copy.deepcopy(report)
+    other["explorer"]["claim"] = None
+    for record in (other, *other["checks"]):
+        record["model_digest"] = "0"
+    assert [one.what for one in differences(report, other)] == ["model_digest"]
+
+
 def test_parts_that_differ_in_many_places_are_summed_up(two, report):
     def change(data):
         for i, step in enumerate(data["run"]["steps"]):
@@ -129,11 +198,11 @@ def test_parts_that_differ_in_many_places_are_summed_up(two, report):
 
 
 def test_changed_leaves_are_found_wherever_they_are(report):
-    """Any number of the report, changed alone, is found; unless it is a time."""
+    """Any number of the report, changed alone, is found; unless it is a time, or in what a page's explorer repeats."""
 
     def leaves(data, path):
         for key, value in data.items() if isinstance(data, dict) else enumerate(data):
-            if isinstance(value, dict | list):
+            if key != "explorer" and isinstance(value, dict | list):
                 yield from leaves(value, (*path, key))
             elif isinstance(value, int | float) and not isinstance(value, bool) and key not in ("seconds", "time"):
                 yield (*path, key)
@@ -153,16 +222,37 @@ def test_changed_leaves_are_found_wherever_they_are(report):
 
 def test_what_cannot_be_compared_is_refused(stltool, tmp_path, report):
     (tmp_path / "a.json").write_text(json.dumps(report))
-    (tmp_path / "b.json").write_text('{"format": "stltool-sweep-1"}')
     (tmp_path / "c.json").write_text("[1]")
+    (tmp_path / "e.json").write_text("{}")
+    (tmp_path / "f.json").write_text('{"format": "stltool-sweep-1"}')
+    (tmp_path / "g.json").write_text('{"format": "stltool-policy-2", "formula": "true"}')
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "t.stl").write_text('model "ward.toml"\ndanger := F[0,9] X\n')
+    (tmp_path / "ward.toml").write_text(WARD % ("9/10", "1/30"))
+    for name, command in (("check", ["check"]), ("estimate", ["estimate", "--runs", 10])):
+        (tmp_path / f"{name}.json").write_text(stltool(*command, tmp_path / "t.stl", "--json")[1])
+    (tmp_path / "doctor.json").write_text(
+        json.dumps(dict.fromkeys(["version", "python", "system", "extras", "faults"]))
+    )
     for other, says in (
-        ("b.json", "compare two of the same kind"),
+        ("check.json", "the first file is stltool-report-1, the second the output of check --json; compare two of the"),
         ("c.json", "not the JSON file of a report"),
         ("d.json", "there is no such report"),
+        ("e.json", "no result that can be compared: an object with no fields; give a report.json, or what one of"),
+        ("f.json", "no result that can be compared: an object with format; give"),
+        ("g.json", "no result that can be compared: an object with format, formula; give"),
+        ("doctor.json", "an object with version, python, system, extras and 1 more; give"),
+        ("folder", "folder/report.json: there is no such report"),
     ):
         code, out, err = stltool("diff", tmp_path / "a.json", tmp_path / other)
         assert (code, out) == (2, "")
         assert says in err
+    assert stltool("diff", tmp_path / "e.json", tmp_path / "e.json")[:2] == (2, "")
+    code, _, err = stltool("diff", tmp_path / "check.json", tmp_path / "estimate.json")
+    assert code == 2
+    assert "is the output of check --json, the second the output of estimate --json" in err
+    for name in ("check", "estimate"):
+        assert stltool("diff", tmp_path / f"{name}.json", tmp_path / f"{name}.json")[0] == 0
     code, _, err = stltool("diff", tmp_path / "a.json", tmp_path / "a.json", "--tolerance", "-1")
     assert code == 2
     assert "--tolerance -1: give a number from 0" in err
