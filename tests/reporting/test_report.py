@@ -87,7 +87,7 @@ def test_a_report_tells_why_it_fails(results):
     assert [row["probability"] for row in data["why"]["runs"]] == [row.probability for row in likely.runs]
     for row in data["why"]["runs"]:
         assert f"violated at step {row['step']}" in page
-        assert f"<td>{trace_text(row['states'], row['labels'], row['actions'])}</td>" in page
+        assert f'<td class="long">{trace_text(row["states"], row["labels"], row["actions"])}</td>' in page
     moves = stl.sensitivity(checks[1].product, run.policy).ranked(5)
     assert [row["name"] for row in data["why"]["sensitive"]] == [row.name for row in moves if row.derivative]
     assert f"{moves[0].derivative:.4g}</td>" in page
