@@ -27,11 +27,15 @@ PURPOSES = {
     "gymnasium": "Gymnasium environments as models, and models as environments",
     "parquet": "traces in Parquet files",
     "tensorboard": "learning curves as TensorBoard events",
+    "trees": "policies as decision trees, with explain --policy",
     "robot": "the physical robot of the sources' examples/robot",
 }
 """Extra → what it is for. Those of developers are not listed."""
 
-_MODULES = {"lazy-loader": "lazy_loader"}  # package → what is imported, where the names differ
+_MODULES = {
+    "lazy-loader": "lazy_loader",
+    "scikit-learn": "sklearn",
+}  # package → what is imported, where the names differ
 
 
 @dataclass(frozen=True)

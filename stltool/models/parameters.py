@@ -244,7 +244,8 @@ def _affine(tree: Tree[Token] | Token, text: str, parameters: Mapping[str, Param
         case "name":
             name = str(children[0])
             if name not in parameters:
-                hint = near_misses(name, parameters) if parameters else f"declare it: [parameters] {name} = [0.5, 1]"
+                declared = f"declare it at the end of the model file:\n  [parameters]\n  {name} = [0.5, 1]"
+                hint = near_misses(name, parameters) if parameters else declared
                 raise ModelError(f"{text!r}: there is no parameter {name}; {hint}")
             return Affine(Fraction(0), {name: Fraction(1)})
         case "negated":

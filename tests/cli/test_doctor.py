@@ -2,11 +2,14 @@
 
 import importlib
 import json
+import tomllib
 from importlib import metadata
 
 import pytest
 
 from stltool import doctor
+from stltool.extras import EXTRAS
+from tests.conftest import ROOT
 
 
 def test_this_installation_is_sound(stltool):
@@ -22,6 +25,19 @@ def test_this_installation_is_sound(stltool):
     assert {one["name"] for one in data["packages"]}.isdisjoint({"ruff", "mypy"})
     assert 0 < data["memory"]["most_used"] <= data["memory"]["available"] <= data["memory"]["total"]
     assert all(f"{name} " in text for name in ("numpy", "numba", "gymnasium", "a small check"))
+
+
+def test_every_extra_that_a_user_may_need_is_listed(stltool):
+    """Those that a feature asks for; of pyproject's others, all but what serves developers and comparisons."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert set(EXTRAS.values()) <= set(doctor.PURPOSES)
+    assert set(doctor.PURPOSES) == set(project["optional-dependencies"]) - {"test", "dev", "bench", "fuzz", "peers"}
+    listed = {one.name: one for one in doctor.diagnose().packages if one.extra is not None}
+    for package, extra in EXTRAS.items():
+        name = {"sklearn": "scikit-learn"}.get(package, package)
+        assert (listed[name].extra, listed[name].status) == (extra, "ok")
+    text = stltool("doctor")[1]
+    assert all(f"\n{extra} " in text for extra in doctor.PURPOSES)
 
 
 def broken(monkeypatch, *, missing=(), old=(), failing=()):

@@ -145,7 +145,9 @@ F, line 7, column 4: 'é' is not a cell; use # (blocked), . (free), S (start) or
        ^
 F, line 9: moves is 'knight'; choose one of king, cross
 F, line 10: success is 1.2; a probability lies between 0 and 1
-F, line 11: slip: 'often': there is no parameter often; declare it: [parameters] often = [0.5, 1]
+F, line 11: slip: 'often': there is no parameter often; declare it at the end of the model file:
+  [parameters]
+  often = [0.5, 1]
 F, line 12: cell is 0; the side of a cell is positive, between 1e-100 and 1e100
 F, line 13: unknown key slpi; did you mean slip?
 8 errors"""

@@ -104,7 +104,7 @@ def test_a_parameter_without_a_value_is_not_a_model_to_check(tmp_path):
         ({"success": '"0.9"', "slip": ""}, "parameter p does not occur in success or slip"),
         ({"success": "[0.9, 0.95]"}, "success is an interval"),
         ({"parameters": "[parameters]\np = [0.5, 1.1]"}, "success is 1.1 where p is 1.1"),
-        ({"parameters": ""}, r"declare it: \[parameters\] p = \[0.5, 1\]"),
+        ({"parameters": ""}, r"declare it at the end of the model file:\n  \[parameters\]\n  p = \[0.5, 1\]"),
         ({"parameters": "[parameters]\np = 0.5"}, "line 15: parameter p is 0.5; write its domain"),
         ({"parameters": "[parameters]\np = [1, 0.5]"}, "the lower end comes first"),
         ({"parameters": "[parameters]\np = { domain = [0.5, 1], value = 0.3 }"}, "p = 0.3 lies outside its domain"),
