@@ -27,13 +27,13 @@ from stltool.display import Card, Displayed, counted
 from stltool.errors import ModelError, SettingsError, SizeError, StlToolError, TraceError, all_told
 from stltool.files import require_folder
 from stltool.logic.expectation import Expectation, Relation
-from stltool.logic.formula import Formula, is_bounded, label_names, variables
-from stltool.logic.parser import load_task
+from stltool.logic.formula import Formula, horizon, is_bounded, label_names, variables
+from stltool.logic.parser import Survey, survey_task
 from stltool.logic.task import Task
 from stltool.models import MDP, load_model
 from stltool.monitoring import MonitorResult, load_trace, monitor
 from stltool.policy import load_policy
-from stltool.product import Product, build_product
+from stltool.product import Product, build_product, require_names
 from stltool.sizes import require_limit, seconds_of
 
 Verdict: TypeAlias = Literal["holds", "does not hold", "undecided", "error"]
@@ -191,7 +191,8 @@ class _Asked:
 
     @property
     def key(self) -> tuple[Any, ...]:
-        return id(self.product), self.question, self.policy, self.minimal
+        policy = self.policy.resolve() if self.policy is not None else None
+        return id(self.product), self.question, policy, self.minimal
 
 
 @dataclass
@@ -211,14 +212,17 @@ class _Gate:
 
     def read(self, paths: Sequence[Path]) -> list[Task]:
         """The tasks, with their models read; StlToolError lists all faults."""
-        tasks, faults = [], []
+        tasks: list[Task] = []
+        faults: list[str] = []
         for path in paths:
             try:
-                task = load_task(path, unbounded=True)
-                faults += self._faults(task)
-                tasks.append(task)
+                read = survey_task(path)
             except StlToolError as error:
                 faults.append(str(error))
+                continue
+            faults += read.faults
+            faults += [fault for fault in dict.fromkeys(self._faults(read)) if fault not in faults]
+            tasks += [read.task] if read.task is not None else []
         if not faults and not any(task.expectations for task in tasks):
             named = ", ".join(map(str, paths))
             faults.append(
@@ -230,26 +234,36 @@ class _Gate:
             raise StlToolError(all_told(faults))
         return tasks
 
-    def _faults(self, task: Task) -> list[str]:
+    def _faults(self, read: Survey) -> list[str]:
+        """What is wrong with the expectations that could be read, before any of them is judged."""
         faults = []
-        for expectation in task.expectations:
+        for expectation in read.expectations:
             for file, what in ((expectation.policy, "policy file"), (expectation.trace, "trace file")):
-                if file is not None and not (task.folder / file).is_file():
-                    path = task.folder / file
+                if file is not None and not (read.path.parent / file).is_file():
+                    path = read.path.parent / file
                     fault = "is not a regular file" if path.exists() else "does not exist"
                     faults.append(_at(expectation, f"the {what} {path} {fault}; paths are relative to the task file"))
             if expectation.question == "holds":
                 continue
-            if task.model is None:
-                faults.append(_at(expectation, 'the task file names no model; add a line such as model "floor.toml"'))
+            try:
+                horizon(expectation.formula)
+            except StlToolError as error:
+                faults.append(str(error))
+            if read.model is None:
+                if not read.faults:  # one of them may be the model line's
+                    told = 'the task file names no model; add a line such as model "floor.toml"'
+                    faults.append(_at(expectation, told))
                 continue
             try:
-                model = self._model(task.model)
+                model = self._model(read.model)
+                unfit = _unfit(expectation, model)
+                if unfit is not None:
+                    faults.append(_at(expectation, unfit))
+                    continue
+                task = read.task if expectation.name is not None else None
+                require_names(model, expectation.formula, task, tuple(read.definitions))
             except StlToolError as error:
-                if str(error) not in faults:
-                    faults.append(str(error))
-                continue
-            faults += [_at(expectation, told) for told in [_unfit(expectation, model)] if told is not None]
+                faults.append(str(error))
         return faults
 
     def _model(self, path: Path) -> MDP:
@@ -271,7 +285,7 @@ class _Gate:
             else:
                 found = self._probability(task, expectation)
         except StlToolError as error:
-            found = Verified(path, task, expectation, "error", reason=str(error))
+            found = Verified(path, task, expectation, "error", reason=_as_written(str(error), task, expectation))
         return replace(found, seconds=time.perf_counter() - start)
 
     def _on_trace(self, task: Task, expectation: Expectation) -> Verified:
@@ -321,7 +335,7 @@ class _Gate:
             with self.stage(f"compiling {expectation.subject}"):
                 self.products[key] = build_product(model, given)
         minimal = expectation.relation in (">=", ">") if expectation.robust else None
-        policy = (task.folder / expectation.policy).resolve() if expectation.policy is not None else None
+        policy = task.folder / expectation.policy if expectation.policy is not None else None
         return _Asked(self.products[key], expectation.question, policy, minimal)
 
     def _answer(self, asked: _Asked, expectation: Expectation) -> CheckResult:
@@ -419,6 +433,13 @@ def _unfit(expectation: Expectation, model: MDP) -> str | None:
     if expectation.robust and not model.uncertain:
         return f"the probabilities of {model.name} are not intervals; leave robust out"
     return None
+
+
+def _as_written(message: str, task: Task, expectation: Expectation) -> str:
+    """A message with the expectation's file as the task file names it, so that reports are the same everywhere."""
+    for file in (expectation.policy, expectation.trace):
+        message = message.replace(str(task.folder / file), file) if file is not None else message
+    return message
 
 
 def _at(expectation: Expectation, message: str) -> str:

@@ -5,6 +5,7 @@ A product state is a pair (s, q): model state s just read, automaton state q aft
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -271,17 +272,8 @@ def build_product(
     formula = bounded_formula_of(task, "build_product's task")
     name, named = (task.name, task.predicates) if isinstance(task, Task) else ("formula", {})
     sensing = model.sensing
-    labels = model.labels if sensing is None else sensing.labels
-    signals = model.signals if sensing is None else sensing.signals
-    _require_names(label_names(formula), labels, signals, "label", "compare it with a number", model.notes)
-    _require_names(variables(formula), signals, labels, "signal", "use it without comparing", model.notes)
-    if isinstance(task, Task):
-        for own in (*task.params, *task.definitions):
-            if own in labels or own in signals:
-                raise NameLookupError(
-                    f"{task.path or task.name}: {own} is defined in the task, and the model has a "
-                    f"{'label' if own in labels else 'signal'} of that name; rename the one in the task"
-                )
+    earlier = itertools.takewhile(lambda known: known != name, task.definitions) if isinstance(task, Task) else ()
+    require_names(model, formula, task if isinstance(task, Task) else None, tuple(earlier))
     atoms = atoms_of(formula, encoding)
     if sensing is not None:
         model, told, code = sensing.bound(model, list(map(_sensed, atoms)))
@@ -297,6 +289,29 @@ def build_product(
     valuations, which = _distinct(values, model.n_states)
     automaton = compile_automaton(formula, encoding, valuations != 0, memory_limit, most_states)
     return Product(model, automaton, automaton.letter_of[which], name, named)
+
+
+def require_names(model: MDP, formula: Formula, task: Task | None, definitions: Sequence[str]) -> None:
+    """NameLookupError if the model lacks a name of the formula, or if the task defines one that the model has.
+
+    `definitions` are those of the file that the formula could have used: one of them may have been meant.
+    """
+    sensing = model.sensing
+    labels = model.labels if sensing is None else sensing.labels
+    signals = model.signals if sensing is None else sensing.signals
+    for wanted, known, other, kind, remedy in (
+        (label_names(formula), labels, signals, "label", "compare it with a number"),
+        (variables(formula), signals, labels, "signal", "use it without comparing"),
+    ):
+        _require_names(wanted, known, other, definitions, kind, remedy, model.notes)
+    if task is None:
+        return
+    for own in (*task.params, *task.definitions):
+        if own in labels or own in signals:
+            raise NameLookupError(
+                f"{task.path or task.name}: {own} is defined in the task, and the model has a "
+                f"{'label' if own in labels else 'signal'} of that name; rename the one in the task"
+            )
 
 
 def _sensed(psi: Formula) -> Atom:
@@ -379,6 +394,7 @@ def _require_names(
     wanted: Mapping[str, Span | None],
     known: Collection[str],
     other: Collection[str],
+    definitions: Sequence[str],
     kind: str,
     remedy: str,
     notes: Mapping[str, str],
@@ -391,5 +407,9 @@ def _require_names(
                 )
             else:
                 note = f"; {notes[kind]}" if kind in notes else ""
-                message = f"the model has no {kind} {name}; {near_misses(name, [*known, *other])}{note}"
+                hint = near_misses(name, [*known, *other, *definitions])
+                if not hint.startswith("did you mean"):
+                    hint = near_misses(name, [*known, *other])
+                    hint += f"; definitions of the file: {', '.join(definitions)}" if definitions else ""
+                message = f"the model has no {kind} {name}; {hint}{note}"
             raise NameLookupError(span.show(message) if span is not None else message)

@@ -166,16 +166,18 @@ def test_one_fault_later_on_does_not_stop_the_others(written, tmp_path):
     found = stl.verify(
         written(
             'expect P(reach, policy "no.npz") >= 0.5',
-            "expect Pmax(F[0,1] nowhere) >= 0.5",
             'expect holds(F[0,1] x > 0, trace "short.csv")',
             'expect holds(F[0,1] true, trace "short.csv")',
             "expect Pmax(reach) >= 0.3",
         )
     )
-    assert verdicts(found) == ["error"] * 4 + ["holds"]
-    for result, told in zip(found.results, ["no.npz", "nowhere", "samples", "constant"], strict=False):
+    assert verdicts(found) == ["error"] * 3 + ["holds"]
+    for result, told in zip(found.results, ["no.npz", "samples", "constant"], strict=False):
         assert told in result.reason
-    assert found.count() == {"holds": 1, "does not hold": 0, "undecided": 0, "error": 4}
+    assert found.count() == {"holds": 1, "does not hold": 0, "undecided": 0, "error": 3}
+    for result, file in zip(found.results, ["no.npz", "short.csv"], strict=False):  # as the task file names them
+        assert file in result.reason
+        assert str(tmp_path) not in result.reason
 
 
 @pytest.mark.parametrize(
@@ -215,6 +217,44 @@ def test_all_faults_of_all_files_are_told_together(written, tmp_path):
     assert said.count("none.toml") == 1  # two expectations need it
     for told in ("a.npz", "b.csv", "2 is not a probability", "four.stl"):
         assert told in said
+
+
+def test_every_kind_of_fault_is_told_at_once(written):
+    """Faults of syntax, files, names, natures and horizons, all of them before anything is computed."""
+    path = written(
+        "expect Pmax(reach) == 0.9",
+        'expect P(reach, policy "none.npz") >= 0.5',
+        'expect holds(reach, trace "none.csv")',
+        "expect robust Pmax(reach) >= 0.5",
+        "expect Pmax(raech) >= 0.5",
+        "expect Pmax(F[0,1] Q) >= 0.5",
+        "expect Pmax(G A) >= 0.5",
+    )
+    with mock.patch.object(gate, "build_product", side_effect=AssertionError), pytest.raises(StlToolError) as refused:
+        stl.verify([path, written("expect Pmax(F[0,1] Q) >= 0", name="two.stl")])
+    said = str(refused.value)
+    assert said.endswith("8 errors")
+    for told in (
+        "== cannot be decided",
+        "the policy file",
+        "the trace file",
+        "leave robust out",
+        "the model has no label raech; did you mean reach?",
+        "the model has no label Q; known names: A, x, y; definitions of the file: reach",
+        "hence no horizon",
+        "two.stl, line 3",
+    ):
+        assert told in said
+
+
+def test_a_faulty_line_brings_no_further_faults(written, tmp_path):
+    """What is about a definition or a model that cannot be read is passed over."""
+    path = tmp_path / "broken.stl"
+    path.write_text("model coin.toml\nreach = F[0,2] A\nother := F[0,1] A\nexpect Pmax(reach) >= 0.5\n")
+    with pytest.raises(StlToolError) as refused:
+        stl.verify(path)
+    assert "names no model" not in str(refused.value)
+    assert "no label reach" not in str(refused.value)
 
 
 def test_a_black_box_has_no_probability(tmp_path):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import cast
@@ -13,7 +13,8 @@ from stltool.arguments import path as path_of
 from stltool.errors import SettingsError, StlSyntaxError, named, near_misses
 from stltool.files import read_text
 from stltool.logic.builder import FORMULAS, Builder
-from stltool.logic.formula import Formula
+from stltool.logic.expectation import Expectation
+from stltool.logic.formula import Formula, Term
 from stltool.logic.quantities import Duration, ParamValue, Quantity, duration, quantity
 from stltool.logic.syntax import LONGEST_TEXT, Document, read, refuse
 from stltool.logic.task import Task
@@ -85,6 +86,36 @@ def load_task(
     return parse_task(text, params, task, name=str(path), path=path, unbounded=unbounded)
 
 
+@dataclass(frozen=True)
+class Survey:
+    """What a task file says as far as it can be understood, and its faults, in text order.
+
+    `task` is None if there are any; what the statements without faults say is there all the same.
+    """
+
+    path: Path
+    faults: tuple[str, ...]
+    task: Task | None
+    model: Path | None
+    definitions: Mapping[str, Formula | Term]
+    expectations: tuple[Expectation, ...]
+
+
+def survey_task(path: Path) -> Survey:
+    """A task file, whose formulas may be unbounded, read for its expectations. FileError if it cannot be read."""
+    document = read(Source(str(path), read_text(path, "task file", LONGEST_TEXT)), "task")
+    builder = _builder(document, True, {})
+    faults = [fault.message for fault in sorted([*document.faults, *builder.faults], key=lambda fault: fault.start)]
+    task = None
+    if not faults:
+        try:
+            task = _finished(builder, document, path, True, None, {})
+        except StlSyntaxError as error:
+            faults.append(str(error))
+    model = path.parent / builder.model if builder.model is not None else None
+    return Survey(path, tuple(faults), task, model, builder.definitions, tuple(builder.expectations))
+
+
 _CHOICE = "name one of the file's definitions in quotes"
 
 
@@ -124,12 +155,30 @@ def _build(
     more: Mapping[str, ParamValue] | None = None,
 ) -> Task:
     """The task of a text that is already parsed; the overrides in `more` replace earlier ones."""
-    source, overrides = document.source, {**overrides, **_exact(more)}
-    faulty = [name for fault in document.faults for name in fault.names]
-    builder = Builder(source, overrides=overrides, unbounded=unbounded, faulty=faulty)
-    builder.statements(document.trees)
+    overrides = {**overrides, **_exact(more)}
+    builder = _builder(document, unbounded, overrides)
     refuse([*document.faults, *builder.faults])
-    name = source.name
+    return _finished(builder, document, path, unbounded, task, overrides)
+
+
+def _builder(document: Document, unbounded: bool, overrides: Mapping[str, Quantity]) -> Builder:
+    """What the statements say; its faults come on top of the document's."""
+    faulty = [name for fault in document.faults for name in fault.names]
+    builder = Builder(document.source, overrides=overrides, unbounded=unbounded, faulty=faulty)
+    builder.statements(document.trees)
+    return builder
+
+
+def _finished(
+    builder: Builder,
+    document: Document,
+    path: Path | None,
+    unbounded: bool,
+    task: str | None,
+    overrides: Mapping[str, Quantity],
+) -> Task:
+    """The task of a text without faults in its statements."""
+    name = document.source.name
     if not builder.definitions:
         raise StlSyntaxError(f"{name}: the file defines no task; write one, such as reach := F[0,10] A")
     if overrides.keys() - builder.params.keys():

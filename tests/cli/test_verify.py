@@ -12,7 +12,7 @@ from tests.conftest import FACTORY, ROOT
 TASK = 'model "coin.toml"\nreach := F[0,1] A\n'
 COIN = 'kind = "grid"\nmap = "SA"\ncell = 1\nmoves = "cross"\nsuccess = "1/3"\n'
 HOLDS, FAILS = "expect Pmax(reach) >= 0.3", "expect Pmax(reach) >= 0.4"
-UNDECIDED, WRONG = "expect Pmax(reach | A) >= 1/3", "expect Pmax(nowhere) >= 0.3"
+UNDECIDED, WRONG = "expect Pmax(reach | A) >= 1/3", 'expect P(reach, policy "no.npz") >= 0.3'
 
 
 @pytest.fixture
@@ -20,6 +20,7 @@ def files(tmp_path, monkeypatch):
     """Task files of these expectations, in the current folder."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "coin.toml").write_text(COIN)
+    (tmp_path / "no.npz").write_text("no policy")
 
     def write(name="task.stl", *lines):
         (tmp_path / name).write_text("\n".join([TASK, *lines, ""]))
@@ -67,8 +68,8 @@ def test_reasons_are_told(stltool, files):
     code, out, err = stltool("verify", files("task.stl", "expect Pmax(reach) > 1/3", WRONG), "--exact-seconds", "0")
     assert code == 2
     assert "task.stl:4  the bound lies inside the enclosure, and the exact fraction is not computed" in out
-    assert "error: task.stl:5: Pmax(nowhere) >= 0.3: task.stl, line 5, column 13: " in err
-    assert "did you mean" in err or "known names" in err
+    assert 'error: task.stl:5: P(reach, policy "no.npz") >= 0.3: no.npz: ' in err
+    assert "write one with Policy.save" in err
 
 
 def test_what_is_suspicious_is_told(stltool, files):

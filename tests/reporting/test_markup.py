@@ -167,9 +167,11 @@ def black_box(checked):
 def verified(tmp_path_factory):
     folder = tmp_path_factory.mktemp("verified")
     (folder / "log.csv").write_text("x\n1\n0\n")
+    (folder / "no.npz").write_text("no policy")
     (folder / "task.stl").write_text(
         f'model "{FACTORY}/floor-5x5.toml"\nreach := F[0,2] A\nexpect Pmax(reach) >= 4433/5000\n'
-        'expect Pmax(reach) >= 1/2\nexpect Pmin(nowhere) <= 0\nexpect holds(F[0,1] x > 0, trace "log.csv")\n'
+        'expect Pmax(reach) >= 1/2\nexpect P(reach, policy "no.npz") <= 0\n'
+        'expect holds(F[0,1] x > 0, trace "log.csv")\n'
     )
     found = stl.verify(folder / "task.stl", certificates=folder, exact_seconds=0)
     return json.loads(json.dumps(verification_data(found, "stltool verify")))
