@@ -63,7 +63,8 @@ def doctor(as_json: AsJson = False) -> None:
         print()
         print_table([
             {"extra": extra, "for": about["for"],
-             "status": f"missing: pip install 'stltool[{extra}]'" if about["missing"] else "installed"}
+             "status": f"missing: pip install 'stltool[{extra}]'" if about["missing"] else "installed"
+             if about["packages"] else f"unknown to this installation: pip install --upgrade 'stltool[{extra}]'"}
             for extra, about in extras.items()
         ])  # fmt: skip
         print()

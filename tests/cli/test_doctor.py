@@ -27,17 +27,22 @@ def test_this_installation_is_sound(stltool):
     assert all(f"{name} " in text for name in ("numpy", "numba", "gymnasium", "a small check"))
 
 
-def test_every_extra_that_a_user_may_need_is_listed(stltool):
+def test_every_extra_that_a_user_may_need_is_listed(stltool, monkeypatch):
     """Those that a feature asks for; of pyproject's others, all but what serves developers and comparisons."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert set(EXTRAS.values()) <= set(doctor.PURPOSES)
     assert set(doctor.PURPOSES) == set(project["optional-dependencies"]) - {"test", "dev", "bench", "fuzz", "peers"}
+    extras = project["optional-dependencies"]
+    written = [f'{needed}; extra == "{extra}"' for extra in extras for needed in extras[extra]]
+    monkeypatch.setattr(doctor.metadata, "requires", lambda name: [*project["dependencies"], *written])
     listed = {one.name: one for one in doctor.diagnose().packages if one.extra is not None}
     for package, extra in EXTRAS.items():
         name = {"sklearn": "scikit-learn"}.get(package, package)
         assert (listed[name].extra, listed[name].status) == (extra, "ok")
     text = stltool("doctor")[1]
     assert all(f"\n{extra} " in text for extra in doctor.PURPOSES)
+    monkeypatch.setattr(doctor.metadata, "requires", lambda name: project["dependencies"])
+    assert "unknown to this installation: pip install --upgrade 'stltool[trees]'" in stltool("doctor")[1]
 
 
 def broken(monkeypatch, *, missing=(), old=(), failing=()):
