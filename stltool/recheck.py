@@ -74,10 +74,16 @@ def certify(path: str, progress: Callable[[int, int], None] | None = None) -> di
     """
     longest = sys.get_int_max_str_digits()
     sys.set_int_max_str_digits(0)  # lengths are checked before numbers are read
+    lines = Lines(path)
     try:
-        return _certify(Lines(path), progress or (lambda done, total: None))
-    except DAMAGE as error:
-        raise NotACertificate(f"not a certificate ({FORMAT}), or a damaged one: {error!r}"[:500]) from None
+        return _certify(lines, progress or (lambda done, total: None))
+    except NotACertificate:
+        raise
+    except (Refused, *DAMAGE) as error:
+        fault = str(error) if isinstance(error, Refused) else lines.damage(error)
+        if not lines.ours:
+            raise NotACertificate(f"not a certificate ({FORMAT}): {fault}") from None
+        raise Refused(fault) from None
     finally:
         sys.set_int_max_str_digits(longest)
 
@@ -88,11 +94,29 @@ def certify(path: str, progress: Callable[[int, int], None] | None = None) -> di
 class Lines:
     """The file's lines in order, each an object or a list; its seal, a digest of all lines before it, is checked last.
 
-    `read` counts bytes. Of a line, no more than the longest allowed length is read.
+    `read` counts bytes, `begun` the lines begun; `ours` tells whether the first line states the format. Of a line, no
+    more than the longest allowed length is read.
     """
 
     def __init__(self, path: str) -> None:
-        self.path, self.read = path, 0
+        self.path, self.read, self.begun, self.ours = path, 0, 0, False
+
+    def damage(self, error: Exception) -> str:
+        """What an error of reading means, in words."""
+        match error:
+            case EOFError():
+                return f"the file is cut off: its compressed data end after line {self.begun}"
+            case zlib.error() | gzip.BadGzipFile():
+                return f"its compressed data are damaged after line {self.begun}"
+            case UnicodeDecodeError():
+                return f"line {self.begun} is not UTF-8 text"
+            case json.JSONDecodeError():
+                return f"line {self.begun} is not JSON, or it is cut off"
+            case RecursionError():
+                return f"line {self.begun} is nested too deeply"
+            case MemoryError():
+                return f"line {self.begun} needs more memory than there is"
+        return f"what is listed up to line {self.begun} does not have the form of a certificate"
 
     def __iter__(self) -> Iterator[Item]:
         with open(self.path, "rb") as plain:
@@ -101,10 +125,12 @@ class Lines:
         with gzip.open(self.path, "rb") if packed else open(self.path, "rb") as file:
             while line := file.readline(LINE + 1):
                 self.read += len(line)
-                if len(line) > LINE:
-                    raise NotACertificate(f"not a certificate ({FORMAT}): a line of more than {LINE} bytes")
+                self.begun += 1
+                require(len(line) <= LINE, f"line {self.begun} has more than {LINE} bytes")
                 require(seal is None, "there is text after the seal")
                 item = _DECODER.decode(line.decode())
+                if self.begun == 1:
+                    self.ours = type(item) is dict and item.get("format") == FORMAT
                 seal = item.get("sha256") if type(item) is dict else None
                 if seal is None:
                     digest.update(line)

@@ -167,7 +167,8 @@ def _require_same(path: str | Path, product: Product, policy: Policy | None) -> 
     for key in ("formula", "horizon", *(["claim"] if policy is not None else [])):
         if theirs[key] != own[key]:
             what = "task" if key == "formula" else key
-            raise CertificateError(f"{path}: the {what} of this certificate is {theirs[key]}, not {own[key]}")
+            remedy = "; leave out --policy" if key == "claim" else ""
+            raise CertificateError(f"{path}: the {what} of this certificate is {theirs[key]}, not {own[key]}{remedy}")
     same, letters, item = _same_model(product, items)
     if not same:
         raise CertificateError(

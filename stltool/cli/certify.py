@@ -11,7 +11,7 @@ import typer
 from stltool.cli.app import app
 from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, TaskName
 from stltool.cli.roles import Reads, task_files
-from stltool.cli.steps import load_product
+from stltool.cli.steps import load_product, read_params
 from stltool.errors import RefusedError, SettingsError
 from stltool.numbers import bound_texts, long_numbers
 
@@ -62,6 +62,7 @@ def certify(
         raise typer.Exit(1) from None
     if task is not None:
         product = load_product(task, model, param, name, encoding, normalize=normalize)
+        _require_task(file, task, param, str(proved["formula"]), str(product.formula))
         require_certificate_of(file, product, stl.load_policy(policy, product) if policy is not None else None)
         nominal = product.model.uncertain
         proved |= {"task": product.task_name, "encoding": product.automaton.encoding, "nominal": nominal}
@@ -80,6 +81,22 @@ def certify(
         "rows": "sum to 1 exactly" if proved["defect"] == "0" else f"sum to 1 up to {proved['defect']}, allowed for",
         "compared": _compared(task, policy, bool(proved.get("nominal"))),
     })  # fmt: skip
+
+
+def _require_task(file: Path, task: Path, param: list[str] | None, proved: str, asked: str) -> None:
+    """CertificateError if the certificate is about another definition of the task file."""
+    import stltool as stl
+    from stltool.errors import CertificateError
+    from stltool.logic.formula import Formula
+
+    if proved == asked:
+        return
+    for name, definition in stl.load_task(task, read_params(param)).definitions.items():
+        if isinstance(definition, Formula) and str(definition) == proved:
+            raise CertificateError(
+                f"{file}: the task of this certificate is {proved}, not {asked}; that is {name} of the same file: add "
+                f"--task {name}"
+            )
 
 
 def _compared(task: Path | None, policy: Path | None, nominal: bool) -> str:
