@@ -11,6 +11,7 @@ minimises the probability in claims of >= and >, and maximises it in claims of <
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
@@ -205,7 +206,8 @@ class _Gate:
     products: dict[tuple[Path, Formula], Product] = field(default_factory=dict)
     checked: dict[tuple[Any, ...], CheckResult] = field(default_factory=dict)
     exactly: dict[tuple[Any, ...], CheckResult | str] = field(default_factory=dict)
-    certificate_names: dict[tuple[Path, Expectation], Path] = field(default_factory=dict)
+    certificate_names: dict[tuple[Path, Expectation], Path] = field(default_factory=dict)  # the first of that name
+    certificates_of_name: Counter[Path] = field(default_factory=Counter)
     certified: dict[tuple[Any, ...], tuple[Path, Fraction, Fraction]] = field(default_factory=dict)
 
     # ------------------------------------------------------------------------------------------------------- reading
@@ -373,27 +375,25 @@ class _Gate:
 
     def certificates_in(self, folder: Path, tasks: Sequence[Task]) -> None:
         """Choose a file for every certificate, before the work; FileError if one cannot be written."""
-        taken: set[str] = set()
+        asked: Counter[Path] = Counter()
         for task in tasks:
             for expectation in task.expectations:
                 if expectation.question == "holds" or expectation.robust:
                     continue
                 assert task.path is not None
                 subject = expectation.name if expectation.name is not None else f"line-{expectation.span.line}"  # type: ignore[union-attr]
-                stem = name = f"{task.path.stem}-{subject}-{expectation.question}"
-                number = 1
-                while name in taken:
-                    number += 1
-                    name = f"{stem}-{number}"
-                taken.add(name)
-                path = require_certificate_file(folder / f"{name}.jsonl.gz")
-                self.certificate_names[task.path, expectation] = path
+                first = folder / f"{task.path.stem}-{subject}-{expectation.question}.jsonl.gz"
+                asked[first] += 1
+                require_certificate_file(_numbered(first, asked[first]))
+                self.certificate_names[task.path, expectation] = first
 
-    def _certify(self, asked: _Asked, done: Verified, path: Path) -> Certified:
+    def _certify(self, asked: _Asked, done: Verified, first: Path) -> Certified:
         """The certificate of an answer; expectations that share it share the file."""
         assert done.result is not None
         key = (*asked.key, done.result.fraction is not None)
         if key not in self.certified:
+            self.certificates_of_name[first] += 1
+            path = _numbered(first, self.certificates_of_name[first])
             with self.stage(f"certifying {done.expectation.asked}") as progress:
                 lower, upper = write_certificate(done.result, path, self.memory_limit, progress)
             self.certified[key] = (path, lower, upper)
@@ -403,6 +403,11 @@ class _Gate:
         assert bound is not None
         proves = _compared(relation, bound, lower, upper)
         return Certified(path, lower, upper, proves is not None)
+
+
+def _numbered(first: Path, number: int) -> Path:
+    """a.jsonl.gz, a-2.jsonl.gz, a-3.jsonl.gz, …"""
+    return first if number == 1 else first.with_name(f"{first.name.removesuffix('.jsonl.gz')}-{number}.jsonl.gz")
 
 
 def decided(result: CheckResult, relation: Relation, bound: Fraction) -> bool | None:

@@ -285,6 +285,8 @@ def test_certificates_prove_what_they_are_for(written, tmp_path):
     files = [result.certificate.path for result in found.results]
     assert files[0] == files[1] != files[2]  # the third needs the fraction
     assert sorted((tmp_path / "proofs").iterdir()) == sorted(set(files))
+    names = [file.name.removesuffix(".jsonl.gz") for file in files]
+    assert [names[i] for i in (0, 2, 3)] == ["task-reach-Pmax", "task-reach-Pmax-2", "task-reach-Pmin"]  # without gaps
     for result in found.results:
         proved = stl.certify(result.certificate.path)
         assert (Fraction(proved["lower"]), Fraction(proved["upper"])) == (

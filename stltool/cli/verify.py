@@ -13,6 +13,8 @@ from stltool.cli.options import AsJson, Normalize
 from stltool.cli.roles import Reads, Writes, expectation_files, within
 from stltool.cli.steps import this_command
 
+_NO_CERTIFICATE = "none: no expectation has a probability that a certificate can prove; intervals and traces have none"
+
 
 @app.command("stltool verify patrolling.stl --junit verify.xml --report out/verify")
 def verify(
@@ -103,7 +105,7 @@ def verify(
         print()
         kept = {result.certificate.path for result in found.results if result.certificate is not None}
         written = {
-            "certificates": f"{len(kept)} in {certificates}" if certificates is not None else None,
+            "certificates": f"{len(kept)} in {certificates}" if kept else _NO_CERTIFICATE if certificates else None,
             "report": report / "report.html" if report is not None else None,
             "JUnit": junit,
             "Markdown": markdown,

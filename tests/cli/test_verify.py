@@ -160,6 +160,16 @@ def test_every_certificate_passes_certify(stltool, files, tmp_path):
         assert (code, "proved" in out) == (0, True)
 
 
+def test_no_certificates_are_explained(stltool, files, tmp_path):
+    """What is about traces or intervals has none, and no folder is made."""
+    task = files("task.stl", 'expect holds(x > 0, trace "log.csv")')
+    (tmp_path / "log.csv").write_text("x\n1\n")
+    code, out, _ = stltool("verify", task, "--certificates", "proofs")
+    assert code == 0
+    assert "certificates  none: no expectation has a probability that a certificate can prove" in out
+    assert not (tmp_path / "proofs").exists()
+
+
 @pytest.mark.parametrize("option", ["--junit", "--markdown"])
 def test_a_result_never_replaces_an_input(stltool, files, option, tmp_path):
     task = files("task.stl", 'expect holds(x > 0, trace "log.csv")')
