@@ -228,6 +228,19 @@ def probability_text(value: float) -> str:
     return f"{value:.6g}"
 
 
+def within_text(value: float, lower: float | Fraction, upper: float | Fraction, digits: int = 15) -> str:
+    """A value between bounds, in as many digits, from `digits` on, as it takes to lie between the printed bounds."""
+    least, most = map(Decimal, bound_texts(lower, upper))
+    texts = [f"{value:.{n}g}" for n in range(digits, 18)]
+    return next((text for text in texts if least <= Decimal(text) <= most), texts[-1])
+
+
+def difference_text(value: float, digits: int = 3) -> str:
+    """A difference of probabilities: in so many digits, and more where it would be rounded up to 1."""
+    texts = [f"{value:.{n}g}" for n in range(digits, 18)]
+    return next((text for text in texts if float(text) < 1 or value >= 1), texts[-1])
+
+
 # ----------------------------------------------------------------------------------------------------------- rounding
 
 

@@ -17,7 +17,7 @@ from stltool.cli.tradeoff import _read_bounds
 from stltool.errors import SettingsError, StlToolError
 from stltool.logic.quantities import duration, quantity
 from stltool.models.grid import grid_from_table
-from stltool.numbers import MOST_DIGITS, NumberError
+from stltool.numbers import MOST_DIGITS, NumberError, bound_texts, difference_text, within_text
 
 DIGITS = st.text("0123456789", min_size=1, max_size=6)
 DECIMALS = st.builds(
@@ -368,3 +368,31 @@ def test_roundings_enclose(value):
     low, high = numbers.bound_texts(value, value)
     assert Fraction(low) <= value <= Fraction(high)
     assert Fraction(high) - Fraction(low) <= Fraction(1, 10**15)
+
+
+@given(st.floats(0, 1), st.floats(0, 1e-15), st.floats(0, 1e-15), st.integers(1, 17))
+def test_a_printed_value_lies_between_the_printed_bounds(value, below, above, digits):
+    lower, upper = max(0.0, value - below), min(1.0, value + above)
+    text = within_text(value, lower, upper, digits)
+    least, most = bound_texts(lower, upper)
+    assert Fraction(least) <= Fraction(text) <= Fraction(most)
+    if (short := f"{value:.{digits}g}") != text:
+        assert not Fraction(least) <= Fraction(short) <= Fraction(most)
+
+
+@pytest.mark.parametrize(
+    ("value", "lower", "upper", "text"),
+    [
+        (0.9979835367685961, 0.9979835367685961, 0.9979835367685961, "0.99798353676859608"),
+        (0.5, 0.4999999999999999, 0.5000000000000001, "0.5"),
+    ],
+)
+def test_a_value_gets_as_many_digits_as_it_takes(value, lower, upper, text):
+    assert within_text(value, lower, upper) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"), [(0.998, 2, "0.998"), (0.99996, 3, "0.99996"), (0.5, 2, "0.5"), (1.0, 2, "1")]
+)
+def test_a_difference_below_1_is_not_rounded_to_1(value, digits, text):
+    assert difference_text(value, digits) == text

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from stltool.display import NATURES
-from stltool.numbers import ceiling_text, floor_text, probability_text
+from stltool.numbers import ceiling_text, difference_text, floor_text, probability_text
 
 _VERDICTS = {
     True: ("good", "✓ holds"),
@@ -90,7 +90,7 @@ def _gap_chip(shown: Mapping[str, Any], checks: Sequence[Mapping[str, Any]]) -> 
     if shown["gap"] <= shown["optimum_upper"] - shown["optimum_lower"]:
         return {"kind": "good", "text": "optimal"}
     below = "below the best possible" if best["question"] == "maximum" else "above the least possible"
-    return {"kind": "good" if shown["gap"] < 1e-3 else "", "text": f"{shown['gap']:.2g} {below}"}
+    return {"kind": "good" if shown["gap"] < 1e-3 else "", "text": f"{difference_text(shown['gap'], 2)} {below}"}
 
 
 def _optimum(shown: Mapping[str, Any], checks: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:

@@ -17,7 +17,7 @@ from rich.text import Text
 from stltool.display import NATURES
 from stltool.kernels.jit import compiling
 from stltool.log import LOG, Stage
-from stltool.numbers import bound_texts, probability_text
+from stltool.numbers import bound_texts, difference_text, probability_text, within_text
 from stltool.reporting.runs import trace_text, verdict_text
 from stltool.reporting.words import run_sentences, sensitivity_sentences
 from stltool.streams import printable
@@ -171,9 +171,9 @@ def print_checks(checks: Sequence[Mapping[str, Any]]) -> None:
         (
             ("the policy" if check["question"] == "policy" else f"{check['question']} over all policies")
             + (f", {NATURES[check['nature']]}" if check["nature"] in NATURES else ""),
-            f"{check['probability']:.15g}",
+            within_text(check["probability"], check["lower"], check["upper"]),
             *bound_texts(check["lower"], check["upper"]),
-            f"{check['gap']:.3g}",
+            difference_text(check["gap"]),
             check["status"],
         )
         for check in checks

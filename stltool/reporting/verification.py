@@ -9,7 +9,7 @@ from importlib import metadata
 from typing import Literal, cast
 
 from stltool.gate import Verification, Verified
-from stltool.numbers import bound_texts, fraction_text, number_text
+from stltool.numbers import bound_texts, fraction_text, number_text, within_text
 from stltool.reporting.data import VERIFY_FORMAT
 from stltool.reporting.monitoring import robustness_text
 from stltool.reporting.records import CertificateRecord, ExpectationRecord, Robustness, VerifyRecord
@@ -109,10 +109,12 @@ def found_text(row: ExpectationRecord) -> str:
         return f"robustness {robustness_text(robustness)}{many}" if robustness is not None else ""
     if row["probability"] is None:
         return ""
-    exact = row["exact"]
-    if exact is not None:
-        return f"P = {exact}" if len(exact) <= _LONGEST_FRACTION else f"P = {row['probability']:.15g} (exactly decided)"
-    return f"P = {row['probability']:.15g}"
+    exact, p = row["exact"], row["probability"]
+    if exact is not None and len(exact) <= _LONGEST_FRACTION:
+        return f"P = {exact}"
+    known = row["lower"] is not None and row["upper"] is not None
+    text = within_text(p, row["lower"], row["upper"]) if known else f"{p:.15g}"  # type: ignore[arg-type]
+    return f"P = {text}" if exact is None else f"P = {text} (exactly decided)"
 
 
 def enclosure_text(row: ExpectationRecord) -> str:

@@ -121,7 +121,7 @@ def test_junit_is_what_its_readers_know(stltool, files):
     failure, undecided = suites[0].findall("testcase/failure")
     assert undecided.get("message").startswith("undecided: the bound lies inside the enclosure")
     assert failure.text.splitlines()[:2] == ["a.stl:5", "expect Pmax(reach) >= 0.4"]
-    assert failure.get("message") == "does not hold: P = 0.333333333333333"
+    assert failure.get("message") == "does not hold: P = 0.33333333333333331"
 
 
 def test_markdown_is_a_table(stltool, files):
