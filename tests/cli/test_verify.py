@@ -56,8 +56,8 @@ def test_the_table_says_what_holds_and_why_not(stltool, files):
     assert (code, err) == (1, "")
     assert re.sub(" +", " ", out).splitlines() == [
         "verdict expectation found at",
-        "holds Pmax(reach) >= 0.3 P = 0.333333333333333 task.stl:4",
-        "does not hold Pmax(reach) >= 0.4 P = 0.333333333333333 task.stl:5",
+        "holds Pmax(reach) >= 0.3 P = 0.33333333333333331 task.stl:4",
+        "does not hold Pmax(reach) >= 0.4 P = 0.33333333333333331 task.stl:5",
         "holds Pmin(reach) <= 0 P = 0 task.stl:6",
         "",
         "verified 2 of 3 expectations hold, 1 does not",
