@@ -271,6 +271,10 @@ class Builder:
                 written,
                 f"a probability is known as an enclosure, so {relation} cannot be decided; write >=, <=, > or <",
             )
+        name = str(place.children[0]) if place.data == "name" else ""
+        if place.data == "name" and name not in self.params and name not in self.definitions and not self.params:
+            self.pass_over(name)
+            self.fail(place, f"{name} is not a param; give it a value: param {name} = 0.95")
         value = self.constant(place)
         if isinstance(value, Duration):
             self.fail(place, "expected a probability, found a time; write a number such as 0.95 or 19/20")

@@ -237,6 +237,8 @@ def _foreign(source: Source, place: int) -> str:
         message = "this number runs into letters; put an operator or a space between them"
     elif character == "=":
         message = f"unexpected '='; {_EQUAL_HINT}"
+    elif character == "%" and before.split()[:1] == ["expect"] and before[-1:].isdigit():
+        message = "unexpected '%'; write a percentage as a decimal or a fraction, such as 0.95 or 95/100"
     elif character == "%":
         message = "unexpected '%'; begin comments with # or //"
     else:
@@ -404,6 +406,8 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
         return f"{before} is not a function (there are abs, min, max, sqrt); put an operator before '('"
     if kind == "NAME" and i + 1 < len(tokens) and tokens[i + 1].type == "EQUAL":
         return f"write {token} := … to define it, or param {token} = … for a number"
+    if token is not None and i and kind == "NAME" and str(token).lower() in ("expect", "expects", "expected"):
+        return "an expect line begins with its question; write, for example, expect Pmax(name) >= 0.95"
     if kind in ("NAME", "NUMBER", "TIME") and last in ("NAME", "NUMBER", "TIME", "RPAR", "RSQB"):
         return f"expected an operator between {str(before)!r} and {str(token)!r}"
     if kind in ("_EVENTUALLY", "_ALWAYS", "_NOT") and "_AND" in accepted:
@@ -418,6 +422,10 @@ def _expectation_hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> st
     before, kind = str(tokens[i - 1]), tokens[i].type if i < len(tokens) else "$END"
     if "LPAR" in accepted and i <= 3 and all(t.type == "NAME" for t in tokens[1:i]):
         return "write a question with what it is about in parentheses, such as expect Pmax(name) >= 0.95"
+    if kind in ("_AND", "_OR") and _open_bracket(tokens, i) < 0:
+        return "expectations are judged one by one; write each on a line of its own"
+    if kind == "EQUAL" and tokens[i - 1].type != "COMPARATOR":
+        return "a probability is compared by >=, <=, > or <"
     if kind == "STRING":
         return 'a file name belongs after policy or trace; write, for example, policy "p.npz"'
     if before in ("policy", "trace") and i > 1 and tokens[i - 2].type == "COMMA":

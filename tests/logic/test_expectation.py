@@ -92,7 +92,12 @@ def test_the_name_and_the_word_in_one_file():
 @pytest.mark.parametrize(
     ("line", "place", "told"),
     [
-        ("expect", 1, "expected an operator between 'a' and 'expect'"),
+        ("expect", 1, "begins with its question; write, for example, expect Pmax(name) >= 0.95"),
+        ("expects Pmax(r) >= .5", 1, "begins with its question; write, for example, expect Pmax(name) >= 0.95"),
+        ("expect .5 <= Pmax(r)", 1, "begins with its question; write, for example, expect Pmax(name) >= 0.95"),
+        ("expect Pmax(r) = .5", 16, "compared by >=, <=, > or <"),
+        ("expect Pmax(r) >= goal", 19, "goal is not a param; give it a value: param goal = 0.95"),
+        ("expect Pmax(r) > .5 & expect Pmin(r) > .5", 21, "write each on a line of its own"),
         ("expect r", 9, "such as expect Pmax(name) >= 0.95"),
         ("expect Pmax r >= .5", 15, "such as expect Pmax(name) >= 0.95"),
         ("expect Pmx(r) >= .5", 8, "did you mean Pmax?"),
@@ -109,7 +114,7 @@ def test_the_name_and_the_word_in_one_file():
         ("expect Pmax(3) > .5", 13, "expected a Boolean expression, found a number"),
         ("expect Pmax(G a) > .5", 13, "needs an interval with an end"),
         ("expect Pmax(r >= .5", 20, "the parenthesis opened at line 2, column 12 is not closed"),
-        ("expect Pmax(r) >= 95%", 21, "unexpected '%'"),
+        ("expect Pmax(r) >= 95%", 21, "such as 0.95 or 95/100"),
         ('expect Pmax(r, policy "p.npz") > .5', 16, 'write P(…, policy "p.npz")'),
         ('expect Pmin(r, trace "p.csv") > .5', 16, "takes no trace"),
         ("expect P(r) > .5", 8, 'write P(…, policy "p.npz"), or Pmax or Pmin'),
