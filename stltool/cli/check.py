@@ -15,6 +15,7 @@ from stltool.cli.options import (
     AsJson,
     Encoding,
     Model,
+    Nominal,
     Normalize,
     Params,
     PolicyFile,
@@ -107,6 +108,7 @@ def check(
         str | None,
         typer.Option("--nature", help="of intervals: against (adversarial, default), with (cooperative) or nominal"),
     ] = None,
+    nominal: Nominal = False,
     vary: Annotated[
         str | None,
         typer.Option(
@@ -138,6 +140,9 @@ def check(
         for option, text in (("--at-least", at_least), ("--at-most", at_most))
         if text is not None
     ]
+    if nominal and nature not in (None, "nominal"):
+        raise SettingsError(f"--nominal leaves nature no choice; leave out --nature {nature} or --nominal")
+    nature = "nominal" if nominal else nature
     clockless = stationary or memoryless
     given = require_one_policy(policy, policy_function)
     if vary is not None:
@@ -168,6 +173,8 @@ def check(
         require_folder(report)
     product = make_product(task, model, param, name, encoding, as_json, normalize=normalize)
     uncertain = product.model.uncertain
+    if nominal and not uncertain:
+        raise SettingsError("--nominal: the model's probabilities are not intervals; leave out --nominal")
     product, judge = judge_by(product, nature)
     robust = uncertain and nature != "nominal"
     if product.model.parameters and (exact or clockless or streamed or certificate is not None or cluster is not None):

@@ -130,6 +130,10 @@ def test_the_nominal_model_on_the_ordinary_road(stltool, tmp_path):
     assert (code, "the policy, adversarial nature" in out) == (0, True)
     for command in ("why", "estimate"):
         assert stltool(command, UNCERTAIN, *SMALL, "--nominal")[0] == 0
+    same = [stltool("check", UNCERTAIN, *SMALL, *how)[1] for how in (["--nominal"], ["--nature", "nominal"])]
+    assert same[0] == same[1] != stltool("check", UNCERTAIN, *SMALL)[1]
+    code, _, err = stltool("check", UNCERTAIN, *SMALL, "--nominal", "--nature", "with")
+    assert (code, "leave out --nature with or --nominal" in err) == (2, True)
     code, _, err = stltool("why", FACTORY / "patrolling.stl", "--nominal")
     assert (code, "the model's probabilities are not intervals" in err) == (2, True)
 
