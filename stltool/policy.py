@@ -266,7 +266,8 @@ class Policy(Displayed):
                 raise ValueError
         except Exception:  # a damaged archive fails in many ways, all caused by the file
             raise PolicyError(
-                f"{path}: not a policy file of this version ({FORMAT}); write one with Policy.save"
+                f"{path}: not a policy file of this version ({FORMAT}); write one with check --save-policy, "
+                "learn --out or Policy.save"
             ) from None
         binding.require(product, f"{path}: this policy")
         try:

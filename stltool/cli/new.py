@@ -44,9 +44,11 @@ def new(
 
     Nothing is ever replaced: a folder that exists and is not empty is refused.
     """
+    from importlib.util import find_spec
+
     from stltool.errors import SettingsError
     from stltool.files import write_folder
-    from stltool.reporting.terminal import print_facts, print_json
+    from stltool.reporting.terminal import note, print_facts, print_json
 
     if kind is not None and shipped is not None:
         raise SettingsError("--kind and --example each say what to start from; give one of them")
@@ -67,3 +69,5 @@ def new(
     print_facts({"made": f"{folder} with {', '.join(made.files)}", "next": shlex.join(["cd", str(folder)])})
     for command in made.next:
         print(f"      {command}")
+    if any(b'kind = "gymnasium"' in content for content in made.files.values()) and find_spec("gymnasium") is None:
+        note("these commands need the package gymnasium, which is not installed; pip install 'stltool[gymnasium]'")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -10,7 +11,7 @@ from typing import cast
 
 from stltool.arguments import described, flag, mapping, require
 from stltool.arguments import path as path_of
-from stltool.errors import SettingsError, StlSyntaxError, named, near_misses
+from stltool.errors import FileError, SettingsError, StlSyntaxError, named, near_misses
 from stltool.files import read_text
 from stltool.logic.builder import FORMULAS, Builder
 from stltool.logic.expectation import Expectation
@@ -20,6 +21,8 @@ from stltool.logic.syntax import LONGEST_TEXT, Document, read, refuse
 from stltool.logic.task import Task
 from stltool.numbers import NumberError
 from stltool.source import Source
+
+_NO_TASKS = {".toml", ".tra", ".lab", ".sta"}  # files of models
 
 
 def parse(
@@ -82,7 +85,7 @@ def load_task(
     path = path_of(path, "load_task's path")
     require(task, str, "load_task's task", _CHOICE, optional=True)
     _require_text("load_task", "", "", params, unbounded)
-    text = read_text(path, "task file", LONGEST_TEXT)
+    text = _task_text(path)
     return parse_task(text, params, task, name=str(path), path=path, unbounded=unbounded)
 
 
@@ -101,9 +104,30 @@ class Survey:
     expectations: tuple[Expectation, ...]
 
 
+def _task_text(path: Path) -> str:
+    """The text of a task file. FileError, with what to give instead, for a folder, no file, or a model file."""
+    if path.is_dir():
+        tasks = sorted(other.name for other in path.glob("*.stl"))
+        remedy = f"name its task files, such as {path / tasks[0]}" if tasks else "name a task file; it has none (.stl)"
+        raise FileError(f"{path}: this is a folder; {remedy}")
+    siblings = [] if path.exists() else [other.name for other in path.parent.glob("*.stl")]
+    if siblings:
+        raise FileError(f"{path}: there is no such task file; {near_misses(path.name, siblings)}")
+    text = read_text(path, "task file", LONGEST_TEXT)
+    if path.suffix.lower() in _NO_TASKS:
+        try:
+            sweep = path.suffix.lower() == ".toml" and "sweep" in tomllib.loads(text)
+        except tomllib.TOMLDecodeError:
+            sweep = False
+        if sweep:
+            raise FileError(f"{path}: this is a sweep file; give it to stltool sweep, or give the .stl task")
+        raise FileError(f"{path}: this is a model file; give the .stl task, which names its model, or use --model")
+    return text
+
+
 def survey_task(path: Path) -> Survey:
     """A task file, whose formulas may be unbounded, read for its expectations. FileError if it cannot be read."""
-    document = read(Source(str(path), read_text(path, "task file", LONGEST_TEXT)), "task")
+    document = read(Source(str(path), _task_text(path)), "task")
     builder = _builder(document, True, {})
     faults = [fault.message for fault in sorted([*document.faults, *builder.faults], key=lambda fault: fault.start)]
     task = None

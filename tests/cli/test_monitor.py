@@ -201,7 +201,7 @@ def test_bad_input_ends_with_code_2(stltool, log, batch, tmp_path, monkeypatch):
     cases = [
         (["tsak.stl", log], "tsak.stl: there is no such task file; did you mean task.stl?"),
         ([tmp_path / "none" / "a.stl", log], "a.stl: there is no such task file\n"),
-        (["folder.stl", log], "folder.stl: this task file cannot be read: Is a directory"),
+        (["folder.stl", log], "folder.stl: this is a folder; name a task file"),
         (["task", log], f"{log}: there is no column task; known names: door, when, x"),
         (["task.txt", log], "(read as a formula: there is no file task.txt)"),
         (["G[0,1] x >", log], "G[0,1] x >\n              ^\n"),

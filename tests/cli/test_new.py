@@ -1,5 +1,6 @@
 """`stltool new`: every starter and every example runs as it stands, and nothing is ever replaced."""
 
+import importlib.util
 import json
 import shlex
 
@@ -14,6 +15,15 @@ QUICK = {"run": ["--rollouts", "50", "--episodes", "20"], "sweep": ["--workers",
 SLOW = {"stltool sweep small.toml", "stltool run patrolling.stl", "stltool run crossing-blackbox.stl",
         "stltool run delivery.stl", "stltool why inspection.stl"}  # fmt: skip
 VIOLATED = {"--example monitor", "--example drone", "--example insulin"}  # logs with something to see
+
+
+def test_a_missing_extra_is_told_with_what_needs_it(stltool, tmp_path, monkeypatch):
+    found = importlib.util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "gymnasium" else found(name))
+    for i, (options, told) in enumerate([("--kind gymnasium", 1), ("--kind grid", 0), ("--example frozenlake", 1)]):
+        code, _, err = stltool("new", tmp_path / str(i), *options.split())
+        assert code == 0
+        assert err.count("pip install 'stltool[gymnasium]'") == told
 
 
 @pytest.mark.parametrize("made", [f"--kind {kind}" for kind in KINDS] + [f"--example {name}" for name in EXAMPLES])

@@ -69,7 +69,7 @@ def test_reasons_are_told(stltool, files):
     assert code == 2
     assert "task.stl:4  the bound lies inside the enclosure, and the exact fraction is not computed" in out
     assert 'error: task.stl:5: P(reach, policy "no.npz") >= 0.3: no.npz: ' in err
-    assert "write one with Policy.save" in err
+    assert "write one with check --save-policy" in err
 
 
 def test_what_is_suspicious_is_told(stltool, files):
@@ -158,6 +158,28 @@ def test_every_certificate_passes_certify(stltool, files, tmp_path):
     for path in sorted((tmp_path / "proofs").iterdir()):
         code, out, _ = stltool("certify", path, task)
         assert (code, "proved" in out) == (0, True)
+
+
+@pytest.mark.parametrize("command", ["check", "verify", "explain"])
+def test_what_is_no_task_file_is_told_in_one_line(stltool, files, tmp_path, command):
+    files("task.stl", HOLDS)
+    (tmp_path / "small.toml").write_text("[sweep]\nseeds = 2\n")
+    (tmp_path / "empty").mkdir()
+    for given, says in (
+        ("coin.toml", "coin.toml: this is a model file; give the .stl task, which names its model, or use --model"),
+        ("small.toml", "small.toml: this is a sweep file; give it to stltool sweep, or give the .stl task"),
+        ("tsak.stl", "tsak.stl: there is no such task file; did you mean task.stl?"),
+        (".", ".: this is a folder; name its task files, such as task.stl"),
+        ("empty", "empty: this is a folder; name a task file; it has none (.stl)"),
+    ):
+        if command != "explain" or given.endswith((".toml", ".stl")):  # others are read as formulas
+            assert stltool(command, given) == (2, "", f"error: {says}\n")
+
+
+def test_what_is_no_policy_is_told_with_the_commands_that_save_one(stltool, files):
+    code, _, err = stltool("check", files("task.stl", HOLDS), "--policy", "coin.toml")
+    assert code == 2
+    assert "write one with check --save-policy, learn --out or Policy.save" in err
 
 
 def test_no_certificates_are_explained(stltool, files, tmp_path):

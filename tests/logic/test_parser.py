@@ -346,5 +346,5 @@ def test_a_binary_file_is_no_task(tmp_path, data):
 def test_missing_files_and_folders_are_named(tmp_path):
     with pytest.raises(FileError, match="no such task file"):
         stl.load_task(tmp_path / "none.stl")
-    with pytest.raises(FileError, match="cannot be read"):
+    with pytest.raises(FileError, match="this is a folder; name a task file"):
         stl.load_task(tmp_path)
