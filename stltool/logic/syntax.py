@@ -370,7 +370,7 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
     before = tokens[i - 1] if i else None
     last = before.type if before is not None else ""
     opened = _open_bracket(tokens, i)
-    if tokens[0].type == "_EXPECT" and (expected := _expectation_hint(tokens, i, accepted)) is not None:
+    if tokens and tokens[0].type == "_EXPECT" and (expected := _expectation_hint(tokens, i, accepted)) is not None:
         return expected
     if kind in ("COMMA", "COLON", "_DOTS") and opened > 0 and tokens[opened].type == "LSQB":
         word = tokens[opened - 1]
