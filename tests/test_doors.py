@@ -308,7 +308,7 @@ OWN = {
     "tradeoff": {"at_least": MAPPING},
     "report": {"product": {"None", "Product"}},
     "learn": {
-        "method": {"text", "Learner"}, "faithful": {"True"}, "resume": {"True"}, "episodes": {"int"},
+        "method": {"None", "text", "Learner"}, "faithful": {"True"}, "resume": {"True"}, "episodes": {"int"},
         "evaluate_every": {"int"}, "most_steps": {"None", "int"}, "stop_gap": {"None", *NUMBERS},
         "until_gap": {"None", *NUMBERS},
         "checkpoint": {"None", *PATHS}, "checkpoint_every": NUMBERS,

@@ -161,8 +161,8 @@ def test_a_killed_process_resumes_to_the_same_bits(tmp_path):
     task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 6, "tau": 6})
     product = stl.build_product(stl.load_model(task.model), task)
     settings = {"episodes": 600, "replays": 300, "seed": 4}
-    resumed = stl.learn(product, **settings, checkpoint=path, resume=True)
-    whole = stl.learn(product, **settings)
+    resumed = stl.learn(product, "cfer", **settings, checkpoint=path, resume=True)
+    whole = stl.learn(product, "cfer", **settings)
     assert resumed.history == whole.history
     assert np.array_equal(resumed.policy.table, whole.policy.table)
     assert resumed.counts.seen.tolist() == whole.counts.seen.tolist()

@@ -33,7 +33,7 @@ FILES = [
 def entries():
     for text, *_ in rows(test_parser.test_a_syntax_error_says_where_what_and_what_to_write):
         yield given("formula", text), refusal(stl.parse, text)
-    for text in ("!" * 5000 + "a", "   ", "a & " * 600_000, "always a", "a until b", "F(2,inf] a"):
+    for text in ("!" * 5000 + "a", "   ", "# a comment alone", "a & " * 600_000, "always a", "a until b", "F(2,inf] a"):
         yield given("formula", text), refusal(stl.parse, text)
     for text, params in (("G[0,5] (x > y)", {"G": 3}), ("F[0,5] a", {"Q": 3})):
         yield given(f"formula with {params}", text), refusal(stl.parse, text, params)
