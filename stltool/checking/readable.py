@@ -28,27 +28,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.arguments import function, real, whole
-from stltool.automata import TRUE
+from stltool.automata import TRUE, UNDECIDED
 from stltool.checking.check import CheckResult, check, or_optimal
-from stltool.checking.induction import (
-    EVERYTHING,
-    OPEN,
-    Budget,
-    Doubles,
-    Edges,
-    Game,
-    Progress,
-    Stretch,
-    layers_of,
-)
-from stltool.checking.induction.induct import Way
-from stltool.checking.unfold import flows
+from stltool.checking.induction import OPEN, Progress
+from stltool.checking.situations import Moves, reachable
 from stltool.display import Card, Displayed, probability_text
-from stltool.errors import SettingsError, named
+from stltool.errors import SettingsError, SizeError, named
 from stltool.extras import require as require_extra
+from stltool.models.rows import spans, starts
 from stltool.policy import Policy
 from stltool.product import Product
-from stltool.sizes import require_memory
+from stltool.sizes import memory_limit, require_memory
 
 Floats: TypeAlias = NDArray[np.float64]
 I64: TypeAlias = NDArray[np.int64]
@@ -58,6 +48,7 @@ _CUTS = (3.0, 10.0, 30.0)  # ε, in units of the price
 _CLIMBS = 60  # changes of a leaf's action at most, a round
 _TRIED = 6  # leaves whose change promises most are tried in turn
 _SIZES = tuple(dict.fromkeys(round(4 * 1.3**k) for k in range(30)))  # leaves
+_BYTES_A_MOVE = 40  # which includes what finding them takes
 _LINE = 160  # characters of a legend's line
 _GAIN = 1e-12  # changes of P below this are rounding
 
@@ -294,6 +285,12 @@ def _told(phrases: Sequence[str], asked: set[int]) -> list[str]:
     return parts
 
 
+def _most(product: Product, limit: int | None) -> tuple[int, int]:
+    """How many situations, and moves of theirs, fit into memory."""
+    free = memory_limit(limit)
+    return free // (8 * (20 + product.model.n_actions)), free // _BYTES_A_MOVE
+
+
 def _shortest(below: float, above: float) -> str:
     """The shortest decimal in (below, above]."""
     for digits in range(1, 18):
@@ -301,23 +298,6 @@ def _shortest(below: float, above: float) -> str:
         if below < float(text) <= above:
             return text
     return f"{above:.17g}"
-
-
-class _Step:
-    """The edges from the undecided pairs of one step, and where its pairs are among all."""
-
-    def __init__(self, parts: list[Edges], probability: Floats, first: int) -> None:
-        self.s = np.concatenate([part.s for part in parts])
-        self.q = np.concatenate([part.q for part in parts])
-        self.first, self.last = first, first + len(self.s)
-        counts = np.concatenate([np.diff(part.choices) for part in parts])
-        self.choices = np.concatenate([[0], np.cumsum(counts)])
-        self.owner = np.repeat(np.arange(len(self.s)), counts)
-        lengths = np.concatenate([np.diff(part.start) for part in parts])
-        self.start = np.concatenate([[0], np.cumsum(lengths)])
-        self.child = np.concatenate([part.child for part in parts])
-        self.probability = probability[np.concatenate([part.entry for part in parts])]
-        self.length = lengths
 
 
 class _Situations:
@@ -329,34 +309,27 @@ class _Situations:
 
     def __init__(self, product: Product, policy: Policy, limit: int | None) -> None:
         self.product, self.features = product, _Features(product)
-        game = Game.of(product)
-        budget = Budget(f"a tree over {product.n_states} product states", limit, None)
-        layers = layers_of(game, TRUE, EVERYTHING, engine="nodes", live=False, sure=False, budget=budget)
-        pairs = layers.size()[1]
-        require_memory(pairs * layers.game.widest * 40, f"a tree over {pairs} situations", "shorten the windows", limit)
-        way = Way(layers, Doubles(True), True)
-        at, found = way.end(), list[tuple[int, Any]]()
-        for step in way.back(at):
-            at = step.at
-            found.append((step.first, at.ahead))
-        found.reverse()
-        ends = [*(first for first, _ in found[1:]), layers.reached.last + 1][: len(found)]
-        stretches = [Stretch(first, end - 1, layer) for (first, layer), end in zip(found, ends, strict=True)]
-        start = product.model.initial[game.first]
-        by_step: dict[int, list[Edges]] = {}
-        for t, edges, _, _ in flows(layers, stretches, start):
-            by_step.setdefault(t, []).append(edges)
-        self._steps: list[_Step] = []
-        n = 0
-        for t in sorted(by_step):
-            self._steps.append(_Step(by_step[t], layers.rows.probability, n))
-            n = self._steps[-1].last
+        nodes = reachable(product, *_most(product, limit))
+        if nodes is None:
+            raise SizeError(
+                f"the situations of {product.n_states} product states and their moves take more memory than is "
+                "available; shorten the windows"
+            )
+        self._moves = [Moves.of(product, nodes, t) for t in range(len(nodes))]
+        self._at = starts(np.array([len(codes) for codes in nodes], dtype=np.int64))  # where each step's begin
         none = np.empty(0, dtype=np.int64)
-        self.t = np.concatenate([none, *(np.full(len(step.s), t) for t, step in enumerate(self._steps))])
-        self.s = np.concatenate([none, *(step.s for step in self._steps)])
-        self.q = np.concatenate([none, *(step.q for step in self._steps)])
-        self._start = start
-        self._first = layers.first_slots(stretches[0].layer if stretches else layers.nothing())
+        self.t = np.repeat(np.arange(len(nodes)), np.diff(self._at))
+        self.s, self.q = np.divmod(np.concatenate([none, *nodes]), product.automaton.n_states)
+        first = np.flatnonzero(product.model.initial)
+        codes = first * product.automaton.n_states + [
+            product.enter(s, product.automaton.initial) for s in first.tolist()
+        ]
+        verdict = product.automaton.verdicts(0)[codes % product.automaton.n_states]
+        self._start = product.model.initial[first]
+        self._first = (verdict == TRUE).astype(np.int64)
+        if len(nodes):
+            still = verdict == UNDECIDED
+            self._first[still] = OPEN + np.searchsorted(nodes[0], codes[still])
         self.values_of = self.features(self.t, self.s, self.q)
         self.x = self.values_of.astype(np.float32)  # in which the trees compare
         model = product.model
@@ -364,50 +337,53 @@ class _Situations:
         state = np.repeat(np.arange(model.n_states), np.diff(model.choice_start))
         number[state, model.choice_action] = np.arange(model.n_choices) - model.choice_start[state]
         self.action_choice = number[self.s]
-        self.given = np.concatenate([none, *(policy.at(t, step.s, step.q) for t, step in enumerate(self._steps))])
+        parts = (policy.at(t, self.s[a:b], self.q[a:b]) for t, a, b in self._steps())
+        self.given = np.concatenate([none, *parts])
 
     def __len__(self) -> int:
         return len(self.s)
+
+    def _steps(self) -> Iterator[tuple[int, int, int]]:
+        """t, and the first and the end of its situations."""
+        return zip(range(len(self._moves)), self._at[:-1].tolist(), self._at[1:].tolist(), strict=True)
 
     def values(self, chosen: I64) -> tuple[float, Floats, list[Floats]]:
         """P, V (n,) and Q of each step's choices under choices (n,); where one is negative, the best is taken."""
         v = np.empty(len(self))
         q: list[Floats] = []
-        ahead = np.array([0.0, 1.0])
-        for step in reversed(self._steps):
-            each = np.add.reduceat(step.probability * ahead[step.child], step.start[:-1])
-            taken = chosen[step.first : step.last]
-            here = each[step.choices[:-1] + np.maximum(taken, 0)]
+        here: Floats = np.empty(0)
+        for t, a, b in reversed(list(self._steps())):
+            moves, taken = self._moves[t], chosen[a:b]
+            each = moves.sums(here)
+            here = each[moves.choices[:-1] + np.maximum(taken, 0)]
             if (taken < 0).any():
-                here = np.where(taken < 0, np.maximum.reduceat(each, step.choices[:-1]), here)
-            v[step.first : step.last] = here
-            ahead = np.concatenate([[0.0, 1.0], here])
+                here = np.where(taken < 0, np.maximum.reduceat(each, moves.choices[:-1]), here)
+            v[a:b] = here
             q.append(each)
         q.reverse()
-        return float(self._start @ ahead[self._first]), v, q
+        return float(self._start @ np.concatenate([[0.0, 1.0], here])[self._first]), v, q
 
     def visits(self, chosen: I64) -> Floats:
         """How probable each situation is under choices (n,)."""
         found = np.empty(len(self))
-        reach = np.bincount(self._first, self._start, minlength=2 + (self._steps[0].last if self._steps else 0))
-        for i, step in enumerate(self._steps):
-            here = reach[OPEN:]
-            found[step.first : step.last] = here
-            size = OPEN + (self._steps[i + 1].last - step.last if i + 1 < len(self._steps) else 0)
-            row = step.choices[:-1] + np.maximum(chosen[step.first : step.last], 0)
-            lengths = step.length[row]
-            edge = np.repeat(step.start[row] - np.cumsum(lengths) + lengths, lengths) + np.arange(lengths.sum())
-            flow = np.repeat(here, lengths) * step.probability[edge]
-            reach = np.bincount(step.child[edge], flow, minlength=size)
+        reach = np.bincount(self._first, self._start, minlength=OPEN)
+        for t, a, b in self._steps():
+            moves = self._moves[t]
+            reach = np.pad(reach, (0, OPEN + b - a - len(reach)))
+            found[a:b] = here = reach[OPEN:]
+            row = moves.choices[:-1] + np.maximum(chosen[a:b], 0)
+            edge = spans(moves.rows[row], moves.rows[row + 1])
+            flow = np.repeat(here, np.diff(moves.rows)[row]) * moves.probability[edge]
+            reach = np.bincount(moves.child[edge], flow, minlength=OPEN)
         return found
 
     def by_action(self, q: list[Floats], fill: float) -> Floats:
         """(n, A): Q of each action, `fill` where there is none."""
         found = np.full(self.action_choice.shape, fill)
-        for step, each in zip(self._steps, q, strict=True):
-            numbers = self.action_choice[step.first : step.last]
-            i, a = np.nonzero(numbers >= 0)
-            found[step.first + i, a] = each[step.choices[i] + numbers[i, a]]
+        for t, a, b in self._steps():
+            numbers = self.action_choice[a:b]
+            i, action = np.nonzero(numbers >= 0)
+            found[a + i, action] = q[t][self._moves[t].choices[i] + numbers[i, action]]
         return found
 
     def table(self, chosen: I64) -> NDArray[Any]:

@@ -25,6 +25,7 @@ from stltool.asked import Asked
 from stltool.automata import TRUE, UNDECIDED
 from stltool.choices import distinct
 from stltool.errors import SizeError
+from stltool.models.rows import spans, starts
 from stltool.policy import Policy
 from stltool.product import Product
 
@@ -60,12 +61,7 @@ def reachable(product: Product, most_nodes: int = MOST_NODES, most_edges: int = 
 def _transitions(product: Product, s: I64) -> tuple[I64, I64]:
     """The transitions of all choices of states s (n,), one state after another, and how many each has (n,)."""
     edges = product.model.row_start[product.model.choice_start]
-    return _spans(edges[s], edges[s + 1] - edges[s])
-
-
-def _spans(first: I64, count: I64) -> tuple[I64, I64]:
-    entry: I64 = np.repeat(first - np.cumsum(count) + count, count) + np.arange(count.sum())
-    return entry, count
+    return spans(edges[s], edges[s + 1]), edges[s + 1] - edges[s]
 
 
 def _entered(product: Product, s: NDArray[Any], q: NDArray[Any] | int) -> I64:
@@ -112,9 +108,46 @@ def _followed(product: Product, s: I64, q: I64, taken: NDArray[Any]) -> I64:
     model = product.model
     owner, i = (np.flatnonzero(taken >= 0), taken[taken >= 0]) if taken.ndim == 1 else np.nonzero(taken > 0)
     c = model.choice_start[s[owner]] + i.astype(np.int64)
-    entry, count = _spans(model.row_start[c], model.row_start[c + 1] - model.row_start[c])
+    first, end = model.row_start[c], model.row_start[c + 1]
+    entry = spans(first, end)
     possible = model.probability[entry] > 0
-    return _entered(product, model.target[entry][possible], np.repeat(q[owner], count)[possible])
+    return _entered(product, model.target[entry][possible], np.repeat(q[owner], end - first)[possible])
+
+
+@dataclass(frozen=True, eq=False)
+class Moves:
+    """The choices of the nodes of a step, and where they lead.
+
+    choices      (n + 1,): node i has the choices choices[i] … choices[i + 1] − 1
+    rows         (m + 1,): choice j has the transitions rows[j] … rows[j + 1] − 1
+    probability  (e,);  child (e,): 0 where the task fails, 1 where it holds, 2 + k the k-th node of the next step
+    """
+
+    choices: I64
+    rows: I64
+    probability: F64
+    child: I64
+
+    @classmethod
+    def of(cls, product: Product, nodes: list[I64], t: int) -> Moves:
+        model, automaton = product.model, product.automaton
+        s, q = np.divmod(nodes[t], automaton.n_states)
+        entry, count = _transitions(product, s)
+        code = _read(product, model.target[entry], np.repeat(q, count))
+        verdict = automaton.verdicts(t + 1)[code % automaton.n_states]
+        child = (verdict == TRUE).astype(np.int64)
+        open_ = np.flatnonzero((verdict == UNDECIDED) & (model.probability[entry] > 0))
+        if len(open_):
+            child[open_] = 2 + np.searchsorted(nodes[t + 1], code[open_])
+        first, end = model.choice_start[s], model.choice_start[s + 1]
+        lengths = np.diff(model.row_start)[spans(first, end)]
+        return cls(starts(end - first), starts(lengths), model.probability[entry], child)
+
+    def sums(self, ahead: F64) -> F64:
+        """(m,): what each choice is worth, from the values of the nodes of the next step."""
+        weighted = self.probability * np.concatenate([[0.0, 1.0], ahead])[self.child]
+        sums: F64 = np.add.reduceat(weighted, self.rows[:-1]) if len(weighted) else np.empty(0)
+        return sums
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,28 +198,15 @@ class Situations:
 
     def _layer(self, t: int, ahead: F64) -> F64:
         """The values of the nodes of step t, from those of step t + 1; those of choices are kept."""
-        product, model, automaton = self.product, self.product.model, self.product.automaton
-        s, q = np.divmod(self.nodes[t], automaton.n_states)
-        entry, count = _transitions(product, s)
-        code = _read(product, model.target[entry], np.repeat(q, count))
-        verdict = automaton.verdicts(t + 1)[code % automaton.n_states]
-        value = (verdict == TRUE).astype(np.float64)
-        still = np.flatnonzero((verdict == UNDECIDED) & (model.probability[entry] > 0))
-        if len(still):
-            value[still] = ahead[np.searchsorted(self.nodes[t + 1], code[still])]
-        weighted = model.probability[entry] * value
-        choices = model.choice_start[s + 1] - model.choice_start[s]
-        c, _ = _spans(model.choice_start[s], choices)
-        lengths = model.row_start[c + 1] - model.row_start[c]
-        sums = np.add.reduceat(weighted, np.cumsum(lengths) - lengths) if len(c) else np.empty(0)
-        start = np.concatenate([[0], np.cumsum(choices)])
+        moves = Moves.of(self.product, self.nodes, t)
+        sums, start = moves.sums(ahead), moves.choices
         self._by_choice[t] = sums, start
         numbers = self.numbers[self._offset[t] : self._offset[t + 1]]
-        values = np.full(len(s), np.nan)
+        values = np.full(len(numbers), np.nan)
         sure = numbers >= 0
         values[sure] = sums[start[:-1][sure] + numbers[sure]]
         for n in np.flatnonzero(numbers < NO_ACTION).tolist():
-            row = self.mixtures[-2 - numbers[n]][: choices[n]]
+            row = self.mixtures[-2 - numbers[n]][: start[n + 1] - start[n]]
             used = row > 0
             values[n] = row[used] @ sums[start[n] : start[n + 1]][used]
         return values

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.automata import UNDECIDED
 from stltool.checking.readable import Node, Question, _Situations, _together
-from stltool.errors import PolicyError, SettingsError
+from stltool.errors import PolicyError, SettingsError, SizeError
 from stltool.reporting.figures import leaves_curve
 from stltool.reporting.trees import tree_data
 from tests import oracles
@@ -179,5 +179,7 @@ def test_what_it_refuses(patrolling, floor5):
     mixed = stl.Policy(patrolling, np.full(shape, 1 / patrolling.model.most_choices))
     with pytest.raises(SettingsError, match="needs a deterministic policy"):
         stl.policy_tree(patrolling, mixed)
+    with pytest.raises(SizeError, match="take more memory than is available; shorten the windows"):
+        stl.policy_tree(patrolling, stl.check(patrolling).policy, memory_limit=10_000)
     with pytest.raises(PolicyError, match="defines no action"):
         stl.policy_tree(patrolling, stl.Policy(patrolling, np.full(patrolling.shape, -1)))
