@@ -70,8 +70,21 @@ class Chances:
         return self.given if self.given is not None else Shares(*of_doubles(self.probability, self.row_start))
 
 
+class ReadOnly:
+    """A frozen dataclass whose starts and targets are read-only views, after unpickling too: one kind of array is what
+    kernels are compiled for."""
+
+    def __post_init__(self) -> None:
+        for name in ("choice_start", "row_start", "target"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self.__post_init__()
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Rows(Displayed):
+class Rows(ReadOnly, Displayed):
     """The rows of n states (see the module's text), with successors by their numbers in the model.
 
     entry   (e,) the index in `chances` of each entry; None: in order
@@ -86,14 +99,6 @@ class Rows(Displayed):
     entry: NDArray[np.signedinteger[Any]] | None = None
     parts: tuple[I64, I64] | None = None
     states: I64 | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("choice_start", "row_start", "target"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self.__post_init__()
 
     def __len__(self) -> int:
         return len(self.choice_start) - 1

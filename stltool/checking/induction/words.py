@@ -20,7 +20,7 @@ from stltool.checking.induction.edges import OPEN, REST, SURE, Edges
 from stltool.checking.induction.graph import I32, I64, U64, Automaton, Game
 from stltool.checking.induction.layers import Budget, Layers
 from stltool.choices import Listed
-from stltool.models.rows import Demand, Rows
+from stltool.models.rows import Demand, ReadOnly, Rows
 
 Pieces: TypeAlias = tuple[I64, U64, NDArray[np.bool_], I64]
 Maps: TypeAlias = tuple[I32, NDArray[np.bool_], I32, I32, NDArray[np.uint8]]
@@ -35,7 +35,7 @@ _WORTH_WORDS = 2**13  # with fewer, starting threads costs more than they save
 
 
 @dataclass(frozen=True, eq=False)
-class Graph:
+class Graph(ReadOnly):
     """The part of a model that runs can visit before the horizon, its states renumbered in order.
 
     states       (n,) int32: their numbers in the model         first  (k,) int32: the first ones
@@ -57,14 +57,6 @@ class Graph:
     near: I32
     position: I32
     letter: I32
-
-    def __post_init__(self) -> None:
-        for name in ("choice_start", "row_start", "target"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self.__post_init__()
 
     @classmethod
     def of(cls, game: Game, need: Callable[[int], None]) -> Graph:
