@@ -9,11 +9,8 @@ from typing import Any
 from stltool.display import NATURES
 from stltool.numbers import ceiling_text, difference_text, floor_text, probability_text
 
-_VERDICTS = {
-    True: ("good", "✓ holds"),
-    False: ("bad", "✕ does not hold"),
-    None: ("", "? undecided"),
-}
+_VERDICTS = {True: "holds", False: "does not hold", None: "undecided"}
+_CHIPS = {"holds": ("good", "✓ holds"), "does not hold": ("bad", "✕ does not hold"), "undecided": ("", "? undecided")}
 _TICKS = (0.01, 0.1, 0.25, 0.5, 0.75, 0.9, 0.99, 0.999, 0.9999, 0.99999, 0.999999, 0.9999999)
 _RARE = 0.05  # up to here it is one run in so many
 _APART = 13.0  # per cent of the scale between its numbers
@@ -24,8 +21,7 @@ def headline(data: Mapping[str, Any], guarantees: Sequence[Mapping[str, Any]]) -
     """What the page shows first: `value`, `whose`, `chips`, `lead`, `rows` and `ticks` of the scale."""
     shown = next((c for c in data["checks"] if c["question"] == "policy"), next(iter(data["checks"]), None))
     learned = bool(data["training"])
-    asked = [{"kind": _VERDICTS[one["holds"]][0], "text": f"{_VERDICTS[one['holds']][1]}: {one['claim']}"}
-             for one in data.get("asked") or ()]  # fmt: skip
+    asked = [verdict_chip(_VERDICTS[one["holds"]], one["claim"]) for one in data.get("asked") or ()]
     if shown is None:
         found: dict[str, Any] = {
             "value": f"P ≥ {guarantees[0]['P_at_least']}",
@@ -44,6 +40,12 @@ def headline(data: Mapping[str, Any], guarantees: Sequence[Mapping[str, Any]]) -
     rows = _rows(data, shown, learned)
     ticks = positions(rows)
     return {**found, "asked": asked, "shown": shown, "rows": rows if len(rows) > 1 else [], "ticks": ticks}
+
+
+def verdict_chip(verdict: str, claim: str) -> dict[str, str]:
+    """A verdict on a claim: its kind, for the colour, and its text."""
+    kind, text = _CHIPS[verdict]
+    return {"kind": kind, "text": f"{text}: {claim}"}
 
 
 def positions(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

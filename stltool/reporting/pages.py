@@ -12,7 +12,7 @@ from stltool.logic.formula import is_bounded
 from stltool.logic.task import Task
 from stltool.numbers import bound_texts, ceiling_text, floor_text, probability_text
 from stltool.product import Product
-from stltool.reporting.headline import positions
+from stltool.reporting.headline import positions, verdict_chip
 from stltool.reporting.monitoring import monitor_facts, range_rows, robustness_text, shown_trace, trace_rows
 from stltool.reporting.records import MonitorRecord
 from stltool.reporting.tradeoffs import front_data
@@ -112,17 +112,13 @@ def estimate_report(data: Mapping[str, Any], product: Product, command: str | No
     return {**_about(TEST_FORMAT if "verdict" in data else ESTIMATE_FORMAT, command), **data, "words": words}
 
 
-_CHIPS = {"holds": ("good", "✓ holds"), "does not hold": ("bad", "✕ does not hold"), "undecided": ("", "? undecided")}
-
-
 def estimate_content(data: Mapping[str, Any]) -> dict[str, Any]:
     """What the template estimate.html needs, next to the data."""
     share = data["satisfied"] / data["runs"] if data["runs"] else 0.0
     rows: list[dict[str, Any]] = []
     chip = None
     if data.get("verdict"):
-        kind, text = _CHIPS[data["verdict"]]
-        chip = {"kind": kind, "text": f"{text}: P ≥ {data['at_least']:g}"}
+        chip = verdict_chip(data["verdict"], f"P ≥ {data['at_least']:g}")
         rows.append({"what": "Share of satisfied runs", "sure": "", "kind": "ours", "values": [share],
                      "text": probability_text(share)})  # fmt: skip
         rows.append({"what": "The bound asked for", "sure": "", "kind": "optimum", "values": [data["at_least"]],
