@@ -263,6 +263,14 @@ def random_model(rng: np.random.Generator, denominator: int, n_states: int = 3, 
     return stl.MDP.from_arrays(transitions, {"x": np.arange(n_states)}, np.array(row(), dtype=object), labels)
 
 
+def corridor(n: int) -> stl.MDP:
+    """n cells: only the way right leads to the end, left leads back at once; the third action stays."""
+    rows = np.zeros((3, n, n))
+    rows[0, :, 0] = rows[1, np.arange(n), np.minimum(np.arange(n) + 1, n - 1)] = 1
+    rows[2] = np.eye(n)
+    return stl.MDP.from_arrays(rows, {}, labels={"end": np.arange(n) == n - 1})
+
+
 def achievable(model: stl.MDP, phis, cost=None) -> set[tuple[Fraction, ...]]:
     """(P(φ) for each φ, then the expected cost) of every deterministic history-dependent policy, as a set.
 

@@ -23,6 +23,7 @@ from stltool.learning.tables import ClockedTable, Entries, SurrogateTable
 from stltool.models.environment import Environment, simulator
 from stltool.policy import with_flags
 from stltool.product import first_verdicts
+from tests import oracles
 from tests.checking.test_check import products
 from tests.conftest import FACTORY, ROOT, many, some
 from tests.learning.test_planner import early
@@ -407,12 +408,8 @@ def test_learners_recover_from_an_unlucky_beginning(good_or_bad, method, seed):
 
 @pytest.mark.parametrize("method", ["model-based", "cfer"])
 def test_exploration_is_deep(method):
-    """A corridor of 12 cells: only the way right, to the end, satisfies the task; left leads back at once."""
-    n = 12
-    rows = np.zeros((3, n, n))
-    rows[0, :, 0] = rows[1, np.arange(n), np.minimum(np.arange(n) + 1, n - 1)] = 1
-    rows[2] = np.eye(n)
-    model = stl.MDP.from_arrays(rows, {}, labels={"end": np.arange(n) == n - 1})
+    """Only the way right, to the end of the corridor, satisfies the task."""
+    model = oracles.corridor(12)
     product = stl.build_product(model, stl.parse("F[0,15] end"))
     run = stl.learn(product, method, episodes=60, evaluate_every=60)
     assert run.history[-1].probability == 1.0

@@ -9,6 +9,7 @@ import pytest
 import stltool as stl
 from stltool.errors import ModelError, SettingsError
 from stltool.learning.model_based import Planner
+from tests import oracles
 from tests.checking.test_batched import OneByOne, SideBySide
 from tests.checking.test_black_box import hidden
 from tests.conftest import many
@@ -122,12 +123,8 @@ def test_model_based_recovers_from_an_unlucky_beginning_in_batches(batch, seed):
 
 
 def test_model_based_explores_deeply_in_batches():
-    """A corridor of 12 cells: only the way right, to the end, satisfies the task; left leads back at once."""
-    n = 12
-    rows = np.zeros((3, n, n))
-    rows[0, :, 0] = rows[1, np.arange(n), np.minimum(np.arange(n) + 1, n - 1)] = 1
-    rows[2] = np.eye(n)
-    model = stl.MDP.from_arrays(rows, {}, labels={"end": np.arange(n) == n - 1})
+    """Only the way right, to the end of the corridor, satisfies the task."""
+    model = oracles.corridor(12)
     product = stl.build_product(model, stl.parse("F[0,15] end"))
     run = stl.learn(product, "model-based", episodes=160, evaluate_every=160, environment=SideBySide(model, 16))
     assert run.history[-1].probability == 1.0
