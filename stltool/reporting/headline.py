@@ -132,8 +132,8 @@ def _rows(data: Mapping[str, Any], shown: Mapping[str, Any] | None, learned: boo
             )
             if found.get("support") == "known":
                 what += ", successors known"
-            if found.get("parameters"):
-                what += ", one parameter"
+            if parameters := found.get("parameters"):
+                what += ", one parameter" if len(parameters) == 1 else f", {len(parameters)} parameters"
             row = _row(what, sure, "from", found["lower"])
             rows.append(row | {"text": f"≥ {floor_text(found['lower'])}"})
     for found in data.get("estimates") or ():

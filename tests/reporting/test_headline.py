@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stltool.reporting.headline import one_in, positions, value_text
+from stltool.reporting.headline import headline, one_in, positions, value_text
 
 
 @pytest.mark.parametrize(
@@ -42,3 +42,11 @@ def test_positions_are_in_the_order_of_the_values(values):
     order = sorted(range(len(values)), key=lambda i: values[i])
     assert [rows[i]["x"][0] for i in order] == sorted(row["x"][0] for row in rows)
     assert all(later["x"] - tick["x"] >= 13 for tick, later in itertools.pairwise(ticks))
+
+
+@pytest.mark.parametrize(("n", "text"), [(1, "one parameter"), (2, "2 parameters")])
+def test_a_bound_says_how_many_parameters_it_knows(n, text):
+    found = {"source": "learning data", "confidence": 0.99, "support": "known", "lower": 0.5, "parameters": [{}] * n}
+    told = {"P_at_least": "0.5", "confidence": "99 %", "guaranteed_by": "learning data"}
+    rows = headline({"checks": [], "training": True, "guarantees": [found] * 2}, [told] * 2)["rows"]
+    assert [row["what"] for row in rows] == [f"Learning data, successors known, {text}"] * 2
