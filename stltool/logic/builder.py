@@ -16,7 +16,7 @@ from typing import NoReturn, TypeVar, cast, get_args
 
 from stltool.errors import StlSyntaxError, near_misses
 from stltool.logic.expectation import ASKED, RELATIONS, Asked, Expectation, Relation
-from stltool.logic.format import expectation_text
+from stltool.logic.format import expectation_text, flat_text
 from stltool.logic.formula import (
     DEEPEST,
     LARGEST_BOUND,
@@ -47,7 +47,7 @@ from stltool.logic.formula import (
 )
 from stltool.logic.printer import term_text
 from stltool.logic.quantities import UNITS, Duration, Quantity
-from stltool.logic.syntax import WORDS, Branch, SyntaxFault, Token, bare, branches
+from stltool.logic.syntax import INFINITY, WORDS, Branch, SyntaxFault, Token, bare, branches
 from stltool.numbers import NumberError, double, number_text, read
 from stltool.source import Source, Span
 
@@ -173,8 +173,8 @@ class Builder:
 
     def claim(self, token: Token, what: str) -> None:
         name = str(token)
-        if name == "inf":
-            self.fail(token, f"inf is reserved for intervals without an end; rename this {what}")
+        if name.lower() in INFINITY:
+            self.fail(token, f"{name} is reserved for intervals without an end; rename this {what}")
         if name in self.params or name in self.definitions:
             self.fail(token, f"{name} is defined twice; rename this {what}")
         if name in self.signals:
@@ -314,6 +314,7 @@ class Builder:
             case "or":
                 return Or(tuple(self.formula(part) for part in parts), span=span)
             case "implies":
+                self.require_no_comparison(tree)
                 return Implies(self.formula(parts[0]), self.formula(parts[1]), span=span)
             case "iff":
                 return Iff(self.formula(parts[0]), self.formula(parts[1]), span=span)
@@ -334,6 +335,14 @@ class Builder:
                 self.fail(tree, f"expected a Boolean expression, found a number; compare it, as in {span.text()} > 0")
             case other:
                 raise AssertionError(f"the grammar's rule {other} has no builder")
+
+    def require_no_comparison(self, tree: Branch) -> None:
+        """Refuse `x => 5`: beside a number, => is meant to compare."""
+        left, right = branches(tree)
+        sign = self.source.text[left.meta.end_pos : right.meta.start_pos]
+        if "=>" in sign and (self.is_term(left) or self.is_term(right)):
+            shown = f"{self.span(left).text()} >= {self.span(right).text()}"
+            self.fail(tree, f"=> means implies, but a number is next to it; to compare, write {shown}")
 
     def named_formula(self, tree: Branch) -> Formula:
         name, span = str(tree.children[0]), self.span(tree)
@@ -356,7 +365,7 @@ class Builder:
         """`True` is not taken for a label: a capitalised keyword is a slip."""
         if name.lower() in WORDS:
             self.fail(tree, f"keywords are lower case; write {name.lower()} (a signal called {name} must be renamed)")
-        if name.lower() in ("inf", "infinity", "nan"):
+        if name.lower() in (*INFINITY, "nan"):
             self.fail(tree, f"{name} is not a number with which a signal can be compared; leave the comparison out")
 
     def pass_over(self, name: str) -> None:
@@ -391,13 +400,15 @@ class Builder:
         if a < 0:
             self.fail(lower, f"the interval starts at step {a}; steps count from 0")
         first = a + (opening == "(")
-        if upper.data == "name" and str(upper.children[0]) == "inf":
+        end = bare(upper)
+        if end.data == "name" and str(end.children[0]).lower() in INFINITY:
             return self.endless(self.span(tree), word, first)
         b = self.whole_steps(upper)
         last = b - (closing == ")")
         if last < first:
-            example = f"[{a},{max(a, b) + 1})" if closing == ")" else f"[{a},{max(a, b)}]"
-            shown = f"{opening}{a},{b}{closing}"
+            low, high = flat_text(lower), flat_text(upper)
+            example = f"[{high},{low}]" if 0 <= b < a else f"[{low},{high}]" if a <= b else f"[0,{low}]"
+            shown = f"{opening}{low},{high}{closing}"
             self.fail(tree, f"the interval {shown} is empty; write, for example, {example}")
         return Interval(first, last)
 

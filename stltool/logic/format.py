@@ -16,7 +16,7 @@ from stltool.arguments import require
 from stltool.errors import StlSyntaxError
 from stltool.logic.formula import ArithmeticOperator
 from stltool.logic.printer import STRENGTH, Kind, computed, needs_parentheses, negated
-from stltool.logic.syntax import Branch, Comment, Document, Token, bare, branches, read, refuse
+from stltool.logic.syntax import INFINITY, Branch, Comment, Document, Token, bare, branches, read, refuse
 from stltool.source import Source
 
 WIDTH = 100
@@ -61,7 +61,7 @@ def _skeletons(document: Document) -> list[object]:
 
 def _skeleton(item: Branch | Token) -> object:
     if isinstance(item, Token):
-        return _COMPARATORS.get(str(item), str(item))
+        return "inf" if item.lower() in INFINITY else _COMPARATORS.get(str(item), str(item))
     tree = bare(item)
     return (str(tree.data), *(_skeleton(part) for part in tree.children))
 
@@ -126,7 +126,9 @@ def _sign(tree: Branch) -> str:
 
 def _interval(tree: Branch) -> str:
     opening, lower, upper, closing = cast(tuple[Token, Branch, Branch, Token], tuple(tree.children))
-    return f"{opening}{_term(lower)[0]},{_term(upper)[0]}{closing}"
+    end = bare(upper)
+    endless = end.data == "name" and str(end.children[0]).lower() in INFINITY
+    return f"{opening}{_term(lower)[0]},{'inf' if endless else _term(upper)[0]}{closing}"
 
 
 def _comparator(token: Token) -> str:

@@ -42,8 +42,12 @@ _ELSEWHERE = {
     **dict.fromkeys(("next", "X"), _NEXT),
     **dict.fromkeys(("release", "R", "releases"), _RELEASE),
     "pow": "there is no function {word}; write a^b",
+    "imply": "there is no operator {word}; write implies, or ->",
     "exp": "there is no function {word}; record it as a signal of its own (there are abs, min, max, sqrt)",
 }
+
+INFINITY = ("inf", "infinity", "∞")  # in any case
+_PRISM_QUESTIONS = ("P", "Pmax", "Pmin")
 
 _BRACKETS = {"LPAR": "parenthesis", "RPAR": "parenthesis", "LSQB": "bracket", "RSQB": "bracket"}
 _NESTING = {"LPAR": 1, "LSQB": 1, "RPAR": -1, "RSQB": -1}
@@ -206,10 +210,10 @@ def _shifted(token: Token, offset: int) -> Token:
 
 
 def _glued(text: str, place: int) -> str:
-    """The text at a position where no token begins: a quote to the end of its line, a number followed by letters, or a
-    single character.
+    """The text at a position where no token begins: a quote to the end of its line, a number followed by letters,
+    braces with what they hold, or a single character.
     """
-    found = re.compile(r"\.*\w+|\.+|\"[^\r\n]*").match(text, place)
+    found = re.compile(r"\.*\w+|\.+|\"[^\r\n]*|\{[^{}\r\n]*\}").match(text, place)
     return found.group() if found else text[place]
 
 
@@ -237,6 +241,20 @@ def _foreign(source: Source, place: int) -> str:
         message = "this number runs into letters; put an operator or a space between them"
     elif character == "=":
         message = f"unexpected '='; {_EQUAL_HINT}"
+    elif character in "{}":
+        inside = _glued(source.text, place)[1:-1]
+        operator = re.search(r"([A-Za-z]+|\[\]|<>|[□◇𝒰])_?\s*$", before)
+        interval = operator is not None and re.fullmatch(r"[^,]+,[^,]+", inside)
+        message = f"unexpected {character!r}; " + (
+            f"an interval is in brackets: {operator[1]}[{inside}]"
+            if operator and interval
+            else "group with parentheses, ( and ); intervals are in brackets, as in F[0,10]"
+        )
+    elif character == "?" and re.search(r"=\s*$", before):
+        message = (
+            "=? asks for a probability, as in PRISM; write the formula alone and use stltool check, or state a bound "
+            "in a task file: expect Pmax(name) >= 0.95"
+        )
     elif character == "%" and before.split()[:1] == ["expect"] and before[-1:].isdigit():
         message = "unexpected '%'; write a percentage as a decimal or a fraction, such as 0.95 or 95/100"
     elif character == "%":
@@ -343,7 +361,7 @@ def _bracket_hint(source: Source, tokens: Sequence[Token], i: int, accepted: set
         return "", False
     place = _span(source, tokens[opened])
     behind = opened > 0 and tokens[opened - 1].type in _TEMPORAL
-    interval = behind and (tokens[opened].type == "LSQB" or {"RSQB", "_DOTS"} & accepted)
+    interval = behind and (tokens[opened].type == "LSQB" or "RSQB" in accepted)
     where = f"line {place.line}, column {place.column}"
     told = f"the {'interval' if interval else _BRACKETS[tokens[opened].type]} opened at {where} is not closed"
     closers = [closer for name, closer in (("RSQB", "]"), ("RPAR", ")")) if name in accepted]
@@ -379,9 +397,15 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
             known = f"did you mean {close[0]}?" if close else "F, G, U and their words do"
             return _elsewhere(word) or f"{word} does not take an interval; {known}"
     if opened > 0 and tokens[opened - 1].type in _TEMPORAL and "_DOTS" in accepted:
-        return "an interval needs two integer bounds, such as F[0,10]"
+        bracketed = tokens[opened].type == "LSQB"  # in parentheses there may be a formula
+        if (found := _interval_hint(tokens, i, opened) if bracketed else None) is not None:
+            return found
+    if kind in ("COMPARATOR", "EQUAL") and last in _TEMPORAL:
+        return _prism_hint(tokens, i)
     if kind == "ASSIGN" and tokens[0].type == "_PARAM":
         return f"a param line uses =; write param {before} = 5"
+    if kind == "EQUAL" and i + 1 < len(tokens) and str(tokens[i + 1])[:1] in "<>" and _touch(tokens[i], tokens[i + 1]):
+        return f"write {tokens[i + 1]}= for ={tokens[i + 1]}"
     if kind == "EQUAL":
         return f"write {before} without the second =" if last == "COMPARATOR" else _EQUAL_HINT
     if kind in ("COMPARATOR", "EQUAL") and str(before) in ("~", "<>"):
@@ -402,6 +426,8 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
     for near in (before, token):
         if near is not None and near.type == "NAME" and str(near).lower() in WORDS:
             return f"keywords are lower case; write {str(near).lower()}"
+    if last == "NAME" and kind == "LPAR" and str(before) in ("signal", "input", "output"):
+        return f"{before}(…) numbers the signals, as in FalCAuN; write the name of the signal, such as speed"
     if last == "NAME" and kind == "LPAR":
         return f"{before} is not a function (there are abs, min, max, sqrt); put an operator before '('"
     if kind == "NAME" and i + 1 < len(tokens) and tokens[i + 1].type == "EQUAL":
@@ -412,9 +438,38 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
         return f"expected an operator between {str(before)!r} and {str(token)!r}"
     if kind in ("_EVENTUALLY", "_ALWAYS", "_NOT") and "_AND" in accepted:
         return f"expected an operator before {str(token)!r}"
+    if kind == "LSQB" and i > 2 and str(tokens[i - 3]) in _PRISM_QUESTIONS and tokens[i - 2].type == "COMPARATOR":
+        question, bound = tokens[i - 3], " ".join(map(str, tokens[i - 2 : i]))
+        return (
+            f"{question} {bound} […] bounds a probability, as in PRISM; write the formula alone, and its bound in a "
+            f"task file: expect Pmax(name) {bound}"
+        )
     if kind == "LSQB" and last in ("NUMBER", "RPAR", "RSQB"):
         return "an interval belongs directly after its operator, as in F[0,10]"
     return None
+
+
+def _interval_hint(tokens: Sequence[Token], i: int, opened: int) -> str | None:
+    """What to write for an interval with one bound."""
+    operator, bound = str(tokens[opened - 1]), tokens[opened + 1 : i]
+    if i < len(tokens) and tokens[i].type == "RSQB" and len(bound) == 1 and bound[0].type in ("NUMBER", "TIME", "NAME"):
+        return f"an interval needs two bounds; from now to {bound[0]}, as in MLTL, is {operator}[0,{bound[0]}]"
+    return "an interval needs two integer bounds, such as F[0,10]"
+
+
+def _prism_hint(tokens: Sequence[Token], i: int) -> str:
+    """What to write for PRISM's `F<=5 a`, or for a signal that has the name of an operator."""
+    operator, sign = str(tokens[i - 1]), str(tokens[i])
+    bound = str(tokens[i + 1]) if i + 1 < len(tokens) and tokens[i + 1].type in ("NUMBER", "TIME", "NAME") else "5"
+    until, at, since = f"[0,{bound}]", f"[{bound},{bound}]", f"[{bound},inf)"
+    intervals = {"<=": until, "≤": until, "<": f"[0,{bound})", "=": at, "==": at,
+                 ">=": since, "≥": since, ">": f"({bound},inf)"}  # fmt: skip
+    if sign not in intervals:
+        return f'{operator} is an operator; for a signal of that name, write "{operator}" {sign} {bound}'
+    return (
+        f"for PRISM's {operator}{sign}{bound}, write {operator}{intervals[sign]}; "
+        f'for a signal called {operator}, write "{operator}" {sign} {bound}'
+    )
 
 
 def _expectation_hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:

@@ -213,8 +213,15 @@ def test_operators_without_an_interval_are_for_monitors():
         assert stl.parse(str(phi), unbounded=True) == phi
         with pytest.raises(StlSyntaxError, match="needs an interval with an end here, such as"):
             stl.parse(text)
-    with pytest.raises(StlSyntaxError, match="inf is reserved for intervals without an end"):
-        stl.parse_task("param inf = 3\nr := F[0,inf] a")
+    for end in ("inf", "Inf", "INF", "infinity", "Infinity", "∞", "+inf", "(inf)"):
+        assert stl.parse(f"G[2,{end}) a", unbounded=True) == Always(Interval(2, None), A)
+        assert stl.format_task(f"r := G[2,{end}) a") == "r := G[2,inf) a\n"
+    for name in ("inf", "Inf", "infinity", "∞"):
+        with pytest.raises(StlSyntaxError, match=f"{name} is not a number with which a signal"):
+            stl.parse(f"x < {name}")
+    for name in ("inf", "Inf", "infinity"):
+        with pytest.raises(StlSyntaxError, match=f"{name} is reserved for intervals without an end"):
+            stl.parse_task(f"param {name} = 3\nr := F[0,{name}] a")
 
 
 # ------------------------------------------------------------------------------------------- params, late
