@@ -1,4 +1,8 @@
-"""Reading text and writing results: files are replaced as a whole or not at all."""
+"""Reading text and writing results: files are replaced as a whole or not at all, and only our own.
+
+What a command or a function writes may replace what was written there before, never a file of another origin. Text,
+pages and pictures carry MARK for that, near their beginning or end; other kinds are known by their own format.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +16,8 @@ from typing import IO
 
 from stltool.errors import FileError
 
+MARK = "Generator: stltool"  # in a comment or in the metadata of what is written
+_NEAR = 4096  # bytes from the beginning or the end of a file that the mark is within
 _TRIAL = 1 << 16  # bytes that must fit into a results folder
 
 
@@ -111,19 +117,54 @@ def require_replaceable(path: Path) -> None:
         raise FileError(f"{path}: cannot be written: it is not a regular file; name another")
 
 
+def is_marked(path: Path) -> bool:
+    """Whether a file carries our mark."""
+    return MARK.encode() in _ends(path)
+
+
+def is_data(path: Path) -> bool:
+    """Whether a file begins as the JSON of one of our formats."""
+    return b'"format": "stltool-' in _ends(path)
+
+
+def begins(*heading: str) -> Callable[[Path], bool]:
+    """Whether a CSV file has this first line."""
+    line = ",".join(heading).encode()
+    return lambda path: _ends(path).partition(b"\n")[0].strip() == line
+
+
+def _ends(path: Path) -> bytes:
+    with path.open("rb") as file:
+        first = file.read(_NEAR)
+        file.seek(max(len(first), path.stat().st_size - _NEAR))
+        return first + file.read(_NEAR)
+
+
 def require_own(path: str | Path, what: str, known: Callable[[Path], bool]) -> None:
     """FileError if a non-empty file exists that is not a `what` ("policy") according to `known`: it would be lost."""
     path = Path(path)
     require_replaceable(path)
-    if path.exists() and path.stat().st_size > 0 and not known(path):
-        raise FileError(f"{path}: this file does not contain a {what}, and would be lost; name another file")
+    try:
+        foreign = path.exists() and path.stat().st_size > 0 and not known(path)
+    except OSError:  # what cannot be read is not known to be ours
+        foreign = True
+    if foreign:
+        raise FileError(
+            f"{path}: this file does not contain a {what} that stltool wrote, and would be lost; name another file, or "
+            "move this one away"
+        )
 
 
-def require_output(path: str | Path) -> None:
+def require_result(path: str | Path, what: str, known: Callable[[Path], bool] = is_marked) -> None:
     """FileError, before the work, if a result file could not be written after it; creates nothing."""
-    path = Path(path).resolve()  # through a link, to what it names
-    require_replaceable(path)
-    require_folder(path.parent)
+    require_own(path, what, known)
+    require_folder(Path(path).resolve().parent)  # through a link, to what it names
+
+
+def write_result(path: str | Path, data: bytes | str, what: str, known: Callable[[Path], bool] = is_marked) -> None:
+    """Write a result whole or not at all; FileError if that would replace a file that is not a `what` of ours."""
+    require_own(path, what, known)
+    write_atomically(path, data)
 
 
 def require_folder(path: str | Path) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from stltool.automata.automaton import TRUE, UNDECIDED, TaskAutomaton
 from stltool.automata.cover import literals, shortest_cover
 from stltool.errors import SizeError
+from stltool.files import MARK
 from stltool.logic.formula import And, Constant, Formula, Not, Or
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def to_dot(automaton: TaskAutomaton) -> str:
         dot.node(str(q), label=graphviz.escape(text))
     for q, successor, edge in graph.edges(data=True):
         dot.edge(str(q), str(successor), label=graphviz.escape(edge["condition"]))
-    return str(dot.source)
+    return f"// {MARK}\n{dot.source}"
 
 
 @dataclass(frozen=True)

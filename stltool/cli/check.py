@@ -129,9 +129,9 @@ def check(
     import stltool as stl
     from stltool.checking.certificate import require_certificate_file
     from stltool.checking.evidence import evidence_of
-    from stltool.files import read_text, require_folder
+    from stltool.files import read_text
     from stltool.policy import require_policy_file
-    from stltool.reporting import check_data, report_data, stationary_data, write_report
+    from stltool.reporting import check_data, report_data, require_report, stationary_data, write_report
     from stltool.reporting.records import CheckOutput, Nature, ProvedRecord
     from stltool.reporting.terminal import print_checks, print_facts, print_json, progress_bar
 
@@ -170,7 +170,7 @@ def check(
     if certificate is not None:
         require_certificate_file(certificate)
     if report is not None:
-        require_folder(report)
+        require_report(report / "report.html")
     product = make_product(task, model, param, name, encoding, as_json, normalize=normalize)
     uncertain = product.model.uncertain
     if nominal and not uncertain:

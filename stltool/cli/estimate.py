@@ -79,8 +79,7 @@ def estimate(
     """The probability that the task holds, from sampled runs of a policy: an interval, or a test of a bound."""
     import stltool as stl
     from stltool.checking.statistical import hypotheses, planned_runs
-    from stltool.files import require_folder
-    from stltool.reporting import estimate_data, estimate_report, write_report
+    from stltool.reporting import estimate_data, estimate_report, require_report, write_report
     from stltool.reporting.terminal import print_facts, print_json, progress_bar
 
     fixed = _given(runs=runs, epsilon=epsilon, confidence=confidence, side=side)
@@ -95,7 +94,7 @@ def estimate(
         )
     given = require_one_policy(policy, policy_function)
     if report is not None:
-        require_folder(report)
+        require_report(report / "report.html")
     if given is None and no_exact:
         raise SettingsError("--no-exact needs --policy FILE: the best policy comes from the exact check")
     if bound is None:

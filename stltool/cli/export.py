@@ -29,16 +29,15 @@ def export(
     """Export the task's automaton: states are labelled with what they remember, edges with their conditions."""
     import stltool as stl
     from stltool.automata.graph import to_dot
-    from stltool.files import require_folder, require_replaceable, write_atomically
+    from stltool.files import require_result, write_result
     from stltool.reporting.terminal import print_json, print_text
 
     if to != "dot":
         raise SettingsError(f"--to {to}: there is no such format; known: dot")
     if out is not None:
-        if out.suffix.lower() not in (".dot", ".gv"):  # so that no other file is overwritten
+        if out.suffix.lower() not in (".dot", ".gv"):
             raise SettingsError(f"--out {out}: Graphviz files end in .dot or .gv; use one of these extensions")
-        require_replaceable(out)
-        require_folder(out.parent)
+        require_result(out, "graph")
     loaded = stl.load_task(task, read_params(param), name)
     if model is not None or loaded.model is not None:
         automaton = bind(loaded, task_model(loaded, model, normalize), encoding).automaton
@@ -46,7 +45,7 @@ def export(
         automaton = compile_task(loaded, encoding)
     text = to_dot(automaton)
     if out is not None:
-        write_atomically(out, text)
+        write_result(out, text, "graph")
     if as_json:
         print_json({
             "task": loaded.name, "formula": str(loaded.formula), "horizon": automaton.horizon, "encoding": encoding,

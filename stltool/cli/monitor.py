@@ -60,9 +60,8 @@ def monitor(
     are columns of the trace.
     """
     import stltool as stl
-    from stltool.files import require_folder
     from stltool.logic.formula import label_names, variables
-    from stltool.reporting import monitor_data, monitor_report, write_monitor_picture, write_report
+    from stltool.reporting import monitor_data, monitor_report, require_report, write_monitor_picture, write_report
     from stltool.reporting.monitoring import (
         monitor_facts,
         range_rows,
@@ -82,7 +81,7 @@ def monitor(
     if plot is not None:
         require_monitor_picture(plot)
     if report is not None:
-        require_folder(report)
+        require_report(report / "report.html")
     loaded = load_task_or_formula(task, param, name, step)
     names = {**variables(loaded.formula), **label_names(loaded.formula)}
     if not names:

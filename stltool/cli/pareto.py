@@ -31,8 +31,7 @@ def pareto(
 ) -> None:
     """The Pareto front of two tasks: the pairs of probabilities where improving one lowers the other."""
     import stltool as stl
-    from stltool.files import require_folder
-    from stltool.reporting import front_data, front_report, write_front_picture, write_report
+    from stltool.reporting import front_data, front_report, require_report, write_front_picture, write_report
     from stltool.reporting.terminal import print_facts, print_json, print_table, progress_bar
     from stltool.reporting.tradeoffs import require_picture
 
@@ -44,7 +43,7 @@ def pareto(
     if plot is not None:
         require_picture(plot)
     if report is not None:
-        require_folder(report)
+        require_report(report / "report.html")
     joint = make_joint_product(task, names, model, param, encoding, as_json, normalize=normalize)
     with progress_bar("finding corners", quiet=as_json) as bar:
         front = stl.pareto(joint, points=points, progress=bar)

@@ -23,14 +23,16 @@ def report(
     as_json: AsJson = False,
 ) -> None:
     """Rebuild the HTML page of a report next to its JSON file."""
-    from stltool.files import write_atomically
+    from stltool.files import is_marked, require_own, write_result
     from stltool.reporting.page import read_report
     from stltool.reporting.terminal import print_facts, print_json
 
     pages = [path.with_suffix(".html") for path in data]
     texts = [read_report(path)[1] for path in data]
+    for page in pages:
+        require_own(page, "page", is_marked)
     for page, text in zip(pages, texts, strict=True):
-        write_atomically(page, text)
+        write_result(page, text, "page")
     if as_json:
         print_json({"reports": list(map(str, pages))})
         return

@@ -114,10 +114,11 @@ def run(
     import stltool as stl
     from stltool.checking.evidence import evidence_of
     from stltool.checking.statistical import planned_runs
-    from stltool.files import read_text, require_folder
+    from stltool.files import read_text
     from stltool.learning.checkpoint import require_checkpoint
     from stltool.learning.markov import tested
-    from stltool.reporting import guarantee_rows, looser_note, report_data, write_report
+    from stltool.policy import require_policy_file
+    from stltool.reporting import guarantee_rows, looser_note, report_data, require_report, write_report
     from stltool.reporting.terminal import print_checks, print_facts, print_json, print_table, progress_bar
 
     if split is not None:
@@ -137,7 +138,8 @@ def run(
         normalize=normalize,
     )
     folder = out if out is not None else Path("out") / product.task_name
-    require_folder(folder)
+    require_policy_file(folder / "policy.npz")
+    require_report(folder / "report.html")
     known = product.model.blackbox is None
     if not known and not rollouts:
         raise SettingsError("--rollouts 0: a policy for a black box is judged only by fresh runs; request some")

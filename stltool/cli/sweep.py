@@ -55,7 +55,7 @@ def sweep(
     from stltool.checking.encodings import story_of
     from stltool.learning.sweep import finished_runs
     from stltool.reporting import sweep_data, write_sweep
-    from stltool.reporting.sweeps import failure_text, failures_data, result_rows
+    from stltool.reporting.sweeps import failure_text, failures_data, require_sweep, result_rows
     from stltool.reporting.terminal import error, print_facts, print_json, print_table, sweep_bar
 
     if workers is not None and cluster is not None:
@@ -66,6 +66,7 @@ def sweep(
     if dry_run:
         _dry_run(part, folder, workers, as_json)
         return
+    require_sweep(folder)
     try:
         with sweep_bar(quiet=as_json) as bar:
             result = stl.run_sweep(part, folder, workers=workers, cluster=cluster, progress=bar)

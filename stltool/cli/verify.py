@@ -60,17 +60,17 @@ def verify(
     judged.
     """
     import stltool as stl
-    from stltool.files import require_folder, require_output, write_atomically
+    from stltool.files import require_result, write_result
     from stltool.logic.lint import about_expectations
-    from stltool.reporting import junit_text, markdown_text, verification_data, write_report
+    from stltool.reporting import junit_text, markdown_text, require_report, verification_data, write_report
     from stltool.reporting.terminal import error, note, print_facts, print_json, print_table, progress_bar, warn
     from stltool.reporting.verification import asked_text, counts_text, place_text, verification_rows
 
-    for file in (junit, markdown):
+    for file, what in ((junit, "JUnit file"), (markdown, "Markdown table")):
         if file is not None:
-            require_output(file)
+            require_result(file, what)
     if report is not None:
-        require_folder(report)
+        require_report(report / "report.html")
 
     found = stl.verify(
         files,
@@ -81,9 +81,9 @@ def verify(
     )
     data = verification_data(found, this_command())
     if junit is not None:
-        write_atomically(junit, junit_text(data))
+        write_result(junit, junit_text(data), "JUnit file")
     if markdown is not None:
-        write_atomically(markdown, markdown_text(data))
+        write_result(markdown, markdown_text(data), "Markdown table")
     if report is not None:
         write_report(data, report / "report.html")
     for model in dict.fromkeys(one.result.product.model for one in found.results if one.result is not None):

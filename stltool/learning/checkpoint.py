@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from stltool.arrays import Members, open_arrays
 from stltool.errors import SettingsError, named
-from stltool.files import require_output, write_atomically
+from stltool.files import require_folder, require_replaceable, write_atomically
 from stltool.learning.kept import Kept
 from stltool.learning.trainer import Point, Progress, Status, Trainer
 
@@ -113,7 +113,9 @@ def require_checkpoint(path: str | Path | None, resume: bool) -> None:
                 f"{named('checkpoint', 'checkpoint=FILE')}"
             )
         return
-    require_output(path)
+    place = Path(path).resolve()  # through a link, to what it names
+    require_replaceable(place)
+    require_folder(place.parent)
     if Path(path).exists() and not resume:
         raise SettingsError(f"{path} exists; resume it ({named('resume', 'resume=True')}), or delete it to begin again")
 

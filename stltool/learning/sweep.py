@@ -31,7 +31,7 @@ from stltool.checking import CheckResult, check
 from stltool.choices import Choices
 from stltool.display import Card, Displayed, counted, listed, probability_text
 from stltool.errors import FileError, SettingsError, StlToolError, named, near_misses
-from stltool.files import require_folder, write_atomically
+from stltool.files import is_data, require_folder, require_own, write_result
 from stltool.kernels import warm_up
 from stltool.learning.learn import learn
 from stltool.learning.learner import Learner
@@ -45,6 +45,7 @@ from stltool.models import MDP
 from stltool.product import Product, build_product
 
 FORMAT = "stltool-run-1"
+_RUN = "run of a sweep"
 _MOST_SEEDS = 1_000_000
 _SHOWN = 10  # rows of results in a notebook
 _PROBE = 10  # episodes from which times are estimated
@@ -268,6 +269,8 @@ def run_sweep(
     require_folder(folder)
     with _locked(folder):
         finished, waiting = _plan(sweep, folder)
+        for place in (place for run in waiting for place in _place(folder, run)):
+            require_own(place, _RUN, is_data)
         failures: list[Failure] = []
         skipped, steps, done = len(finished), 0, 0
         if cluster is None:
@@ -407,10 +410,12 @@ def _place(folder: Path, run: Run) -> tuple[Path, Path]:
 
 def _store(folder: Path, run: Run, result: RunResult) -> None:
     place, clock = _place(folder, run)
-    write_atomically(clock, json.dumps({"key": run.key, "seconds": result.seconds}) + "\n")
+    times = {"format": FORMAT, "key": run.key, "seconds": result.seconds}
+    write_result(clock, json.dumps(times) + "\n", _RUN, is_data)
     content = {"format": FORMAT, "key": run.key, **dataclasses.asdict(result)}
     del content["seconds"]
-    write_atomically(place, json.dumps(content, indent=1) + "\n")  # last: its existence marks the run as finished
+    # last: its existence marks the run as finished
+    write_result(place, json.dumps(content, indent=1) + "\n", _RUN, is_data)
 
 
 def _plan(sweep: Sweep, folder: Path) -> tuple[dict[str, RunResult], list[Run]]:

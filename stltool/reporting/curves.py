@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from stltool.files import require_folder, require_own, write_atomically
+from stltool.files import begins, require_result, write_result
 from stltool.learning import Training
 from stltool.learning.settings import recorded
 from stltool.reporting.records import CurveRecord
@@ -22,30 +22,23 @@ _HISTORY = ("episode", "steps", "probability", "method", "faithful", "seed", "se
 def write_history(training: Training, path: str | Path) -> None:
     """The exact learning curve as CSV: episode, steps, probability, and in every row the method, whether as published,
     the seed, and all settings as JSON. Doubles are written so that they read back."""
-    require_history_file(path)
     settings = json.dumps({**recorded(training.budget), **training.settings})
     run = (training.method, training.faithful, training.seed, settings)
-    write_csv(path, _HISTORY, ((p.episode, p.steps, p.probability, *run) for p in training.history))
+    write_csv(path, "learning curve", _HISTORY, ((p.episode, p.steps, p.probability, *run) for p in training.history))
 
 
 def require_history_file(path: str | Path) -> None:
     """Raise an error, before the work, if the learning curve could not be written after it."""
-    require_own(path, "learning curve", _is_history)
-    require_folder(Path(path).parent)
+    require_result(path, "learning curve", begins(*_HISTORY))
 
 
-def _is_history(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.readline(100).strip() == ",".join(_HISTORY).encode()
-
-
-def write_csv(path: str | Path, heading: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a CSV file, whole or not at all; None is an empty cell."""
+def write_csv(path: str | Path, what: str, heading: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write a CSV file, whole or not at all; None is an empty cell. FileError if a file of another heading is there."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(heading)
     writer.writerows(rows)
-    write_atomically(path, buffer.getvalue())
+    write_result(path, buffer.getvalue(), what, begins(*heading))
 
 
 def quartile_curves(curves: Sequence[tuple[Sequence[int], Sequence[float]]]) -> CurveRecord:

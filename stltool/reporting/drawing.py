@@ -17,6 +17,8 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
 from numpy.typing import NDArray
 
+from stltool.files import MARK
+
 INK = "#222222"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito's
 
@@ -45,8 +47,8 @@ def picture(figure: Figure, kind: str, salt: str, title: str) -> str | bytes:
     """
     metadata = {
         "svg": {"Date": None, "Creator": None},
-        "png": {"Software": None},
-        "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+        "png": {"Software": MARK},
+        "pdf": {"CreationDate": None, "Creator": MARK, "Producer": None},
     }
     buffer = io.BytesIO()
     with drawing(), _any_glyph():
@@ -95,7 +97,7 @@ def _clean(text: str, title: str) -> str:
         "xmlns": _SVG[1:-1], "xmlns:xlink": _XLINK[1:-1], "role": "img", "aria-label": title,
         "stroke-linejoin": "round", "stroke-linecap": "butt",  # matplotlib's style sheet for all elements
     })  # fmt: skip
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
+    return f"<!-- {MARK} -->\n{ElementTree.tostring(root, encoding='unicode')}\n"
 
 
 def _presentation(style: str) -> dict[str, str]:

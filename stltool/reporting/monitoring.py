@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.errors import SettingsError
-from stltool.files import write_atomically
+from stltool.files import write_result
 from stltool.logic.task import Task
 from stltool.monitoring.offline import MonitorResult
 from stltool.reporting.records import MonitorRecord, Robustness, TraceRecord
@@ -240,4 +240,4 @@ def write_monitor_picture(
     from stltool.reporting.monitor_figure import monitored
 
     require_monitor_picture(path)
-    write_atomically(path, monitored(result, signals, task, path.suffix.lower()[1:], trace, at))
+    write_result(path, monitored(result, signals, task, path.suffix.lower()[1:], trace, at), "picture")

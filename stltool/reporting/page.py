@@ -19,7 +19,7 @@ from stltool.checking import CheckResult, Estimate, StationaryResult
 from stltool.checking.evidence import evidence_of
 from stltool.display import NATURES
 from stltool.errors import ArgumentError, FileError
-from stltool.files import read_text, write_atomically
+from stltool.files import MARK, is_data, read_text, require_result, write_result
 from stltool.learning import Guarantee, Training
 from stltool.learning.markov import tested
 from stltool.numbers import bound_texts, difference_text, probability_text, within_text
@@ -108,15 +108,23 @@ def _each(given: object, kinds: type | tuple[type, ...], name: str) -> list[Any]
     return list(given)
 
 
-def write_report(data: Mapping[str, Any], path: str | Path) -> None:
-    """Both files of a report, each whole or not at all; the page is made before either is written."""
+def require_report(path: str | Path) -> None:
+    """Raise an error, before the work, if the two files of a report could not be written after it."""
     path = Path(path)
     if path.suffix.lower() == ".json":
         other = path.with_suffix(".html").name
         raise FileError(f"{path}: the page would replace its JSON file; use another name, such as {other}")
+    require_result(path, "page")
+    require_result(path.with_suffix(".json"), "report", is_data)
+
+
+def write_report(data: Mapping[str, Any], path: str | Path) -> None:
+    """Both files of a report, each whole or not at all; the page is made before either is written."""
+    path = Path(path)
+    require_report(path)
     page = render(data)
-    write_atomically(path.with_suffix(".json"), json.dumps(data, indent=1) + "\n")
-    write_atomically(path, page)
+    write_result(path.with_suffix(".json"), json.dumps(data, indent=1) + "\n", "report", is_data)
+    write_result(path, page, "page")
 
 
 def load_report(path: str | Path) -> dict[str, Any]:
@@ -268,7 +276,7 @@ def _templates() -> jinja2.Environment:
     )
     environment.filters["probability"] = probability_text
     environment.globals.update(within_text=within_text, difference_text=difference_text)
-    environment.globals["natures"] = NATURES
+    environment.globals.update(natures=NATURES, mark=MARK)
     return environment
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any, cast
@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from stltool.checking.encodings import Story
-from stltool.files import write_atomically
+from stltool.files import begins, is_data, is_marked, require_folder, require_result, write_result
 from stltool.learning.settings import recorded
 from stltool.learning.sweep import Failure, Method, RunResult, Scenario, Sweep, SweepResult
 from stltool.reporting.curves import quartile_curves, write_csv
@@ -27,6 +27,17 @@ from stltool.reporting.records import (
 from stltool.reporting.story import story_sections
 
 _NEAR = 0.99  # fraction of the optimum from which a task is considered learned
+_COLUMNS = ("scenario", "method", "median", "q1", "q3", "least", "greatest", "published", "optimum",
+            "environment_steps", "near_optimum_at", "regret", "seconds", "seeds")  # fmt: skip
+_POINTS = ("scenario", "method", "seed", "episode", "steps", "probability")
+_FILES: dict[str, tuple[str, Callable[[Path], bool]]] = {
+    "report.html": ("page", is_marked),
+    "report.json": ("report", is_data),
+    "table.csv": ("table", begins(*_COLUMNS)),
+    "curves.csv": ("table", begins(*_POINTS)),
+    "figure.svg": ("picture", is_marked),
+    "figure.png": ("picture", is_marked),
+}
 
 
 def sweep_data(
@@ -199,6 +210,13 @@ def panel_title(scenario: ScenarioRecord) -> str:
     return f"{scenario['id']}: " + ", ".join([scenario["task"], scenario["model"], *params])
 
 
+def require_sweep(folder: str | Path) -> None:
+    """Raise an error, before the work, if the files of a sweep could not be written after it."""
+    require_folder(folder)
+    for name, (what, known) in _FILES.items():
+        require_result(Path(folder) / name, what, known)
+
+
 def write_sweep(data: SweepRecord, folder: str | Path) -> list[Path]:
     """report.html, report.json, table.csv, curves.csv, figure.svg and figure.png; their paths.
 
@@ -207,17 +225,14 @@ def write_sweep(data: SweepRecord, folder: str | Path) -> list[Path]:
     from stltool.reporting.figures import learning_curves
     from stltool.reporting.page import render
 
-    folder = Path(folder)
+    require_sweep(folder)
     svg, png = str(learning_curves(data, "svg")), learning_curves(data, "png")
     page = render(data, svg)
-    paths = [folder / f"{name}" for name in ("report.html", "report.json", "table.csv", "curves.csv", "figure.svg",
-                                             "figure.png")]  # fmt: skip
-    write_atomically(paths[1], json.dumps(data, indent=1) + "\n")
-    write_atomically(paths[0], page)
-    columns = ("scenario", "method", "median", "q1", "q3", "least", "greatest", "published", "optimum",
-               "environment_steps", "near_optimum_at", "regret", "seconds")  # fmt: skip
-    write_csv(paths[2], (*columns, "seeds"), (
-        [*(cast(dict[str, Any], result)[column] for column in columns), len(result["seeds"])]
+    paths = [Path(folder) / name for name in _FILES]
+    write_result(paths[1], json.dumps(data, indent=1) + "\n", *_FILES["report.json"])
+    write_result(paths[0], page, *_FILES["report.html"])
+    write_csv(paths[2], "table", _COLUMNS, (
+        [*(cast(dict[str, Any], result)[column] for column in _COLUMNS[:-1]), len(result["seeds"])]
         for result in data["results"]
     ))  # fmt: skip
     points = (
@@ -226,7 +241,7 @@ def write_sweep(data: SweepRecord, folder: str | Path) -> list[Path]:
         for run in result["runs"]
         for point in zip(run["episode"], run["steps"], run["probability"], strict=True)
     )
-    write_csv(paths[3], ("scenario", "method", "seed", "episode", "steps", "probability"), points)
-    write_atomically(paths[4], svg)
-    write_atomically(paths[5], png)
+    write_csv(paths[3], "table", _POINTS, points)
+    write_result(paths[4], svg, *_FILES["figure.svg"])
+    write_result(paths[5], png, *_FILES["figure.png"])
     return paths

@@ -8,7 +8,7 @@ from pathlib import Path
 from stltool.checking import Front, Tradeoff
 from stltool.checking.weighted import Figure
 from stltool.errors import SettingsError
-from stltool.files import require_output, write_atomically
+from stltool.files import require_result, write_result
 from stltool.product import JointProduct
 from stltool.reporting.records import FigureRecord, FrontRecord, JointRecord, TradeoffRecord
 
@@ -82,7 +82,7 @@ def require_picture(path: str | Path, endings: Sequence[str] = _PICTURES) -> Non
     if path.suffix.lower() not in endings:
         named = f"{', '.join(endings[:-1])} or {endings[-1]}"
         raise SettingsError(f"{path}: pictures are written as {named}; use one of these extensions")
-    require_output(path)
+    require_result(path, "picture")
 
 
 def write_front_picture(front: Front, path: str | Path) -> None:
@@ -90,4 +90,4 @@ def write_front_picture(front: Front, path: str | Path) -> None:
     from stltool.reporting.figures import pareto_front
 
     require_picture(path)
-    write_atomically(path, pareto_front(front_data(front), Path(path).suffix.lower()[1:]))
+    write_result(path, pareto_front(front_data(front), Path(path).suffix.lower()[1:]), "picture")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from stltool.checking import PolicyTree
-from stltool.files import write_atomically
+from stltool.files import write_result
 from stltool.reporting.data import product_data
 from stltool.reporting.records import TreeOutput
 from stltool.reporting.tradeoffs import require_picture
@@ -35,4 +35,4 @@ def write_tree_picture(found: PolicyTree, path: str | Path) -> None:
     from stltool.reporting.figures import leaves_curve
 
     require_picture(path)
-    write_atomically(path, leaves_curve(tree_data(found), Path(path).suffix.lower()[1:]))
+    write_result(path, leaves_curve(tree_data(found), Path(path).suffix.lower()[1:]), "picture")

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from importlib import metadata
 from typing import Literal, cast
 
+from stltool.files import MARK
 from stltool.gate import Verification, Verified
 from stltool.numbers import bound_texts, fraction_text, number_text, within_text
 from stltool.reporting.data import VERIFY_FORMAT
@@ -171,7 +172,8 @@ def junit_text(data: VerifyRecord) -> str:
             fault.text = _xml("\n".join(filter(None, [place_text(row), row["text"], found_text(row),
                                                       enclosure_text(row), row["reason"]])))  # fmt: skip
     ET.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+    xml = ET.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n<!-- {MARK} -->\n{xml}\n'
 
 
 def _totals(rows: Sequence[ExpectationRecord]) -> dict[str, str]:
@@ -203,7 +205,7 @@ def markdown_text(data: VerifyRecord) -> str:
         lines += ["", f"{_code(place_text(row))} is {_said(row)}:", "", _block(row["reason"] or "")]
     if data["command"] is not None:
         lines += ["", f"{_code(data['command'])}, stltool {data['version']}"]
-    return "\n".join(lines) + "\n"
+    return "\n".join([f"<!-- {MARK} -->", *lines]) + "\n"
 
 
 def _said(row: ExpectationRecord) -> str:

@@ -362,7 +362,7 @@ def test_a_large_tree_is_cut():
 def test_export_draws_the_automaton(stltool, tmp_path):
     code, out, _ = stltool("export", PATROLLING, *SMALL, "--to", "dot")
     assert code == 0
-    assert out.startswith("// G[0,4]")
+    assert out.splitlines()[1].startswith("// G[0,4]")
     assert "A not seen for 2 steps" in out
     path = tmp_path / "task.dot"
     assert stltool("export", PATROLLING, *SMALL, "--to", "dot", "--out", path)[0] == 0

@@ -7,9 +7,9 @@ import shutil
 import typing
 from pathlib import Path
 
-import numpy as np
 import pytest
 
+import stltool as stl
 from stltool.cli import app
 from stltool.cli.roles import Reads, Writes
 from tests.cli.every import CASES, make_inputs
@@ -161,11 +161,66 @@ def test_results_go_into_a_folder_of_their_own_by_default(stltool, folder):
     assert (code, "report.json would replace the sweep file; name another" in err) == (2, True)
 
 
+# a name for each parameter that names one file
+NAMES = {
+    "--junit": ["v.xml"], "--markdown": ["v.md"], "--plot": ["f.svg", "f.png"], "--certificate": ["c.jsonl"],
+    "--save-policy": ["p.npz", "p.policy"], "--history": ["h.csv"], "--checkpoint": ["c.npz"],
+    "--tensorboard": ["events"], "export --out": ["a.dot"], "learn --out": ["p.npz"], "explain --out": ["p.npz"],
+}  # fmt: skip
+FOREIGN = [
+    pytest.param(name, shown, value, file, id=f"{name} {shown} {file}")
+    for name in COMMANDS
+    for parameter, shown, role in roles(name, Writes)
+    if parameter not in is_read(name)  # of report: below
+    for value in (NAMES.get(f"{name} {shown}") or NAMES.get(shown) or ["result"])
+    for file in map(os.path.relpath, role.files(Path(value)))
+]
+
+
+@pytest.mark.parametrize(("name", "shown", "value", "file"), FOREIGN)
+def test_a_file_of_another_origin_is_not_replaced(stltool, folder, name, shown, value, file):
+    """And nothing is computed or written before that is said: text, data, and pictures that are not ours."""
+    Path(file).parent.mkdir(exist_ok=True)
+    Path(file).write_text("x,y\n1,2\n")
+    before = contents(folder)
+    given = [name, *CASES[name]]
+    given = given[: given.index(shown)] + given[given.index(shown) + 2 :] if shown in given else given
+    code, out, err = stltool(*given, *([shown] if shown.startswith("-") else []), value)
+    assert (code, out) == (2, "")
+    says = "would be lost; name another file|exists[;,] |not a writable directory|it exists, and|delete it to start"
+    assert re.search(rf"{file}.*({says})", err), err
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize("name", ["f.svg", "f.png", "f.pdf"])
+def test_a_picture_of_ours_is_replaced_and_another_is_not(stltool, folder, name):
+    from matplotlib.figure import Figure
+
+    call = ("monitor", "F[0,2] x > 0.5", "trace.csv", "--plot", name)
+    Path(name).touch()  # empty: nothing can be lost
+    assert [stltool(*call)[0] for _ in range(2)] == [0, 0]
+    Figure().savefig(name)
+    code, _, err = stltool(*call)
+    assert (code, f"{name}: this file does not contain a picture that stltool wrote" in err) == (2, True)
+
+
+def test_a_page_is_renewed_only_where_a_page_of_ours_was(stltool, folder):
+    assert [stltool("report", "report.json")[0] for _ in range(2)] == [0, 0]
+    Path("report.html").write_text("<!doctype html>\n<p>Mine.</p>\n")
+    code, out, err = stltool("report", "report.json")
+    assert (code, out, "report.html: this file does not contain a page" in err) == (2, "", True)
+    assert Path("report.html").read_text().endswith("Mine.</p>\n")
+    product = stl.build_product(stl.load_model("floor-5x5.toml"), stl.load_task("patrolling.stl", {"T": 2, "tau": 2}))
+    with pytest.raises(stl.StlToolError, match="would be lost"):
+        stl.report(stl.check(product), None, "report.html")
+
+
 @pytest.mark.parametrize("name", [name for name in COMMANDS if roles(name, Writes)])
-def test_every_file_that_a_command_writes_is_known_before(stltool, folder, name):
-    extra = {"check": ["--save-policy", "p.npz", "--certificate", "c.jsonl"], "tradeoff": ["--save-policy", "p.npz"],
+def test_every_file_that_a_command_writes_is_known_before_and_may_be_written_again(stltool, folder, name):
+    extra = {"check": ["--save-policy", "p.npz", "--certificate", "c.jsonl", "--report", "r"],
              "pareto": ["--plot", "f.svg"], "monitor": ["--plot", "f.svg"], "export": ["--out", "a.dot"],
-             "learn": ["--checkpoint", "c.npz", "--history", "h.csv"]}  # fmt: skip
+             "learn": ["--history", "h.csv"], "tradeoff": ["--save-policy", "p.npz"],
+             "verify": ["--junit", "v.xml", "--markdown", "v.md", "--report", "r", "--certificates", "cs"]}  # fmt: skip
     given = [*CASES[name], *extra.get(name, [])]
     before = contents(folder)
     assert stltool(name, *given)[0] == 0
@@ -176,27 +231,8 @@ def test_every_file_that_a_command_writes_is_known_before(stltool, folder, name)
         elif shown in given:
             declared |= set(role.files(folder / given[given.index(shown) + 1]))
     written = {path for path, content in contents(folder).items() if before.get(path) != content}
-    kept = {path for path in written if "runs" in path.parts or path.name == "sweep.lock"}  # of a sweep, to go on
+    kept = {path for path in written if {"runs", "cs"} & {*path.parts} or path.name == "sweep.lock"}  # of sweep, verify
     assert written - kept <= declared
     assert {path for path in declared if path not in written and path.name != "report.html"} == set()
-
-
-@pytest.mark.parametrize(
-    ("name", "option", "file", "says"),
-    [
-        ("learn", "--out", "data.npz", "data.npz: this file does not contain a policy, and would be lost"),
-        ("check", "--save-policy", "data.npz", "does not contain a policy"),
-        ("tradeoff", "--save-policy", "data.npz", "does not contain a policy"),
-        ("check", "--certificate", "trace.csv", "does not contain a certificate"),
-        ("learn", "--history", "trace.csv", "does not contain a learning curve"),
-        ("export", "--out", "trace.csv", "Graphviz files end in .dot or .gv"),
-        ("learn", "--out", "trace.csv", "policies are saved as .npz"),
-    ],
-)
-def test_files_of_another_kind_are_not_lost(stltool, folder, name, option, file, says):
-    np.savez(folder / "data.npz", x=np.arange(3))
-    before = contents(folder)
-    code, out, err = stltool(*arguments(name, **{option: file}))
-    assert (code, out) == (2, "")
-    assert says in err
-    assert contents(folder) == before
+    if name != "new":
+        assert stltool(name, *given)[0] == 0
