@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from stltool.logic.formula import Arithmetic, Call, Comparison, Formula, Label, Negate, Number, Term, Variable, walk
 from stltool.logic.printer import term_text
 from stltool.logic.rewrite import MIRROR
-from stltool.logic.semantics import CALL, COMPARE, COMPUTE, exact
+from stltool.logic.semantics import CALL, COMPARE, COMPUTE, Real, exact
 
 _Solved: TypeAlias = tuple[Hashable, list[Fraction], Callable[[Fraction], Fraction]]
 """A term's core, the core's values at the given levels, and a function from the core's value to the term's."""
@@ -94,7 +94,7 @@ def _solve_comparison(phi: Comparison) -> tuple[Hashable, list[Fraction], Callab
     if _constant(right) is None and (_constant(left) is not None or term_text(left) > term_text(right)):
         op, left, right = MIRROR[op], right, left
     compare, border, fixed = COMPARE[op], _constant(right), _constant(left)
-    if border is None:  # the sign of a difference; if a root or a power may be rounded, only of these two terms
+    if border is None:  # the sign of a difference; if a power may be rounded, only of these two terms
         core: Hashable = Arithmetic("-", left, right) if _is_exact(left) and _is_exact(right) else (left, right)
         return core, [Fraction(0)], lambda value: compare(value, 0)
     if fixed is not None:
@@ -119,7 +119,7 @@ def _solve(term: Term, levels: list[Fraction]) -> _Solved:
                 core, found, at = _solve(args[constants.index(None)], levels)
                 known = [constant for constant in constants if constant is not None]
                 choose = CALL[function]
-                return core, found, lambda value: Fraction(choose(at(value), *known))
+                return core, found, lambda value: _fraction(choose(at(value), *known))
         case Number() | Variable() | Call() | Arithmetic():
             pass
         case _:
@@ -150,11 +150,17 @@ def _solve_arithmetic(
 
     core, found, at = _solve(arg, [undo(level) for level in levels if k or op != "*"])
     if right is not None:
-        return core, found, lambda value: Fraction(forward(at(value), k))
-    return core, found, lambda value: Fraction(forward(k, at(value)))
+        return core, found, lambda value: _fraction(forward(at(value), k))
+    return core, found, lambda value: _fraction(forward(k, at(value)))
 
 
 def _itself(value: Fraction) -> Fraction:
+    return value
+
+
+def _fraction(value: Real) -> Fraction:
+    """The value of a term without roots and powers of finite operands."""
+    assert isinstance(value, Fraction)
     return value
 
 
@@ -162,17 +168,17 @@ def _constant(term: Term) -> Fraction | None:
     """The exact value of a term without variables, roots or powers; None for other terms."""
     match term:
         case Number(value):
-            return Fraction(exact(value))
+            return _fraction(exact(value))
         case Negate(arg):
             inner = _constant(arg)
             return None if inner is None else -inner
         case Arithmetic("+" | "-" | "*" | "/" as op, left, right):
             a, b = _constant(left), _constant(right)
-            return None if a is None or b is None or (op == "/" and not b) else Fraction(COMPUTE[op](a, b))
+            return None if a is None or b is None or (op == "/" and not b) else _fraction(COMPUTE[op](a, b))
         case Call("abs" | "min" | "max" as function, args):
             values = [_constant(arg) for arg in args]
             known = [value for value in values if value is not None]
-            return Fraction(CALL[function](*known)) if len(known) == len(values) else None
+            return _fraction(CALL[function](*known)) if len(known) == len(values) else None
         case Variable() | Arithmetic() | Call():
             return None
         case _:
@@ -180,7 +186,7 @@ def _constant(term: Term) -> Fraction | None:
 
 
 def _is_exact(term: Term) -> bool:
-    """Whether the value is never rounded: the term has no root and no power."""
+    """Whether the value is never rounded: the term has no power."""
     match term:
         case Number() | Variable():
             return True
@@ -188,7 +194,7 @@ def _is_exact(term: Term) -> bool:
             return _is_exact(arg)
         case Arithmetic(op, left, right):
             return op != "^" and _is_exact(left) and _is_exact(right)
-        case Call(function, args):
-            return function != "sqrt" and all(_is_exact(arg) for arg in args)
+        case Call(_, args):
+            return all(_is_exact(arg) for arg in args)
         case _:
             assert_never(term)

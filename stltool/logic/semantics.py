@@ -4,8 +4,9 @@
     (s,t) ⊨ φ U[a,b] ψ iff  (s,u) ⊨ ψ for some u in t+a … t+b, and (s,v) ⊨ φ for every v in t … u−1
 
 Robustness replaces "some" by max, "every" by min, and predicates by signed margins. Arithmetic is exact: a double means
-the decimal that it prints as (0.1 is 1/10), so borderline cases such as x + y == 0.8 are decided as written; only sqrt
-and fractional powers are rounded. Everything else in stltool that judges traces is tested against this file.
+the decimal that it prints as (0.1 is 1/10), and roots are not rounded, so borderline cases such as x + y == 0.8 and
+sqrt(x^2 + y^2) <= 0.05 are decided as written. Only powers beyond 1000, or whose exponent is no fraction with a
+denominator up to 12, are computed in doubles. All else in stltool that judges traces is tested against this file.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stltool.arguments import mapping, whole
 from stltool.errors import NameLookupError, TraceError, near_misses
+from stltool.logic.algebraic import Algebraic, TooCloseError, power, root
 from stltool.logic.formula import (
     Always,
     And,
@@ -58,15 +60,15 @@ _LARGEST_EXPONENT = 1000  # beyond it, powers are computed in doubles
 Signals: TypeAlias = Mapping[str, ArrayLike]
 """name → array (n_steps,): reals for variables, Booleans (or 0 / 1) for labels."""
 
-Real: TypeAlias = Fraction | float  # a float only for infinities and after sqrt or a fractional power
+Real: TypeAlias = Fraction | Algebraic | float  # a float only for infinities and after a rounded power
 
 COMPARE: dict[Comparator, Callable[[Real, Real], bool]] = {
     "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq, "!=": operator.ne,
 }  # fmt: skip
 COMPUTE: dict[ArithmeticOperator, Callable[[Any, Any], Real]] = {
-    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "^": operator.pow,
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "^": power,
 }  # fmt: skip
-CALL: dict[FunctionName, Callable[..., Real]] = {"abs": abs, "min": min, "max": max, "sqrt": math.sqrt}
+CALL: dict[FunctionName, Callable[..., Real]] = {"abs": abs, "min": min, "max": max, "sqrt": root}
 
 
 def satisfies(phi: Formula | Task, signals: Signals, t: int = 0) -> bool:
@@ -146,7 +148,7 @@ def _true(phi: Formula, signal: Mapping[str, NDArray[np.float64]], t: int) -> bo
         case Label(name):
             return bool(signal[name][t])
         case Comparison(op, left, right):
-            return bool(COMPARE[op](_value(left, signal, t), _value(right, signal, t)))
+            return _decided(phi, COMPARE[op], _value(left, signal, t), _value(right, signal, t))
         case Not(arg):
             return not _true(arg, signal, t)
         case And(args):
@@ -206,6 +208,17 @@ def _window(interval: Interval, t: int) -> range:
     return range(t + interval.a, t + interval.last + 1)
 
 
+def _decided(phi: Comparison, compare: Callable[[Real, Real], bool], left: Real, right: Real) -> bool:
+    try:
+        return bool(compare(left, right))
+    except TooCloseError as error:
+        raise _fault(phi, str(error)) from None
+
+
+def _fault(node: Comparison | Term, message: str) -> TraceError:
+    return TraceError(node.span.show(message) if node.span else f"{type(node).__name__}: {message}")
+
+
 def _comparison_margin(op: Comparator, left: Real, right: Real) -> Real:
     if left == right:  # also inf and inf, whose difference is not a number
         return 0.0
@@ -226,12 +239,14 @@ def _comparison_margin(op: Comparator, left: Real, right: Real) -> Real:
 def _as_double(phi: Comparison, left: Real, right: Real) -> float:
     try:
         margin = float(_comparison_margin(phi.op, left, right))
-        if math.isinf(margin) and not math.isinf(left) and not math.isinf(right):
-            raise OverflowError  # of two doubles, after a root
+        if math.isinf(margin) and not _infinite(left) and not _infinite(right):
+            raise OverflowError  # of two doubles, after a rounded power
         return margin
     except OverflowError:
         message = "the margin is beyond the range of doubles; scale the signals, or ask only for truth values"
-        raise TraceError(phi.span.show(message) if phi.span else f"{phi}: {message}") from None
+        raise _fault(phi, message) from None
+    except TooCloseError as error:
+        raise _fault(phi, str(error)) from None
 
 
 def exact(value: float) -> Real:
@@ -260,17 +275,22 @@ def _apply(term: Term, function: Callable[..., Real], *values: Real) -> Real:
     """The function's value, or a TraceError if it has none (1/0, sqrt(-1), an overflow, 0^-1)."""
     value: Real
     try:
-        if function is operator.pow and not -_LARGEST_EXPONENT <= values[1] <= _LARGEST_EXPONENT:
+        if function is power and not -_LARGEST_EXPONENT <= values[1] <= _LARGEST_EXPONENT:
             values = (float(values[0]), float(values[1]))  # too many digits: rounded instead
         value = function(*values)
+    except TooCloseError as error:
+        raise _fault(term, str(error)) from None
     except (ZeroDivisionError, ValueError, OverflowError):
         value = math.nan
-    overflown = isinstance(value, float) and math.isinf(value) and not any(map(math.isinf, values))
-    if isinstance(value, complex) or overflown or (isinstance(value, float) and math.isnan(value)):
+    overflown = _infinite(value) and not any(map(_infinite, values))
+    if overflown or (isinstance(value, float) and math.isnan(value)):
         shown = ", ".join(map(_shown, values))
-        message = f"this term has no value for the operands {shown}; guard it, or change the predicate"
-        raise TraceError(term.span.show(message) if term.span else f"{type(term).__name__}: {message}")
+        raise _fault(term, f"this term has no value for the operands {shown}; guard it, or change the predicate")
     return value
+
+
+def _infinite(value: Real) -> bool:
+    return isinstance(value, float) and math.isinf(value)
 
 
 def _shown(value: Real) -> str:

@@ -12,7 +12,7 @@ terms as in [Higham02, §3.3]; u = 2⁻⁵³ the unit roundoff):
     min, max, abs, − E = max of the operands'
 
 and ∞ otherwise. A sample whose margin |left − right| exceeds twice the bound is decided (the semantics itself sometimes
-rounds, after a root, by no more than these bounds). The remaining samples, few unless data often lie on borders, are
+rounds a power, by no more than these bounds). The remaining samples, few unless data often lie on borders, are
 judged one by one with the slow semantics, each combination of values once. Comparisons without arithmetic are exact in
 doubles, whose order is that of the decimals they print as.
 
