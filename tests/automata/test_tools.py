@@ -182,7 +182,7 @@ def test_verdicts_in_words():
 def test_dot_is_graphviz_text():
     automaton = stl.compile_automaton(stl.parse("G[0,4] F[0,3] a"))
     text = to_dot(automaton)
-    assert text.startswith("// G[0,4] F[0,3] a\ndigraph task {")
+    assert text.startswith("// Generator: stltool\n// G[0,4] F[0,3] a\ndigraph task {")
     assert "a not seen for 2 steps" in text
     assert text.count("->") == sum(1 for _ in to_graph(automaton).edges) + 1
     with pytest.raises(SizeError, match="a picture shows at most"):
