@@ -39,7 +39,7 @@ def one_input(data: bytes) -> None:
     text = text_of(data)
     for unbounded in (False, True):
         try:
-            phi = stl.parse(text, {"T": 3}, step="0.5s", unbounded=unbounded)
+            phi = stl.parse(text, {"T": 3}, step="0.5s", unbounded=unbounded, unit="step")
         except StlToolError:
             continue
         assert stl.parse(str(phi), unbounded=True) == phi

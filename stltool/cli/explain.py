@@ -21,12 +21,14 @@ from stltool.cli.options import (
     Step,
     TaskName,
     TaskOrFormula,
+    Unit,
 )
 from stltool.cli.roles import Writes
 from stltool.cli.steps import (
     given_policy,
     load_task_or_formula,
     make_product,
+    require_declared_there,
     require_one_policy,
     task_model,
     warnings_shown,
@@ -62,6 +64,7 @@ def explain(
     name: TaskName = None,
     encoding: Encoding = "exact",
     step: Step = None,
+    unit: Unit = None,
     as_json: AsJson = False,
 ) -> None:
     """Explain a task: its tree and horizons, the fragment of Wang et al. (2024), automaton and product sizes.
@@ -79,12 +82,11 @@ def explain(
     if require_one_policy(policy, policy_function) is not None or about_a_tree:
         if not task.endswith(".stl") and not Path(task).is_file():
             raise SettingsError(f"{task}: the tree of a policy needs a task file with a model; give one")
-        if step is not None:
-            raise SettingsError(f"--step {step}: a task file declares its own step; write step = {step} there")
+        require_declared_there(step, unit)
         product = make_product(Path(task), model, param, name, encoding, as_json, normalize=normalize)
         _explain_policy(product, policy, policy_function, price, most_leaves, plot, out, as_json)
         return
-    loaded = load_task_or_formula(task, param, name, step)
+    loaded = load_task_or_formula(task, param, name, step, unit)
     world = task_model(loaded, model, normalize) if model is not None or loaded.model is not None else None
     with warnings_shown():
         facts = stl.explain(loaded, model=world, encoding=encoding)  # type: ignore[arg-type]  # checked there, with a message

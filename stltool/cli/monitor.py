@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Params, ReportFolder, Step, TaskName, TaskOrFormula
+from stltool.cli.options import AsJson, Params, ReportFolder, Step, TaskName, TaskOrFormula, Unit
 from stltool.cli.roles import Reads, Writes
 from stltool.cli.steps import load_task_or_formula, this_command
 from stltool.errors import SettingsError
@@ -52,6 +52,7 @@ def monitor(
     param: Params = None,
     name: TaskName = None,
     step: Step = None,
+    unit: Unit = None,
     as_json: AsJson = False,
 ) -> None:
     """Judge a recorded trace: at which steps the task holds, and by how much. Exit code 1 if any step is violated.
@@ -82,7 +83,7 @@ def monitor(
         require_monitor_picture(plot)
     if report is not None:
         require_report(report / "report.html")
-    loaded = load_task_or_formula(task, param, name, step)
+    loaded = load_task_or_formula(task, param, name, step, unit)
     names = {**variables(loaded.formula), **label_names(loaded.formula)}
     if not names:
         raise SettingsError(f"{loaded.formula}: this formula is constant; name a signal or a label of the trace")

@@ -33,6 +33,12 @@ TaskOrFormula = Annotated[
 Step = Annotated[
     str | None, typer.Option("--step", metavar="TIME", help="duration of a step, if the bounds of a formula are times")
 ]
+Unit = Annotated[
+    str | None,
+    typer.Option(
+        "--unit", metavar="UNIT", help="with --step: what plain numbers in bounds are: s, another unit, or step"
+    ),
+]
 PolicyFile = Annotated[
     Path | None,
     typer.Option("--policy", help="policy file (.npz, .policy) or Q-table (.csv); default: the best policy"),

@@ -89,7 +89,18 @@ def load_product(
     return bind(loaded, world.nominal() if nominal else world, encoding)
 
 
-def load_task_or_formula(text: str, params: list[str] | None, name: str | None, step: str | None = None) -> Task:
+def require_declared_there(step: str | None, unit: str | None) -> None:
+    """SettingsError if --step or --unit is given next to a task file."""
+    for option, value in (("step", step), ("unit", unit)):
+        if value is not None:
+            raise SettingsError(
+                f"--{option} {value}: a task file declares its own {option}; write {option} = {value} there"
+            )
+
+
+def load_task_or_formula(
+    text: str, params: list[str] | None, name: str | None, step: str | None = None, unit: str | None = None
+) -> Task:
     """A task file if one of that name exists or the name ends in .stl, otherwise `text` parsed as a formula.
 
     Operators without an interval are allowed: whatever cannot judge them refuses them.
@@ -107,13 +118,12 @@ def load_task_or_formula(text: str, params: list[str] | None, name: str | None, 
         siblings = [] if is_file else [other.name for other in path.parent.glob("*.stl")]
         if siblings and not path.exists():
             raise FileError(f"{text}: there is no such task file; {near_misses(path.name, siblings)}")
-        if step is not None:
-            raise SettingsError(f"--step {step}: a task file declares its own step; write step = {step} there")
+        require_declared_there(step, unit)
         return stl.load_task(path, values, name, unbounded=True)
     if name is not None:
         raise SettingsError(f"--task {name}: a formula has no definitions to choose from; leave out --task")
     try:
-        return formula_task(text, values, step=step, unbounded=True)
+        return formula_task(text, values, step=step, unbounded=True, unit=unit)
     except StlSyntaxError as fault:
         if re.fullmatch(r"[\w.~:/\\-]+", text):  # it looks like a path
             raise StlSyntaxError(f"{fault}\n(read as a formula: there is no file {text})") from None

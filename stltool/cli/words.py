@@ -40,7 +40,7 @@ def spelling(options: Mapping[str, Spelled]) -> Callable[[str, str], str]:
             return known.advice
         if known.flag or not equals:
             return known.option
-        unquoted = value.strip('"')
+        unquoted = value.strip("\"'")
         return f"{known.option} {unquoted}"
 
     return spell

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping
 from fractions import Fraction
 from typing import NoReturn, TypeVar, cast, get_args
 
-from stltool.errors import StlSyntaxError, near_misses
+from stltool.errors import StlSyntaxError, named, near_misses
 from stltool.logic.expectation import ASKED, RELATIONS, Asked, Expectation, Relation
 from stltool.logic.format import expectation_text, flat_text
 from stltool.logic.formula import (
@@ -46,7 +46,7 @@ from stltool.logic.formula import (
     operands,
 )
 from stltool.logic.printer import term_text
-from stltool.logic.quantities import UNITS, Duration, Quantity
+from stltool.logic.quantities import STEP, UNITS, Duration, Quantity, one
 from stltool.logic.syntax import INFINITY, WORDS, Branch, SyntaxFault, Token, bare, branches
 from stltool.numbers import NumberError, double, number_text, read
 from stltool.source import Source, Span
@@ -71,6 +71,12 @@ class _PassedOver(Exception):
     """A statement refers to a name whose definition is faulty."""
 
 
+def _dividing(value: Fraction) -> Duration:
+    """A step of which so many seconds are a multiple."""
+    tenth = Fraction(1, 10)
+    return Duration(tenth if (value / tenth).denominator == 1 else Fraction(1, value.denominator))
+
+
 class Builder:
     """Turns trees into nodes, with the params and definitions read so far."""
 
@@ -80,13 +86,18 @@ class Builder:
         params: Mapping[str, Quantity] | None = None,
         overrides: Mapping[str, Quantity] | None = None,
         step: Duration | None = None,
+        unit: Duration | None = None,
         unbounded: bool = False,
         faulty: Iterable[str] = (),
+        lines: bool = True,
     ) -> None:
         self.source = source
         self.params: dict[str, Quantity] = dict(params or {})
         self.overrides = overrides or {}
         self.step = step
+        self.unit = unit
+        self.lines = lines  # whether the text is a file, which may have lines of its own for these
+        self.seen: set[str] = set()  # kinds of lines of which a file has only one
         self.unbounded = unbounded
         self.definitions: dict[str, Formula | Term] = {}
         self.signals: dict[str, Span] = {}
@@ -103,19 +114,35 @@ class Builder:
 
     def statements(self, trees: Iterable[Branch]) -> None:
         """Read the statements of a task file; what is wrong with them is collected in `faults`."""
+        trees = list(trees)
+        self.look_ahead(trees)
         order = {"signals": 0, "expectation": 2}  # signal lines apply to the whole file, and all of it to expectations
         for tree in sorted(trees, key=lambda tree: order.get(str(tree.data), 1)):
-            try:
-                self.statement(tree)
-                continue
-            except _At as error:
-                self.faults.append(SyntaxFault(error.start, str(error)))
-            except RecursionError:
-                self.faults.append(SyntaxFault(tree.meta.start_pos, str(self.too_deep())))
-            except _PassedOver:
-                pass
-            lines = branches(tree) if tree.data == "params" else [tree] if tree.data == "definition" else []
-            self.faulty.update(str(line.children[0]) for line in lines)
+            self.attempt(tree)
+
+    def look_ahead(self, trees: list[Branch]) -> None:
+        """The step and the unit, which apply to the whole file. What is wrong with their lines is reported later."""
+        if any(tree.data in ("step", "unit") for tree in trees):
+            ahead = Builder(self.source, overrides=self.overrides, faulty=self.faulty)
+            for tree in trees:
+                if tree.data in ("step", "unit", "params"):
+                    ahead.attempt(tree)
+            self.step, self.unit = ahead.step, ahead.unit
+            self.faulty |= ahead.faulty & {"step =", "unit ="}
+
+    def attempt(self, tree: Branch) -> None:
+        """Read a statement; what is wrong with it is collected."""
+        try:
+            self.statement(tree)
+            return
+        except _At as error:
+            self.faults.append(SyntaxFault(error.start, str(error)))
+        except RecursionError:
+            self.faults.append(SyntaxFault(tree.meta.start_pos, str(self.too_deep())))
+        except _PassedOver:
+            pass
+        lines = branches(tree) if tree.data == "params" else [tree] if tree.data == "definition" else []
+        self.faulty.update(str(line.children[0]) for line in lines)
 
     def statement(self, tree: Branch) -> None:
         match tree.data:
@@ -133,6 +160,8 @@ class Builder:
                     self.signals.setdefault(str(token), self.span(token))
             case "step":
                 self.step_line(tree)
+            case "unit":
+                self.unit_line(tree)
             case "definition":
                 self.definition(tree)
             case "expectation":
@@ -154,13 +183,32 @@ class Builder:
         self.given[name], self.params[name] = value, taken
 
     def step_line(self, tree: Branch) -> None:
-        if self.step is not None:
+        if "step" in self.seen:
             self.fail(tree, "this is a second step line; a task file has only one")
+        self.seen.add("step")
+        known = self.faulty & {"step ="}
         self.faulty.add("step =")  # until it is read: the times of the file depend on it
         value = self.constant(branches(tree)[0])
-        if not isinstance(value, Duration) or value.seconds <= 0:
+        if not isinstance(value, Duration) or value.seconds <= 0 or value.steps:
             self.fail(tree, "the step must be a positive time with a unit; write, for example, step = 0.1s")
         self.step = value
+        self.faulty -= {"step ="} - known
+
+    def unit_line(self, tree: Branch) -> None:
+        if "unit" in self.seen:
+            self.fail(tree, "this is a second unit line; a task file has only one")
+        self.seen.add("unit")
+        known = self.faulty & {"unit ="}
+        self.faulty.add("unit =")
+        given = tree.children[0]
+        name = str(given) if isinstance(given, Token) else str(given.children[0]) if given.data == "name" else ""
+        value: Quantity | None = one(name)
+        if value is None and (name in self.params or not name):
+            value = self.constant(cast(Branch, given))
+        if not isinstance(value, Duration) or min(value.seconds, value.steps) < 0 or value == Duration(Fraction(0)):
+            self.fail(tree, "the unit must be a unit of time, or step; write, for example, unit = s or unit = step")
+        self.unit = value
+        self.faulty -= {"unit ="} - known
 
     def definition(self, tree: Branch) -> None:
         token, body = cast(tuple[Token, Branch], tuple(tree.children))
@@ -423,31 +471,84 @@ class Builder:
         return Interval(first, None)
 
     def whole_steps(self, tree: Branch) -> int:
+        """The number of steps of a bound."""
         value = self.constant(tree)
-        if abs(value.seconds if isinstance(value, Duration) else value) > LARGEST_BOUND:
+        size = abs(value.seconds) + abs(value.steps) if isinstance(value, Duration) else abs(value)
+        if size > LARGEST_BOUND:
             self.fail(tree, "this bound is out of range; use larger time steps")
-        if isinstance(value, Duration):
-            if self.step is None and "step =" in self.faulty:
-                raise _PassedOver
-            if self.step is None:
-                self.fail(tree, "this bound is a time, but no step is declared above; add a line such as step = 0.1s")
-            steps = value.seconds / self.step.seconds
-            if steps.denominator != 1:
-                low, high = (Duration(n * self.step.seconds) for n in (math.floor(steps), math.ceil(steps)))
-                self.fail(tree, f"{value} is not a multiple of the step, {self.step}; write {low} or {high}")
-        else:
-            steps = value
-            if steps.denominator != 1:
-                declared = "" if self.step is not None else " (and declare a step above: step = 0.1s)"
-                unit = f", or {number_text(value)}s if it is a time in seconds{declared}"
-                self.fail(
-                    tree,
-                    f"the bound {number_text(value)} is not an integer number of steps; "
-                    f"write {math.floor(value)} or {math.ceil(value)}{unit}",
-                )
+        plain = not isinstance(value, Duration)
+        if size and self.faulty & {"step =", "unit ="}:
+            raise _PassedOver
+        if not isinstance(value, Duration):
+            if self.unit is None and self.step is not None and value:
+                self.ambiguous(tree, value, self.step)
+            value = (self.unit or STEP).times(value)
+        steps = value.in_steps(self.step)
+        if steps is None:
+            example = self.declare([("step", str(_dividing(value.seconds)))])
+            self.fail(tree, f"this bound is a time, but no step is declared; {example}")
+        if steps.denominator != 1:
+            self.no_multiple(tree, value, steps, plain)
         if abs(steps) > LARGEST_BOUND:
             self.fail(tree, "this bound is out of range; use larger time steps")
         return steps.numerator
+
+    def ambiguous(self, tree: Branch, value: Fraction, step: Duration) -> NoReturn:
+        """Refuse a plain number that could be a time or a number of steps."""
+        unit = "s" if step.seconds < UNITS["min"] else "min" if step.seconds < UNITS["h"] else "h"
+        duration = Duration(value * UNITS[unit])
+        time = f"{number_text(value)}{unit}"
+        count = duration.seconds / step.seconds
+        name = bare(tree)
+        shown = f"{flat_text(tree)} = {number_text(value)}" if name.data != "number" else number_text(value)
+        if value.denominator != 1 and count.denominator != 1:
+            near = " or ".join(str(step.times(Fraction(n))) for n in (math.floor(count), math.ceil(count)))
+            self.fail(
+                tree,
+                f"{shown} is neither an integer number of steps nor, as {time}, a multiple of the step, {step}; "
+                f"write {near}",
+            )
+        steps = Duration(Fraction(0), value)
+        readings, lines = [], []
+        if count.denominator == 1:
+            readings.append((time, f"{time} ({Duration(Fraction(0), count)})"))
+            lines.append(("unit", unit))
+        if value.denominator == 1:
+            readings.append((str(steps), f"{steps} ({step.times(value)})"))
+            lines.append(("unit", "step"))
+        prefix = f"param {flat_text(tree)} = " if name.data == "name" else ""
+        write = " or ".join(f"{prefix}{short}" for short, _ in readings) if name.data in ("name", "number") else ""
+        self.fail(
+            tree,
+            f"{shown} could be {' or '.join(told for _, told in readings)}: a step is declared, but no unit of plain "
+            f"numbers; {'write ' + write + ', or ' if write else ''}{self.declare(lines)}",
+        )
+
+    def declare(self, values: list[tuple[str, str]], both: bool = False) -> str:
+        """How to declare one of some values of the step and the unit, or both."""
+        joint = " and " if both else " or "
+        if self.lines:
+            lines = joint.join(f"{word} = {value}" for word, value in values)
+            return f"add {'the lines' if both else 'a line'} {lines}"
+        return f"give {joint.join(named(word, f'{word}={value!r}') for word, value in values)}"
+
+    def no_multiple(self, tree: Branch, value: Duration, steps: Fraction, plain: bool) -> NoReturn:
+        """Refuse a bound that lies between two steps."""
+        near = [Fraction(math.floor(steps)), Fraction(math.ceil(steps))]
+        unit = self.unit if plain else None
+        if value.seconds and self.step is not None:
+            if unit is not None and unit.seconds and not unit.steps:
+                times = [number_text(n * self.step.seconds / unit.seconds) for n in near]
+            else:
+                times = [str(self.step.times(n)) for n in near]
+            self.fail(tree, f"{value} is not a multiple of the step, {self.step}; write {times[0]} or {times[1]}")
+        shown = number_text(value.steps)
+        low, high = (number_text(n) if plain else str(Duration(Fraction(0), n)) for n in near)
+        seconds = ""
+        if plain and unit is None:
+            lines = [("step", str(_dividing(value.steps))), ("unit", "s")]
+            seconds = f"; for times in seconds, {self.declare(lines, both=True)}"
+        self.fail(tree, f"the bound {shown} is not an integer number of steps; write {low} or {high}{seconds}")
 
     # ------------------------------------------------------------------------------------------ numbers
 
@@ -555,8 +656,10 @@ class Builder:
             case "number":
                 return self.literal(tree, str(parts[0]))
             case "time":
-                digits = str(parts[0]).rstrip("".join(UNITS))
-                return Duration(self.literal(tree, digits) * UNITS[str(parts[0])[len(digits) :]])
+                digits = str(parts[0]).rstrip("".join([*UNITS, "step \t"]))
+                unit = one(str(parts[0])[len(digits) :].strip())
+                assert unit is not None  # the grammar knows no others
+                return unit.times(self.literal(tree, digits))
             case "name":
                 name = str(parts[0])
                 if name not in self.params:
@@ -567,8 +670,7 @@ class Builder:
                     self.fail(tree, f"{name} is not a param; {known}")
                 return self.params[name]
             case "negate":
-                value = self.constant(parts[0])
-                return Duration(-value.seconds) if isinstance(value, Duration) else -value
+                return self.negative(self.constant(parts[0]))
             case "call":
                 return self.constant_call(tree)
             case "binary":
@@ -591,27 +693,59 @@ class Builder:
         name = str(function)
         if name not in ("abs", "min", "max"):
             self.fail(tree, f"{name} has no exact value; write the number itself")
-        times = [isinstance(value, Duration) for value in values]
-        if any(times) and not all(times):
-            self.mixed(tree)
-        plain = [value.seconds if isinstance(value, Duration) else value for value in values]
-        result = abs(plain[0]) if name == "abs" else min(plain) if name == "min" else max(plain)
-        return Duration(result) if times[0] else result
+        if any(isinstance(value, Duration) for value in values):
+            values = [self.as_time(tree, value) for value in values]
+        plain = self.comparable(tree, values)
+        if name == "abs":
+            return values[0] if plain[0] >= 0 else self.negative(values[0])
+        return values[plain.index(min(plain) if name == "min" else max(plain))]
+
+    def negative(self, value: Quantity) -> Quantity:
+        return value.times(Fraction(-1)) if isinstance(value, Duration) else -value
+
+    def as_time(self, tree: Branch, value: Quantity) -> Duration:
+        """A plain number next to a time is one if its unit is declared."""
+        if isinstance(value, Duration):
+            return value
+        if self.unit is None:
+            self.fail(tree, "a time and a plain number cannot be combined; give both a unit, or neither")
+        return self.unit.times(value)
+
+    def comparable(self, tree: Branch, values: list[Quantity]) -> list[Fraction]:
+        """Plain numbers, or times in one unit."""
+        times = [value for value in values if isinstance(value, Duration)]
+        if not times:
+            return [value for value in values if not isinstance(value, Duration)]
+        if not any(time.steps for time in times):
+            return [time.seconds for time in times]
+        steps = [time.in_steps(self.step) for time in times]
+        if None in steps:
+            if "step =" in self.faulty:
+                raise _PassedOver
+            example = self.declare([("step", "0.1s")])
+            self.fail(tree, f"this combines times with steps, but no step is declared; {example}")
+        return cast("list[Fraction]", steps)
 
     def constant_binary(self, tree: Branch) -> Quantity:
         left, token, right = cast(tuple[Branch, Token, Branch], tuple(tree.children))
         x, y, op = self.constant(left), self.constant(right), str(token)
-        times = isinstance(x, Duration), isinstance(y, Duration)
-        a = x.seconds if isinstance(x, Duration) else x
-        b = y.seconds if isinstance(y, Duration) else y
-        if op in "+-" and times[0] != times[1]:
-            self.mixed(tree)
-        if (op == "*" and all(times)) or (op == "/" and times == (False, True)) or (op == "^" and any(times)):
+        if op in "+-" and (isinstance(x, Duration) or isinstance(y, Duration)):
+            other = self.as_time(tree, y)
+            result: Quantity = self.as_time(tree, x) + (other if op == "+" else other.times(Fraction(-1)))
+        elif isinstance(x, Duration) and isinstance(y, Duration) and op == "/":
+            result = self.computed(tree, op, *self.comparable(tree, [x, y]))
+        elif isinstance(x, Duration) and not isinstance(y, Duration) and op in "*/":
+            result = x.times(self.computed(tree, op, Fraction(1), y))
+        elif isinstance(y, Duration) and not isinstance(x, Duration) and op == "*":
+            result = y.times(x)
+        elif isinstance(x, Duration) or isinstance(y, Duration):
             self.fail(tree, "this is not a time; times can be added, and multiplied or divided by plain numbers")
-        result = self.computed(tree, op, a, b)
-        if max(result.numerator.bit_length(), result.denominator.bit_length()) > _LARGEST_BITS:
-            self.fail(tree, "this value is out of range: it has too many digits; use a simpler number")
-        return Duration(result) if (times[0] != times[1] or (op in "+-" and times[0])) else result
+        else:
+            result = self.computed(tree, op, x, y)
+        for value in (result.seconds, result.steps) if isinstance(result, Duration) else (result,):
+            if max(value.numerator.bit_length(), value.denominator.bit_length()) > _LARGEST_BITS:
+                self.fail(tree, "this value is out of range: it has too many digits; use a simpler number")
+        return result
 
     def computed(self, tree: Branch, op: str, a: Fraction, b: Fraction) -> Fraction:
         match op:
@@ -632,9 +766,6 @@ class Builder:
                 return a**b.numerator
             case other:
                 raise AssertionError(f"the grammar's operator {other} has no meaning")
-
-    def mixed(self, tree: Branch) -> NoReturn:
-        self.fail(tree, "a time and a plain number cannot be combined; give both a unit, or neither")
 
     # ------------------------------------------------------------------------------------------ positions
 

@@ -9,6 +9,7 @@ written.
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from typing import cast
 
@@ -61,6 +62,8 @@ def _skeletons(document: Document) -> list[object]:
 
 def _skeleton(item: Branch | Token) -> object:
     if isinstance(item, Token):
+        if item.type == "STEPS":
+            return _time(item)
         return "inf" if item.lower() in INFINITY else _COMPARATORS.get(str(item), str(item))
     tree = bare(item)
     return (str(tree.data), *(_skeleton(part) for part in tree.children))
@@ -135,6 +138,11 @@ def _comparator(token: Token) -> str:
     return _COMPARATORS.get(str(token), str(token))
 
 
+def _time(text: str) -> str:
+    """A time as written; `5 steps` with one space."""
+    return re.sub(r"[ \t]*(steps?)$", r" \1", text)
+
+
 def _operand(tree: Branch, prefix: bool = False) -> str:
     return f"({flat_text(tree)})" if needs_parentheses(_kind(tree), prefix) else flat_text(tree)
 
@@ -167,7 +175,9 @@ def _term(tree: Branch) -> tuple[str, int]:
             return f"{parts[0]}({', '.join(_term(part)[0] for part in parts[1:])})", STRENGTH["atom"]
         case "sample":
             return f"{parts[0]}[{_term(parts[1])[0]}]", STRENGTH["atom"]
-        case "number" | "time" | "name" | "true" | "false":
+        case "time":
+            return _time(str(parts[0])), STRENGTH["atom"]
+        case "number" | "name" | "true" | "false":
             return str(parts[0]), STRENGTH["atom"]
         case _:
             return f"({flat_text(tree)})", STRENGTH["atom"]  # a Boolean among numbers: refused when the nodes are built
@@ -225,6 +235,9 @@ class _Layout:
                 self.lines.append(f"model {tree.children[0]}")
             case "step":
                 self.lines.append(f"step = {_term(branches(tree)[0])[0]}")
+            case "unit":
+                given = tree.children[0]
+                self.lines.append(f"unit = {given if isinstance(given, Token) else _term(given)[0]}")
             case "params":
                 self.list("param", [(p.meta.start_pos, f"{p.children[0]} = {_value(p)}") for p in branches(tree)])
             case "signals":

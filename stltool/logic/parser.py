@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import cast
@@ -16,7 +17,7 @@ from stltool.files import read_text
 from stltool.logic.builder import FORMULAS, Builder
 from stltool.logic.expectation import Expectation
 from stltool.logic.formula import Formula, Term
-from stltool.logic.quantities import Duration, ParamValue, Quantity, duration, quantity
+from stltool.logic.quantities import Duration, ParamValue, Quantity, duration, one, quantity
 from stltool.logic.syntax import LONGEST_TEXT, Document, read, refuse
 from stltool.logic.task import Task
 from stltool.numbers import NumberError
@@ -31,14 +32,16 @@ def parse(
     name: str = "formula",
     step: str | Duration | None = None,
     unbounded: bool = False,
+    unit: str | Duration | None = None,
 ) -> Formula:
     """The formula written in `text`; `params` gives values to the names used in its bounds and predicates.
 
     `name` stands for the text in messages; `step` ("0.1s") is the duration of a step, needed where bounds are times
-    with units. `unbounded` allows temporal operators without an interval, or with inf as upper bound, which only
-    monitors can judge (at the end of a trace). Raises StlSyntaxError with line, column and a caret.
+    with units; `unit` ("s", or "step") is what plain numbers in bounds are, needed where a step is given. `unbounded`
+    allows temporal operators without an interval, or with inf as upper bound, which only monitors can judge (at the end
+    of a trace). Raises StlSyntaxError with line, column and a caret.
     """
-    return formula_task(text, params, name, step, unbounded).formula
+    return formula_task(text, params, name, step, unbounded, unit).formula
 
 
 def formula_task(
@@ -47,12 +50,13 @@ def formula_task(
     name: str = "formula",
     step: str | Duration | None = None,
     unbounded: bool = False,
+    unit: str | Duration | None = None,
 ) -> Task:
     """The formula written in `text` as a task of that name, which keeps its text; arguments as for `parse`."""
     _require_text("parse", text, name, params, unbounded)
     document = read(Source(name, text), "formula")
     refuse(document.faults)
-    return _build_formula(document, _step(step), unbounded, _exact(params))
+    return _build_formula(document, _step(step), _unit(unit), unbounded, _exact(params))
 
 
 def parse_task(
@@ -154,6 +158,7 @@ def _require_text(caller: str, text: object, name: object, params: object, unbou
 def _build_formula(
     document: Document,
     step: Duration | None,
+    unit: Duration | None,
     unbounded: bool,
     params: Mapping[str, Quantity],
     more: Mapping[str, ParamValue] | None = None,
@@ -163,11 +168,12 @@ def _build_formula(
         raise StlSyntaxError(
             f"{document.source.name}: this formula has no param {param}; {near_misses(param, document.names)}"
         )
-    builder = Builder(document.source, values, step=step, unbounded=unbounded)
+    builder = Builder(document.source, values, step=step, unit=unit, unbounded=unbounded, lines=False)
     formula = builder.whole_formula(document.trees[0])
     builder.require_shallow(formula)
-    rebuild = partial(_build_formula, document, step, unbounded, values)
-    return Task(document.source.name, formula, params=values, step=step, document=document, rebuild=rebuild)
+    rebuild = partial(_build_formula, document, step, unit, unbounded, values)
+    name = document.source.name
+    return Task(name, formula, params=values, step=step, unit=unit, document=document, rebuild=rebuild)
 
 
 def _build(
@@ -224,6 +230,7 @@ def _finished(
         definitions=builder.definitions,
         path=path,
         step=builder.step,
+        unit=builder.unit,
         expectations=tuple(builder.expectations),
         document=document,
         rebuild=partial(_build, document, path, unbounded, chosen, overrides),
@@ -240,9 +247,27 @@ def _step(step: str | Duration | None) -> Duration | None:
         value = duration(step) if isinstance(step, str) else step
     except NumberError:
         value = None
-    if step is not None and (not isinstance(value, Duration) or value.seconds <= 0):
+    if step is not None and (not isinstance(value, Duration) or value.seconds <= 0 or value.steps):
         raise SettingsError(
             f"{named('step')} {described(step)} is not a positive time with a unit; write, for example, "
             f"{named('step', 'step=0.1s')}"
         )
     return value
+
+
+def _unit(unit: str | Duration | None) -> Duration | None:
+    try:
+        value = (one(unit) or duration(unit)) if isinstance(unit, str) else unit
+    except NumberError:
+        value = None
+    if unit is not None and (not isinstance(value, Duration) or min(value.seconds, value.steps) < 0 or value == _NONE):
+        examples = named("unit", "unit='s'"), named("unit", "unit='step'")
+        raise SettingsError(
+            f"{named('unit')} {described(unit)} is not a unit of time; write {examples[0]}, another of "
+            f"{', '.join(_UNITS)}, or {examples[1]}"
+        )
+    return value
+
+
+_NONE = Duration(Fraction(0))
+_UNITS = ("ns", "us", "ms", "s", "min", "h")

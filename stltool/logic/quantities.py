@@ -1,7 +1,7 @@
 """Exact constants of a text: plain numbers (stltool/numbers.py), and times with a unit.
 
 A time becomes a number of steps only through the step that the file declares (0.1s, say), so times can be added to
-times only, and plain numbers to plain numbers.
+times only, and plain numbers to plain numbers, unless the file declares the unit of plain numbers.
 """
 
 from __future__ import annotations
@@ -23,26 +23,55 @@ _TIME = re.compile(r"(.*[0-9.])\s*([a-zµμ]+)\s*(/.*)?")
 ParamValue: TypeAlias = "Exactable | Duration"
 
 
-@dataclass(frozen=True, slots=True, order=True)
+@dataclass(frozen=True, slots=True)
 class Duration:
-    """A time, in seconds."""
+    """A time: seconds, and steps, whose length a file may declare."""
 
     seconds: Fraction
+    steps: Fraction = Fraction(0)
 
     def __str__(self) -> str:
-        number, bar, divisor = number_text(self.seconds).partition("/")
-        return f"{number}s{bar}{divisor}"
+        parts = []
+        if self.seconds or not self.steps:
+            number, bar, divisor = number_text(self.seconds).partition("/")
+            parts = [f"{number}s{bar}{divisor}"]
+        if self.steps:
+            number, bar, divisor = number_text(self.steps).partition("/")
+            parts.append(f"{number} step{'' if self.steps == 1 else 's'}{bar}{divisor}")
+        return " + ".join(parts)
+
+    def __add__(self, other: Duration) -> Duration:
+        return Duration(self.seconds + other.seconds, self.steps + other.steps)
+
+    def times(self, factor: Fraction) -> Duration:
+        """The time `factor` times as long."""
+        return Duration(self.seconds * factor, self.steps * factor)
+
+    def in_steps(self, step: Duration | None) -> Fraction | None:
+        """The number of steps, each `step` long; None if that is needed and not known."""
+        if self.seconds and step is None:
+            return None
+        return self.steps + (self.seconds / step.seconds if step is not None else 0)
+
+
+STEP = Duration(Fraction(0), Fraction(1))
 
 
 Quantity: TypeAlias = Fraction | Duration
 
 
 def duration(text: str) -> Duration | None:
-    """The time written as `0.1s`, `5min` or `1s/3`; None if the text is not a time. Raises NumberError."""
+    """The time written as `0.1s`, `5min`, `1s/3` or `5 steps`; None if the text is not a time. Raises NumberError."""
     found = _TIME.fullmatch(text.strip())
-    if found is None or found[2] not in UNITS:
-        return None
-    return Duration(read(found[1] + (found[3] or "")) * UNITS[found[2]])
+    unit = one(found[2]) if found is not None else None
+    return unit.times(read(found[1] + (found[3] or ""))) if found is not None and unit is not None else None
+
+
+def one(unit: str) -> Duration | None:
+    """The time that a unit, or `step`, stands for; None if there is no such unit."""
+    if unit in ("step", "steps"):
+        return STEP
+    return Duration(UNITS[unit]) if unit in UNITS else None
 
 
 def quantity(name: str, value: ParamValue) -> Quantity:

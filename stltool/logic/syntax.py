@@ -31,7 +31,14 @@ _EQUAL_HINT = "write == to compare, := to define"
 _TEMPORAL = ("_EVENTUALLY", "_ALWAYS", "_UNTIL")
 _TEMPORAL_WORDS = ("always", "globally", "eventually", "finally", "until")
 WORDS = (*_TEMPORAL_WORDS, "true", "false", "and", "or", "not", "xor", "implies", "iff")
-_LINE_WORDS = {"_MODEL": "model", "_PARAM": "param", "_SIGNAL": "signal", "_STEP": "step", "_EXPECT": "expect"}
+_LINE_WORDS = {
+    "_MODEL": "model",
+    "_PARAM": "param",
+    "_SIGNAL": "signal",
+    "_STEP": "step",
+    "_UNIT": "unit",
+    "_EXPECT": "expect",
+}
 
 # Operators of other tools that do not exist here, and what to write instead.
 _PAST = "{word} refers to the past, formulas to the future; for once[0,5] a at t + 5, write F[0,5] a at t"
@@ -67,14 +74,14 @@ _OPERATORS = (
     "DIVIDE",
     "POWER",
 )
-_TERM_STARTS = ("NAME", "NUMBER", "TIME", "FUNCTION", "LPAR", "MINUS", "PLUS")
+_TERM_STARTS = ("NAME", "NUMBER", "TIME", "STEPS", "FUNCTION", "LPAR", "MINUS", "PLUS")
 _FORMULA_STARTS = (*_TERM_STARTS, "TRUE", "FALSE", "_NOT", "_EVENTUALLY", "_ALWAYS")
 TERMINAL_WORDS = {
     **dict.fromkeys(_OPERATORS, "an operator"),
     **dict.fromkeys(_FORMULA_STARTS, "a formula"),
     "NAME": "a name",
     "NUMBER": "a number",
-    "TIME": "a time",
+    **dict.fromkeys(("TIME", "STEPS", "MICROSECONDS"), "a time"),
     "FUNCTION": "a function",
     "LPAR": "'('",
     **dict.fromkeys(("PLUS", "MINUS"), "a sign"),
@@ -298,6 +305,8 @@ def _defined(tokens: Sequence[Token]) -> tuple[str, ...]:
     marks = ("ASSIGN", "EQUAL")
     if tokens and tokens[0].type == "_PARAM":
         return tuple(str(t) for b, t in pairwise(tokens) if t.type == "NAME" and b.type in ("_PARAM", "COMMA"))
+    if tokens and tokens[0].type in ("_STEP", "_UNIT"):
+        return (f"{tokens[0]} =",)
     return tuple(str(t) for t, n in pairwise(tokens) if t.type == "NAME" and n.type in marks)
 
 
@@ -512,7 +521,7 @@ def _expected(accepted: set[str]) -> str:
     rest = set(accepted)
     if rest.issuperset(_LINE_WORDS):
         rest -= {*_LINE_WORDS, "NAME", "SEMICOLON"}
-        words.append("the next line (model, param, signal, step, expect or name := formula)")
+        words.append("the next line (model, param, signal, step, unit, expect or name := formula)")
     if rest.issuperset(_FORMULA_STARTS):
         rest -= set(_FORMULA_STARTS)
         words.append("a formula")

@@ -23,8 +23,9 @@ class Task(Composable):
 
     `params` holds the values after overrides, as exact fractions or times; `definitions` holds all definitions in file
     order, each a formula or an arithmetic term; `model` is the path of the model file, already resolved against the
-    folder of the task file, or None if the file names none; `step` is the duration of a step, if the file declares one;
-    `expectations` are the `expect` lines of the file, about any of its definitions; `document` is the text as read.
+    folder of the task file, or None if the file names none; `step` is the duration of a step, and `unit` what a plain
+    number in a bound is (a time, or a step), if the file declares them; `expectations` are the `expect` lines of the
+    file, about any of its definitions; `document` is the text as read.
     """
 
     KIND: ClassVar[str] = "Task"
@@ -36,6 +37,7 @@ class Task(Composable):
     definitions: Mapping[str, Formula | Term] = field(default_factory=dict)
     path: Path | None = None
     step: Duration | None = None
+    unit: Duration | None = None
     expectations: tuple[Expectation, ...] = ()
     document: Document | None = field(default=None, compare=False, repr=False)
     rebuild: Callable[[Mapping[str, ParamValue]], Task] | None = field(default=None, compare=False, repr=False)

@@ -88,6 +88,8 @@ def _text_data(task: Task) -> ExplainOutput:
     }
     if task.step is not None:
         facts["step"] = str(task.step)
+    if task.unit is not None:
+        facts["unit"] = str(task.unit)
     return facts
 
 

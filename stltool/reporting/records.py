@@ -112,6 +112,7 @@ class ExplainOutput(TextRecord, total=False):
     `automaton` if none could be built."""
 
     step: str
+    unit: str
     meaning: dict[str, Any]
     warnings: list[str]
     holds_for_example_on: str

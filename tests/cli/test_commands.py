@@ -335,7 +335,14 @@ def test_explain_warns_of_tasks_that_say_nothing_and_of_idle_parts(stltool):
 
 def test_a_formula_may_have_times(stltool, tmp_path):
     assert json.loads(stltool("explain", "F[0,2s] a", "--step", "500ms", "--json")[1])["formula"] == "F[0,4] a"
-    assert "no step is declared above" in stltool("explain", "F[0,2s] a")[2]
+    assert "no step is declared; give --step 0.1s" in stltool("explain", "F[0,2s] a")[2]
+    assert "write 2s or 2 steps, or give --unit s or --unit step" in stltool("explain", "F[0,2] a", "--step", "1s")[2]
+    assert "is not a unit of time; write --unit s" in stltool("explain", "F[0,2] a", "--unit", "parsec")[2]
+    for unit, horizon in (("s", 4), ("step", 2), ("500 ms", 2), ("min", 240)):
+        data = json.loads(stltool("explain", "F[0,2] a", "--step", "500ms", "--unit", unit, "--json")[1])
+        assert data["horizon"] == horizon
+    code, _, err = stltool("explain", PATROLLING, "--unit", "s")
+    assert (code, "a task file declares its own unit; write unit = s there" in err) == (2, True)
     assert "is not a positive time with a unit" in stltool("explain", "F[0,2s] a", "--step", "3")[2]
     code, _, err = stltool("explain", PATROLLING, "--step", "1s")
     assert (code, "a task file declares its own step; write step = 1s there" in err) == (2, True)

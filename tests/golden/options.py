@@ -75,6 +75,8 @@ FAULTY = [
         test_tradeoff.test_bad_input_ends_with_its_message)),
     *(["monitor", *options] for options in MONITOR),
     ["explain", "F[0,2s] a", "--step", "5"], ["explain", "patrolling.stl", "--step", "1s"],
+    ["explain", "patrolling.stl", "--unit", "s"], ["explain", "F[0,2] a", "--step", "1s"],
+    ["explain", "F[0,2] a", "--unit", "parsec"], ["explain", "F[0,2.5] a"],
     ["explain", "F[0,2] a", "--task", "b"],
     ["surrogate", "shift.stl"], ["surrogate", "uncertain.stl"], ["surrogate", "patrolling.stl", "--gamma", "1"],
     ["pareto", "tradeoff.stl", "--tasks", "charging,patrolling", "--model", "floor-5x5-uncertain.toml"],

@@ -39,7 +39,7 @@ def test_times_are_whole_multiples_of_the_step():
     assert stl.parse(text, step="0.1s") == stl.parse("F[0,20] a & G[5,600) b")
     assert stl.parse(text, step="500ms") == stl.parse("F[0,4] a & G[1,120) b")
     assert stl.parse("F[0,T] a", params={"T": "3s"}, step="0.5s") == stl.parse("F[0,6] a")
-    task = stl.parse_task("step = 0.1s\nparam T = 2s, n = T / 0.5s\nr := F[0,T + 2*500ms - T/2] G[0,n] A")
+    task = stl.parse_task("step = 0.1s\nunit = step\nparam T = 2s, n = T / 0.5s\nr := F[0,T + 2*500ms - T/2] G[0,n] A")
     assert task.formula == stl.parse("F[0,20] G[0,4] A")
     assert task.step == Duration(Fraction(1, 10))
     assert task.params == {"T": Duration(Fraction(2)), "n": Fraction(4)}
@@ -49,9 +49,33 @@ def test_times_are_whole_multiples_of_the_step():
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("r := F[0,2s] A", "this bound is a time, but no step is declared above; add a line such as step = 0.1s"),
+        ("r := F[0,2s] A", "this bound is a time, but no step is declared; add a line step = 0.1s"),
         ("step = 0.1s\nr := F[0,0.25s] A", "0.25s is not a multiple of the step, 0.1s; write 0.2s or 0.3s"),
-        ("step = 0.1s\nr := F[0,0.25] A", "write 0 or 1, or 0.25s if it is a time in seconds"),
+        ("r := F[0,0.25s] A", "add a line step = 0.25s"),
+        ("r := F[0,104.05] A", "write 104 or 105; for times in seconds, add the lines step = 0.05s and unit = s"),
+        ("step = 0.1s\nr := F[0,104.05] A", "104.05s, a multiple of the step, 0.1s; write 104s or 104.1s"),
+        (
+            "step = 0.1s\nunit = s\nr := F[0,104.05] A",
+            "104.05s is not a multiple of the step, 0.1s; write 104 or 104.1",
+        ),
+        ("step = 0.1s\nr := F[0,0.5] A", "0.5 could be 0.5s (5 steps): a step is declared, but no unit"),
+        ("step = 0.1s\nr := F[0,5] A", "5 could be 5s (50 steps) or 5 steps (0.5s)"),
+        ("step = 0.1s\nr := F[0,5] A", "write 5s or 5 steps, or add a line unit = s or unit = step"),
+        ("r := F[0,5] A\nstep = 0.1s", "5 could be 5s (50 steps) or 5 steps (0.5s)"),
+        (
+            "step = 10ms\nparam hold = 1\nr := F[0,hold] A",
+            "write param hold = 1s or param hold = 1 step, or add a line",
+        ),
+        ("step = 5min\nr := F[0,60] A", "60 could be 60min (12 steps) or 60 steps (18000s)"),
+        ("step = 5min\nr := F[0,3] A", "3 could be 3 steps (900s): a step is declared"),
+        ("r := F[0,2.5 steps] A", "the bound 2.5 is not an integer number of steps; write 2 steps or 3 steps"),
+        ("r := F[0,2 steps + 1] A", "a time and a plain number cannot be combined"),
+        ("r := F[0,2 steps + 1s] A", "no step is declared; add a line step = 0.1s"),
+        ("unit = s\nr := F[0,2] A", "this bound is a time, but no step is declared; add a line step = 0.1s"),
+        ("unit = sec\nr := A", "the unit must be a unit of time, or step; write, for example, unit = s or unit = step"),
+        ("unit = 3\nr := A", "the unit must be a unit of time, or step"),
+        ("unit = s\nunit = s\nr := A", "this is a second unit line"),
+        ("step = 5 steps\nr := A", "the step must be a positive time"),
         ("step = 0.1s\nr := F[0,2s + 1] A", "a time and a plain number cannot be combined"),
         ("step = 0.1s\nr := F[0,2s * 3s] A", "this is not a time"),
         ("step = 0.1s\nr := F[0,2s^2] A", "this is not a time"),
@@ -117,6 +141,53 @@ def test_a_refusal_says_what_to_write(text, says):
     with pytest.raises(StlSyntaxError) as caught:
         stl.parse_task(text)
     assert says in str(caught.value)
+
+
+def test_plain_numbers_mean_what_the_unit_line_says():
+    text = "param T = 2\nr := F[0,T] G[1,2*T+1] (x > T)"
+    for lines, same in [
+        ("", "F[0,2] G[1,5] (x > 2)"),
+        ("unit = step", "F[0,2] G[1,5] (x > 2)"),
+        ("step = 0.5s\nunit = step", "F[0,2] G[1,5] (x > 2)"),
+        ("step = 0.5s\nunit = s", "F[0,4] G[2,10] (x > 2)"),
+        ("step = 0.5s; unit = min", "F[0,240] G[120,600] (x > 2)"),
+        ("unit = 500ms\nstep = 0.25s", "F[0,4] G[2,10] (x > 2)"),
+        ("step = 1us\nunit = µs", "F[0,2] G[1,5] (x > 2)"),
+    ]:
+        assert stl.parse_task(f"{lines}\n{text}").formula == stl.parse(same)
+        assert stl.parse_task(f"{text}\n{lines}", task="r").formula == stl.parse(same)  # wherever the lines stand
+    task = stl.parse_task(f"step = 0.5s\nunit = s\n{text}")
+    assert (task.step, task.unit) == (Duration(Fraction(1, 2)), Duration(Fraction(1)))
+    assert stl.parse("F[0,2] a", step="0.5s", unit="s") == stl.parse("F[0,2] a", step="0.1s", unit="0.2s")
+    assert (
+        stl.parse("F[0,2] a", step="0.5s", unit="step") == stl.parse("F[0,2] a", unit="step") == stl.parse("F[0,2] a")
+    )
+    for unit in ("parsec", "-1s", "0s", 3, "1/0s"):
+        with pytest.raises(SettingsError, match="is not a unit of time"):
+            stl.parse("a", unit=unit)
+
+
+def test_steps_are_a_time():
+    for text, same in [
+        ("F[0,5 steps] A", "F[0,5] A"),
+        ("F[1 step,5steps] A", "F[1,5] A"),
+        ("F[0,2 * 3 steps - 1 step] A", "F[0,5] A"),
+        ("F[0,max(2 steps, 1 step)] A", "F[0,2] A"),
+        ("F[0,abs(1 step - 3 steps)] A", "F[0,2] A"),
+        ("F[0,6 steps / 2 steps] A", "F[0,3] A"),
+    ]:
+        assert stl.parse(text) == stl.parse(same)
+        assert stl.parse_task(stl.format_task(f"r := {text}")).formula == stl.parse(same)
+    for text, steps in [
+        ("1s + 3 steps", 13),
+        ("min(1s, 3 steps)", 3),
+        ("1s / 2 steps * 1 step", 5),
+        ("2s - 3 steps", 17),
+    ]:
+        assert stl.parse(f"F[0,{text}] A", step="0.1s") == stl.parse(f"F[0,{steps}] A")
+    assert stl.parse("F[0,T] A", {"T": "5 steps"}) == stl.parse("F[0,5] A")
+    assert str(Duration(Fraction(2), Fraction(1))) == "2s + 1 step"
+    assert stl.format_task("r := F[0,5   steps] step") == "r := F[0,5 steps] step\n"
 
 
 def test_all_faults_of_a_file_are_told_at_once_and_nothing_else():
@@ -228,7 +299,7 @@ def test_operators_without_an_interval_are_for_monitors():
 
 
 def test_params_change_without_reading_again(monkeypatch):
-    text = "step = 0.5s\nparam T = 10, tau = T/2, d = 3s\nr := F[0,T) G[0,tau] (A & F[0,d] B)\nq := A"
+    text = "step = 0.5s\nunit = step\nparam T = 10, tau = T/2, d = 3s\nr := F[0,T) G[0,tau] (A & F[0,d] B)\nq := A"
     task = stl.parse_task(text, task="r", params={"d": "1s"})
     fresh = stl.parse_task(text, task="r", params={"d": "1s", "T": 20})
     expected = [stl.parse(f"F[0,20) G[0,10] (A & F[0,{d}] B)") for d in (2, 4)]
@@ -336,13 +407,13 @@ def test_a_file_in_rlroms_dialect_is_read_as_it_is():
     assert "abs(angle) < 0.05 & angle_dot > -1" in str(task)
 
 
-def test_files_in_breachs_dialect_are_read_once_their_times_have_units():
+def test_files_in_breachs_dialect_are_read_with_lines_for_step_and_unit():
     text = (DATA / "dialects" / "boiler.stl").read_text()
-    with pytest.raises(StlSyntaxError, match=r"or 0\.5s if it is a time in seconds"):
+    with pytest.raises(
+        StlSyntaxError, match=r"write 0 or 1; for times in seconds, add the lines step = 0\.1s and unit = s"
+    ):
         stl.parse_task(text)
-    for seconds in ("t_heat=4", "t_day=36", "t_burn=0.5"):
-        text = text.replace(seconds, f"{seconds}s")
-    task = stl.parse_task("step = 0.1s\n" + text.replace("alw_[1, t_day]", "alw_[1s, t_day]"))
+    task = stl.parse_task(f"step = 0.1s\nunit = s\n{text}")
     assert (task.name, stl.horizon(task.formula)) == ("warm_by_then", 400)
     assert "abs(wanted - water) <= 0.05 * wanted | !(water - wanted > 2 * 0.05 * 20)" in str(task)
     assert stl.horizon(task.definitions["flame_out"]) == 365
@@ -353,10 +424,7 @@ def test_files_in_breachs_dialect_are_read_once_their_times_have_units():
     with pytest.raises(StlSyntaxError) as caught:
         stl.parse_task(text, unbounded=True)
     assert str(caught.value).endswith("2 errors")  # of the three lines with broken seconds, one refers to another
-    for plain in ("0.05,.1]", ".1,wait+.5]", "0.5, 20]", "0, 45]"):
-        text = text.replace(plain, plain.replace(",", "s,").replace("]", "s]"))
-    text = text.replace("param wait = 3.", "param wait = 3.s").replace("param wait = 3,", "param wait = 3s,")
-    task = stl.parse_task(f"step = 0.05s\n{text}", unbounded=True)
+    task = stl.parse_task(f"step = 0.05s\nunit = s\n{text}", unbounded=True)
     assert str(task) == "served := (F[0,900] (floor == 3)) & (G[0,inf) (floor <= 9))"
     closes = "G[0,inf) ((!(door >= 0.9) & (F[1,2] (door >= 0.9))) -> (F[2,70] !(door >= 0.9)))"
     assert str(task.definitions["closes"]) == closes
@@ -378,13 +446,11 @@ def test_rlrom_files_are_read_as_they_are(name):
 
 
 @needs_outside("stl")
-def test_breach_files_are_read_once_their_times_have_units():
+def test_breach_files_are_read_with_lines_for_step_and_unit():
     text = (OUTSIDE / "stl" / "breach" / "AFC_simple_spec.stl").read_text()
-    with pytest.raises(StlSyntaxError, match=r"or 0\.5s if it is a time in seconds"):
+    with pytest.raises(StlSyntaxError, match=r"add the lines step = 0\.1s and unit = s"):
         stl.parse_task(text)
-    for seconds in ("t_start=10", "t_end=40", "t_0=1", "t_stab=0.5"):
-        text = text.replace(seconds, f"{seconds}s")
-    task = stl.parse_task(f"step = 0.1s\n{text}")
+    task = stl.parse_task(f"step = 0.1s\nunit = s\n{text}")
     assert (task.name, stl.horizon(task.formula)) == ("AF_overshoot_req", 405)
     assert "AF - AFref > 0.01 * 14.7" in str(task.formula)
 
@@ -394,11 +460,7 @@ def test_breach_files_are_read_once_their_times_have_units():
     with pytest.raises(StlSyntaxError) as caught:
         stl.parse_task(text, unbounded=True)
     assert str(caught.value).endswith("3 errors")  # the three lines with broken seconds
-    for plain in ("0.01,.02", "0,0.04"):
-        text = text.replace(plain, plain.replace(",", "s,") + "s")
-    text = text.replace("t1=1", "t1=1s").replace("[0, 25]", "[0s, 25s]").replace("[25, 50]", "[25s, 50s]")
-    text = text.replace("[0.1, t1+.1]", "[0.1s, t1+.1s]").replace("[0s,", "[0,").replace("[0s, ", "[0, ")
-    task = stl.parse_task(f"step = 0.01s\n{text}", unbounded=True)
+    task = stl.parse_task(f"step = 0.01s\nunit = s\n{text}", unbounded=True)
     assert str(task).startswith("phi_return3 := G[0,inf) ((gear == 3 & (F[1,2] !(gear == 3))) -> (G[10,110]")
 
 
