@@ -12,24 +12,25 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, cast
 
-from stltool.arguments import flag, function, require
+from stltool.arguments import flag, function, mapping, require
 from stltool.arguments import path as path_of
 from stltool.checking import CheckResult, check, robust_check, write_certificate
 from stltool.checking.certificate import require_certificate_file
 from stltool.checking.induction import Progress
 from stltool.display import Card, Displayed, counted
-from stltool.errors import ModelError, SettingsError, SizeError, StlToolError, TraceError, all_told
+from stltool.errors import ModelError, SettingsError, SizeError, StlToolError, TraceError, all_told, near_misses
 from stltool.files import require_folder
 from stltool.logic.expectation import Expectation, Relation
 from stltool.logic.formula import Formula, horizon, is_bounded, label_names, variables
 from stltool.logic.parser import Survey, survey_task
+from stltool.logic.quantities import ParamValue
 from stltool.logic.task import Task
 from stltool.models import MDP, load_model
 from stltool.monitoring import MonitorResult, load_trace, monitor
@@ -114,6 +115,7 @@ class Verification(Displayed):
 def verify(
     files: str | Path | Sequence[str | Path],
     *,
+    params: Mapping[str, ParamValue] | None = None,
     normalize: bool = False,
     certificates: str | Path | None = None,
     exact_seconds: float = EXACT_SECONDS,
@@ -122,6 +124,8 @@ def verify(
 ) -> Verification:
     """Judge every expectation of one or several task files.
 
+    params          values of params, in every file that has one of that name; the others are values of parameters of
+                    the models
     normalize       as for `load_model`
     certificates    a folder that receives a certificate of every probability without intervals
     exact_seconds   where a bound lies inside an enclosure, the exact fraction is computed if it takes no longer than
@@ -135,12 +139,14 @@ def verify(
     """
     start = time.perf_counter()
     paths = _paths(files)
+    mapping(params, "verify's params", "{'T': 20}", optional=True)
     flag(normalize, "verify's normalize")
     function(stage, "verify's stage")
     seconds = seconds_of(exact_seconds, "exact_seconds")
     memory_limit = require_limit(memory_limit) if memory_limit is not None else None
     folder = path_of(certificates, "verify's certificates") if certificates is not None else None
-    gate = _Gate(normalize, seconds, memory_limit, _staged(stage) if stage is not None else lambda title: nullcontext())
+    told = _staged(stage) if stage is not None else lambda title: nullcontext()
+    gate = _Gate(dict(params or {}), normalize, seconds, memory_limit, told)
     tasks = gate.read(paths)
     if folder is not None:
         require_folder(folder)
@@ -198,12 +204,14 @@ class _Asked:
 
 @dataclass
 class _Gate:
+    params: dict[str, ParamValue]
     normalize: bool
     exact_seconds: float
     memory_limit: int | None
     stage: Stage
-    models: dict[Path, MDP] = field(default_factory=dict)
-    products: dict[tuple[Path, Formula], Product] = field(default_factory=dict)
+    loaded: dict[Path, MDP] = field(default_factory=dict)
+    models: dict[tuple[Path, frozenset[str]], MDP] = field(default_factory=dict)  # with values of these parameters
+    products: dict[tuple[int, Formula], Product] = field(default_factory=dict)
     checked: dict[tuple[Any, ...], CheckResult] = field(default_factory=dict)
     exactly: dict[tuple[Any, ...], CheckResult | str] = field(default_factory=dict)
     certificate_names: dict[tuple[Path, Expectation], Path] = field(default_factory=dict)  # the first of that name
@@ -216,25 +224,36 @@ class _Gate:
         """The tasks, with their models read; StlToolError lists all faults."""
         tasks: list[Task] = []
         faults: list[str] = []
+        named: set[str] = set()
         for path in paths:
             try:
-                read = survey_task(path)
+                read = survey_task(path, self.params)
             except StlToolError as error:
                 faults.append(str(error))
                 continue
+            named |= read.params
             faults += read.faults
             faults += [fault for fault in dict.fromkeys(self._faults(read)) if fault not in faults]
             tasks += [read.task] if read.task is not None else []
         if not faults and not any(task.expectations for task in tasks):
-            named = ", ".join(map(str, paths))
+            files = ", ".join(map(str, paths))
             faults.append(
-                f"{named}: no expectations to verify; add a line such as expect Pmax({tasks[-1].name}) >= 0.95"
+                f"{files}: no expectations to verify; add a line such as expect Pmax({tasks[-1].name}) >= 0.95"
             )
+        if not faults:
+            faults += self._unused(named.union(*(values for _, values in self.models)))
         if len(faults) == 1:
             raise StlToolError(faults[0])
         if faults:
             raise StlToolError(all_told(faults))
         return tasks
+
+    def _unused(self, named: set[str]) -> list[str]:
+        """The given params that are of no file and no model."""
+        unused = self.params.keys() - named
+        known = named.union(*map(_parameters, self.loaded.values())) if unused else named
+        says = "no task file has a param, and no model a parameter, of this name"
+        return [f"{name}: {says}; {near_misses(name, known)}" for name in sorted(unused)]
 
     def _faults(self, read: Survey) -> list[str]:
         """What is wrong with the expectations that could be read, before any of them is judged."""
@@ -257,7 +276,7 @@ class _Gate:
                     faults.append(_at(expectation, told))
                 continue
             try:
-                model = self._model(read.model)
+                model = self._model(read.model, read.params)
                 unfit = _unfit(expectation, model)
                 if unfit is not None:
                     faults.append(_at(expectation, unfit))
@@ -268,12 +287,19 @@ class _Gate:
                 faults.append(str(error))
         return faults
 
-    def _model(self, path: Path) -> MDP:
-        key = path.resolve()
-        if key not in self.models:
+    def _model(self, path: Path, declared: Iterable[str]) -> MDP:
+        """The model of a task file with these params; its parameters have the values given for other names."""
+        place = path.resolve()
+        if place not in self.loaded:
             with self.stage(f"reading {path}"):
-                self.models[key] = load_model(path, self.normalize)
-        return self.models[key]
+                self.loaded[place] = load_model(path, self.normalize)
+        model = self.loaded[place]
+        others = self.params.keys() - set(declared)
+        names = frozenset(others.intersection(_parameters(model)) if others else ())
+        if (place, names) not in self.models:
+            values: Any = {name: self.params[name] for name in names}
+            self.models[place, names] = model.at(**values) if names else model
+        return self.models[place, names]
 
     # ------------------------------------------------------------------------------------------------------- judging
 
@@ -330,8 +356,8 @@ class _Gate:
 
     def _asked(self, task: Task, expectation: Expectation) -> _Asked:
         assert task.model is not None
-        model, phi = self._model(task.model), expectation.formula
-        key = (task.model.resolve(), phi)
+        model, phi = self._model(task.model, task.params), expectation.formula
+        key = (id(model), phi)
         if key not in self.products:
             given = replace(task, name=expectation.name, formula=phi) if expectation.name is not None else phi
             with self.stage(f"compiling {expectation.subject}"):
@@ -424,6 +450,11 @@ def _compared(relation: Relation, bound: Fraction, lower: Fraction, upper: Fract
         return at_least if relation == ">=" or at_least is None else not at_least
     at_most = True if upper <= bound else False if lower > bound else None
     return at_most if relation == "<=" or at_most is None else not at_most
+
+
+def _parameters(model: MDP) -> list[str]:
+    """The names of a model's parameters."""
+    return [one.name for one in model.family.parameters] if model.family is not None else []
 
 
 def _unfit(expectation: Expectation, model: MDP) -> str | None:

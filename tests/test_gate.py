@@ -87,6 +87,25 @@ def test_each_model_is_read_once_and_each_question_answered_once(written, monkey
     assert len(checks) == 3  # maximum, minimum, and the maximum as a fraction
 
 
+def test_params_are_those_of_the_files_and_the_others_those_of_the_models(written):
+    """-p goal=…: in every file with a param of that name; success is the parameter of the coin."""
+    first = written("param goal = 0.9", "expect Pmax(reach) >= goal", "expect Pmax(F[0,1] A) <= 1/3")
+    second = written("expect Pmin(F[0,0] A) <= 0", "expect Pmax(reach) >= 1/2", name="second.stl")
+    third = written("param success = 1", "expect Pmax(reach) <= success / 3", name="third.stl")
+    files = [first, second, third]
+    assert verdicts(stl.verify(files)) == ["does not hold", "holds", "holds", "does not hold", "holds"]
+    found = stl.verify(files, params={"goal": "1/4"})
+    assert verdicts(found) == ["holds", "holds", "holds", "does not hold", "holds"]
+    assert found.results[0].expectation.bound == Fraction(1, 4)
+    found = stl.verify(files, params={"success": "1/2"})  # of the third file it is a param, and its coin is as it was
+    assert verdicts(found) == ["does not hold", "does not hold", "holds", "holds", "does not hold"]
+    assert [result.result.probability for result in found.results] == [0.5, 0.5, 0, 0.5, pytest.approx(1 / 3)]
+    with pytest.raises(StlToolError, match="gaol: no task file has a param, and no model a parameter, of"):
+        stl.verify(files, params={"gaol": 1, "goal": 1})
+    with pytest.raises(StlToolError, match="success"):
+        stl.verify(second, params={"success": 2})
+
+
 def test_policies_and_traces_are_relative_to_the_task_file(written, tmp_path, monkeypatch):
     path = written(
         'expect P(reach, policy "best.npz") >= 1/3', 'expect holds(F[0,1] x > 0.5, trace "log.csv")',
@@ -235,7 +254,7 @@ def test_every_kind_of_fault_is_told_at_once(written):
     said = str(refused.value)
     assert said.endswith("8 errors")
     for told in (
-        "== cannot be decided",
+        "for ==, write both expect Pmax(reach) >= 0.9 and expect Pmax(reach) <= 0.9",
         "the policy file",
         "the trace file",
         "leave robust out",

@@ -9,9 +9,9 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Normalize
+from stltool.cli.options import AsJson, Normalize, Params
 from stltool.cli.roles import Reads, Writes, expectation_files, within
-from stltool.cli.steps import this_command
+from stltool.cli.steps import read_params, this_command
 
 _NO_CERTIFICATE = "none: no expectation has a probability that a certificate can prove; intervals and traces have none"
 
@@ -51,6 +51,7 @@ def verify(
             "--exact-seconds", help="time that an exact fraction may take where a bound lies inside the enclosure"
         ),
     ] = 60.0,
+    param: Params = None,
     normalize: Normalize = False,
     as_json: AsJson = False,
 ) -> None:
@@ -74,6 +75,7 @@ def verify(
 
     found = stl.verify(
         files,
+        params=read_params(param),
         normalize=normalize,
         certificates=certificates,
         exact_seconds=exact_seconds,

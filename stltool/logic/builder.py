@@ -105,6 +105,7 @@ class Builder:
         self.expectations: list[Expectation] = []
         self.faults: list[SyntaxFault] = []
         self.faulty = set(faulty)
+        self.example = "10"  # a value that a missing param could have
         self.given: dict[str, Quantity] = {}  # params as given on their lines, without overrides
         self.names_used: dict[str, Span] = {}  # labels and signals, with their first position
         self.budget = MOST_NODES
@@ -315,15 +316,19 @@ class Builder:
         written, place = cast(Token, rest[0]), cast(Branch, rest[1])
         relation = _COMPARATOR_SPELLINGS.get(str(written), str(written))
         if relation not in RELATIONS:
-            self.fail(
-                written,
-                f"a probability is known as an enclosure, so {relation} cannot be decided; write >=, <=, > or <",
+            line = self.span(tree).text()
+            before = line[: cast(int, written.start_pos) - tree.meta.start_pos].strip()
+            least, most = (
+                f"{before} {sign} {line[cast(int, written.end_pos) - tree.meta.start_pos :].strip()}"
+                for sign in ((">=", "<=") if relation == "==" else (">", "<"))
             )
-        name = str(place.children[0]) if place.data == "name" else ""
-        if place.data == "name" and name not in self.params and name not in self.definitions and not self.params:
-            self.pass_over(name)
-            self.fail(place, f"{name} is not a param; give it a value: param {name} = 0.95")
-        value = self.constant(place)
+            both = f"write both {least} and {most}" if relation == "==" else f"write {least}, or {most}"
+            self.fail(written, f"a probability is compared by >=, <=, > or <; for {relation}, {both}")
+        self.example, example = "0.95", self.example
+        try:
+            value = self.constant(place)
+        finally:
+            self.example = example
         if isinstance(value, Duration):
             self.fail(place, "expected a probability, found a time; write a number such as 0.95 or 19/20")
         if not 0 <= value <= 1:
@@ -666,7 +671,9 @@ class Builder:
                     self.pass_over(name)
                     if name in self.definitions:
                         self.fail(tree, f"{name} is a definition; for a number in bounds, write param {name} = …")
-                    known = near_misses(name, self.params) if self.params else f"give it a value: param {name} = 10"
+                    close = near_misses(name, self.params)
+                    given = f"give it a value: param {name} = {self.example}"
+                    known = close if close.startswith("did") else f"{given}; {close}" if self.params else given
                     self.fail(tree, f"{name} is not a param; {known}")
                 return self.params[name]
             case "negate":

@@ -18,7 +18,7 @@ from stltool.logic.builder import FORMULAS, Builder
 from stltool.logic.expectation import Expectation
 from stltool.logic.formula import Formula, Term
 from stltool.logic.quantities import Duration, ParamValue, Quantity, duration, one, quantity
-from stltool.logic.syntax import LONGEST_TEXT, Document, read, refuse
+from stltool.logic.syntax import LONGEST_TEXT, Document, branches, read, refuse
 from stltool.logic.task import Task
 from stltool.numbers import NumberError
 from stltool.source import Source
@@ -97,7 +97,8 @@ def load_task(
 class Survey:
     """What a task file says as far as it can be understood, and its faults, in text order.
 
-    `task` is None if there are any; what the statements without faults say is there all the same.
+    `task` is None if there are any; what the statements without faults say is there all the same. `params` are the
+    names on its param lines.
     """
 
     path: Path
@@ -106,6 +107,7 @@ class Survey:
     model: Path | None
     definitions: Mapping[str, Formula | Term]
     expectations: tuple[Expectation, ...]
+    params: frozenset[str]
 
 
 def _task_text(path: Path) -> str:
@@ -129,19 +131,25 @@ def _task_text(path: Path) -> str:
     return text
 
 
-def survey_task(path: Path) -> Survey:
-    """A task file, whose formulas may be unbounded, read for its expectations. FileError if it cannot be read."""
+def survey_task(path: Path, params: Mapping[str, ParamValue] | None = None) -> Survey:
+    """A task file, whose formulas may be unbounded, read for its expectations. FileError if it cannot be read.
+
+    `params` overrides those of its param lines that it names; other names in it are ignored.
+    """
     document = read(Source(str(path), _task_text(path)), "task")
-    builder = _builder(document, True, {})
+    lines = [branches(tree) for tree in document.trees if tree.data == "params"]
+    declared = frozenset(str(param.children[0]) for line in lines for param in line)
+    overrides = _exact({name: value for name, value in (params or {}).items() if name in declared})
+    builder = _builder(document, True, overrides)
     faults = [fault.message for fault in sorted([*document.faults, *builder.faults], key=lambda fault: fault.start)]
     task = None
     if not faults:
         try:
-            task = _finished(builder, document, path, True, None, {})
+            task = _finished(builder, document, path, True, None, overrides)
         except StlSyntaxError as error:
             faults.append(str(error))
     model = path.parent / builder.model if builder.model is not None else None
-    return Survey(path, tuple(faults), task, model, builder.definitions, tuple(builder.expectations))
+    return Survey(path, tuple(faults), task, model, builder.definitions, tuple(builder.expectations), declared)
 
 
 _CHOICE = "name one of the file's definitions in quotes"

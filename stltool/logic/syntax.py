@@ -489,7 +489,7 @@ def _expectation_hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> st
     if kind in ("_AND", "_OR") and _open_bracket(tokens, i) < 0:
         return "expectations are judged one by one; write each on a line of its own"
     if kind == "EQUAL" and tokens[i - 1].type != "COMPARATOR":
-        return "a probability is compared by >=, <=, > or <"
+        return "a probability is compared by >=, <=, > or <; for equality, write two lines, one with >= and one with <="
     if kind == "STRING":
         return 'a file name belongs after policy or trace; write, for example, policy "p.npz"'
     if before in ("policy", "trace") and i > 1 and tokens[i - 2].type == "COMMA":

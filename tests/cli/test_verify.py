@@ -51,6 +51,19 @@ def test_exit_codes(stltool, files, lines, code, as_json):
         assert len(data["expectations"]) == len(lines)
 
 
+def test_params_are_given_as_to_other_commands(stltool, files):
+    first = files("task.stl", "param goal = 0.9", "expect Pmax(reach) >= goal")
+    assert stltool("verify", first)[0] == 1
+    code, out, _ = stltool("verify", first, files("other.stl", "expect Pmax(reach) >= 2/5"), "-p", "goal=0.3", "-p",
+                           "success=0.4", "--json")  # fmt: skip
+    data = json.loads(out)
+    assert (code, [row["bound"] for row in data["expectations"]]) == (0, ["0.3", "0.4"])
+    assert "-p goal=0.3" in data["command"]
+    for wrong, says in ((["-p", "gaol=1"], "did you mean goal?"), (["-p", "goal=1", "-p", "goal=2"], "given twice")):
+        code, _, err = stltool("verify", first, *wrong)
+        assert (code, says in err) == (2, True)
+
+
 def test_the_table_says_what_holds_and_why_not(stltool, files):
     code, out, err = stltool("verify", files("task.stl", HOLDS, FAILS, "expect Pmin(reach) <= 0"))
     assert (code, err) == (1, "")

@@ -95,7 +95,7 @@ def test_the_name_and_the_word_in_one_file():
         ("expect", 1, "begins with its question; write, for example, expect Pmax(name) >= 0.95"),
         ("expects Pmax(r) >= .5", 1, "begins with its question; write, for example, expect Pmax(name) >= 0.95"),
         ("expect .5 <= Pmax(r)", 1, "begins with its question; write, for example, expect Pmax(name) >= 0.95"),
-        ("expect Pmax(r) = .5", 16, "compared by >=, <=, > or <"),
+        ("expect Pmax(r) = .5", 16, "for equality, write two lines, one with >= and one with <="),
         ("expect Pmax(r) >= goal", 19, "goal is not a param; give it a value: param goal = 0.95"),
         ("expect Pmax(r) > .5 & expect Pmin(r) > .5", 21, "write each on a line of its own"),
         ("expect r", 9, "such as expect Pmax(name) >= 0.95"),
@@ -106,8 +106,8 @@ def test_the_name_and_the_word_in_one_file():
         ("expect Pmax(r)", 8, "write, for example, expect Pmax(r) >= 0.95"),
         ("expect Pmax(r) >= 1.5", 19, "1.5 is not a probability, which lies between 0 and 1"),
         ("expect Pmax(r) >= 0 - 1/2", 19, "-0.5 is not a probability"),
-        ("expect Pmax(r) == .5", 16, "write >=, <=, > or <"),
-        ("expect Pmax(r) ≠ .5", 16, "write >=, <=, > or <"),
+        ("expect Pmax(r) == 1/2", 16, "write both expect Pmax(r) >= 1/2 and expect Pmax(r) <= 1/2"),
+        ("expect Pmax(r) ≠ .5  # why", 16, "for !=, write expect Pmax(r) > .5, or expect Pmax(r) < .5"),
         ("expect Pmax(r) > T", 18, "T is not a param"),
         ("expect Pmax(r) > 3s", 18, "write a number such as 0.95 or 19/20"),
         ("expect Pmax(r) .5", 16, "expected an operator"),
@@ -134,6 +134,22 @@ def test_a_slip_is_refused_with_its_place_and_a_remedy(line, place, told):
         stl.parse_task(f"r := a\n{line}")
     assert told in str(refused.value)
     assert f"line 2, column {place}:" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("params", "told"),
+    [
+        ("T = 3", "goal is not a param; give it a value: param goal = 0.95; known names: T"),
+        ("T = 3, gaol = 1", "goal is not a param; did you mean gaol?"),
+    ],
+)
+def test_a_missing_param_of_a_bound_is_advised_whatever_else_the_file_has(params, told):
+    for bound in ("goal", "1 - goal", "min(goal, 1)"):
+        with pytest.raises(StlSyntaxError) as refused:
+            stl.parse_task(f"param {params}\nr := F[0,T] a\nexpect Pmax(r) >= {bound}")
+        assert told in str(refused.value)
+    with pytest.raises(StlSyntaxError, match="T is not a param; give it a value: param T = 10; known names: lag"):
+        stl.parse_task("param lag = 3\nr := F[0,T] a")
 
 
 def test_a_fault_elsewhere_does_not_hide_those_of_expectations():
