@@ -121,14 +121,14 @@ def all_told(messages: Sequence[str], count: int | None = None) -> str:
     return "\n".join(shown)
 
 
-def near_misses(name: str, known: Iterable[str]) -> str:
-    """A hint: the existing names that `name` may have meant."""
+def near_misses(name: str, known: Iterable[str], shown: Callable[[str], str] = str) -> str:
+    """A hint: the existing names that `name` may have meant, each as `shown` writes it."""
     names = sorted(set(known))
     close = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
     close += [n for n in names if n.lower() == name.lower() and n not in close]
     if close:
-        return f"did you mean {' or '.join(close)}?"
+        return f"did you mean {' or '.join(map(shown, close))}?"
     if names:
-        shown = ", ".join(names[:12]) + (", …" if len(names) > 12 else "")
-        return f"known names: {shown}"
+        listed = ", ".join(map(shown, names[:12])) + (", …" if len(names) > 12 else "")
+        return f"known names: {listed}"
     return "no names are defined"

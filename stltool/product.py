@@ -36,6 +36,7 @@ from stltool.logic.formula import (
     label_names,
     variables,
 )
+from stltool.logic.names import near_names
 from stltool.logic.task import Task
 from stltool.models import MDP
 from stltool.models.sensing import Atom
@@ -407,9 +408,9 @@ def _require_names(
                 )
             else:
                 note = f"; {notes[kind]}" if kind in notes else ""
-                hint = near_misses(name, [*known, *other, *definitions])
+                hint = near_names(name, [*known, *other, *definitions])
                 if not hint.startswith("did you mean"):
-                    hint = near_misses(name, [*known, *other])
+                    hint = near_names(name, [*known, *other])
                     hint += f"; definitions of the file: {', '.join(definitions)}" if definitions else ""
                 message = f"the model has no {kind} {name}; {hint}{note}"
             raise NameLookupError(span.show(message) if span is not None else message)

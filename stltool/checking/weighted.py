@@ -45,7 +45,8 @@ from stltool.checking.induction import (
     solve,
 )
 from stltool.choices import Choices, Form
-from stltool.errors import NameLookupError, SettingsError, near_misses
+from stltool.errors import NameLookupError, SettingsError
+from stltool.logic.names import near_names
 from stltool.models import MDP
 from stltool.models.rows import Rows, least_positive
 from stltool.numbers import round_down, round_up
@@ -127,7 +128,7 @@ def cost_values(model: MDP, name: str) -> Floats:
         return model.labels[name].astype(np.float64)
     if name not in model.signals:
         raise NameLookupError(
-            f"the model has no signal {name} for this cost; {near_misses(name, [*model.signals, *model.labels])}"
+            f"the model has no signal {name} for this cost; {near_names(name, [*model.signals, *model.labels])}"
         )
     values = model.signals[name]
     if (values < 0).any():

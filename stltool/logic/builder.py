@@ -45,6 +45,7 @@ from stltool.logic.formula import (
     Variable,
     operands,
 )
+from stltool.logic.names import unquoted, written
 from stltool.logic.printer import term_text
 from stltool.logic.quantities import STEP, UNITS, Duration, Quantity, one
 from stltool.logic.syntax import INFINITY, WORDS, Branch, SyntaxFault, Token, bare, branches
@@ -150,7 +151,7 @@ class Builder:
             case "model":
                 if self.model is not None:
                     self.fail(tree, "this is a second model line; a task file has only one")
-                self.model = str(tree.children[0])[1:-1]
+                self.model = unquoted(str(tree.children[0]))
                 if not self.model:
                     self.fail(tree, 'the model line names no file; write, for example, model "floor.toml"')
             case "params":
@@ -158,7 +159,8 @@ class Builder:
                     self.param(part)
             case "signals":
                 for token in cast(list[Token], tree.children):
-                    self.signals.setdefault(str(token), self.span(token))
+                    self.require_name(token)
+                    self.signals.setdefault(unquoted(str(token)), self.span(token))
             case "step":
                 self.step_line(tree)
             case "unit":
@@ -291,7 +293,7 @@ class Builder:
                 over = ", or Pmax or Pmin over all policies" if question == "P" else ""
                 self.fail(at, f'{question} needs a {word}; write {question}(…, {word} "{example}"){over}')
             return None
-        word, file = str(named[0]), str(named[1])[1:-1]
+        word, file = str(named[0]), unquoted(str(named[1]))
         if needed is None:
             of = 'for the probability of one policy, write P(…, policy "p.npz")' if word == "policy" else "leave it out"
             self.fail(named[0], f"{question} is over all policies and takes no {word}; {of}")
@@ -360,6 +362,8 @@ class Builder:
                 return Constant(tree.data == "true", span=span)
             case "name":
                 return self.named_formula(tree)
+            case "quoted":
+                return self.quoted_formula(tree)
             case "not":
                 return Not(self.formula(parts[0]), span=span)
             case "and":
@@ -414,10 +418,23 @@ class Builder:
         self.names_used.setdefault(name, span)
         return Label(name, span=span)
 
+    def quoted_formula(self, tree: Branch) -> Formula:
+        """A name in quotes is a label or a signal, whatever is defined."""
+        name = unquoted(str(self.require_name(cast(Token, tree.children[0]))))
+        if name in self.signals:
+            shown = f"{written(name)} is a signal; compare it, as in {written(name)} > 0"
+            self.fail(tree, f"expected a Boolean expression, but {shown}")
+        return Label(name, span=self.span(tree))
+
+    def require_name(self, token: Token) -> Token:
+        if str(token) == '""':
+            self.fail(token, "these quotes hold no name; write the name of a label or a signal between them")
+        return token
+
     def refuse_word(self, tree: Branch, name: str) -> None:
         """`True` is not taken for a label: a capitalised keyword is a slip."""
         if name.lower() in WORDS:
-            self.fail(tree, f"keywords are lower case; write {name.lower()} (a signal called {name} must be renamed)")
+            self.fail(tree, f"keywords are lower case; write {name.lower()} (a signal of that name: {written(name)})")
         if name.lower() in (*INFINITY, "nan"):
             self.fail(tree, f"{name} is not a number with which a signal can be compared; leave the comparison out")
 
@@ -470,8 +487,8 @@ class Builder:
             raise _At(
                 place,
                 f"{word} needs an interval with an end here, such as {_LETTERS[word]}[{first},{first + 10}] "
-                "(only monitors can do without: stltool monitor, or unbounded=True; a label named F, G or U must be "
-                "renamed)",
+                "(only monitors can do without: stltool monitor, or unbounded=True; a label of that name is in quotes: "
+                f'"{_LETTERS[word]}")',
             )
         return Interval(first, None)
 
@@ -565,6 +582,8 @@ class Builder:
             return (
                 name in self.params or name in self.signals or (known is not None and not isinstance(known, FORMULAS))
             )
+        if tree.data == "quoted":
+            return unquoted(str(tree.children[0])) in self.signals
         return tree.data in ("number", "time", "binary", "negate", "call", "sample")
 
     def term(self, tree: Branch) -> Term:
@@ -576,6 +595,8 @@ class Builder:
                 return Number(self.literal_float(cast(Token, parts[0])), span=span)
             case "name":
                 return self.named_term(tree)
+            case "quoted":
+                return Variable(unquoted(str(self.require_name(cast(Token, parts[0])))), span=span)
             case "sample":
                 return self.sample(tree)
             case "negate":
@@ -613,13 +634,16 @@ class Builder:
     def sample(self, tree: Branch) -> Term:
         """Breach's `x[t]`: the value of the signal at the evaluation step."""
         token, index = cast(tuple[Token, Branch], tuple(tree.children))
-        name = str(token)
+        name, quoted = unquoted(str(token)), token.type == "STRING"
         if index.data != "name" or str(index.children[0]) != "t":
             self.fail(
                 tree,
                 f"a predicate reads a single step, {name}[t]; record {self.span(tree).text()} as a signal of its own "
                 "(for a truth value one step later, write F[1,1] a)",
             )
+        if quoted:
+            self.require_name(token)
+            return Variable(name, span=self.span(tree))
         if name in self.params or name in self.definitions:
             self.fail(tree, f"{name} is a {'param' if name in self.params else 'definition'}, not a signal; drop [t]")
         self.pass_over(name)
@@ -682,7 +706,7 @@ class Builder:
                 return self.constant_call(tree)
             case "binary":
                 return self.constant_binary(tree)
-            case "sample":
+            case "sample" | "quoted":
                 self.fail(tree, "expected a constant, found a signal; write a number or a param")
             case _:
                 self.fail(tree, "expected a number, found a Boolean expression; write a number or a param")

@@ -10,7 +10,6 @@ implications next to them must be put in parentheses.
 
 from __future__ import annotations
 
-import re
 from decimal import Decimal
 from fractions import Fraction
 from numbers import Integral, Real
@@ -40,13 +39,12 @@ from stltool.logic.formula import (
     formula_of,
     refuse_operand,
 )
+from stltool.logic.names import can_be_written
 from stltool.logic.task import Task
 from stltool.numbers import exact, shortest
 
 if TYPE_CHECKING:
     Operand: TypeAlias = "Expression | int | float | Fraction | Decimal"
-
-_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 def F(phi: Formula | Task, a: int, b: int | None) -> Eventually:
@@ -68,14 +66,14 @@ def U(phi: Formula | Task, psi: Formula | Task, a: int, b: int | None) -> Until:
 def label(name: str) -> Label:
     """A label: true or false at every step. StlSyntaxError if the name could not be used in a text."""
     require(name, str, "label's name")
-    _require_readable(name, name, Label(name))
+    _require_readable(name)
     return Label(name)
 
 
 def signal(name: str) -> Expression:
     """A signal, to be compared: `stl.signal("x") > 0.4`. StlSyntaxError if the name could not be used in a text."""
     require(name, str, "signal's name")
-    _require_readable(name, f"{name} > 0", Comparison(">", Variable(name), Number(0.0)))
+    _require_readable(name)
     return Expression(Variable(name))
 
 
@@ -180,19 +178,13 @@ def _interval(operator: str, a: object, b: object) -> Interval:
     return Interval(first, None if b is None else whole(b, f"{operator}'s last step b", 0, LARGEST_BOUND))
 
 
-def _require_readable(name: str, text: str, meant: Formula) -> None:
-    """StlSyntaxError unless the text means `meant`: keywords, and texts that are not words, cannot be names."""
-    from stltool.logic.parser import parse  # lark is slow to load
-
-    try:
-        if _NAME.fullmatch(name) and parse(text) == meant:
-            return
-    except StlSyntaxError:
-        pass
-    raise StlSyntaxError(
-        f"{described(name)} cannot be the name of a label or signal; use letters, digits and _, and none of the "
-        "keywords, such as F, until or true"
-    )
+def _require_readable(name: str) -> None:
+    """StlSyntaxError unless a text can name it."""
+    if not can_be_written(name):
+        raise StlSyntaxError(
+            f"{described(name)} cannot be the name of a label or signal, which is neither empty nor longer than a "
+            "line; use another name"
+        )
 
 
 def _compared(op: Comparator, left: Operand, right: Operand) -> Comparison:

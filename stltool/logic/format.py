@@ -177,7 +177,7 @@ def _term(tree: Branch) -> tuple[str, int]:
             return f"{parts[0]}[{_term(parts[1])[0]}]", STRENGTH["atom"]
         case "time":
             return _time(str(parts[0])), STRENGTH["atom"]
-        case "number" | "name" | "true" | "false":
+        case "number" | "name" | "quoted" | "true" | "false":
             return str(parts[0]), STRENGTH["atom"]
         case _:
             return f"({flat_text(tree)})", STRENGTH["atom"]  # a Boolean among numbers: refused when the nodes are built
@@ -242,7 +242,9 @@ class _Layout:
                 self.list("param", [(p.meta.start_pos, f"{p.children[0]} = {_value(p)}") for p in branches(tree)])
             case "signals":
                 names = cast(list[Token], tree.children)
-                self.list("signal", [(cast(int, name.start_pos), str(name)) for name in names])
+                word = re.match(r"(?:input |output )?", re.sub(r"\s+", " ", self.source[tree.meta.start_pos :][:40]))
+                assert word is not None  # it may be empty
+                self.list(f"{word.group()}signal", [(cast(int, name.start_pos), str(name)) for name in names])
             case "definition":
                 body = bare(branches(branches(tree)[1])[0])
                 line = f"{tree.children[0]} := {flat_text(body)}"

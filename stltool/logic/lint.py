@@ -16,6 +16,7 @@ from stltool.arguments import require
 from stltool.errors import near_misses
 from stltool.logic.builder import Builder
 from stltool.logic.format import flat_text
+from stltool.logic.names import near_names, unquoted
 from stltool.logic.syntax import Branch, Document, Token, bare, branches
 from stltool.logic.task import Task
 from stltool.source import Span
@@ -47,6 +48,7 @@ def ambiguities(task: Task | Document) -> list[Advice]:
     found += _divisions(document)
     found += _undeclared(document)
     found += _misspelled(document)
+    found += _quoted(document)
     found += _expected(document)
     return sorted(found, key=lambda advice: advice.span.start)
 
@@ -118,24 +120,26 @@ def _undeclared(document: Document) -> Iterator[Advice]:
         kind: [tree for tree in document.trees if tree.data == kind]
         for kind in ("signals", "params", "definition", "expectation")
     }
-    declared = {str(name) for tree in lines["signals"] for name in tree.children}
+    declared = {unquoted(str(name)) for tree in lines["signals"] for name in tree.children}
     if not declared:
         return
+    lines_declare = sorted(declared)
     known = {str(param.children[0]) for tree in lines["params"] for param in branches(tree)}
     known |= {str(tree.children[0]) for tree in lines["definition"]} | declared
     for tree in lines["definition"] + lines["expectation"]:
         for token in _signal_names(tree):
-            if str(token) not in known:
-                known.add(str(token))
+            name = unquoted(str(token))
+            if name not in (known if token.type == "NAME" else declared):
+                (known if token.type == "NAME" else declared).add(name)
                 place = Span(document.source, _start(token), _start(token) + len(token))
-                yield Advice(place, f"{token} is not declared on a signal line; {near_misses(str(token), declared)}")
+                yield Advice(place, f"{token} is not declared on a signal line; {near_names(name, lines_declare)}")
 
 
 def _misspelled(document: Document) -> Iterator[Advice]:
     """Names that resemble definitions or params of the file but are read as labels."""
     known = {str(tree.children[0]) for tree in document.trees if tree.data == "definition"}
     known |= {str(p.children[0]) for tree in document.trees if tree.data == "params" for p in branches(tree)}
-    declared = {str(name) for tree in document.trees if tree.data == "signals" for name in tree.children}
+    declared = {unquoted(str(name)) for tree in document.trees if tree.data == "signals" for name in tree.children}
     names = [cast(Token, part.children[0]) for tree in document.trees for part in tree.find_data("name")]
     first = {str(token): token for token in sorted(names, key=_start, reverse=True)}
     for name in first.keys() - known - declared:
@@ -143,6 +147,24 @@ def _misspelled(document: Document) -> Iterator[Advice]:
         if close and not _siblings(name, close[0]):
             place = Span(document.source, _start(first[name]), _start(first[name]) + len(name))
             yield Advice(place, f"{name} is read as a signal or label; did you mean {close[0]}?")
+
+
+def _quoted(document: Document) -> Iterator[Advice]:
+    """Labels in quotes that have the name of a definition or param, which they do not mean."""
+    kinds = [(str(tree.children[0]), "definition", tree) for tree in document.trees if tree.data == "definition"]
+    params = (part for tree in document.trees if tree.data == "params" for part in branches(tree))
+    kinds += [(str(part.children[0]), "param", part) for part in params]
+    known = {name: (kind, _span(document, tree).line) for name, kind, tree in kinds}
+    for tree in document.trees:
+        for part in tree.find_data("quoted"):
+            name = unquoted(str(part.children[0]))
+            if name in known:
+                kind, line = known[name]
+                yield Advice(
+                    _span(document, part),
+                    f"in quotes, {name} is the label or signal of that name, not the {kind} on line {line}; leave out "
+                    "the quotes if that is meant",
+                )
 
 
 def _expected(document: Document) -> Iterator[Advice]:
@@ -182,7 +204,7 @@ def _signal_names(tree: Branch) -> Iterator[Token]:
     stack: list[tuple[Branch, bool]] = [(tree, False)]
     while stack:
         part, number = stack.pop()
-        if part.data == "sample" or (part.data == "name" and number):
+        if part.data == "sample" or (part.data in ("name", "quoted") and number):
             yield part.children[0]  # type: ignore[misc]  # the name itself
             continue
         number = number or part.data in ("comparison", "chained", "binary", "negate", "call")

@@ -29,6 +29,7 @@ from stltool.logic.formula import (
     Until,
     Variable,
 )
+from stltool.logic.names import written
 
 Kind: TypeAlias = Literal["atom", "not", "temporal", "comparison", "binary"]
 """The form of an operand: a name or constant, `!…`, `F… …` or `!G… …`, `… < …`, or a binary operator."""
@@ -44,7 +45,7 @@ def to_text(phi: Formula) -> str:
         case Constant(value):
             return "true" if value else "false"
         case Label(name):
-            return name
+            return written(name)
         case Comparison(op, left, right):
             return f"{term_text(left)} {op} {term_text(right)}"
         case Not(arg):
@@ -118,7 +119,7 @@ def _term(term: Term) -> _TermText:
         case Number(value):
             return (str(int(value)) if value.is_integer() and value < 1e16 else repr(value)), STRENGTH["atom"]
         case Variable(name):
-            return name, STRENGTH["atom"]
+            return written(name), STRENGTH["atom"]
         case Negate(arg):
             return negated(_term(arg)), STRENGTH["negate"]
         case Arithmetic(op, left, right):

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stltool.arguments import mapping, whole
-from stltool.errors import NameLookupError, TraceError, near_misses
+from stltool.errors import NameLookupError, TraceError
 from stltool.logic.algebraic import Algebraic, TooCloseError, power, root
 from stltool.logic.formula import (
     Always,
@@ -51,6 +51,7 @@ from stltool.logic.formula import (
     label_names,
     variables,
 )
+from stltool.logic.names import near_names
 from stltool.logic.task import Task
 from stltool.numbers import shortest
 
@@ -99,7 +100,7 @@ def _samples(phi: Formula, signals: Signals, t: int, caller: str) -> dict[str, N
     samples = {}
     for name, span in {**variables(phi), **labels}.items():
         if name not in signals:
-            message = f"the trace has no signal {name}; {near_misses(name, signals)}"
+            message = f"the trace has no signal {name}; {near_names(name, signals)}"
             raise NameLookupError(span.show(message) if span else message)
         values = samples_of(name, signals[name])
         if values.ndim != 1:

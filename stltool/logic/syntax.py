@@ -74,12 +74,12 @@ _OPERATORS = (
     "DIVIDE",
     "POWER",
 )
-_TERM_STARTS = ("NAME", "NUMBER", "TIME", "STEPS", "FUNCTION", "LPAR", "MINUS", "PLUS")
+_TERM_STARTS = ("NAME", "DOTTED", "STRING", "NUMBER", "TIME", "STEPS", "FUNCTION", "LPAR", "MINUS", "PLUS")
 _FORMULA_STARTS = (*_TERM_STARTS, "TRUE", "FALSE", "_NOT", "_EVENTUALLY", "_ALWAYS")
 TERMINAL_WORDS = {
     **dict.fromkeys(_OPERATORS, "an operator"),
     **dict.fromkeys(_FORMULA_STARTS, "a formula"),
-    "NAME": "a name",
+    **dict.fromkeys(("NAME", "DOTTED"), "a name"),
     "NUMBER": "a number",
     **dict.fromkeys(("TIME", "STEPS", "MICROSECONDS"), "a time"),
     "FUNCTION": "a function",
@@ -94,7 +94,7 @@ TERMINAL_WORDS = {
     "ASSIGN": "':='",
     "EQUAL": "'='",
     "SEMICOLON": "';'",
-    "STRING": 'a file name in quotes ("floor.toml")',
+    "STRING": "a name in quotes",
     **{terminal: f"a {word} line" for terminal, word in _LINE_WORDS.items()},
     "_EXPECT": "an expect line",
     "COMMENT": "a comment",
@@ -201,6 +201,8 @@ def _tokens(source: Source) -> tuple[list[Token], list[SyntaxFault]]:
     while True:
         try:
             for token in _lark().lex(source.text[offset:] if offset else source.text):
+                if token.type == "DOTTED":
+                    token.type = "NAME"
                 tokens.append(_shifted(token, offset) if offset else token)
         except UnexpectedInput as error:
             place = offset + (error.pos_in_stream or 0)
@@ -218,9 +220,9 @@ def _shifted(token: Token, offset: int) -> Token:
 
 def _glued(text: str, place: int) -> str:
     """The text at a position where no token begins: a quote to the end of its line, a number followed by letters,
-    braces with what they hold, or a single character.
+    braces or single quotes with what they hold, or a single character.
     """
-    found = re.compile(r"\.*\w+|\.+|\"[^\r\n]*|\{[^{}\r\n]*\}").match(text, place)
+    found = re.compile(r"\.*\w+|\.+|\"[^\r\n]*|\{[^{}\r\n]*\}|'[^'\r\n]*'").match(text, place)
     return found.group() if found else text[place]
 
 
@@ -229,17 +231,23 @@ def _foreign(source: Source, place: int) -> str:
     shown = repr(character) if character.isprintable() else f"U+{ord(character):04X}"
     before = source.text[:place].rpartition("\n")[2]
     if character == '"':
-        message = 'this quote is not closed; close it on the same line, as in model "floor.toml"'
+        example = 'model "floor.toml"' if before.split()[:1] == ["model"] else 'F[0,5] "at goal"'
+        message = f"this quote is not closed; close it on the same line, as in {example}"
     elif character in "²³":
         message = f"write ^{'2' if character == '²' else '3'} for a power"
     elif re.search(r"\b(?:policy|trace)\s+\S*$", before) and before.split()[:1] == ["expect"]:
         message = 'a file name belongs in double quotes here; write, for example, policy "p.npz"'
-    elif before.split()[:1] == ["model"] or character == "'":
+    elif before.split()[:1] == ["model"]:
         message = 'a file name belongs in double quotes on a model line; write model "floor.toml"'
+    elif character == "'":
+        name = _glued(source.text, place).strip("'")
+        message = f'names that need quotes have double ones; write "{name or "at goal"}"'
     elif character == "." and re.search(r"[A-Za-z_]\w*$", before):
-        message = "names contain no dots; write, for example, car_speed for car.speed"
+        message = "unexpected dot; in a name, a letter follows it, as in car.speed"
     elif character.isalpha():
-        message = f"a name cannot contain {shown}; use the letters a to z, digits and _"
+        start = re.search(r"\w*$", before)
+        word = (start.group() if start else "") + _glued(source.text, place)
+        message = f'a name cannot contain {shown} unless it is in quotes; write "{word}"'
     elif character == ".":
         message = "unexpected dot; dots occur in numbers, such as 0.5, and in intervals, such as [0..5]"
     elif not character.isascii() and character.isnumeric():
@@ -426,12 +434,14 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
     for near in (before, token):
         if near is not None and near.type == "NAME" and (other := _elsewhere(near)) is not None:
             return other
+    if i == 1 and str(before) == "model":
+        return 'a file name belongs in double quotes on a model line; write model "floor.toml"'
     if i == 1 and last == "NAME":
         close = difflib.get_close_matches(str(before), list(_LINE_WORDS.values()), n=1, cutoff=0.7)
         if close:
             return f"did you mean {close[0]}?"
-    if kind == "STRING":
-        return 'a file name in quotes belongs on a model line; write model "floor.toml"'
+    if kind == "STRING" and i + 1 < len(tokens) and tokens[i + 1].type == "ASSIGN":
+        return "a definition has a name without quotes, of letters, digits and _"
     for near in (before, token):
         if near is not None and near.type == "NAME" and str(near).lower() in WORDS:
             return f"keywords are lower case; write {str(near).lower()}"
@@ -443,7 +453,8 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
         return f"write {token} := … to define it, or param {token} = … for a number"
     if token is not None and i and kind == "NAME" and str(token).lower() in ("expect", "expects", "expected"):
         return "an expect line begins with its question; write, for example, expect Pmax(name) >= 0.95"
-    if kind in ("NAME", "NUMBER", "TIME") and last in ("NAME", "NUMBER", "TIME", "RPAR", "RSQB"):
+    operands = ("NAME", "STRING", "NUMBER", "TIME", "STEPS")
+    if kind in operands and last in (*operands, "RPAR", "RSQB"):
         return f"expected an operator between {str(before)!r} and {str(token)!r}"
     if kind in ("_EVENTUALLY", "_ALWAYS", "_NOT") and "_AND" in accepted:
         return f"expected an operator before {str(token)!r}"

@@ -26,8 +26,9 @@ from numpy.typing import NDArray
 
 from stltool.arguments import path as path_of
 from stltool.arguments import texts
-from stltool.errors import FileError, NameLookupError, TraceError, near_misses
+from stltool.errors import FileError, NameLookupError, TraceError
 from stltool.extras import require
+from stltool.logic.names import near_names
 from stltool.numbers import NumberError, double, shown
 from stltool.sizes import require_memory
 
@@ -70,7 +71,7 @@ def _chosen(path: Path, known: Sequence[str], names: Sequence[str] | None, what:
     there = set(known)
     for name in names or ():
         if name not in there:
-            raise NameLookupError(f"{path}: there is no {what} {name}; {near_misses(name, known)}")
+            raise NameLookupError(f"{path}: there is no {what} {name}; {near_names(name, known)}")
     return list(known if names is None else names)
 
 

@@ -25,8 +25,9 @@ import numpy as np
 
 from stltool.arguments import described, mapping, one_of
 from stltool.display import Card, Displayed, counted
-from stltool.errors import NameLookupError, TraceError, near_misses
+from stltool.errors import NameLookupError, TraceError
 from stltool.logic.formula import Constant, Formula, Label, bounded_formula_of
+from stltool.logic.names import near_names
 from stltool.logic.task import Task
 from stltool.monitoring.comparisons import Predicate
 from stltool.monitoring.offline import judge
@@ -129,7 +130,7 @@ class OnlineMonitor(Displayed):
         try:
             return sample[name]
         except KeyError:
-            message = f"the sample at step {self.n_steps} has no value of {name}; {near_misses(name, sample)}"
+            message = f"the sample at step {self.n_steps} has no value of {name}; {near_names(name, sample)}"
             raise NameLookupError(message) from None
 
     def _label(self, name: str, value: Any) -> bool:

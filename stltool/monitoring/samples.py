@@ -13,7 +13,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stltool.errors import NameLookupError, TraceError, near_misses
+from stltool.errors import NameLookupError, TraceError
+from stltool.logic.names import near_names
 from stltool.monitoring.blocks import Block, BlockEnd
 from stltool.monitoring.program import Program
 from stltool.sizes import require_memory
@@ -122,7 +123,7 @@ def read_traces(program: Program, signals: Mapping[str, ArrayLike]) -> Traces:
     arrays: dict[str, NDArray[Any]] = {}
     for name, span in {**program.variables, **program.labels}.items():
         if name not in signals:
-            message = f"the traces have no signal {name}; {near_misses(name, signals)}"
+            message = f"the traces have no signal {name}; {near_names(name, signals)}"
             raise NameLookupError(span.show(message) if span else message)
         arrays[name] = _as_array(name, signals[name])
     # a formula without names still has steps: those of any given trace

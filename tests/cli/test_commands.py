@@ -333,6 +333,20 @@ def test_explain_warns_of_tasks_that_say_nothing_and_of_idle_parts(stltool):
     assert re.search(r"^holds for example on +A, x < 0.4, y > 0.6 for 10 steps$", out, flags=re.MULTILINE)
 
 
+def test_every_name_that_a_message_lists_can_be_typed(stltool, tmp_path):
+    trace = tmp_path / "trace.csv"
+    trace.write_text('Engine Speed (rpm),G,"say ""hi""",x\n1000,80,1,0\n2000,90,1,0\n')
+    code, _, err = stltool("monitor", "speed > 3", trace)
+    assert code == 2
+    listed = re.search(r"known names: (.*)", err)[1].split(", ")
+    assert listed == ['"Engine Speed (rpm)"', '"G"', '"say ""hi"""', "x"]
+    for name in listed:
+        code, out, _ = stltool("monitor", f"G[0,1] ({name} >= 0)", trace, "--json")
+        assert (code, json.loads(out)["holds"]) == (0, True)
+    code, _, err = stltool("monitor", '"Engine Sped (rpm)" > 3', trace)
+    assert 'did you mean "Engine Speed (rpm)"?' in err
+
+
 def test_a_formula_may_have_times(stltool, tmp_path):
     assert json.loads(stltool("explain", "F[0,2s] a", "--step", "500ms", "--json")[1])["formula"] == "F[0,4] a"
     assert "no step is declared; give --step 0.1s" in stltool("explain", "F[0,2s] a")[2]

@@ -1,5 +1,6 @@
 """What users of other tools write: Breach's files, times with units, several faults at once, params changed late."""
 
+import re
 import sys
 from fractions import Fraction
 
@@ -9,7 +10,8 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.errors import FileError, SettingsError, StlSyntaxError
-from stltool.logic.formula import Always, Comparison, Eventually, Interval, Label, Number, Variable
+from stltool.grammar import grammar_text
+from stltool.logic.formula import Always, Comparison, Eventually, Interval, Label, Number, Until, Variable
 from stltool.logic.quantities import Duration, duration, quantity
 from tests.conftest import DATA, OUTSIDE, needs_outside
 
@@ -32,6 +34,63 @@ A, B = Label("a"), Label("b")
 )
 def test_spellings_of_other_tools(text, meaning):
     assert stl.parse(text) == meaning
+
+
+def test_names_in_quotes_are_labels_and_signals():
+    for text, meaning in [
+        ('"at goal"', Label("at goal")),
+        ('F[0,3] "goal"', Eventually(Interval(0, 3), Label("goal"))),
+        ('"Engine Speed (rpm)" > 900', Comparison(">", Variable("Engine Speed (rpm)"), Number(900.0))),
+        ('"G" > 70', Comparison(">", Variable("G"), Number(70.0))),
+        ('"until"', Label("until")),
+        ('"say ""hi"""', Label('say "hi"')),
+        ('"x y"[t] == "z"', Comparison("==", Variable("x y"), Variable("z"))),
+        ("r1.x > 900", Comparison(">", Variable("r1.x"), Number(900.0))),
+        ("G.x", Label("G.x")),
+        ("signal.rate[t] < 1", Comparison("<", Variable("signal.rate"), Number(1.0))),
+    ]:
+        assert stl.parse(text) == meaning
+    text = (
+        'input signal "Engine Speed", a\noutput signal b\nparam goal = 3, low.v = 2\nfast := "Engine Speed" > low.v\n'
+    )
+    text += 'goals := "goal" & "fast"\nr.s := goals & fast & a > goal\n'
+    task = stl.parse_task(text)
+    assert str(task) == 'r.s := (goal & fast) & "Engine Speed" > 2 & a > 3'
+    assert task.definitions["goals"] == stl.parse('"goal" & "fast"')
+    assert stl.format_task(text) == text
+    assert stl.parse('"T" & F[0,T] a', {"T": 3}) == stl.parse('"T" & F[0,3] a')
+    assert stl.parse_task('model "a b.toml"\nr := "a b.toml"').model.name == "a b.toml"
+
+
+@given(st.text(st.characters(exclude_characters="\r\n", exclude_categories=["Cs"]), min_size=1))
+def test_any_name_can_be_written(name):
+    x = Variable(name)
+    for phi in (
+        Label(name),
+        Comparison(">", x, x),
+        Always(Interval(0, 3), Until(Interval(0, 1), Label(name), Label(name))),
+    ):
+        assert stl.parse(str(phi)) == phi
+        assert stl.parse_task(f"signal s\nd := {phi}\nr := d").formula == phi
+    assert stl.label(name) == Label(name)
+    assert str(stl.signal(name) > 2) == str(Comparison(">", x, Number(2.0)))
+
+
+def test_every_word_of_the_grammar_can_be_a_name():
+    words = set(re.findall(r"[A-Za-z_]+", grammar_text("stl.lark")))
+    assert {"until", "F", "alw", "model", "sqrt", "iff", "unit"} <= words
+    for word in sorted(words | {f"{word}_" for word in words} | {word.upper() for word in words}):
+        assert stl.parse(str(Label(word))) == Label(word)
+        text = str(stl.signal(word) > 1)
+        assert stl.parse(f"a & {text}") == stl.parse("a") & (stl.signal(word) > 1)
+        assert len(stl.parse_task(f"r0 := a & {Label(word)}\nq := a").definitions) == 2
+    assert [str(Label(name)) for name in ("x_", "inc", "Gate", "model_", "a.b")] == [
+        "x_",
+        "inc",
+        "Gate",
+        "model_",
+        "a.b",
+    ]
 
 
 def test_times_are_whole_multiples_of_the_step():
@@ -114,14 +173,21 @@ def test_times_are_whole_multiples_of_the_step():
         ("r := A [0,3] B", "A does not take an interval"),
         ("r := G[0,3] A G[0,3] B", "expected an operator before 'G'"),
         ("r := A &\nq := B", "line 1, column 9: the statement ends here; expected a formula"),
-        ('r := A "floor"', "belongs on a model line"),
+        ('r := A "floor"', "expected an operator between 'A' and '\"floor\"'"),
+        ('"r" := A', "a definition has a name without quotes"),
+        ('r := ""', "these quotes hold no name"),
+        ('signal ""\nr := A', "these quotes hold no name"),
+        ('signal "a b"\nr := "a b" & A', 'but "a b" is a signal; compare it, as in "a b" > 0'),
+        ("r := 'at goal'", 'names that need quotes have double ones; write "at goal"'),
+        ('r := "at goal', 'close it on the same line, as in F[0,5] "at goal"'),
+        ('r := F[0,"T"] A', "expected a constant, found a signal"),
         ('model "floor\nr := A', "close it on the same line"),
         ("r := F[0...50] A", "dots occur in numbers, such as 0.5, and in intervals, such as [0..5]"),
         ("r := F[0...5e1] A", "dots occur in numbers"),
         ("r := x² > 4", "write ^2 for a power"),
         ("r := F[0,٣] A", "use the digits 0 to 9"),
-        ("r := größe > 3", "a name cannot contain 'ö'"),
-        ("r := car.speed > 3", "names contain no dots; write, for example, car_speed"),
+        ("r := größe > 3", "a name cannot contain 'ö' unless it is in quotes; write \"größe\""),
+        ("r := car. > 3", "unexpected dot; in a name, a letter follows it, as in car.speed"),
         ("model floor.toml\nr := A", "in double quotes on a model line"),
         ("r := F_[] A", "could be an empty interval"),
         ("r := A U_[] B", "could be an empty interval"),

@@ -79,6 +79,16 @@ def test_a_name_that_nearly_is_a_definition_is_told():
     assert (advice.span.line, advice.span.column) == (6, 6)
 
 
+def test_a_quoted_name_of_a_definition_is_told():
+    text = 'param T = 3\ngoal := x > T\nr := "goal" & goal & "T" & "other"'
+    told = [(a.span.text(), a.message) for a in found(text, "task")]
+    assert told == [
+        (f'"{name}"', f"in quotes, {name} is the label or signal of that name, not the {what}; leave out the quotes if "
+                      "that is meant")
+        for name, what in (("goal", "definition on line 2"), ("T", "param on line 1"))
+    ]  # fmt: skip
+
+
 def test_a_long_reading_is_cut():
     (advice,) = found(" & ".join(f"label_{i}" for i in range(100)) + " | z")
     assert len(advice.message) < 500
