@@ -89,6 +89,9 @@ def load_product(
     return bind(loaded, world.nominal() if nominal else world, encoding)
 
 
+_FILES = {".txt", ".toml", ".csv", ".tsv", ".json", ".npz", ".parquet", ".policy", ".md", ".py", ".tra", ".prism"}
+
+
 def require_declared_there(step: str | None, unit: str | None) -> None:
     """SettingsError if --step or --unit is given next to a task file."""
     for option, value in (("step", step), ("unit", unit)):
@@ -120,6 +123,8 @@ def load_task_or_formula(
             raise FileError(f"{text}: there is no such task file; {near_misses(path.name, siblings)}")
         require_declared_there(step, unit)
         return stl.load_task(path, values, name, unbounded=True)
+    if path.suffix in _FILES and re.fullmatch(r"[\w.]+", text):  # a name with dots, too, but hardly meant as one
+        raise FileError(f"{text}: there is no such task file; a label of that name is in quotes: '\"{text}\"'")
     if name is not None:
         raise SettingsError(f"--task {name}: a formula has no definitions to choose from; leave out --task")
     try:
