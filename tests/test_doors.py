@@ -243,7 +243,7 @@ TAKES = {
     **{key: {"None", *NUMBERS} for key in ("epsilon", "mass", "memory_limit", "time_limit")},
     **{key: {"True"} for key in ("maximize", "exact", "keep_policy", "satisfied", "cut", "unbounded", "normalize")},
     **{key: {"text"} for key in ("text", "name", "objective")},
-    **dict.fromkeys(("source", "command", "step"), TEXT),
+    **dict.fromkeys(("source", "command", "step", "unit"), TEXT),
     **dict.fromkeys(("labels", "params", "budget", "over", "parameters"), MAPPING),
     "tol": NUMBERS,
     "most_pieces": {"int"},
