@@ -122,7 +122,7 @@ def test_the_name_and_the_word_in_one_file():
         ('expect P(r, policy "") > .5', 20, "this names no file"),
         ("expect P(r, policy p) > .5", 20, 'write policy "p.npz"'),
         ("expect P(r, policy p.npz) > .5", 20, 'write policy "p.npz"'),
-        ('expect P(r, "p.npz") > .5', 13, 'write policy "p.npz"'),
+        ('expect P(r, "p.npz") > .5', 13, 'write, for example, policy "p.npz"'),
         ("expect holds(r)", 8, 'write holds(…, trace "log.csv")'),
         ('expect robust holds(r, trace "x")', 8, "leave robust out"),
         ('expect holds(r, trace "x") >= .5', 28, "leave the bound out"),
