@@ -9,6 +9,7 @@ from .logic.rewrite import negation_normal_form as negation_normal_form, simplif
 from .logic.task import Task as Task
 from .logic.format import format_task as format_task
 from .logic.lint import ambiguities as ambiguities
+from .logic.lint import conventions as conventions
 from .monitoring import (
     Decision as Decision,
     MonitorResult as MonitorResult,

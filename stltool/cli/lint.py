@@ -20,7 +20,8 @@ def lint(
 ) -> None:
     """Report passages of task files that other tools would read differently, and expectations that say nothing.
 
-    Exit code 1 if there are any; 2 if a file does not parse, with all its errors. Models are not read.
+    Exit code 1 if there are any; 2 if a file does not parse, with all its errors. Models are not read. Operators that
+    other tools define differently are notes, with the text for the other definition; they leave the exit code as it is.
     """
     import stltool as stl
     from stltool.reporting.terminal import print_json
@@ -28,14 +29,18 @@ def lint(
     told: list[dict[str, Any]] = []
     for path in files:
         try:
-            advices = stl.ambiguities(stl.load_task(path, unbounded=True))
+            task = stl.load_task(path, unbounded=True)
+            advices = stl.ambiguities(task)
+            notes = stl.conventions(task)
         except StlToolError as refusal:
             told.append({"file": str(path), "error": str(refusal)})
             continue
-        told.append({"file": str(path), "advice": [str(advice) for advice in advices]})
+        told.append({"file": str(path), "advice": list(map(str, advices)), "notes": list(map(str, notes))})
         if not as_json:
             for advice in advices:
                 print(advice)
+            for note in notes:
+                print(f"note: {note}")
     if as_json:
         print_json({"files": told})
     refusals = [file["error"] for file in told if "error" in file]

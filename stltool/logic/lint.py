@@ -1,7 +1,8 @@
 """Ambiguities: positions in a text that other tools read differently, with the reading that applies here.
 
 None of these is an error: the grammar gives every text one meaning. The advice is to add the parentheses, as
-`stltool fmt` does. How STLRom, RTAMT and MATLAB read them: docs/language.md, "What other tools read differently".
+`stltool fmt` does. Conventions are differences that no parentheses settle. How STLRom, RTAMT and MATLAB read them:
+docs/language.md, "What other tools read differently".
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from stltool.arguments import require
 from stltool.errors import near_misses
 from stltool.logic.builder import Builder
 from stltool.logic.format import flat_text
+from stltool.logic.formula import And, Composable, Constant, Eventually, Formula, Interval, Or, Until, walk
 from stltool.logic.names import near_names, unquoted
 from stltool.logic.syntax import Branch, Document, Token, bare, branches
 from stltool.logic.task import Task
@@ -53,6 +55,39 @@ def ambiguities(task: Task | Document) -> list[Advice]:
     return sorted(found, key=lambda advice: advice.span.start)
 
 
+def conventions(task: Task) -> list[Advice]:
+    """Every until of a task whose definition differs between tools, with the text for the other one, in text order."""
+    require(task, Task, "conventions' task")
+    found: dict[int, Advice] = {}
+    bodies = [*task.definitions.values(), *(line.formula for line in task.expectations), task.formula]
+    for phi in (body._formula() for body in bodies if isinstance(body, Composable)):
+        for node in walk(phi):
+            if isinstance(node, Until) and node.span is not None and (told := _until(node)):
+                found.setdefault(node.span.start, Advice(node.span, told))
+    return sorted(found.values(), key=lambda advice: advice.span.start)
+
+
+def _until(phi: Until) -> str:
+    """Where other tools define this until differently ("" if nowhere), each with the text that means it."""
+    a, b = phi.interval.a, phi.interval.b
+    told = []
+    if a > 0 and phi.left != Constant(True):
+        at_once = Until(Interval(0, None if b is None else b - a), phi.left, phi.right)
+        late = Eventually(Interval(a, a), at_once)
+        told.append(f"in MLTL only from the start of the window on, which is written {_cut(str(late))}")
+    if not _contains(phi.right, And, phi.left) and not _contains(phi.left, Or, phi.right):
+        both = Until(phi.interval, phi.left, And((phi.left, phi.right)))
+        told.append(f"in Breach, and in RTAMT's dense time, at the last step, too, which is written {_cut(str(both))}")
+    if not told:
+        return ""
+    return f"the left side of until must hold from now on, before the right side does; {'; '.join(told)}"
+
+
+def _contains(phi: Formula, kind: type[And] | type[Or], part: Formula) -> bool:
+    """Whether φ is a conjunction (disjunction) with that part, or the part itself."""
+    return phi == part or part == Constant(True) or (isinstance(phi, kind) and part in phi.args)
+
+
 def about_expectations(task: Task) -> list[Advice]:
     """Those about expectations alone: what they refer to is not defined, or their bound decides them."""
     return list(_expected(task.document)) if task.document is not None else []
@@ -65,10 +100,7 @@ def _of_statement(document: Document, statement: Branch) -> Iterator[Advice]:
         tree, told = stack.pop()
         why = None if told else _differs(tree)
         if why is not None:
-            reading = flat_text(tree)
-            if len(reading) > _LONGEST_READING:
-                reading = f"{reading[:_LONGEST_READING]} …"
-            yield Advice(_span(document, tree), f"{why}; here it means {reading}")
+            yield Advice(_span(document, tree), f"{why}; here it means {_cut(flat_text(tree))}")
         inside = (told or why is not None) and tree.data != "parentheses"
         stack += [(part, inside) for part in reversed(tree.children) if not isinstance(part, Token)]
 
@@ -95,8 +127,29 @@ def _differs(tree: Branch) -> str | None:
     if "until" in kinds:
         return "the precedence of 'until' over other operators differs between tools"
     if any(_ends_in_temporal(part) for part in operands[:-1]):
-        return "the scope of the temporal operator ends before the next operator; in some tools it extends to the end"
+        return (
+            "the scope of the temporal operator ends before the next operator; in Storm and PRISM it extends over all "
+            f"that follows, which is written {_cut(flat_text(_extended(tree)))}"
+        )
     return None
+
+
+def _extended(tree: Branch) -> Branch:
+    """What an operator and its operands mean if the scope of a temporal operator is all that follows it."""
+    parts = branches(tree)
+    at = next(i for i, part in enumerate(parts) if _ends_in_temporal(part))
+    chain, inner = [], parts[at]
+    while inner.data == "not" or _ends_in_temporal(inner):
+        chain.append(inner)
+        inner = branches(inner)[-1]
+    scope = type(tree)(tree.data, [inner, *parts[at + 1 :]])
+    for prefix in reversed(chain):
+        scope = type(tree)(prefix.data, [*prefix.children[:-1], scope])
+    return type(tree)(tree.data, [*parts[:at], scope]) if at else scope
+
+
+def _cut(reading: str) -> str:
+    return reading if len(reading) <= _LONGEST_READING else f"{reading[:_LONGEST_READING]} …"
 
 
 def _ends_in_temporal(tree: Branch) -> bool:

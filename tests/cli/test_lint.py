@@ -31,6 +31,15 @@ def test_what_may_be_misread_is_told_with_exit_code_1(stltool, task):
     assert (code, first["advice"], len(second["advice"])) == (1, [], 1)
 
 
+def test_operators_with_other_definitions_elsewhere_are_notes(stltool, task):
+    path = task("r := a U[2,5] b\n")
+    code, out, err = stltool("lint", path)
+    assert (code, err, out.count("note: ")) == (0, "", 1)
+    assert "which is written F[2,2] (a U[0,3] b)" in out
+    (file,) = json.loads(stltool("lint", path, "--json")[1])["files"]
+    assert (file["advice"], len(file["notes"])) == ([], 1)
+
+
 def test_what_does_not_parse_ends_with_all_its_faults(stltool, task):
     code, out, err = stltool(
         "lint", task("r := a\nexpect Pmax(r) >= 2\n"), task("s := G[0,T] a\n", "b.stl"), task(GOOD, "c.stl")

@@ -1,5 +1,7 @@
 """Texts that other tools would read differently are told, with the reading that holds here; others are not."""
 
+import itertools
+
 import pytest
 from hypothesis import given
 
@@ -38,6 +40,49 @@ def test_an_ambiguous_text_is_told_with_its_reading(text, reading):
     assert advice.message.endswith(f"here it means {reading}")
     span = advice.span
     assert stl.parse(f"{text[: span.start]}({reading}){text[span.end :]}") == stl.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "far"),
+    [
+        ("G[0,2] a and b", "G[0,2] (a & b)"),
+        ("G[0,2] a and b and c", "G[0,2] (a & b & c)"),
+        ("F[0,2] a U[0,3] b", "F[0,2] (a U[0,3] b)"),
+        ("!G[0,2] F[0,1] a | b", "!G[0,2] F[0,1] (a | b)"),
+        ("c & F[0,1] a & G[0,1] b & d", "c & (F[0,1] (a & G[0,1] b & d))"),
+        ("G[0,2] x > 0 -> b", "G[0,2] (x > 0 -> b)"),
+    ],
+)
+def test_the_reading_of_storm_and_prism_is_told_as_a_text(text, far):
+    (advice,) = found(text)
+    told = advice.message.split("which is written ")[1].split("; here it means")[0]
+    assert stl.parse(told) == stl.parse(far) != stl.parse(text)
+
+
+def test_the_other_definitions_of_until_are_told_as_texts():
+    """Against their definitions, on every trace of two labels over five steps."""
+    a, b = 1, 3
+    (note,) = stl.conventions(stl.parse_task("param a = 1\nr := p U[a,3] q"))
+    mltl, breach = (stl.parse(part.split(";")[0]) for part in note.message.split("which is written ")[1:])
+    assert (note.span.text(), "in MLTL" in note.message, "in Breach" in note.message) == ("p U[a,3] q", True, True)
+    differ = 0
+    for p in itertools.product((False, True), repeat=5):
+        for q in itertools.product((False, True), repeat=5):
+            trace = {"p": p, "q": q}
+            windows = [(q[u], p[a:u], p[:u], p[: u + 1]) for u in range(a, b + 1)]
+            assert stl.satisfies(mltl, trace) == any(right and all(left) for right, left, _, _ in windows)
+            assert stl.satisfies(breach, trace) == any(right and all(left) for right, _, _, left in windows)
+            ours = stl.satisfies(stl.parse("p U[1,3] q"), trace)
+            assert ours == any(right and all(left) for right, _, left, _ in windows)
+            differ += len({ours, stl.satisfies(mltl, trace), stl.satisfies(breach, trace)}) > 1
+    assert differ > 0
+
+
+@pytest.mark.parametrize(
+    "text", ["p U[0,3] (p & q)", "(p | q) U[0,3] q", "p U[0,3] p", "true U[2,3] q", "F[2,3] p", "(p | q) U[0,3] q & p"]
+)
+def test_an_until_that_all_define_alike_is_not_told(text):
+    assert stl.conventions(stl.parse_task(f"r := {text}")) == []
 
 
 @pytest.mark.parametrize(
