@@ -229,10 +229,12 @@ def probability_text(value: float) -> str:
 
 
 def within_text(value: float, lower: float | Fraction, upper: float | Fraction, digits: int = 15) -> str:
-    """A value between bounds, in as many digits, from `digits` on, as it takes to lie between the printed bounds."""
+    """A value between bounds, in as many digits, from `digits` on, as it takes to lie between the printed bounds, and
+    to be told from 0 and 1."""
     least, most = map(Decimal, bound_texts(lower, upper))
     texts = [f"{value:.{n}g}" for n in range(digits, 18)]
-    return next((text for text in texts if least <= Decimal(text) <= most), texts[-1])
+    fitting = (text for text in texts if least <= Decimal(text) <= most and (text in "01") == (value in (0, 1)))
+    return next(fitting, texts[-1])
 
 
 def difference_text(value: float, digits: int = 3) -> str:

@@ -14,7 +14,7 @@ from stltool.cli.roles import Writes
 from stltool.cli.steps import make_joint_product
 from stltool.cli.words import Named
 from stltool.errors import SettingsError
-from stltool.numbers import NumberError, number_text, read
+from stltool.numbers import NumberError, bound_texts, ceiling_text, number_text, read, within_text
 
 
 @app.command('stltool tradeoff tradeoff.stl --objective charging --require "patrolling>=0.9" --budget "C<=3"')
@@ -71,9 +71,8 @@ def tradeoff(
         [
             {
                 "": shown,
-                "value": f"{figure.value:.12g}",
-                "lower_bound": f"{figure.lower:.12g}",
-                "upper_bound": f"{figure.upper:.12g}",
+                "value": within_text(figure.value, figure.lower, figure.upper, 12),
+                **dict(zip(("lower_bound", "upper_bound"), bound_texts(figure.lower, figure.upper), strict=True)),
                 "asked": asked[name] if name in asked else "maximum"[: 7 * (name == objective)],
                 "multiplier": f"{result.multipliers[name]:.6g}" if name in bounds else "",
             }
@@ -83,7 +82,7 @@ def tradeoff(
     print()
     size = result.size
     print_facts({
-        "no policy exceeds": f"P({objective}) = {result.bound:.12g}, a gap of {result.gap:.3g}",
+        "no policy exceeds": f"P({objective}) = {ceiling_text(result.bound, 12)}, a gap of {result.gap:.3g}",
         "status": result.status,
         "programme": f"{size['variables']} variables, {size['rows']} rows, {size['nonzeros']} non-zeros; "
                      f"{result.seconds:.1f} s in all",

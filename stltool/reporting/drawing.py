@@ -97,7 +97,8 @@ def _clean(text: str, title: str) -> str:
         "xmlns": _SVG[1:-1], "xmlns:xlink": _XLINK[1:-1], "role": "img", "aria-label": title,
         "stroke-linejoin": "round", "stroke-linecap": "butt",  # matplotlib's style sheet for all elements
     })  # fmt: skip
-    return f"<!-- {MARK} -->\n{ElementTree.tostring(root, encoding='unicode')}\n"
+    root.insert(0, ElementTree.Comment(f" {MARK} "))
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
 def _presentation(style: str) -> dict[str, str]:

@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from stltool.display import NATURES
-from stltool.numbers import ceiling_text, difference_text, floor_text, probability_text
+from stltool.numbers import ceiling_text, difference_text, floor_text, within_text
 
 _VERDICTS = {True: "holds", False: "does not hold", None: "undecided"}
 _CHIPS = {"holds": ("good", "✓ holds"), "does not hold": ("bad", "✕ does not hold"), "undecided": ("", "? undecided")}
 _TICKS = (0.01, 0.1, 0.25, 0.5, 0.75, 0.9, 0.99, 0.999, 0.9999, 0.99999, 0.999999, 0.9999999)
 _RARE = 0.05  # up to here it is one run in so many
 _APART = 13.0  # per cent of the scale between its numbers
+_FEWEST = 6  # digits of P
 _SURE = 1e-15  # odds of 0 and 1 are those of this distance
 
 
@@ -32,7 +33,7 @@ def headline(data: Mapping[str, Any], guarantees: Sequence[Mapping[str, Any]]) -
         }
     else:
         found = {
-            "value": f"P = {value_text(shown['probability'])}",
+            "value": f"P = {inside_text(shown)}",
             "whose": _whose(shown, learned),
             "chip": _gap_chip(shown, data["checks"]),
             "lead": _lead(shown, data["checks"]),
@@ -56,13 +57,9 @@ def positions(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return ticks
 
 
-def value_text(p: float) -> str:
-    """As many digits as tell it from 1: 0.9999862."""
-    if 0.999 < p < 1:
-        digits = min(15, math.ceil(-math.log10(1 - p)) + 2)
-        text = f"{p:.{digits}f}"
-        return text if float(text) < 1 else probability_text(p)
-    return probability_text(p)
+def inside_text(check: Mapping[str, Any]) -> str:
+    """P in as few digits as lie in its enclosure, since what is printed is compared with that."""
+    return within_text(check["probability"], check["lower"], check["upper"], _FEWEST)
 
 
 def one_in(p: float) -> str:
@@ -70,7 +67,8 @@ def one_in(p: float) -> str:
     if p <= 0 or p >= 1:
         return "no run fails" if p >= 1 else "every run fails"
     if _RARE < p < 1 - _RARE:
-        return f"{100 * (1 - p):.3g} % of runs fail"
+        percent = f"{100 * (1 - p):.3g} % of runs fail"
+        return percent if percent.startswith(f"{100 * (1 - p):.12g} ") else f"about {percent}"
     n = 1 / min(p, 1 - p)
     rounded = round(n, 1 - math.floor(math.log10(n)))
     what = "fails" if p > _RARE else "succeeds"
@@ -110,7 +108,7 @@ def _lead(shown: Mapping[str, Any], checks: Sequence[Mapping[str, Any]]) -> str:
         return how_often
     if shown["gap"] <= shown["optimum_upper"] - shown["optimum_lower"]:
         return f"{how_often} No policy does {'better' if best['question'] == 'maximum' else 'worse'}."
-    limit = probability_text(best["probability"])
+    limit = inside_text(best)
     return f"{how_often} No policy does {'better' if best['question'] == 'maximum' else 'worse'} than {limit}."
 
 
@@ -118,12 +116,12 @@ def _rows(data: Mapping[str, Any], shown: Mapping[str, Any] | None, learned: boo
     """What is known about P: name, how sure, kind of mark, values, and text."""
     rows: list[dict[str, Any]] = []
     if shown is not None and shown["question"] == "policy":
-        rows.append(_row(f"The {'learned' if learned else 'given'} policy", "exactly", "ours", shown["probability"]))
+        rows.append(_row(f"The {'learned' if learned else 'given'} policy", "ours", shown))
     for check in data["checks"]:
         if check["question"] != "policy":
             what = f"{'Best' if check['question'] == 'maximum' else 'Least'} over all policies"
             nature = f", {NATURES[check['nature']]}" if check.get("nature") in NATURES else ""
-            rows.append(_row(what + nature, "exactly", "optimum", check["probability"]))
+            rows.append(_row(what + nature, "optimum", check))
     for found in data.get("guarantees") or ():
         if "refused" not in found:
             sure = f"{100 * found['confidence']:.12g} %"
@@ -134,18 +132,19 @@ def _rows(data: Mapping[str, Any], shown: Mapping[str, Any] | None, learned: boo
                 what += ", successors known"
             if parameters := found.get("parameters"):
                 what += ", one parameter" if len(parameters) == 1 else f", {len(parameters)} parameters"
-            row = _row(what, sure, "from", found["lower"])
-            rows.append(row | {"text": f"≥ {floor_text(found['lower'])}"})
+            rows.append({"what": what, "sure": sure, "kind": "from", "values": [found["lower"]],
+                         "text": f"≥ {floor_text(found['lower'])}"})  # fmt: skip
     for found in data.get("estimates") or ():
         sure = f"{100 * found['confidence']:.12g} %"
-        row = _row(f"{found['runs']} sampled runs", sure, "range", found["lower"])
-        text = f"{floor_text(found['lower'], 4)} … {ceiling_text(found['upper'], 4)}"
-        rows.append(row | {"values": [found["lower"], found["upper"]], "text": text})
+        bounds = [found["lower"], found["upper"]]
+        text = f"{floor_text(bounds[0], 4)} … {ceiling_text(bounds[1], 4)}"
+        rows.append({"what": f"{found['runs']} sampled runs", "sure": sure, "kind": "range", "values": bounds,
+                     "text": text})  # fmt: skip
     return rows
 
 
-def _row(what: str, sure: str, kind: str, p: float) -> dict[str, Any]:
-    return {"what": what, "sure": sure, "kind": kind, "values": [p], "text": probability_text(p)}
+def _row(what: str, kind: str, check: Mapping[str, Any]) -> dict[str, Any]:
+    return {"what": what, "sure": "exactly", "kind": kind, "values": [check["probability"]], "text": inside_text(check)}
 
 
 def _scale(values: Sequence[float]) -> tuple[Any, list[dict[str, Any]]]:

@@ -10,7 +10,7 @@ from typing import Any, cast
 from stltool.checking import Front
 from stltool.logic.formula import is_bounded
 from stltool.logic.task import Task
-from stltool.numbers import bound_texts, ceiling_text, floor_text, probability_text
+from stltool.numbers import bound_texts, ceiling_text, floor_text, probability_text, within_text
 from stltool.product import Product
 from stltool.reporting.headline import positions, verdict_chip
 from stltool.reporting.monitoring import monitor_facts, range_rows, robustness_text, shown_trace, trace_rows
@@ -41,8 +41,13 @@ def front_content(data: Mapping[str, Any]) -> dict[str, Any]:
     from stltool.reporting.figures import pareto_front
 
     names = list(data["tasks"])
-    best = {name: max(corner["probabilities"][name]["value"] for corner in data["corners"]) for name in names}
-    alone = " and ".join(f"{probability_text(best[name])} for {name}" for name in names)
+    best = {
+        name: max((corner["probabilities"][name] for corner in data["corners"]), key=lambda figure: figure["value"])
+        for name in names
+    }
+    alone = " and ".join(
+        f"{within_text(best[name]['value'], best[name]['lower'], best[name]['upper'], 6)} for {name}" for name in names
+    )
     lead = f"The best probabilities are {alone}, each for itself. "
     if len(data["corners"]) == 1:
         lead += "One policy reaches both."
@@ -132,7 +137,7 @@ def estimate_content(data: Mapping[str, Any]) -> dict[str, Any]:
         rows.append({"what": "P, from the runs", "sure": sure, "kind": "range", "values": bounds, "text": text})
     if data["exact"] is not None:
         rows.append({"what": "P", "sure": "exactly", "kind": "optimum", "values": [data["exact"]],
-                     "text": probability_text(data["exact"])})  # fmt: skip
+                     "text": within_text(data["exact"], data["exact_lower"], data["exact_upper"], 6)})  # fmt: skip
     ticks = positions(rows)
     value = f"{data['satisfied']} of {data['runs']} runs" if chip else f"P ≈ {probability_text(data['probability'])}"
     return {"rows": rows, "ticks": ticks, "chip": chip, "value": value, "bound_texts": bound_texts}
