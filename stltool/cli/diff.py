@@ -33,9 +33,10 @@ def diff(
 ) -> None:
     """Show what changed between two reports, times aside; exit code 1 if anything did.
 
-    Records are matched by what names them: a question, the source of a bound, a file. Something is worse if a bound no
-    longer holds, a guarantee is weaker or gone, a certified gap is larger, or a probability went the wrong way: down,
-    or up if a bound asks for at most so much, or if no bound was given and a minimum was sought.
+    Records are matched by what names them: a question, the source of a bound, a file. Something is worse if a verdict
+    is (best to worst: holds, undecided, does not hold, error), a guarantee is weaker or gone, a certified gap larger,
+    or a probability went the wrong way: down, or up if a bound asks for at most so much, or if no bound was given and a
+    minimum was sought.
     """  # fmt: skip
     from dataclasses import asdict
 

@@ -26,7 +26,9 @@ TOLERANCE = 1e-9
 _NO_RESULTS = {"seconds", "time", "command", "threads", "statement", "explorer"}
 _NAMES = ("name", "id", "file", "task", "question", "nature", "kind", "source", "support", "scenario", "method",
           "encoding", "assumes", "seed")  # fmt: skip
-_BETTER_TRUE = {"holds", "satisfied", "passed", "valid"}
+_VERDICTS = {"holds", "verdict", "satisfied", "met", "decides", "proved"}  # fields that are true, false or open
+# how good each is: what is open (null, or not there) is better than a no, and what could not be judged is the worst
+_GOOD = {"holds": 3, "true": 3, "undecided": 2, "null": 2, "does not hold": 1, "false": 1, "error": 0}
 _LONG = 20  # entries of a list that are compared one by one
 _MANY = 8  # differences in one part of the file; more are counted, unless all are asked for
 _ALWAYS = {"checks", "guarantees", "estimates", "expectations", "results"}  # parts that are always shown in full
@@ -190,10 +192,9 @@ def _worse(key: str, a: dict[str, Any], b: dict[str, Any], side: Worse) -> bool:
     """Whether a record's entry changed for the worse: a bound no longer holds, a P is on the worse `side`, a guarantee
     is weaker, a gap larger."""
     mine, theirs = a.get(key), b.get(key)
-    if key in _BETTER_TRUE:
-        return mine is True and theirs is not True
-    if key == "verdict":
-        return mine == "holds" != theirs
+    if key in _VERDICTS and key in a and (first := _goodness(mine)) is not None:
+        second = _goodness(theirs)
+        return second is not None and second < first
     if key == "gap" and isinstance(mine, dict):
         return theirs is None
     if not (isinstance(mine, int | float) and isinstance(theirs, int | float)):
@@ -205,6 +206,12 @@ def _worse(key: str, a: dict[str, Any], b: dict[str, Any], side: Worse) -> bool:
     if side == "smaller" and (probability or (key == "lower" and bound)):
         return theirs < mine
     return side == "larger" and (probability or (key == "upper" and bound)) and theirs > mine
+
+
+def _goodness(verdict: Any) -> int | None:
+    """The rank of a verdict; None for what is none, such as a number of satisfied runs."""
+    text = json.dumps(verdict) if verdict is None or isinstance(verdict, bool) else verdict
+    return _GOOD.get(text) if isinstance(text, str) else None
 
 
 def _lists(what: str, a: list[Any], b: list[Any], tolerance: float, side: Worse | None) -> Iterator[Difference]:

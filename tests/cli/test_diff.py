@@ -82,6 +82,32 @@ def test_only_what_is_worse_fails_if_only_that_is_asked(two, change, bad):
     assert two(change, "--worse")[0] == bad
 
 
+ORDER = ["holds", "undecided", "does not hold", "error"]
+
+
+@pytest.mark.parametrize("before", ORDER)
+@pytest.mark.parametrize("after", ORDER)
+def test_every_change_of_a_verdict(stltool, tmp_path, before, after):
+    """Down the order is worse, up is not: of the gate, of a sequential test, of a bound in a report."""
+    for name, verdict in (("a", before), ("b", after)):
+        row = {"file": "t.stl", "line": 4, "text": "expect Pmax(r) >= 0.5", "verdict": verdict, "relation": ">="}
+        data = {"format": "stltool-verify-1", "version": "0", "command": None, "files": ["t.stl"], "seconds": 1.0,
+                "holds": True, "counts": {}, "expectations": [row]}  # fmt: skip
+        (tmp_path / f"{name}.json").write_text(json.dumps(data))
+    code, out, _ = stltool("diff", tmp_path / "a.json", tmp_path / "b.json", "--worse")
+    worse = ORDER.index(after) > ORDER.index(before)
+    assert (code, "worse" in out.partition("differs")[0]) == (int(worse), worse)
+    holds = {"holds": True, "undecided": None, "does not hold": False}
+    if before in holds and after in holds:
+        for one, other in (
+            ({"verdict": before}, {"verdict": after}),
+            ({"holds": holds[before]}, {"holds": holds[after]}),
+        ):
+            assert [found.worse for found in differences(one, other)] == [worse] * (before != after)
+    assert not any(found.worse for found in differences({}, {"verdict": after}))  # it was not asked before
+    assert [found.worse for found in differences({"verdict": before}, {})] == [before == "holds"]
+
+
 def test_bounds_that_no_longer_hold_and_gaps_that_grow_are_worse():
     before = {"holds": True, "training": {"gap": {"upper": 0.01, "without_data": 0.1}}, "gap": 0.0}
     after = {"holds": None, "training": {"gap": {"upper": 0.02, "without_data": 0.1}}, "gap": 0.1}
