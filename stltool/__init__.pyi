@@ -1,8 +1,23 @@
 # The public names, each once, in reading order; stltool/__init__.py loads them from where this says when first used.
 
 from .logic.parser import load_task as load_task, parse as parse, parse_task as parse_task
-from .logic.formula import Formula as Formula, horizon as horizon
-from .logic.compose import F as F, G as G, U as U, label as label, signal as signal
+from .logic.formula import Formula as Formula, horizon as horizon, lookback as lookback
+from .logic.compose import (
+    F as F,
+    G as G,
+    U as U,
+    fall as fall,
+    historically as historically,
+    label as label,
+    once as once,
+    prev as prev,
+    release as release,
+    rise as rise,
+    signal as signal,
+    since as since,
+    trigger as trigger,
+    weak_until as weak_until,
+)
 from .logic.semantics import robustness as robustness, satisfies as satisfies
 from .logic.fragment import Fragment as Fragment, check_fragment as check_fragment
 from .logic.rewrite import negation_normal_form as negation_normal_form, simplify as simplify

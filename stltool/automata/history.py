@@ -3,7 +3,7 @@
 For Φ = F[a,b] φ or G[a,b] φ with D = horizon(φ), a state is the last D + 1 letters, or all letters so far:
 Σ_{i ≤ D+1} |Λ|^i states. After step t the window starts at k = t − D; an outer F decides true if φ holds there, an
 outer G decides false if it fails. Any other formula counts as G[0,0]. It is exact, and the baseline that blows up: its
-size is predicted before it is built.
+size is predicted before it is built. Formulas of the past are counted, with the steps that they look back, not built.
 """
 
 from __future__ import annotations
@@ -16,21 +16,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Part, Remembered, TaskAutomaton, Text
+from stltool.errors import FragmentError
 from stltool.logic.formula import (
+    PAST,
     Always,
     And,
     Comparison,
     Constant,
     Eventually,
     Formula,
+    Historically,
     Iff,
     Implies,
     Interval,
     Label,
     Not,
+    Once,
     Or,
+    Release,
+    Rise,
+    Since,
+    Trigger,
     Until,
     horizon,
+    lookback,
+    walk,
 )
 from stltool.sizes import require_memory, require_numbered
 
@@ -41,7 +51,8 @@ _LONGEST_NAME = 4  # letters shown of a history
 def history_length(phi: Formula) -> int:
     """The number of recent steps that the encoding stores: τ if φ is in the fragment of [Wang24]."""
     _, _, inner = _outer(phi)
-    return horizon(inner) + 1
+    back, steps = lookback(inner), horizon(phi) + 1
+    return min(horizon(inner) + 1 + back, steps) if back is not None else steps
 
 
 def history_states(phi: Formula, n_letters: int) -> int | float:
@@ -57,7 +68,14 @@ def history_states(phi: Formula, n_letters: int) -> int | float:
 def history_automaton(
     phi: Formula, atoms: tuple[Formula, ...], valuations: _Truth, limit: int | None = None
 ) -> TaskAutomaton:
-    """The automaton whose states are histories. Raises SizeError before allocating."""
+    """The automaton whose states are histories.
+
+    Raises SizeError before allocating, and FragmentError for operators of the past.
+    """
+    for node in walk(phi):
+        if isinstance(node, PAST):
+            message = f"the history encoding cannot judge {node}, which looks back; use the exact encoding"
+            raise FragmentError(node.span.show(message) if node.span is not None else message)
     operator, interval, inner = _outer(phi)
     depth, n = horizon(inner) + 1, len(valuations)
     predicted = history_states(phi, n)
@@ -156,6 +174,10 @@ class _Histories:
                         result |= so_far & self.truth(right, k + u)
                     so_far &= self.truth(left, k + u)
                 return result
+            case Release(interval, left, right):
+                return ~self.truth(Until(interval, Not(left), Not(right)), k)
+            case Once() | Historically() | Since() | Trigger() | Rise():
+                raise AssertionError("histories of formulas of the past are refused")
             case Label() | Comparison():
                 raise AssertionError(f"{phi} is not an atom of this automaton")
             case _:

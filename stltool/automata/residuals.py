@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeAlias, TypeVar, assert_never
 
+from stltool.errors import FragmentError
 from stltool.logic.formula import (
     Always,
     And,
@@ -25,11 +26,17 @@ from stltool.logic.formula import (
     Constant,
     Eventually,
     Formula,
+    Historically,
     Iff,
     Implies,
     Label,
     Not,
+    Once,
     Or,
+    Release,
+    Rise,
+    Since,
+    Trigger,
     Until,
     is_temporal,
 )
@@ -97,6 +104,11 @@ class Residuals:
             case Until(interval, left, right):
                 join = self.release if negated else self.until
                 return join(interval.a, interval.last, self.residual(left, negated), self.residual(right, negated))
+            case Release(interval, left, right):
+                join = self.until if negated else self.release
+                return join(interval.a, interval.last, self.residual(left, negated), self.residual(right, negated))
+            case Once() | Historically() | Since() | Trigger() | Rise():
+                raise FragmentError(f"{phi} looks back, which automata do not support yet; only monitors do")
             case Constant() | Label() | Comparison():
                 raise AssertionError("a formula without temporal operators is an atom")
             case _:
@@ -374,7 +386,7 @@ class Residuals:
             case ("U", a, b, y, z):
                 return Until(Interval(a, b), self.formula(y), self.formula(z))
             case ("R", a, b, y, z):
-                return Not(Until(Interval(a, b), self.formula(self.negation(y)), self.formula(self.negation(z))))
+                return Release(Interval(a, b), self.formula(y), self.formula(z))
             case other:
                 raise AssertionError(other)
 

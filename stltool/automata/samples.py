@@ -5,6 +5,7 @@ a constant shows that the occurrence is not vacuous. Traces that show neither pr
 
     F[a,b] x at t   a 1 among x_{t+a} … x_{t+b}: two prefix sums
     x U[a,b] y      a 1 among y_{t+a} … y_{min(t+b, f)} with f ≥ t the first step at which x fails
+    once, since     mirrored, from step 0 on
 
 The traces have one letter throughout, except for up to three blocks of others: constant traces, pulses, switches.
 """
@@ -25,12 +26,18 @@ from stltool.logic.formula import (
     Constant,
     Eventually,
     Formula,
+    Historically,
     Iff,
     Implies,
     Interval,
     Label,
     Not,
+    Once,
     Or,
+    Release,
+    Rise,
+    Since,
+    Trigger,
     Until,
 )
 from stltool.logic.occurrences import Occurrence
@@ -137,6 +144,20 @@ def truth_along(phi: Formula, operands: Sequence[Truth]) -> Truth:
             return ~_some(interval, ~operands[0])
         case Until(interval, _, _):
             return _until(interval, operands[0][:n], operands[1][:n])
+        case Release(interval, _, _):
+            return ~_until(interval, ~operands[0][:n], ~operands[1][:n])
+        case Once(interval, _):
+            return _earlier(interval, operands[0])
+        case Historically(interval, _):
+            return ~_earlier(interval, ~operands[0])
+        case Since(interval, _, _):
+            return _since(interval, operands[0][:n], operands[1][:n])
+        case Trigger(interval, _, _):
+            return ~_since(interval, ~operands[0][:n], ~operands[1][:n])
+        case Rise():
+            rising: Truth = operands[0].copy()
+            rising[1:] &= ~operands[0][:-1]
+            return rising
         case Constant() | Label() | Comparison():
             raise AssertionError("it has no operands")
         case _:
@@ -178,3 +199,23 @@ def _until(interval: Interval, left: Truth, right: Truth) -> Truth:
     counts = _before(right)
     found: Truth = np.take_along_axis(counts, end + 1, axis=0) > counts[interval.a : interval.a + n]
     return found
+
+
+def _earlier(interval: Interval, x: Truth) -> Truth:
+    """Whether x held in a window of the past; before step 0 it did not."""
+    counts, steps = _before(x), np.arange(len(x))
+    start = np.zeros_like(steps) if interval.b is None else np.maximum(steps - interval.b, 0)
+    found: Truth = counts[np.maximum(steps - interval.a + 1, 0)] > counts[start]
+    return found & (steps >= interval.a)[:, None]
+
+
+def _since(interval: Interval, left: Truth, right: Truth) -> Truth:
+    """A witness lies in the window and not before the last step at which `left` failed."""
+    steps = np.arange(len(left), dtype=np.int64)[:, None]
+    fails = np.maximum.accumulate(np.where(left, -1, steps), axis=0)
+    start = np.maximum(fails, 0 if interval.b is None else steps - interval.b)
+    counts = _before(right)
+    stop = np.maximum(steps - interval.a + 1, 0)
+    window = np.take_along_axis(counts, np.broadcast_to(stop, left.shape), axis=0)
+    found: Truth = window > np.take_along_axis(counts, np.maximum(start, 0), axis=0)
+    return found & (stop > start)

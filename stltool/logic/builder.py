@@ -32,6 +32,7 @@ from stltool.logic.formula import (
     Eventually,
     Formula,
     FunctionName,
+    Historically,
     Iff,
     Implies,
     Interval,
@@ -39,16 +40,22 @@ from stltool.logic.formula import (
     Negate,
     Not,
     Number,
+    Once,
     Or,
+    Release,
+    Rise,
+    Since,
     Term,
+    Trigger,
     Until,
     Variable,
     operands,
+    walk,
 )
 from stltool.logic.names import unquoted, written
 from stltool.logic.printer import term_text
 from stltool.logic.quantities import STEP, UNITS, Duration, Quantity, one
-from stltool.logic.syntax import INFINITY, WORDS, Branch, SyntaxFault, Token, bare, branches
+from stltool.logic.syntax import INFINITY, INFIXES, PAST_PREFIXES, WORDS, Branch, SyntaxFault, Token, bare, branches
 from stltool.numbers import NumberError, double, number_text, read
 from stltool.source import Source, Span
 
@@ -56,7 +63,8 @@ FORMULAS = get_args(Formula)
 _COMPARATOR_SPELLINGS = {"≤": "<=", "≥": ">=", "≠": "!="}
 _LARGEST_BITS = 4000
 _LARGEST_POWER = 1000
-_LETTERS = {"always": "G", "eventually": "F", "until": "U"}
+_ENDLESS = {"always": "G", "eventually": "F", "until": "U", "release": "release", "weak_until": "weak_until"}
+_ONE_STEP = Interval(1, 1)
 _T = TypeVar("_T")
 
 
@@ -383,6 +391,24 @@ class Builder:
                 return Always(self.interval(tree), self.formula(parts[-1]), span=span)
             case "until":
                 return Until(self.interval(tree), self.formula(parts[0]), self.formula(parts[-1]), span=span)
+            case "release":
+                return Release(self.interval(tree), self.formula(parts[0]), self.formula(parts[-1]), span=span)
+            case "weak_until":
+                return self.weak_until(tree)
+            case "once":
+                return Once(self.interval(tree), self.formula(parts[-1]), span=span)
+            case "historically":
+                return Historically(self.interval(tree), self.formula(parts[-1]), span=span)
+            case "since":
+                return Since(self.interval(tree), self.formula(parts[0]), self.formula(parts[-1]), span=span)
+            case "trigger":
+                return Trigger(self.interval(tree), self.formula(parts[0]), self.formula(parts[-1]), span=span)
+            case "prev":
+                return Once(_ONE_STEP, self.formula(parts[0]), span=span)
+            case "rise":
+                return Rise(self.formula(parts[0]), span=span)
+            case "fall":
+                return Rise(Not(self.formula(parts[0]), span=span), span=span)
             case "comparison":
                 left, op, right = parts
                 return Comparison(self.comparator(op), self.term(left), self.term(right), span=span)
@@ -400,6 +426,14 @@ class Builder:
         if "=>" in sign and (self.is_term(left) or self.is_term(right)):
             shown = f"{self.span(left).text()} >= {self.span(right).text()}"
             self.fail(tree, f"=> means implies, but a number is next to it; to compare, write {shown}")
+
+    def weak_until(self, tree: Branch) -> Formula:
+        """φ weak_until[a,b] ψ is (φ U[a,b] ψ) ∨ G[0,b] φ."""
+        interval, span, parts = self.interval(tree), self.span(tree), branches(tree)
+        left, right = self.formula(parts[0]), self.formula(parts[-1])
+        self.spend(tree, sum(1 for _ in walk(left)))  # it stands twice
+        stays = Always(Interval(0, interval.b), left, span=span)
+        return Or((Until(interval, left, right, span=span), stays), span=span)
 
     def named_formula(self, tree: Branch) -> Formula:
         name, span = str(tree.children[0]), self.span(tree)
@@ -483,12 +517,13 @@ class Builder:
         return Interval(first, last)
 
     def endless(self, place: Span, word: str, first: int) -> Interval:
-        if not self.unbounded:
+        """An interval without an end; the past needs none, since it begins with the trace."""
+        if word in _ENDLESS and not self.unbounded:
             raise _At(
                 place,
-                f"{word} needs an interval with an end here, such as {_LETTERS[word]}[{first},{first + 10}] "
+                f"{word} needs an interval with an end here, such as {_ENDLESS[word]}[{first},{first + 10}] "
                 "(only monitors can do without: stltool monitor, or unbounded=True; a label of that name is in quotes: "
-                f'"{_LETTERS[word]}")',
+                f'"{_ENDLESS[word]}")',
             )
         return Interval(first, None)
 
@@ -611,7 +646,9 @@ class Builder:
                 self.fail(tree, "expected a plain number, found a time; times occur only in intervals and params")
             case "comparison" | "chained" | "true" | "false" | "not" | "and" | "or":
                 self.fail(tree, "expected a number, found a Boolean expression; check the parentheses")
-            case "implies" | "iff" | "xor" | "until" | "eventually" | "always":
+            case "implies" | "iff" | "xor" | "eventually" | "always":
+                self.fail(tree, "expected a number, found a Boolean expression; check the parentheses")
+            case data if data in INFIXES or data in PAST_PREFIXES:
                 self.fail(tree, "expected a number, found a Boolean expression; check the parentheses")
             case other:
                 raise AssertionError(f"the grammar's rule {other} has no builder")
@@ -808,7 +845,7 @@ class Builder:
     def operator_span(self, tree: Branch) -> Span:
         """The position of the operator itself: its word is not part of the tree."""
         parts = branches(tree)
-        start = parts[0].meta.end_pos if tree.data == "until" else tree.meta.start_pos
+        start = parts[0].meta.end_pos if tree.data in INFIXES else tree.meta.start_pos
         text = self.source.text[start : parts[-1].meta.start_pos]
         found = re.search(r"\w+|[^\s\w([]+|\[\]", text)
         return Span(self.source, start + found.start(), start + found.end()) if found else self.span(tree)

@@ -28,11 +28,19 @@ from stltool.logic.formula import (
     Comparison,
     Eventually,
     Formula,
+    Historically,
     Interval,
     Label,
     Negate,
+    Not,
     Number,
+    Once,
+    Or,
+    Release,
+    Rise,
+    Since,
     Term,
+    Trigger,
     Until,
     Variable,
     fitting,
@@ -61,6 +69,56 @@ def U(phi: Formula | Task, psi: Formula | Task, a: int, b: int | None) -> Until:
     """φ U[a,b] ψ: ψ at some step u of t+a … t+b, both included, and φ at every step of [t, u). `b` as for `F`."""
     left, right = formula_of(phi, "U's first formula"), formula_of(psi, "U's second formula")
     return fitting(Until(_interval("U", a, b), left, right))
+
+
+def release(phi: Formula | Task, psi: Formula | Task, a: int, b: int | None) -> Release:
+    """φ release[a,b] ψ = ¬(¬φ U[a,b] ¬ψ): ψ at every step u of t+a … t+b, unless φ at some step of [t, u)."""
+    left, right = formula_of(phi, "release's first formula"), formula_of(psi, "release's second formula")
+    return fitting(Release(_interval("release", a, b), left, right))
+
+
+def weak_until(phi: Formula | Task, psi: Formula | Task, a: int, b: int | None) -> Or:
+    """φ weak_until[a,b] ψ = (φ U[a,b] ψ) ∨ G[0,b] φ: until, but ψ need not come if φ stays."""
+    left, right = formula_of(phi, "weak_until's first formula"), formula_of(psi, "weak_until's second formula")
+    interval = _interval("weak_until", a, b)
+    return fitting(Or((Until(interval, left, right), Always(Interval(0, interval.b), left))))
+
+
+def once(phi: Formula | Task, a: int = 0, b: int | None = None) -> Once:
+    """once[a,b] φ: φ at some step t−b … t−a, of those from 0 on. `b=None`: from the start of the trace on."""
+    return fitting(Once(_interval("once", a, b), formula_of(phi, "once's formula")))
+
+
+def historically(phi: Formula | Task, a: int = 0, b: int | None = None) -> Historically:
+    """historically[a,b] φ: φ at every step t−b … t−a, of those from 0 on. `b` as for `once`."""
+    return fitting(Historically(_interval("historically", a, b), formula_of(phi, "historically's formula")))
+
+
+def since(phi: Formula | Task, psi: Formula | Task, a: int = 0, b: int | None = None) -> Since:
+    """φ since[a,b] ψ: ψ at some step u of t−b … t−a, of those from 0 on, and φ at every step of (u, t]."""
+    left, right = formula_of(phi, "since's first formula"), formula_of(psi, "since's second formula")
+    return fitting(Since(_interval("since", a, b), left, right))
+
+
+def trigger(phi: Formula | Task, psi: Formula | Task, a: int = 0, b: int | None = None) -> Trigger:
+    """φ trigger[a,b] ψ = ¬(¬φ since[a,b] ¬ψ): ψ at every step u of t−b … t−a, unless φ at some step of (u, t]."""
+    left, right = formula_of(phi, "trigger's first formula"), formula_of(psi, "trigger's second formula")
+    return fitting(Trigger(_interval("trigger", a, b), left, right))
+
+
+def prev(phi: Formula | Task) -> Once:
+    """prev φ = once[1,1] φ: φ at the step before; false at step 0."""
+    return fitting(Once(Interval(1, 1), formula_of(phi, "prev's formula")))
+
+
+def rise(phi: Formula | Task) -> Rise:
+    """rise φ = φ ∧ ¬prev φ: φ now, but not at the step before; φ at step 0."""
+    return fitting(Rise(formula_of(phi, "rise's formula")))
+
+
+def fall(phi: Formula | Task) -> Rise:
+    """fall φ = rise ¬φ: not φ now, but at the step before; ¬φ at step 0."""
+    return fitting(Rise(Not(formula_of(phi, "fall's formula"))))
 
 
 def label(name: str) -> Label:

@@ -17,13 +17,29 @@ from stltool.arguments import require
 from stltool.errors import StlSyntaxError
 from stltool.logic.formula import ArithmeticOperator
 from stltool.logic.printer import STRENGTH, Kind, computed, needs_parentheses, negated
-from stltool.logic.syntax import INFINITY, Branch, Comment, Document, Token, bare, branches, read, refuse
+from stltool.logic.syntax import (
+    INFINITY,
+    INFIXES,
+    PAST_PREFIXES,
+    Branch,
+    Comment,
+    Document,
+    Token,
+    bare,
+    branches,
+    read,
+    refuse,
+)
 from stltool.source import Source
 
 WIDTH = 100
 _INDENT = 4
-_SIGNS = {"and": "&", "or": "|", "implies": "->", "iff": "<->", "xor": "xor", "until": "U"}
-_PREFIXES = {"not": "!", "eventually": "F", "always": "G"}
+_SIGNS = {
+    "and": "&", "or": "|", "implies": "->", "iff": "<->", "xor": "xor", **dict(zip(INFIXES, INFIXES, strict=True)),
+    "until": "U",
+}  # fmt: skip
+_TEMPORAL = {"eventually": "F", "always": "G", **dict(zip(PAST_PREFIXES, PAST_PREFIXES, strict=True))}
+_PREFIXES = {"not": "!", **_TEMPORAL}
 _COMPARATORS = {"≤": "<=", "≥": ">=", "≠": "!="}
 
 
@@ -81,9 +97,9 @@ def flat_text(tree: Branch) -> str:
             return flat_text(parts[0])
         case "and" | "or" | "implies" | "iff" | "xor":
             return f" {_sign(tree)} ".join(_operand(part) for part in parts)
-        case "until":
+        case data if data in INFIXES:
             return f"{_operand(parts[0])} {_sign(tree)} {_operand(parts[-1])}"
-        case "not" | "eventually" | "always":
+        case data if data in _PREFIXES:
             return _sign(tree) + _operand(parts[-1], prefix=True)
         case "comparison" | "chained":
             return " ".join(_comparator(part) if isinstance(part, Token) else _term(part)[0] for part in tree.children)
@@ -153,8 +169,8 @@ def _kind(tree: Branch) -> Kind:
         inner = bare(branches(inner)[0])
     match tree.data:
         case "not":
-            return "temporal" if inner.data in ("eventually", "always") else "not"
-        case "eventually" | "always":
+            return "temporal" if inner.data in _TEMPORAL else "not"
+        case data if data in _TEMPORAL:
             return "temporal"
         case "comparison" | "chained" | "binary" | "negate":
             return "comparison"

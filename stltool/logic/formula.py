@@ -1,11 +1,13 @@
 """The abstract syntax: frozen nodes, the closed unions `Formula` and `Term`.
 
     φ ::= true | false | label | term ⋈ term | ¬φ | φ ∧ … ∧ φ | φ ∨ … ∨ φ | φ → φ | φ ↔ φ
-        | F[a,b] φ | G[a,b] φ | φ U[a,b] φ                                   (0 ≤ a ≤ b integer steps, or no b)
+        | F[a,b] φ | G[a,b] φ | φ U[a,b] φ | φ release[a,b] φ                (0 ≤ a ≤ b integer steps, or no b)
+        | once[a,b] φ | historically[a,b] φ | φ since[a,b] φ | φ trigger[a,b] φ | rise φ
 
-Intervals are closed and in integer steps, whatever the text said. Functions over formulas are one `match` that ends in
-`assert_never`, so the type checker finds a forgotten case. A node keeps its position in the text (`span`), which is
-ignored by equality.
+The second line looks ahead, the third back, never further than step 0. `prev φ` is once[1,1] φ, `fall φ` is rise ¬φ,
+and φ weak_until[a,b] ψ is (φ U[a,b] ψ) ∨ G[0,b] φ. Intervals are closed and in integer steps, whatever the text said.
+Functions over formulas are one `match` that ends in `assert_never`, so the type checker finds a forgotten case. A node
+keeps its position in the text (`span`), which is ignored by equality.
 """
 
 from __future__ import annotations
@@ -278,9 +280,63 @@ class Until(_Printed, Node):
     right: Formula
 
 
+@dataclass(frozen=True, slots=True, repr=False)
+class Release(_Printed, Node):
+    """φ release[a,b] ψ = ¬(¬φ U[a,b] ¬ψ): at every u in t+a … t+b, ψ, unless φ at some step of [t, u)."""
+
+    interval: Interval
+    left: Formula
+    right: Formula
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Once(_Printed, Node):
+    """once[a,b] φ: φ at some step t−b … t−a, of those from 0 on; `prev φ` is once[1,1] φ."""
+
+    interval: Interval
+    arg: Formula
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Historically(_Printed, Node):
+    """historically[a,b] φ: φ at every step t−b … t−a, of those from 0 on."""
+
+    interval: Interval
+    arg: Formula
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Since(_Printed, Node):
+    """φ since[a,b] ψ: ψ at some u in t−b … t−a, u ≥ 0, and φ at every step of (u, t]."""
+
+    interval: Interval
+    left: Formula
+    right: Formula
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Trigger(_Printed, Node):
+    """φ trigger[a,b] ψ = ¬(¬φ since[a,b] ¬ψ): at every u in t−b … t−a, u ≥ 0: ψ, unless φ at some step of (u, t]."""
+
+    interval: Interval
+    left: Formula
+    right: Formula
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Rise(_Printed, Node):
+    """rise φ = φ ∧ ¬prev φ, which is φ at step 0; `fall φ` is rise ¬φ."""
+
+    arg: Formula
+
+
 Formula: TypeAlias = (
-    Constant | Label | Comparison | Not | And | Or | Implies | Iff | Eventually | Always | Until
+    Constant | Label | Comparison | Not | And | Or | Implies | Iff | Eventually | Always | Until | Release
+    | Once | Historically | Since | Trigger | Rise
 )  # fmt: skip
+
+FUTURE = (Eventually, Always, Until, Release)
+PAST = (Once, Historically, Since, Trigger, Rise)
 
 
 def _at_least_two(args: tuple[Formula, ...], name: str) -> None:
@@ -311,11 +367,13 @@ def children(phi: Formula) -> tuple[Formula, ...]:
     match phi:
         case Constant() | Label() | Comparison():
             return ()
-        case Not(arg) | Eventually(_, arg) | Always(_, arg):
+        case Not(arg) | Eventually(_, arg) | Always(_, arg) | Once(_, arg) | Historically(_, arg) | Rise(arg):
             return (arg,)
         case And(args) | Or(args):
             return args
-        case Implies(left, right) | Iff(left, right) | Until(_, left, right):
+        case Implies(left, right) | Iff(left, right) | Until(_, left, right) | Release(_, left, right):
+            return (left, right)
+        case Since(_, left, right) | Trigger(_, left, right):
             return (left, right)
         case _:
             assert_never(phi)
@@ -336,12 +394,12 @@ def with_children(phi: Formula, new: tuple[Formula, ...]) -> Formula:
             return Implies(new[0], new[1], span=phi.span)
         case Iff():
             return Iff(new[0], new[1], span=phi.span)
-        case Eventually(interval, _):
-            return Eventually(interval, new[0], span=phi.span)
-        case Always(interval, _):
-            return Always(interval, new[0], span=phi.span)
-        case Until(interval, _, _):
-            return Until(interval, new[0], new[1], span=phi.span)
+        case Eventually(interval, _) | Always(interval, _) | Once(interval, _) | Historically(interval, _):
+            return type(phi)(interval, new[0], span=phi.span)
+        case Until(interval, _, _) | Release(interval, _, _) | Since(interval, _, _) | Trigger(interval, _, _):
+            return type(phi)(interval, new[0], new[1], span=phi.span)
+        case Rise():
+            return Rise(new[0], span=phi.span)
         case _:
             assert_never(phi)
 
@@ -365,37 +423,98 @@ def horizon(phi: Formula | Task) -> int:
 
 
 def _horizon(phi: Formula) -> int:
-    below = max((_horizon(child) for child in children(phi)), default=0)
+    below = [_horizon(child) for child in children(phi)]
     match phi:
-        case Eventually(interval, _) | Always(interval, _) | Until(interval, _, _):
+        case Eventually(interval, _) | Always(interval, _) | Until(interval, _, _) | Release(interval, _, _):
             if interval.b is None:
                 message = (
                     f"{_OPERATOR_WORDS[type(phi)]} has no interval with an end, hence no horizon; write one, such as "
                     f"[{interval.a},{interval.a + 10}] (only monitors can judge it as it is, with end cut or hold)"
                 )
                 raise StlSyntaxError(phi.span.show(message) if phi.span is not None else message)
-            return interval.b + below
+            return interval.b + max(below)
+        case Once(interval, _) | Historically(interval, _):
+            return max(below[0] - interval.a, 0)
+        case Since(interval, _, _) | Trigger(interval, _, _):
+            return max(below[0] if interval.b != 0 else 0, below[1] - interval.a, 0)
+        case Not() | And() | Or() | Implies() | Iff() | Rise():
+            return max(below)
+        case Constant() | Label() | Comparison():
+            return 0
         case _:
-            return below
+            assert_never(phi)
 
 
-_OPERATOR_WORDS: dict[type, str] = {Eventually: "eventually", Always: "always", Until: "until"}
+_OPERATOR_WORDS: dict[type, str] = {
+    Eventually: "eventually", Always: "always", Until: "until", Release: "release"
+}  # fmt: skip
+
+
+def lookback(phi: Formula | Task) -> int | None:
+    """The number of steps before the evaluation step that can affect the truth value; None if there is no limit.
+
+    Operators of the past count (docs/semantics.md §1); those of the future, outside them, make up for it: F[2,3] prev a
+    has lookback 0. No window reaches further back than step 0.
+    """
+    return _lookback(formula_of(phi, "lookback's formula"))
+
+
+def _lookback(phi: Formula) -> int | None:
+    below = [_lookback(child) for child in children(phi)]
+    match phi:
+        case Eventually(interval, _) | Always(interval, _):
+            return _back(below[0], -interval.a)
+        case Until(interval, _, _) | Release(interval, _, _):
+            return _furthest(below[0] if interval.b != 0 else 0, _back(below[1], -interval.a))
+        case Once(interval, _) | Historically(interval, _):
+            return None if interval.b is None else _back(below[0], interval.b)
+        case Since(interval, _, _) | Trigger(interval, _, _):
+            if interval.b is None:
+                return None
+            return _furthest(_back(below[0], interval.b - 1) if interval.b else 0, _back(below[1], interval.b))
+        case Rise():
+            return _back(below[0], 1)
+        case Not() | And() | Or() | Implies() | Iff():
+            return _furthest(*below)
+        case Constant() | Label() | Comparison():
+            return 0
+        case _:
+            assert_never(phi)
+
+
+def _back(steps: int | None, more: int) -> int | None:
+    return None if steps is None else max(steps + more, 0)
+
+
+def _furthest(*steps: int | None) -> int | None:
+    known = [n for n in steps if n is not None]
+    return max(known) if len(known) == len(steps) else None
 
 
 def is_bounded(phi: Formula) -> bool:
-    """Whether every interval has an end, so that the formula has a horizon."""
-    return all(node.interval.b is not None for node in walk(phi) if isinstance(node, Eventually | Always | Until))
+    """Whether every interval of the future has an end, so that the formula has a horizon."""
+    return all(node.interval.b is not None for node in walk(phi) if isinstance(node, FUTURE))
 
 
 def is_temporal(phi: Formula) -> bool:
     """Whether the formula contains a temporal operator."""
-    return any(isinstance(node, Eventually | Always | Until) for node in walk(phi))
+    return any(isinstance(node, FUTURE + PAST) for node in walk(phi))
+
+
+def has_past(phi: Formula) -> bool:
+    """Whether the formula contains an operator of the past."""
+    return any(isinstance(node, PAST) for node in walk(phi))
+
+
+def has_future(phi: Formula) -> bool:
+    """Whether the formula contains an operator of the future."""
+    return any(isinstance(node, FUTURE) for node in walk(phi))
 
 
 def temporal_depth(phi: Formula) -> int:
     """The nesting depth of temporal operators: 0 for a Boolean formula over predicates."""
     below = max((temporal_depth(child) for child in children(phi)), default=0)
-    return below + isinstance(phi, Eventually | Always | Until)
+    return below + isinstance(phi, FUTURE + PAST)
 
 
 def atoms(phi: Formula) -> tuple[Formula, ...]:
@@ -431,7 +550,9 @@ def boolean_value(phi: Formula, value: Callable[[Formula], bool | None]) -> bool
             return not boolean_value(left, value) or boolean_value(right, value)
         case Iff(left, right):
             return boolean_value(left, value) == boolean_value(right, value)
-        case Label() | Comparison() | Eventually() | Always() | Until():
+        case Label() | Comparison() | Eventually() | Always() | Until() | Release():
+            raise ValueError(f"no truth value for {phi}")
+        case Once() | Historically() | Since() | Trigger() | Rise():
             raise ValueError(f"no truth value for {phi}")
         case _:
             assert_never(phi)

@@ -18,16 +18,20 @@ from stltool.arguments import require
 from stltool.display import Card, Displayed
 from stltool.errors import FragmentError, SettingsError
 from stltool.logic.formula import (
+    PAST,
     Always,
     Eventually,
     Formula,
     Not,
+    Release,
     Until,
     boolean_value,
     bounded_formula_of,
     children,
+    has_past,
     is_temporal,
     temporal_depth,
+    walk,
     with_children,
 )
 from stltool.logic.task import Task
@@ -81,6 +85,11 @@ class Fragment(Displayed):
 def check_fragment(phi: Formula | Task) -> Fragment:
     """Decompose φ according to the paper's fragment; FragmentError names what is outside it."""
     phi = bounded_formula_of(phi, "check_fragment's formula")
+    if has_past(phi):
+        first = next(node for node in walk(phi) if isinstance(node, PAST))
+        raise FragmentError(
+            _at(first, f"past: {first} looks back, which the paper's fragment does not; use the exact encoding")
+        )
     negated = False
     root = phi
     while isinstance(root, Not) and isinstance(root.arg, Not | Eventually | Always):
@@ -117,8 +126,9 @@ def _collect(phi: Formula, parts: dict[Formula, FragmentPart]) -> Formula:
             operator: Operator = "F" if isinstance(phi, Eventually) else "G"
             parts.setdefault(phi, FragmentPart(operator, len(interval), arg, phi))
             return phi
-        case Until():
-            raise FragmentError(_at(phi, f"until: {phi} is outside the paper's fragment; use the exact encoding"))
+        case Until() | Release():
+            word = "until" if isinstance(phi, Until) else "release"
+            raise FragmentError(_at(phi, f"{word}: {phi} is outside the paper's fragment; use the exact encoding"))
         case _:
             return with_children(phi, tuple(_collect(child, parts) for child in children(phi)))
 

@@ -19,11 +19,11 @@ from stltool.logic.builder import Builder
 from stltool.logic.format import flat_text
 from stltool.logic.formula import And, Composable, Constant, Eventually, Formula, Interval, Or, Until, walk
 from stltool.logic.names import near_names, unquoted
-from stltool.logic.syntax import Branch, Document, Token, bare, branches
+from stltool.logic.syntax import INFIXES, PAST_PREFIXES, SOFT_WORDS, Branch, Document, Token, bare, branches
 from stltool.logic.task import Task
 from stltool.source import Span
 
-_BINARY = ("iff", "xor", "implies", "or", "and", "until")
+_BINARY = ("iff", "xor", "implies", "or", "and", *INFIXES)
 _LONGEST_READING = 300
 _OPERAND = r"[\s(]*[\w.]+[\s)]*"
 _ARITHMETIC = re.compile(rf"//(?=[\s(]*[\d.]){_OPERAND}(?:[-+*/^&|<>=!]+{_OPERAND})*")  # an operand, not a sentence
@@ -52,6 +52,7 @@ def ambiguities(task: Task | Document) -> list[Advice]:
     found += _misspelled(document)
     found += _quoted(document)
     found += _expected(document)
+    found += _past_words(document)
     return sorted(found, key=lambda advice: advice.span.start)
 
 
@@ -124,8 +125,8 @@ def _differs(tree: Branch) -> str | None:
     if tree.data in ("implies", "iff", "xor") and kinds & set(_BINARY):
         sign = {"implies": "->", "iff": "<->", "xor": "xor"}[tree.data]
         return f"the precedence of '{sign}' over other operators differs between tools"
-    if "until" in kinds:
-        return "the precedence of 'until' over other operators differs between tools"
+    if (infix := next((word for word in INFIXES if word in kinds), None)) is not None:
+        return f"the precedence of '{infix}' over other operators differs between tools"
     if any(_ends_in_temporal(part) for part in operands[:-1]):
         return (
             "the scope of the temporal operator ends before the next operator; in Storm and PRISM it extends over all "
@@ -155,7 +156,30 @@ def _cut(reading: str) -> str:
 def _ends_in_temporal(tree: Branch) -> bool:
     while tree.data == "not":
         tree = branches(tree)[-1]
-    return tree.data in ("eventually", "always")
+    return tree.data in ("eventually", "always", *PAST_PREFIXES)
+
+
+def _past_words(document: Document) -> Iterator[Advice]:
+    """Words that could be operators of the past and are names here, and the operator that RTAMT reads differently."""
+    names = {"definition": "a definition", "param": "a param", "sample": "a signal", "name": "a label or signal"}
+    told: set[str] = set()
+    for kind, what in names.items():
+        for tree in document.trees:
+            tokens = tree.children if tree.data == "signals" else (part.children[0] for part in tree.find_data(kind))
+            for token in tokens:
+                word = str(token)
+                if isinstance(token, Token) and word in SOFT_WORDS and word not in told:
+                    told.add(word)
+                    place = Span(document.source, _start(token), _start(token) + len(word))
+                    said = "a signal" if tree.data == "signals" else what
+                    yield Advice(place, f"{word} is {said} here, not the operator; rename it to use both")
+    previous = [part for tree in document.trees for part in tree.find_data("prev")]
+    for tree in sorted(previous, key=lambda tree: tree.meta.start_pos)[:1]:
+        yield Advice(
+            _span(document, tree),
+            "prev is false at step 0, where RTAMT's prev is true (its s_prev is false); for that reading, write "
+            "historically[1,1]",
+        )
 
 
 def _divisions(document: Document) -> Iterator[Advice]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from stltool.logic.formula import Formula, Iff, Implies, Not, children, with_children
+from stltool.logic.formula import Formula, Iff, Implies, Not, Rise, children, with_children
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +15,7 @@ class Occurrence:
     path      the operand to descend into at each operator, from the root
     parent    the index of the operator above it; -1 for the root
     operands  the indices of its own operands
-    polarity  1 if making it true can only make the whole formula true, −1 if only false, 0 under an equivalence
+    polarity  1 if making it true can only make the whole formula true, −1 if only false, 0 under ↔ and rise
     """
 
     formula: Formula
@@ -46,7 +46,7 @@ def occurrences(phi: Formula) -> tuple[Occurrence, ...]:
 
 
 def _sign(phi: Formula, operand: int) -> int:
-    if isinstance(phi, Iff):
+    if isinstance(phi, Iff | Rise):
         return 0
     return -1 if isinstance(phi, Not) or (isinstance(phi, Implies) and operand == 0) else 1
 

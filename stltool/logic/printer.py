@@ -18,21 +18,28 @@ from stltool.logic.formula import (
     Constant,
     Eventually,
     Formula,
+    Historically,
     Iff,
     Implies,
+    Interval,
     Label,
     Negate,
     Not,
     Number,
+    Once,
     Or,
+    Release,
+    Rise,
+    Since,
     Term,
+    Trigger,
     Until,
     Variable,
 )
 from stltool.logic.names import written
 
 Kind: TypeAlias = Literal["atom", "not", "temporal", "comparison", "binary"]
-"""The form of an operand: a name or constant, `!…`, `F… …` or `!G… …`, `… < …`, or a binary operator."""
+"""The form of an operand: a name or constant, `!…`, `F… …`, `once… …` or `!G… …`, `… < …`, or a binary operator."""
 
 # binding strength of arithmetic, loosest first
 STRENGTH = {"+": 1, "-": 1, "*": 2, "/": 2, "negate": 3, "^": 4, "atom": 5}
@@ -64,8 +71,28 @@ def to_text(phi: Formula) -> str:
             return f"G{interval} {_operand(arg, prefix=True)}"
         case Until(interval, left, right):
             return _joined(f"U{interval}", (left, right))
+        case Release(interval, left, right):
+            return _joined(f"release{interval}", (left, right))
+        case Once(Interval(1, 1), arg):
+            return f"prev {_operand(arg, prefix=True)}"
+        case Once(interval, arg):
+            return f"once{_past(interval)} {_operand(arg, prefix=True)}"
+        case Historically(interval, arg):
+            return f"historically{_past(interval)} {_operand(arg, prefix=True)}"
+        case Since(interval, left, right):
+            return _joined(f"since{_past(interval)}", (left, right))
+        case Trigger(interval, left, right):
+            return _joined(f"trigger{_past(interval)}", (left, right))
+        case Rise(Not(arg)):
+            return f"fall {_operand(arg, prefix=True)}"
+        case Rise(arg):
+            return f"rise {_operand(arg, prefix=True)}"
         case _:
             assert_never(phi)
+
+
+def _past(interval: Interval) -> str:
+    return "" if interval == Interval(0, None) else str(interval)
 
 
 def _joined(sign: str, args: Iterable[Formula]) -> str:
@@ -101,7 +128,7 @@ def _kind(phi: Formula) -> Kind:
             return "atom"
         case Not(arg):
             return "temporal" if _kind(arg) == "temporal" else "not"
-        case Eventually() | Always():
+        case Eventually() | Always() | Once() | Historically() | Rise():
             return "temporal"
         case Comparison():
             return "comparison"

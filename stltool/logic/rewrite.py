@@ -3,7 +3,8 @@
 Truth and robustness are values in a chain (false < true, or −inf … inf) whose order negation reverses. Every rewriting
 here is valid in each such chain, so it preserves both, at every step:
 
-    ¬(φ U[0,b] ψ) = G[0,b] ¬ψ ∨ (¬ψ U[0,b] (¬φ ∧ ¬ψ))       φ U[a,b] ψ = G[0,a−1] φ ∧ F[a,a] (φ U[0,b−a] ψ)  for a > 0
+    ¬(φ U[a,b] ψ) = ¬φ release[a,b] ¬ψ                      ¬(φ since[a,b] ψ) = ¬φ trigger[a,b] ¬ψ
+    rise φ = φ ∧ historically[1,1] ¬φ                       once[a,b] once[c,d] φ = once[a+c,b+d] φ
     ¬(φ ↔ ψ) = ¬φ ↔ ψ = (φ ∧ ¬ψ) ∨ (¬φ ∧ ψ)                 ¬(s > t) = s ≤ t, ¬(s = t) = s ≠ t
     F[a,b] F[c,d] φ = F[a+c,b+d] φ                           F[a,b] φ ∨ F[c,d] φ = F[min(a,c),max(b,d)] φ  if they touch
     F[a,b] φ ∨ F[a,b] ψ = F[a,b] (φ ∨ ψ)                     φ ∧ (φ ∨ ψ) = φ             and the duals of these
@@ -29,12 +30,18 @@ from stltool.logic.formula import (
     Constant,
     Eventually,
     Formula,
+    Historically,
     Iff,
     Implies,
     Interval,
     Label,
     Not,
+    Once,
     Or,
+    Release,
+    Rise,
+    Since,
+    Trigger,
     Until,
     children,
     formula_of,
@@ -48,6 +55,18 @@ _DEEPEST = 200  # later traversals recurse
 
 OPPOSITE: dict[Comparator, Comparator] = {"<": ">=", ">=": "<", ">": "<=", "<=": ">", "==": "!=", "!=": "=="}
 MIRROR: dict[Comparator, Comparator] = {"<": ">", ">": "<", "<=": ">=", ">=": "<=", "==": "==", "!=": "!="}
+
+_WindowNode: TypeAlias = Eventually | Always | Once | Historically
+_Window: TypeAlias = type[Eventually] | type[Always] | type[Once] | type[Historically]
+_Join: TypeAlias = type[Until] | type[Release] | type[Since] | type[Trigger]
+_FUTURE: tuple[_Window, _Window] = (Eventually, Always)
+_PAST: tuple[_Window, _Window] = (Once, Historically)
+_AHEAD: tuple[_Window | _Join, ...] = (Eventually, Always, Until, Release)
+_SOME: tuple[_Window | _Join, ...] = (Eventually, Once, Until, Since)  # "at some step"; the others: "at every step"
+_DUAL_WINDOW: dict[_Window, _Window] = {
+    Eventually: Always, Always: Eventually, Once: Historically, Historically: Once,
+}  # fmt: skip
+_DUAL_JOIN: dict[_Join, _Join] = {Until: Release, Release: Until, Since: Trigger, Trigger: Since}
 
 
 def operator_count(phi: Formula) -> int:
@@ -66,8 +85,8 @@ def _own_operators(phi: Formula) -> int:
 def negation_normal_form(phi: Formula | Task, most_operators: int = MOST_OPERATORS) -> Formula:
     """φ with negations in front of labels only, and without implications and equivalences.
 
-    Truth and robustness stay the same at every step, also for traces that end inside a window. A negated until and an
-    equivalence repeat their operands: SizeError if this gives more than `most_operators`, or nests over 200 deep.
+    Truth and robustness stay the same at every step, also for traces that end inside a window. An equivalence and a
+    rise repeat their operands: SizeError if this gives more than `most_operators`.
     """
     phi = formula_of(phi, "negation_normal_form's formula")
     most_operators = whole(most_operators, "most_operators", least=0)
@@ -77,12 +96,12 @@ def negation_normal_form(phi: Formula | Task, most_operators: int = MOST_OPERATO
     if size > most_operators:
         raise SizeError(
             f"the negation normal form has {float(size):.3g} operators, over {most_operators}: each level of "
-            "equivalences or negated untils doubles it; nest them less, or evaluate the formula as it is"
+            "equivalences or rises doubles it; nest them less, or evaluate the formula as it is"
         )
     if depth > max(_DEEPEST, _measures(phi)[1]):
         raise SizeError(
-            f"the negation normal form nests operators {depth} deep, over {_DEEPEST}; nest negated untils less, or "
-            "evaluate the formula as it is"
+            f"the negation normal form nests operators {depth} deep, over {_DEEPEST}; nest equivalences and rises "
+            "less, or evaluate the formula as it is"
         )
     return result
 
@@ -110,29 +129,30 @@ def _nnf_node(phi: Formula, negated: bool, known: dict[tuple[int, bool], Formula
             kind = And if isinstance(phi, And) != negated else Or
             return kind(tuple([_nnf(arg, negated, known) for arg in args]), span=span)
         case Implies(left, right):
-            join = And if negated else Or
-            return join((_nnf(left, not negated, known), _nnf(right, negated, known)), span=span)
+            junction = And if negated else Or
+            return junction((_nnf(left, not negated, known), _nnf(right, negated, known)), span=span)
         case Iff(left, right):
             p, q = _nnf(left, False, known), _nnf(right, False, known)
             not_p, not_q = _nnf(left, True, known), _nnf(right, True, known)
             if negated:
                 return Or((And((p, not_q), span=span), And((not_p, q), span=span)), span=span)
             return And((Or((not_p, q), span=span), Or((p, not_q), span=span)), span=span)
-        case Eventually(interval, arg) | Always(interval, arg):
-            window = Eventually if isinstance(phi, Eventually) != negated else Always
+        case Eventually(interval, arg) | Always(interval, arg) | Once(interval, arg) | Historically(interval, arg):
+            window = _DUAL_WINDOW[type(phi)] if negated else type(phi)
             return window(interval, _nnf(arg, negated, known), span=span)
-        case Until(interval, left, right):
-            if not negated:
-                return Until(interval, _nnf(left, False, known), _nnf(right, False, known), span=span)
-            a, b = interval.a, interval.b
-            not_p, not_q = _nnf(left, True, known), _nnf(right, True, known)
-            rest = Interval(0, None if b is None else b - a)
-            broken = Until(rest, not_q, And((not_p, not_q), span=span), span=span)
-            never = Or((Always(rest, not_q, span=span), broken), span=span)
-            if a == 0:
-                return never
-            early = Eventually(Interval(0, a - 1), not_p, span=span)
-            return Or((early, Always(Interval(a, a), never, span=span)), span=span)
+        case (
+            Until(interval, left, right)
+            | Release(interval, left, right)
+            | Since(interval, left, right)
+            | Trigger(interval, left, right)
+        ):
+            join = _DUAL_JOIN[type(phi)] if negated else type(phi)
+            return join(interval, _nnf(left, negated, known), _nnf(right, negated, known), span=span)
+        case Rise(arg):
+            p, not_p = _nnf(arg, False, known), _nnf(arg, True, known)
+            if negated:
+                return Or((not_p, Once(Interval(1, 1), p, span=span)), span=span)
+            return And((p, Historically(Interval(1, 1), not_p, span=span)), span=span)
         case _:
             assert_never(phi)
 
@@ -156,7 +176,6 @@ def _measures(phi: Formula) -> tuple[int, int]:
 
 # ------------------------------------------------------------------------------------------- simplification
 
-_Window: TypeAlias = type[Eventually] | type[Always]
 _Junction: TypeAlias = type[And] | type[Or]
 
 
@@ -217,12 +236,17 @@ class _Simplifier:
                 return self.implies(self.of(left), self.of(right), phi.span)
             case Iff(left, right):
                 return self.iff(self.of(left), self.of(right), phi.span)
-            case Eventually(interval, arg):
-                return self.window(Eventually, interval, self.of(arg), phi.span)
-            case Always(interval, arg):
-                return self.window(Always, interval, self.of(arg), phi.span)
-            case Until(interval, left, right):
-                return self.until(interval, self.of(left), self.of(right), phi.span)
+            case Eventually(interval, arg) | Always(interval, arg) | Once(interval, arg) | Historically(interval, arg):
+                return self.window(type(phi), interval, self.of(arg), phi.span)
+            case (
+                Until(interval, left, right)
+                | Release(interval, left, right)
+                | Since(interval, left, right)
+                | Trigger(interval, left, right)
+            ):
+                return self.until(type(phi), interval, self.of(left), self.of(right), phi.span)
+            case Rise(arg):
+                return self.rise(self.of(arg), phi.span)
             case _:
                 assert_never(phi)
 
@@ -279,11 +303,12 @@ class _Simplifier:
                 if operands[0].growth <= operands[1].growth:
                     return self.iff(self.negate(operands[0]), operands[1], phi.span)
                 return self.iff(operands[0], self.negate(operands[1]), phi.span)
-            case Eventually(interval, _):
-                return self.window(Always, interval, self.negate(operands[0]), phi.span)
-            case Always(interval, _):
-                return self.window(Eventually, interval, self.negate(operands[0]), phi.span)
-            case Label() | Until():
+            case Eventually(interval, _) | Always(interval, _) | Once(interval, _) | Historically(interval, _):
+                return self.window(_DUAL_WINDOW[type(phi)], interval, self.negate(operands[0]), phi.span)
+            case Until(interval, _, _) | Release(interval, _, _) | Since(interval, _, _) | Trigger(interval, _, _):
+                p, q = map(self.negate, operands)
+                return self.until(_DUAL_JOIN[type(phi)], interval, p, q, phi.span)
+            case Label() | Rise():
                 raise AssertionError("its negation is larger")
             case _:
                 assert_never(phi)
@@ -346,59 +371,80 @@ class _Simplifier:
     # ------------------------------------------------------------------------------------------ windows
 
     def window(self, kind: _Window, interval: Interval, x: _Reduced, span: Span | None) -> _Reduced:
-        """F or G of a part."""
+        """F, G, once or historically of a part."""
         phi = x.formula
         a, b = interval.a, interval.b
-        if isinstance(phi, Constant) and (phi.value == (kind is Always) or a == 0 or not self.cut):
-            return x  # an empty window, possible only with `cut`, is false for F and true for G
+        if isinstance(phi, Constant) and (phi.value != (kind in _SOME) or a == 0 or not self._cut(kind)):
+            return x  # an empty window, possible only with a cut, is false for F and once, true for G and historically
         if b == 0:
             return x
-        if isinstance(phi, Eventually | Always) and self._adds_up(kind, interval, phi):
+        if isinstance(phi, _FUTURE if kind in _AHEAD else _PAST) and self._adds_up(kind, interval, phi):
             inner = phi.interval
-            kind = kind if isinstance(phi, kind) or self._is_step(inner) else type(phi)
+            kind = kind if isinstance(phi, kind) or self._is_step(inner, kind) else type(phi)
             b = None if b is None or inner.b is None else b + inner.b
             return self.window(kind, Interval(a + inner.a, b), x.operands[0], span)
-        if self._is_step(interval):
+        if self._is_step(interval, kind):
             kind = Eventually  # F[k,k] and G[k,k] are the same: one is used
         return self._part(kind(interval, phi, span=span), (kind, a, b, x.key), (x,), x.growth)
 
-    def _adds_up(self, kind: _Window, outer: Interval, phi: Eventually | Always) -> bool:
-        return isinstance(phi, kind) or self._is_step(outer) or self._is_step(phi.interval)
+    def _adds_up(self, kind: _Window, outer: Interval, phi: _WindowNode) -> bool:
+        return isinstance(phi, kind) or self._is_step(outer, kind) or self._is_step(phi.interval, kind)
 
-    def _is_step(self, interval: Interval) -> bool:
-        """Whether F and G agree on it: one step that certainly exists."""
-        return interval.a == interval.b and not self.cut
+    def _cut(self, kind: _Window | _Join) -> bool:
+        """Whether windows of this kind may be cut: those of the past always are, at step 0."""
+        return self.cut or kind not in _AHEAD
 
-    def until(self, interval: Interval, left: _Reduced, right: _Reduced, span: Span | None) -> _Reduced:
+    def _is_step(self, interval: Interval, kind: _Window) -> bool:
+        """Whether "some" and "every" agree on it: one step that certainly exists."""
+        return interval.a == interval.b and not self._cut(kind)
+
+    def until(self, kind: _Join, interval: Interval, left: _Reduced, right: _Reduced, span: Span | None) -> _Reduced:
+        """Until or since of two parts; or release or trigger, to which the dual rules apply."""
         a, b = interval.a, interval.b
-        if b == 0 or (isinstance(right.formula, Constant) and (a == 0 or not right.formula.value)):
+        top = kind in _SOME  # what true is to until, false is to release
+        some, every = _FUTURE if kind in _AHEAD else _PAST
+        if not top:
+            some, every = every, some
+        if b == 0 or (isinstance(right.formula, Constant) and (a == 0 or right.formula.value != top)):
             return right
         if isinstance(left.formula, Constant):
-            if left.formula.value:
-                return self.window(Eventually, interval, right, span)
+            if left.formula.value == top:
+                return self.window(some, interval, right, span)
             return right if a == 0 else left
-        if isinstance(right.formula, Constant) and not self.cut:  # true, satisfied at step a at the earliest
-            return self.window(Always, Interval(0, a - 1), left, span)
-        if left.key == right.key and (a == 0 or not self.cut):
-            return self.window(Always, Interval(0, a), left, span)
+        if isinstance(right.formula, Constant) and not self._cut(kind):  # true, satisfied at step a at the earliest
+            return self.window(every, Interval(0, a - 1), left, span)
+        if left.key == right.key and (a == 0 or not self._cut(kind)):
+            return self.window(every, Interval(0, a), left, span)
         return self._part(
-            Until(interval, left.formula, right.formula, span=span),
-            (Until, a, b, left.key, right.key),
+            kind(interval, left.formula, right.formula, span=span),
+            (kind, a, b, left.key, right.key),
             (left, right),
-            growth=1,
+            growth=left.growth + right.growth,  # of the dual of the negated parts
         )
 
+    def rise(self, x: _Reduced, span: Span | None) -> _Reduced:
+        if isinstance(x.formula, Constant) and not x.formula.value:
+            return x
+        return self._part(Rise(x.formula, span=span), ("rise", x.key), (x,), growth=1)
+
     def _joined(self, kind: _Junction, flat: dict[int, _Reduced]) -> list[_Reduced]:
-        """The operands of an And (an Or) with windows joined: at most as many.
+        """The operands of an And (an Or) with windows joined, those of the future and those of the past."""
+        for every in (Always, Historically):
+            flat = {part.key: part for part in self._joined_windows(kind, flat, every)}
+        return list(flat.values())
+
+    def _joined_windows(self, kind: _Junction, flat: dict[int, _Reduced], every: _Window) -> list[_Reduced]:
+        """The operands of an And (an Or) with windows of `every` (Always or Historically) and its dual joined.
 
         Under And: G windows over the same operand are joined if they touch, F windows over the same operand are removed
         if another operand implies them, and G of equal windows are joined; under Or dually. An operand without a
         temporal operator counts as its own window [0,0].
         """
-        own: _Window = Always if kind is And else Eventually
+        own: _Window = every if kind is And else _DUAL_WINDOW[every]
+        windows = (own, _DUAL_WINDOW[own])
         groups: dict[int, list[_Reduced]] = {}
         for part in flat.values():
-            if isinstance(part.formula, Eventually | Always):
+            if isinstance(part.formula, windows):
                 groups.setdefault(part.operands[0].key, []).append(part)
         rest = dict(flat)  # key → what now replaces that operand
         for operand, parts in groups.items():
@@ -409,7 +455,7 @@ class _Simplifier:
                 self._join_windows(own, operand, parts, rest)
         equal: dict[Interval, list[_Reduced]] = {}
         for key, part in rest.items():
-            if key == part.key and isinstance(part.formula, Eventually | Always) and self._is_own(own, part.formula):
+            if key == part.key and isinstance(part.formula, windows) and self._is_own(own, part.formula):
                 equal.setdefault(part.formula.interval, []).append(part)
         for interval, parts in equal.items():
             if len(parts) > 1:
@@ -418,8 +464,8 @@ class _Simplifier:
                 _replace(rest, parts, self.window(own, interval, inner, span))
         return list(rest.values())
 
-    def _is_own(self, own: _Window, phi: Eventually | Always) -> bool:
-        return isinstance(phi, own) or self._is_step(phi.interval)
+    def _is_own(self, own: _Window, phi: _WindowNode) -> bool:
+        return isinstance(phi, own) or self._is_step(phi.interval, own)
 
     def _join_windows(self, own: _Window, operand: int, parts: list[_Reduced], rest: dict[int, _Reduced]) -> None:
         """Join the windows over one operand, updating `rest`."""
@@ -427,7 +473,7 @@ class _Simplifier:
         others: list[tuple[int, float, _Reduced]] = []
         for a, b, part in sorted(((*_ends(part, operand), part) for part in parts), key=lambda window: window[:2]):
             phi = part.formula
-            if part.key != operand and isinstance(phi, Eventually | Always) and not self._is_own(own, phi):
+            if part.key != operand and isinstance(phi, _WindowNode) and not self._is_own(own, phi):
                 others.append((a, b, part))
             elif runs and a <= runs[-1][1] + 1:
                 start, end, joined = runs[-1]
@@ -439,7 +485,7 @@ class _Simplifier:
         for a, b, part in sorted(others, key=lambda window: (-window[0], window[1])):  # contained windows come first
             before = bisect.bisect_right(runs, b, key=lambda run: run[0]) - 1
             meets = before >= 0 and runs[before][1] >= a
-            if self.cut:  # a G implies an F only through an existing step, and only step 0 is sure to exist
+            if self._cut(own):  # a G implies an F only through an existing step, and only step 0 is sure to exist
                 meets = meets and a == 0 == runs[0][0]
             if meets or (inside is not None and inside <= b):
                 del rest[part.key]
@@ -454,7 +500,7 @@ class _Simplifier:
 def _ends(part: _Reduced, operand: int) -> tuple[int, float]:
     """The first and the last step of a window; [0,0] for the operand itself."""
     phi = part.formula
-    if part.key == operand or not isinstance(phi, Eventually | Always):
+    if part.key == operand or not isinstance(phi, _WindowNode):
         return 0, 0
     return phi.interval.a, math.inf if phi.interval.b is None else phi.interval.b
 

@@ -2,6 +2,12 @@
 
     (s,t) ⊨ F[a,b] φ   iff  (s,u) ⊨ φ for some u in t+a … t+b          G[a,b]: for every such u
     (s,t) ⊨ φ U[a,b] ψ iff  (s,u) ⊨ ψ for some u in t+a … t+b, and (s,v) ⊨ φ for every v in t … u−1
+    (s,t) ⊨ once[a,b] φ iff (s,u) ⊨ φ for some u in t−b … t−a, u ≥ 0   historically[a,b]: for every such u
+    (s,t) ⊨ φ since[a,b] ψ iff (s,u) ⊨ ψ for some such u, and (s,v) ⊨ φ for every v in u+1 … t
+    (s,t) ⊨ rise φ     iff  (s,t) ⊨ φ, and t = 0 or not (s,t−1) ⊨ φ
+
+φ release[a,b] ψ is ¬(¬φ U[a,b] ¬ψ), and φ trigger[a,b] ψ is ¬(¬φ since[a,b] ¬ψ). A window of the past that lies before
+step 0 is empty: once and since are false there, historically and trigger true.
 
 Robustness replaces "some" by max, "every" by min, and predicates by signed margins. Arithmetic is exact: a double means
 the decimal that it prints as (0.1 is 1/10), and roots are not rounded, so borderline cases such as x + y == 0.8 and
@@ -35,6 +41,7 @@ from stltool.logic.formula import (
     Eventually,
     Formula,
     FunctionName,
+    Historically,
     Iff,
     Implies,
     Interval,
@@ -42,13 +49,19 @@ from stltool.logic.formula import (
     Negate,
     Not,
     Number,
+    Once,
     Or,
+    Release,
+    Rise,
+    Since,
     Term,
+    Trigger,
     Until,
     Variable,
     formula_of,
     horizon,
     label_names,
+    lookback,
     variables,
 )
 from stltool.logic.names import near_names
@@ -95,7 +108,8 @@ def robustness(phi: Formula | Task, signals: Signals, t: int = 0) -> float:
 def _samples(phi: Formula, signals: Signals, t: int, caller: str) -> dict[str, NDArray[np.float64]]:
     """The arrays of the names in φ, as floats, each long enough to decide φ at t."""
     mapping(signals, f"{caller}' signals", SIGNALS)
-    needed = t + horizon(phi) + 1
+    needed, back = t + horizon(phi) + 1, lookback(phi)
+    first = 0 if back is None else max(t - back, 0)
     labels = label_names(phi)
     samples = {}
     for name, span in {**variables(phi), **labels}.items():
@@ -113,9 +127,9 @@ def _samples(phi: Formula, signals: Signals, t: int, caller: str) -> dict[str, N
         if values.dtype.kind not in "biuf":
             raise TraceError(f"signal {name} holds {values.dtype}, not numbers")
         values = values.astype(np.float64)
-        window = values[t:needed]
+        window = values[first:needed]
         if np.isnan(window).any():
-            raise TraceError(f"signal {name} is NaN at step {t + int(np.isnan(window).argmax())}")
+            raise TraceError(f"signal {name} is NaN at step {first + int(np.isnan(window).argmax())}")
         if name in labels and not np.isin(window, (0.0, 1.0)).all():
             raise TraceError(
                 f"{name} is used as a label, but its signal has values other than true and false; "
@@ -169,6 +183,27 @@ def _true(phi: Formula, signal: Mapping[str, NDArray[np.float64]], t: int) -> bo
                 _true(right, signal, u) and all(_true(left, signal, v) for v in range(t, u))
                 for u in _window(interval, t)
             )
+        case Release(interval, left, right):
+            return all(
+                _true(right, signal, u) or any(_true(left, signal, v) for v in range(t, u))
+                for u in _window(interval, t)
+            )
+        case Once(interval, arg):
+            return any(_true(arg, signal, u) for u in _earlier(interval, t))
+        case Historically(interval, arg):
+            return all(_true(arg, signal, u) for u in _earlier(interval, t))
+        case Since(interval, left, right):
+            return any(
+                _true(right, signal, u) and all(_true(left, signal, v) for v in range(u + 1, t + 1))
+                for u in _earlier(interval, t)
+            )
+        case Trigger(interval, left, right):
+            return all(
+                _true(right, signal, u) or any(_true(left, signal, v) for v in range(u + 1, t + 1))
+                for u in _earlier(interval, t)
+            )
+        case Rise(arg):
+            return _true(arg, signal, t) and (t == 0 or not _true(arg, signal, t - 1))
         case _:
             assert_never(phi)
 
@@ -201,6 +236,30 @@ def _margin(phi: Formula, signal: Mapping[str, NDArray[np.float64]], t: int) -> 
                 min([_margin(right, signal, u)] + [_margin(left, signal, v) for v in range(t, u)])
                 for u in _window(interval, t)
             )
+        case Release(interval, left, right):
+            return min(
+                max([_margin(right, signal, u)] + [_margin(left, signal, v) for v in range(t, u)])
+                for u in _window(interval, t)
+            )
+        case Once(interval, arg):
+            return max((_margin(arg, signal, u) for u in _earlier(interval, t)), default=-math.inf)
+        case Historically(interval, arg):
+            return min((_margin(arg, signal, u) for u in _earlier(interval, t)), default=math.inf)
+        case Since(interval, left, right):
+            witnesses = (
+                min([_margin(right, signal, u)] + [_margin(left, signal, v) for v in range(u + 1, t + 1)])
+                for u in _earlier(interval, t)
+            )
+            return max(witnesses, default=-math.inf)
+        case Trigger(interval, left, right):
+            witnesses = (
+                max([_margin(right, signal, u)] + [_margin(left, signal, v) for v in range(u + 1, t + 1)])
+                for u in _earlier(interval, t)
+            )
+            return min(witnesses, default=math.inf)
+        case Rise(arg):
+            now = _margin(arg, signal, t)
+            return now if t == 0 else min(now, -_margin(arg, signal, t - 1))
         case _:
             assert_never(phi)
 
@@ -218,6 +277,11 @@ def _decided(phi: Comparison, compare: Callable[[Real, Real], bool], left: Real,
 
 def _fault(node: Comparison | Term, message: str) -> TraceError:
     return TraceError(node.span.show(message) if node.span else f"{type(node).__name__}: {message}")
+
+
+def _earlier(interval: Interval, t: int) -> range:
+    """The steps of a window of the past, cut at step 0."""
+    return range(0 if interval.b is None else max(t - interval.b, 0), t - interval.a + 1)
 
 
 def _comparison_margin(op: Comparator, left: Real, right: Real) -> Real:

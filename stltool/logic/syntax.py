@@ -28,9 +28,19 @@ Branch: TypeAlias = Tree[Token]
 
 LONGEST_TEXT = 2_000_000  # characters; a trace that was given instead of a task file must not fill memory
 _EQUAL_HINT = "write == to compare, := to define"
-_TEMPORAL = ("_EVENTUALLY", "_ALWAYS", "_UNTIL")
-_TEMPORAL_WORDS = ("always", "globally", "eventually", "finally", "until")
-WORDS = (*_TEMPORAL_WORDS, "true", "false", "and", "or", "not", "xor", "implies", "iff")
+INFIXES = ("until", "weak_until", "release", "since", "trigger")  # temporal operators between two operands
+PAST_PREFIXES = ("once", "historically", "prev", "rise", "fall")
+# Words that are operators only where a name cannot stand, and nowhere in a text that gives a name to them.
+_PREFIX_WORDS = tuple(f"_{word.upper()}" for word in PAST_PREFIXES)
+_INFIX_WORDS = tuple(f"_{word.upper()}" for word in INFIXES[1:])
+SOFT_WORDS = (*PAST_PREFIXES, *INFIXES[1:])
+_NO_INTERVAL = ("prev", "rise", "fall")
+_TEMPORAL = ("_EVENTUALLY", "_ALWAYS", "_UNTIL", "_ONCE", "_HISTORICALLY", *_INFIX_WORDS)
+_TEMPORAL_WORDS = ("always", "globally", "eventually", "finally", "until", "once", "historically", *INFIXES[1:])
+WORDS = (
+    "always", "globally", "eventually", "finally", "until", "true", "false", "and", "or", "not", "xor", "implies",
+    "iff",
+)  # fmt: skip
 _LINE_WORDS = {
     "_MODEL": "model",
     "_PARAM": "param",
@@ -41,13 +51,22 @@ _LINE_WORDS = {
 }
 
 # Operators of other tools that do not exist here, and what to write instead.
-_PAST = "{word} refers to the past, formulas to the future; for once[0,5] a at t + 5, write F[0,5] a at t"
 _NEXT = "there is no operator {word}; for the next step, write F[1,1] a"
-_RELEASE = "there is no operator {word}; for a R[0,5] b, write !(!a U[0,5] !b)"
+_WORD = "there is no operator {word}; write {instead}"
 _ELSEWHERE = {
-    **dict.fromkeys(("once", "historically", "since", "prev", "previous", "rise", "fall"), _PAST),
+    **{
+        word: _WORD.replace("{instead}", instead)
+        for words, instead in (
+            (("O",), "once[0,5] a"),
+            (("H",), "historically[0,5] a"),
+            (("Y", "previous"), "prev a"),
+            (("S",), "a since[0,5] b"),
+            (("R", "releases"), "a release[0,5] b"),
+            (("W", "weakuntil"), "a weak_until[0,5] b"),
+        )
+        for word in words
+    },
     **dict.fromkeys(("next", "X"), _NEXT),
-    **dict.fromkeys(("release", "R", "releases"), _RELEASE),
     "pow": "there is no function {word}; write a^b",
     "imply": "there is no operator {word}; write implies, or ->",
     "exp": "there is no function {word}; record it as a signal of its own (there are abs, min, max, sqrt)",
@@ -67,6 +86,7 @@ _OPERATORS = (
     "_OR",
     "_AND",
     "_UNTIL",
+    *_INFIX_WORDS,
     "COMPARATOR",
     "PLUS",
     "MINUS",
@@ -75,7 +95,7 @@ _OPERATORS = (
     "POWER",
 )
 _TERM_STARTS = ("NAME", "DOTTED", "STRING", "NUMBER", "TIME", "STEPS", "FUNCTION", "LPAR", "MINUS", "PLUS")
-_FORMULA_STARTS = (*_TERM_STARTS, "TRUE", "FALSE", "_NOT", "_EVENTUALLY", "_ALWAYS")
+_FORMULA_STARTS = (*_TERM_STARTS, "TRUE", "FALSE", "_NOT", "_EVENTUALLY", "_ALWAYS", *_PREFIX_WORDS)
 TERMINAL_WORDS = {
     **dict.fromkeys(_OPERATORS, "an operator"),
     **dict.fromkeys(_FORMULA_STARTS, "a formula"),
@@ -166,6 +186,8 @@ def read(source: Source, start: str) -> Document:
     if start == "formula" and not source.text.strip():
         raise StlSyntaxError(f"{source.name}: the text is empty; write a formula, such as F[0,10] A")
     tokens, foreign = _tokens(source)
+    tokens, unclear = _with_names(source, tokens)
+    foreign = sorted([*foreign, *unclear], key=lambda fault: fault.start)
     broken = {fault.start for fault in foreign}
     trees, faults = [], list(foreign)
     pieces = _statements(tokens) if start == "task" else [tokens]
@@ -211,6 +233,78 @@ def _tokens(source: Source) -> tuple[list[Token], list[SyntaxFault]]:
             if len(faults) < MOST_FAULTS:
                 continue
         return tokens, faults
+
+
+_OPERAND_ENDS = ("NAME", "NUMBER", "TIME", "TRUE", "FALSE", "STRING", "RPAR", "RSQB")
+_OPERAND_STARTS = ("NAME", "NUMBER", "TIME", "FUNCTION", "TRUE", "FALSE", "LPAR", "STRING", "_NOT", "_EVENTUALLY",
+                   "_ALWAYS", *_PREFIX_WORDS)  # fmt: skip
+
+
+def _with_names(source: Source, tokens: list[Token]) -> tuple[list[Token], list[SyntaxFault]]:
+    """The tokens, with `once`, `since` and their like as names wherever they are names; faults where it is unclear.
+
+    They are names if the text gives that name to a definition, param or signal. Otherwise a prefix word is an operator
+    if an operand or an interval follows, where a name could only be followed by an operator, and an infix word is one
+    behind an operand, where no name can stand.
+    """
+    soft = (*_PREFIX_WORDS, *_INFIX_WORDS)
+    if not any(token.type in soft for token in tokens):
+        return tokens, []
+    declared = _declared(tokens)
+    found: list[Token] = []
+    faults: list[SyntaxFault] = []
+    opened: list[bool] = []  # for every open bracket, whether it is that of an interval
+    behind = False  # whether the last token ends an operand
+    for i, token in enumerate(tokens):
+        follows = tokens[i + 1].type if i + 1 < len(tokens) else "$END"
+        operator = token.type in soft and str(token) not in declared and follows not in ("ASSIGN", "EQUAL")
+        if operator and token.type in _INFIX_WORDS:
+            operator = behind
+        elif operator and follows == "LSQB":
+            operator = _holds_two(tokens, i + 1)
+        elif operator and follows in ("PLUS", "MINUS") and not behind:
+            message = (
+                f"{token} before a sign may be the operator or a signal; write {token} ({tokens[i + 1]} …) for the "
+                f"operator, or declare the signal: signal {token}"
+            )
+            faults.append(SyntaxFault(cast(int, token.start_pos), _span(source, token).show(message)))
+        elif operator:
+            operator = follows in _OPERAND_STARTS
+        if token.type in soft and not operator:
+            token = Token("NAME", token.value, start_pos=token.start_pos, end_pos=token.end_pos)
+        behind = token.type in _OPERAND_ENDS
+        if token.type in ("LPAR", "LSQB"):
+            opened.append(bool(found) and found[-1].type in _TEMPORAL and _holds_two(tokens, i))
+        elif token.type in ("RPAR", "RSQB") and opened:
+            behind = not opened.pop()
+        found.append(token)
+    return found, faults
+
+
+def _declared(tokens: Sequence[Token]) -> set[str]:
+    """The names that definitions, params and signal lines give."""
+    names: set[str] = set()
+    line = ""
+    for i, token in enumerate(tokens):
+        follows = tokens[i + 1].type if i + 1 < len(tokens) else "$END"
+        if token.type in _LINE_WORDS or follows == "ASSIGN":
+            line = token.type
+        first = tokens[i - 1].type in (line, "COMMA") if i else False
+        if follows == "ASSIGN" or (line == "_PARAM" and first and follows == "EQUAL") or (line == "_SIGNAL" and first):
+            names.add(str(token))
+    return names
+
+
+def _holds_two(tokens: Sequence[Token], i: int) -> bool:
+    """Whether the bracket at token i holds an interval: it has a comma, a colon or dots of its own."""
+    depth = 0
+    for token in tokens[i:]:
+        depth += _NESTING.get(token.type, 0)
+        if depth <= 0:
+            return False
+        if depth == 1 and token.type in ("COMMA", "COLON", "_DOTS"):
+            return True
+    return False
 
 
 def _shifted(token: Token, offset: int) -> Token:
@@ -427,8 +521,11 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
         return f"write {before} without the second =" if last == "COMPARATOR" else _EQUAL_HINT
     if kind in ("COMPARATOR", "EQUAL") and str(before) in ("~", "<>"):
         return "write != for not equal"
-    if kind == "_UNTIL" and "_AND" in accepted:
-        return "until cannot be chained; put one of them in parentheses"
+    if kind in ("_UNTIL", *_INFIX_WORDS) and "_AND" in accepted:
+        written = "until" if kind == "_UNTIL" else str(token).rstrip("_")
+        return f"{written} cannot be chained with another until or since; put one of them in parentheses"
+    if kind == "LSQB" and str(before) in _NO_INTERVAL:
+        return f"{before} takes no interval; for a window of the past, write once[0,5] a"
     if kind == "_DOTS" or (kind == "TIME" and last == "NAME"):
         return None
     for near in (before, token):
@@ -443,7 +540,9 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
     if kind == "STRING" and i + 1 < len(tokens) and tokens[i + 1].type == "ASSIGN":
         return "a definition has a name without quotes, of letters, digits and _"
     for near in (before, token):
-        if near is not None and near.type == "NAME" and str(near).lower() in WORDS:
+        if near is not None and near.type == "NAME" and str(near).lower() in (*WORDS, *SOFT_WORDS):
+            if str(near) in SOFT_WORDS:
+                return f"{near} is a name here, not the operator; rename it, or check what stands around it"
             return f"keywords are lower case; write {str(near).lower()}"
     if last == "NAME" and kind == "LPAR" and str(before) in ("signal", "input", "output"):
         return f"{before}(…) numbers the signals, as in FalCAuN; write the name of the signal, such as speed"
@@ -456,7 +555,7 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
     operands = ("NAME", "STRING", "NUMBER", "TIME", "STEPS")
     if kind in operands and last in (*operands, "RPAR", "RSQB"):
         return f"expected an operator between {str(before)!r} and {str(token)!r}"
-    if kind in ("_EVENTUALLY", "_ALWAYS", "_NOT") and "_AND" in accepted:
+    if kind in ("_EVENTUALLY", "_ALWAYS", "_NOT", *_PREFIX_WORDS) and "_AND" in accepted:
         return f"expected an operator before {str(token)!r}"
     if kind == "LSQB" and i > 2 and str(tokens[i - 3]) in _PRISM_QUESTIONS and tokens[i - 2].type == "COMPARATOR":
         question, bound = tokens[i - 3], " ".join(map(str, tokens[i - 2 : i]))

@@ -24,7 +24,17 @@ from stltool.arguments import mapping, one_of
 from stltool.display import Card, Displayed, counted
 from stltool.errors import SettingsError, TraceError, named
 from stltool.logic import semantics as oracle
-from stltool.logic.formula import Always, Eventually, Formula, Until, children, formula_of, horizon, is_temporal
+from stltool.logic.formula import (
+    Always,
+    Eventually,
+    Formula,
+    Release,
+    Until,
+    children,
+    formula_of,
+    horizon,
+    is_temporal,
+)
 from stltool.logic.task import Task
 from stltool.monitoring.blocks import Machine
 from stltool.monitoring.program import compile_formula
@@ -196,7 +206,7 @@ def _looks(phi: Formula, n: int) -> list[tuple[int, int]]:
     match phi:
         case Eventually(interval, _) | Always(interval, _):
             return [(interval.a, n if interval.b is None else interval.b)]
-        case Until(interval, _, _):
+        case Until(interval, _, _) | Release(interval, _, _):
             b = n if interval.b is None else interval.b
             return [(0, b - 1), (interval.a, b)]
         case _:

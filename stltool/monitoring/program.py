@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Literal, NamedTuple, TypeAlias, assert_never
 
+from stltool.errors import FragmentError
 from stltool.logic.formula import (
     Always,
     And,
@@ -27,11 +28,17 @@ from stltool.logic.formula import (
     Constant,
     Eventually,
     Formula,
+    Historically,
     Iff,
     Implies,
     Label,
     Not,
+    Once,
     Or,
+    Release,
+    Rise,
+    Since,
+    Trigger,
     Until,
 )
 from stltool.monitoring.comparisons import Predicate
@@ -137,6 +144,11 @@ class _Compiler:
                 return self._emit("always", self.visit(arg), a=interval.a, b=interval.b)
             case Until(interval, left, right):
                 return self._emit("until", self.visit(left), self.visit(right), a=interval.a, b=interval.b)
+            case Release(interval, left, right):
+                neither = (self._emit("not", self.visit(part)) for part in (left, right))
+                return self._emit("not", self._emit("until", *neither, a=interval.a, b=interval.b))
+            case Once() | Historically() | Since() | Trigger() | Rise():
+                raise FragmentError(f"{phi} looks back, which monitors do not support yet")
             case _:
                 assert_never(phi)
 

@@ -15,11 +15,18 @@ from stltool.logic.formula import (
     Constant,
     Eventually,
     Formula,
+    Historically,
     Iff,
     Implies,
+    Interval,
     Label,
     Not,
+    Once,
     Or,
+    Release,
+    Rise,
+    Since,
+    Trigger,
     Until,
     children,
     formula_of,
@@ -37,6 +44,7 @@ _MOST_NODES = 500  # nodes of a tree that are listed
 
 _SIGNS: dict[type, str] = {
     Not: "!", And: "&", Or: "|", Implies: "->", Iff: "<->", Eventually: "F", Always: "G", Until: "U",
+    Release: "release", Once: "once", Historically: "historically", Since: "since", Trigger: "trigger", Rise: "rise",
 }  # fmt: skip
 
 
@@ -118,8 +126,12 @@ def _operator(phi: Formula) -> str:
     match phi:
         case Constant() | Label() | Comparison():
             return str(phi)
-        case Eventually(interval) | Always(interval) | Until(interval):
+        case Once(Interval(1, 1)):
+            return "prev"
+        case Eventually(interval) | Always(interval) | Until(interval) | Release(interval):
             return f"{_SIGNS[type(phi)]}{interval}"
+        case Once(interval) | Historically(interval) | Since(interval) | Trigger(interval):
+            return f"{_SIGNS[type(phi)]}{'' if interval == Interval(0, None) else interval}"
         case _:
             return _SIGNS[type(phi)]
 

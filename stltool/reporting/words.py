@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import Any, TypeAlias, TypedDict, assert_never
+from typing import Any, Literal, TypeAlias, TypedDict, assert_never
 
 from stltool.logic.formula import (
     Always,
@@ -13,11 +13,18 @@ from stltool.logic.formula import (
     Constant,
     Eventually,
     Formula,
+    Historically,
     Iff,
     Implies,
+    Interval,
     Label,
     Not,
+    Once,
     Or,
+    Release,
+    Rise,
+    Since,
+    Trigger,
     Until,
     children,
     is_temporal,
@@ -86,6 +93,28 @@ def _sentence(phi: Formula, text: Text, at_start: bool, depth: int) -> SentenceR
                 until = _introduced("at every step until then,", before)
                 return {"text": f"both, {when.rstrip(',')}:", "parts": [goal, until]}
             return _plain(f"{when} {goal['text']}, and at every step until then {before['text']}")
+        case Release(interval, left, right):
+            goal, before = below(right, False), below(left, False)
+            when = _always(interval.a, interval.last, at_start)
+            return _exempt(when, goal, before, "at an earlier step")
+        case Once(interval, arg):
+            return _introduced(_once(interval), below(arg, False))
+        case Historically(interval, arg):
+            return _introduced(_historically(interval), below(arg, False))
+        case Since(interval, left, right):
+            goal, ever_since = below(right, False), below(left, False)
+            when = _once(interval)
+            if goal["parts"] or ever_since["parts"]:
+                since = _introduced("at every step since then,", ever_since)
+                return {"text": f"both, {when.rstrip(',')}:", "parts": [goal, since]}
+            return _plain(f"{when} {goal['text']}, and at every step since then {ever_since['text']}")
+        case Trigger(interval, left, right):
+            goal, after = below(right, False), below(left, False)
+            return _exempt(_historically(interval), goal, after, "at a later step up to now")
+        case Rise(Not(arg)):
+            return _began(below(arg, at_start), "fall")
+        case Rise(arg):
+            return _began(below(arg, at_start), "rise")
         case And(args):
             return {"text": "all of these:", "parts": [below(arg, at_start) for arg in args]}
         case Or(args):
@@ -103,6 +132,25 @@ def _sentence(phi: Formula, text: Text, at_start: bool, depth: int) -> SentenceR
             raise AssertionError("a formula without temporal operators")
         case _:
             assert_never(phi)
+
+
+def _exempt(when: str, goal: SentenceRecord, other: SentenceRecord, where: str) -> SentenceRecord:
+    """Release and trigger: at every step of a window, unless something else held in between."""
+    if goal["parts"] or other["parts"]:
+        unless = _introduced(f"unless, {where},", other)
+        return {"text": f"{when.rstrip(',')}, the first, unless the second:", "parts": [goal, unless]}
+    return _plain(f"{when} {goal['text']}, unless {where} {other['text']}")
+
+
+def _began(arg: SentenceRecord, kind: Literal["rise", "fall"]) -> SentenceRecord:
+    """rise, fall: what holds now but did not at the step before, or the other way round; at step 0 it began."""
+    start = "begins to hold" if kind == "rise" else "ceases to hold, or never held"
+    if arg["parts"]:
+        return {"text": f"this {start}:", "parts": [arg]}
+    text = arg["text"]
+    if kind == "rise":
+        return _plain(f"{text} and did not at the step before")
+    return _plain(f"it is not the case that {text}, though at the step before it was")
 
 
 def _plain(text: str) -> SentenceRecord:
@@ -126,6 +174,28 @@ def _holds(phi: Formula, text: Text) -> str:
             return f"{text(label)} does not hold"
         case _:
             return f"{text(phi)} holds"
+
+
+def _once(interval: Interval) -> str:
+    a, b = interval.a, interval.b
+    if b is None:
+        return "now or earlier" if a == 0 else f"at least {_steps(a)} ago"
+    if b == 0:
+        return "now"
+    if a == b:
+        return f"{_steps(a)} before,"
+    return f"now or within the last {_steps(b)}" if a == 0 else f"at some step from {b} to {a} before,"
+
+
+def _historically(interval: Interval) -> str:
+    a, b = interval.a, interval.b
+    if b is None:
+        return "now and at every earlier step" if a == 0 else f"at every step up to {_steps(a)} ago"
+    if b == 0:
+        return "now"
+    if a == b:
+        return f"{_steps(a)} before, if there was such a step,"
+    return f"now and at the last {_steps(b)}" if a == 0 else f"at every step from {b} to {a} before,"
 
 
 def _always(a: int, b: int, at_start: bool) -> str:

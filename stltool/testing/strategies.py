@@ -24,6 +24,7 @@ from stltool.logic.formula import (
     Constant,
     Eventually,
     Formula,
+    Historically,
     Iff,
     Implies,
     Interval,
@@ -31,8 +32,13 @@ from stltool.logic.formula import (
     Negate,
     Not,
     Number,
+    Once,
     Or,
+    Release,
+    Rise,
+    Since,
     Term,
+    Trigger,
     Until,
     Variable,
 )
@@ -90,21 +96,38 @@ def formulas(
     signals: Sequence[str] = SIGNALS,
     longest: int = 3,
     max_leaves: int = 8,
+    past: bool = False,
 ) -> st.SearchStrategy[Formula]:
-    """Any bounded formula: F, G, U with windows [a, b], b at most `longest`, under the Boolean operators."""
-    return _formulas(tuple(labels), tuple(signals), longest, max_leaves)
+    """Any bounded formula: F, G, U, release with windows [a, b], b at most `longest`, under the Boolean operators;
+    with `past` also once, historically, since, trigger, whose windows may have no end, prev, rise and fall.
+    """
+    return _formulas(tuple(labels), tuple(signals), longest, max_leaves, past)
 
 
 @functools.cache
 def _formulas(
-    labels: tuple[str, ...], signals: tuple[str, ...], longest: int, max_leaves: int
+    labels: tuple[str, ...], signals: tuple[str, ...], longest: int, max_leaves: int, past: bool
 ) -> st.SearchStrategy[Formula]:
+    earlier = intervals(longest) | st.sampled_from([Interval(0, None), Interval(1, None)])
+
     def grow(below: st.SearchStrategy[Formula]) -> st.SearchStrategy[Formula]:
-        return st.one_of(
+        ahead = st.one_of(
             _boolean(below),
             st.builds(Eventually, intervals(longest), below),
             st.builds(Always, intervals(longest), below),
             st.builds(Until, intervals(longest), below, below),
+            st.builds(Release, intervals(longest), below, below),
+        )
+        if not past:
+            return ahead
+        return ahead | st.one_of(
+            st.builds(Once, earlier, below),
+            st.builds(Historically, earlier, below),
+            st.builds(Since, earlier, below, below),
+            st.builds(Trigger, earlier, below, below),
+            st.builds(Once, st.just(Interval(1, 1)), below),
+            below.map(Rise),
+            below.map(lambda arg: Rise(Not(arg))),
         )
 
     return st.recursive(predicates(labels, signals), grow, max_leaves=max_leaves)

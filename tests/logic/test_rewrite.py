@@ -16,12 +16,18 @@ from stltool.logic.formula import (
     Comparison,
     Constant,
     Eventually,
+    Historically,
     Iff,
     Implies,
     Interval,
     Label,
     Not,
+    Once,
     Or,
+    Release,
+    Rise,
+    Since,
+    Trigger,
     Until,
     children,
     is_bounded,
@@ -43,12 +49,16 @@ def alike(longest=3, endless=False):
     if endless:
         windows |= st.integers(0, 2).map(lambda a: Interval(a, None))
 
+    earlier = intervals(longest) | st.integers(0, 2).map(lambda a: Interval(a, None))
+
     def grow(below):
         several = st.lists(below, min_size=2, max_size=4).map(tuple)
         return st.one_of(
             several.map(And), several.map(Or), below.map(Not), st.builds(Implies, below, below),
             st.builds(Iff, below, below), st.builds(Eventually, windows, below), st.builds(Always, windows, below),
-            st.builds(Until, windows, below, below),
+            st.builds(Until, windows, below, below), st.builds(Release, windows, below, below),
+            st.builds(Once, earlier, below), st.builds(Historically, earlier, below), below.map(Rise),
+            st.builds(Since, earlier, below, below), st.builds(Trigger, earlier, below, below),
         )  # fmt: skip
 
     return st.recursive(leaves, grow, max_leaves=9)
@@ -69,6 +79,9 @@ def value(phi, trace, t, negate, cut):
     def window(interval):
         first, end = t + interval.a, last if interval.b is None else t + interval.b
         return range(first, (min(end, last) if cut else max(end, first)) + 1)
+
+    def earlier(interval):
+        return range(0 if interval.b is None else max(t - interval.b, 0), t - interval.a + 1)
 
     match phi:
         case Constant() | Label() | Comparison():
@@ -92,6 +105,19 @@ def value(phi, trace, t, negate, cut):
             return max(
                 (min([at(right, u)] + [at(left, v) for v in range(t, u)]) for u in window(interval)), default=bottom
             )
+        case Release(interval, left, right) | Trigger(interval, left, right):
+            dual = Until if isinstance(phi, Release) else Since
+            return negate(at(dual(interval, Not(left), Not(right)), t))
+        case Once(interval, arg):
+            return max((at(arg, u) for u in earlier(interval)), default=bottom)
+        case Historically(interval, arg):
+            return min((at(arg, u) for u in earlier(interval)), default=top)
+        case Since(interval, left, right):
+            witnesses = (min([at(right, u)] + [at(left, v) for v in range(u + 1, t + 1)]) for u in earlier(interval))
+            return max(witnesses, default=bottom)
+        case Rise(arg):
+            return min(at(arg, t), negate(at(Once(Interval(1, 1), arg), t)))
+    raise AssertionError(phi)
 
 
 def assert_same(left, right, trace, t=0, cut=False):
@@ -101,7 +127,7 @@ def assert_same(left, right, trace, t=0, cut=False):
 
 def is_nnf(phi):
     return all(
-        isinstance(node.arg, Label) if isinstance(node, Not) else not isinstance(node, Implies | Iff)
+        isinstance(node.arg, Label) if isinstance(node, Not) else not isinstance(node, Implies | Iff | Rise)
         for node in walk(phi)
     )
 
@@ -313,14 +339,48 @@ def test_what_doubles_too_often_is_refused():
     assert operator_count(negation_normal_form(nested(lambda phi, i: Iff(Label(f"l{i}"), phi), 7), 572)) == 572
     with pytest.raises(SizeError, match="over 200000"):
         negation_normal_form(nested(lambda phi, i: Iff(Label(f"l{i}"), phi), 150))
-    left = nested(lambda phi, i: Not(Until(Interval(0, 2), Not(phi), Label("b"))), 80)
-    with pytest.raises(SizeError, match=r"nests operators 241 deep, over 200"):
-        negation_normal_form(left)
-    deepest = Eventually(Interval(0, 1), nested(lambda phi, i: Not(Until(Interval(0, 2), Not(phi), Label("b"))), 66))
-    negation_normal_form(deepest)  # exactly 200 deep
-    with pytest.raises(SizeError, match=r"nests operators 201 deep"):
-        negation_normal_form(Eventually(Interval(0, 1), deepest))
+    with pytest.raises(SizeError, match=r"the negation normal form nests operators 204 deep, over 200"):
+        negation_normal_form(nested(lambda phi, i: Iff(Label(f"l{i}"), phi), 101), most_operators=10**60)
     with pytest.raises(ArgumentError, match="parse it: stl.parse"):
         negation_normal_form("a")
     with pytest.raises(ArgumentError, match="parse it: stl.parse"):
         simplify("a")
+
+
+@pytest.mark.parametrize(("kind", "dual"), [("U", "release"), ("since", "trigger")])
+def test_a_negated_until_or_since_does_not_grow(kind, dual):
+    """Until release and trigger were nodes, each negated until doubled its operands."""
+    phi = nested(lambda phi, i: stl.parse(f"!(l{i} {kind}[0,2] a)") if not i else Not(with_left(kind, phi)), 80)
+    assert operator_count(negation_normal_form(phi)) <= operator_count(phi) + 80
+    assert str(negation_normal_form(stl.parse(f"!(a {kind}[1,3] !b)"))) == f"!a {dual}[1,3] b"
+    assert str(simplify(stl.parse(f"!(!a {kind}[1,3] !b)"))) == f"a {dual}[1,3] b"
+
+
+def with_left(kind, phi):
+    return (Until if kind == "U" else Since)(Interval(0, 2), phi, Label("b"))
+
+
+@pytest.mark.parametrize(
+    ("text", "simple"),
+    [
+        ("once[1,2] once[0,3] a", "once[1,5] a"),
+        ("historically[0,1] a & historically[2,4] a", "historically[0,4] a"),
+        ("once[0,1] a | once[1,inf] a", "once a"),
+        ("once[1,2] a & once[1,3] a", "once[1,2] a"),
+        ("historically[0,2] a & once[0,1] a", "historically[0,2] a"),
+        ("historically[1,2] a & once[1,1] a", "(historically[1,2] a) & (prev a)"),  # no step 1 before: true and false
+        ("prev true", "prev true"),  # false at step 0
+        ("once true", "true"),
+        ("historically[2,3] false", "historically[2,3] false"),  # true before step 2
+        ("a since true", "true"),
+        ("true since[1,2] a", "once[1,2] a"),
+        ("a since[0,3] a", "a"),
+        ("a since[1,3] a", "a since[1,3] a"),
+        ("rise false", "false"),
+        ("rise true", "rise true"),  # true at step 0
+        ("!once[0,3] !a", "historically[0,3] a"),
+        ("F[1,2] prev a", "F[1,2] prev a"),
+    ],
+)
+def test_windows_of_the_past_are_joined_as_far_as_their_cuts_allow(text, simple):
+    assert str(simplify(stl.parse(text))) == simple
