@@ -523,7 +523,7 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
         return "write != for not equal"
     if kind in ("_UNTIL", *_INFIX_WORDS) and "_AND" in accepted:
         written = "until" if kind == "_UNTIL" else str(token).rstrip("_")
-        return f"{written} cannot be chained with another until or since; put one of them in parentheses"
+        return f"{written} cannot be chained; put one of them in parentheses"
     if kind == "LSQB" and str(before) in _NO_INTERVAL:
         return f"{before} takes no interval; for a window of the past, write once[0,5] a"
     if kind == "_DOTS" or (kind == "TIME" and last == "NAME"):

@@ -41,6 +41,22 @@ def test_operators_make_the_nodes_of_the_text(phi, psi, chi, bounds):
     assert (phi | psi) | chi == phi | (psi | chi)
 
 
+@given(phi=formulas(max_leaves=4, past=True), psi=formulas(max_leaves=4, past=True), bounds=INTERVALS)
+def test_what_looks_back_is_composed_as_the_text_reads(phi, psi, bounds):
+    a, b = bounds
+    for composed, text in (
+        (stl.once(phi, a, b), f"once[{a},{b}] (p)"), (stl.historically(phi, a, b), f"historically[{a},{b}] (p)"),
+        (stl.since(phi, psi, a, b), f"(p) since[{a},{b}] (q)"), (stl.once(phi), "once (p)"),
+        (stl.trigger(phi, psi, a, b), f"(p) trigger[{a},{b}] (q)"), (stl.since(phi, psi, a), f"(p) since[{a},inf] (q)"),
+        (stl.release(phi, psi, a, b), f"(p) release[{a},{b}] (q)"), (stl.prev(phi), "prev (p)"),
+        (stl.weak_until(phi, psi, a, b), f"(p) weak_until[{a},{b}] (q)"), (stl.rise(phi), "rise (p)"),
+        (stl.fall(phi), "fall (p)"),
+    ):  # fmt: skip
+        meant = stl.parse(text.replace("(q)", f"({psi})").replace("(p)", f"({phi})"))
+        assert composed == meant
+        assert stl.parse(str(composed)) == composed
+
+
 def test_conjunctions_lie_in_one_level_like_those_of_a_text():
     assert A & B & C == stl.parse("A & B & C") == And((A, B, C))
     assert A | B | C == stl.parse("A | B | C") == Or((A, B, C))

@@ -11,7 +11,27 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.errors import FileError, SettingsError, StlSyntaxError
 from stltool.grammar import grammar_text
-from stltool.logic.formula import Always, Comparison, Eventually, Interval, Label, Number, Until, Variable
+from stltool.logic.formula import (
+    Always,
+    And,
+    Comparison,
+    Eventually,
+    Historically,
+    Interval,
+    Label,
+    Not,
+    Number,
+    Once,
+    Or,
+    Release,
+    Rise,
+    Since,
+    Trigger,
+    Until,
+    Variable,
+    label_names,
+    variables,
+)
 from stltool.logic.quantities import Duration, duration, quantity
 from tests.conftest import DATA, OUTSIDE, needs_outside
 
@@ -93,6 +113,69 @@ def test_every_word_of_the_grammar_can_be_a_name():
     ]
 
 
+PAST_TEXTS = [
+    ("once[0,3] a", Once(Interval(0, 3), A)),
+    ("once_(0,3] a", Once(Interval(1, 3), A)),
+    ("once a", Once(Interval(0, None), A)),
+    ("once(a)", Once(Interval(0, None), A)),
+    ("historically[2,inf) a", Historically(Interval(2, None), A)),
+    ("a since b", Since(Interval(0, None), A, B)),
+    ("a since_[1,2] !b", Since(Interval(1, 2), A, Not(B))),
+    ("a trigger[1,2] b", Trigger(Interval(1, 2), A, B)),
+    ("prev a", Once(Interval(1, 1), A)),
+    ("rise(a)", Rise(A)),
+    ("fall a", Rise(Not(A))),
+    ("a release[1,2] b", Release(Interval(1, 2), A, B)),
+    ("a weak_until[1,3] b", Or((Until(Interval(1, 3), A, B), Always(Interval(0, 3), A)))),
+    ("rise prev once[0,1] a", Rise(Once(Interval(1, 1), Once(Interval(0, 1), A)))),
+    ("prev a & b", And((Once(Interval(1, 1), A), B))),
+    ("!prev a since b", Since(Interval(0, None), Not(Once(Interval(1, 1), A)), B)),
+]
+
+
+@pytest.mark.parametrize(("text", "meaning"), PAST_TEXTS)
+def test_words_of_the_past(text, meaning):
+    assert stl.parse(text) == meaning
+    assert stl.parse(str(meaning)) == meaning
+    assert stl.parse_task(stl.format_task(f"r := {text}")).formula == meaning
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("rise & once", {"rise", "once"}),
+        ("G[0,5] since", {"since"}),
+        ("F[0,2] (release -> F(0,2) trigger)", {"release", "trigger"}),
+        ("once[t] > 3 & prev < 2", {"once", "prev"}),
+        ("(fall | a) since rise", {"fall", "a", "rise"}),
+        ("rise once", {"once"}),
+        ("since since since", {"since"}),
+        ("O & H | S -> (Y <-> R & W)", {"O", "H", "S", "Y", "R", "W"}),
+    ],
+)
+def test_words_of_the_past_are_names_where_no_operator_can_stand(text, names):
+    phi = stl.parse(text)
+    assert {*variables(phi), *label_names(phi)} == names
+
+
+def test_words_of_the_past_give_way_to_definitions_params_and_signals():
+    task = stl.parse_task("signal prev, x\nparam since = 3\nrise := x > 1\nr := G[0,since] rise | prev - 1 > 2")
+    assert str(task.formula) == "(G[0,3] (x > 1)) | prev - 1 > 2"
+    advice = [str(one) for one in stl.ambiguities(task)]
+    assert any("rise is a definition here, not the operator" in one for one in advice)
+    assert any("since is a param here" in one for one in advice)
+    assert any("prev is a signal here" in one for one in advice)
+    assert stl.parse_task("step = 1s\nrise := x > 1\nfall := x < 0\nspike := rise and (ev_[0, 2] fall)").formula == (
+        stl.parse("x > 1 & (F[0,2] (x < 0))")
+    )
+
+
+def test_prev_is_told_to_be_weak_in_rtamt():
+    (advice,) = stl.ambiguities(stl.parse_task("r := G[0,3] ((prev a) -> (prev b))"))
+    assert "prev is false at step 0, where RTAMT's prev is true" in str(advice)
+    assert stl.ambiguities(stl.parse_task("r := G[0,3] ((once[1,1] a) -> b)")) == []
+
+
 def test_times_are_whole_multiples_of_the_step():
     text = "F[0,2s] a & G[0.5s,1min) b"
     assert stl.parse(text, step="0.1s") == stl.parse("F[0,20] a & G[5,600) b")
@@ -153,8 +236,23 @@ def test_times_are_whole_multiples_of_the_step():
         ("signal x\nr := x & A", "expected a Boolean expression, but x is a signal; compare it, as in x > 0"),
         ("signal x\nparam x = 3\nr := A", "x is a signal (line 1); rename this param"),
         ("r := x > 0\nsignal r", "r is a signal (line 2); rename this definition"),
-        ("r := once[0,3] A", "once refers to the past"),
-        ("r := A since[0,3] B", "since refers to the past"),
+        ("r := O[0,3] A", "there is no operator O; write once[0,5] a"),
+        ("r := H (A & B)", "there is no operator H; write historically[0,5] a"),
+        ("r := !Y A", "there is no operator Y; write prev a"),
+        ("r := A S[0,3] B", "there is no operator S; write a since[0,5] b"),
+        ("r := A & (B S A)", "there is no operator S; write a since[0,5] b"),
+        ("r := A R[0,3] B", "there is no operator R; write a release[0,5] b"),
+        ("r := A W B", "there is no operator W; write a weak_until[0,5] b"),
+        ("r := previous(A)", "there is no operator previous; write prev a"),
+        ("r := prev[0,3] A", "prev takes no interval; for a window of the past, write once[0,5] a"),
+        ("r := A since B since A", "since cannot be chained; put one of them in parentheses"),
+        ("r := Once[0,3] A", "did you mean once?"),
+        ("r := A Since B", "keywords are lower case; write since"),
+        ("r := prev -x > 3", "prev before a sign may be the operator or a signal"),
+        ("since := A\nr := A since B", "since is a name here, not the operator"),
+        ("r := once[3,1] A", "the interval [3,1] is empty"),
+        ("r := once (A + 1)", "expected a Boolean expression, found a number"),
+        ("r := 1 + (once A) > 0", "expected a number, found a Boolean expression"),
         ("r := next(A)", "for the next step, write F[1,1] a"),
         ("r := pow(x, 2) > 1", "write a^b"),
         ("r := alwayss[0,3] A", "alwayss does not take an interval; did you mean always?"),

@@ -1,10 +1,11 @@
 """Truth and robustness against brute force and against laws (docs/semantics.md §1)."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
@@ -12,6 +13,7 @@ from stltool.errors import NameLookupError, SettingsError, TraceError
 from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Interval, Label, Not, Or, Until
 from stltool.monitoring.states import truth
 from stltool.testing import formulas, predicates, traces
+from tests.conftest import many
 
 A, B = Label("a"), Label("b")
 
@@ -19,7 +21,7 @@ A, B = Label("a"), Label("b")
 @st.composite
 def judged(draw, **options):
     """A formula and a trace long enough to decide it at a drawn step."""
-    phi = draw(formulas(**options))
+    phi = draw(formulas(past=True, **options))
     t = draw(st.integers(0, 2))
     return phi, draw(traces(t + stl.horizon(phi) + 1)), t
 
@@ -67,6 +69,130 @@ def test_temporal_operators_against_their_definition(data, a, width):
     for u in range(a, b + 1):
         expected = expected or (holds_b[u] and all(holds_a[:u]))
     assert stl.satisfies(Until(Interval(a, b), A, B), trace) == expected
+
+
+def past_table(phi, trace, t):
+    """docs/semantics.md §1 for one operator of the past over a, b, by loops over u alone."""
+    a, b = trace["a"].tolist(), trace["b"].tolist()
+    kind, low, high = phi
+    steps = [u for u in range(t - high, t - low + 1) if u >= 0]
+    match kind:
+        case "once":
+            return any(a[u] for u in steps)
+        case "historically":
+            return all(a[u] for u in steps)
+        case "since":
+            return any(b[u] and all(a[u + 1 : t + 1]) for u in steps)
+        case "trigger":
+            return all(b[u] or any(a[u + 1 : t + 1]) for u in steps)
+
+
+@pytest.mark.parametrize("kind", ["once", "historically", "since", "trigger"])
+def test_operators_of_the_past_against_their_definition(kind):
+    """On every trace of 4 steps over two atoms, all windows up to [2,3]."""
+    single = kind in ("once", "historically")
+    for low, width in itertools.product(range(3), range(2)):
+        window = f"[{low},{low + width}]"
+        phi = stl.parse(f"{kind}{window} a" if single else f"a {kind}{window} b")
+        for bits in range(1 << (4 if single else 8)):
+            trace = {
+                "a": np.array([bits >> i & 1 for i in range(4)]),
+                "b": np.array([bits >> i + 4 & 1 for i in range(4)]),
+            }
+            t = 3 - bits % 2
+            expected = past_table((kind, low, low + width), trace, t)
+            assert stl.satisfies(phi, trace, t) == expected
+            assert stl.robustness(phi, trace, t) == (math.inf if expected else -math.inf)
+
+
+@pytest.mark.parametrize(
+    ("text", "a", "holds"),
+    [
+        ("historically[1,2] a", "0000", "1000"),
+        ("once[1,2] a", "1111", "0111"),
+        ("!prev a", "1111", "1000"),
+        ("historically[1,1] a", "0110", "1011"),  # RTAMT's prev
+        ("rise a", "1011", "1010"),
+        ("rise a", "0110", "0100"),
+        ("fall a", "0110", "1001"),
+        ("fall a", "1001", "0100"),
+        ("rise true", "0000", "1000"),
+        ("once a", "0010", "0011"),
+        ("historically a", "1101", "1100"),
+        ("!a since a", "0100", "0111"),
+    ],
+)
+def test_the_past_at_the_start_of_a_trace(text, a, holds):
+    trace = {"a": [int(x) for x in a]}
+    assert "".join(str(int(stl.satisfies(stl.parse(text), trace, t))) for t in range(4)) == holds
+
+
+def test_a_window_that_began_before_the_trace_stays_empty_whatever_follows():
+    phi = stl.parse("once[2,3] F[0,4] a")
+    trace = {"a": np.ones(9)}
+    assert [stl.satisfies(phi, trace, t) for t in range(5)] == [False, False, True, True, True]
+
+
+def test_since_does_not_ask_the_left_side_at_its_witness():
+    phi = stl.parse("a since[0,3] b")
+    assert stl.satisfies(phi, {"a": [1, 0, 1, 1], "b": [0, 1, 0, 0]}, 3)  # false exactly at u
+    assert not stl.satisfies(phi, {"a": [1, 1, 1, 0], "b": [0, 1, 0, 0]}, 3)  # false exactly at t
+    assert stl.satisfies(phi, {"a": [1, 1, 1, 0], "b": [0, 1, 0, 1]}, 3)  # b at t
+
+
+@pytest.mark.parametrize(
+    ("text", "ahead", "back"),
+    [
+        ("a", 0, 0), ("prev a", 0, 1), ("rise a", 0, 1), ("once[2,5] a", 0, 5), ("once a", 0, None),
+        ("once[2,5] F[0,4] a", 2, 5), ("F[3,6] once[1,5] a", 6, 2), ("F[3,6] once a", 6, None),
+        ("(prev a) since[1,4] b", 0, 4), ("(once[0,3] a) since[1,4] b", 0, 6), ("a since[0,0] once[0,2] b", 0, 2),
+        ("(F[0,3] a) since[2,4] F[0,4] b", 3, 4), ("a U[2,3] prev b", 3, 0), ("(prev a) release[0,3] b", 3, 1),
+        ("(prev a) & once[0,2] b -> G[0,4] a", 4, 2), ("historically[1,2] prev a", 0, 3), ("a trigger b", 0, None),
+    ],
+)  # fmt: skip
+def test_horizon_and_lookback(text, ahead, back):
+    phi = stl.parse(text)
+    assert (stl.horizon(phi), stl.lookback(phi)) == (ahead, back)
+
+
+@given(phi=formulas(max_leaves=5, past=True), data=st.data())
+def test_nothing_outside_lookback_and_horizon_matters(phi, data):
+    ahead, back = stl.horizon(phi), stl.lookback(phi)
+    t = data.draw(st.integers(0, 6))
+    one, other = data.draw(traces(t + ahead + 3)), data.draw(traces(t + ahead + 3))
+    if back is None:
+        return
+    inside = slice(max(0, t - back), t + ahead + 1)
+    mixed = {name: np.array(values) for name, values in other.items()}
+    for name in mixed:
+        mixed[name][inside] = one[name][inside]
+    assert stl.satisfies(phi, mixed, t) == stl.satisfies(phi, one, t)
+    assert stl.robustness(phi, mixed, t) == stl.robustness(phi, one, t)
+
+
+@settings(max_examples=many(100))
+@given(phi=formulas(max_leaves=2, past=True), psi=formulas(max_leaves=2, past=True), data=st.data())
+def test_operators_of_the_past_have_their_laws(phi, psi, data):
+    """docs/semantics.md §1, cuts at step 0 included."""
+    a, width, t = (data.draw(st.integers(0, 2)) for _ in range(3))
+    window = f"[{a},{a + width}]"
+    trace = data.draw(traces(t + stl.horizon(And((phi, psi))) + 5))
+
+    def same(left, right):
+        left, right = (stl.parse(text.replace("P", f"({phi})").replace("Q", f"({psi})")) for text in (left, right))
+        assert stl.satisfies(left, trace, t) == stl.satisfies(right, trace, t)
+        assert stl.robustness(left, trace, t) == stl.robustness(right, trace, t)
+
+    same(f"historically{window} P", f"!once{window} !P")
+    same(f"P trigger{window} Q", f"!(!P since{window} !Q)")
+    same(f"P release{window} Q", f"!(!P U{window} !Q)")
+    same(f"once{window} P", f"true since{window} P")
+    same("rise P", "P & !prev P")
+    same("fall P", "!P & !prev !P")
+    same(f"once{window} P", f"once[{a},{a}] once[0,{width}] P")
+    if a:
+        same(f"P since{window} Q", f"(historically[0,{a - 1}] P) & (once[{a},{a}] (P since[0,{width}] Q))")
+    same("P since Q", "Q | (P & prev (P since Q))")
 
 
 @given(psi=predicates(), data=st.data())
