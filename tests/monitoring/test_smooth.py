@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.errors import ArgumentError, SettingsError, SizeError, TraceError
-from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Interval, Not, Or, Until, is_bounded
+from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Interval, Not, Or, Release, Until, is_bounded
 from stltool.testing import formulas, traces
 from tests.monitoring.test_monitor import batches, perhaps_endless
 
@@ -80,6 +80,8 @@ def soft(phi, trace, t, beta):
             return smax([value(arg, u) for u in range(t + interval.a, t + interval.b + 1)], beta)
         case Always(interval, arg):
             return smin([value(arg, u) for u in range(t + interval.a, t + interval.b + 1)], beta)
+        case Release(interval, left, right):
+            return -value(Until(interval, Not(left), Not(right)))
         case Until(interval, left, _):
             parts, u = [], t + interval.a
             for k in range(len(interval).bit_length()):
