@@ -38,9 +38,9 @@ def test_no_operator_is_left_out():
     listed = {one for those in generated.OPERATORS.values() for one in ([those] if isinstance(those, str) else those)}
     grammar = (ROOT / "grammars" / "stl.lark").read_text("utf-8")
     terminals = set(re.findall(r"^([A-Z_]+)(?:\.-?\d+)?:", grammar, flags=re.MULTILINE))
-    lines = {"_MODEL", "_PARAM", "_SIGNAL", "_STEP", "_EXPECT", "ASSIGN", "STRING", "COMMENT"}
+    lines = {"_MODEL", "_PARAM", "_SIGNAL", "_STEP", "_UNIT", "_EXPECT", "ASSIGN", "STRING", "COMMENT"}
     brackets = {"LPAR", "RPAR", "LSQB", "RSQB", "COMMA", "COLON", "_DOTS"}
-    assert terminals == listed | lines | brackets | {"NAME", "NUMBER", "TIME"}
+    assert terminals == listed | lines | brackets | {"NAME", "DOTTED", "NUMBER", "TIME", "STEPS", "MICROSECONDS"}
 
 
 def test_the_reference_has_every_public_name():

@@ -235,9 +235,11 @@ def _tokens(source: Source) -> tuple[list[Token], list[SyntaxFault]]:
         return tokens, faults
 
 
-_OPERAND_ENDS = ("NAME", "NUMBER", "TIME", "TRUE", "FALSE", "STRING", "RPAR", "RSQB")
-_OPERAND_STARTS = ("NAME", "NUMBER", "TIME", "FUNCTION", "TRUE", "FALSE", "LPAR", "STRING", "_NOT", "_EVENTUALLY",
-                   "_ALWAYS", *_PREFIX_WORDS)  # fmt: skip
+_OPERAND_ENDS = ("NAME", "NUMBER", "TIME", "STEPS", "TRUE", "FALSE", "STRING", "RPAR", "RSQB")
+_OPERAND_STARTS = (
+    "NAME", "NUMBER", "TIME", "STEPS", "FUNCTION", "TRUE", "FALSE", "LPAR", "STRING", "_NOT", "_EVENTUALLY", "_ALWAYS",
+    *_PREFIX_WORDS,
+)  # fmt: skip
 
 
 def _with_names(source: Source, tokens: list[Token]) -> tuple[list[Token], list[SyntaxFault]]:
@@ -265,7 +267,7 @@ def _with_names(source: Source, tokens: list[Token]) -> tuple[list[Token], list[
         elif operator and follows in ("PLUS", "MINUS") and not behind:
             message = (
                 f"{token} before a sign may be the operator or a signal; write {token} ({tokens[i + 1]} …) for the "
-                f"operator, or declare the signal: signal {token}"
+                f'operator, or "{token}" for the signal'
             )
             faults.append(SyntaxFault(cast(int, token.start_pos), _span(source, token).show(message)))
         elif operator:
@@ -542,7 +544,7 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
     for near in (before, token):
         if near is not None and near.type == "NAME" and str(near).lower() in (*WORDS, *SOFT_WORDS):
             if str(near) in SOFT_WORDS:
-                return f"{near} is a name here, not the operator; rename it, or check what stands around it"
+                return f"{near} is a name here, not the operator; rename it to use both, or check what stands around it"
             return f"keywords are lower case; write {str(near).lower()}"
     if last == "NAME" and kind == "LPAR" and str(before) in ("signal", "input", "output"):
         return f"{before}(…) numbers the signals, as in FalCAuN; write the name of the signal, such as speed"

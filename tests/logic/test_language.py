@@ -156,18 +156,19 @@ def test_words_of_the_past(text, meaning):
 def test_words_of_the_past_are_names_where_no_operator_can_stand(text, names):
     phi = stl.parse(text)
     assert {*variables(phi), *label_names(phi)} == names
+    assert stl.parse(str(phi)) == phi
 
 
 def test_words_of_the_past_give_way_to_definitions_params_and_signals():
     task = stl.parse_task("signal prev, x\nparam since = 3\nrise := x > 1\nr := G[0,since] rise | prev - 1 > 2")
-    assert str(task.formula) == "(G[0,3] (x > 1)) | prev - 1 > 2"
+    assert str(task.formula) == '(G[0,3] (x > 1)) | "prev" - 1 > 2'
     advice = [str(one) for one in stl.ambiguities(task)]
     assert any("rise is a definition here, not the operator" in one for one in advice)
     assert any("since is a param here" in one for one in advice)
     assert any("prev is a signal here" in one for one in advice)
-    assert stl.parse_task("step = 1s\nrise := x > 1\nfall := x < 0\nspike := rise and (ev_[0, 2] fall)").formula == (
-        stl.parse("x > 1 & (F[0,2] (x < 0))")
-    )
+    assert stl.parse_task(
+        "step = 1s\nunit = step\nrise := x > 1\nfall := x < 0\nspike := rise and (ev_[0, 2] fall)"
+    ).formula == (stl.parse("x > 1 & (F[0,2] (x < 0))"))
 
 
 def test_prev_is_told_to_be_weak_in_rtamt():
