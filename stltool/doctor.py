@@ -1,8 +1,9 @@
 """`diagnose`: what this installation of stltool has, what it lacks, and what for.
 
-Packages and their least versions are those of the installed metadata; each is really imported, so one that is there
-but broken is found, too. Nothing is downloaded or changed, except that the folder for compiled kernels is made, as by
-the first command that compiles.
+Packages and their least versions are those of the installed metadata, or of the pyproject.toml next to the code where
+stltool runs from its sources: the metadata of an editable install are as old as its installation. Each package is
+really imported, so one that is there but broken is found, too. Nothing is downloaded or changed, except that the folder
+for compiled kernels is made, as by the first command that compiles.
 """
 
 from __future__ import annotations
@@ -10,8 +11,10 @@ from __future__ import annotations
 import importlib
 import os
 import platform
+import re
 import sys
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -62,6 +65,7 @@ class Diagnosis:
     kernels   how many of them are there now
     memory    bytes: of the machine, available now, and what stltool would allocate at most
     check     how the small check went: None, or what was wrong
+    stale     why the installed metadata are not those of this code, and the remedy; None if they are
     """
 
     version: str
@@ -74,6 +78,7 @@ class Diagnosis:
     kernels: int
     memory: tuple[int, int, int]
     check: str | None
+    stale: str | None = None
 
     @property
     def faults(self) -> list[str]:
@@ -107,7 +112,11 @@ def diagnose() -> Diagnosis:
 
     from stltool.sizes import memory_limit
 
-    packages = tuple(_package(*one) for one in _required())
+    place = Path(__file__).resolve().parent
+    installed = metadata.requires("stltool") or []
+    here = _of_sources(place.parent)
+    listed = installed if here is None else here
+    packages = tuple(_package(*one) for one in _required(listed))
     cache, kernels = _cache() if _works(packages, "numba") else (None, 0)
     machine = psutil.virtual_memory()
     return Diagnosis(
@@ -115,19 +124,47 @@ def diagnose() -> Diagnosis:
         python=platform.python_version(),
         system=f"{platform.system()} {platform.release()}, {platform.machine()}",
         threads=len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1,
-        place=Path(__file__).resolve().parent,
+        place=place,
         packages=packages,
         cache=cache,
         kernels=kernels,
         memory=(int(machine.total), int(machine.available), memory_limit()),
         check=_small_check(),
+        stale=_stale(listed, installed, place.parent) if here is not None else None,
     )
 
 
-def _required() -> Iterator[tuple[Requirement, str | None]]:
-    """The packages of a plain installation, then those of its extras for users, from the installed metadata."""
+def _of_sources(folder: Path) -> list[str] | None:
+    """The requirements in the pyproject.toml of stltool's sources, written as in metadata; None if it is not there."""
+    try:
+        project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+        if project["name"] != "stltool":
+            return None
+        plain, extras = list(project["dependencies"]), project["optional-dependencies"]
+        return plain + [f'{text}; extra == "{extra}"' for extra, texts in extras.items() for text in texts]
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return None
+
+
+def _stale(listed: Sequence[str], installed: Sequence[str], folder: Path) -> str | None:
+    """What to do if the requirements of the sources are not those of the installed metadata."""
+    if {_meant(one) for one in listed} == {_meant(one) for one in installed}:
+        return None
+    return (
+        f"the metadata of this installation are not those of its sources, which were used here; pip install -e {folder}"
+    )
+
+
+def _meant(text: str) -> tuple[str, tuple[str, ...], str, str]:
+    one = Requirement(text)
+    name = re.sub("[-_.]+", "-", one.name).lower()
+    return name, tuple(sorted(one.extras)), str(one.specifier), str(one.marker or "").replace("'", '"')
+
+
+def _required(texts: Sequence[str]) -> Iterator[tuple[Requirement, str | None]]:
+    """The packages of a plain installation, then those of its extras for users, from what metadata list."""
     here: dict[str, Any] = {**default_environment()}
-    listed = [Requirement(text) for text in metadata.requires("stltool") or []]
+    listed = [Requirement(text) for text in texts]
     for extra in (None, *PURPOSES):
         for one in listed:
             always = one.marker is None or one.marker.evaluate({**here, "extra": ""})

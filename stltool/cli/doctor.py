@@ -41,6 +41,7 @@ def doctor(as_json: AsJson = False) -> None:
             "extras": extras,
             "cache": {"folder": str(found.cache) if found.cache is not None else None, "kernels": found.kernels},
             "memory": {"total": total, "available": available, "most_used": most},
+            "stale": found.stale,
             "faults": found.faults,
         })  # fmt: skip
     else:
@@ -53,6 +54,7 @@ def doctor(as_json: AsJson = False) -> None:
             "memory": f"{memory[0]}, {memory[1]} of it available; stltool uses up to {memory[2]}",
             "kernels": f"{compiled}; in {found.cache}" if found.cache is not None else "in no folder",
             "a small check": "P = 15/16, as it must be" if found.check is None else found.check,
+            **({"note": found.stale} if found.stale is not None else {}),
         })  # fmt: skip
         print()
         print_table([
@@ -64,7 +66,8 @@ def doctor(as_json: AsJson = False) -> None:
         print_table([
             {"extra": extra, "for": about["for"],
              "status": f"missing: pip install 'stltool[{extra}]'" if about["missing"] else "installed"
-             if about["packages"] else f"unknown to this installation: pip install --upgrade 'stltool[{extra}]'"}
+             if about["packages"] else f"not listed by stltool {found.version} as installed, which is not this code: "
+             f"pip install --upgrade 'stltool[{extra}]'"}
             for extra, about in extras.items()
         ])  # fmt: skip
         print()

@@ -32,17 +32,28 @@ def test_every_extra_that_a_user_may_need_is_listed(stltool, monkeypatch):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert set(EXTRAS.values()) <= set(doctor.PURPOSES)
     assert set(doctor.PURPOSES) == set(project["optional-dependencies"]) - {"test", "dev", "bench", "fuzz", "peers"}
-    extras = project["optional-dependencies"]
-    written = [f'{needed}; extra == "{extra}"' for extra in extras for needed in extras[extra]]
-    monkeypatch.setattr(doctor.metadata, "requires", lambda name: [*project["dependencies"], *written])
     listed = {one.name: one for one in doctor.diagnose().packages if one.extra is not None}
     for package, extra in EXTRAS.items():
         name = {"sklearn": "scikit-learn"}.get(package, package)
         assert (listed[name].extra, listed[name].status) == (extra, "ok")
     text = stltool("doctor")[1]
     assert all(f"\n{extra} " in text for extra in doctor.PURPOSES)
-    monkeypatch.setattr(doctor.metadata, "requires", lambda name: project["dependencies"])
-    assert "unknown to this installation: pip install --upgrade 'stltool[trees]'" in stltool("doctor")[1]
+
+
+def test_metadata_that_are_older_than_the_sources_are_not_believed(stltool, monkeypatch):
+    """An editable install: pyproject.toml has what the metadata lacked when they were made; and where it is absent."""
+    listed = doctor._of_sources(ROOT)
+    monkeypatch.setattr(doctor.metadata, "requires", lambda name: listed)
+    assert doctor.diagnose().stale is None
+    old = [one for one in listed if "extra" not in one]
+    monkeypatch.setattr(doctor.metadata, "requires", lambda name: old)
+    code, text, _ = stltool("doctor")
+    assert (code, f"which were used here; pip install -e {ROOT}" in text) == (0, True)
+    assert "not listed" not in text
+    assert json.loads(stltool("doctor", "--json")[1])["extras"]["trees"]["packages"] == ["scikit-learn"]
+    monkeypatch.setattr(doctor, "_of_sources", lambda folder: None)
+    text = stltool("doctor")[1]
+    assert "as installed, which is not this code: pip install --upgrade 'stltool[trees]'" in text
 
 
 def broken(monkeypatch, *, missing=(), old=(), failing=()):
