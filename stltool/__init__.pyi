@@ -36,6 +36,7 @@ from .monitoring import (
 )
 from .automata import TaskAutomaton as TaskAutomaton, compile_automaton as compile_automaton
 from .automata.vacuity import Meaning as Meaning, meaning as meaning
+from .diagnosis import Diagnosis as Diagnosis, diagnose as diagnose
 from .models import (
     MDP as MDP,
     from_gymnasium as from_gymnasium,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
+from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
@@ -388,3 +389,28 @@ def moore_partition(delta, outputs) -> list[int]:
         if finer == classes:
             return classes
         classes = finer
+
+
+def least_cause(phi, trace: dict, t: int, end: str, values: dict) -> tuple[dict, Callable[[dict], bool]]:
+    """The colex-least cause of a verdict among all traces over `values`, and whether given samples are a cause.
+
+    Samples are `{name: [steps]}`. One after another, the latest first, they are left out if the verdict stays.
+    """
+    names, n = sorted(trace), len(next(iter(trace.values())))
+    grids = [values[name] for name in names for _ in range(n)]
+    every = np.array(list(itertools.product(*grids)), dtype=float).reshape(-1, len(names), n)
+    verdicts = stl.monitor(phi, {name: every[:, i] for i, name in enumerate(names)}, end, "boolean").verdicts[:, t]
+    agrees = [every[:, i] == np.asarray(trace[name], dtype=float) for i, name in enumerate(names)]
+    wanted = stl.monitor(phi, trace, end, "boolean").verdicts[t]
+
+    def forces(samples: dict) -> bool:
+        same = np.ones(len(every), dtype=bool)
+        for i, name in enumerate(names):
+            same &= agrees[i][:, samples.get(name, [])].all(axis=1)
+        return bool((verdicts[same] == wanted).all())
+
+    kept = {name: list(range(n)) for name in names}
+    for step, name in itertools.product(reversed(range(n)), reversed(names)):
+        less = kept | {name: [other for other in kept[name] if other != step]}
+        kept = less if forces(less) else kept
+    return kept, forces

@@ -18,9 +18,9 @@ from stltool.learning.settings import settings_of
 
 # classes whose objects functions make, so that their constructors are no doors
 RESULTS = {
-    "CheckResult", "Estimate", "Fragment", "Front", "Gap", "Guarantee", "JointProduct", "LikelyRuns", "MDP", "Meaning",
-    "MonitorResult", "ParametricResult", "PolicyTree", "Product", "Run", "Sensitivity", "SequentialTest",
-    "SmoothRobustness", "StationaryResult", "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult",
+    "CheckResult", "Diagnosis", "Estimate", "Fragment", "Front", "Gap", "Guarantee", "JointProduct", "LikelyRuns",
+    "MDP", "Meaning", "MonitorResult", "ParametricResult", "PolicyTree", "Product", "Run", "Sensitivity",
+    "SequentialTest", "SmoothRobustness", "StationaryResult", "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult",
     "Task", "TaskAutomaton", "Tradeoff", "Training", "Decision", "MarkovTest", "Verification", "Verified",
 }  # fmt: skip
 
@@ -157,6 +157,7 @@ CALLS = {
     "conventions": lambda w: {"task": w.task},
     "load_trace": lambda w: {"path": "trace.csv"},
     "monitor": lambda w: {"phi": w.formula, "signals": {"A": [1, 0, 1]}},
+    "diagnose": lambda w: {"phi": w.formula, "signals": {"A": [0, 0, 0, 1, 0, 1]}, "t": 1},
     "smooth_robustness": lambda w: {"phi": w.formula, "signals": {"A": [1, 0, 1]}, "beta": 1.0},
     "OnlineMonitor": lambda w: {"phi": w.formula},
     "OnlineMonitor.feed": lambda w: {"self": stl.OnlineMonitor(w.formula), "sample": {"A": 1}},

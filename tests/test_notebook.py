@@ -56,6 +56,7 @@ CELLS = {
     "Fragment": ("stl.check_fragment(stl.parse('G[0,3] (F[0,2] A & F[0,4] B)'))", "F[0,5) B"),
     "Meaning": ("stl.meaning(task)", "can hold: yes"),
     "MonitorResult": ("stl.monitor(stl.parse('x < 0.5'), signals)", "4 traces of 10 samples"),
+    "Diagnosis": ("stl.diagnose(stl.parse('F[0,2] A'), {'A': [0, 0, 1]})", "Diagnosis: holds at step 0, 1 cause"),
     "SmoothRobustness": ("stl.smooth_robustness(stl.parse('F[0,2] (x > 0.5)'), signals, 10.0)", "beta 10"),
     "OnlineMonitor": ("online", "0 samples read"),
     "Decision": ("[online.feed({'x': 0.1 * i}) for i in range(3)][-1][0]", "false"),

@@ -39,10 +39,16 @@ def monitor(
         typer.Option(
             "--trace",
             metavar="N",
-            help="in a batch: the trace for --plot and --steps; default: the first that violates",
+            help="in a batch: the trace for --plot, --steps and --why; default: the first that violates",
         ),
     ] = None,
     steps: Annotated[bool, typer.Option("--steps", help="list every judged step")] = False,
+    why: Annotated[
+        bool,
+        typer.Option(
+            "--why", help="what decided the first violated step, or --at: sentences, and a minimal set of samples"
+        ),
+    ] = False,
     plot: Annotated[
         Path | None,
         typer.Option("--plot", metavar="FILE", help="draw the trace with its verdicts (.png, .svg, .pdf)"),
@@ -63,6 +69,7 @@ def monitor(
     import stltool as stl
     from stltool.logic.formula import label_names, variables
     from stltool.reporting import monitor_data, monitor_report, require_report, write_monitor_picture, write_report
+    from stltool.reporting.diagnosis import diagnosis_data, diagnosis_lines
     from stltool.reporting.monitoring import (
         monitor_facts,
         range_rows,
@@ -71,14 +78,14 @@ def monitor(
         step_lines,
         trace_rows,
     )
-    from stltool.reporting.terminal import print_facts, print_json, print_table, working
+    from stltool.reporting.terminal import print_facts, print_json, print_table, progress_bar, working
 
     if end not in _ENDS:
         raise SettingsError(f"--end {end}: choose {', '.join(_ENDS)}")
     if steps and as_json:
         raise SettingsError("--steps lists what --json contains already; keep one of them")
-    if which is not None and plot is None and not steps:
-        raise SettingsError(f"--trace {which} selects the trace for --plot or --steps; add one of them")
+    if which is not None and plot is None and not steps and not why:
+        raise SettingsError(f"--trace {which} selects the trace for --plot, --steps or --why; add one of them")
     if plot is not None:
         require_monitor_picture(plot)
     if report is not None:
@@ -93,9 +100,17 @@ def monitor(
         result = stl.monitor(loaded, signals, end=end)  # type: ignore[arg-type]  # checked above
         data = monitor_data(result, loaded, trace, at)
     shown = shown_trace(data, which)
+    diagnosis = None
+    if why:
+        first = (data if shown is None else data["each"][shown])["first_violation"]
+        asked = at if at is not None else first if first is not None else 0
+        one = {key: values if shown is None else values[shown] for key, values in signals.items()}
+        with progress_bar("finding causes", quiet=as_json, patience=2.0) as bar:
+            diagnosis = stl.diagnose(loaded, one, asked, end=end, progress=bar)  # type: ignore[arg-type]
+        data["why"] = diagnosis_data(diagnosis, loaded, shown)
     if plot is not None:
         with working(f"drawing {plot}", quiet=as_json):
-            write_monitor_picture(result, signals, loaded, plot, shown, at)
+            write_monitor_picture(result, signals, loaded, plot, shown, at, diagnosis.causes if diagnosis else None)
     if report is not None:
         write_report(monitor_report(data, loaded, this_command()), report / "report.html")
     if as_json:
@@ -108,6 +123,8 @@ def monitor(
             print_table(rows)
             if more:
                 print(f"and {more} more; --json lists all")
+        if why:
+            print("\n" + "\n".join(diagnosis_lines(data["why"])))
         if steps:
             print(f"\ntrace {shown}:" if shown is not None else "")
             print("\n".join(step_lines(data, shown)))

@@ -198,3 +198,39 @@ def _is_exact(term: Term) -> bool:
             return all(_is_exact(arg) for arg in args)
         case _:
             assert_never(term)
+
+
+def realised(read: Sequence[Formula]) -> bool:
+    """Whether real values realise every row of `feasible_valuations`, whatever values some of the signals are given.
+
+    So it is if every core is one signal, or a linear combination of signals that no other core contains.
+    """
+    cores: dict[Hashable, list[str]] = {}
+    for leaf in read:
+        if isinstance(leaf, Label):
+            cores[leaf] = [leaf.name]
+        elif isinstance(leaf, Comparison) and (core := _solve_comparison(leaf)[0]) != "no variable":
+            names = _linear_names(core)
+            if names is None or len(set(names)) < len(names):
+                return False
+            cores[core] = names
+    every = [name for names in cores.values() for name in names]
+    return len(set(every)) == len(every)
+
+
+def _linear_names(core: object) -> list[str] | None:
+    """The signals of a linear combination, with repetitions; None for any other term."""
+    match core:
+        case Number():
+            return []
+        case Variable(name):
+            return [name]
+        case Negate(arg):
+            return _linear_names(arg)
+        case Arithmetic("+" | "-", left, right):
+            a, b = _linear_names(left), _linear_names(right)
+            return None if a is None or b is None else a + b
+        case Arithmetic("*" | "/" as op, left, right) if _constant(right) or (op == "*" and _constant(left)):
+            return _linear_names(left if _constant(right) else right)
+        case _:
+            return None

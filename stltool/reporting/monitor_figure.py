@@ -1,4 +1,4 @@
-"""A monitored trace as a picture: signals with their predicates, labels, robustness and verdicts over one time axis.
+"""A monitored trace as a picture: signals with their predicates, labels, the formula's parts, robustness and verdicts.
 
 If there are more samples than columns in the picture, envelopes are drawn and no sample is omitted: a curve goes
 through the least and the greatest value of each column, and a column with any violated step is violated.
@@ -7,7 +7,7 @@ through the least and the greatest value of each column, and a column with any v
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -31,18 +31,24 @@ from stltool.logic.formula import (
 )
 from stltool.logic.task import Task
 from stltool.monitoring.offline import MonitorResult, monitor
+from stltool.monitoring.parts import part_verdicts
 from stltool.numbers import shortest
+from stltool.reporting.diagnosis import named_formulas
 from stltool.reporting.drawing import INK, alone, drawing, fitted, picture, shown, text_width
 from stltool.reporting.monitoring import both, robustness_text, true_ranges
+from stltool.reporting.words import with_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Reals: TypeAlias = NDArray[np.float64]
 Booleans: TypeAlias = NDArray[np.bool_]
+Causes: TypeAlias = Mapping[str, NDArray[np.int64]]
+"""Samples that decided a verdict: name → steps."""
 
 COLUMNS = 1500  # columns of the time axis, each a step or an envelope of several
 PANELS, LANES, PREDICATES = 8, 12, 6  # signals, labels, and predicates on one signal, at most
+PARTS = 12  # of the formula
 HOLDS, VIOLATED, UNJUDGED = "#0072b2", "#d55e00", "#cccccc"  # Okabe and Ito's blue and vermillion
 _PREDICATES = ("#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a7000", "#7f7f7f")
 _LABEL, _SMALL, _TINT = "#5f7f9f", 8, 0.11
@@ -70,9 +76,10 @@ def monitored(
     kind: str,
     trace: int | None = None,
     at: int | None = None,
+    causes: Causes | None = None,
 ) -> str | bytes:
     """The picture as a file's content; `kind` is svg, png or pdf."""
-    figure = monitor_figure(result, signals, task, trace, at)
+    figure = monitor_figure(result, signals, task, trace, at, causes)
     return picture(figure, kind, "monitor", "a trace, its robustness and its verdicts")
 
 
@@ -83,15 +90,20 @@ def monitor_figure(
     task: Task,
     trace: int | None = None,
     at: int | None = None,
+    causes: Causes | None = None,
 ) -> Figure:
-    """One trace (in a batch: number `trace`) as a matplotlib figure; step `at` or the first violation is marked."""
+    """One trace (in a batch: number `trace`) as a matplotlib figure; step `at` or the first violation is marked.
+
+    `causes` are samples to be marked, name → steps.
+    """
     verdicts, robustness = both(result)
     if trace is not None:
         verdicts, robustness = verdicts[trace], robustness[trace]
         signals = {name: values[trace] for name, values in signals.items()}
     names, labels = list(variables(task.formula)), list(label_names(task.formula))
     panels, lanes = names[:PANELS], labels[:LANES]
-    heights = [1.3] * len(panels) + ([0.3 + 0.22 * len(lanes)] if lanes else []) + [1.3, 0.4]
+    parts, more = part_verdicts(task.formula, signals, result.end, PARTS)
+    heights = [1.3] * len(panels) + [0.3 + 0.22 * len(some) for some in (lanes, parts) if some] + [1.3, 0.4]
     figure = Figure(figsize=(10, 1.2 + 1.1 * sum(heights)), layout="constrained")
     axes = figure.subplots(len(heights), sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     reading = _readers(task, panels)
@@ -100,8 +112,15 @@ def monitor_figure(
         for node in reading[name]:
             colours.setdefault(node, _PREDICATES[len(colours) % len(_PREDICATES)])
         _signal_panel(panel, name, signals, reading[name], colours)
+        _mark_causes(panel, signals[name], (causes or {}).get(name))
     if lanes:
         _label_panel(axes[len(panels)], lanes, signals)
+        for i, name in enumerate(lanes):
+            _mark_causes(axes[len(panels)], np.full(result.n_steps, i), (causes or {}).get(name))
+    if parts:
+        text = with_names(named_formulas(task))
+        lines = [Lane(text(part.formula), part.verdicts) for part in parts]
+        part_panel(axes[len(panels) + bool(lanes)], lines, result.n_steps)
     _robustness_panel(axes[-2], robustness)
     violated = np.flatnonzero(~verdicts)
     first = int(violated[0]) if len(violated) else None
@@ -115,7 +134,11 @@ def monitor_figure(
                 handle.set_alpha(1.0)  # a tint would hardly be visible
     hidden = [
         f"{drawn} of the {all_} {what} are shown"
-        for drawn, all_, what in ((len(panels), len(names), "signals"), (len(lanes), len(labels), "labels"))
+        for drawn, all_, what in (
+            (len(panels), len(names), "signals"),
+            (len(lanes), len(labels), "labels"),
+            (len(parts), len(parts) + more, "parts"),
+        )
         if drawn < all_
     ]
     axes[-1].set(xlabel="; ".join(["step", *hidden]), xlim=(-0.5, result.n_steps - 0.5))
@@ -222,6 +245,45 @@ def _label_panel(axes: Axes, lanes: Sequence[str], signals: dict[str, NDArray[An
     axes.grid(axis="x", alpha=0.25)
 
 
+@dataclass(frozen=True, eq=False)
+class Lane:
+    """A part of the formula, and where it holds, (n_decided,); None if it has no value somewhere."""
+
+    name: str
+    verdicts: Booleans | None
+
+
+def part_panel(axes: Axes, lanes: Sequence[Lane], n_steps: int) -> None:
+    """A lane for each part: the bar is tall where it is true, low where it is false, a grey line where not judged."""
+    for i, lane in enumerate(lanes):
+        verdicts = lane.verdicts if lane.verdicts is not None else np.zeros(0, dtype=np.bool_)
+        for ranges, height, colour, name in (
+            (coarse(verdicts, np.logical_and), 0.7, HOLDS, f"true-{i}"),
+            (coarse(~verdicts, np.logical_or), 0.3, VIOLATED, f"false-{i}"),
+            ([(len(verdicts) - 0.5, n_steps - len(verdicts))] * (len(verdicts) < n_steps), 0.1, UNJUDGED, f"open-{i}"),
+        ):
+            if ranges:
+                axes.broken_barh(ranges, (i - height / 2, height), facecolor=colour, alpha=0.8, linewidth=0, gid=name)
+    axes.set_yticks(range(len(lanes)), [
+        shown(lane.name, _LONGEST // 4) + (" (has gaps)" if lane.verdicts is None else "") for lane in lanes
+    ])  # fmt: skip
+    axes.set(ylim=(len(lanes) - 0.4, -0.6))
+    axes.set_ylabel("parts", fontsize=9)
+    axes.grid(axis="x", alpha=0.25)
+
+
+def _mark_causes(axes: Axes, values: NDArray[Any], steps: NDArray[np.int64] | None) -> None:
+    """Circles around the samples that decided, one in each of the picture's columns at most."""
+    if steps is None or not len(steps):
+        return
+    n = len(values)
+    columns = np.searchsorted(_columns(n), steps, side="right") if n > COLUMNS else steps
+    first = np.unique(columns, return_index=True)[1]
+    heights = values[steps[first]].astype(np.float64).clip(-_LARGEST, _LARGEST)
+    axes.plot(steps[first], heights, linestyle="", marker="o", markersize=5, markerfacecolor="none",
+              markeredgecolor=VIOLATED, markeredgewidth=1.0, zorder=5, gid="cause", label="causes")  # fmt: skip
+
+
 def _robustness_panel(axes: Axes, robustness: Reals) -> None:
     """The finite part, on its side of zero in the verdicts' colours."""
     finite = np.isfinite(robustness)
@@ -287,6 +349,8 @@ def envelope(values: Reals) -> tuple[Reals, Reals]:
 def coarse(truth: Booleans, combined: np.ufunc) -> list[tuple[float, float]]:
     """The ranges (left edge, width) in which truth (n,), column by column combined by "or" or "and", is true."""
     n = len(truth)
+    if not n:
+        return []
     starts = _columns(n) if n > COLUMNS else np.arange(n)
     stops = np.append(starts[1:], n)
     ranges = true_ranges(combined.reduceat(truth, starts))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -235,9 +235,13 @@ def write_monitor_picture(
     path: Path,
     trace: int | None = None,
     at: int | None = None,
+    causes: Mapping[str, NDArray[np.int64]] | None = None,
 ) -> None:
-    """Signals, robustness and verdicts over time, for a batch those of `trace`; written whole or not at all."""
+    """Signals, robustness and verdicts over time, for a batch those of `trace`; written whole or not at all.
+
+    `causes`, of a diagnosis, are marked.
+    """
     from stltool.reporting.monitor_figure import monitored
 
     require_monitor_picture(path)
-    write_result(path, monitored(result, signals, task, path.suffix.lower()[1:], trace, at), "picture")
+    write_result(path, monitored(result, signals, task, path.suffix.lower()[1:], trace, at, causes), "picture")

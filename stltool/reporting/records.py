@@ -846,6 +846,51 @@ class TraceRecord(TypedDict):
     least_robustness_at: int
 
 
+class CauseRecord(TypedDict):
+    """Samples of one signal that a verdict depends on; `times` are in seconds, if the duration of a step is known."""
+
+    signal: str
+    steps: list[int]
+    values: list[float | bool]
+    times: NotRequired[list[float]]
+
+
+class ReasonRecord(TypedDict):
+    """A sub-formula that has one truth value at some steps, and the operands that decide it there.
+
+    `steps` are ranges [first, last]. If the part is the operand of a failed eventually or until, it is `awaited`, and
+    `last` and `next` are the last step before and the first after at which it holds.
+    """
+
+    formula: str
+    holds: bool
+    steps: list[list[int]]
+    parts: list[ReasonRecord]
+    awaited: bool
+    last: int | None
+    next: int | None
+
+
+class DiagnosisRecord(TypedDict):
+    """What decided the verdict at a step.
+
+    `causes` are samples that force the verdict, whatever the others are. None of them can be left out if they are
+    `minimal`; otherwise `doubt` states why some might. `by_cases`: the tree under `reason` is one of several.
+    """
+
+    trace: int | None
+    step: int
+    verdict: bool
+    period: str | None
+    sentences: list[str]
+    summary: str
+    causes: list[CauseRecord]
+    minimal: bool
+    doubt: str | None
+    by_cases: bool
+    reason: ReasonRecord
+
+
 class MonitorRecord(TraceRecord):
     """Verdicts and robustness of a trace at every judged step; of a batch, lists of lists, and `each` trace."""
 
@@ -862,6 +907,7 @@ class MonitorRecord(TraceRecord):
     robustness: list[Robustness | list[Robustness]]
     violating_traces: NotRequired[int]
     each: NotRequired[list[TraceRecord]]
+    why: NotRequired[DiagnosisRecord]
 
 
 class FrontReport(FrontRecord):

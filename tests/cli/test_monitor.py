@@ -223,7 +223,7 @@ def test_bad_input_ends_with_code_2(stltool, log, batch, tmp_path, monkeypatch):
         (["x > 0", log, "--at", 5], "--at 5: steps 0 … 4 of these 5 samples are judged; --end cut or hold judges"),
         (["x > 0", log, "--at", -1], "--at -1: steps 0 … 4 of these 5 samples are judged"),
         (["x > 0", log, "--at", 5, "--end", "cut"], "--at 5: steps 0 … 4 of these 5 samples are judged"),
-        (["x > 0", log, "--trace", 0], "--trace 0 selects the trace for --plot or --steps; add one of them"),
+        (["x > 0", log, "--trace", 0], "--trace 0 selects the trace for --plot, --steps or --why; add one of them"),
         (["x > 0", log, "--trace", 0, "--steps"], "log.csv contains a single trace; leave out --trace"),
         (["x > 0", batch, "--trace", 3, "--steps"], f"--trace 3: {batch} contains traces 0 … 2"),
         (["x > 0", log, "--steps", "--json"], "--steps lists what --json contains already; keep one of them"),

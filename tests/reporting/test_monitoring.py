@@ -16,9 +16,10 @@ from stltool.logic.formula import Always, Interval
 from stltool.logic.semantics import satisfies
 from stltool.reporting import monitor_data, write_monitor_picture
 from stltool.reporting import monitor_figure as pictures
-from stltool.reporting.monitor_figure import HOLDS, VIOLATED, coarse, envelope, monitor_figure, threshold
+from stltool.reporting.monitor_figure import HOLDS, VIOLATED, coarse, envelope, monitor_figure, monitored, threshold
 from stltool.reporting.monitoring import monitor_facts, range_rows, shown_trace, step_lines, trace_rows, true_ranges
 from stltool.testing import formulas, traces
+from tests.reporting.svg import Picture
 
 VERDICTS = st.lists(st.booleans(), min_size=1, max_size=12)
 
@@ -273,11 +274,12 @@ def test_panels_bands_and_verdicts():
     )  # fmt: skip
     assert result.verdicts.tolist() == [True, True, False, False, True]
     figure = monitor_figure(result, signals, task)
-    x, y, labels, robustness, verdict = figure.axes
-    assert [axes.get_ylabel() for axes in figure.axes] == ["x", "y", "labels", "robustness", "verdict"]
+    x, y, labels, parts, robustness, verdict = figure.axes
+    assert [axes.get_ylabel() for axes in figure.axes] == ["x", "y", "labels", "parts", "robustness", "verdict"]
+    assert [text.get_text() for text in parts.get_yticklabels()] == ["F[0,1] (x > 0.5)", "y < 2 | door"]
     assert all(axes.get_xlim() == (-0.5, 5.5) for axes in figure.axes)
     assert verdict.get_xlabel() == "step"
-    assert 5 < figure.get_size_inches()[1] < 8
+    assert 6 < figure.get_size_inches()[1] < 9
     assert figure.get_suptitle() == "violated at 2 of 5 steps; least robustness -1 at step 3\n" + str(task.formula)
     np.testing.assert_array_equal(x.lines[0].get_ydata(), [0, 1, 0, 0, 0, 1])
     assert x.lines[0].get_marker() == "."
@@ -334,7 +336,7 @@ def test_an_asked_step_and_a_trace_of_a_batch():
 def test_infinite_robustness_and_predicates_with_gaps():
     result, signals, task = judged("F[1,1] 1 / x > 0 | A", x=[0, 1, 1], A=[True, False, False])
     figure = monitor_figure(result, signals, task)
-    x, _, robustness, _ = figure.axes
+    x, _, _, robustness, _ = figure.axes
     assert bars(x, "1 / x > 0 (has gaps)") == []
     assert texts(robustness) == ["infinite at 1\nof 2 steps"]
     assert np.isnan(robustness.lines[1].get_ydata()).tolist() == [True, False]
@@ -353,7 +355,7 @@ def test_what_would_not_be_read_is_counted(monkeypatch):
     result, signals, task = judged(f"G[0,1] ({text})", **{name: [0.5] * 4 for name in names[0]},
                                    **{name: [True] * 4 for name in names[1]})  # fmt: skip
     figure = monitor_figure(result, signals, task)
-    assert [axes.get_ylabel() for axes in figure.axes] == [*names[0][:8], "labels", "robustness", "verdict"]
+    assert [axes.get_ylabel() for axes in figure.axes] == [*names[0][:8], "labels", "parts", "robustness", "verdict"]
     assert texts(figure.axes[0]) == ["s0 > 0", *(f"s0 < {i}" for i in range(5)), "and 2 more"]
     assert len(figure.axes[8].get_yticks()) == 12
     assert 15 < figure.get_size_inches()[1] < 20
@@ -362,6 +364,54 @@ def test_what_would_not_be_read_is_counted(monkeypatch):
     assert figure.get_suptitle().endswith("…")
     six = monitor_figure(*judged(" & ".join(f"x < {i}" for i in range(6)), x=[0, 1])).axes[0]
     assert texts(six) == [f"x < {i}" for i in range(6)]
+
+
+def lanes(panel, name):
+    """The ranges of steps that a lane's bars cover, first … last, and whether they are tall."""
+    return [
+        (round(a + 0.5), round(b - 0.5), bool(d - c > 0.15 * np.ptp(panel.ylim))) for a, c, b, d in panel.boxes(name)
+    ]
+
+
+def in_lanes(panel, name, n):
+    """The markers in a panel of n lanes, as (step, lane)."""
+    down = (panel.ylim[1] - panel.markers(name)[:, 1]) / np.ptp(panel.ylim)
+    return sorted(zip(panel.markers(name)[:, 0].round(2).tolist(), (down * (n + 0.2) - 0.6).round(2), strict=True))
+
+
+def test_parts_and_causes_read_back_from_the_picture():
+    task = stl.parse_task("near := x > 2 & a\nduty := G[0,2] (near -> (F[0,1] b))")
+    signals = {
+        "x": np.array([0.0, 3, 3, 0, 3, 3, 0]),
+        "a": np.array([1, 0, 1, 1, 0, 1, 1]),
+        "b": np.array([1, 0, 0, 0, 0, 1, 0]),
+    }
+    result = stl.monitor(task, signals)
+    assert result.verdicts.tolist() == [False, False, False, True]
+    why = stl.diagnose(task, signals, 0)
+    assert {name: steps.tolist() for name, steps in why.causes.items()} == {"a": [2], "b": [2, 3], "x": [2]}
+    drawn = Picture(monitored(result, signals, task, "svg", causes=why.causes))
+    x, labels, parts, _, verdict = drawn.panels
+    assert [text.text for text in drawn.texts() if text.text in ("near", "F[0,1] b", "near -> (F[0,1] b)")] == [
+        "near -> (F[0,1] b)", "near", "F[0,1] b",
+    ]  # fmt: skip
+    assert (lanes(parts, "true-0"), lanes(parts, "false-0")) == ([(0, 1, True), (3, 5, True)], [(2, 2, False)])
+    assert (lanes(parts, "true-1"), lanes(parts, "open-1")) == ([(2, 2, True), (5, 5, True)], [])
+    assert (lanes(parts, "true-2"), lanes(parts, "open-2")) == ([(0, 0, True), (4, 5, True)], [(6, 6, False)])
+    assert lanes(parts, "false-2") == [(1, 3, False)]
+    np.testing.assert_allclose(x.markers("cause"), [[2, 3]], atol=0.01)
+    assert in_lanes(labels, "cause", 2) == [(2, 0), (2, 1), (3, 1)]
+    assert "cause" not in {*parts.names(), *verdict.names()}
+    assert "cause" not in Picture(monitored(result, signals, task, "svg")).panels[0].names()
+
+
+def test_many_parts_are_folded_and_gaps_told():
+    text = " & ".join(f"(F[0,{i}] x > 0)" for i in range(20))
+    figure = monitor_figure(*judged(text, x=np.ones(30)))
+    assert len(figure.axes[1].get_yticks()) == 12
+    assert figure.axes[-1].get_xlabel() == "step; 12 of the 20 parts are shown"
+    figure = monitor_figure(*judged("F[1,1] (1 / x > 0 & a)", x=[0.0, 1, 1], a=[True, True, True]))
+    assert [text.get_text() for text in figure.axes[2].get_yticklabels()] == ["1 / x > 0 & a (has gaps)"]
 
 
 @pytest.mark.parametrize(

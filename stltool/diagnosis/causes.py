@@ -1,0 +1,224 @@
+"""A minimal set of samples that force a verdict: with them fixed, all others may change freely.
+
+A set of samples (signal, step) is a *cause* if every trace that agrees on it has the verdict. Supersets of causes are
+causes, so a cause is minimal if no single sample can be left out. The one given is the least in colexicographic order:
+samples are left out from the latest step backwards (within a step from the last name backwards), so its latest sample
+is as early as in any cause.
+
+    Kleene     leave out the longest block before the last kept sample that can go, found by doubling and bisection; a
+               set is a cause if Kleene's evaluation decides the formula on it. Samples on a path on which every
+               alternative is needed (`Sheet.critical`) are kept without a test
+    automaton  one sweep backwards. good_s is the set of automaton states from which every continuation that agrees with
+               the samples kept at steps s, s + 1, … gets the verdict; the sample can go if δ(λ, q_s) is in good_{s+1}
+               for every letter λ that agrees with what is kept at step s, q_s being the state that the trace reaches
+
+Kleene's test is exact for formulas that are `one_sided`; for others the automaton's is, if it is small enough.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.automata.automaton import FALSE, TRUE, UNDECIDED
+from stltool.automata.compile import compile_automaton
+from stltool.diagnosis.knowledge import Knowledge, Known, names_of, one_sided, truth_along
+from stltool.diagnosis.sheet import Sheet
+from stltool.errors import SizeError
+from stltool.logic.feasible import feasible_valuations, leaves, realised
+from stltool.logic.formula import Formula, atoms, boolean_value
+from stltool.monitoring.kleene import Kleene, skeleton
+
+Progress = Callable[[int, int], None]
+
+_MOST_VALUATIONS, _MOST_STATES = 256, 2000  # of the automaton
+_QUIET, _OFTEN = 0.5, 0.2  # seconds before the first call of `progress`, and between calls
+_PATIENCE = 4  # samples kept one after another by tests, before critical ones are sought
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """The samples of a cause, (steps, signals) bool, and why it may not be minimal; None if it is."""
+
+    kept: Known
+    doubt: str | None
+
+
+def find_cause(known: Knowledge, at: int, truth: bool, progress: Progress | None = None) -> Cause:
+    """The colex-least cause of the verdict `truth` at step `at` of the block."""
+    sharp = realised(leaves(known.phi))
+    one = one_sided(known.phi)
+    doubt = None
+    if not one:
+        try:
+            return Cause(_by_automaton(known, at, truth), None if sharp else _DEPENDENT)
+        except SizeError as refusal:
+            doubt = f"the same part matters in both directions, and {refusal}"
+    return Cause(_by_kleene(known, at, truth, progress), doubt if sharp else _DEPENDENT)
+
+
+_DEPENDENT = "comparisons of several signals that depend on each other are taken as independent"
+
+
+# --------------------------------------------------------------------------------------------------------- by Kleene
+
+
+class _Trial:
+    """The samples kept so far, and whether they force the verdict."""
+
+    def __init__(self, known: Knowledge, at: int, truth: bool) -> None:
+        self.knowledge, self.at, self.wanted = known, at, 1 if truth else -1
+        n = known.block.steps
+        self.width = len(known.names)
+        self.kept: Known = np.ones((n, self.width), dtype=np.bool_)
+        self.values = known.values(self.kept)
+        names = {atom.formula: str(i) for i, atom in enumerate(known.atoms)}
+        self._machine = Kleene(skeleton(known.phi, names))
+
+    def holds(self) -> bool:
+        columns = {str(i): row[None] for i, row in enumerate(self.values)} or {"": np.zeros((1, 1), np.int8)}
+        block = self.knowledge.block
+        return bool(self._machine.judge(columns, block.steps, block.end)[0, self.at] == self.wanted)
+
+    def without(self, first: int, stop: int) -> bool:
+        """Leave out the samples first … stop − 1 of the flat order, if the others still force the verdict."""
+        flat = self.kept.reshape(-1)
+        a, b = first // self.width, (stop - 1) // self.width + 1
+        kept, values = flat[first:stop].copy(), self.values[:, a:b].copy()
+        flat[first:stop] = False
+        self.values[:, a:b] = self.knowledge.values(self.kept[a:b], a)
+        if self.holds():
+            return True
+        flat[first:stop], self.values[:, a:b] = kept, values
+        return False
+
+    def critical(self) -> NDArray[np.bool_]:
+        """Samples that surely cannot be left out, in the flat order."""
+        sheet = Sheet(self.knowledge, self.kept)
+        found = np.zeros_like(self.kept)
+        for atom, needed in zip(self.knowledge.atoms, sheet.critical(self.at), strict=True):
+            steps = np.flatnonzero(needed)
+            for column in atom.columns.tolist():
+                less = self.kept[steps]
+                less[:, column] = False
+                for step, row in zip(steps.tolist(), less, strict=True) if atom.partial else ():
+                    found[step, column] |= atom.values(row[None], step)[0] == 0
+                if not atom.partial:
+                    found[steps, column] |= atom.free == 0
+        return found.reshape(-1)
+
+
+def _by_kleene(known: Knowledge, at: int, truth: bool, progress: Progress | None) -> Known:
+    trial = _Trial(known, at, truth)
+    total = end = trial.kept.size
+    critical = np.zeros(total, dtype=np.bool_)
+    tested, patience = 0, _PATIENCE
+    told = time.monotonic() + _QUIET
+    while end > 0:
+        if progress is not None and time.monotonic() > told:
+            progress(total - end, total)
+            told = time.monotonic() + _OFTEN
+        others = np.flatnonzero(~critical[:end])
+        end = int(others[-1]) + 1 if len(others) else 0  # what is critical is kept
+        gone = _longest(trial, end)
+        end -= gone
+        tested += end > 0
+        end -= end > 0  # the next one is needed
+        if tested >= patience:
+            before = int(critical.sum())
+            critical = trial.critical()
+            patience = _PATIENCE if critical[:end].sum() > before else 2 * patience
+            tested = 0
+    return trial.kept
+
+
+def _longest(trial: _Trial, end: int) -> int:
+    """Leave out the longest block of samples that ends at `end`; its length."""
+    gone, step = 0, 1
+    while gone < end:
+        step = min(step, end - gone)
+        if not trial.without(end - gone - step, end - gone):
+            break
+        gone += step
+        step *= 2
+    else:
+        return gone
+    low, high = 0, step  # of the next `step`, `low` have gone, `high` cannot
+    while high - low > 1:
+        middle = (low + high) // 2
+        if trial.without(end - gone - middle, end - gone - low):
+            low = middle
+        else:
+            high = middle
+    return gone + low
+
+
+# ------------------------------------------------------------------------------------------------------ by automaton
+
+
+def _by_automaton(known: Knowledge, at: int, truth: bool) -> Known:
+    if known.block.end != "open" or at:
+        raise SizeError("the automaton judges whole windows only")
+    phi, n = known.phi, known.block.steps
+    read = leaves(phi)
+    rows, complete = feasible_valuations(read, _MOST_VALUATIONS)
+    if not complete:
+        raise SizeError(f"its labels and comparisons have more than {_MOST_VALUATIONS} truth assignments")
+    assigned = [dict(zip(read, row, strict=True)).get for row in rows.tolist()]
+    table = np.array([[boolean_value(psi, row) for psi in atoms(phi)] for row in assigned], dtype=np.bool_)
+    automaton = compile_automaton(phi, valuations=np.unique(table, axis=0), most_states=_MOST_STATES)
+    letters = _Letters(known, read, rows, automaton.letters_at(table))
+    if not letters.total:
+        raise SizeError("a comparison has no value at some step")
+    wanted = TRUE if truth else FALSE
+
+    q, states, settled = automaton.initial, [], n
+    for step in range(n):  # the states that the trace reaches, up to the first decided verdict
+        states.append(q)
+        q = int(automaton.delta[letters.of(step, letters.all)[0], q])
+        if automaton.verdicts(min(step, automaton.horizon))[q] != UNDECIDED:
+            settled = step
+            break
+
+    good: NDArray[np.bool_] = np.ones(automaton.n_states, dtype=np.bool_)
+    kept = np.zeros((n, len(known.names)), dtype=np.bool_)
+    for step in reversed(range(n)):
+        verdicts = automaton.verdicts(min(step, automaton.horizon))
+        good = np.where(verdicts == UNDECIDED, good, verdicts == wanted)
+        mask = 0 if step > settled else letters.all
+        for column in reversed(range(len(known.names)) if mask else ()):
+            less = mask & ~(1 << column)
+            if good[automaton.delta[letters.of(step, less), states[step]]].all():
+                mask = less
+        kept[step] = [mask >> column & 1 for column in range(len(known.names))]
+        good = np.asarray(good[automaton.delta[letters.of(step, mask)]].all(axis=0))
+    return kept
+
+
+class _Letters:
+    """The automaton's letters at each step that agree with the signals known there, a bit for each."""
+
+    def __init__(
+        self, known: Knowledge, read: tuple[Formula, ...], rows: NDArray[np.bool_], letter: NDArray[np.int32]
+    ) -> None:
+        names = known.names
+        self.all = (1 << len(names)) - 1
+        self._rows, self._letter = rows, letter
+        self._needs = [sum(1 << names.index(name) for name in names_of(leaf)) for leaf in read]
+        self._along = np.stack([truth_along(leaf, known.block) for leaf in read], axis=1)
+        self.total = bool(self._along.all())
+        self._known: dict[tuple[int, bytes], NDArray[np.int32]] = {}
+
+    def of(self, step: int, mask: int) -> NDArray[np.int32]:
+        key = mask, self._along[step].tobytes()
+        if key not in self._known:
+            agree = np.ones(len(self._rows), dtype=np.bool_)
+            for column, (needs, truth) in enumerate(zip(self._needs, self._along[step].tolist(), strict=True)):
+                if needs & mask == needs and truth:
+                    agree &= self._rows[:, column] == (truth > 0)
+            self._known[key] = np.unique(self._letter[agree])
+        return self._known[key]

@@ -1,0 +1,231 @@
+"""Why a trace satisfies a formula at a step, or violates it: the samples that force it, and what they decide."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stltool.arguments import function, one_of, whole
+from stltool.diagnosis.causes import Progress, find_cause
+from stltool.diagnosis.knowledge import Knowledge, knowledge_of, names_of
+from stltool.diagnosis.sentences import Reason, sentences, steps_text
+from stltool.diagnosis.sheet import Sheet, Steps
+from stltool.display import Card, Displayed, counted
+from stltool.errors import SettingsError, TraceError, named
+from stltool.logic.formula import (
+    Comparison,
+    Constant,
+    Eventually,
+    Formula,
+    Label,
+    Until,
+    children,
+    is_temporal,
+)
+from stltool.logic.quantities import Duration
+from stltool.logic.task import Task
+from stltool.monitoring.blocks import BlockEnd
+from stltool.monitoring.offline import monitor, prepare
+from stltool.monitoring.samples import End, Traces
+
+_CUT, _HOLD = named("end", 'end="cut"'), named("end", 'end="hold"')
+
+
+class Sample(NamedTuple):
+    """One sample of a trace."""
+
+    signal: str
+    step: int
+    value: float | bool
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Displayed):
+    """What decided a verdict. `print(diagnosis)` tells it in sentences.
+
+    step, verdict   the step that was judged, and whether the formula holds there
+    causes          the samples that force the verdict: for each signal its steps, (n,) int64 in ascending order. With
+                    them fixed, every other sample may change freely
+    doubt           None if the causes are minimal: no sample of them can be left out. Otherwise why some might
+    reason          the sub-formulas, each with the steps at which it decided, as a tree
+    by_cases        whether no single sub-formula decides, as with `a | !a`: the reason is then one of several, and not
+                    from the causes alone
+    period          the duration of a step, if one is declared
+    """
+
+    formula: Formula
+    step: int
+    verdict: bool
+    end: End
+    causes: Mapping[str, NDArray[np.int64]]
+    values: Mapping[str, NDArray[Any]]
+    doubt: str | None
+    reason: Reason
+    by_cases: bool = False
+    period: Duration | None = None
+
+    @property
+    def minimal(self) -> bool:
+        """Whether no sample of the causes can be left out."""
+        return self.doubt is None
+
+    @property
+    def samples(self) -> list[Sample]:
+        """The causes one by one, in order of time."""
+        found = [
+            Sample(name, step, value)
+            for name, steps in self.causes.items()
+            for step, value in zip(steps.tolist(), self.values[name].tolist(), strict=True)
+        ]
+        return sorted(found, key=lambda sample: (sample.step, sample.signal))
+
+    @property
+    def n_causes(self) -> int:
+        """The number of samples in the causes."""
+        return sum(map(len, self.causes.values()))
+
+    @property
+    def sentences(self) -> list[str]:
+        """The reason, outside in; operands are indented by two spaces."""
+        return sentences(self.reason, self.period)
+
+    @property
+    def summary(self) -> str:
+        """The causes in one line."""
+        told = ", ".join(
+            f"{name} {steps_text(steps, self.period)}" for name, steps in self.causes.items() if len(steps)
+        )
+        if not told:
+            return "none: the verdict is the same on every trace"
+        how = "a minimal set" if self.minimal else "sufficient, perhaps not minimal"
+        return f"{told} ({counted(self.n_causes, 'sample')}, {how})"
+
+    def __str__(self) -> str:
+        return "\n".join([*self.sentences, f"causes: {self.summary}"])
+
+    def _card(self) -> Card:
+        return Card(
+            f"Diagnosis: {'holds' if self.verdict else 'fails'} at step {self.step}, {counted(self.n_causes, 'cause')}",
+            [{"formula": self.formula}, {"because": self.sentences[-1].strip(), "doubt": self.doubt}],
+        )
+
+
+def diagnose(
+    phi: Formula | Task,
+    signals: Mapping[str, ArrayLike],
+    t: int = 0,
+    *,
+    end: End = "error",
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Why one trace satisfies or violates φ at step t.
+
+    `signals` maps every name of φ to an array (n_steps,), and `end` is that of `monitor`. The causes are the
+    colexicographically least minimal set (stltool/diagnosis/causes.py): its latest sample is as early as possible.
+    `progress(done, total)` is called while they are sought, if that takes more than half a second.
+
+    Raises what `monitor` raises, SettingsError if step t is not judged, and TraceError if the verdict depends on a
+    term without a value.
+    """
+    one_of(end, "end", get_args(End))
+    t = whole(t, "diagnose's step t", least=0)
+    function(progress, "diagnose's progress")
+    formula, traces = prepare(phi, signals, end, "diagnose")
+    if traces.batch:
+        raise TraceError("diagnose explains one trace, (n_steps,); give one row of the batch, as in {'x': x[3]}")
+    first, knowledge = _around(formula, traces, t, end)
+    everything = np.ones((knowledge.block.steps, len(knowledge.names)), dtype=np.bool_)
+    whole_sheet = Sheet(knowledge, everything)
+    at = t - first
+    value = int(whole_sheet[formula][at])
+    if value == 0:
+        monitor(formula, {name: array[0, first:] for name, array in traces.arrays.items()}, end, "boolean")  # raises
+        raise TraceError(f"step {t}: the verdict depends on a term without a value")
+    cause = find_cause(knowledge, at, value > 0, progress)
+    sheet = Sheet(knowledge, cause.kept)
+    by_cases = int(sheet[formula][at]) == 0
+    root = np.zeros(knowledge.block.steps, dtype=np.bool_)
+    root[at] = True
+    story = _Story(whole_sheet if by_cases else sheet, traces, first, end)
+    steps = {name: first + np.flatnonzero(column) for name, column in zip(knowledge.names, cause.kept.T, strict=True)}
+    return Diagnosis(
+        formula,
+        t,
+        value > 0,
+        end,
+        steps,
+        {name: traces.arrays[name][0, found] for name, found in steps.items()},
+        cause.doubt,
+        story.tell(formula, root, value),
+        by_cases,
+        phi.step if isinstance(phi, Task) else None,
+    )
+
+
+def _around(formula: Formula, traces: Traces, t: int, end: End) -> tuple[int, Knowledge]:
+    """The first step of the part of the trace on which the verdict at t depends, and what is known there."""
+    h, n = traces.program.horizon, traces.n_steps
+    judged = n if end != "error" or h is None else n - h
+    if t >= judged:
+        more = f", or {_CUT} or {_HOLD}" if end == "error" else ""
+        raise SettingsError(
+            f"step {t} is not judged: the trace has {n} samples, and the horizon is {h}; give one of the steps "
+            f"0 … {judged - 1}, or a longer trace{more}"
+        )
+    stop = n if h is None else min(t + h + 1, n)
+    whole_windows = h is not None and t + h < n
+    kind: BlockEnd = "open" if whole_windows else "hold" if end == "hold" else "cut"
+    return t, knowledge_of(formula, traces.block(slice(0, 1), slice(t, stop), kind))
+
+
+class _Story:
+    """The reason of a value, from the values that a sheet knows."""
+
+    def __init__(self, sheet: Sheet, traces: Traces, first: int, end: End) -> None:
+        self.sheet, self.traces, self.first, self.end = sheet, traces, first, end
+
+    def tell(self, phi: Formula, steps: Steps, value: int) -> Reason:
+        """Why φ has this value at these steps."""
+        needed = self.sheet.decisive(phi, steps, value)
+        covered = np.zeros_like(steps)
+        for part in needed:
+            covered |= part.steps
+        if not is_temporal(phi) and not (covered[steps].all() and needed):
+            return self._leaf(phi, steps, value)
+        operands = children(phi)
+        parts = []
+        for part in needed:
+            told = self.tell(operands[part.operand], part.steps, part.value)
+            if value == -1 and part.value == -1 and _awaits(phi, part.operand):
+                told = told.between(*self._neighbours(operands[part.operand], told.steps))
+            parts.append(told)
+        return Reason(phi, value > 0, self.first + np.flatnonzero(steps), tuple(parts))
+
+    def _leaf(self, phi: Formula, steps: Steps, value: int) -> Reason:
+        where = self.first + np.flatnonzero(steps)
+        values = {name: self.traces.arrays[name][0, where] for name in names_of(phi)}
+        known = isinstance(phi, Constant | Label | Comparison)
+        return Reason(phi, value > 0, where, (), values if known else {})
+
+    def _neighbours(self, phi: Formula, steps: NDArray[np.int64]) -> tuple[int | None, int | None]:
+        """The last step before and the first after `steps` at which φ holds; None if it does at none."""
+        read = {name: self.traces.arrays[name][0] for name in names_of(phi)}
+        try:
+            verdicts = monitor(phi, read, self.end, "boolean").verdicts
+        except TraceError:  # a term without a value somewhere
+            return None, None
+        assert verdicts is not None  # asked for
+        before, after = np.flatnonzero(verdicts[: steps[0]]), np.flatnonzero(verdicts[steps[-1] + 1 :])
+        return (
+            int(before[-1]) if len(before) else None,
+            int(steps[-1]) + 1 + int(after[0]) if len(after) else None,
+        )
+
+
+def _awaits(phi: Formula, operand: int) -> bool:
+    """Whether the operator fails because this operand does not come."""
+    return isinstance(phi, Eventually) or (isinstance(phi, Until) and operand == 1)

@@ -1,0 +1,188 @@
+"""What is known about a formula when only some samples of a trace are: its atoms, at every step, in three values.
+
+An atom is a formula without temporal operators. With the set K of signals known at a step, its value is decided if all
+truth assignments of its labels and comparisons agree that can occur (logic/feasible.py) and that agree with the
+comparisons all of whose signals are in K. So `x > 2 | x <= 3` is true without any sample, and `x + y > 3` is unknown
+until both are known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.logic.feasible import feasible_valuations, leaves
+from stltool.logic.formula import (
+    Constant,
+    Formula,
+    Iff,
+    Implies,
+    Not,
+    atoms,
+    boolean_value,
+    children,
+    is_temporal,
+    label_names,
+    variables,
+)
+from stltool.monitoring.blocks import Block, Machine
+from stltool.monitoring.kleene import Trits
+from stltool.monitoring.program import compile_formula
+
+Known = NDArray[np.bool_]
+"""Which samples are known: (steps, signals), signals in alphabetical order."""
+
+MOST_ROWS = 1024  # truth assignments of one atom, or of atoms that share signals
+_MOST_SIGNALS = 6  # of one atom; more are known only all together
+_NOT_YET = 2  # an entry of a table that was not needed so far
+
+
+def names_of(phi: Formula) -> tuple[str, ...]:
+    """The signals and labels that a formula reads, in alphabetical order."""
+    return tuple(sorted({**variables(phi), **label_names(phi)}))
+
+
+def truth_along(phi: Formula, block: Block) -> Trits:
+    """The truth of a formula without temporal operators at every step of a block of one trace; 0 without a value."""
+    columns = {name: block.columns[name] for name in names_of(phi)}
+    if not columns:  # a constant comparison
+        columns = dict(block.columns)
+    found = Machine(compile_formula(phi), margins=False).run(Block(columns, 1, block.steps))[0][0]
+    return np.where(found, np.int8(1), np.int8(-1)) if found.dtype == np.bool_ else found.copy()
+
+
+class Atom:
+    """The values of one atom along a trace, given what is known."""
+
+    def __init__(self, psi: Formula, names: tuple[str, ...], block: Block) -> None:
+        mine = names_of(psi)
+        self.formula = psi
+        self.columns = np.array([names.index(name) for name in mine], dtype=np.int64)
+        self.actual = truth_along(psi, block)
+        self._read = leaves(psi)
+        self._needs = [sum(1 << mine.index(name) for name in names_of(leaf)) for leaf in self._read]
+        rows, complete = feasible_valuations(self._read, MOST_ROWS) if self._read else (np.ones((1, 0), np.bool_), True)
+        self._rows: NDArray[np.bool_] = rows
+        assigned = [dict(zip(self._read, row, strict=True)).get for row in rows.tolist()]
+        self._truth = np.array([boolean_value(psi, row) for row in assigned])
+        self.free = self._agreed(np.ones(len(rows), dtype=np.bool_)) if complete else 0
+        self._table: NDArray[np.int8] | None = None
+        if complete and 1 < len(mine) <= _MOST_SIGNALS:
+            along = np.stack([truth_along(leaf, block) for leaf in self._read], axis=1)
+            self._found, which = np.unique(along, axis=0, return_inverse=True)
+            self._row = which.reshape(-1)
+            self._table = np.full((1 << len(mine), len(self._found)), _NOT_YET, dtype=np.int8)
+
+    @property
+    def partial(self) -> bool:
+        """Whether it can be decided by some of its signals."""
+        return self._table is not None
+
+    def values(self, known: Known, first: int = 0) -> Trits:
+        """The values at the steps first, first + 1, …, of which `known` (steps, signals) samples are known."""
+        actual = self.actual[first : first + len(known)]
+        mine = known[:, self.columns]
+        if self._table is None:
+            return np.where(mine.all(axis=1), actual, np.int8(self.free))
+        masks = mine @ (1 << np.arange(mine.shape[1]))
+        row = self._row[first : first + len(known)]
+        found = self._table[masks, row]
+        if (found == _NOT_YET).any():
+            for mask, which in np.unique(np.stack([masks, row], axis=1)[found == _NOT_YET], axis=0).tolist():
+                self._table[mask, which] = self._partial(mask, which)
+            found = self._table[masks, row]
+        return np.where(masks == (1 << mine.shape[1]) - 1, actual, found)
+
+    def _partial(self, mask: int, which: int) -> int:
+        agree = np.ones(len(self._rows), dtype=np.bool_)
+        for column, (needs, truth) in enumerate(zip(self._needs, self._found[which].tolist(), strict=True)):
+            if needs & mask == needs and truth:
+                agree &= self._rows[:, column] == (truth > 0)
+        return self._agreed(agree)
+
+    def _agreed(self, rows: NDArray[np.bool_]) -> int:
+        truth = self._truth[rows]
+        return 1 if truth.all() else 0 if truth.any() else -1
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    """The atoms of a formula along a trace."""
+
+    phi: Formula
+    names: tuple[str, ...]
+    block: Block
+    atoms: tuple[Atom, ...]
+
+    def values(self, known: Known, first: int = 0) -> NDArray[np.int8]:
+        """(n_atoms, steps) int8: the atoms at the steps first, first + 1, …"""
+        return np.stack([atom.values(known, first) for atom in self.atoms])
+
+
+def knowledge_of(phi: Formula, block: Block) -> Knowledge:
+    """The atoms of φ along a block of one trace."""
+    names = names_of(phi)
+    return Knowledge(phi, names, block, tuple(Atom(psi, names, block) for psi in atoms(phi)))
+
+
+def one_sided(phi: Formula) -> bool:
+    """Whether Kleene's evaluation decides φ as soon as all completions agree, whichever samples are known.
+
+    Each atom must occur in one polarity. If atoms share signals, then for whatever is known of these, one assignment
+    that can occur must be the worst for all of the atoms, and one the best.
+    """
+    signs: dict[Formula, set[int]] = {}
+    _collect_signs(phi, 1, signs)
+    if any(len(found) > 1 or 0 in found for found in signs.values()):
+        return False
+    single = {psi: min(found) for psi, found in signs.items()}
+    return all(_has_extremes({psi: single[psi] for psi in group}) for group in _sharing(tuple(signs)))
+
+
+def _collect_signs(phi: Formula, sign: int, signs: dict[Formula, set[int]]) -> None:
+    """The polarities of every atom; 0 under an equivalence."""
+    if isinstance(phi, Not):
+        _collect_signs(phi.arg, -sign, signs)
+    elif is_temporal(phi):
+        for i, child in enumerate(children(phi)):
+            below = 0 if isinstance(phi, Iff) else -sign if isinstance(phi, Implies) and i == 0 else sign
+            _collect_signs(child, below, signs)
+    elif not isinstance(phi, Constant):
+        signs.setdefault(phi, set()).add(sign)
+
+
+def _sharing(psis: tuple[Formula, ...]) -> list[list[Formula]]:
+    """The atoms in groups that share signals with each other, directly or not."""
+    groups: list[tuple[set[str], list[Formula]]] = []
+    for psi in psis:
+        names, together = set(names_of(psi)), [psi]
+        for group in [group for group in groups if group[0] & names]:
+            groups.remove(group)
+            names, together = names | group[0], group[1] + together
+        groups.append((names, together))
+    return [group for _, group in groups]
+
+
+def _has_extremes(signs: dict[Formula, int]) -> bool:
+    """Whether, for whatever is known of their signals, one assignment is the worst for all atoms, and one the best."""
+    if len(signs) == 1:
+        return True
+    read = tuple(dict.fromkeys(leaf for psi in signs for leaf in leaves(psi)))
+    names = sorted({name for leaf in read for name in names_of(leaf)})
+    rows, complete = feasible_valuations(read, MOST_ROWS)
+    if not complete or len(names) > _MOST_SIGNALS:
+        return False
+    assigned = [dict(zip(read, row, strict=True)).get for row in rows.tolist()]
+    signed = np.array([[boolean_value(psi, row) == (sign > 0) for psi, sign in signs.items()] for row in assigned])
+    for mask in range(1 << len(names)):
+        known = {name for i, name in enumerate(names) if mask >> i & 1}
+        columns = [i for i, leaf in enumerate(read) if known.issuperset(names_of(leaf))]
+        classes = np.unique(rows[:, columns], axis=0, return_inverse=True)[1].reshape(-1)
+        for one in range(int(classes.max()) + 1):
+            values = signed[classes == one]
+            for extreme in (values.all(axis=0), values.any(axis=0)):
+                if not (values == extreme).all(axis=1).any():
+                    return False
+    return True

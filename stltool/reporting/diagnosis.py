@@ -1,0 +1,62 @@
+"""A diagnosis as plain data, in which definitions keep their names."""
+
+from __future__ import annotations
+
+from stltool.diagnosis import Diagnosis, Reason
+from stltool.diagnosis.sentences import ranges_of, sentences
+from stltool.logic.formula import Composable, Formula
+from stltool.logic.task import Task
+from stltool.reporting.records import CauseRecord, DiagnosisRecord, ReasonRecord
+from stltool.reporting.words import Text, with_names
+
+
+def diagnosis_data(found: Diagnosis, task: Task, trace: int | None = None) -> DiagnosisRecord:
+    """Causes, the tree of reasons and its sentences; `trace` is the number of the trace in a batch."""
+    text = with_names(named_formulas(task))
+    causes: list[CauseRecord] = []
+    for name, steps in found.causes.items():
+        cause: CauseRecord = {"signal": name, "steps": steps.tolist(), "values": found.values[name].tolist()}
+        if found.period is not None:
+            cause["times"] = [float(step * found.period.seconds) for step in steps.tolist()]
+        if len(steps):
+            causes.append(cause)
+    return {
+        "trace": trace,
+        "step": found.step,
+        "verdict": found.verdict,
+        "period": str(found.period) if found.period is not None else None,
+        "sentences": sentences(found.reason, found.period, text),
+        "summary": found.summary,
+        "causes": causes,
+        "minimal": found.minimal,
+        "doubt": found.doubt,
+        "by_cases": found.by_cases,
+        "reason": _reason_data(found.reason, text),
+    }
+
+
+def named_formulas(task: Task) -> dict[str, Formula]:
+    """The definitions of a task file that are formulas."""
+    return {name: phi._formula() for name, phi in task.definitions.items() if isinstance(phi, Composable)}
+
+
+def _reason_data(reason: Reason, text: Text) -> ReasonRecord:
+    return {
+        "formula": text(reason.formula),
+        "holds": reason.holds,
+        "steps": [[first, last] for first, last in ranges_of(reason.steps)],
+        "parts": [_reason_data(part, text) for part in reason.parts],
+        "awaited": reason.awaited,
+        "last": reason.last,
+        "next": reason.next,
+    }
+
+
+def diagnosis_lines(data: DiagnosisRecord) -> list[str]:
+    """The terminal's lines."""
+    lines = ["why", *(f"  {line}" for line in data["sentences"]), f"causes  {data['summary']}"]
+    if data["doubt"] is not None:
+        lines.append(f"        perhaps not minimal: {data['doubt']}")
+    if data["by_cases"]:
+        lines.append("        no single part decides: with other samples, other parts would")
+    return lines
