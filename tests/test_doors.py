@@ -20,8 +20,9 @@ from stltool.learning.settings import settings_of
 RESULTS = {
     "CheckResult", "Diagnosis", "Estimate", "Fragment", "Front", "Gap", "Guarantee", "JointProduct", "LikelyRuns",
     "MDP", "Meaning", "MonitorResult", "ParametricResult", "PolicyTree", "Product", "Run", "Sensitivity",
-    "SequentialTest", "SmoothRobustness", "StationaryResult", "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult",
-    "Task", "TaskAutomaton", "Tradeoff", "Training", "Decision", "MarkovTest", "Verification", "Verified",
+    "SequentialTest", "SmoothRobustness", "StationaryResult", "StlToolError", "Learner", "SurrogateResult", "Sweep",
+    "SweepResult", "Task", "TaskAutomaton", "Tradeoff", "Training", "Decision", "MarkovTest", "Verification",
+    "Verified",
 }  # fmt: skip
 
 # called from within, or in inner loops with indices of their own

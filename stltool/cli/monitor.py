@@ -112,7 +112,7 @@ def monitor(
         with working(f"drawing {plot}", quiet=as_json):
             write_monitor_picture(result, signals, loaded, plot, shown, at, diagnosis.causes if diagnosis else None)
     if report is not None:
-        write_report(monitor_report(data, loaded, this_command()), report / "report.html")
+        write_report(monitor_report(data, signals, loaded, this_command()), report / "report.html")
     if as_json:
         print_json(data)
     else:

@@ -1,13 +1,22 @@
-"""A diagnosis as plain data, in which definitions keep their names."""
+"""Diagnoses, and where the parts of a formula hold, as plain data in which definitions keep their names."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from stltool.diagnosis import Diagnosis, Reason
 from stltool.diagnosis.sentences import ranges_of, sentences
 from stltool.logic.formula import Composable, Formula
 from stltool.logic.task import Task
-from stltool.reporting.records import CauseRecord, DiagnosisRecord, ReasonRecord
+from stltool.monitoring.parts import part_verdicts
+from stltool.monitoring.samples import End
+from stltool.reporting.records import CauseRecord, DiagnosisRecord, ReasonRecord, SubformulaRecord
 from stltool.reporting.words import Text, with_names
+
+PARTS = 12  # of a formula that are shown
 
 
 def diagnosis_data(found: Diagnosis, task: Task, trace: int | None = None) -> DiagnosisRecord:
@@ -33,6 +42,21 @@ def diagnosis_data(found: Diagnosis, task: Task, trace: int | None = None) -> Di
         "by_cases": found.by_cases,
         "reason": _reason_data(found.reason, text),
     }
+
+
+def subformulas_data(signals: Mapping[str, ArrayLike], task: Task, end: End) -> tuple[list[SubformulaRecord], int]:
+    """Where the first parts of a formula hold on one trace, and how many more there are."""
+    found, more = part_verdicts(task.formula, signals, end, PARTS)
+    text = with_names(named_formulas(task))
+    parts: list[SubformulaRecord] = []
+    for part in found:
+        held = None if part.verdicts is None else ranges_of(np.flatnonzero(part.verdicts))
+        parts.append({
+            "formula": text(part.formula),
+            "judged": 0 if part.verdicts is None else len(part.verdicts),
+            "holds": None if held is None else [[first, last] for first, last in held],
+        })  # fmt: skip
+    return parts, more
 
 
 def named_formulas(task: Task) -> dict[str, Formula]:

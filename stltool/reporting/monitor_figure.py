@@ -33,8 +33,8 @@ from stltool.logic.task import Task
 from stltool.monitoring.offline import MonitorResult, monitor
 from stltool.monitoring.parts import part_verdicts
 from stltool.numbers import shortest
-from stltool.reporting.diagnosis import named_formulas
-from stltool.reporting.drawing import INK, alone, drawing, fitted, picture, shown, text_width
+from stltool.reporting.diagnosis import PARTS, named_formulas
+from stltool.reporting.drawing import INK, alone, drawing, fitted, picture, shown, svg, text_width
 from stltool.reporting.monitoring import both, robustness_text, true_ranges
 from stltool.reporting.words import with_names
 
@@ -48,7 +48,6 @@ Causes: TypeAlias = Mapping[str, NDArray[np.int64]]
 
 COLUMNS = 1500  # columns of the time axis, each a step or an envelope of several
 PANELS, LANES, PREDICATES = 8, 12, 6  # signals, labels, and predicates on one signal, at most
-PARTS = 12  # of the formula
 HOLDS, VIOLATED, UNJUDGED = "#0072b2", "#d55e00", "#cccccc"  # Okabe and Ito's blue and vermillion
 _PREDICATES = ("#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a7000", "#7f7f7f")
 _LABEL, _SMALL, _TINT = "#5f7f9f", 8, 0.11
@@ -270,6 +269,29 @@ def part_panel(axes: Axes, lanes: Sequence[Lane], n_steps: int) -> None:
     axes.set(ylim=(len(lanes) - 0.4, -0.6))
     axes.set_ylabel("parts", fontsize=9)
     axes.grid(axis="x", alpha=0.25)
+
+
+@drawing()
+def lane_picture(data: Mapping[str, Any], verdicts: Booleans) -> str:
+    """The verdicts of a report's task and of its parts as SVG, and the samples that decided, signal by signal."""
+    why = data.get("why") or {"causes": []}
+    lanes = [Lane(data["task"] or "the formula", verdicts)]
+    for part in data["subformulas"]:
+        held = None
+        if part["holds"] is not None:
+            held = np.zeros(part["judged"], dtype=np.bool_)
+            for first, last in part["holds"]:
+                held[first : last + 1] = True
+        lanes.append(Lane(part["formula"], held))
+    lanes += [Lane(f"causes in {cause['signal']}", np.zeros(0, dtype=np.bool_)) for cause in why["causes"]]
+    figure = Figure(figsize=(7.2, 0.8 + 0.3 * len(lanes)), layout="constrained")
+    axes = figure.subplots()
+    part_panel(axes, lanes, data["samples"])
+    for i, cause in enumerate(why["causes"], start=len(lanes) - len(why["causes"])):
+        _mark_causes(axes, np.full(data["samples"], i), np.array(cause["steps"], dtype=np.int64))
+    axes.tick_params(labelsize=_SMALL)
+    axes.set(xlabel="step", xlim=(-0.5, data["samples"] - 0.5), ylabel="")
+    return svg(figure, "lanes", "where the task and its parts hold")
 
 
 def _mark_causes(axes: Axes, values: NDArray[Any], steps: NDArray[np.int64] | None) -> None:

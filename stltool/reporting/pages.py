@@ -7,11 +7,15 @@ from fractions import Fraction
 from importlib import metadata
 from typing import Any, cast
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from stltool.checking import Front
 from stltool.logic.formula import is_bounded
 from stltool.logic.task import Task
 from stltool.numbers import bound_texts, ceiling_text, floor_text, probability_text, within_text
 from stltool.product import Product
+from stltool.reporting.diagnosis import subformulas_data
 from stltool.reporting.headline import positions, verdict_chip
 from stltool.reporting.monitoring import monitor_facts, range_rows, robustness_text, shown_trace, trace_rows
 from stltool.reporting.records import MonitorRecord
@@ -59,16 +63,22 @@ def front_content(data: Mapping[str, Any]) -> dict[str, Any]:
 # ------------------------------------------------------------------------------------------------------------- monitors
 
 
-def monitor_report(data: Mapping[str, Any], task: Task, command: str | None = None) -> dict[str, Any]:
-    """Everything that a monitored trace's page shows; `data` as made by `monitor_data`."""
+def monitor_report(
+    data: Mapping[str, Any], signals: Mapping[str, ArrayLike], task: Task, command: str | None = None
+) -> dict[str, Any]:
+    """Everything that a monitored trace's page shows; `data` as made by `monitor_data`, `signals` what was judged."""
     words = sentences(task.formula, with_names(task.predicates)) if is_bounded(task.formula) else None
-    return {**_about(MONITOR_FORMAT, command), **data, "words": words}
+    shown = shown_trace(cast(MonitorRecord, data), None)
+    one = signals if shown is None else {name: np.asarray(values)[shown] for name, values in signals.items()}
+    parts, more = subformulas_data(one, task, data["end"])
+    return {**_about(MONITOR_FORMAT, command), **data, "words": words, "subformulas": parts, "more_subformulas": more}
 
 
 def monitor_content(given: Mapping[str, Any]) -> dict[str, Any]:
     """What the template monitor.html needs, next to the data."""
     data = cast(MonitorRecord, given)
     from stltool.reporting.figures import line_chart
+    from stltool.reporting.monitor_figure import lane_picture
 
     shown = shown_trace(data, None)
     rows, more = range_rows(data) if shown is None else trace_rows(data)
@@ -84,7 +94,12 @@ def monitor_content(given: Mapping[str, Any]) -> dict[str, Any]:
         zero = {"name": "0", "x": [0, len(ys) - 1], "y": [0.0, 0.0]}
         chart = line_chart({"x": "step", "y": "robustness", "lines": [line, zero]}, "robustness")
     facts = monitor_facts(data)
+    verdicts: Any = data["verdicts"] if shown is None else data["verdicts"][shown]
+    lanes = None
+    if 1 < len(verdicts) <= _LONGEST_CHART and data["at"] is None and data["samples"] <= 2 * _LONGEST_CHART:
+        lanes = lane_picture(given, np.array(verdicts, dtype=np.bool_))
     return {
+        "lanes": lanes,
         "lead": _monitor_lead(given),
         "horizon": f"Horizon {facts['horizon']}; judged: {facts['judged']}",
         "chart": chart,

@@ -919,13 +919,26 @@ class FrontReport(FrontRecord):
     words: dict[str, SentenceRecord]
 
 
+class SubformulaRecord(TypedDict):
+    """Where a part of the formula holds: ranges [first, last] of its `judged` steps; null if a term has no value."""
+
+    formula: str
+    judged: int
+    holds: list[list[int]] | None
+
+
 class MonitorReport(MonitorRecord):
-    """A report of `stltool monitor`: a judged trace, and the task in words; null if an interval has no end."""
+    """A report of `stltool monitor`: a judged trace, and the task in words; null if an interval has no end.
+
+    `subformulas` are judged on the trace that the page shows; `more_subformulas` is the number of others.
+    """
 
     format: Literal["stltool-monitor-1"]
     version: str
     command: str | None
     words: SentenceRecord | None
+    subformulas: list[SubformulaRecord]
+    more_subformulas: int
 
 
 class EstimateReport(EstimateOutput):

@@ -30,6 +30,7 @@ from stltool.reporting import (
     sweep_data,
     verification_data,
 )
+from stltool.reporting.diagnosis import diagnosis_data
 from tests.conftest import FACTORY, some
 
 EVIL = (
@@ -213,8 +214,10 @@ def front():
 @pytest.fixture(scope="module")
 def monitored():
     task = stl.parse_task("param T = 2\nhigh := x > 0.5\nkept := F[0,T] high")
-    result = stl.monitor(task, {"x": np.array([1.0, 0, 0, 0, 0, 1, 1])})
-    return json.loads(json.dumps(monitor_report(monitor_data(result, task, "log.csv"), task, "stltool monitor")))
+    signals = {"x": np.array([1.0, 0, 0, 0, 0, 1, 1])}
+    data = monitor_data(stl.monitor(task, signals), task, "log.csv")
+    data["why"] = diagnosis_data(stl.diagnose(task, signals, 1), task)
+    return json.loads(json.dumps(monitor_report(data, signals, task, "stltool monitor")))
 
 
 @pytest.fixture(scope="module")

@@ -14,12 +14,13 @@ import stltool as stl
 from stltool.errors import SettingsError
 from stltool.logic.formula import Always, Interval
 from stltool.logic.semantics import satisfies
-from stltool.reporting import monitor_data, write_monitor_picture
+from stltool.reporting import monitor_data, monitor_report, render, write_monitor_picture
 from stltool.reporting import monitor_figure as pictures
+from stltool.reporting.diagnosis import diagnosis_data
 from stltool.reporting.monitor_figure import HOLDS, VIOLATED, coarse, envelope, monitor_figure, monitored, threshold
 from stltool.reporting.monitoring import monitor_facts, range_rows, shown_trace, step_lines, trace_rows, true_ranges
 from stltool.testing import formulas, traces
-from tests.reporting.svg import Picture
+from tests.reporting.svg import Picture, drawn
 
 VERDICTS = st.lists(st.booleans(), min_size=1, max_size=12)
 
@@ -403,6 +404,30 @@ def test_parts_and_causes_read_back_from_the_picture():
     assert in_lanes(labels, "cause", 2) == [(2, 0), (2, 1), (3, 1)]
     assert "cause" not in {*parts.names(), *verdict.names()}
     assert "cause" not in Picture(monitored(result, signals, task, "svg")).panels[0].names()
+
+
+def test_the_page_shows_parts_and_why():
+    task = stl.parse_task("near := x > 2 & a\nduty := G[0,2] (near -> (F[0,1] b))")
+    signals = {"x": [0, 3, 3, 0, 3, 3, 0], "a": [1, 0, 1, 1, 0, 1, 1], "b": [1, 0, 0, 0, 0, 1, 0]}
+    data = monitor_data(stl.monitor(task, signals), task, "log.csv")
+    data["why"] = diagnosis_data(stl.diagnose(task, signals, 0), task)
+    page = render(json.loads(json.dumps(monitor_report(data, signals, task))))
+    panel = Picture(drawn(page)[0]).panel
+    told = [(lanes(panel, f"true-{i}"), lanes(panel, f"false-{i}")) for i in range(4)]
+    assert told[0] == ([(3, 3, True)], [(0, 2, False)])  # the whole
+    assert told[1] == ([(0, 1, True), (3, 5, True)], [(2, 2, False)])
+    assert told[2] == ([(2, 2, True), (5, 5, True)], [(0, 1, False), (3, 4, False), (6, 6, False)])
+    assert told[3] == ([(0, 0, True), (4, 5, True)], [(1, 3, False)])
+    assert in_lanes(panel, "cause", 7) == [(2, 4), (2, 5), (2, 6), (3, 5)]  # below the parts: a, b, x
+    assert "<h2>Why it is violated at step 0</h2>" in page
+    assert "F[0,1] b fails at step 2: b is false throughout steps 2 … 3; last true at 0, next at 5, needed by 3" in page
+    assert "Causes: a at step 2, b at steps 2 … 3, x at step 2 (4 samples, a minimal set)." in page
+    batch = {name: [values, values[::-1]] for name, values in signals.items()}
+    data = monitor_data(stl.monitor(task, batch), task, "log.npz")
+    told = render(json.loads(json.dumps(monitor_report(data, batch, task))))
+    assert lanes(Picture(drawn(told)[0]).panel, "true-2") == [(2, 2, True), (5, 5, True)]
+    assert "Why it" not in told
+    assert "thin where it is not judged, of trace 0" in told
 
 
 def test_many_parts_are_folded_and_gaps_told():
