@@ -18,6 +18,7 @@ from stltool.logic.semantics import robustness
 from stltool.numbers import number_text
 
 _LONGEST = 100  # characters of a formula
+_WIDTH = 110  # of a line with two parts
 _RANGES, _VALUES = 3, 4  # ranges of steps, and values of a signal, that are listed
 
 
@@ -96,8 +97,10 @@ def _lines(reason: Reason, depth: int, period: Duration | None, text: Text) -> I
     if reason.awaited:
         head += _neighbours(reason, period)
     if len(parts) == 1 and not parts[0].parts:
-        yield depth, f"{head}: {_leaf(parts[0], period, text)}"
-        return
+        line = f"{head}: {_leaf(parts[0], period, text)}"
+        if 2 * depth + len(line) <= _WIDTH:
+            yield depth, line
+            return
     yield depth, f"{head}:"
     for part in parts:
         yield from _lines(part, depth + 1, period, text)
@@ -128,7 +131,8 @@ def _leaf(reason: Reason, period: Duration | None, text: Text) -> str:
         details += _short(phi, reason)
     elif not isinstance(phi, Label):
         details = ["whatever the samples are"]
-    told += f" with {', '.join(details)}" if reason.values else f" ({details[0]})" if details else ""
+    if details:
+        told += f" with {', '.join(details)}" if reason.values else f" ({details[0]})"
     return told + (_neighbours(reason, period) if reason.awaited else "")
 
 

@@ -22,7 +22,7 @@ _PLAIN = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
 
 def drawn(page):
     """The pictures of a report's page that were made before it, in order."""
-    return re.findall(r'<div class="pictures">(<svg.*?</svg>)', page, flags=re.DOTALL)
+    return re.findall(r'<div class="pictures">(?:<!--.*?-->\s*)?(<svg.*?</svg>)', page, flags=re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -137,8 +137,8 @@ def scale(axes, axis, shift):
 
 
 def filled(scales):
-    """None replaced by what stands before it, at the beginning by what comes first."""
-    last = next(known for known in scales if known is not None)
+    """None replaced by what stands before it, at the beginning by what comes first; if all have names, by points."""
+    last = next((known for known in scales if known is not None), lambda at: -np.asarray(at))
     return [last := known or last for known in scales]
 
 
