@@ -367,11 +367,10 @@ def test_what_would_not_be_read_is_counted(monkeypatch):
     assert texts(six) == [f"x < {i}" for i in range(6)]
 
 
-def lanes(panel, name):
-    """The ranges of steps that a lane's bars cover, first … last, and whether they are tall."""
-    return [
-        (round(a + 0.5), round(b - 0.5), bool(d - c > 0.15 * np.ptp(panel.ylim))) for a, c, b, d in panel.boxes(name)
-    ]
+def lanes(panel, name, n=3):
+    """The ranges of steps that the bars in one of n lanes cover, first … last, and whether they are tall."""
+    half = np.ptp(panel.ylim) / (n + 0.2) / 2
+    return [(round(a + 0.5), round(b - 0.5), bool(d - c > half)) for a, c, b, d in panel.boxes(name)]
 
 
 def in_lanes(panel, name, n):
@@ -413,7 +412,7 @@ def test_the_page_shows_parts_and_why():
     data["why"] = diagnosis_data(stl.diagnose(task, signals, 0), task)
     page = render(json.loads(json.dumps(monitor_report(data, signals, task))))
     panel = Picture(drawn(page)[0]).panel
-    told = [(lanes(panel, f"true-{i}"), lanes(panel, f"false-{i}")) for i in range(4)]
+    told = [(lanes(panel, f"true-{i}", 7), lanes(panel, f"false-{i}", 7)) for i in range(4)]
     assert told[0] == ([(3, 3, True)], [(0, 2, False)])  # the whole
     assert told[1] == ([(0, 1, True), (3, 5, True)], [(2, 2, False)])
     assert told[2] == ([(2, 2, True), (5, 5, True)], [(0, 1, False), (3, 4, False), (6, 6, False)])
@@ -425,7 +424,7 @@ def test_the_page_shows_parts_and_why():
     batch = {name: [values, values[::-1]] for name, values in signals.items()}
     data = monitor_data(stl.monitor(task, batch), task, "log.npz")
     told = render(json.loads(json.dumps(monitor_report(data, batch, task))))
-    assert lanes(Picture(drawn(told)[0]).panel, "true-2") == [(2, 2, True), (5, 5, True)]
+    assert lanes(Picture(drawn(told)[0]).panel, "true-2", 4) == [(2, 2, True), (5, 5, True)]
     assert "Why it" not in told
     assert "thin where it is not judged, of trace 0" in told
 
