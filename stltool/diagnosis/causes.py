@@ -55,10 +55,10 @@ def find_cause(known: Knowledge, at: int, truth: bool, progress: Progress | None
     doubt = None
     if not one:
         try:
-            return Cause(_by_automaton(known, at, truth), None if sharp else _DEPENDENT)
+            return Cause(by_automaton(known, at, truth), None if sharp else _DEPENDENT)
         except SizeError as refusal:
             doubt = f"the same part matters in both directions, and {refusal}"
-    return Cause(_by_kleene(known, at, truth, progress), doubt if sharp else _DEPENDENT)
+    return Cause(by_kleene(known, at, truth, progress), doubt if sharp else _DEPENDENT)
 
 
 _DEPENDENT = "comparisons of several signals that depend on each other are taken as independent"
@@ -112,7 +112,8 @@ class _Trial:
         return found.reshape(-1)
 
 
-def _by_kleene(known: Knowledge, at: int, truth: bool, progress: Progress | None) -> Known:
+def by_kleene(known: Knowledge, at: int, truth: bool, progress: Progress | None = None) -> Known:
+    """The least set on which Kleene's evaluation decides."""
     trial = _Trial(known, at, truth)
     total = end = trial.kept.size
     critical = np.zeros(total, dtype=np.bool_)
@@ -160,7 +161,8 @@ def _longest(trial: _Trial, end: int) -> int:
 # ------------------------------------------------------------------------------------------------------ by automaton
 
 
-def _by_automaton(known: Knowledge, at: int, truth: bool) -> Known:
+def by_automaton(known: Knowledge, at: int, truth: bool) -> Known:
+    """The least cause; SizeError with the reason if there is no automaton for it, or none small enough."""
     if known.block.end != "open" or at:
         raise SizeError("the automaton judges whole windows only")
     phi, n = known.phi, known.block.steps

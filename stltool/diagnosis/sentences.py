@@ -18,7 +18,7 @@ from stltool.logic.semantics import robustness
 from stltool.numbers import number_text
 
 _LONGEST = 100  # characters of a formula
-_WIDTH = 110  # of a line with two parts
+_WIDTH = 112  # of a line with two parts
 _RANGES, _VALUES = 3, 4  # ranges of steps, and values of a signal, that are listed
 
 

@@ -268,3 +268,37 @@ def test_help_has_an_example(stltool):
     _, out, _ = stltool("monitor", "--help")
     shown = " ".join(re.sub(r"[│\n]", " ", out).split())
     assert 'stltool monitor "G[0,20] battery > 0.2" log.csv --plot log.png' in shown
+
+
+def test_why_the_first_violated_step_fails(stltool, tmp_path):
+    path = tmp_path / "dock.csv"
+    path.write_text("docked\n1\n1\n0\n1\n0\n0\n0\n1\n")
+    code, out, _ = stltool("monitor", "G[0,5] F[0,2] docked", path, "--why")
+    assert code == 1
+    assert out.splitlines()[-4:] == [
+        "why",
+        "  G[0,5] F[0,2] docked fails at step 0:",
+        "    F[0,2] docked fails at step 4: docked is false throughout steps 4 … 6; "
+        "last true at 3, next at 7, needed by 6",
+        "causes  docked at steps 4 … 6 (3 samples, a minimal set)",
+    ]
+    code, out, _ = stltool("monitor", "G[0,1s] F[0,0.4s] docked", path, "--why", "--step", "0.2s", "--json")
+    why = json.loads(out)["why"]
+    assert (code, why["step"], why["verdict"], why["minimal"], why["period"]) == (1, 0, False, True, "0.2s")
+    [cause] = why["causes"]
+    assert (cause["signal"], cause["steps"], cause["values"]) == ("docked", [4, 5, 6], [False] * 3)
+    assert cause["times"] == pytest.approx([0.8, 1.0, 1.2])
+    assert why["sentences"][1].endswith("last true at 0.6 s, next at 1.4 s, needed by 1.2 s")
+    inner = why["reason"]["parts"][0]
+    assert (inner["formula"], inner["steps"], inner["holds"]) == ("F[0,2] docked", [[4, 4]], False)
+    assert [inner["parts"][0][key] for key in ("steps", "awaited", "last", "next")] == [[[4, 6]], True, 3, 7]
+
+
+def test_why_of_a_batch_is_of_the_trace_that_is_shown(stltool, batch):
+    code, out, _ = stltool("monitor", "x > 0", batch, "--why")
+    assert code == 1
+    assert out.splitlines()[-3:] == [
+        "why", "  x > 0 fails at step 1 with x = -1, short by 1", "causes  x at step 1 (1 sample, a minimal set)",
+    ]  # fmt: skip
+    code, out, _ = stltool("monitor", "x > 0", batch, "--why", "--trace", 0, "--json")
+    assert (json.loads(out)["why"]["trace"], json.loads(out)["why"]["verdict"]) == (0, True)

@@ -1,12 +1,18 @@
 """Causes of verdicts against the enumeration of all traces: they force the verdict, and none can be left out."""
 
+import time
+
 import numpy as np
 import pytest
 
 import stltool as stl
-from stltool.diagnosis.knowledge import one_sided
+from stltool.diagnosis.causes import by_automaton, by_kleene
+from stltool.diagnosis.knowledge import knowledge_of, one_sided
+from stltool.errors import NameLookupError, SettingsError, TraceError
 from stltool.logic.feasible import leaves
 from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Interval, Not, Or, Until
+from stltool.monitoring.program import compile_formula
+from stltool.monitoring.samples import read_traces
 from tests.conftest import many
 from tests.oracles import least_cause
 
@@ -67,3 +73,86 @@ def test_the_least_cause_is_found(texts, values, n):
         checked += 1
         mixed += not one_sided(phi)
     assert 0 < mixed < checked
+
+
+@pytest.mark.parametrize("end", ["cut", "hold"])
+def test_causes_force_the_verdict_where_windows_pass_the_end(end):
+    texts, values, n = CASES[0]
+    rng, minimal = np.random.default_rng(3), 0
+    for _ in range(cases := many(60)):
+        phi = random_formula(rng, [stl.parse(text) for text in texts], int(rng.integers(1, 4)), 6)
+        names = sorted(stl.logic.formula.label_names(phi))
+        trace = {name: rng.choice(values[name], n) for name in names}
+        told = stl.diagnose(phi, trace, t := int(rng.integers(n)), end=end)
+        least, forces = least_cause(phi, trace, t, end, values)
+        found = {name: steps.tolist() for name, steps in told.causes.items()}
+        assert told.verdict == stl.monitor(phi, trace, end).verdicts[t]
+        assert forces(found)
+        assert not told.minimal or found == least
+        minimal += told.minimal
+    assert cases / 3 < minimal < cases
+
+
+def test_both_ways_agree_on_longer_traces():
+    rng = np.random.default_rng(1)
+    for text in ("G[0,40] F[0,7] a", "F[3,30] (a & G[0,4] b)", "G[0,30] (a -> F[0,5] b)", "a U[2,40] (b U[0,5] !a)"):
+        phi = stl.parse(text)
+        n = stl.horizon(phi) + 1
+        for p in (0.1, 0.5, 0.9):
+            trace = {name: rng.random(n) < p for name in stl.logic.formula.label_names(phi)}
+            known = knowledge_of(phi, read_traces(compile_formula(phi), trace).block(slice(0, 1), slice(0, n), "open"))
+            verdict = stl.satisfies(phi, trace)
+            swept = by_automaton(known, 0, verdict)
+            assert swept.any()
+            if one_sided(phi):
+                np.testing.assert_array_equal(by_kleene(known, 0, verdict), swept)
+
+
+def test_what_several_signals_decide_together():
+    both = {"x": [1.0, 5.0], "y": [2.0, 2.0], "a": [1, 0]}
+    sums = stl.diagnose(stl.parse("F[0,1] (x + y > 6)"), both)
+    assert {name: steps.tolist() for name, steps in sums.causes.items()} == {"x": [1], "y": [1]}
+    assert sums.minimal
+    tied = stl.diagnose(stl.parse("F[0,1] (x + y > 6 & x > 2)"), both)  # x > 6 alone might do, on other values
+    assert not tied.minimal
+    assert "depend on each other" in tied.doubt
+    unneeded = stl.diagnose(stl.parse("G[0,1] (x > 2 | x <= 3)"), both)
+    assert (unneeded.n_causes, unneeded.minimal) == (0, True)
+    assert str(unneeded).endswith("causes: none: the verdict is the same on every trace")
+    gap = {"x": [0.0, 1.0], "a": [1, 0]}
+    guarded = stl.diagnose(stl.parse("a | F[0,1] 1 / x > 3"), gap)
+    assert {name: steps.tolist() for name, steps in guarded.causes.items()} == {"a": [0], "x": []}
+
+
+def test_long_traces_take_no_time():
+    rng = np.random.default_rng(0)
+    trace = {"a": rng.random(100_000) < 0.1, "b": rng.random(100_000) < 0.5, "x": np.ones(100_000)}
+    start = time.process_time()
+    for text, most in (
+        ("G[0,10000] F[0,100] a", 300),
+        ("G[0,10000] (b -> F[0,100] a)", 300),
+        ("F[0,9999] x < 1", 10_000),
+    ):
+        told = stl.diagnose(stl.parse(text), trace, 7)
+        assert told.minimal
+        assert 0 < told.n_causes <= most
+    assert time.process_time() - start < 3  # a tenth of that here, on an idle machine
+
+
+@pytest.mark.parametrize(
+    ("call", "kind", "says"),
+    [
+        (
+            lambda phi: stl.diagnose(phi, {"a": [1, 0, 1]}, 2),
+            SettingsError,
+            "step 2 is not judged: the trace has 3 samples",
+        ),
+        (lambda phi: stl.diagnose(phi, {"a": [[1, 0], [0, 1]]}), TraceError, "diagnose explains one trace"),
+        (lambda phi: stl.diagnose(stl.parse("F[0,1] 1 / x > 2"), {"x": [0.0, 0]}), TraceError, "no value"),
+        (lambda phi: stl.diagnose(phi, {"b": [1, 0]}), NameLookupError, "no signal a"),
+        (lambda phi: stl.diagnose(phi, {"a": [1, 0]}, end="wrap"), SettingsError, "end"),
+    ],
+)
+def test_bad_questions_are_refused(call, kind, says):
+    with pytest.raises(kind, match=says):
+        call(stl.parse("F[0,1] a"))
