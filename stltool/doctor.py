@@ -147,18 +147,17 @@ def _of_sources(folder: Path) -> list[str] | None:
 
 
 def _stale(listed: Sequence[str], installed: Sequence[str], folder: Path) -> str | None:
-    """What to do if the requirements of the sources are not those of the installed metadata."""
-    if {_meant(one) for one in listed} == {_meant(one) for one in installed}:
+    """What to do if the requirements of the sources are not those of the installed metadata; those of users only, since
+    the others are written differently in the two."""
+    here, there = (
+        {(re.sub("[-_.]+", "-", one.name), str(one.specifier), extra) for one, extra in _required(texts)}
+        for texts in (listed, installed)
+    )
+    if here == there:
         return None
     return (
         f"the metadata of this installation are not those of its sources, which were used here; pip install -e {folder}"
     )
-
-
-def _meant(text: str) -> tuple[str, tuple[str, ...], str, str]:
-    one = Requirement(text)
-    name = re.sub("[-_.]+", "-", one.name).lower()
-    return name, tuple(sorted(one.extras)), str(one.specifier), str(one.marker or "").replace("'", '"')
 
 
 def _required(texts: Sequence[str]) -> Iterator[tuple[Requirement, str | None]]:
