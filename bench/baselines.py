@@ -38,7 +38,7 @@ class PosteriorSampling(stl.ModelBased):
         drawn = np.maximum(episode.rng.standard_gamma(counts.seen.astype(np.float64)), _LEAST)
         paradise = episode.rng.standard_gamma(0.5, size=len(visits))
         share = paradise / (paradise + np.bincount(counts.choice, drawn, len(visits)))
-        rows = state.rows(drawn, share)
+        learned, plan = state.learned(drawn, share), None
         if episode.verdict is None:
             state.starts[episode.s] += 1
         while not episode.over and episode.verdict is not True:
@@ -47,11 +47,9 @@ class PosteriorSampling(stl.ModelBased):
             if episode.verdict is False:
                 a = rarest(visits[first:after], chances[t])
             else:
-                at = t - state.since, np.array([s]), np.array([q])
-                if t == 0 or not state.plan.lists(*at)[0]:
-                    state.follow(rows, t, s, q, visits)
-                    at = 0, *at[1:]
-                a = int(state.plan.at(*at)[0])
+                if plan is None or plan(t, s, q) < 0:
+                    plan = state.plan_from(learned, t, s, q)
+                a = plan(t, s, q)
             episode.step(a)
             visits[first + a] += 1
 

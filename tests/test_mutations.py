@@ -20,7 +20,9 @@ OPEN, AGREE, VALUES, POLICY = (
         "every_arithmetic_and_engine_gives_the_dense_value", "every_arithmetic_and_engine_gives_a_policys_value",
     )
 )  # fmt: skip
-WORDS, TILES, EDGES, LANES, NATURE = (f"kernels/{name}.py" for name in ("words", "tiles", "edges", "lanes", "nature"))
+WORDS, TILES, EDGES, LANES, NATURE, PLANNING = (
+    f"kernels/{name}.py" for name in ("words", "tiles", "edges", "lanes", "nature", "planning")
+)
 EIGHT = "tests/checking/test_robust.py::test_eight_at_a_time_give_the_bits_of_one_by_one"
 SMALL = "tests/checking/test_small.py::test_natures_choice_is_the_kernels_to_the_bit"
 RECHECK, CERTIFICATE = "recheck.py", "tests/checking/test_certificate.py"
@@ -134,6 +136,12 @@ MUTATIONS = {
     ),
     "plans: paradise is as good as what is sure": (
         "learning/model_based.py", "self._arithmetic.worth(t - 1)", "1.0", "tests/learning/test_planner.py",
+    ),
+    "plans: the later of equal choices": (
+        PLANNING, "total[j] > best[j]", "total[j] >= best[j]", "tests/learning/test_planner.py",
+    ),
+    "plans: what is decided is worth what it would be if it were not": (
+        PLANNING, "if verdicts[t, lo + j] == -1:", "if True:", "tests/learning/test_planner.py",
     ),
     "stationary: half of the branches": (
         "checking/stationary.py", "for alone in (True, False):", "for alone in (True,):",

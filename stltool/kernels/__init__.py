@@ -10,8 +10,9 @@ from stltool.kernels import jit  # first, so that it sees the sources before the
 
 __all__ = ["Group", "jit", "warm_up"]
 
-Group: TypeAlias = Literal["published", "clocked", "rollouts"]
-"""Kernels that are needed together: those of the methods as published, of tables with the clock, of fresh runs."""
+Group: TypeAlias = Literal["published", "clocked", "plans", "rollouts"]
+"""Kernels that are needed together: those of the methods as published, of tables with the clock, of plans over counted
+transitions, of fresh runs."""
 
 
 def warm_up(*groups: Group) -> None:
@@ -24,6 +25,10 @@ def warm_up(*groups: Group) -> None:
             from stltool.kernels import rollout
 
             rollout.warm_up()
+        elif group == "plans":
+            from stltool.kernels import planning
+
+            planning.warm_up()
         else:
             from stltool.kernels import learning
 

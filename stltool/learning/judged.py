@@ -35,7 +35,7 @@ class BestSoFar:
     """The best table of choices (h, S, Q) so far, and where episodes started."""
 
     def __init__(self, problem: Problem, counts: Counts, caution: float) -> None:
-        self._planner, self._caution = Planner(problem, counts, small=0), caution
+        self._planner, self._caution = Planner(problem, counts, most=0), caution
         self.table = np.zeros(problem.shape, dtype=problem.choice_type)
 
     @property

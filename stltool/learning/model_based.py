@@ -10,9 +10,10 @@ meantime, or says nothing, another untried choice of that state will do, which p
 the rest of the episode is planned again. Small products are planned wherever a run could be; large ones where runs can
 be by the transitions seen.
 
-Side by side, where a black box takes many runs at once, episodes act on what was counted when their batch began: up to
-16 models are drawn, and episodes with the same one share its plans, whatever has been tried in the meantime. So a batch
-costs about as many plans as 16 episodes, and hopes are the same as alone, at most a batch later.
+Side by side, where a black box takes many runs at once, up to 16 models are drawn for a batch, and episodes with the
+same one share its plans. On small products models and plans are made anew after every step of the batch, so that an
+episode knows what others have found a step before; on large ones they are those of the batch's beginning. Of untried
+choices, which promise the same, each episode takes the one that the others have taken least.
 
 The policy that is judged trusts counts with caution: of n(s,a) visits, successor s' has the share n(s,a,s') / (n + κ),
 and the rest fails. So a choice seen once is not preferred to one that has proved itself many times. It is the best
@@ -21,20 +22,20 @@ policy by these data.
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata import FALSE, TRUE
-from stltool.checking.induction import Budget, Doubles, Edges, Following, Game, Layers, Single, Values, induct, solve
-from stltool.checking.induction.anywhere import Anywhere, From, Known, Later
+from stltool.checking.induction import Budget, Doubles, Edges, Following, Game, Single, Values, induct, solve
+from stltool.checking.induction.anywhere import Anywhere, From, Known, Later, Learned
 from stltool.checking.induction.arithmetic import row_sums
 from stltool.checking.induction.tiled import Tiles
 from stltool.checking.induction.words import Words
 from stltool.choices import Choices, Form
+from stltool.kernels import Group
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
 from stltool.learning.kept import Kept
@@ -55,6 +56,8 @@ class ModelBased(Learner["Planner"]):
     """Acts on hopeful plans over models drawn from the counted transitions; a cautious plan gives the judged policy."""
 
     name: ClassVar[str] = "model-based"
+    kernels: ClassVar[tuple[Group, ...]] = ("plans",)
+
     optimism: float = setting(0.3, "b in the share of hope b / (n + b) of a choice seen n times", above=0)
     caution: float = setting(0.1, "κ in the judged policy's weight n / (n + κ) for a choice seen n times", least=0)
 
@@ -63,26 +66,21 @@ class ModelBased(Learner["Planner"]):
 
     def episode(self, state: Planner, episode: Episode) -> None:
         chances = episode.rng.random((episode.length, 2))[:, 1].tolist()
-        drawn, visits = Belief(state, self.optimism, int(episode.rng.integers(2**62))), state.counts.visits
-        planner, belief, tried = state, drawn.rows, visits
+        belief = Belief(state, self.optimism, int(episode.rng.integers(2**62)))
+        guide: Guide = Alone(state, belief)
         if episode.batch is not None:
-            planner, shared = state.beside(episode.batch, episode.number, drawn, visits)
-            belief, visits, tried = shared.rows, shared.visits, visits.copy()
+            guide = state.batch(episode.batch).guide(episode.number, belief)
+        tried, first_choice = guide.tried, state.first_choice
         if episode.verdict is None:
             state.starts[episode.s] += 1
-            planner.follow(belief(visits), episode.t, episode.s, episode.q, visits)
+            guide.begin(episode.t, episode.s, episode.q)
         while not episode.over and episode.verdict is not True:
-            t, s, q = episode.t, episode.s, episode.q
-            first, after = state.problem.first_choice[s : s + 2].tolist()
+            t, s = episode.t, episode.s
+            first = first_choice[s]
             if episode.verdict is False:
-                a = rarest(tried[first:after], chances[t])
+                a = rarest(tried[first : first_choice[s + 1]], chances[t])
             else:
-                a = planner.action(t, s, q, visits)
-                if a < 0:
-                    planner.follow(belief(visits), t, s, q, visits)
-                    a = planner.action(t, s, q, visits)
-                if episode.batch is not None and not visits[first + a]:  # others promise as much: not all take the same
-                    a = rarest(tried[first:after], chances[t])
+                a = guide.action(t, s, episode.q, chances[t])
             episode.step(a)
             tried[first + a] += 1
 
@@ -104,148 +102,237 @@ class Belief:
     optimism: float
     seed: int
 
-    def rows(self, visits: NDArray[np.int64]) -> Rows:
+    def learned(self, visits: NDArray[np.int64]) -> Learned:
         """The model drawn, after choices were taken `visits` times; a share of each choice leads outside."""
         problem, seen = self.planner.problem, self.planner.counts.seen
         drawn = np.random.default_rng(self.seed).standard_gamma(seen.astype(np.float64))
         of_state = np.add.reduceat(visits, problem.first_choice[:-1]) / problem.n_choices
         hopes = hope(visits, np.repeat(of_state, problem.n_choices), self.optimism)
-        return self.planner.rows(np.maximum(drawn, _LEAST), hopes)
+        return self.planner.learned(np.maximum(drawn, _LEAST), hopes)
 
 
-class Shared:
-    """A belief of several episodes, by what had been counted when their batch began, and the plans made for it.
+class Guide(Protocol):
+    """What an episode acts on. tried (choices,): how often they were taken, which the episode itself counts on."""
 
-    visits   (choices,) as they were then;  plans   by where they begin: step, state and memory
+    tried: NDArray[np.int64]
+
+    def begin(self, t: int, s: int, q: int) -> None:
+        """Plan from the episode's first situation on."""
+
+    def action(self, t: int, s: int, q: int, chance: float) -> int:
+        """What to do there; ties may be broken by `chance` in [0, 1)."""
+
+
+class Alone:
+    """For one episode after the other: a belief, and the planner's plan by it, made anew where it no longer applies."""
+
+    def __init__(self, planner: Planner, belief: Belief) -> None:
+        self.tried, self._planner, self._belief = planner.counts.visits, planner, belief
+
+    def begin(self, t: int, s: int, q: int) -> None:
+        self._planner.follow(self._belief.learned(self.tried), t, s, q, self.tried)
+
+    def action(self, t: int, s: int, q: int, chance: float) -> int:
+        a = self._planner.action(t, s, q, self.tried)
+        if a < 0:
+            self.begin(t, s, q)
+            a = self._planner.action(t, s, q, self.tried)
+        return a
+
+
+class Batch:
+    """The episodes of these numbers, side by side: each has one of a few beliefs.
+
+    tried   (choices,): as in `Guide`, of all of them together
     """
 
-    def __init__(self, belief: Belief, visits: NDArray[np.int64]) -> None:
-        self.visits, self.plans = visits, dict[tuple[int, int, int], Choices]()
-        self._rows = belief.rows(visits)
+    def __init__(self, planner: Planner, numbers: range) -> None:
+        self.numbers, self.tried, self._planner = numbers, planner.counts.visits, planner
+        self._shared: dict[int, _Shared] = {}
 
-    def rows(self, visits: NDArray[np.int64]) -> Rows:
-        """As in `Belief`, whatever was tried in the meantime."""
-        return self._rows
+    def guide(self, number: int, belief: Belief) -> Guide:
+        """For the episode of this number; the first one with a belief gives its own."""
+        which = (number - self.numbers.start) % _BELIEFS
+        if which not in self._shared:
+            self._shared[which] = _Shared(self._planner, belief)
+        return _Beside(self, self._shared[which])
+
+
+class _Shared:
+    """A belief of several episodes, and the plans by it: for small products one, renewed after every step; otherwise by
+    where they begin: step, state and memory. visits (choices,): as counted when its model was drawn."""
+
+    def __init__(self, planner: Planner, belief: Belief) -> None:
+        self.planner, self._belief, self._step = planner, belief, -1
+        self._plans: dict[tuple[int, int, int], Plan] = {}
+        self._draw()
+
+    def _draw(self) -> None:
+        self.visits = self.planner.counts.visits
+        self._learned = self._belief.learned(self.visits)
+
+    def plan(self, t: int, s: int, q: int) -> Plan:
+        """One that begins there, or earlier in the batch."""
+        if not self.planner.small:
+            if (t, s, q) not in self._plans:
+                self._plans[t, s, q] = self.planner.plan_from(self._learned, t, s, q)
+            return self._plans[t, s, q]
+        if t > self._step:
+            if t:
+                self._draw()
+            self._step, self._plans[0, 0, 0] = t, self.planner.plan_from(self._learned, t, s, q)
+        return self._plans[0, 0, 0]
+
+
+class _Beside:
+    def __init__(self, batch: Batch, shared: _Shared) -> None:
+        self.tried, self._shared = batch.tried, shared
+
+    def begin(self, t: int, s: int, q: int) -> None:
+        self._plan = self._shared.plan(t, s, q)
+
+    def action(self, t: int, s: int, q: int, chance: float) -> int:
+        shared = self._shared
+        if shared.planner.small:
+            self.begin(t, s, q)
+        a = self._plan(t, s, q)
+        if a < 0:
+            self.begin(t, s, q)
+            a = self._plan(t, s, q)
+        first, after = shared.planner.problem.first_choice[s : s + 2].tolist()
+        if not shared.visits[first + a]:  # others promise as much: not all take the same
+            a = rarest(self.tried[first:after], chance)
+        return a
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What to do from step `since` on: a table (h, S, Q) by step, or choices whose steps are counted from there."""
+
+    form: NDArray[np.unsignedinteger] | Choices
+    since: int
+
+    def __call__(self, t: int, s: int, q: int) -> int:
+        """The choice; −1 where it does not say."""
+        if isinstance(self.form, np.ndarray):
+            return int(self.form[t, s, q])
+        t, here, memory = t - self.since, np.array([s]), np.array([q])
+        return int(self.form.at(t, here, memory)[0]) if self.form.lists(t, here, memory)[0] else -1
 
 
 class Planner:
-    """Plans over the transitions counted so far; `plan` is the one that is acted on, its steps counted from `since`.
+    """Plans over the transitions counted so far; `plan` is the one that is acted on.
 
     starts   (n_states,) int64: how many episodes started there, undecided
-    `kind` of engine: Nodes compile nothing and give the same plans, slowly. `small`: with up to so many situations
-    (t, s, q), plans are made for all in which a run could be, wherever choices lead.
+    small    with at most `most` situations (t, s, q), plans are made for all in which a run could be
     """
 
-    def __init__(
-        self, problem: Problem, counts: Counts, kind: type[Layers[Any, Any]] = Words, small: float = _SMALL
-    ) -> None:
+    def __init__(self, problem: Problem, counts: Counts, most: float = _SMALL) -> None:
         self.problem, self.counts = problem, counts
-        self.starts = np.zeros(problem.n_states, dtype=np.int64)
-        self.plan, self.since = Choices(problem.shape[1:], problem.automaton.horizon, [], problem.choice_type), 0
+        self.starts, self.first_choice = np.zeros(problem.n_states, dtype=np.int64), problem.first_choice.tolist()
+        self.plan = Plan(Choices(problem.shape[1:], problem.automaton.horizon, [], problem.choice_type), 0)
         self._tried = np.zeros(counts.n_choices, dtype=np.bool_)
-        self._known: dict[tuple[int, int, int], Choices] | None = None  # plans already made, of a batch's episode
-        self._batch, self._beliefs = range(0), dict[int, Shared]()
         # one more state, outside, where hopes and doubts lead: what that is worth is the plan's to say
-        outside = [Single(problem.automaton.with_outcome(verdict)) for verdict in (FALSE, TRUE)]
-        letter = np.append(problem.letter, np.int32(problem.automaton.n_letters))
-        self._automata, self._letter = outside, letter
+        self._automata = [Single(problem.automaton.with_outcome(verdict)) for verdict in (FALSE, TRUE)]
+        self._letter = np.append(problem.letter, np.int32(problem.automaton.n_letters))
         self._moves: list[dict[str, Any]] = [{}, {}]
         self._choices = unsigned_type(problem.most_choices - 1)
-        fits = float(np.prod([float(n) for n in problem.shape])) <= small
-        self._anywhere = Anywhere(outside[0], problem.letter, self._choices) if fits else None
-        self._kind, self._limit = kind, memory_limit(None)  # which takes longer to find out than some plans
+        self._anywhere: Anywhere | None = None
+        if float(np.prod([float(n) for n in problem.shape])) <= most:
+            self._anywhere = Anywhere(problem.automaton, problem.letter, problem.first_choice, self._choices)
+        self._worth = np.zeros(0)
+        if self._anywhere is not None:
+            h = problem.automaton.horizon
+            self._worth = np.array([paradise(t, h) for t in range(h)])
+        self._batch: Batch | None = None
+        self._limit = memory_limit(None)  # which takes longer to find out than some plans
 
-    def beside(self, batch: range, number: int, belief: Belief, visits: NDArray[np.int64]) -> tuple[Planner, Shared]:
-        """For an episode of a batch: a planner with a plan of its own, and its belief, which others may share."""
-        if self._batch != batch:
-            self._batch, self._beliefs = batch, {}
-        group = (number - batch.start) % _BELIEFS
-        if group not in self._beliefs:
-            self._beliefs[group] = Shared(belief, visits)
-        lane = copy.copy(self)
-        lane._known = self._beliefs[group].plans
-        return lane, self._beliefs[group]
+    @property
+    def small(self) -> bool:
+        return self._anywhere is not None
+
+    def batch(self, numbers: range) -> Batch:
+        """The batch of these episodes."""
+        if self._batch is None or self._batch.numbers != numbers:
+            self._batch = Batch(self, numbers)
+        return self._batch
 
     def action(self, t: int, s: int, q: int, visits: NDArray[np.int64]) -> int:
         """What to do by the plan; −1 if it does not say, or hoped for what has been tried in the meantime.
 
         It hoped for no more than any untried choice of this state promises, so such a choice is taken instead.
         """
-        here, memory = np.array([s]), np.array([q])
-        first, after = self.problem.first_choice[s : s + 2].tolist()
-        if self.plan.lists(t - self.since, here, memory)[0]:
-            a = int(self.plan.at(t - self.since, here, memory)[0])
-            if self._tried[first + a] or not visits[first + a]:
-                return a
-        untried = np.flatnonzero(visits[first:after] == 0)
+        first, a = self.first_choice[s], self.plan(t, s, q)
+        if a >= 0 and (self._tried[first + a] or not visits[first + a]):
+            return a
+        untried = np.flatnonzero(visits[first : self.first_choice[s + 1]] == 0)
         return int(untried[0]) if len(untried) else -1
 
-    def follow(self, rows: Rows, t: int, s: int, q: int, visits: NDArray[np.int64]) -> None:
+    def follow(self, learned: Learned, t: int, s: int, q: int, visits: NDArray[np.int64]) -> None:
         """Make the optimistic plan over these rows from there, and act on it."""
-        plan = self._known.get((t, s, q)) if self._known is not None else None
-        if plan is None:
-            plan = self.induct(rows, True, From(self._automata[True], t, q), np.array([s]))
-            if self._known is not None:
-                self._known[t, s, q] = plan
-        self.plan, self.since, self._tried = plan, t, visits > 0
+        self.plan, self._tried = self.plan_from(learned, t, s, q), visits > 0
+
+    def plan_from(self, learned: Learned, t: int, s: int, q: int) -> Plan:
+        """The optimistic plan over these rows from there: being outside is worth 1, less a hair, the more the later."""
+        if self._anywhere is not None:
+            return Plan(self._anywhere.plan(learned, self._worth, t), 0)
+        return Plan(self._induct(learned, True, From(self._automata[True], t, q), np.array([s])), t)
 
     def judged(self, caution: float) -> Choices:
-        """The best policy by the counts, from the states where episodes started."""
-        rows = self.rows(self.counts.seen.astype(np.float64), doubt(self.counts.visits, caution))
-        return self.induct(rows, False, self.later(False, 0), np.flatnonzero(self.starts))
-
-    def later(self, optimistic: bool, since: int) -> Later:
-        """The task from step `since` on, being outside satisfying or violating it."""
-        return Later(self._automata[optimistic], since)
+        """The best policy by the counts, from the states where episodes started; being outside fails."""
+        learned = self.learned(self.counts.seen.astype(np.float64), doubt(self.counts.visits, caution))
+        if self._anywhere is not None:
+            table = self._anywhere.plan(learned, np.zeros_like(self._worth))
+            return self._anywhere.listed(table, self.problem.choice_type)
+        return self._induct(learned, False, Later(self._automata[False], 0), np.flatnonzero(self.starts))
 
     def value(self, form: Form, caution: float) -> float:
         """P of a policy by the counts, from the states where episodes started, in proportion; 0 if none has."""
         first = np.flatnonzero(self.starts)
         if not len(first):
             return 0.0
-        rows = self.rows(self.counts.seen.astype(np.float64), doubt(self.counts.visits, caution))
-        game = Game(rows, self._automata[False], self._letter, first)
+        learned = self.learned(self.counts.seen.astype(np.float64), doubt(self.counts.visits, caution))
+        game = Game(self._rows(learned), self._automata[False], self._letter, first)
         budget = Budget(f"judging a policy on {self.problem.n_states} states", self._limit)
         found = induct(game, Doubles(True), True, Following(form), threads=1, budget=budget)
         return float(found.entry @ self.starts[first] / self.starts.sum())
 
-    def rows(self, weights: NDArray[np.float64], outside: NDArray[np.float64]) -> Rows:
-        """Of the model's states and one more, outside: where each choice leads with a given probability.
+    def learned(self, weights: NDArray[np.float64], outside: NDArray[np.float64]) -> Learned:
+        """Where each choice leads, outside with a given probability.
 
         weights (transitions,) in proportion to the chances of the counted transitions of each choice
         """
         counts = self.counts
-        choice, target = counts.choice, counts.target
+        choice = counts.choice
         total = np.bincount(choice, weights, counts.n_choices)
         share = (1 - outside) / np.where(total > 0, total, 1.0)
-        doubtful = np.flatnonzero(outside)
-        rows = np.concatenate([choice, doubtful, [counts.n_choices]])  # the last: outside there is nothing to do
+        start = starts(np.bincount(choice, minlength=counts.n_choices))
+        return Learned(start, counts.target, weights * share[choice], outside)
+
+    def _rows(self, learned: Learned) -> Rows:
+        """The same, of the model's states and one more, outside."""
+        n = self.counts.n_choices
+        doubtful = np.flatnonzero(learned.outside)
+        choice = np.repeat(np.arange(n), np.diff(learned.start))
+        rows = np.concatenate([choice, doubtful, [n]])  # the last: outside there is nothing to do
         order = np.argsort(rows, kind="stable")
-        probability = np.concatenate([weights * share[choice], outside[doubtful], [1.0]])[order]
-        successor = np.concatenate([target, np.full(len(doubtful) + 1, self.problem.n_states)])
-        start = starts(np.bincount(rows, minlength=counts.n_choices + 1))
-        first = np.append(self.problem.first_choice, counts.n_choices + 1)
+        probability = np.concatenate([learned.probability, learned.outside[doubtful], [1.0]])[order]
+        successor = np.concatenate([learned.target, np.full(len(doubtful) + 1, self.problem.n_states)])
+        start = starts(np.bincount(rows, minlength=n + 1))
+        first = np.append(self.problem.first_choice, n + 1)
         return Rows(first, start, successor[order].astype(np.int32), Chances(probability, start))
 
-    def induct(self, rows: Rows, optimistic: bool, later: Later, first: NDArray[np.int64]) -> Choices:
-        """The best plan from these states on, at a step from which it counts its own.
-
-        Being outside fails; to an optimist it is worth 1, less a hair that grows with time.
-        """
+    def _induct(self, learned: Learned, optimistic: bool, later: Later, first: NDArray[np.int64]) -> Choices:
+        """The best plan from these states on, at a step from which it counts its own."""
         problem, since = self.problem, later.since
         if not later.horizon:
             return Choices(problem.shape[1:], 0, [], problem.choice_type)
-        if self._anywhere is not None:
-            first = np.arange(problem.n_states)
-        game = Game(rows, later, self._letter, first, dict(self._moves[optimistic]))
+        game = Game(self._rows(learned), later, self._letter, first, dict(self._moves[optimistic]))
         budget = Budget(
             f"planning {problem.shape[0]} steps of {problem.n_states * problem.automaton.n_states} product states",
             self._limit,
         )
-        if self._anywhere is not None:
-            layers = self._anywhere.layers(self._kind, game, since, budget)
-        else:
-            layers = Known(game, budget, self._choices)
+        layers = Known(game, budget, self._choices)
         self._moves[optimistic] = {"moves": game.kept["moves"]} if "moves" in game.kept else {}
         arithmetic = _Optimistic(problem, since) if optimistic else Doubles(True)
         found = solve(layers, arithmetic, True, self._choices).choices

@@ -8,11 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.automata import TRUE, UNDECIDED
+from stltool.automata import FALSE, TRUE, UNDECIDED
 from stltool.checking.induction import Single
 from stltool.checking.induction.anywhere import Anywhere, From
-from stltool.checking.induction.nodes import Nodes
-from stltool.checking.induction.words import Words
 from stltool.learning.counts import Counts
 from stltool.learning.model_based import Planner
 from stltool.learning.optimism import doubt, hope, paradise
@@ -70,28 +68,33 @@ def shares(counts, optimism, caution):
     return hope(visits, np.full(len(visits), visits.mean()), optimism) if optimism else doubt(visits, caution)
 
 
-def required(product, counts, outside, since, optimistic, kinds):
+def required(product, counts, outside, since, optimistic):
     product, problem = early(product), Problem.of(product)
-    anywhere = Anywhere(Single(product.automaton), problem.letter, np.uint8)
-    wanted = dense(product, counts, outside, since, optimistic)
-    for kind in kinds:
-        planner = Planner(problem, counts, kind)
-        rows = planner.rows(counts.seen.astype(np.float64), outside)
-        plan = planner.induct(rows, optimistic, planner.later(optimistic, since), np.arange(problem.n_states))
-        for t in range(since, product.horizon):
-            s, q = np.divmod(anywhere.codes(t), product.automaton.n_states)
-            assert np.array_equal(plan.at(t - since, s, q), wanted[t, s, q]), kind
+    wanted, h, Q = dense(product, counts, outside, since, optimistic), product.horizon, product.automaton.n_states
+    planner = Planner(problem, counts)
+    learned = planner.learned(counts.seen.astype(np.float64), outside)
+    anywhere = Anywhere(problem.automaton, problem.letter, problem.first_choice, np.uint8)
+    table = anywhere.plan(learned, np.array([paradise(t, h) if optimistic else 0.0 for t in range(h)]), since)
+    listed = anywhere.listed(table, np.int16)
+    for t in range(since, h):
+        s, q = np.divmod(anywhere.codes(t), Q)
+        assert np.array_equal(table[t, s, q], wanted[t, s, q])
+        assert np.array_equal(listed.at(t, s, q), wanted[t, s, q])
+        assert int(np.bitwise_count(listed.words(t)[1]).sum()) == len(s)
     # only where the transitions seen lead from one of those
-    planner = Planner(problem, counts, small=0)
-    if since == product.horizon or not len(anywhere.codes(since)):
+    if since == h or not len(anywhere.codes(since)):
         return
-    s, q = (int(i) for i in np.divmod(anywhere.codes(since)[-1], product.automaton.n_states))
-    first = From(planner.later(optimistic, since).automaton, since, q)
-    plan = planner.induct(rows, optimistic, first, np.array([s]))
+    planner = Planner(problem, counts, most=0)
+    s, q = (int(i) for i in np.divmod(anywhere.codes(since)[-1], Q))
+    if optimistic:
+        plan = planner.plan_from(learned, since, s, q).form
+    else:
+        first = From(Single(problem.automaton.with_outcome(FALSE)), since, q)
+        plan = planner._induct(learned, False, first, np.array([s]))
     reached, after = {(s, q)}, {}
     for c, target in zip(counts.choice.tolist(), counts.target.tolist(), strict=True):
         after.setdefault(int(np.searchsorted(problem.first_choice, c, side="right")) - 1, set()).add(target)
-    for t in range(since, product.horizon):
+    for t in range(since, h):
         reached = {(x, m) for x, m in reached if product.automaton.verdicts(t)[m] == UNDECIDED}
         if reached:
             s, q = np.array(sorted(reached)).T
@@ -111,7 +114,7 @@ def test_plans_are_those_of_all_pairs(product, seed, optimism, share, data):
     counts = counted(product, np.random.default_rng(seed), 0.3 + 0.7 * share)
     outside = shares(counts, optimism, data.draw(st.sampled_from([0.0, 0.1, 2.0])))
     since = data.draw(st.integers(0, product.horizon))
-    required(product, counts, outside, since, optimism > 0, (Nodes, Words))
+    required(product, counts, outside, since, optimism > 0)
 
 
 @pytest.mark.parametrize("optimistic", [True, False])
@@ -121,22 +124,18 @@ def test_more_memory_than_a_word_holds(optimistic):
     assert product.automaton.n_states > 64
     counts = counted(product, np.random.default_rng(5), 0.7)
     outside = shares(counts, 0.3 * optimistic, 0.1)
-    required(product, counts, outside, product.horizon - 12, optimistic, (Nodes, Words))
+    required(product, counts, outside, product.horizon - 12, optimistic)
 
 
 @given(products(max_states=4))
 @settings(max_examples=many(40))
 def test_wherever_a_run_can_be_is_planned_for(product):
-    """F_t has whatever a run reaches, and both engines hold the same."""
-    anywhere = Anywhere(Single(product.automaton), product.letter, np.uint8)
+    """F_t has whatever a run reaches."""
     automaton, n = product.automaton, product.automaton.n_states
+    first = np.arange(product.model.n_states + 1)
+    anywhere = Anywhere(automaton, product.letter, first, np.uint8)
     pairs = {(s, product.enter(s, automaton.initial)) for s in range(product.model.n_states)}
     for t in range(product.horizon):
         pairs = {(s, q) for s, q in pairs if automaton.verdicts(t)[q] == UNDECIDED}
         assert set(anywhere.codes(t).tolist()) == {s * n + q for s, q in pairs}
-        layer = anywhere.layer(t)
-        bits = np.unpackbits(layer.open.view(np.uint8), bitorder="little").reshape(-1, 64)
-        where, bit = np.nonzero(bits)
-        owner = np.repeat(layer.states, np.diff(layer.start))
-        assert {(int(owner[w]), int(64 * layer.word[w] + b)) for w, b in zip(where, bit, strict=True)} == pairs
         pairs = {(x, product.enter(x, q)) for _, q in pairs for x in range(product.model.n_states)}

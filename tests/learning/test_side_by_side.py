@@ -131,13 +131,20 @@ def test_model_based_explores_deeply_in_batches():
 
 
 def test_a_batch_takes_as_many_plans_as_models_are_drawn(product, monkeypatch):
-    made, induct = [], Planner.induct
-    monkeypatch.setattr(Planner, "induct", lambda self, *rest: made.append(rest[1]) or induct(self, *rest))
-    stl.learn(product, "model-based", episodes=96, evaluate_every=96, environment=SideBySide(product.model, 48))
-    assert made.count(True) == 2 * 16  # optimistic ones, of two batches
+    """Of a small product after every step, by what has been seen by then; of a large one once, until it is left."""
+    made, plan_from = [], Planner.plan_from
+    monkeypatch.setattr(Planner, "plan_from", lambda self, *rest: made.append(rest[1]) or plan_from(self, *rest))
+    fleet = SideBySide(product.model, 48)
+    stl.learn(product, "model-based", episodes=48, evaluate_every=48, environment=fleet)
+    assert 16 <= made.count(0) == max(map(made.count, made))
+    assert len(set(made)) > 1
     made.clear()
     stl.learn(product, "model-based", episodes=96, evaluate_every=96, environment=OneByOne(product.model))
-    assert made.count(True) >= 96
+    assert made.count(0) == 96
+    made.clear()
+    monkeypatch.setattr(Planner.__init__, "__defaults__", (0,))  # situations of a small one
+    stl.learn(product, "model-based", episodes=96, evaluate_every=96, environment=fleet)
+    assert made.count(0) == 2 * 16
 
 
 def test_budgets_hold(product):

@@ -1,26 +1,28 @@
-"""Layers in which any state may follow any other: for learned models, which may be incomplete.
+"""Situations in which any state may follow any other: for learned models, which may be incomplete.
 
     F_t = {(s, q) : q undecided after step t, δ(L(s), ·) reached it from some undecided state of step t−1}
 
-They do not depend on the rows, so `Anywhere` makes them once for all plans over one automaton; none of them is
-classified as certain. Plans may start at any step: `Later` counts an automaton's steps from there.
+They do not depend on the rows, so `Anywhere` finds them once for all plans over one automaton, each of which is one
+call of a kernel. Where there are too many of them, `Known` has those that the rows lead to; plans may then start at any
+step: `Later` counts an automaton's steps from there.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata import TRUE, UNDECIDED
+from stltool.automata import TRUE, UNDECIDED, TaskAutomaton
 from stltool.checking.induction.allowed import EVERYTHING
 from stltool.checking.induction.graph import I32, I64, Automaton, Game
-from stltool.checking.induction.layers import Budget, Layers
-from stltool.checking.induction.nodes import Nodes
+from stltool.checking.induction.layers import Budget
 from stltool.checking.induction.words import Layer, Sets, Words
+from stltool.choices import Choices, listed
 from stltool.models.rows import starts
+from stltool.sizes import IntegerType
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,85 +79,72 @@ class Known(Words):
         return Layer(layer.states, layer.start, layer.word, layer.bits, np.zeros_like(layer.bits), tiles, none)
 
 
-class Anywhere:
-    """F_0 … F_{h−1} of an automaton over states with these letters, any of which may follow any other.
+class Learned(NamedTuple):
+    """Rows of a learned model: where each choice is believed to lead.
 
-    `choices` is the dtype of the choices that plans keep.
+    start        (choices + 1,): the entries of each choice
+    target       (entries,) successors, with probability (entries,)
+    outside      (choices,): the rest of each row, which leads out of the model
     """
 
-    def __init__(self, automaton: Automaton, letter: I32, choices: type[np.unsignedinteger]) -> None:
-        self.automaton, self.letter, self.choices = automaton, letter, choices
-        self._layers: dict[int, Layer] = {}
+    start: I64
+    target: I64
+    probability: NDArray[np.float64]
+    outside: NDArray[np.float64]
+
+
+class Anywhere:
+    """F_0 … F_{h−1} of an automaton over states with these letters, and the best plans over all of them.
+
+    first_choice (S+1,): the choices of each state;  choices: the dtype of the choices that plans keep
+    """
+
+    def __init__(
+        self, automaton: TaskAutomaton, letter: I32, first_choice: I64, choices: type[np.unsignedinteger]
+    ) -> None:
+        h, n = automaton.horizon, automaton.n_states
+        self.shape = h, len(letter), n
+        # copies, as a kernel is compiled for arrays that can be written to, or for others
+        self._letter, self._first_choice = np.array(letter), np.array(first_choice)
+        self._delta, self._choices = np.array(automaton.delta), choices
+        at = np.searchsorted(automaton.verdict_starts, np.arange(h + 1), side="right") - 1
+        self._verdicts = automaton.verdict_rows[at]
         letters = np.unique(letter)
         # by step: the automaton states reached on reading each letter, if it occurs
-        after = np.zeros((int(letter.max()) + 1, automaton.n_states), dtype=np.bool_)
-        after[letters, automaton.enter(letters)] = True
-        self._reached: list[NDArray[np.bool_]] = []
-        for t in range(automaton.horizon):
-            here = after & (automaton.verdicts(t) == UNDECIDED)
-            self._reached.append(here if not self._same(here) else self._reached[-1])
-            moves, after = automaton.moves(t), np.zeros_like(after)
-            for q in np.flatnonzero(here.any(axis=0)).tolist():
-                after[letters, moves[letters, q]] = True
-
-    def layers(self, kind: type[Layers[Any, Any]], game: Game, since: int, budget: Budget) -> Layers[Any, Any]:
-        """The layers of steps from `since` on, for a game over `Later`, as Nodes or as Words, on one thread."""
-        return _Nodes(self, game, since, budget) if kind is Nodes else _Words(self, game, since, budget)
+        after = np.zeros((automaton.n_letters, n), dtype=np.bool_)
+        after[letters, automaton.delta[letters, automaton.initial]] = True
+        self._reached = np.zeros((h, *after.shape), dtype=np.bool_)
+        for t in range(h):
+            here = self._reached[t] = after & (self._verdicts[t] == UNDECIDED)
+            after = np.zeros_like(after)
+            after[letters[:, None], automaton.delta[np.ix_(letters, np.flatnonzero(here.any(axis=0)))]] = True
+        last = n - self._reached[:, :, ::-1].argmax(axis=2)
+        self._spans = np.stack([self._reached.argmax(axis=2), last], axis=2)
+        self._spans[~self._reached.any(axis=2)] = 0
 
     def codes(self, t: int) -> I64:
         """F_t as s·|Q| + q."""
-        found: I64 = np.flatnonzero(self._reached[t][self.letter])
+        found: I64 = np.flatnonzero(self._reached[t][self._letter])
         return found
 
-    def layer(self, t: int) -> Layer:
-        """F_t as words, all of them open."""
-        here = self._reached[t]
-        if id(here) not in self._layers:
-            n_words = -(-here.shape[1] // 64)
-            padded = np.zeros((len(here), 64 * n_words), dtype=np.bool_)
-            padded[:, : here.shape[1]] = here
-            rows = np.packbits(padded, axis=1, bitorder="little").view(np.uint64)[self.letter]
-            s, word = np.nonzero(rows)
-            states, first = np.unique(s, return_index=True)
-            start, bits = np.append(first, len(s)).astype(np.int64), rows[s, word]
-            tiles = starts((bits.view(np.uint8) != 0).reshape(-1, 8).sum(axis=1))[start]
-            none = np.empty(0, dtype=self.choices)
-            self._layers[id(here)] = Layer(
-                states.astype(np.int32), start, word.astype(np.int32), bits, np.zeros_like(bits), tiles, none
-            )
-        return self._layers[id(here)]
+    def plan(self, rows: Learned, worth: NDArray[np.float64], since: int = 0) -> NDArray[np.unsignedinteger]:
+        """(h, S, Q) the first best choices of F_since … F_{h−1}, being outside after step t worth `worth[t]`."""
+        from stltool.kernels import planning
 
-    def _same(self, here: NDArray[np.bool_]) -> bool:
-        return bool(self._reached) and np.array_equal(here, self._reached[-1])
+        table = np.zeros(self.shape, dtype=self._choices)
+        planning.plan(
+            since, self._first_choice, *rows, worth, self._letter, self._delta, self._verdicts, self._spans, table
+        )  # fmt: skip
+        return table
 
-
-class _Nodes(Nodes):
-    def __init__(self, anywhere: Anywhere, game: Game, since: int, budget: Budget) -> None:
-        self._anywhere, self._since = anywhere, since
-        super().__init__(game, TRUE, EVERYTHING, live=False, sure=False, budget=budget)
-
-    def _initial(self) -> I64:
-        return self._anywhere.codes(self._since)
-
-    def _after(self, layer: I64, t: int) -> I64:
-        return self._anywhere.codes(self._since + t + 1)
-
-
-class _Words(Words):
-    def __init__(self, anywhere: Anywhere, game: Game, since: int, budget: Budget) -> None:
-        self._anywhere, self._since = anywhere, since
-        choices = anywhere.choices
-        super().__init__(game, TRUE, EVERYTHING, live=False, sure=False, budget=budget, choices=choices, threads=1)
-
-    def _initial(self) -> Sets:
-        return self._anywhere.layer(self._since).open_sets
-
-    def _after(self, layer: Sets, t: int) -> Sets:
-        after = self._anywhere.layer(self._since + t + 1).open_sets
-        return layer if after.bits is layer.bits else after
-
-    def _settled(self, layer: Sets, ahead: Layer, t: int) -> Layer:
-        return self._anywhere.layer(self._since + t)
-
-    def _same_settled(self, one: Layer, other: Layer) -> bool:
-        return one is other
+    def listed(self, table: NDArray[np.unsignedinteger], kind: IntegerType) -> Choices:
+        """A plan's choices in all of F_0 … F_{h−1}; `kind`: of a table of them."""
+        h, S, Q = self.shape
+        new = np.arange(h) == 0
+        for by_step in (table, self._reached):
+            new[1:] |= (by_step[1:] != by_step[:-1]).any(axis=(1, 2))
+        first, layers = np.flatnonzero(new), []
+        for t, last in zip(first.tolist(), [*(first[1:] - 1).tolist(), h - 1], strict=True):
+            s, q = np.divmod(self.codes(t), Q)
+            layers.append(listed(t, last, -(-Q // 64), s, q, table[t, s, q]))
+        return Choices((S, Q), h, layers, kind)
