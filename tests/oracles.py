@@ -12,7 +12,23 @@ import numpy as np
 
 import stltool as stl
 from stltool.errors import TraceError
-from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Not, Or, Until
+from stltool.logic.formula import (
+    Always,
+    And,
+    Eventually,
+    Historically,
+    Iff,
+    Implies,
+    Interval,
+    Not,
+    Once,
+    Or,
+    Release,
+    Rise,
+    Since,
+    Trigger,
+    Until,
+)
 
 
 def trace_of(model: stl.MDP, states) -> dict:
@@ -337,12 +353,29 @@ def extremum(phi, atom, n: int, end: str, steps) -> list[float]:
                         value(left, v)
                 witnesses = ([value(right, u)] + [value(left, v) for v in range(t, u)] for u in window(interval, t))
                 return max(map(min, witnesses), default=-math.inf)
+            case Release(interval, left, right):
+                return -value(Until(interval, Not(left), Not(right)), t)
+            case Once(interval, arg):
+                return max((value(arg, u) for u in earlier(interval, t)), default=-math.inf)
+            case Historically(interval, arg):
+                return min((value(arg, u) for u in earlier(interval, t)), default=math.inf)
+            case Since(interval, left, right):
+                steps = earlier(interval, t)
+                witnesses = ([value(right, u)] + [value(left, v) for v in range(u + 1, t + 1)] for u in steps)
+                return max(map(min, witnesses), default=-math.inf)
+            case Trigger(interval, left, right):
+                return -value(Since(interval, Not(left), Not(right)), t)
+            case Rise(arg):
+                return min(value(arg, t), -value(Once(Interval(1, 1), arg), t))
             case _:
                 return atom(phi, t) if t < n else value(phi, n - 1)
 
     def window(interval, t):
-        last = interval.b if interval.b is not None else interval.a + n
+        last = interval.b if interval.b is not None else interval.a + n + 20  # held samples have settled by then
         return range(t + interval.a, min(t + last, n - 1 if end == "cut" else t + last) + 1)
+
+    def earlier(interval, t):
+        return range(0 if interval.b is None else max(t - interval.b, 0), t - interval.a + 1)
 
     return [value(phi, t) for t in steps]
 

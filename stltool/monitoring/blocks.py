@@ -15,6 +15,9 @@ element, or with the row's last value, which is the operand's value at every lat
 there. Bounds beyond the row are reduced to the row's length n, from where on windows are in the padding. Windows to the
 end of the row are one pass over suffixes.
 
+once[a,b] and historically[a,b] double their windows backwards, row by row, cut at its start; since is one pass
+(kernels/past.py), and φ since[a,b] ψ at t = min(historically[0,a−1] φ at t, φ since[0,b−a] ψ at t−a).
+
 Truth is computed in Booleans. If a predicate has no value (1/0), the block is run again on −1, 0, 1 for false, unknown,
 true: the same lattice, so a verdict is unknown only if it depends on an undefined value (Kleene). In margins, NaN
 propagates.
@@ -31,7 +34,7 @@ from numpy.typing import NDArray
 
 from stltool.logic.formula import Constant, Label
 from stltool.monitoring.comparisons import Predicate
-from stltool.monitoring.program import Instruction, Program
+from stltool.monitoring.program import PAST, Instruction, Program
 
 Array: TypeAlias = NDArray[Any]
 BlockEnd = Literal["open", "cut", "hold"]
@@ -41,7 +44,8 @@ BlockEnd = Literal["open", "cut", "hold"]
 class Block:
     """`columns` maps names to arrays (rows, steps): finite float64 for variables, Booleans for labels.
 
-    `wide`: some variable may be so large that a difference of two is beyond the range of doubles.
+    `wide`: some variable may be so large that a difference of two is beyond the range of doubles. The first `skip`
+    steps are there for windows of the past only, and so are those after `decided` more, if it is given.
     """
 
     columns: Mapping[str, Array]
@@ -49,6 +53,13 @@ class Block:
     steps: int
     end: BlockEnd = "open"
     wide: bool = False
+    skip: int = 0
+    decided: int | None = None
+
+    @property
+    def results(self) -> slice:
+        """The steps whose values are asked for, of those that are decided."""
+        return slice(self.skip, None if self.decided is None else self.skip + self.decided)
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +180,7 @@ class _Tape:
         self.algebra, self.block, self.instructions = algebra, block, machine.program.instructions
         self.stride = block.steps
         if block.end != "open":
-            self.stride += max(self._looks_past_the_end(now) for now in self.instructions)
+            self.stride += max(self._looks_past_the_end(now) for now in self.instructions if now.op not in PAST)
         self.length = block.rows * self.stride
         self.pool = machine.pool(algebra.dtype, self.length)
         self.values: dict[int, Array] = {}
@@ -185,7 +196,7 @@ class _Tape:
         steps = self.block.steps
         if self.block.end == "open":
             steps -= self.instructions[-1].horizon or 0
-        return self._rows(buffer)[:, :steps]
+        return self._rows(buffer)[:, :steps][:, self.block.results]
 
     def _rows(self, buffer: Array) -> Array:
         return buffer[: self.length].reshape(self.block.rows, self.stride)
@@ -229,6 +240,12 @@ class _Tape:
                 for buffer, _ in operands:  # no witness beyond the end, whatever the left side is
                     self._fill(buffer, self.algebra.least)
                 return self._until(operands, count, *self._bounds(now))
+            case "once":
+                return self._earlier(np.maximum, operands[0], now, self.algebra.least)
+            case "historically":
+                return self._earlier(np.minimum, operands[0], now, self.algebra.greatest)
+            case "since":
+                return self._since(operands, now)
             case "atom":
                 raise ValueError("an atom has no operands")
             case _:
@@ -297,6 +314,60 @@ class _Tape:
         backwards = self._rows(source)[:, a:][:, ::-1]
         fold.accumulate(backwards, axis=1, out=self._rows(out)[:, : self.stride - a][:, ::-1])
         self.pool.free += [source] * ends
+        return out
+
+    def _earlier(self, fold: np.ufunc, operand: _Operand, now: Instruction, neutral: Any) -> Array:
+        """out[t] = fold of source[t−b … t−a], as far as these are in the row."""
+        source, ends = operand
+        n = self.block.steps
+        a, b = min(now.a, n), n if now.b is None else min(now.b, n)
+        out = self._reaching_back(fold, source, b - a + 1)
+        if a:
+            rows = self._rows(out)
+            rows[:, a:n] = rows[:, : n - a].copy()
+            rows[:, :a] = neutral
+        self.pool.free += [source] * ends
+        return out
+
+    def _reaching_back(self, fold: np.ufunc, source: Array, width: int) -> Array:
+        """out[t] = fold of source[t−width+1 … t], as far as these are in the row."""
+        n, span = self.block.steps, 1
+        out, spare = self.pool.take(), self.pool.take()
+        known = self._rows(source)[:, :n]
+        if width >= n:
+            fold.accumulate(known, axis=1, out=self._rows(out)[:, :n])
+        elif width == 1:
+            self._rows(out)[:, :n] = known
+        else:
+            while span < width:
+                out, spare = spare, out
+                step, target = min(span, width - span), self._rows(out)[:, :n]
+                fold(known[:, step:], known[:, : n - step], out=target[:, step:])
+                target[:, :step] = known[:, :step]
+                known, span = target, span + step
+        self.pool.free.append(spare)
+        return out
+
+    def _since(self, operands: list[_Operand], now: Instruction) -> Array:
+        from stltool.kernels import past  # loads numba
+
+        (left, left_ends), (right, right_ends) = operands
+        n, rows, stride = self.block.steps, self.block.rows, self.stride
+        a, b = min(now.a, n), n if now.b is None else min(now.b, n)
+        out, n_rows = self.pool.take(), rows if n else 0
+        arrays = [buffer.view(np.int8) if buffer.dtype == np.bool_ else buffer for buffer in (left, right, out)]
+        if b - a >= n - 1:
+            past.since_start(arrays[0], arrays[1], n_rows, stride, n, arrays[2])
+        else:
+            room = [np.empty(n, arrays[0].dtype) for _ in range(3)]
+            past.since_within(arrays[0], arrays[1], n_rows, stride, n, b - a, arrays[2], *room)
+        if a:
+            stays = self._reaching_back(np.minimum, left, a)
+            found, before = self._rows(out), self._rows(stays)
+            np.minimum(found[:, : n - a].copy(), before[:, a:n], out=found[:, a:n])
+            found[:, :a] = self.algebra.least
+            self.pool.free.append(stays)
+        self.pool.free += [*[left] * left_ends, *[right] * right_ends]
         return out
 
     def _until(self, operands: list[_Operand], count: int, a: int, b: int) -> Array:

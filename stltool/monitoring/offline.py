@@ -7,8 +7,9 @@ Step t is decided by the samples t … t + horizon(φ). With n steps:
                   G true, U without witness)
     end "hold"    all n steps; the last sample is held
 
-Formulas only look ahead: the steps before n − horizon(φ) are the same in all three cases, and the others depend only on
-the last horizon(φ) samples. So both parts are judged separately (blocks.py), in blocks that fit the cache.
+The steps before n − horizon(φ) are the same in all three cases, and the others depend only on the last horizon(φ)
+samples, and on lookback(φ) ones before these. So both parts are judged separately (blocks.py), in blocks that fit the
+cache. Windows of the past are cut at step 0.
 """
 
 from __future__ import annotations
@@ -28,10 +29,16 @@ from stltool.logic.formula import (
     Always,
     Eventually,
     Formula,
+    Historically,
+    Once,
     Release,
+    Rise,
+    Since,
+    Trigger,
     Until,
     children,
     formula_of,
+    has_past,
     horizon,
     is_temporal,
 )
@@ -170,6 +177,8 @@ def refuse_unknown(
     found: NDArray[Any], phi: Formula, traces: Traces, first_row: int, first_step: int, end: End
 ) -> None:
     """TraceError if the truth or margin at some step of a block does not exist."""
+    if end == "hold" and traces.program.has_past:
+        traces = traces.held(traces.program.settling)
     for row, step in np.argwhere(_unknown(found))[:1].tolist():
         _blame(phi, traces, first_row + row, first_step + step, end, margins=found.dtype == np.float64)
 
@@ -190,24 +199,33 @@ def _blame(phi: Formula, traces: Traces, row: int, step: int, end: End, margins:
             (oracle.robustness if margins else oracle.satisfies)(phi, sample)
         except TraceError as error:
             raise TraceError(f"{traces.place(row, step)}: {error}") from None
-    rest = traces.row(row, step)
+    base = 0 if has_past(phi) else step
+    rest = traces.row(row, base)
     for child, (a, b) in zip(children(phi), _looks(phi, rest.n_steps), strict=True):
         block = rest.block(slice(0, 1), slice(0, rest.n_steps), "hold" if end == "hold" else "cut")
         unknown = _unknown(Machine(compile_formula(child), not margins, margins).run(block)[0])[0]
+        first, last = max(step - base + a, 0), step - base + b
         if end == "hold":
-            a, b = (min(bound, rest.n_steps - 1) for bound in (a, b))
-        for later in np.flatnonzero(unknown[a : b + 1])[:1].tolist():
-            _blame(child, traces, row, step + a + later, end, margins)
+            first, last = (min(bound, rest.n_steps - 1) for bound in (first, last))
+        for at in np.flatnonzero(unknown[first : last + 1])[:1].tolist():
+            _blame(child, traces, row, base + first + at, end, margins)
     raise AssertionError(f"{phi} has a value at {traces.place(row, step)}")
 
 
 def _looks(phi: Formula, n: int) -> list[tuple[int, int]]:
-    """For every operand, the first and the last later step at which it is evaluated, of n."""
+    """For every operand, the first and the last step at which it is evaluated, of n, counted from now."""
     match phi:
         case Eventually(interval, _) | Always(interval, _):
             return [(interval.a, n if interval.b is None else interval.b)]
         case Until(interval, _, _) | Release(interval, _, _):
             b = n if interval.b is None else interval.b
             return [(0, b - 1), (interval.a, b)]
+        case Once(interval, _) | Historically(interval, _):
+            return [(-n if interval.b is None else -interval.b, -interval.a)]
+        case Since(interval, _, _) | Trigger(interval, _, _):
+            first = -n if interval.b is None else -interval.b
+            return [(first + 1, 0), (first, -interval.a)]
+        case Rise():
+            return [(-1, 0)]
         case _:
             return [(0, 0)] * len(children(phi))

@@ -25,7 +25,7 @@ import numpy as np
 
 from stltool.arguments import described, mapping, one_of
 from stltool.display import Card, Displayed, counted
-from stltool.errors import NameLookupError, TraceError
+from stltool.errors import FragmentError, NameLookupError, TraceError
 from stltool.logic.formula import Constant, Formula, Label, bounded_formula_of
 from stltool.logic.names import near_names
 from stltool.logic.task import Task
@@ -65,6 +65,8 @@ class OnlineMonitor(Displayed):
     def __init__(self, phi: Formula | Task) -> None:
         self.formula = bounded_formula_of(phi, "OnlineMonitor's formula")
         self._program = compile_formula(self.formula)
+        if self._program.has_past:
+            raise FragmentError(f"{self.formula} looks back, which online monitors do not support yet; use monitor")
         instructions = self._program.instructions
         self.horizon: int = instructions[-1].horizon or 0
         self.n_steps = 0
@@ -267,6 +269,8 @@ class _Network:
                 self._state(start + now.a, out, args[0], _Window(now.b - now.a + 1, _least))
             case "until":
                 self._until(start, out, args, now.a, now.b)
+            case "once" | "historically" | "since":
+                raise AssertionError("the past is refused")
             case "atom":
                 raise ValueError("an atom has no operands")
             case _:

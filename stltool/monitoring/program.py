@@ -8,6 +8,8 @@ Instruction i computes the value of one sub-formula at every step from the value
     iff i j                min(max(−i, j), max(i, −j))
     eventually[a,b] i      max of i over t+a … t+b       always: min
     until[a,b] i j         max over u in t+a … t+b of min(j at u, min of i over t … u−1)
+    once[a,b] i            max of i over t−b … t−a, from step 0 on     historically: min
+    since[a,b] i j         max over u in t−b … t−a, u ≥ 0, of min(j at u, min of i over u+1 … t)
 
 with −1 < 1 for false and true, or with signed margins: both are lattices, so one program serves both. `ends` lists the
 values that are not read later; their memory can be reused.
@@ -15,12 +17,11 @@ values that are not read later; their memory can be reused.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Literal, NamedTuple, TypeAlias, assert_never
 
-from stltool.errors import FragmentError
 from stltool.logic.formula import (
     Always,
     And,
@@ -44,16 +45,22 @@ from stltool.logic.formula import (
 from stltool.monitoring.comparisons import Predicate
 from stltool.source import Span
 
-Op = Literal["atom", "not", "and", "or", "iff", "eventually", "always", "until"]
+Op = Literal["atom", "not", "and", "or", "iff", "eventually", "always", "until", "once", "historically", "since"]
+PAST = ("once", "historically", "since")
 Atom: TypeAlias = Constant | Label | Predicate
 
 
 class Instruction(NamedTuple):
-    """One operator; `args` are numbers of earlier instructions, `horizon` is None above an interval without end."""
+    """One operator; `args` are numbers of earlier instructions.
+
+    horizon   None above an interval of the future without end
+    lookback  None above an interval of the past without end
+    """
 
     op: Op
     args: tuple[int, ...]
     horizon: int | None
+    lookback: int | None
     a: int
     b: int | None
     atom: Atom | None = None
@@ -71,6 +78,23 @@ class Program:
     @property
     def horizon(self) -> int | None:
         return self.instructions[-1].horizon
+
+    @property
+    def lookback(self) -> int | None:
+        return self.instructions[-1].lookback
+
+    @property
+    def has_past(self) -> bool:
+        return any(now.op in PAST for now in self.instructions)
+
+    @property
+    def settling(self) -> int:
+        """The number of steps after which no value changes any more, if all samples are the same."""
+        steps: list[int] = []
+        for now in self.instructions:
+            more = 0 if now.op not in PAST else now.a if now.b is None else now.b
+            steps.append(max((steps[arg] for arg in now.args), default=0) + more)
+        return steps[-1]
 
 
 def compile_formula(phi: Formula) -> Program:
@@ -147,8 +171,18 @@ class _Compiler:
             case Release(interval, left, right):
                 neither = (self._emit("not", self.visit(part)) for part in (left, right))
                 return self._emit("not", self._emit("until", *neither, a=interval.a, b=interval.b))
-            case Once() | Historically() | Since() | Trigger() | Rise():
-                raise FragmentError(f"{phi} looks back, which monitors do not support yet")
+            case Once(interval, arg):
+                return self._emit("once", self.visit(arg), a=interval.a, b=interval.b)
+            case Historically(interval, arg):
+                return self._emit("historically", self.visit(arg), a=interval.a, b=interval.b)
+            case Since(interval, left, right):
+                return self._emit("since", self.visit(left), self.visit(right), a=interval.a, b=interval.b)
+            case Trigger(interval, left, right):
+                neither = (self._emit("not", self.visit(part)) for part in (left, right))
+                return self._emit("not", self._emit("since", *neither, a=interval.a, b=interval.b))
+            case Rise(arg):
+                now = self.visit(arg)
+                return self._emit("and", now, self._emit("not", self._emit("once", now, a=1, b=1)))
             case _:
                 assert_never(phi)
 
@@ -161,16 +195,15 @@ class _Compiler:
     def _atom(self, key: Formula, atom: Atom) -> int:
         if key not in self.numbers:
             self.numbers[key] = len(self.instructions)
-            self.instructions.append(Instruction("atom", (), 0, 0, 0, atom))
+            self.instructions.append(Instruction("atom", (), 0, 0, 0, 0, atom))
         return self.numbers[key]
 
     def _emit(self, op: Op, *args: int, a: int = 0, b: int | None = 0) -> int:
         key = (op, args, a, b)
         if key not in self.numbers:
-            below = [h for h in (self.instructions[arg].horizon for arg in args) if h is not None]
-            horizon = None if b is None or len(below) < len(args) else b + max(below)
+            below = [self.instructions[arg] for arg in args]
             self.numbers[key] = len(self.instructions)
-            self.instructions.append(Instruction(op, args, horizon, a, b))
+            self.instructions.append(Instruction(op, args, _horizon(op, below, a, b), _lookback(op, below, a, b), a, b))
         return self.numbers[key]
 
     def program(self) -> Program:
@@ -183,3 +216,36 @@ class _Compiler:
                 seen.update(ends)
                 self.instructions[i] = now._replace(ends=ends)
         return Program(tuple(self.instructions), self.variables, self.labels)
+
+
+def _horizon(op: Op, below: Sequence[Instruction], a: int, b: int | None) -> int | None:
+    steps = [now.horizon for now in below]
+    match op:
+        case "eventually" | "always" | "until":
+            known = _greatest(steps)
+            return None if b is None or known is None else b + known
+        case "once" | "historically" | "since":
+            last = None if steps[-1] is None else max(steps[-1] - a, 0)
+            return _greatest([last, steps[0] if op == "since" and b != 0 else 0])
+        case _:
+            return _greatest(steps)
+
+
+def _lookback(op: Op, below: Sequence[Instruction], a: int, b: int | None) -> int | None:
+    steps = [now.lookback for now in below]
+    match op:
+        case "eventually" | "always" | "until":
+            last = None if steps[-1] is None else max(steps[-1] - a, 0)
+            return _greatest([last, steps[0] if op == "until" and b != 0 else 0])
+        case "once" | "historically" | "since":
+            first = steps[0] if op == "since" and b != 0 else 0
+            if b is None or first is None or steps[-1] is None:
+                return None
+            return max(b + steps[-1], b - 1 + first)
+        case _:
+            return _greatest(steps)
+
+
+def _greatest(steps: Sequence[int | None]) -> int | None:
+    known = [n for n in steps if n is not None]
+    return max(known, default=0) if len(known) == len(steps) else None

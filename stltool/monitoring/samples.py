@@ -61,6 +61,9 @@ class Traces:
         Steps whose horizon is within the trace are in "open" blocks; if `end` is not "error", the others from the last
         horizon(φ) samples, cut or held.
         """
+        if self.program.has_past:
+            yield from self._blocks_of_the_past(end, samples)
+            return
         n, rows, h = self.n_steps, self.n_traces, self.program.horizon
         tail = n if h is None or n <= samples else min(h, n)  # short traces are judged at once
         if h is not None and n > h and (end == "error" or tail < n):
@@ -75,6 +78,42 @@ class Traces:
         if end != "error" and tail > 0:
             for some in _groups(rows, max(1, samples // (2 * tail))):
                 yield self.block(some, slice(n - tail, n), end), some, n - tail
+
+    def _blocks_of_the_past(self, end: End, samples: int) -> Iterator[tuple[Block, slice, int]]:
+        """The same for programs that look back: every block begins as far back as its steps can look.
+
+        Held samples are appended until no value changes any more.
+        """
+        n, rows, h = self.n_steps, self.n_traces, self.program.horizon
+        back = self.program.lookback
+        back = n if back is None else min(back, n)
+        tail = 0 if end == "error" else n if h is None or n <= samples else min(h, n)
+        settled = 0 if h is None else max(n - h if end == "error" else n - tail, 0)  # decided by the samples there are
+        reach = h or 0
+        width = max(samples, 4 * (reach + back))
+        if 0 < settled <= width:
+            for some in _groups(rows, max(1, width // n)):
+                block = self.block(some, slice(0, settled + reach), "open")
+                yield replace(block, decided=settled), some, 0
+        elif settled:
+            for row, first in itertools.product(range(rows), range(0, settled, width)):
+                some, start, last = slice(row, row + 1), max(first - back, 0), min(first + width, settled)
+                block = self.block(some, slice(start, last + reach), "open")
+                yield replace(block, skip=first - start, decided=last - first), some, first
+        if tail:
+            assert end != "error"
+            first, start = n - tail, max(n - tail - back, 0)
+            rest = replace(
+                self,
+                arrays={name: array[:, start:] for name, array in self.arrays.items()},
+                n_steps=n - start,
+                first_step=self.first_step + start,
+            )
+            if end == "hold":
+                rest = rest.held(self.program.settling)
+            for some in _groups(rows, max(1, samples // (2 * rest.n_steps))):
+                block = rest.block(some, slice(0, rest.n_steps), end)
+                yield replace(block, skip=first - start, decided=tail), some, first
 
     def block(self, rows: slice, steps: slice, end: BlockEnd) -> Block:
         """A part of the traces, its samples checked: TraceError names signal, trace, step and value."""

@@ -40,7 +40,7 @@ from stltool.logic.task import Task
 from stltool.monitoring.blocks import Block
 from stltool.monitoring.comparisons import Predicate
 from stltool.monitoring.offline import decided_steps, prepare, refuse_unknown
-from stltool.monitoring.program import Atom, Instruction
+from stltool.monitoring.program import Atom, Instruction, Program
 from stltool.monitoring.samples import End
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -97,7 +97,7 @@ def smooth_robustness(
         longer, block_end = traces.held(h), "error"
     with np.errstate(all="ignore"):
         for block, rows, first in longer.blocks(block_end, _BLOCK):
-            found = _run(traces.program.instructions, block, float(beta))
+            found = _run(traces.program, block, float(beta))
             refuse_unknown(found[0], formula, traces, rows.start, first, end)
             for out, array in zip(outs, found, strict=True):
                 out[rows, first : first + array.shape[1]] = array
@@ -133,6 +133,18 @@ class _Soft:
     def __neg__(self) -> _Soft:
         return _Soft(-self.values, self.under, self.log_m, self.over, self.log_n, self.size, self.error)
 
+    def reversed(self) -> _Soft:
+        """The last step first; the bounds are by step."""
+        over, log_n, under, log_m = (
+            bound[::-1] if isinstance(bound, np.ndarray) else bound
+            for bound in (self.over, self.log_n, self.under, self.log_m)
+        )
+        return _Soft(self.values[:, ::-1], over, log_n, under, log_m, self.size, self.error)
+
+    def to_length(self, steps: int, value: float) -> _Soft:
+        """This many steps; those that are missing are never read."""
+        return self[:steps] if steps <= len(self) else self.padded(steps - len(self), value)
+
     def padded(self, steps: int, value: float) -> _Soft:
         """With this many steps of a neutral element appended, which count as nothing."""
         values = np.hstack([self.values, np.full((len(self.values), steps), value)])
@@ -141,9 +153,10 @@ class _Soft:
         return _Soft(values, over, log_n, under, log_m, self.size, self.error)
 
 
-def _run(instructions: tuple[Instruction, ...], block: Block, beta: float) -> tuple[Floats, Floats, Floats]:
+def _run(program: Program, block: Block, beta: float) -> tuple[Floats, Floats, Floats]:
     """Soft robustness at the block's decided steps, and lower and upper bounds on the exact one."""
-    soft = _Machine(block, beta)
+    instructions = program.instructions
+    soft = _Machine(block, beta, by_step=block.end == "cut" or program.has_past)
     values: dict[int, _Soft] = {}
     for number, now in enumerate(instructions):
         values[number] = soft.operator(now, [values[arg] for arg in now.args])
@@ -153,16 +166,18 @@ def _run(instructions: tuple[Instruction, ...], block: Block, beta: float) -> tu
     error = result.error + _ROUNDING * result.size
     lower = result.values - (soft.closed(result.over, result.log_n) + error)
     upper = result.values + (soft.closed(result.under, result.log_m) + error)
-    return result.values, lower, upper
+    steps = block.results
+    return result.values[:, steps], lower[:, steps], upper[:, steps]
 
 
 @dataclass(frozen=True, slots=True)
 class _Machine:
     block: Block
     beta: float
+    by_step: bool  # bounds differ from step to step, since windows may be cut
 
     def operator(self, now: Instruction, operands: list[_Soft]) -> _Soft:
-        if len(operands) == 2:
+        if len(operands) == 2 and now.op != "since":
             n = min(map(len, operands))
             operands = [operand[:n] for operand in operands]
         match now.op:
@@ -192,8 +207,33 @@ class _Machine:
                     before = -self.window(-left, a)
                     result = self.smin(before[: len(result)], result)
                 return result
+            case "once":
+                return self.earlier(operands[0], now)
+            case "historically":
+                return -self.earlier(-operands[0], now)
+            case "since":
+                return self.since(operands[0], operands[1], now)
             case _:
                 assert_never(now.op)
+
+    def earlier(self, x: _Soft, now: Instruction) -> _Soft:
+        """smax over t−b … t−a: the mirror image of smax over t+a … t+b on a trace whose windows are cut at its end."""
+        n = self.block.steps
+        a, b = min(now.a, n), n if now.b is None else min(now.b, n)
+        mirrored = x.to_length(min(len(x) + a, n), -np.inf).reversed().padded(b, -np.inf)
+        return self.window(mirrored[a:], b - a + 1).reversed()
+
+    def since(self, left: _Soft, right: _Soft, now: Instruction) -> _Soft:
+        n = self.block.steps
+        a, b = min(now.a, n), n if now.b is None else min(now.b, n)
+        steps = min(len(right) + a, n) if b == 0 else min(len(left), len(right) + a)
+        A = left.to_length(steps, np.inf).reversed().padded(b, np.inf)
+        B = right.to_length(steps, -np.inf).reversed().padded(b, -np.inf)
+        result = self.until(A[a:], B[a:], b - a + 1)
+        if a > 0:
+            before = -self.window(-A, a)
+            result = self.smin(before[: len(result)], result)
+        return result.reversed()
 
     def bounds(self, now: Instruction) -> tuple[int, int]:
         n = self.block.steps
@@ -219,7 +259,7 @@ class _Machine:
             case _:
                 assert_never(atom)
         finite = np.where(np.isfinite(values), np.abs(values), 0.0)
-        zeros = np.zeros(n) if self.block.end == "cut" else np.float64(0.0)  # all windows are full, hence equal
+        zeros = np.zeros(n) if self.by_step else np.float64(0.0)  # all windows are full, hence equal
         return _Soft(values, zeros, zeros, zeros, zeros, np.max(finite, axis=1, keepdims=True), error)
 
     def closed(self, bound: Bound, log_count: Bound) -> Bound:

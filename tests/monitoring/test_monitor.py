@@ -4,24 +4,32 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 
 import stltool as stl
 from stltool.errors import ArgumentError, NameLookupError, SettingsError, StlSyntaxError, TraceError
 from stltool.logic.formula import (
+    FUTURE,
+    PAST,
     Always,
     And,
     Comparison,
     Eventually,
+    Historically,
     Iff,
     Implies,
     Interval,
     Label,
     Not,
     Number,
+    Once,
     Or,
+    Release,
+    Rise,
+    Since,
+    Trigger,
     Until,
     Variable,
     children,
@@ -30,6 +38,7 @@ from stltool.logic.formula import (
 from stltool.monitoring.blocks import Block, Machine
 from stltool.monitoring.program import compile_formula
 from stltool.testing import formulas, traces
+from tests.conftest import many
 from tests.oracles import extremum, judged_to_the_end
 
 ENDS = st.sampled_from(["cut", "hold"])
@@ -42,7 +51,7 @@ def batches(draw, n_steps):
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
-SMALL = formulas(max_leaves=5)
+SMALL = formulas(max_leaves=5, past=True)
 
 
 @st.composite
@@ -51,7 +60,7 @@ def perhaps_endless(draw):
 
     def change(phi):
         phi = with_children(phi, tuple(change(child) for child in children(phi)))
-        if isinstance(phi, Eventually | Always | Until) and draw(st.booleans()):
+        if isinstance(phi, (*FUTURE, *PAST)) and not isinstance(phi, Rise) and draw(st.booleans()):
             return type(phi)(Interval(phi.interval.a, None), *children(phi))
         return phi
 
@@ -71,7 +80,7 @@ def in_blocks(samples):
 SIZES = st.sampled_from([1, 3, 8, 1000])
 
 
-@given(phi=formulas(), data=st.data(), size=SIZES)
+@given(phi=formulas(past=True), data=st.data(), size=SIZES)
 def test_every_decided_step_is_judged_as_the_slow_semantics_does(phi, data, size):
     n = stl.horizon(phi) + data.draw(st.integers(1, 4))
     batch = data.draw(batches(n))
@@ -96,7 +105,7 @@ def test_windows_cut_or_held_at_the_end(phi, end, n, data, size):
         assert all(close(m, w) for m, (_, w) in zip(margins, wanted, strict=True))
 
 
-@given(phi=formulas(), end=st.sampled_from(["error", "cut", "hold"]), data=st.data())
+@given(phi=formulas(past=True), end=st.sampled_from(["error", "cut", "hold"]), data=st.data())
 def test_semantics_and_shapes(phi, end, data):
     """One semantics alone, a trace alone and arrays of any layout say what a batch with both says; signs agree."""
     n = stl.horizon(phi) + data.draw(st.integers(1, 3))
@@ -116,13 +125,16 @@ def test_semantics_and_shapes(phi, end, data):
         assert np.array_equal(getattr(other, array), getattr(both, array))
 
 
+@settings(max_examples=many(150))
 @given(a=st.integers(0, 5), width=st.integers(1, 12), n=st.integers(1, 25), seed=st.integers(0, 99), size=SIZES)
 def test_each_operator_over_any_window(a, width, n, seed, size):
     interval, rng = Interval(a, a + width - 1), np.random.default_rng(seed)
     p, q = stl.parse("x > 0"), stl.parse("y > 0")
     values = {p: rng.integers(-2, 9, n) + 0.5, q: rng.integers(-9, 2, n) + 0.5}
-    for phi in (Eventually(interval, q), Always(interval, p), Until(interval, p, q), Until(interval, q, p)):
-        for end, steps in (("error", range(n - interval.last)), ("cut", range(n)), ("hold", range(n))):
+    kinds = (Eventually, Always, Once, Historically), (Until, Release, Since, Trigger)
+    some = [kind(interval, one) for kind, one in zip(kinds[0], (q, p, q, p), strict=True)]
+    for phi in [*some, *(kind(interval, *both) for kind in kinds[1] for both in ((p, q), (q, p)))]:
+        for end, steps in (("error", range(n - stl.horizon(phi))), ("cut", range(n)), ("hold", range(n))):
             if not steps:
                 continue
             with in_blocks(size):
@@ -148,6 +160,11 @@ def guarded_formulas():
             st.builds(Eventually, window, below),
             st.builds(Always, window, below),
             st.builds(Until, window, below, below),
+            st.builds(Release, window, below, below),
+            st.builds(Once, window, below),
+            st.builds(Historically, window, below),
+            st.builds(Since, window, below, below),
+            below.map(Rise),
         ),
         max_leaves=6,
     )
@@ -387,3 +404,58 @@ def test_long_traces(n_traces):
     wanted = sliding_window_view(margin[..., 3:], 48, axis=-1).min(axis=-1)
     assert np.array_equal(result.robustness, wanted)
     assert np.array_equal(result.verdicts, wanted > 0)
+
+
+@given(a=st.integers(0, 4), width=st.integers(1, 9), seed=st.integers(0, 999), end=st.sampled_from(["error", "cut"]))
+def test_since_is_until_on_the_reversed_trace(a, width, seed, end):
+    """Truth and robustness; windows without an end, too."""
+    rng = np.random.default_rng(seed)
+    trace = {name: rng.integers(-3, 4, (2, 20)) / 2 for name in "xy"}
+    mirrored = {name: values[:, ::-1] for name, values in trace.items()}
+    for interval in (Interval(a, a + width - 1), Interval(a, None)):
+        p, q = stl.parse("x > 0"), stl.parse("y >= 0")
+        for ahead, back in (
+            (Until(interval, p, q), Since(interval, p, q)),
+            (Always(interval, p), Historically(interval, p)),
+        ):
+            found, wanted = stl.monitor(back, trace, end), stl.monitor(ahead, mirrored, "cut")
+            assert np.array_equal(found.verdicts, wanted.verdicts[:, ::-1])
+            assert np.array_equal(found.robustness, wanted.robustness[:, ::-1])
+
+
+def test_long_windows_of_the_past_in_blocks():
+    """Blocks of a long trace begin as far back as their steps look; without a limit there is one block."""
+    rng = np.random.default_rng(0)
+    trace = {name: rng.integers(-9, 10, 20_000) / 4 for name in "xy"}
+    for text in (
+        "once[3,700] x > 2",
+        "(x > -2) since[10,900] (y > 1)",
+        "historically[0,5] F[0,30] (x > 1)",
+        "F[0,200] ((x > -2) since[0,40] (y > 2))",
+        "(x > -2) since (y > 2)",
+    ):
+        phi = stl.parse(text)
+        with in_blocks(10**9):
+            whole = stl.monitor(phi, trace, "cut")
+        with in_blocks(512):
+            found = stl.monitor(phi, trace, "cut")
+        assert np.array_equal(found.robustness, whole.robustness), text
+        assert np.array_equal(found.verdicts, whole.verdicts), text
+
+
+def test_kernels_of_since_are_their_python():
+    from stltool.kernels import past
+
+    rng = np.random.default_rng(0)
+    for dtype, values in ((np.float64, [-1.0, 0.0, 0.5, np.inf, np.nan]), (np.int8, [-1, 0, 1])):
+        left, right = (rng.choice(np.array(values, dtype), 3 * 12) for _ in range(2))
+        for b in (0, 1, 3, 9, 10):
+            outs = []
+            for run in (past.since_within, past.since_within.py_func):
+                outs.append(np.zeros(36, dtype))
+                run(left, right, 3, 12, 10, b, outs[-1], *(np.empty(10, dtype) for _ in range(3)))
+            assert np.array_equal(*outs, equal_nan=dtype == np.float64)
+        start, within = np.zeros(36, dtype), np.zeros(36, dtype)
+        past.since_start(left, right, 3, 12, 10, start)
+        past.since_within(left, right, 3, 12, 10, 9, within, *(np.empty(10, dtype) for _ in range(3)))
+        assert np.array_equal(start, within, equal_nan=dtype == np.float64)

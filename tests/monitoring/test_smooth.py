@@ -11,14 +11,30 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.errors import ArgumentError, SettingsError, SizeError, TraceError
-from stltool.logic.formula import Always, And, Eventually, Iff, Implies, Interval, Not, Or, Release, Until, is_bounded
+from stltool.logic.formula import (
+    Always,
+    And,
+    Eventually,
+    Historically,
+    Iff,
+    Implies,
+    Interval,
+    Not,
+    Once,
+    Or,
+    Release,
+    Rise,
+    Since,
+    Until,
+    is_bounded,
+)
 from stltool.testing import formulas, traces
 from tests.monitoring.test_monitor import batches, perhaps_endless
 
 BETAS = st.sampled_from([0.01, 1.0, 7.5, 50.0, 1e6])
 
 
-@given(phi=formulas(), beta=BETAS, data=st.data())
+@given(phi=formulas(past=True), beta=BETAS, data=st.data())
 def test_the_exact_robustness_is_enclosed(phi, beta, data):
     n = stl.horizon(phi) + data.draw(st.integers(1, 3))
     trace = data.draw(traces(n))
@@ -57,6 +73,9 @@ def soft(phi, trace, t, beta):
     def value(psi, u=t):
         return soft(psi, trace, u, beta)
 
+    def earlier(interval):
+        return range(0 if interval.b is None else max(t - interval.b, 0), t - interval.a + 1)
+
     def pair(u, width):
         if width == 1:
             return value(phi.left, u), value(phi.right, u)
@@ -82,6 +101,12 @@ def soft(phi, trace, t, beta):
             return smin([value(arg, u) for u in range(t + interval.a, t + interval.b + 1)], beta)
         case Release(interval, left, right):
             return -value(Until(interval, Not(left), Not(right)))
+        case Once(interval, arg):
+            return smax([value(arg, u) for u in earlier(interval)], beta)
+        case Historically(interval, arg):
+            return smin([value(arg, u) for u in earlier(interval)], beta)
+        case Rise(arg):
+            return smin([value(arg), -value(Once(Interval(1, 1), arg))], beta)
         case Until(interval, left, _):
             parts, u = [], t + interval.a
             for k in range(len(interval).bit_length()):
@@ -197,3 +222,24 @@ def test_signals_are_a_mapping(signals):
         stl.smooth_robustness(stl.parse("x > 0"), signals, 1.0)
     with pytest.raises(ArgumentError, match="not a mapping; write, for example, {"):
         stl.monitor(stl.parse("x > 0"), signals)
+
+
+@given(a=st.integers(0, 4), width=st.integers(1, 9), beta=BETAS, seed=st.integers(0, 99))
+def test_the_past_is_the_future_of_the_reversed_trace(a, width, beta, seed):
+    rng = np.random.default_rng(seed)
+    trace = {name: rng.integers(-6, 7, 14) / 4 for name in "xy"}
+    mirrored = {name: values[::-1] for name, values in trace.items()}
+    p, q = stl.parse("x > 0"), stl.parse("y > 0")
+    for interval in (Interval(a, a + width - 1), Interval(a, None)):
+        for ahead, back in (
+            (Eventually(interval, p), Once(interval, p)),
+            (Always(interval, p), Historically(interval, p)),
+            (Until(interval, p, q), Since(interval, p, q)),
+        ):
+            found, wanted = (
+                stl.smooth_robustness(back, trace, beta),
+                stl.smooth_robustness(ahead, mirrored, beta, "cut"),
+            )
+            assert np.array_equal(found.values, wanted.values[::-1])
+            assert np.array_equal(found.lower, wanted.lower[::-1])
+            assert np.array_equal(found.upper, wanted.upper[::-1])
