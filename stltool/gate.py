@@ -24,6 +24,7 @@ from stltool.arguments import path as path_of
 from stltool.checking import CheckResult, check, robust_check, write_certificate
 from stltool.checking.certificate import require_certificate_file
 from stltool.checking.induction import Progress
+from stltool.diagnosis import Diagnosis, diagnose
 from stltool.display import Card, Displayed, counted
 from stltool.errors import ModelError, SettingsError, SizeError, StlToolError, TraceError, all_told, near_misses
 from stltool.files import require_folder
@@ -63,6 +64,7 @@ class Verified(Displayed):
     verdict      "holds", "does not hold", "undecided" (the bound lies inside the enclosure), or "error"
     decided_by   "enclosure", "fraction" or "trace"; None without a verdict, and `reason` states why
     result       the check, with its product; `monitored` the verdicts on a trace, of which step 0 counts
+    diagnosis    why a trace fails, in a batch the first that does
     """
 
     path: Path
@@ -73,6 +75,7 @@ class Verified(Displayed):
     reason: str | None = None
     result: CheckResult | None = None
     monitored: MonitorResult | None = None
+    diagnosis: Diagnosis | None = None
     certificate: Certified | None = None
     seconds: float = 0.0
 
@@ -331,7 +334,14 @@ class _Gate:
                 raise TraceError(f"{file}: {str(error).partition(', or end=')[0]}") from None
         assert found.verdicts is not None
         verdict = _VERDICTS[bool(found.verdicts[..., 0].all())]
-        return Verified(task.path, task, expectation, verdict, "trace", monitored=found)
+        why = None
+        if verdict != "holds":
+            with self.stage(f"finding why {expectation.asked} fails") as bar:
+                verdicts = found.verdicts
+                failing = int(verdicts[:, 0].argmin()) if verdicts.ndim == 2 else None
+                one = {name: values if failing is None else values[failing] for name, values in signals.items()}
+                why = diagnose(replace(task, formula=phi), one, end=found.end, progress=bar)
+        return Verified(task.path, task, expectation, verdict, "trace", monitored=found, diagnosis=why)
 
     def _probability(self, task: Task, expectation: Expectation) -> Verified:
         assert task.path is not None

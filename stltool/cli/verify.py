@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from textwrap import indent
 from typing import Annotated
 
 import typer
@@ -65,7 +66,7 @@ def verify(
     from stltool.logic.lint import about_expectations
     from stltool.reporting import junit_text, markdown_text, require_report, verification_data, write_report
     from stltool.reporting.terminal import error, note, print_facts, print_json, print_table, progress_bar, warn
-    from stltool.reporting.verification import asked_text, counts_text, place_text, verification_rows
+    from stltool.reporting.verification import asked_text, counts_text, explained, place_text, verification_rows
 
     for file, what in ((junit, "JUnit file"), (markdown, "Markdown table")):
         if file is not None:
@@ -102,7 +103,9 @@ def verify(
     else:
         print_table(verification_rows(data))
         for row in data["expectations"]:
-            if row["reason"] is not None and row["verdict"] != "error":
+            if row["why"] is not None:
+                print(f"\n{place_text(row)}\n{indent(explained(row) or '', '  ')}")
+            elif row["reason"] is not None and row["verdict"] != "error":
                 print_facts({f"\n{place_text(row)}": row["reason"]})
         print()
         kept = {result.certificate.path for result in found.results if result.certificate is not None}

@@ -28,9 +28,9 @@ from stltool.automata.automaton import FALSE, TRUE, UNDECIDED
 from stltool.automata.compile import compile_automaton
 from stltool.diagnosis.knowledge import Knowledge, Known, names_of, one_sided, truth_along
 from stltool.diagnosis.sheet import Sheet
-from stltool.errors import SizeError
+from stltool.errors import FragmentError, SizeError
 from stltool.logic.feasible import feasible_valuations, leaves, realised
-from stltool.logic.formula import Formula, atoms, boolean_value
+from stltool.logic.formula import Eventually, Formula, Interval, atoms, boolean_value
 from stltool.monitoring.kleene import Kleene, skeleton
 
 Progress = Callable[[int, int], None]
@@ -48,17 +48,22 @@ class Cause:
     doubt: str | None
 
 
-def find_cause(known: Knowledge, at: int, truth: bool, progress: Progress | None = None) -> Cause:
-    """The colex-least cause of the verdict `truth` at step `at` of the block."""
+def find_cause(known: Knowledge, at: int, truth: bool, fixed: int | None, progress: Progress | None = None) -> Cause:
+    """The colex-least cause of the verdict `truth` at step `at` of the block.
+
+    Samples from step `fixed` on are kept as they are.
+    """
     sharp = realised(leaves(known.phi))
     one = one_sided(known.phi)
     doubt = None
+    if fixed is not None:
+        return Cause(by_kleene(known, at, truth, fixed, progress), "the last sample is held, so it is kept whole")
     if not one:
         try:
             return Cause(by_automaton(known, at, truth), None if sharp else _DEPENDENT)
-        except SizeError as refusal:
+        except (SizeError, FragmentError) as refusal:
             doubt = f"the same part matters in both directions, and {refusal}"
-    return Cause(by_kleene(known, at, truth, progress), doubt if sharp else _DEPENDENT)
+    return Cause(by_kleene(known, at, truth, None, progress), doubt if sharp else _DEPENDENT)
 
 
 _DEPENDENT = "comparisons of several signals that depend on each other are taken as independent"
@@ -112,11 +117,13 @@ class _Trial:
         return found.reshape(-1)
 
 
-def by_kleene(known: Knowledge, at: int, truth: bool, progress: Progress | None = None) -> Known:
-    """The least set on which Kleene's evaluation decides."""
+def by_kleene(
+    known: Knowledge, at: int, truth: bool, fixed: int | None = None, progress: Progress | None = None
+) -> Known:
+    """The least set on which Kleene's evaluation decides, among those with all samples from step `fixed` on."""
     trial = _Trial(known, at, truth)
-    total = end = trial.kept.size
-    critical = np.zeros(total, dtype=np.bool_)
+    total = end = trial.kept.size if fixed is None else fixed * trial.width
+    critical = np.zeros(trial.kept.size, dtype=np.bool_)
     tested, patience = 0, _PATIENCE
     told = time.monotonic() + _QUIET
     while end > 0:
@@ -163,9 +170,10 @@ def _longest(trial: _Trial, end: int) -> int:
 
 def by_automaton(known: Knowledge, at: int, truth: bool) -> Known:
     """The least cause; SizeError with the reason if there is no automaton for it, or none small enough."""
-    if known.block.end != "open" or at:
+    if known.block.end != "open":
         raise SizeError("the automaton judges whole windows only")
-    phi, n = known.phi, known.block.steps
+    n = known.block.steps
+    phi = Eventually(Interval(at, at), known.phi) if at else known.phi
     read = leaves(phi)
     rows, complete = feasible_valuations(read, _MOST_VALUATIONS)
     if not complete:

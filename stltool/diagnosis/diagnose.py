@@ -22,9 +22,12 @@ from stltool.logic.formula import (
     Eventually,
     Formula,
     Label,
+    Once,
+    Since,
     Until,
     children,
     is_temporal,
+    lookback,
 )
 from stltool.logic.quantities import Duration
 from stltool.logic.task import Task
@@ -137,21 +140,23 @@ def diagnose(
     formula, traces = prepare(phi, signals, end, "diagnose")
     if traces.batch:
         raise TraceError("diagnose explains one trace, (n_steps,); give one row of the batch, as in {'x': x[3]}")
-    first, knowledge = _around(formula, traces, t, end)
+    first, knowledge, real = _around(formula, traces, t, end)
     everything = np.ones((knowledge.block.steps, len(knowledge.names)), dtype=np.bool_)
     whole_sheet = Sheet(knowledge, everything)
     at = t - first
     value = int(whole_sheet[formula][at])
     if value == 0:
-        monitor(formula, {name: array[0, first:] for name, array in traces.arrays.items()}, end, "boolean")  # raises
+        monitor(formula, {name: array[0] for name, array in traces.arrays.items()}, end, "boolean")  # raises
         raise TraceError(f"step {t}: the verdict depends on a term without a value")
-    cause = find_cause(knowledge, at, value > 0, progress)
+    held = real < knowledge.block.steps
+    cause = find_cause(knowledge, at, value > 0, real - 1 if held else None, progress)
     sheet = Sheet(knowledge, cause.kept)
     by_cases = int(sheet[formula][at]) == 0
     root = np.zeros(knowledge.block.steps, dtype=np.bool_)
     root[at] = True
+    kept = cause.kept[:real]
     story = _Story(whole_sheet if by_cases else sheet, traces, first, end)
-    steps = {name: first + np.flatnonzero(column) for name, column in zip(knowledge.names, cause.kept.T, strict=True)}
+    steps = {name: first + np.flatnonzero(column) for name, column in zip(knowledge.names, kept.T, strict=True)}
     return Diagnosis(
         formula,
         t,
@@ -166,20 +171,26 @@ def diagnose(
     )
 
 
-def _around(formula: Formula, traces: Traces, t: int, end: End) -> tuple[int, Knowledge]:
-    """The first step of the part of the trace on which the verdict at t depends, and what is known there."""
+def _around(formula: Formula, traces: Traces, t: int, end: End) -> tuple[int, Knowledge, int]:
+    """The part of the trace on which the verdict at t depends: its first step, what is known there, and its length.
+
+    If samples are held for operators of the past, the block is longer than that.
+    """
     h, n = traces.program.horizon, traces.n_steps
     judged = n if end != "error" or h is None else n - h
     if t >= judged:
-        more = f", or {_CUT} or {_HOLD}" if end == "error" else ""
+        advice = f", or {_CUT} or {_HOLD}" if end == "error" else ""
         raise SettingsError(
             f"step {t} is not judged: the trace has {n} samples, and the horizon is {h}; give one of the steps "
-            f"0 … {judged - 1}, or a longer trace{more}"
+            f"0 … {judged - 1}, or a longer trace{advice}"
         )
     stop = n if h is None else min(t + h + 1, n)
     whole_windows = h is not None and t + h < n
     kind: BlockEnd = "open" if whole_windows else "hold" if end == "hold" else "cut"
-    return t, knowledge_of(formula, traces.block(slice(0, 1), slice(t, stop), kind))
+    back, held = lookback(formula), 0
+    first = max(t - back, 0) if back is not None else 0
+    block = traces.block(slice(0, 1), slice(first, stop + held), kind)
+    return first, knowledge_of(formula, block), stop - first
 
 
 class _Story:
@@ -206,7 +217,7 @@ class _Story:
         return Reason(phi, value > 0, self.first + np.flatnonzero(steps), tuple(parts))
 
     def _leaf(self, phi: Formula, steps: Steps, value: int) -> Reason:
-        where = self.first + np.flatnonzero(steps)
+        where = np.unique(np.minimum(self.first + np.flatnonzero(steps), self.traces.n_steps - 1))  # some may be held
         values = {name: self.traces.arrays[name][0, where] for name in names_of(phi)}
         known = isinstance(phi, Constant | Label | Comparison)
         return Reason(phi, value > 0, where, (), values if known else {})
@@ -228,4 +239,4 @@ class _Story:
 
 def _awaits(phi: Formula, operand: int) -> bool:
     """Whether the operator fails because this operand does not come."""
-    return isinstance(phi, Eventually) or (isinstance(phi, Until) and operand == 1)
+    return isinstance(phi, Eventually | Once) or (isinstance(phi, Until | Since) and operand == 1)

@@ -20,6 +20,7 @@ from stltool.logic.formula import (
     Iff,
     Implies,
     Not,
+    Rise,
     atoms,
     boolean_value,
     children,
@@ -147,7 +148,7 @@ def _collect_signs(phi: Formula, sign: int, signs: dict[Formula, set[int]]) -> N
         _collect_signs(phi.arg, -sign, signs)
     elif is_temporal(phi):
         for i, child in enumerate(children(phi)):
-            below = 0 if isinstance(phi, Iff) else -sign if isinstance(phi, Implies) and i == 0 else sign
+            below = 0 if isinstance(phi, Iff | Rise) else -sign if isinstance(phi, Implies) and i == 0 else sign
             _collect_signs(child, below, signs)
     elif not isinstance(phi, Constant):
         signs.setdefault(phi, set()).add(sign)

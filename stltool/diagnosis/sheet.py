@@ -24,12 +24,18 @@ from stltool.logic.formula import (
     Constant,
     Eventually,
     Formula,
+    Historically,
     Iff,
     Implies,
     Interval,
     Label,
     Not,
+    Once,
     Or,
+    Release,
+    Rise,
+    Since,
+    Trigger,
     Until,
     children,
     is_temporal,
@@ -130,8 +136,19 @@ class Sheet:
                 witnesses = self._next(one)[np.minimum(single + a, self.n - 1)]
                 every[witnesses] = True
                 return [every]
-            case Until():
-                return [np.zeros_like(steps)] * 2  # not sought
+            case Once(interval, arg) | Historically(interval, arg):
+                alike = 1 if isinstance(phi, Once) else -1
+                a, b = self._bounds(interval)
+                every = self._before(steps & (value == -alike), a, b)
+                one = self[arg] == alike
+                counts = np.concatenate([[0], np.cumsum(one)])
+                ends = np.flatnonzero(steps & (value == alike))
+                lows = np.maximum(ends - b, 0)
+                single = lows[counts[np.maximum(ends - a + 1, 0)] - counts[lows] == 1]
+                every |= self._at(self._next(one)[single])
+                return [every]
+            case Until() | Release() | Since() | Trigger() | Rise():
+                return [np.zeros_like(steps) for _ in children(phi)]  # not sought
             case Constant() | Label() | Comparison() | Not():
                 raise ValueError(f"{phi} has no temporal operator at its root")
             case _:
@@ -166,8 +183,26 @@ class Sheet:
                     return self._some(0, self.spread(steps, a, b), value)
                 starts = np.minimum(np.flatnonzero(steps) + a, self.n - 1)
                 return self._some(0, self._at(self._next(self[arg] == value)[starts]), value)
+            case Once(interval, arg) | Historically(interval, arg):
+                a, b = self._bounds(interval)
+                if (value == 1) == isinstance(phi, Historically):
+                    return self._some(0, self._before(steps, a, b), value)
+                lows = np.maximum(np.flatnonzero(steps) - b, 0)
+                return self._some(0, self._at(self._next(self[arg] == value)[lows]), value)
             case Until(interval, left, right):
                 return self._until(self[left], self[right], *self._bounds(interval), steps, value)
+            case Since(interval, left, right):
+                return self._since(self[left], self[right], *self._bounds(interval), steps, value)
+            case Release(interval, left, right):
+                return _negated(self._until(-self[left], -self[right], *self._bounds(interval), steps, -value))
+            case Trigger(interval, left, right):
+                return _negated(self._since(-self[left], -self[right], *self._bounds(interval), steps, -value))
+            case Rise(arg):
+                before = self._before(steps, 1, 1)
+                if value == 1:
+                    return [Needed(0, steps, 1), *self._some(0, before, -1)]
+                low = steps & (self[arg] == -1)
+                return [*self._some(0, low, -1), *self._some(0, self._before(steps & ~low, 1, 1), 1)]
             case _:
                 assert_never(phi)
 
@@ -190,6 +225,22 @@ class Sheet:
             *self._some(1, self._ranges(lows, np.maximum(until, lows)), -1),
         ]
 
+    def _since(self, left: Trits, right: Trits, a: int, b: int, steps: Steps, value: int) -> list[Needed]:
+        ends = np.flatnonzero(steps)
+        lows, highs = np.maximum(ends - b, 0), ends - a  # none if a step before 0 would be the last
+        if value == 1:
+            witnesses = self._last(right == 1)[highs]
+            return [*self._some(0, self._ranges(witnesses + 1, ends + 1), 1), *self._some(1, self._at(witnesses), 1)]
+        counts = np.concatenate([[0], np.cumsum(right == -1)])
+        stops = np.maximum(highs + 1, lows)
+        never = counts[stops] - counts[lows] == stops - lows
+        breaks = np.maximum(self._last(left == -1)[ends], 0)
+        since = np.where(never, lows, np.maximum(breaks, lows))
+        return [
+            *self._some(0, self._at(breaks[~never]), -1),
+            *self._some(1, self._ranges(np.minimum(since, stops), stops), -1),
+        ]
+
     def _first_of(self, operands: list[tuple[int, Formula, int]], steps: Steps) -> list[Needed]:
         """At each step the first operand that has the given value."""
         found, rest = [], steps
@@ -209,6 +260,10 @@ class Sheet:
         indices = np.where(truth, np.arange(self.n), self.n)
         return np.minimum.accumulate(indices[::-1])[::-1]
 
+    def _last(self, truth: Steps) -> NDArray[np.int64]:
+        """At each step the last one so far, itself included, at which truth is true; −1 if there is none."""
+        return np.maximum.accumulate(np.where(truth, np.arange(self.n), -1))
+
     def _at(self, indices: NDArray[np.int64]) -> Steps:
         steps = np.zeros(self.n, dtype=np.bool_)
         steps[indices[indices < self.n]] = True
@@ -221,6 +276,11 @@ class Sheet:
         np.add.at(edges, np.minimum(stops, self.n), -1)
         return np.cumsum(edges)[: self.n] > 0
 
+    def _before(self, steps: Steps, a: int, b: int) -> Steps:
+        """The steps t−b … t−a for every t in `steps`, from the first of the block on."""
+        ends = np.flatnonzero(steps)
+        return self._ranges(np.maximum(ends - b, 0), np.maximum(ends - a + 1, 0))
+
     def spread(self, steps: Steps, a: int, b: int) -> Steps:
         """The steps t+a … t+b for every t in `steps`, within the block; held at its end if samples are."""
         starts = np.flatnonzero(steps)
@@ -228,3 +288,7 @@ class Sheet:
         if self.block.end == "hold" and (starts + b >= self.n).any():
             found[self.n - 1] = True
         return found
+
+
+def _negated(needed: list[Needed]) -> list[Needed]:
+    return [Needed(operand, steps, -value) for operand, steps, value in needed]

@@ -225,6 +225,7 @@ def render_verification(data: Mapping[str, Any]) -> str:
         asked_text=verification.asked_text,
         counts_text=verification.counts_text,
         enclosure_text=verification.enclosure_text,
+        explained=verification.explained,
         found_text=verification.found_text,
         place_text=verification.place_text,
     )

@@ -714,6 +714,7 @@ class ExpectationRecord(TypedDict):
 
     `decided_by` is "enclosure" (lower <= P <= upper on one side of the bound), "fraction" (the exact value) or "trace";
     it is null if the expectation is undecided or in error, and `reason` then states why. `bound` and `exact` are exact.
+    `why` explains the verdict on a trace, in a batch on the first that fails; null if it holds.
     """
 
     file: str
@@ -742,6 +743,7 @@ class ExpectationRecord(TypedDict):
     horizon: int | None
     product_states: int | None
     certificate: CertificateRecord | None
+    why: DiagnosisRecord | None
     seconds: float
 
 

@@ -12,8 +12,9 @@ from stltool.files import MARK
 from stltool.gate import Verification, Verified
 from stltool.numbers import bound_texts, fraction_text, number_text, within_text
 from stltool.reporting.data import VERIFY_FORMAT
+from stltool.reporting.diagnosis import diagnosis_data
 from stltool.reporting.monitoring import robustness_text
-from stltool.reporting.records import CertificateRecord, ExpectationRecord, Robustness, VerifyRecord
+from stltool.reporting.records import CertificateRecord, DiagnosisRecord, ExpectationRecord, Robustness, VerifyRecord
 
 _LONGEST_FRACTION = 40  # characters in a table
 _MARKS = {"holds": "✅", "does not hold": "❌", "undecided": "❓", "error": "⚠️"}
@@ -85,11 +86,29 @@ def _expectation_data(found: Verified) -> ExpectationRecord:
         "horizon": product.horizon if product is not None else monitored.horizon if monitored is not None else None,
         "product_states": product.n_states if product is not None else None,
         "certificate": certificate,
+        "why": _why(found),
         "seconds": found.seconds,
     }
 
 
+def _why(found: Verified) -> DiagnosisRecord | None:
+    if found.diagnosis is None or found.monitored is None or found.monitored.verdicts is None:
+        return None
+    verdicts = found.monitored.verdicts
+    return diagnosis_data(found.diagnosis, found.task, int(verdicts[:, 0].argmin()) if verdicts.ndim == 2 else None)
+
+
 # ------------------------------------------------------------------------------------------------------------- texts
+
+
+def explained(row: ExpectationRecord) -> str | None:
+    """Why an expectation is not met, in several lines, if that is known."""
+    if row["why"] is None:
+        return row["reason"]
+    which = f"trace {row['why']['trace']}: " if row["why"]["trace"] is not None else ""
+    return "\n".join(
+        [which + row["why"]["sentences"][0], *row["why"]["sentences"][1:], f"causes: {row['why']['summary']}"]
+    )
 
 
 def place_text(row: ExpectationRecord) -> str:
@@ -170,7 +189,7 @@ def junit_text(data: VerifyRecord) -> str:
             message = f"{row['verdict']}: {told.partition(chr(10))[0]}"
             fault = ET.SubElement(case, kind, type=row["verdict"], message=_xml(message))
             fault.text = _xml("\n".join(filter(None, [place_text(row), row["text"], found_text(row),
-                                                      enclosure_text(row), row["reason"]])))  # fmt: skip
+                                                      enclosure_text(row), explained(row)])))  # fmt: skip
     ET.indent(root)
     xml = ET.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n<!-- {MARK} -->\n{xml}\n'
@@ -200,16 +219,16 @@ def markdown_text(data: VerifyRecord) -> str:
             _code(place_text(row)),
         )  # fmt: skip
         lines.append(f"| {' | '.join(cells)} |")
-    reasons = [row for row in data["expectations"] if row["reason"] is not None]
-    for row in reasons:
-        lines += ["", f"{_code(place_text(row))} is {_said(row)}:", "", _block(row["reason"] or "")]
+    for row in data["expectations"]:
+        if (told := explained(row)) is not None:
+            lines += ["", f"{_code(place_text(row))} {_said(row)}:", "", _block(told)]
     if data["command"] is not None:
         lines += ["", f"{_code(data['command'])}, stltool {data['version']}"]
     return "\n".join([f"<!-- {MARK} -->", *lines]) + "\n"
 
 
 def _said(row: ExpectationRecord) -> str:
-    return "in error" if row["verdict"] == "error" else row["verdict"]
+    return {"error": "is in error", "undecided": "is undecided"}.get(row["verdict"], row["verdict"])
 
 
 def _code(text: str) -> str:

@@ -4,6 +4,7 @@ import json
 import re
 import xml.etree.ElementTree as ET
 
+import numpy as np
 import pytest
 
 from stltool.log import Log
@@ -239,3 +240,29 @@ def test_what_takes_more_than_two_seconds_is_told(stltool, files, monkeypatch):
 def test_the_page_shows_the_example():
     page = (ROOT / "docs" / "verify.md").read_text(encoding="utf-8")
     assert f"```\n{(FACTORY / 'gate.stl').read_text(encoding='utf-8')}```" in page
+
+
+def test_a_trace_that_fails_is_explained_everywhere(stltool, files, tmp_path):
+    (tmp_path / "log.csv").write_text("A,x\n1,5\n1,5\n0,4\n1,1\n0,2\n0,3\n0,3\n1,3\n")
+    lines = ['expect holds(G[0,5] reach2, trace "log.csv")', 'expect holds(F[0,3] (x < 2), trace "log.csv")']
+    name = files("task.stl", "reach2 := F[0,2] A", *lines)
+    code, out, _ = stltool("verify", name, "--report", "out", "--junit", "j.xml", "--markdown", "m.md")
+    why = [
+        "G[0,5] reach2 fails at step 0:",
+        "  reach2 fails at step 4: A is false throughout steps 4 … 6; last true at 3, next at 7, needed by 6",
+        "causes: A at steps 4 … 6 (3 samples, a minimal set)",
+    ]
+    assert code == 1
+    assert out.split("\n\n")[1].splitlines() == ["task.stl:5", *(f"  {line}" for line in why)]
+    for file in ("m.md", "j.xml", "out/report.html"):
+        assert "\n".join(why) in (tmp_path / file).read_text(encoding="utf-8"), file
+    rows = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))["expectations"]
+    assert [row["why"] is None for row in rows] == [False, True]
+    assert [(cause["signal"], cause["steps"]) for cause in rows[0]["why"]["causes"]] == [("A", [4, 5, 6])]
+    np.savez("batch.npz", A=np.array([[1, 1, 1], [1, 0, 0]]))
+    first = files("batch.stl", 'expect holds(G[0,1] A, trace "batch.npz")')
+    code, out, _ = stltool("verify", first, "--json")
+    [row] = json.loads(out)["expectations"]
+    assert (code, row["why"]["trace"], row["why"]["sentences"]) == (
+        1, 1, ["G[0,1] A fails at step 0: A is false at step 1"],
+    )  # fmt: skip
