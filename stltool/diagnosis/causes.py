@@ -12,7 +12,9 @@ is as early as in any cause.
                the samples kept at steps s, s + 1, … gets the verdict; the sample can go if δ(λ, q_s) is in good_{s+1}
                for every letter λ that agrees with what is kept at step s, q_s being the state that the trace reaches
 
-Kleene's test is exact for formulas that are `one_sided`; for others the automaton's is, if it is small enough.
+Kleene's test is exact for formulas that are `one_sided`; for others the automaton's is, if it is small enough. Where
+neither is, Kleene's cause is still minimal if for each of its samples there is a trace that agrees on all others and has
+the other verdict; such traces are sought among a few (`each_is_needed`).
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +38,8 @@ from stltool.monitoring.kleene import Kleene, skeleton
 
 Progress = Callable[[int, int], None]
 
+_MOST_TRIED = 200_000_000  # values of atoms, of all traces in which a sample is changed
+_RANDOM = 8  # of these traces
 _MOST_VALUATIONS, _MOST_STATES = 256, 2000  # of the automaton
 _QUIET, _OFTEN = 0.5, 0.2  # seconds before the first call of `progress`, and between calls
 _PATIENCE = 4  # samples kept one after another by tests, before critical ones are sought
@@ -54,19 +59,23 @@ def find_cause(known: Knowledge, at: int, truth: bool, fixed: int | None, progre
     Samples from step `fixed` on are kept as they are.
     """
     sharp = realised(leaves(known.phi))
-    one = one_sided(known.phi)
     doubt = None
     if fixed is not None:
         return Cause(by_kleene(known, at, truth, fixed, progress), "the last sample is held, so it is kept whole")
-    if not one:
+    if not one_sided(known.phi):
         try:
             return Cause(by_automaton(known, at, truth), None if sharp else _DEPENDENT)
         except (SizeError, FragmentError) as refusal:
-            doubt = f"the same part matters in both directions, and {refusal}"
-    return Cause(by_kleene(known, at, truth, None, progress), doubt if sharp else _DEPENDENT)
+            doubt = f"a part matters in both directions, and {refusal}"
+    kept = by_kleene(known, at, truth, None, progress)
+    if not sharp:
+        return Cause(kept, _DEPENDENT)
+    return Cause(kept, doubt if doubt is not None and not each_is_needed(known, at, truth, kept) else None)
 
 
-_DEPENDENT = "comparisons of several signals that depend on each other are taken as independent"
+_DEPENDENT = (
+    "which of its comparisons can hold together is known in part only, as they are not linear, or share signals"
+)
 
 
 # --------------------------------------------------------------------------------------------------------- by Kleene
@@ -180,7 +189,10 @@ def by_automaton(known: Knowledge, at: int, truth: bool) -> Known:
         raise SizeError(f"its labels and comparisons have more than {_MOST_VALUATIONS} truth assignments")
     assigned = [dict(zip(read, row, strict=True)).get for row in rows.tolist()]
     table = np.array([[boolean_value(psi, row) for psi in atoms(phi)] for row in assigned], dtype=np.bool_)
-    automaton = compile_automaton(phi, valuations=np.unique(table, axis=0), most_states=_MOST_STATES)
+    try:
+        automaton = compile_automaton(phi, valuations=np.unique(table, axis=0), most_states=_MOST_STATES)
+    except SizeError:
+        raise SizeError(f"its automaton has more than {_MOST_STATES} states") from None
     letters = _Letters(known, read, rows, automaton.letters_at(table))
     if not letters.total:
         raise SizeError("a comparison has no value at some step")
@@ -210,10 +222,10 @@ def by_automaton(known: Knowledge, at: int, truth: bool) -> Known:
 
 
 class _Letters:
-    """The automaton's letters at each step that agree with the signals known there, a bit for each."""
+    """The letters at each step that agree with the signals known there, a bit for each; of valuations, in order."""
 
     def __init__(
-        self, known: Knowledge, read: tuple[Formula, ...], rows: NDArray[np.bool_], letter: NDArray[np.int32]
+        self, known: Knowledge, read: tuple[Formula, ...], rows: NDArray[np.bool_], letter: NDArray[np.integer[Any]]
     ) -> None:
         names = known.names
         self.all = (1 << len(names)) - 1
@@ -221,9 +233,9 @@ class _Letters:
         self._needs = [sum(1 << names.index(name) for name in names_of(leaf)) for leaf in read]
         self._along = np.stack([truth_along(leaf, known.block) for leaf in read], axis=1)
         self.total = bool(self._along.all())
-        self._known: dict[tuple[int, bytes], NDArray[np.int32]] = {}
+        self._known: dict[tuple[int, bytes], NDArray[np.integer[Any]]] = {}
 
-    def of(self, step: int, mask: int) -> NDArray[np.int32]:
+    def of(self, step: int, mask: int) -> NDArray[np.integer[Any]]:
         key = mask, self._along[step].tobytes()
         if key not in self._known:
             agree = np.ones(len(self._rows), dtype=np.bool_)
@@ -232,3 +244,45 @@ class _Letters:
                     agree &= self._rows[:, column] == (truth > 0)
             self._known[key] = np.unique(self._letter[agree])
         return self._known[key]
+
+
+# -------------------------------------------------------------------------------------------------- one by one
+
+
+def each_is_needed(known: Knowledge, at: int, truth: bool, kept: Known) -> bool:
+    """Whether for each kept sample some trace agrees on all others and has the other verdict. False: none was found.
+
+    At a step, the atoms take the values of one of the truth assignments that can occur there. Tried are traces that
+    everywhere come as near as possible to one assignment, the given trace, and random ones, each with every assignment
+    at the step of the sample.
+    """
+    read = leaves(known.phi)
+    rows, complete = feasible_valuations(read, _MOST_VALUATIONS)
+    if not complete:
+        return False
+    letters = _Letters(known, read, rows, np.arange(len(rows)))
+    assigned = [dict(zip(read, row, strict=True)).get for row in rows.tolist()]
+    psis = [atom.formula for atom in known.atoms]
+    signed = np.array([[1 if boolean_value(psi, row) else -1 for psi in psis] for row in assigned], dtype=np.int8)
+    n, bits = known.block.steps, 1 << np.arange(len(known.names))
+    masks = (kept @ bits).tolist()
+    samples = np.argwhere(kept).tolist()
+    if not letters.total or len(samples) * n * len(rows) * (len(rows) + _RANDOM + 1) > _MOST_TRIED:
+        return False
+    rng = np.random.default_rng(0)
+    apart = (rows[:, None] != rows[None]).sum(axis=2)
+    chosen = np.empty((len(rows) + _RANDOM + 1, n), dtype=np.int64)  # of each trace, at each step, the assignment
+    for step, mask in enumerate(masks):
+        allowed = letters.of(step, mask)
+        chosen[: len(rows), step] = allowed[apart[:, allowed].argmin(axis=1)]
+        chosen[len(rows) : -1, step] = rng.choice(allowed, _RANDOM)
+        chosen[-1, step] = letters.of(step, letters.all)[0]
+    machine = Kleene(skeleton(known.phi, {psi: str(i) for i, psi in enumerate(psis)}))
+    for step, column in samples:
+        allowed = letters.of(step, masks[step] & ~(1 << column))
+        traces = np.repeat(chosen, len(allowed), axis=0)
+        traces[:, step] = np.tile(allowed, len(chosen))
+        columns = {str(i): signed[:, i][traces] for i in range(len(psis))}
+        if not (machine.judge(columns, n, known.block.end)[:, at] == (-1 if truth else 1)).any():
+            return False
+    return True
