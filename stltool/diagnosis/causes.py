@@ -13,8 +13,8 @@ is as early as in any cause.
                for every letter λ that agrees with what is kept at step s, q_s being the state that the trace reaches
 
 Kleene's test is exact for formulas that are `one_sided`; for others the automaton's is, if it is small enough. Where
-neither is, Kleene's cause is still minimal if for each of its samples there is a trace that agrees on all others and has
-the other verdict; such traces are sought among a few (`each_is_needed`).
+neither is, Kleene's cause is still minimal if for each of its samples there is a trace that agrees on all others and
+has the other verdict; such traces are sought among a few (`each_is_needed`).
 """
 
 from __future__ import annotations
@@ -73,9 +73,7 @@ def find_cause(known: Knowledge, at: int, truth: bool, fixed: int | None, progre
     return Cause(kept, doubt if doubt is not None and not each_is_needed(known, at, truth, kept) else None)
 
 
-_DEPENDENT = (
-    "which of its comparisons can hold together is known in part only, as they are not linear, or share signals"
-)
+_DEPENDENT = "which comparisons can hold together is known in part only, as some are not linear, or share signals"
 
 
 # --------------------------------------------------------------------------------------------------------- by Kleene
