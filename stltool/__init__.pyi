@@ -29,10 +29,12 @@ from .monitoring import (
     Decision as Decision,
     MonitorResult as MonitorResult,
     OnlineMonitor as OnlineMonitor,
+    Recording as Recording,
     SmoothRobustness as SmoothRobustness,
     load_trace as load_trace,
     monitor as monitor,
     smooth_robustness as smooth_robustness,
+    trace_readers as trace_readers,
 )
 from .automata import TaskAutomaton as TaskAutomaton, compile_automaton as compile_automaton
 from .automata.vacuity import Meaning as Meaning, meaning as meaning

@@ -108,6 +108,10 @@ class InexactEncodingWarning(UserWarning):
     """The chosen encoding, the flags of [Wang24], approximates the formula and may disagree with it."""
 
 
+class UnusedTimeWarning(UserWarning):
+    """A trace has a column of times that is not used, since no step is declared: its rows are taken as steps."""
+
+
 def all_told(messages: Sequence[str], count: int | None = None) -> str:
     """The faults of a text, one below the other: the first `MOST_FAULTS`, and their number.
 

@@ -10,6 +10,7 @@ from stltool.errors import MissingExtraError
 EXTRAS = {
     "distributed": "cluster",
     "gymnasium": "gymnasium",
+    "mcap": "mcap",
     "pyarrow": "parquet",
     "tensorboard": "tensorboard",
     "sklearn": "trees",

@@ -327,7 +327,7 @@ class _Gate:
         if not names:
             raise SettingsError(f"{phi}: this formula is constant; name a signal or a label of the trace")
         with self.stage(f"judging {expectation.asked}"):
-            signals = load_trace(file, list(names))
+            signals = load_trace(file, phi, step=task.step)
             try:
                 found = monitor(phi, signals, end="error" if is_bounded(phi) else "cut")
             except TraceError as error:  # its advice on `end` does not apply here

@@ -1,17 +1,18 @@
 """Monitoring of recorded traces: the verdicts of the slow semantics, at every step of whole batches, fast.
 
-files      a trace file → signals                       samples    arrays → traces, checked as they are read
+logs/      a trace file → signals, with a sample per step   samples    arrays → traces, checked as they are read
 program    a formula → instructions                     comparisons  predicates over arrays, decided exactly
 blocks     the instructions over blocks of traces       offline    verdicts and robustness at every decided step
 online     the same, sample by sample                   smooth     log-sum-exp robustness with its enclosure
 states     truth at the states of a model
 """
 
-from stltool.monitoring.files import load_trace
+from stltool.monitoring.logs import Recording, load_trace, trace_readers
 from stltool.monitoring.offline import MonitorResult, monitor
 from stltool.monitoring.online import Decision, OnlineMonitor
 from stltool.monitoring.smooth import SmoothRobustness, smooth_robustness
 
 __all__ = [
-    "Decision", "MonitorResult", "OnlineMonitor", "SmoothRobustness", "load_trace", "monitor", "smooth_robustness",
+    "Decision", "MonitorResult", "OnlineMonitor", "Recording", "SmoothRobustness", "load_trace", "monitor",
+    "smooth_robustness", "trace_readers",
 ]  # fmt: skip

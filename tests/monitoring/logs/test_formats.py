@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.errors import FileError, MissingExtraError, NameLookupError, SizeError, StlToolError, TraceError
-from stltool.monitoring import files as traces
+from stltool.monitoring.logs import text as traces
 
 
 @pytest.fixture
@@ -214,7 +214,7 @@ def test_the_reader_agrees_with_a_slow_one(tmp_path_factory, width, rows, square
 
 
 def test_large_plain_files_are_read_by_numpy(write, monkeypatch):
-    monkeypatch.setattr(traces, "_read_slowly", None)
+    monkeypatch.setattr(traces, "_Table_read", None)
     values = np.random.default_rng(0).normal(size=1000)
     for before in ("", "\ufeff"):
         text = before + "".join(f'{a},{b},"c"\n'.replace('"' if i else "", "") for i, (a, b) in enumerate(zip(

@@ -1,0 +1,355 @@
+"""The clock of a log: its times are held against the declared step, and signals are put on the step's grid.
+
+Row i, at time s_i, is step i if |s_i − s_0 − i·step| ≤ tolerance·step for every i: compared with the grid, not with the
+row before, since small differences of one sign add up. Differences of dates are exact; of doubles they are within two
+units in the last place of the largest time, which are granted in addition.
+
+On the grid, step k is the time s_0 + k·step. A sample within the tolerance of it is taken as it is; elsewhere "hold"
+takes the last sample before, "linear" the line between the samples on both sides, and of Booleans the last one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, Literal, TypeAlias, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.errors import NameLookupError, SettingsError, TraceError, near_misses
+from stltool.logic.quantities import Duration
+from stltool.monitoring.logs.recording import SHORTER, Recording, Signals, option
+from stltool.sizes import require_memory
+
+Resample: TypeAlias = Literal["hold", "linear"]
+Reals: TypeAlias = NDArray[np.float64]
+
+TOLERANCE = 0.01  # of a step
+NO_TIME = "none"  # as the name of the time column
+_TIMES = ("time", "t", "timestamp")
+_BRACKETED = re.compile(r"(.*?)\s*(?:\[(.*)\]|\((.*)\))\s*")
+_UNITS = {
+    unit: scale
+    for units, scale in (
+        ("s sec secs second seconds", Fraction(1)),
+        ("ms msec msecs millisecond milliseconds", Fraction(1, 1000)),
+        ("us µs μs usec usecs microsecond microseconds", Fraction(1, 10**6)),
+        ("ns nsec nsecs nanosecond nanoseconds", Fraction(1, 10**9)),
+        ("min mins minute minutes", Fraction(60)),
+        ("h hr hrs hour hours", Fraction(3600)),
+        ("d day days", Fraction(86400)),
+    )
+    for unit in units.split()
+}
+_ROUNDING = 1e-9  # of a step
+_RESAMPLE = f"{option('resample', 'hold')} or {option('resample', 'linear')}"
+_ROWS = f"{option('time', 'none')} takes rows as steps"
+
+
+@dataclass(frozen=True)
+class Clock:
+    """How the times of a log become steps. `time` is the column that the user named, or "none"."""
+
+    step: Duration | None = None
+    time: str | None = None
+    resample: Resample | None = None
+    tolerance: float = TOLERANCE
+
+    @property
+    def used(self) -> bool:
+        return self.step is not None and self.time != NO_TIME
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What was done with the times of a log: in words, and the column, or None if rows are steps."""
+
+    says: str | None = None
+    column: str | None = None
+    start: str | None = None  # the first time, as the log has it
+    unused: str | None = None  # the column that looks like a time but was not used, for want of a step
+
+
+# ------------------------------------------------------------------------------------------------------ the time column
+
+
+@dataclass(frozen=True)
+class TimeColumn:
+    """A column of times, and its unit in seconds, if one is written."""
+
+    name: str
+    scale: Fraction | None = None
+    unit: str | None = None
+
+    def seconds(self, values: NDArray[Any], where: str) -> NDArray[Any]:
+        """Numbers of the column as seconds; dates as they are."""
+        if values.dtype.kind in "mM":
+            return values
+        if self.unit is not None and self.scale is None:
+            raise TraceError(
+                f"{where}: the unit {self.unit} of column {self.name} is not known; write s, ms, us, ns, min or h"
+            )
+        scale = self.scale if self.scale is not None else Fraction(1)
+        return values * scale.numerator / scale.denominator if scale != 1 else values
+
+
+def without_unit(name: str) -> tuple[str, str | None]:
+    """A column's name and the unit in brackets behind it: `t [ms]`, `time (s)`."""
+    found = _BRACKETED.fullmatch(name)
+    if found is None or not found[1]:
+        return name, None
+    return found[1], next(unit for unit in found.groups()[1:] if unit is not None).strip()
+
+
+def time_column(
+    where: str, known: Sequence[str], given: str | None, timed: bool, units: Mapping[str, str] | None = None
+) -> TimeColumn | None:
+    """The column of times: the one given, by its name or with a unit behind it, or one whose name says so.
+
+    `units` are those of a units row. Raises NameLookupError if the one given is missing, SettingsError if the choice is
+    not clear and the times are needed.
+    """
+    name, unit = given, None
+    if given is None:
+        looks = [one for one in known if without_unit(one)[0].lower() in _TIMES]
+        if not looks:
+            return None
+        if len(looks) > 1 and timed:
+            raise SettingsError(
+                f"{where}: columns {' and '.join(looks)} could both be the time; choose: {option('time', looks[0])}"
+            )
+        name = looks[0]
+    elif given not in known:
+        name, unit = without_unit(given)
+        if unit is None or name not in known:
+            raise NameLookupError(f"{where}: there is no column {given} for the time; {near_misses(given, known)}")
+    assert name is not None
+    written = unit or without_unit(name)[1] or (units or {}).get(name)
+    unit = written.strip("[]() ") if written else None
+    return TimeColumn(name, _UNITS.get(unit.lower()) if unit else None, unit or None)
+
+
+# -------------------------------------------------------------------------------------------------------- rows → steps
+
+
+def on_steps(recording: Recording, clock: Clock, where: str, labels: Collection[str] = ()) -> tuple[Signals, Timing]:
+    """The signals of a recording with a sample per step. Raises TraceError if its times do not fit the step."""
+    signals = dict(recording.signals)
+    if not clock.used or recording.times is None:
+        return signals, _rows_are_steps(recording, clock, where)
+    assert clock.step is not None
+    grid = _Grid(clock.step, clock, where, recording, labels)
+    if isinstance(recording.times, Mapping):
+        return grid.of_own_times(signals, recording.times)
+    return grid.of_rows(signals, np.asarray(recording.times))
+
+
+def _rows_are_steps(recording: Recording, clock: Clock, where: str) -> Timing:
+    if isinstance(recording.times, Mapping):
+        raise TraceError(
+            f"{where}: its signals were not recorded together; declare a step and put them on its grid with {_RESAMPLE}"
+        )
+    if clock.resample is not None:
+        raise SettingsError(f"{where}: there is no time column to resample by; name it: {option('time', 't')}")
+    if clock.step is None:
+        return Timing(unused=recording.clock)
+    says = f"rows are steps of {clock.step}"
+    return Timing(says if clock.time == NO_TIME else f"{says}; there is no column of times")
+
+
+@dataclass(frozen=True)
+class _Grid:
+    step: Duration
+    clock: Clock
+    where: str
+    recording: Recording
+    labels: Collection[str]
+
+    @property
+    def seconds(self) -> float:
+        return float(self.step.seconds)
+
+    @property
+    def column(self) -> str:
+        return self.recording.clock or "its times"
+
+    def of_rows(self, signals: Signals, times: NDArray[Any]) -> tuple[Signals, Timing]:
+        """Signals whose rows were recorded together."""
+        batch = any(np.ndim(values) == 2 for values in signals.values())
+        rows = np.atleast_2d(times)
+        steps = [self._in_steps(one, number if batch and len(rows) > 1 else None) for number, one in enumerate(rows)]
+        start = _shown_time(times.flat[0])
+        if self.clock.resample is None:
+            for number, (one, slack) in enumerate(steps):
+                self._require_uniform(one, slack, number if batch and len(rows) > 1 else None)
+            return signals, Timing(f"{self.column}, every {self.step}", self.recording.clock, start)
+        self._require_room(max(one[-1] for one, _ in steps), len(signals), len(rows))
+        found: Signals = {}
+        for name, values in signals.items():
+            parts = np.atleast_2d(values)
+            own = steps if len(steps) == len(parts) else steps * len(parts)
+            put = [self._put(name, part, *one) for part, one in zip(parts, own, strict=True)]
+            if len({len(one) for one in put}) > 1:
+                lengths = sorted({len(one) for one in put})
+                raise TraceError(
+                    f"{self.where}: on the grid of {self.step} its traces have {lengths[0]} to {lengths[-1]} samples; "
+                    "give each a file of its own"
+                )
+            found[name] = np.stack(put) if values.ndim == 2 else put[0]
+        return found, Timing(self._resampled(*steps[0]), self.recording.clock, start)
+
+    def of_own_times(self, signals: Signals, times: Mapping[str, NDArray[Any]]) -> tuple[Signals, Timing]:
+        """Signals that were recorded each at its own times."""
+        own = [np.asarray(times[name]) for name in signals]
+        if all(np.array_equal(own[0], one) for one in own[1:]):
+            return self.of_rows(signals, own[0])
+        if self.clock.resample is None:
+            a, b = next(
+                (a, b) for a, b in zip(signals, [*signals][1:], strict=False) if not np.array_equal(times[a], times[b])
+            )
+            raise TraceError(
+                f"{self.where}: {a} and {b} were not recorded together; put them on the step's grid with {_RESAMPLE}"
+            )
+        first, last = max(one[0] for one in own), max(one[-1] for one in own)
+        if self.clock.resample == "linear":
+            lines = [one[-1] for name, one in zip(signals, own, strict=True) if not self._is_label(name, signals[name])]
+            last = min(lines, default=last)
+        n = int(np.floor(_seconds(np.array([first, last]))[-1] / self.seconds + self._tolerance(0.0))) + 1
+        if n < 1:
+            raise TraceError(f"{self.where}: the signals were not recorded at the same time; no step has all of them")
+        self._require_room(n - 1.0, len(signals), 1)
+        found, longest = {}, (0.0, "")
+        for name, one in zip(signals, own, strict=True):
+            self._in_steps(one, None, name)
+            seconds = _seconds(np.concatenate([[first], one]))[1:]  # from the first step on
+            steps = seconds / self.seconds
+            found[name] = self._put(name, np.asarray(signals[name]), steps, _slack(one) / self.seconds, n)
+            held = np.diff(np.append(seconds, max(seconds[-1], (n - 1) * self.seconds)))
+            longest = max(longest, (float(held.max()), name))
+        says = f"{self.column}, on steps of {self.step} ({self.clock.resample}): {n} steps"
+        if longest[0] > 1.5 * self.seconds:
+            says += f"; the longest time without a sample is {longest[0]:.6g}s, of {longest[1]}"
+        return found, Timing(says, self.recording.clock, _shown_time(first))
+
+    def _in_steps(self, times: NDArray[Any], trace: int | None, signal: str | None = None) -> tuple[Reals, float]:
+        """The times in steps from the first one on, and the rounding in them; TraceError unless they increase."""
+        seconds = _seconds(times)
+        late = np.flatnonzero(~(np.diff(seconds) > 0))
+        if len(late):
+            i = int(late[0])
+            raise TraceError(
+                f"{self._at(trace, signal, i, i + 1)}: {self.column} goes from {_shown_time(times[i])} to "
+                f"{_shown_time(times[i + 1])}; times must increase from row to row; mend the log, or {_ROWS}"
+            )
+        return seconds / self.seconds, _slack(times) / self.seconds
+
+    def _tolerance(self, slack: float) -> float:
+        return self.clock.tolerance + slack + _ROUNDING
+
+    def _require_uniform(self, steps: Reals, slack: float, trace: int | None) -> None:
+        off = np.abs(steps - np.arange(len(steps)))
+        wrong = np.flatnonzero(off > self._tolerance(slack))
+        if not len(wrong):
+            return
+        i = int(wrong[0])
+        gap = float(steps[i] - steps[i - 1])
+        apart = f"{gap * self.seconds:.6g}s apart"
+        if abs(gap - 1) > self._tolerance(2 * slack):
+            told = f"{self._at(trace, None, i - 1, i)}: in {self.column} they are {apart}; the step is {self.step}"
+            told += self._meant(steps)
+        else:
+            told = (
+                f"{self._at(trace, None, i)}: in {self.column} it is {off[i]:.3g} of a step away from step {i}; the "
+                f"step is {self.step}, and {self.clock.tolerance:.3g} of it is tolerated"
+            )
+        more = f" (and {len(wrong) - 1} more rows)" if len(wrong) > 1 else ""
+        raise TraceError(f"{told}{more}; {_RESAMPLE} puts the signals on the step's grid, {_ROWS}")
+
+    def _meant(self, steps: Reals) -> str:
+        """A hint, if the times look like another unit."""
+        usual = float(np.median(np.diff(steps)))
+        for unit in ("ms", "us", "ns", "min", "h"):
+            if abs(usual * float(_UNITS[unit]) - 1) <= self.clock.tolerance:
+                name = without_unit((self.recording.clock or "t").removeprefix("column "))[0]
+                given = option("time", f"{name} [{unit}]")
+                return f" (if the column is in {unit}, give {given})"
+        return ""
+
+    def _at(self, trace: int | None, signal: str | None, *rows: int) -> str:
+        of = f", trace {trace}" if trace is not None else f", {signal}" if signal is not None else ""
+        return f"{self.where}{of}, {self.recording.place(*rows)}"
+
+    def _require_room(self, last: float, signals: int, traces: int) -> None:
+        require_memory((last + 1) * 8 * 4 * max(signals, 1) * traces, f"{self.where} on steps of {self.step}", SHORTER)
+
+    def _is_label(self, name: str, values: NDArray[Any]) -> bool:
+        return name in self.labels or np.asarray(values).dtype == np.bool_
+
+    def _put(self, name: str, values: NDArray[Any], steps: Reals, slack: float, n: int | None = None) -> NDArray[Any]:
+        """A signal at steps 0 … n−1, from its samples at `steps`; n: as many as there are."""
+        near = self._tolerance(slack)
+        grid = np.arange(int(np.floor(steps[-1] + near)) + 1 if n is None else n, dtype=np.float64)
+        before, on = self._samples(steps, grid, near)
+        held = values[before]
+        if self.clock.resample == "hold" or self._is_label(name, values):
+            return held
+        after = np.minimum(before + 1, len(steps) - 1)
+        between = ~on & (after > before)
+        result = held.astype(np.float64)
+        a, b = before[between], after[between]
+        share = (grid[between] - steps[a]) / (steps[b] - steps[a])
+        low, high = values[a].astype(np.float64), values[b].astype(np.float64)
+        result[between] = low * (1 - share) + high * share
+        return result
+
+    @staticmethod
+    def _samples(steps: Reals, grid: Reals, near: float) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """For every step the sample on it or the last one before, and whether it is on it."""
+        before = np.maximum(np.searchsorted(steps, grid, side="right") - 1, 0)
+        after = np.minimum(before + 1, len(steps) - 1)
+        early = np.abs(steps[before] - grid) <= near
+        soon = ~early & (np.abs(steps[after] - grid) <= near)
+        return np.where(soon, after, before), early | soon
+
+    def _resampled(self, steps: Reals, slack: float) -> str:
+        near = self._tolerance(slack)
+        grid = np.arange(int(np.floor(steps[-1] + near)) + 1, dtype=np.float64)
+        before, on = self._samples(steps, grid, near)
+        used = np.zeros(len(steps), np.bool_)
+        used[before] = True
+        if self.clock.resample == "linear":
+            used[np.minimum(before + 1, len(steps) - 1)[~on]] = True
+        says = f"{self.column}, on steps of {self.step} ({self.clock.resample}): {len(grid)} steps of {len(steps)} rows"
+        gaps = np.diff(steps)
+        if len(gaps) and gaps.max() > 1.5:
+            row = int(gaps.argmax())
+            says += f"; the longest gap is {gaps[row] * self.seconds:.6g}s, after {self.recording.place(row)}"
+        if not used.all():
+            says += f"; {int((~used).sum())} rows lie between steps and are not judged"
+        return says
+
+
+def _seconds(times: NDArray[Any]) -> Reals:
+    """Seconds since the first time."""
+    since = times - times[0] if times.dtype.kind != "u" else times.astype(np.float64) - float(times[0])
+    if since.dtype.kind == "m":
+        return cast(Reals, since.astype("m8[ns]").astype(np.int64) / 1e9)
+    return since.astype(np.float64)
+
+
+def _slack(times: NDArray[Any]) -> float:
+    """The rounding of times, in seconds."""
+    return 2 * float(np.spacing(np.abs(times).max())) if times.dtype.kind == "f" else 0.0
+
+
+def _shown_time(time: Any) -> str:
+    """A time as the log has it."""
+    if isinstance(time, np.datetime64):
+        text = str(time)
+        return text.rstrip("0").rstrip(".") if "." in text else text
+    if isinstance(time, np.timedelta64):
+        time = time / np.timedelta64(1, "s")
+    return f"{float(time):.12g}s"
