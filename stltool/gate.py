@@ -10,13 +10,13 @@ minimises the probability in claims of >= and >, and maximises it in claims of <
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
+from time import perf_counter
 from typing import Any, Literal, TypeAlias, cast
 
 from stltool.arguments import flag, function, mapping, require
@@ -34,7 +34,10 @@ from stltool.logic.parser import Survey, survey_task
 from stltool.logic.quantities import ParamValue
 from stltool.logic.task import Task
 from stltool.models import MDP, load_model
-from stltool.monitoring import MonitorResult, load_trace, monitor
+from stltool.monitoring import MonitorResult, monitor
+from stltool.monitoring.logs import Reading
+from stltool.monitoring.logs.clock import TOLERANCE, Resample
+from stltool.monitoring.logs.recording import Missing
 from stltool.policy import load_policy
 from stltool.product import Product, build_product, require_names
 from stltool.sizes import require_limit, seconds_of
@@ -124,6 +127,11 @@ def verify(
     exact_seconds: float = EXACT_SECONDS,
     memory_limit: int | None = None,
     stage: Stage | None = None,
+    time: str | None = None,
+    resample: Resample | None = None,
+    tolerance: float = TOLERANCE,
+    decimal: str = ".",
+    missing: Missing = "error",
 ) -> Verification:
     """Judge every expectation of one or several task files.
 
@@ -133,6 +141,7 @@ def verify(
     certificates    a folder that receives a certificate of every probability without intervals
     exact_seconds   where a bound lies inside an enclosure, the exact fraction is computed if it takes no longer than
                     this, by estimate; otherwise the expectation is undecided
+    time, resample, tolerance, decimal, missing     how traces are read: as for `load_trace`
     stage           called with the title of each longer step; returns a context manager that yields a progress
                     function (done, total), or None
 
@@ -140,23 +149,24 @@ def verify(
     policies and traces that are missing, files without any expectation. What goes wrong later (a policy of another
     model, a product that would not fit into memory) is the "error" of that expectation; the others are judged.
     """
-    start = time.perf_counter()
+    start = perf_counter()
     paths = _paths(files)
     mapping(params, "verify's params", "{'T': 20}", optional=True)
+    reading = Reading(time, resample, tolerance, decimal, missing)
     flag(normalize, "verify's normalize")
     function(stage, "verify's stage")
     seconds = seconds_of(exact_seconds, "exact_seconds")
     memory_limit = require_limit(memory_limit) if memory_limit is not None else None
     folder = path_of(certificates, "verify's certificates") if certificates is not None else None
     told = _staged(stage) if stage is not None else lambda title: nullcontext()
-    gate = _Gate(dict(params or {}), normalize, seconds, memory_limit, told)
+    gate = _Gate(dict(params or {}), normalize, seconds, memory_limit, told, reading)
     tasks = gate.read(paths)
     if folder is not None:
         require_folder(folder)
         gate.certificates_in(folder, tasks)
     results = [gate.judge(task, expectation) for task in tasks for expectation in task.expectations]
     quiet = tuple(path for path, task in zip(paths, tasks, strict=True) if not task.expectations)
-    return Verification(tuple(paths), tuple(results), quiet, time.perf_counter() - start)
+    return Verification(tuple(paths), tuple(results), quiet, perf_counter() - start)
 
 
 def _staged(stage: Stage) -> Stage:
@@ -212,6 +222,7 @@ class _Gate:
     exact_seconds: float
     memory_limit: int | None
     stage: Stage
+    reading: Reading
     loaded: dict[Path, MDP] = field(default_factory=dict)
     models: dict[tuple[Path, frozenset[str]], MDP] = field(default_factory=dict)  # with values of these parameters
     products: dict[tuple[int, Formula], Product] = field(default_factory=dict)
@@ -307,7 +318,7 @@ class _Gate:
     # ------------------------------------------------------------------------------------------------------- judging
 
     def judge(self, task: Task, expectation: Expectation) -> Verified:
-        start = time.perf_counter()
+        start = perf_counter()
         path = task.path
         assert path is not None  # it was read from a file
         try:
@@ -317,7 +328,7 @@ class _Gate:
                 found = self._probability(task, expectation)
         except StlToolError as error:
             found = Verified(path, task, expectation, "error", reason=_as_written(str(error), task, expectation))
-        return replace(found, seconds=time.perf_counter() - start)
+        return replace(found, seconds=perf_counter() - start)
 
     def _on_trace(self, task: Task, expectation: Expectation) -> Verified:
         assert expectation.trace is not None
@@ -327,9 +338,9 @@ class _Gate:
         if not names:
             raise SettingsError(f"{phi}: this formula is constant; name a signal or a label of the trace")
         with self.stage(f"judging {expectation.asked}"):
-            signals = load_trace(file, phi, step=task.step)
+            log = self.reading.log(file, list(names), task.step, label_names(phi))
             try:
-                found = monitor(phi, signals, end="error" if is_bounded(phi) else "cut")
+                found = monitor(phi, log.signals, end="error" if is_bounded(phi) else "cut")
             except TraceError as error:  # its advice on `end` does not apply here
                 raise TraceError(f"{file}: {str(error).partition(', or end=')[0]}") from None
         assert found.verdicts is not None

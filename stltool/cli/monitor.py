@@ -8,7 +8,20 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Params, ReportFolder, Step, TaskName, TaskOrFormula, Unit
+from stltool.cli.options import (
+    AsJson,
+    Decimal,
+    Missing,
+    Params,
+    ReportFolder,
+    Resample,
+    Step,
+    TaskName,
+    TaskOrFormula,
+    TimeOf,
+    Tolerance,
+    Unit,
+)
 from stltool.cli.roles import Reads, Writes
 from stltool.cli.steps import load_task_or_formula, this_command
 from stltool.errors import SettingsError
@@ -59,6 +72,11 @@ def monitor(
     name: TaskName = None,
     step: Step = None,
     unit: Unit = None,
+    time: TimeOf = None,
+    resample: Resample = None,
+    tolerance: Tolerance = 0.01,
+    missing: Missing = "error",
+    decimal: Decimal = ".",
     as_json: AsJson = False,
 ) -> None:
     """Judge a recorded trace: at which steps the task holds, and by how much. Exit code 1 if any step is violated.
@@ -68,6 +86,7 @@ def monitor(
     """
     import stltool as stl
     from stltool.logic.formula import label_names, variables
+    from stltool.monitoring.logs import Reading
     from stltool.reporting import monitor_data, monitor_report, require_report, write_monitor_picture, write_report
     from stltool.reporting.diagnosis import diagnosis_data, diagnosis_lines
     from stltool.reporting.monitoring import (
@@ -90,15 +109,17 @@ def monitor(
         require_monitor_picture(plot)
     if report is not None:
         require_report(report / "report.html")
+    reading = Reading(time, resample, tolerance, decimal, missing)  # type: ignore[arg-type]  # checked there
     loaded = load_task_or_formula(task, param, name, step, unit)
     names = {**variables(loaded.formula), **label_names(loaded.formula)}
     if not names:
         raise SettingsError(f"{loaded.formula}: this formula is constant; name a signal or a label of the trace")
     with working(f"reading {trace}", quiet=as_json):
-        signals = stl.load_trace(trace, list(names))
+        log = reading.log(trace, list(names), loaded.step, label_names(loaded.formula))
+    signals = log.signals
     with working("judging every step", quiet=as_json):
         result = stl.monitor(loaded, signals, end=end)  # type: ignore[arg-type]  # checked above
-        data = monitor_data(result, loaded, trace, at)
+        data = monitor_data(result, loaded, log.where, at, log.timing.says)
     shown = shown_trace(data, which)
     diagnosis = None
     if why:

@@ -39,6 +39,22 @@ Unit = Annotated[
         "--unit", metavar="UNIT", help="with --step: what plain numbers in bounds are: s, another unit, or step"
     ),
 ]
+TimeOf = Annotated[
+    str | None,
+    typer.Option(
+        "--time",
+        metavar="COLUMN",
+        help="the trace's column of times; default: time, t or timestamp; none: rows are steps, whatever the times",
+    ),
+]
+Resample = Annotated[
+    str | None, typer.Option("--resample", help="put the signals on the step's grid by hold or linear; labels are held")
+]
+Tolerance = Annotated[float, typer.Option("--tolerance", help="by how much of a step a time may be off")]
+Decimal = Annotated[str, typer.Option("--decimal", metavar="SIGN", help="a comma for files with decimal commas")]
+Missing = Annotated[
+    str, typer.Option("--missing", help="samples without a value: error, hold the last value, or drop the row")
+]
 PolicyFile = Annotated[
     Path | None,
     typer.Option("--policy", help="policy file (.npz, .policy) or Q-table (.csv); default: the best policy"),

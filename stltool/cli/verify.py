@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Normalize, Params
+from stltool.cli.options import AsJson, Decimal, Missing, Normalize, Params, Resample, TimeOf, Tolerance
 from stltool.cli.roles import Reads, Writes, expectation_files, within
 from stltool.cli.steps import read_params, this_command
 
@@ -54,6 +54,11 @@ def verify(
     ] = 60.0,
     param: Params = None,
     normalize: Normalize = False,
+    time: TimeOf = None,
+    resample: Resample = None,
+    tolerance: Tolerance = 0.01,
+    missing: Missing = "error",
+    decimal: Decimal = ".",
     as_json: AsJson = False,
 ) -> None:
     """Check every expectation of task files: expect Pmax(patrolling) >= 0.95.
@@ -81,6 +86,11 @@ def verify(
         certificates=certificates,
         exact_seconds=exact_seconds,
         stage=partial(progress_bar, quiet=as_json, patience=2.0),
+        time=time,
+        resample=resample,  # type: ignore[arg-type]  # checked there
+        tolerance=tolerance,
+        decimal=decimal,
+        missing=missing,  # type: ignore[arg-type]
     )
     data = verification_data(found, this_command())
     if junit is not None:

@@ -54,7 +54,7 @@ def product(a: float, b: float) -> tuple[float, float]:
 
 
 @kernel
-def nearest(w: np.int64, rest: np.int64, behind: int, q: int) -> tuple[float, bool]:
+def nearest(w: np.int64, rest: np.int64, behind: int, q: np.int64) -> tuple[float, bool]:
     """The double nearest to (w·10^behind + rest)·10^q, and whether that is certain; w, rest < 10^18, behind ≤ 18."""
     if w == 0:
         return 0.0, True
@@ -86,15 +86,18 @@ def number(data: U8, i: int, stop: int, point: int) -> tuple[float, int]:
     if i < stop and (data[i] == _MINUS or data[i] == _PLUS):
         negative = data[i] == _MINUS
         i += 1
-    w, rest = np.int64(0), np.int64(0)
-    behind, used, q, digits, fraction = 0, 0, 0, 0, False
+    w: np.int64 = np.int64(0)
+    rest: np.int64 = np.int64(0)
+    q: np.int64 = np.int64(0)
+    behind, used, digits, fraction = 0, 0, 0, False
     while i < stop:
         digit = np.int64(data[i]) - _ZERO
         if 0 <= digit <= 9:
             digits += 1
             if used < _DIGITS:
                 w = 10 * w + digit
-                used += w > 0
+                if w > 0:
+                    used += 1
             elif behind < _DIGITS:
                 rest = 10 * rest + digit
                 behind += 1

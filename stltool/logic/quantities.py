@@ -57,6 +57,29 @@ class Duration:
 STEP = Duration(Fraction(0), Fraction(1))
 
 
+@dataclass(frozen=True, slots=True)
+class Ticks:
+    """Steps as times: how long each is, and the unit in which times are told."""
+
+    step: Duration
+    unit: str = "s"
+
+    def number(self, step: int) -> float:
+        """The time of a step in the unit."""
+        return float(step * self.step.seconds / UNITS[self.unit])
+
+    def text(self, step: int) -> str:
+        """The time of a step: 13.2 s."""
+        return f"{self.number(step):.12g} {self.unit}"
+
+
+def ticks(step: Duration | None, unit: Duration | None) -> Ticks | None:
+    """Steps as times in a declared unit, or in seconds; None if the duration of a step is not declared."""
+    if step is None:
+        return None
+    return Ticks(step, next((name for name, scale in UNITS.items() if unit == Duration(scale)), "s"))
+
+
 Quantity: TypeAlias = Fraction | Duration
 
 

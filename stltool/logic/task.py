@@ -11,7 +11,7 @@ from stltool.display import Card
 from stltool.errors import SettingsError
 from stltool.logic.expectation import Expectation
 from stltool.logic.formula import Composable, Formula, Term, horizon, is_bounded, is_temporal
-from stltool.logic.quantities import Duration, ParamValue, Quantity
+from stltool.logic.quantities import Duration, ParamValue, Quantity, Ticks, ticks
 
 if TYPE_CHECKING:
     from stltool.logic.syntax import Document
@@ -62,6 +62,11 @@ class Task(Composable):
         """The definitions that are formulas without temporal operators."""
         formulas = {name: phi._formula() for name, phi in self.definitions.items() if isinstance(phi, Composable)}
         return {name: phi for name, phi in formulas.items() if not is_temporal(phi)}
+
+    @property
+    def ticks(self) -> Ticks | None:
+        """Steps as times, in the declared unit; None if the duration of a step is not declared."""
+        return ticks(self.step, self.unit)
 
     def _formula(self) -> Formula:
         return self.formula

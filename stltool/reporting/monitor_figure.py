@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from stltool.errors import TraceError
 from stltool.logic.formula import (
@@ -29,6 +29,7 @@ from stltool.logic.formula import (
     variables,
     walk,
 )
+from stltool.logic.quantities import Ticks
 from stltool.logic.task import Task
 from stltool.monitoring.offline import MonitorResult, monitor
 from stltool.monitoring.parts import part_verdicts
@@ -141,6 +142,8 @@ def monitor_figure(
         if drawn < all_
     ]
     axes[-1].set(xlabel="; ".join(["step", *hidden]), xlim=(-0.5, result.n_steps - 0.5))
+    if task.ticks is not None:
+        _time_axis(axes[0], task.ticks)
     figure.align_ylabels(axes[:-1])
     figure.suptitle(_title(task, verdicts, robustness, trace, at), fontsize=10, x=0.01, ha="left", color=INK)
     return figure
@@ -150,13 +153,18 @@ def _title(task: Task, verdicts: Booleans, robustness: Reals, trace: int | None,
     told = [] if trace is None else [f"trace {trace}"]
     told += [] if task.path is None else [shown(task.name)]
     if at is not None:
-        verdict = f"step {at} {'holds' if verdicts[at] else 'violated'}, robustness {robustness_text(robustness[at])}"
+        verdict = f"step {at}{_time(task, at)} {'holds' if verdicts[at] else 'violated'}, robustness "
+        verdict += robustness_text(robustness[at])
     else:
         least = int(robustness.argmin())
         count = int((~verdicts).sum())
         verdict = f"violated at {count} of {len(verdicts)} steps" if count else f"holds at all {len(verdicts)} steps"
-        verdict += f"; least robustness {robustness_text(robustness[least])} at step {least}"
+        verdict += f"; least robustness {robustness_text(robustness[least])} at step {least}{_time(task, least)}"
     return ": ".join([*told, verdict]) + "\n" + shown(str(task.formula), _LONGEST)
+
+
+def _time(task: Task, step: int) -> str:
+    return f" ({task.ticks.text(step)})" if task.ticks is not None else ""
 
 
 # -------------------------------------------------------------------------------------------------------- the panels
@@ -339,6 +347,21 @@ def _verdict_strip(axes: Axes, verdicts: Booleans, n_steps: int) -> None:
         axes.broken_barh(rest, (0.4, 0.2), facecolor=UNJUDGED, linewidth=0, label="not judged", gid="unjudged")
     axes.set(ylim=(0, 1), yticks=[])
     axes.set_ylabel("verdict", fontsize=9, rotation=0, ha="right", va="center")
+
+
+def _time_axis(top: Axes, ticks: Ticks) -> None:
+    """The times of the steps, above the first panel."""
+    scale = ticks.number(1)
+
+    def time_of(steps: ArrayLike) -> Reals:
+        return np.asarray(steps, dtype=np.float64) * scale
+
+    def step_of(times: ArrayLike) -> Reals:
+        return np.asarray(times, dtype=np.float64) / scale
+
+    times = top.secondary_xaxis("top", functions=(time_of, step_of))
+    times.set_xlabel(f"time [{ticks.unit}]", fontsize=9)
+    times.tick_params(labelsize=_SMALL)
 
 
 def _mark(panels: Iterable[Axes], step: int | None, verdicts: Booleans, first: bool) -> None:

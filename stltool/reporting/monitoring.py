@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from stltool.errors import SettingsError
 from stltool.files import write_result
+from stltool.logic.quantities import Ticks
 from stltool.logic.task import Task
 from stltool.monitoring.offline import MonitorResult
 from stltool.reporting.records import MonitorRecord, Robustness, TraceRecord
@@ -21,11 +22,14 @@ PICTURES = (".png", ".svg", ".pdf")
 _RANGES, _TRACES = 5, 20  # rows of the terminal's tables
 
 
-def monitor_data(result: MonitorResult, task: Task, trace: str | Path, at: int | None = None) -> MonitorRecord:
+def monitor_data(
+    result: MonitorResult, task: Task, trace: str | Path, at: int | None = None, clock: str | None = None
+) -> MonitorRecord:
     """Verdicts and robustness of all judged steps, or only of step `at`, with a summary.
 
     For a batch, `verdicts` and `robustness` are lists of lists, the other figures are over all traces, and `each` has
-    them trace by trace. Raises SettingsError if `at` is not a judged step.
+    them trace by trace. `clock` says what was done with the trace's times. Raises SettingsError if `at` is not a judged
+    step.
     """
     whole = both(result)
     judged = whole[0].shape[-1]
@@ -34,9 +38,10 @@ def monitor_data(result: MonitorResult, task: Task, trace: str | Path, at: int |
         raise SettingsError(f"--at {at}: steps 0 … {judged - 1} of these {result.n_steps} samples are judged{longer}")
     start, stop = (0, judged) if at is None else (at, at + 1)
     verdicts, robustness = (np.atleast_2d(values)[:, start:stop] for values in whole)
-    each = [_figures(*rows, start) for rows in zip(verdicts, robustness, strict=True)]
+    ticks = task.ticks
+    each = [_figures(*rows, start, ticks) for rows in zip(verdicts, robustness, strict=True)]
     batch = whole[0].ndim == 2
-    total = _totals(each) if batch else each[0]
+    total = _totals(each, ticks) if batch else each[0]
     data: MonitorRecord = {
         "task": task.name if task.path is not None else None,
         "formula": str(task.formula),
@@ -46,13 +51,18 @@ def monitor_data(result: MonitorResult, task: Task, trace: str | Path, at: int |
         "horizon": result.horizon,
         "end": result.end,
         "at": at,
+        "unit": ticks.unit if ticks is not None else None,
+        "step": ticks.number(1) if ticks is not None else None,
+        "clock": clock,
         "judged": stop - start,
         "verdict": total["verdict"],
         "holds": total["holds"],
         "violations": total["violations"],
         "first_violation": total["first_violation"],
+        "first_violation_time": total["first_violation_time"],
         "least_robustness": total["least_robustness"],
         "least_robustness_at": total["least_robustness_at"],
+        "least_robustness_time": total["least_robustness_time"],
         "verdicts": verdicts.tolist() if batch else verdicts[0].tolist(),
         "robustness": [_jsonable(row) for row in robustness] if batch else list(_jsonable(robustness[0])),
     }
@@ -69,21 +79,30 @@ def both(result: MonitorResult) -> tuple[NDArray[np.bool_], NDArray[np.float64]]
     return result.verdicts, result.robustness
 
 
-def _figures(verdicts: NDArray[np.bool_], robustness: NDArray[np.float64], start: int) -> TraceRecord:
+def _figures(
+    verdicts: NDArray[np.bool_], robustness: NDArray[np.float64], start: int, ticks: Ticks | None
+) -> TraceRecord:
     """A summary of the judged steps of one trace, which are counted from `start`."""
     violations = np.flatnonzero(~verdicts)
     least = int(robustness.argmin())
+    first = start + int(violations[0]) if len(violations) else None
     return {
         "verdict": bool(verdicts[0]),
         "holds": not len(violations),
         "violations": len(violations),
-        "first_violation": start + int(violations[0]) if len(violations) else None,
+        "first_violation": first,
+        "first_violation_time": _time(first, ticks),
         "least_robustness": _jsonable(robustness[least : least + 1])[0],
         "least_robustness_at": start + least,
+        "least_robustness_time": _time(start + least, ticks),
     }
 
 
-def _totals(each: list[TraceRecord]) -> TraceRecord:
+def _time(step: int | None, ticks: Ticks | None) -> float | None:
+    return ticks.number(step) if step is not None and ticks is not None else None
+
+
+def _totals(each: list[TraceRecord], ticks: Ticks | None) -> TraceRecord:
     violated = [first for figures in each if (first := figures["first_violation"]) is not None]
     least = min(each, key=lambda figures: float(figures["least_robustness"]))
     return {
@@ -91,8 +110,10 @@ def _totals(each: list[TraceRecord]) -> TraceRecord:
         "holds": not violated,
         "violations": sum(figures["violations"] for figures in each),
         "first_violation": min(violated, default=None),
+        "first_violation_time": _time(min(violated, default=None), ticks),
         "least_robustness": least["least_robustness"],
         "least_robustness_at": least["least_robustness_at"],
+        "least_robustness_time": least["least_robustness_time"],
     }
 
 
@@ -111,12 +132,19 @@ def monitor_facts(data: MonitorRecord) -> dict[str, str]:
     judged, at, traces = data["judged"], data["at"], data["traces"]
     last = judged - 1
     horizon = "none: an interval has no end" if data["horizon"] is None else f"{data['horizon']}"
+    if data["horizon"]:
+        horizon += beside(data, data["horizon"])
     facts = {
         "task": f"{data['task']} := {data['formula']}" if data["task"] is not None else data["formula"],
         "trace": f"{data['trace']}, {_count(data['samples'], 'sample')}" + (f" × {traces} traces" if traces else ""),
+        "clock": data["clock"] or "",
         "horizon": horizon + _ENDS[data["end"]],
-        "judged": f"step {at}" if at is not None else f"{_count(judged, 'step')}, 0 … {last}",
+        "judged": f"step {at}{beside(data, at)}"
+        if at is not None
+        else f"{_count(judged, 'step')}, 0 … {last}{beside(data, 0, last)}",
     }
+    if data["clock"] is None:
+        del facts["clock"]
     if traces is not None:
         kept = traces - data["violating_traces"]
         facts["holds"] = f"for {kept} of {_count(traces, 'trace')}" + ("" if at is not None else " at every step")
@@ -129,11 +157,26 @@ def monitor_facts(data: MonitorRecord) -> dict[str, str]:
             if not data["holds"]:
                 facts["violated"] = (
                     f"at {data['violations']} of {judged} steps, first at step {data['first_violation']}"
+                    f"{beside(data, data['first_violation'])}"
                 )
     facts["robustness"] = robustness_text(data["least_robustness"])
     if at is None:
-        facts["robustness"] += f" at step {data['least_robustness_at']}, the least"
+        least = data["least_robustness_at"]
+        facts["robustness"] += f" at step {least}{beside(data, least)}, the least"
     return facts
+
+
+def step_time(data: MonitorRecord, step: int) -> str | None:
+    """The time of a step, such as 13.2 s; None if the duration of a step is not declared."""
+    return f"{step * data['step']:.12g} {data['unit']}" if data["step"] is not None else None
+
+
+def beside(data: MonitorRecord, *steps: int | None) -> str:
+    """The times of steps in brackets, to stand behind them; empty if they have none."""
+    if data["step"] is None or None in steps:
+        return ""
+    times = [step_time(data, step) or "" for step in steps if step is not None]
+    return f" ({' … '.join(times)})"
 
 
 _ENDS = {
@@ -150,8 +193,12 @@ def range_rows(data: MonitorRecord) -> tuple[list[dict[str, Any]], int]:
     rows = []
     for first, stop in ranges[:_RANGES].tolist():
         least = first + int(robustness[first:stop].argmin())
+        one = stop == first + 1
+        ends = [first] if one else [first, stop - 1]
+        time = {"time": beside(data, *ends)[2:-1]} if data["step"] is not None else {}
         rows.append({
-            "violated": f"step {first}" if stop == first + 1 else f"steps {first} … {stop - 1}",
+            "violated": f"step {first}" if one else f"steps {first} … {stop - 1}",
+            **time,
             "steps": stop - first,
             "least_robustness": robustness_text(robustness[least]),
             "at_step": least,
@@ -172,7 +219,8 @@ def trace_rows(data: MonitorRecord) -> tuple[list[dict[str, Any]], int]:
         row = {"trace": number, f"step {data['at'] or 0}": _verdict(figures["verdict"])}
         if data["at"] is None:
             first = figures["first_violation"]
-            row |= {"violated_at": _count(figures["violations"], "step"), "first": "–" if first is None else first}
+            shown = "–" if first is None else f"{first}{beside(data, first)}" if data["step"] is not None else first
+            row |= {"violated_at": _count(figures["violations"], "step"), "first": shown}
         row["least_robustness" if data["at"] is None else "robustness"] = robustness_text(figures["least_robustness"])
         rows.append(row | ({"at_step": figures["least_robustness_at"]} if data["at"] is None else {}))
     return rows, len(data["each"]) - len(rows)
@@ -184,10 +232,14 @@ def step_lines(data: MonitorRecord, trace: int | None) -> Iterator[str]:
     if trace is not None:
         verdicts, robustness = verdicts[trace], robustness[trace]
     first = data["at"] or 0
-    width = max(len("step"), len(str(first + len(verdicts) - 1)))
-    yield f"{'step':<{width}}  verdict   robustness"
+    last = first + len(verdicts) - 1
+    width = max(len("step"), len(str(last)))
+    timed = data["step"] is not None
+    wide = max(len(step_time(data, step) or "") for step in (first, (first + last) // 2, last)) + 2
+    yield f"{'step':<{width}}  " + (f"{'time':<{wide}}  " if timed else "") + "verdict   robustness"
     for step, (verdict, value) in enumerate(zip(verdicts, robustness, strict=True), start=first):
-        yield f"{step:<{width}}  {_verdict(verdict):<8}  {robustness_text(value)}"
+        time = f"{step_time(data, step):<{wide}}  " if timed else ""
+        yield f"{step:<{width}}  {time}{_verdict(verdict):<8}  {robustness_text(value)}"
 
 
 def shown_trace(data: MonitorRecord, asked: int | None) -> int | None:

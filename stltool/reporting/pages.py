@@ -17,7 +17,7 @@ from stltool.numbers import bound_texts, ceiling_text, floor_text, probability_t
 from stltool.product import Product
 from stltool.reporting.diagnosis import subformulas_data
 from stltool.reporting.headline import positions, verdict_chip
-from stltool.reporting.monitoring import monitor_facts, range_rows, robustness_text, shown_trace, trace_rows
+from stltool.reporting.monitoring import beside, monitor_facts, range_rows, robustness_text, shown_trace, trace_rows
 from stltool.reporting.records import MonitorRecord
 from stltool.reporting.tradeoffs import front_data
 from stltool.reporting.words import SentenceRecord, sentences, with_names
@@ -86,13 +86,14 @@ def monitor_content(given: Mapping[str, Any]) -> dict[str, Any]:
     chart = None
     if 1 < len(robustness) <= _LONGEST_CHART:
         ys = [float(value) for value in robustness]
+        step, x = (data["step"], f"time [{data['unit']}]") if data["step"] is not None else (1, "step")
         line = {
             "name": "robustness",
-            "x": list(range(len(ys))),
+            "x": [i * step for i in range(len(ys))],
             "y": [y if abs(y) < float("inf") else None for y in ys],
         }
-        zero = {"name": "0", "x": [0, len(ys) - 1], "y": [0.0, 0.0]}
-        chart = line_chart({"x": "step", "y": "robustness", "lines": [line, zero]}, "robustness")
+        zero = {"name": "0", "x": [0, (len(ys) - 1) * step], "y": [0.0, 0.0]}
+        chart = line_chart({"x": x, "y": "robustness", "lines": [line, zero]}, "robustness")
     facts = monitor_facts(data)
     verdicts: Any = data["verdicts"] if shown is None else data["verdicts"][shown]
     lanes = None
@@ -100,7 +101,8 @@ def monitor_content(given: Mapping[str, Any]) -> dict[str, Any]:
         lanes = lane_picture(given, np.array(verdicts, dtype=np.bool_))
     return {
         "lanes": lanes,
-        "lead": _monitor_lead(given),
+        "lead": _monitor_lead(data),
+        "beside": beside,
         "horizon": f"Horizon {facts['horizon']}; judged: {facts['judged']}",
         "chart": chart,
         "shown": shown,
@@ -109,18 +111,19 @@ def monitor_content(given: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _monitor_lead(data: Mapping[str, Any]) -> str:
-    least = robustness_text(data["least_robustness"])
+def _monitor_lead(data: MonitorRecord) -> str:
+    least, least_at = robustness_text(data["least_robustness"]), data["least_robustness_at"]
     if data["traces"] is not None:
         kept = data["traces"] - data["violating_traces"]
         return f"It holds for {kept} of {data['traces']} traces. The least robustness is {least}."
     if data["at"] is not None:
-        return f"At step {data['at']} it {'holds' if data['holds'] else 'is violated'}, with robustness {least}."
-    at = f"; the least robustness is {least}, at step {data['least_robustness_at']}."
+        at = f"At step {data['at']}{beside(data, data['at'])}"
+        return f"{at} it {'holds' if data['holds'] else 'is violated'}, with robustness {least}."
+    at = f"; the least robustness is {least}, at step {least_at}{beside(data, least_at)}."
     if data["holds"]:
         return f"It holds at each of the {data['judged']} judged steps{at}"
-    violated = f"{data['violations']} of {data['judged']} judged steps, first at step {data['first_violation']}"
-    return f"It is violated at {violated}{at}"
+    first = f"first at step {data['first_violation']}{beside(data, data['first_violation'])}"
+    return f"It is violated at {data['violations']} of {data['judged']} judged steps, {first}{at}"
 
 
 # ------------------------------------------------------------------------------------------------------------ estimates

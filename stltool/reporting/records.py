@@ -844,8 +844,10 @@ class TraceRecord(TypedDict):
     holds: bool
     violations: int
     first_violation: int | None
+    first_violation_time: float | None
     least_robustness: Robustness
     least_robustness_at: int
+    least_robustness_time: float | None
 
 
 class CauseRecord(TypedDict):
@@ -894,7 +896,11 @@ class DiagnosisRecord(TypedDict):
 
 
 class MonitorRecord(TraceRecord):
-    """Verdicts and robustness of a trace at every judged step; of a batch, lists of lists, and `each` trace."""
+    """Verdicts and robustness of a trace at every judged step; of a batch, lists of lists, and `each` trace.
+
+    `step` is the duration of a step and, like all times, in `unit`; null if none is declared. `clock` says what was
+    done with the times of the trace.
+    """
 
     task: str | None
     formula: str
@@ -904,6 +910,9 @@ class MonitorRecord(TraceRecord):
     horizon: int | None
     end: str
     at: int | None
+    unit: str | None
+    step: float | None
+    clock: str | None
     judged: int
     verdicts: list[bool | list[bool]]
     robustness: list[Robustness | list[Robustness]]

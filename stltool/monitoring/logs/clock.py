@@ -155,7 +155,8 @@ def _rows_are_steps(recording: Recording, clock: Clock, where: str) -> Timing:
     if clock.resample is not None:
         raise SettingsError(f"{where}: there is no time column to resample by; name it: {option('time', 't')}")
     if clock.step is None:
-        return Timing(unused=recording.clock)
+        unused = recording.clock
+        return Timing(f"rows are steps; the {unused} is not used" if unused else None, unused=unused)
     says = f"rows are steps of {clock.step}"
     return Timing(says if clock.time == NO_TIME else f"{says}; there is no column of times")
 

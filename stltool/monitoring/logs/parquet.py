@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,8 @@ def _arrow_column(column: Any, pa: Any) -> tuple[NDArray[Any], NDArray[np.bool_]
     none = None
     if column.null_count:
         none = column.is_null().to_numpy()
-        column = column.fill_null(pa.scalar(0).cast(column.type))
+        zero = Decimal(0) if pa.types.is_decimal(column.type) else False if pa.types.is_boolean(column.type) else 0
+        column = column.fill_null(pa.scalar(zero, column.type))
     return (_of_decimals(column, pa) if pa.types.is_decimal(column.type) else column.to_numpy()), none
 
 

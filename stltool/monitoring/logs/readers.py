@@ -146,7 +146,7 @@ def _require_arrays(path: Path, found: Recording) -> None:
         if array.dtype.kind not in "biuf" or array.ndim not in (1, 2) or not array.size:
             kind = f"{array.dtype} of shape {array.shape}"
             raise TraceError(f"{path}, signal {name}: the reader returned {kind}; samples are numbers or Booleans")
-        times = own.get(name) if own is not None else found.times
+        times: Any = own.get(name) if own is not None else found.times
         if times is not None and np.shape(times) not in (array.shape, array.shape[-1:]):
             raise TraceError(f"{path}, signal {name}: the reader returned another number of times than of samples")
         if own is None and array.shape != next(iter(shapes.values())):

@@ -15,6 +15,7 @@ import os
 import sys
 import zlib
 from array import array
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -97,8 +98,8 @@ def _opened(path: Path) -> Iterator[Source]:
     elif not path.stat().st_size:
         yield Source(where, b"")
     else:
-        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            yield Source(where, data)
+        with path.open("rb") as file:  # the map is closed with the last array that shows it
+            yield Source(where, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
 
 
 def read_text(path: Path, asked: Asked) -> Recording:
@@ -158,8 +159,9 @@ class _Table:
         names = tuple(dict.fromkeys([*wanted, *([used.name] if used is not None else [])]))
         if dated and used is not None and used.name in wanted:
             raise TraceError(f"{where}: column {used.name} has dates, which are no signal")
+        counts = Counter(dialect.header)
         for name in names:
-            if dialect.header.count(name) > 1:
+            if counts[name] > 1:
                 raise TraceError(
                     f"{where}, line {dialect.above}: two columns are named {name}; every column needs a name of its own"
                 )
@@ -233,7 +235,8 @@ class _Table:
     def _read_cells(self) -> _Read:
         columns, header = self.columns, self.dialect.header
         values = {name: array("d") for name in columns.names}
-        kinds = [(name, place, columns.kind(name), name in columns.signals)
+        signals = set(columns.signals)
+        kinds = [(name, place, columns.kind(name), name in signals)
                  for name, place in zip(columns.names, columns.places, strict=True)]  # fmt: skip
         texts: list[str] = []
         gaps: dict[str, list[int]] = {}

@@ -6,6 +6,7 @@ import sys
 import zipfile
 from decimal import Context, Decimal
 from fractions import Fraction
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.errors import FileError, MissingExtraError, NameLookupError, SizeError, StlToolError, TraceError
-from stltool.monitoring.logs import text as traces
+from stltool.monitoring.logs import npz as npz_logs
+from stltool.monitoring.logs import parquet as parquet_logs
+from stltool.monitoring.logs import text as text_logs
 
 
 @pytest.fixture
@@ -91,7 +94,7 @@ def test_columns_that_nobody_asks_for_need_not_be_numbers(write):
         ("x,y\n \n\n", TraceError, "no data below the header"),
         ("1,2\n3,4\n", TraceError, "line 1: expected a name, found 1; put a line with the names of the columns first"),
         ("x,true\n3,4\n", TraceError, "line 1: expected a name, found true"),
-        ("x,,y\n1,2,3\n", TraceError, "line 1: column 2 has no name; every column needs one"),
+        ("x,,y\n1,2,3\n", TraceError, "line 1: column 2 has no name; name it, or name the signals to read"),
         ("x,y, x\n1,2,3\n", TraceError, "line 1: two columns are named x; every column needs a name of its own"),
         ("x;y,z\n1;2,3\n", TraceError, "line 1: a comma and a semicolon could both separate the names; use one"),
         ('x,"y\n1,2\n', TraceError, "line 1: a quote is not closed; close it on the same line"),
@@ -104,8 +107,8 @@ def test_columns_that_nobody_asks_for_need_not_be_numbers(write):
         ("x,y\n1,2\n\n3,4\n\r\n", TraceError, "line 3: an empty line between rows"),
         ("x\n1\n  \n3\n", TraceError, "line 3: an empty line between rows"),
         ("x,y\n1,2\n1,\t\n", TraceError, "line 3, column y: an empty cell"),
-        ("x,y\n1,2\n1,\n", TraceError, "line 3, column y: an empty cell; every step needs a value"),
-        ("x\ty\n1\t2\n \t1\n", TraceError, "line 3, column x: an empty cell; every step needs a value"),
+        ("x,y\n1,2\n1,\n", TraceError, "line 3, column y: an empty cell; every step needs one"),
+        ("x\ty\n1\t2\n \t1\n", TraceError, "line 3, column x: an empty cell; every step needs one"),
         ("x,y\n1,2\n1,2.5.1\n", TraceError, "line 3, column y: '2.5.1' is not a number"),
         ("x,y\n1,2\n1_0,1\n", TraceError, "line 3, column x: '1_0' is not a number"),
         ("x,y\n1,2\n٣,1\n", TraceError, "line 3, column x: '٣' is not a number"),
@@ -205,16 +208,19 @@ def test_the_reader_agrees_with_a_slow_one(tmp_path_factory, width, rows, square
     path = tmp_path_factory.mktemp("csv") / "t.csv"
     path.write_bytes(text.encode())
     names = [name for name in names if name in NAMES[:width]]
-    try:
-        found = plain(stl.load_trace(path, names))
-    except StlToolError:
-        found = None
-    if found is None or names:
-        assert found == slow_reader(text, names)
+    for large in (0, text_logs.LARGE):  # the kernel first, and cell by cell
+        with mock.patch.object(text_logs, "LARGE", large):
+            try:
+                found = plain(stl.load_trace(path, names))
+            except StlToolError:
+                found = None
+        if found is None or names:
+            assert found == slow_reader(text, names)
 
 
-def test_large_plain_files_are_read_by_numpy(write, monkeypatch):
-    monkeypatch.setattr(traces, "_Table_read", None)
+def test_large_files_are_read_by_the_kernel(write, monkeypatch):
+    monkeypatch.setattr(text_logs, "LARGE", 0)
+    monkeypatch.setattr(text_logs._Table, "_read_cells", None)
     values = np.random.default_rng(0).normal(size=1000)
     for before in ("", "\ufeff"):
         text = before + "".join(f'{a},{b},"c"\n'.replace('"' if i else "", "") for i, (a, b) in enumerate(zip(
@@ -347,7 +353,7 @@ def test_parquet_decimals_are_the_nearest_doubles(tmp_path, monkeypatch, width, 
     ]
     column = pa.array(given_values, getattr(pa, f"decimal{width}")(precision, scale))
     path = parquet(tmp_path / "t.parquet", x=pa.chunked_array([column.slice(0, 7), column.slice(7)]))
-    monkeypatch.setattr(traces, "_PIECE", 1000)
+    monkeypatch.setattr(parquet_logs, "_PIECE", 1000)
     assert stl.load_trace(path)["x"].tolist() == [float(value) for value in given_values]
     with pytest.raises(TraceError, match="row 2, column x: no value"):
         stl.load_trace(parquet(tmp_path / "t.parquet", x=pa.array([given_values[0], None], column.type)))
@@ -414,14 +420,15 @@ def test_files_that_are_none(tmp_path, write):
 def test_what_would_not_fit_is_refused_before_it_is_read(tmp_path, write, monkeypatch):
     """The memory asked for follows the columns that are read; of npz and Parquet it is known exactly."""
     asked = []
-    monkeypatch.setattr(traces, "require_memory", lambda needed, *_: asked.append(needed))
+    for module in (npz_logs, text_logs):
+        monkeypatch.setattr(module, "require_memory", lambda needed, *_: asked.append(needed))
     npz_file = npz(tmp_path / "t.npz", x=np.ones(1000), y=np.ones(1000, np.int16), door=np.ones(1000, bool))
     stl.load_trace(npz_file)
     assert asked == [8000 + 2000 + 1000]
     for end in ("\n", "\r\n", "\r"):
         csv_file = write(f"x,y,note{end}" + f"1.5,2.5,ab{end}" * 10_000)
         stl.load_trace(csv_file, ["x", "y"])
-        assert asked.pop() == pytest.approx(10_000 * (8 + 8 + 1) * 2.5, rel=1e-3)
+        assert asked.pop() == pytest.approx(10_000 * (8 + 8) * 2.5, rel=1e-3)
     wide = write(",".join(f"x{i}" for i in range(50_000)) + "\n" + ",".join("1" * 50_000) + "\n")
     assert len(stl.load_trace(wide)) == 50_000
     assert 50_000 * 8 * 2.5 <= asked.pop() <= 50_000 * 8 * 2.5 * 2
@@ -430,7 +437,7 @@ def test_what_would_not_fit_is_refused_before_it_is_read(tmp_path, write, monkey
 def test_so_it_is_of_parquet(tmp_path, monkeypatch):
     asked = []
     path = parquet(tmp_path / "t.parquet", x=[1.0] * 1000, y=[1.0] * 1000, z=[1.0] * 1000)
-    monkeypatch.setattr(traces, "require_memory", lambda needed, *_: asked.append(needed))
+    monkeypatch.setattr(parquet_logs, "require_memory", lambda needed, *_: asked.append(needed))
     stl.load_trace(path, ["x", "z"])
     assert asked == [1000 * 2 * 8 * 2.5]
 
