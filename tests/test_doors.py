@@ -22,7 +22,7 @@ RESULTS = {
     "MDP", "Meaning", "MonitorResult", "ParametricResult", "PolicyTree", "Product", "Run", "Sensitivity",
     "SequentialTest", "SmoothRobustness", "StationaryResult", "StlToolError", "Learner", "SurrogateResult", "Sweep",
     "SweepResult", "Task", "TaskAutomaton", "Tradeoff", "Training", "Decision", "MarkovTest", "Verification",
-    "Verified",
+    "Verified", "Recording",
 }  # fmt: skip
 
 # called from within, or in inner loops with indices of their own
@@ -340,6 +340,9 @@ OWN = {
     "markov_test": {"counts": {"Counts"}, "draws": {"int"}},
     "verify": {
         "files": {*PATHS, *LISTS}, "certificates": {"None", *PATHS}, "exact_seconds": NUMBERS, "stage": CALLABLE,
+    },
+    "load_trace": {
+        "names": {"None", *LISTS, "Formula", "Task"}, "time": {"None"}, "step": {"None"}, "resample": {"None"},
     },
     "run_sweep": {"sweep": {"Sweep"}, "folder": PATHS, "workers": {"None", "int"}, "cluster": TEXT},
     "Sweep.select": {"scenarios": NAMES, "methods": NAMES, "seeds": {"None", "int", *LISTS}},

@@ -20,7 +20,7 @@ IMPORTERS = {
     "cluster.py": "distributed", "learning/pool.py": "distributed", "envs/model.py": "gymnasium",
     "envs/product.py": "gymnasium", "models/gymnasium/spaces.py": "gymnasium",
     "models/gymnasium/cells.py": "gymnasium", "models/gymnasium/vector.py": "gymnasium",
-    "monitoring/files.py": "pyarrow",
+    "monitoring/logs/mcap.py": "mcap", "monitoring/logs/parquet.py": "pyarrow",
     "reporting/tensorboard.py": "tensorboard", "checking/readable.py": "sklearn",
 }  # fmt: skip
 
@@ -58,6 +58,7 @@ def test_whatever_is_imported_is_brought_by_the_install_or_by_a_named_extra():
 DOORS = {
     "distributed": "stl.run_sweep(stl.load_sweep('examples/paper/small.toml'), folder, cluster='tcp://localhost:1')",
     "gymnasium": "stl.load_model('examples/frozenlake/lake.toml')",
+    "mcap": "stl.load_trace(f'{folder}/trace.mcap')",
     "pyarrow": "stl.load_trace(f'{folder}/trace.parquet')",
     "sklearn": "stl.policy_tree(stl.build_product(stl.MDP.from_arrays([[[1]]], {}), stl.parse('true')))",
     "tensorboard": "tensorboard.write_tensorboard(None, folder)",
@@ -79,7 +80,8 @@ for door in doors.values():
 
 
 def test_a_missing_package_is_told_with_its_extra(tmp_path):
-    (tmp_path / "trace.parquet").touch()
+    for name in ("trace.mcap", "trace.parquet"):
+        (tmp_path / name).touch()
     command = [sys.executable, "-c", WITHOUT, tmp_path]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, input=json.dumps(DOORS))
     assert (done.returncode, done.stderr) == (0, "")

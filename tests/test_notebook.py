@@ -58,6 +58,7 @@ CELLS = {
     "MonitorResult": ("stl.monitor(stl.parse('x < 0.5'), signals)", "4 traces of 10 samples"),
     "Diagnosis": ("stl.diagnose(stl.parse('F[0,2] A'), {'A': [0, 0, 1]})", "Diagnosis: holds at step 0, 1 cause"),
     "SmoothRobustness": ("stl.smooth_robustness(stl.parse('F[0,2] (x > 0.5)'), signals, 10.0)", "beta 10"),
+    "Recording": ("stl.Recording({'x': [1, 2]}, times=[0, 0.5], clock='column t')", "Recording of 1 signal"),
     "OnlineMonitor": ("online", "0 samples read"),
     "Decision": ("[online.feed({'x': 0.1 * i}) for i in range(3)][-1][0]", "false"),
     "TaskAutomaton": ("product.automaton", "letters"),

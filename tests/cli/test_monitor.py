@@ -7,14 +7,16 @@ import re
 import numpy as np
 import pytest
 
+from stltool.monitoring.logs import Reading
 from stltool.reporting import terminal
 from tests.conftest import ROOT
 
 DUTY = ROOT / "examples" / "monitor" / "duty.stl"
 SHIFT = ROOT / "examples" / "monitor" / "shift.csv"
 KEYS = [
-    "task", "formula", "trace", "traces", "samples", "horizon", "end", "at", "judged", "verdict", "holds", "violations",
-    "first_violation", "least_robustness", "least_robustness_at", "verdicts", "robustness",
+    "task", "formula", "trace", "traces", "samples", "horizon", "end", "at", "unit", "step", "clock", "judged",
+    "verdict", "holds", "violations", "first_violation", "first_violation_time", "least_robustness",
+    "least_robustness_at", "least_robustness_time", "verdicts", "robustness",
 ]  # fmt: skip
 
 
@@ -82,8 +84,9 @@ def test_one_object(stltool, log):
     assert (code, err, list(data)) == (1, "", KEYS)
     assert data == {
         "task": None, "formula": "G[0,1] (x > 0 & door)", "trace": str(log), "traces": None, "samples": 5, "horizon": 1,
-        "end": "error", "at": None, "judged": 4, "verdict": False, "holds": False, "violations": 4,
-        "first_violation": 0, "least_robustness": "-inf", "least_robustness_at": 1, "verdicts": [False] * 4,
+        "end": "error", "at": None, "unit": None, "step": None, "clock": None, "judged": 4, "verdict": False,
+        "holds": False, "violations": 4, "first_violation": 0, "first_violation_time": None, "least_robustness": "-inf",
+        "least_robustness_at": 1, "least_robustness_time": None, "verdicts": [False] * 4,
         "robustness": [-1.0, "-inf", "-inf", "-inf"],
     }  # fmt: skip
     data = json.loads(stltool("monitor", "F[0,1] door", log, "--json")[1])
@@ -161,8 +164,8 @@ def test_a_batch_has_a_row_a_trace(stltool, batch, tmp_path):
     assert (data["traces"], data["violating_traces"], data["first_violation"]) == (3, 2, 0)
     assert data["verdicts"] == [[True] * 3, [True, False, False], [False, True, True]]
     assert data["each"][1] == {
-        "verdict": True, "holds": False, "violations": 2, "first_violation": 1, "least_robustness": -2.0,
-        "least_robustness_at": 2,
+        "verdict": True, "holds": False, "violations": 2, "first_violation": 1, "first_violation_time": None,
+        "least_robustness": -2.0, "least_robustness_at": 2, "least_robustness_time": None,
     }  # fmt: skip
     for options, says in (([], "trace 1:\nstep "), (["--trace", 2], "trace 2:\nstep ")):
         assert says in stltool("monitor", "x > 0", batch, "--steps", *options)[1]
@@ -247,7 +250,7 @@ def test_a_file_comes_before_a_formula(stltool, log, tmp_path, monkeypatch):
 
 def test_what_takes_long_is_told(stltool, log, monkeypatch):
     monkeypatch.setattr(terminal, "_PATIENCE", 0.0)
-    slow = np.loadtxt
+    slow = Reading.log
 
     def wait(*args, **kwargs):
         import time
@@ -255,7 +258,7 @@ def test_what_takes_long_is_told(stltool, log, monkeypatch):
         time.sleep(0.2)
         return slow(*args, **kwargs)
 
-    monkeypatch.setattr(np, "loadtxt", wait)
+    monkeypatch.setattr(Reading, "log", wait)
     assert f"reading {log} …" in stltool("monitor", "x > 0", log)[2]
     assert stltool("monitor", "x > 0", log, "--json")[2] == ""
     monkeypatch.setenv("FORCE_COLOR", "1")  # a terminal, where somebody watches

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
-from stltool.arguments import one_of, real, texts
+from stltool.arguments import described, one_of, real, require, texts
 from stltool.arguments import path as path_of
 from stltool.errors import SettingsError, UnusedTimeWarning, named
 from stltool.logic.formula import Composable, label_names, variables
@@ -42,14 +42,15 @@ class Reading:
     missing: Missing = "error"
 
     def __post_init__(self) -> None:
-        if self.time is not None and not isinstance(self.time, str):
-            raise SettingsError(f"{named('time')} is {self.time!r}; name a column, or {option('time', 'none')}")
+        require(self.time, str, "the time of a trace", f"name its column, or {option('time', 'none')}", optional=True)
         if self.resample is not None:
             one_of(self.resample, "resample", get_args(Resample))
         one_of(self.missing, "missing", get_args(Missing))
         one_of(self.decimal, "decimal", (".", ","))
         if not 0 <= real(self.tolerance, "tolerance", "0.01") < 0.5:
-            raise SettingsError(f"{named('tolerance')} is {self.tolerance}; give a part of a step below a half")
+            raise SettingsError(
+                f"{named('tolerance')} is {described(self.tolerance)}; give a part of a step below a half"
+            )
         if self.time == NO_TIME and self.resample is not None:
             raise SettingsError(
                 f"{option('resample', self.resample)} needs the times, which "
@@ -144,7 +145,7 @@ def step_of(given: Any) -> Duration | None:
     except NumberError:
         found = None
     if found is None or found.seconds <= 0:
-        raise SettingsError(f"{named('step')} is {given!r}; give a time, such as 0.1s")
+        raise SettingsError(f"{named('step')} is {described(given)}; give a time, such as 0.1s")
     return found
 
 

@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from stltool.errors import NameLookupError, SettingsError, TraceError, near_misses
+from stltool.errors import NameLookupError, SettingsError, TraceError
 from stltool.extras import require
+from stltool.logic.names import near_names
 from stltool.monitoring.logs.recording import Recording, faults, option
 
 _TIMES = ("log_time", "publish_time")
@@ -61,7 +62,7 @@ def read_mcap(path: Path, names: list[str] | None, time: str | None) -> Recordin
     for name in names or ():
         if name not in values:
             known = list(values) if names is None else _known(path)
-            raise NameLookupError(f"{path}: there is no field {name}; {near_misses(name, known)}")
+            raise NameLookupError(f"{path}: there is no field {name}; {near_names(name, known)}")
     signals = {name: np.array(values[name], np.bool_ if kinds[name] is bool else np.float64) for name in values}
     return Recording(signals, {name: np.array(stamps[name], "M8[ns]") for name in values}, time)
 

@@ -21,7 +21,8 @@ import numpy as np
 
 from stltool.arguments import described
 from stltool.display import Card, Displayed
-from stltool.errors import FileError, NameLookupError, StlToolError, TraceError, near_misses
+from stltool.errors import FileError, NameLookupError, StlToolError, TraceError
+from stltool.logic.names import near_names
 from stltool.monitoring.logs.missing import filled
 from stltool.monitoring.logs.recording import Asked, Recording
 
@@ -131,7 +132,7 @@ def _of_others(path: Path, extension: str, asked: Asked) -> Recording:
         raise FileError(f"{path}: the reader of {extension} files returned {described(found)}, not a stl.Recording")
     for name in names or ():
         if name not in found.signals:
-            raise NameLookupError(f"{path}: there is no signal {name}; {near_misses(name, found.signals)}")
+            raise NameLookupError(f"{path}: there is no signal {name}; {near_names(name, found.signals)}")
     _require_arrays(path, found)
     return filled(found, asked.missing, lambda name, index: f"{path}, signal {name}, {found.place(index[-1])}")
 

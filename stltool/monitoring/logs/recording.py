@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.display import Card, Displayed, counted
-from stltool.errors import FileError, NameLookupError, named, near_misses
+from stltool.errors import FileError, NameLookupError, named
+from stltool.logic.names import near_names
 
 Signals: TypeAlias = dict[str, NDArray[Any]]
 Missing: TypeAlias = Literal["error", "hold", "drop"]
@@ -91,7 +92,7 @@ def chosen(where: str, known: Sequence[str], names: Sequence[str] | None, what: 
     there = set(known)
     for name in names or ():
         if name not in there:
-            raise NameLookupError(f"{where}: there is no {what} {name}; {near_misses(name, known)}")
+            raise NameLookupError(f"{where}: there is no {what} {name}; {near_names(name, known)}")
     return list(known if names is None else names)
 
 
