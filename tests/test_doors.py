@@ -340,6 +340,7 @@ OWN = {
     "markov_test": {"counts": {"Counts"}, "draws": {"int"}},
     "verify": {
         "files": {*PATHS, *LISTS}, "certificates": {"None", *PATHS}, "exact_seconds": NUMBERS, "stage": CALLABLE,
+        "time": {"None", "text"}, "resample": {"None"},
     },
     "load_trace": {
         "names": {"None", *LISTS, "Formula", "Task"}, "time": {"None"}, "step": {"None"}, "resample": {"None"},

@@ -24,7 +24,8 @@ from tests.models import (
     test_parameters,
 )
 from tests.models.gymnasium_envs import Listed, Scripted
-from tests.monitoring import test_files, test_monitor, test_online
+from tests.monitoring import test_monitor, test_online
+from tests.monitoring.logs import test_clock, test_formats
 from tests.reporting import test_report
 
 
@@ -111,14 +112,14 @@ def gymnasium_models():
 
 
 def traces():
-    for content, *_ in rows(test_files.test_what_is_wrong_is_told_with_its_place):
+    for content, *_ in rows(test_formats.test_what_is_wrong_is_told_with_its_place):
         Path("t.csv").write_bytes(content.encode() if isinstance(content, str) else content)
         yield f"t.csv {content!r}", refusal(stl.load_trace, "t.csv")
-    for members, _ in rows(test_files.test_arrays_that_are_no_signals_are_refused_by_name):
+    for members, _ in rows(test_formats.test_arrays_that_are_no_signals_are_refused_by_name):
         given = {name: f"{array.dtype} {array.shape}" for name, array in members.items()}
-        yield f"t.npz {given}", refusal(stl.load_trace, test_files.npz(Path("t.npz"), **members))
-    for bad, _ in rows(test_files.test_what_is_not_finite_in_an_npz_is_told_with_its_place):
-        yield f"t.npz {text_of(bad)}", refusal(stl.load_trace, test_files.npz(Path("t.npz"), x=bad))
+        yield f"t.npz {given}", refusal(stl.load_trace, test_formats.npz(Path("t.npz"), **members))
+    for bad, _ in rows(test_formats.test_what_is_not_finite_in_an_npz_is_told_with_its_place):
+        yield f"t.npz {text_of(bad)}", refusal(stl.load_trace, test_formats.npz(Path("t.npz"), x=bad))
     Path("t.npz").write_bytes(b"PK\x03\x04 broken")
     Path("t.csv").write_text("x,y\n1,2\n")
     yield "t.npz, broken", refusal(stl.load_trace, "t.npz")
