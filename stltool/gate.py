@@ -256,6 +256,12 @@ class _Gate:
             )
         if not faults:
             faults += self._unused(named.union(*(values for _, values in self.models)))
+        timed = any(task.step is not None and any(one.trace for one in task.expectations) for task in tasks)
+        if not faults and not timed and (given := self.reading.times_asked):
+            faults.append(
+                f"{given}: no task file that declares a step has an expectation on a trace; leave it out, or add a "
+                "line such as step = 0.1s"
+            )
         if len(faults) == 1:
             raise StlToolError(faults[0])
         if faults:
@@ -338,7 +344,8 @@ class _Gate:
         if not names:
             raise SettingsError(f"{phi}: this formula is constant; name a signal or a label of the trace")
         with self.stage(f"judging {expectation.asked}"):
-            log = self.reading.log(file, list(names), task.step, label_names(phi))
+            reading = self.reading if task.step is not None else self.reading.untimed()
+            log = reading.log(file, list(names), task.step, label_names(phi))
             try:
                 found = monitor(phi, log.signals, end="error" if is_bounded(phi) else "cut")
             except TraceError as error:  # its advice on `end` does not apply here

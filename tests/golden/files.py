@@ -120,6 +120,9 @@ def traces():
         yield f"t.npz {given}", refusal(stl.load_trace, test_formats.npz(Path("t.npz"), **members))
     for bad, _ in rows(test_formats.test_what_is_not_finite_in_an_npz_is_told_with_its_place):
         yield f"t.npz {text_of(bad)}", refusal(stl.load_trace, test_formats.npz(Path("t.npz"), x=bad))
+    for times, _ in rows(test_clock.test_times_at_fault_are_told_with_their_rows):
+        Path("t.csv").write_text("\n".join(["t,x", *(f"{time},1" for time in times)]) + "\n")
+        yield f"t.csv, step 0.1s, times {times}", refusal(stl.load_trace, "t.csv", ["x"], step="0.1s")
     Path("t.npz").write_bytes(b"PK\x03\x04 broken")
     Path("t.csv").write_text("x,y\n1,2\n")
     yield "t.npz, broken", refusal(stl.load_trace, "t.npz")

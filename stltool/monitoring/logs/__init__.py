@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -57,15 +57,24 @@ class Reading:
                 f"{option('time', 'none')} leaves unused; keep one of them"
             )
 
+    @property
+    def times_asked(self) -> str | None:
+        """The argument that needs a step, as a message shows it; None if there is none."""
+        if self.resample is not None:
+            return option("resample", self.resample)
+        return option("time", self.time) if self.time is not None and self.time != NO_TIME else None
+
+    def untimed(self) -> Reading:
+        """The same without times, for tasks without a step."""
+        return replace(self, time=None, resample=None)
+
     def log(self, path: Path, names: Sequence[str] | None, step: Duration | None, labels: Collection[str] = ()) -> Log:
         """The signals of a file, with a sample per step."""
-        if step is None:
-            for given, what in ((self.resample, "resample"), (self.time if self.time != NO_TIME else None, "time")):
-                if given is not None:
-                    raise SettingsError(
-                        f"{option(what, given)}: the duration of a step is not declared; a task file does so by a line "
-                        f"such as step = 0.1s, a formula by {option('step', '0.1s')}"
-                    )
+        if step is None and self.times_asked is not None:
+            raise SettingsError(
+                f"{self.times_asked}: the duration of a step is not declared; a task file does so by a line such as "
+                f"step = 0.1s, a formula by {option('step', '0.1s')}"
+            )
         clock = Clock(step, self.time, self.resample, float(self.tolerance))
         column = None if self.time == NO_TIME else self.time
         recording = read_recording(path, Asked(names, column, clock.used, self.decimal, self.missing))

@@ -266,7 +266,7 @@ class _Grid:
                 f"{self._at(trace, None, i)}: in {self.column} it is {off[i]:.3g} of a step away from step {i}; the "
                 f"step is {self.step}, and {self.clock.tolerance:.3g} of it is tolerated"
             )
-        more = f" (and {len(wrong) - 1} more rows)" if len(wrong) > 1 else ""
+        more = f" (and {len(wrong) - 1} more row{'s'[: len(wrong) > 2]})" if len(wrong) > 1 else ""
         raise TraceError(f"{told}{more}; {_RESAMPLE} puts the signals on the step's grid, {_ROWS}")
 
     def _meant(self, steps: Reals) -> str:
