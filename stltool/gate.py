@@ -357,7 +357,7 @@ class _Gate:
             with self.stage(f"finding why {expectation.asked} fails") as bar:
                 verdicts = found.verdicts
                 failing = int(verdicts[:, 0].argmin()) if verdicts.ndim == 2 else None
-                one = {name: values if failing is None else values[failing] for name, values in signals.items()}
+                one = {name: values if failing is None else values[failing] for name, values in log.signals.items()}
                 why = diagnose(replace(task, formula=phi), one, end=found.end, progress=bar)
         return Verified(task.path, task, expectation, verdict, "trace", monitored=found, diagnosis=why)
 
