@@ -53,9 +53,16 @@ def reachable(product: Product, most_nodes: int = MOST_NODES, most_edges: int = 
         if n_nodes > most_nodes or n_edges > most_edges:
             return None
         found.append(here)
-        possible = model.probability[entry] > 0
+        possible = _possible(product)[entry]
         here = _entered(product, model.target[entry][possible], np.repeat(q, count)[possible])
     return found
+
+
+def _possible(product: Product) -> NDArray[np.bool_]:
+    """Which transitions can happen; of intervals, whatever nature picks inside them."""
+    intervals = product.model.intervals
+    above: NDArray[np.bool_] = (product.model.probability if intervals is None else intervals.upper) > 0
+    return above
 
 
 def _transitions(product: Product, s: I64) -> tuple[I64, I64]:
@@ -110,7 +117,7 @@ def _followed(product: Product, s: I64, q: I64, taken: NDArray[Any]) -> I64:
     c = model.choice_start[s[owner]] + i.astype(np.int64)
     first, end = model.row_start[c], model.row_start[c + 1]
     entry = spans(first, end)
-    possible = model.probability[entry] > 0
+    possible = _possible(product)[entry]
     return _entered(product, model.target[entry][possible], np.repeat(q[owner], end - first)[possible])
 
 

@@ -342,7 +342,7 @@ def report_data(
 
 def _explored(product: Product, shown: CheckResult | None) -> Product:
     """The product that the explorer works on: it also has the memory of a policy with its own automaton."""
-    if shown is None or shown.policy is None or product.model.uncertain:
+    if shown is None or shown.policy is None or product.model.blackbox is not None:
         return product
     return shown.policy.on(product)[0]
 

@@ -100,6 +100,12 @@ class PathRecord(TypedDict):
     choices: list[int]
 
 
+class NatureRecord(TypedDict):
+    """How nature picks probabilities in their intervals: for the least P, if `minimal`, or for the greatest."""
+
+    minimal: bool
+
+
 class ExplorerRecord(TypedDict):
     """All that the explorer needs; or `refused`, the reason why there is none, and nothing else.
 
@@ -114,6 +120,7 @@ class ExplorerRecord(TypedDict):
     labels: NotRequired[dict[str, list[int]]]
     position: NotRequired[PositionRecord]
     claim: NotRequired[ClaimRecord]
+    nature: NotRequired[NatureRecord | None]
     run: NotRequired[PathRecord | None]
     header: NotRequired[str | None]
     no_export: NotRequired[str | None]
@@ -145,6 +152,7 @@ def explorer_data(
     no_export = _no_export(product, choice, remembers_more=product is not own)
     values, index = np.unique(model.probability, return_inverse=True)
     best = optimum if optimum is not None and optimum.product.automaton is automaton else None
+    maximize = (best or shown).question != "minimum"
     return {
         "policy": "learned" if learned else "given" if shown.question == "policy" else shown.question,
         "horizon": product.horizon,
@@ -155,10 +163,11 @@ def explorer_data(
         "claim": {
             "probability": shown.probability,
             "optimum": best.probability if best is not None else None,
-            "maximize": (best or shown).question != "minimum",
+            "maximize": maximize,
             "nodes": sum(map(len, nodes)),
             "checksum": checksum(nodes),
         },
+        "nature": {"minimal": maximize == (shown.nature == "against")} if model.uncertain else None,
         "run": _path(model, run) if run is not None else None,
         "header": None if no_export else json.dumps({"format": FORMAT, **asdict(policy.binding)}),
         "no_export": no_export,
@@ -169,6 +178,7 @@ def explorer_data(
             "target": _fitting(model.target),
             "values": _array(values, "f8"),
             "value": _fitting(index.ravel()),
+            **_ends(model),
             "initial": _array(model.initial, "f8"),
             "letter": _fitting(product.letter),
             "delta": _fitting(automaton.delta.ravel()),
@@ -185,16 +195,27 @@ def _refusal(product: Product, policy: Policy | None) -> str | None:
     model = product.model
     if model.blackbox is not None:
         return "the model is a black box, whose probabilities are unknown"
-    if model.uncertain:
+    if model.uncertain and model.parameters:
         return (
-            "the probabilities are intervals, so runs cannot be sampled and P depends on how nature chooses; check the "
-            "nominal model (--nature nominal) to explore it"
+            "nature picks the model's parameters, which the page cannot do; give them values (-p), or check the "
+            "nominal model (--nature nominal), to explore it"
         )
     if policy is None:
         return "the policy was not kept"
     if model.n_states > _MOST_STATES or model.n_transitions > _MOST_TRANSITIONS:
         return f"the model is too large for a page: {model.n_states} states, {model.n_transitions} transitions"
     return None
+
+
+def _ends(model: MDP) -> dict[str, list[str]]:
+    """The ends of the intervals, if there are any: distinct values, and which of them each transition has."""
+    if model.intervals is None:
+        return {}
+    found: dict[str, list[str]] = {}
+    for name, ends in (("lower", model.intervals.lower), ("upper", model.intervals.upper)):
+        values, index = np.unique(ends, return_inverse=True)
+        found |= {f"{name}s": _array(values, "f8"), name: _fitting(index.ravel())}
+    return found
 
 
 def checksum(nodes: list[I64]) -> int:

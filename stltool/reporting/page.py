@@ -269,6 +269,10 @@ _RENDERED: dict[str, Callable[[Mapping[str, Any]], str]] = {
 }
 
 
+_EXPLORER = ("elements", "data", "numbers", "policy", "view", "names", "picture", "sliders", "place", "run", "edits",
+             "automaton", "start")  # fmt: skip
+
+
 @cache
 def _templates() -> jinja2.Environment:
     loader = jinja2.PackageLoader("stltool.reporting", "templates")
@@ -284,8 +288,7 @@ def _templates() -> jinja2.Environment:
 def _page(template: str, payload: object, **content: Any) -> str:
     """A page; `payload` is what its explorer's script reads, None without one."""
     css = _source("page.css")
-    scripts = ["theme.js", *(("engine.js", "explorer.js") if payload is not None else ())]
-    script = "\n".join(map(_source, scripts))
+    script = _source("theme.js") + (_explorer() if payload is not None else "")
     policy = (
         f"default-src 'none'; style-src {_digest(css)}; script-src {_digest(script)}; base-uri 'none'; "
         "form-action 'none'"
@@ -296,6 +299,14 @@ def _page(template: str, payload: object, **content: Any) -> str:
         inside = inside.replace("<", "\\u003c")
     page = _templates().get_template(template)
     return page.render(css=css, script=script, policy=policy, payload=inside, **content)
+
+
+@cache
+def _explorer() -> str:
+    """The engine, and what is seen of it: one function, whose parts are files in this order, so that each knows the
+    names of all."""
+    parts = (_source(f"explorer/{name}.js") for name in _EXPLORER)
+    return "\n".join(["", _source("engine.js"), "(() => {", *parts, "})();", ""])
 
 
 def _source(name: str) -> str:

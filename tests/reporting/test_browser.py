@@ -85,6 +85,13 @@ def opened(browser, factory):
         yield page
 
 
+@pytest.fixture(scope="module")
+def rough():
+    """A task on the floor whose probabilities are intervals."""
+    task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 2, "tau": 5})
+    return stl.build_product(stl.load_model(FACTORY / "floor-5x5-uncertain.toml"), task)
+
+
 def write(folder, data):
     path = folder / "page.html"
     path.write_text(render(json.loads(json.dumps(data))), encoding="utf-8")
@@ -294,12 +301,59 @@ def test_the_picture_is_a_table_too(opened):
     assert opened.page.locator("#map-table th[scope=col]").count() == 7
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_nothing_stands_in_the_way_of_a_screen_reader(browser, factory, scheme):
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-core is absent")
-    with Opened(browser, factory[3], scheme=scheme, bypass_csp=True) as page:
-        found = axe.Axe().run(page.page)
-        assert [violation["id"] for violation in found.response["violations"]] == []
+@pytest.fixture
+def plain(patrolling):
+    """A check without a training, of the best policy."""
+    return report_data([stl.check(patrolling)])
+
+
+@pytest.fixture
+def graph():
+    """States that are not cells, and a task of more than two parts."""
+    product = random_product(np.random.default_rng(1))
+    return report_data([stl.check(product), stl.check(product, maximize=False)])
+
+
+@pytest.fixture
+def intervals(rough):
+    return report_data([stl.robust_check(rough)])
+
+
+@pytest.fixture
+def refused(rough):
+    """A report without an explorer."""
+    return report_data([stl.robust_check(rough, keep_policy=False)])
+
+
+@pytest.fixture
+def decided(floor5):
+    return report_data([stl.check(stl.build_product(floor5, stl.parse("F[0,3] !A")))])
+
+
+@pytest.fixture
+def learned(factory):
+    return factory[2]
+
+
+PAGES = ["learned", "plain", "graph", "intervals", "refused", "decided",
+         "swept", "verified", "front", "monitored", "estimated"]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", PAGES)
+def test_every_page_fits_a_phone_and_is_open_to_screen_readers_in_both_themes(browser, kind, request, tmp_path):
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-core is absent").Axe()
+    with Opened(browser, write(tmp_path, request.getfixturevalue(kind)), width=390, bypass_csp=True) as page:
+        assert page.js("document.documentElement.scrollWidth") == 390
+        for width, scheme in ((390, "light"), (1280, "dark")):
+            page.page.set_viewport_size({"width": width, "height": 900})
+            page.page.emulate_media(color_scheme=scheme)
+            found = axe.run(page.page)
+            assert [violation["id"] for violation in found.response["violations"]] == [], (width, scheme)
+
+
+def test_every_kind_of_page_is_among_them():
+    templates = {path.stem for path in (ROOT / "stltool" / "reporting" / "templates").glob("*.html")}
+    assert templates - {"page", "macros", "explorer"} == {"report", "verify", "sweep", "front", "monitor", "estimate"}
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -340,15 +394,6 @@ def test_pages_fit_and_are_kept_as_pictures(browser, factory, width, scheme):
     with Opened(browser, factory[3], width=width, scheme=scheme) as page:
         assert page.js("document.documentElement.scrollWidth") == width
         page.page.screenshot(path=SCREENSHOTS / f"factory-{width}-{scheme}.png", full_page=True)
-
-
-@pytest.mark.parametrize("kind", ["swept", "verified", "front", "monitored", "estimated"])
-def test_pages_of_other_results_fit_a_phone_and_a_screen_reader(browser, kind, request, tmp_path):
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-core is absent")
-    with Opened(browser, write(tmp_path, request.getfixturevalue(kind)), width=390, bypass_csp=True) as page:
-        assert page.js("document.documentElement.scrollWidth") == 390
-        found = axe.Axe().run(page.page)
-        assert [violation["id"] for violation in found.response["violations"]] == []
 
 
 def test_on_paper_it_is_light_and_without_controls(browser, factory):
@@ -432,11 +477,34 @@ def test_a_policy_that_remembers_more_says_why_it_is_not_exported(browser, patro
         assert not page.page.is_visible("#export")
 
 
+@pytest.mark.parametrize("nature", ["against", "with"])
+def test_intervals_are_explored_with_natures_picks(browser, rough, tmp_path, nature):
+    """P of the page is the robust check's, also after an edit; the picks of an action sum to 1, in their intervals."""
+    policy = stl.robust_check(rough).policy
+    checks = [stl.robust_check(rough, nature=nature), stl.robust_check(rough, policy, nature=nature)]
+    with Opened(browser, write(tmp_path, report_data(checks))) as page:
+        assert page.js("explorer.agrees")
+        assert f"for the {'least' if nature == 'against' else 'greatest'} P" in page.text("#agrees")
+        assert re.search(r"\d % of \d+ % … \d+ %", page.text("#here .outcomes"))
+        picked = page.js("""() => {
+            const n = explorer.M.node(0, ...explorer.run().steps[0]);
+            return outcomes(explorer.M, n, 1).map((o) => [o.p, ...o.range]);
+        }""")
+        assert sum(p for p, _, _ in picked) == pytest.approx(1, abs=1e-12)
+        assert all(lower - 1e-12 <= p <= upper + 1e-12 for p, lower, upper in picked)
+        page.js("n => { explorer.edit(0, 1); explorer.draw(); }")
+        judged = stl.robust_check(rough, stl.load_policy(exported(page, tmp_path), rough), nature=nature)
+        assert page.js("explorer.P()") == pytest.approx(judged.probability, abs=1e-12)
+        page.page.select_option("#run", "bad")
+        page.page.click("#last")
+        assert "violated" in page.text("#chip")
+
+
 def test_a_report_without_an_explorer_says_why(browser, tmp_path):
     task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 2, "tau": 5})
-    product = stl.build_product(stl.load_model(FACTORY / "floor-5x5-uncertain.toml"), task)
+    product = stl.build_product(stl.load_model(FACTORY / "floor-5x5-p.toml"), task)
     with Opened(browser, write(tmp_path, report_data([stl.robust_check(product)]))) as page:
-        assert "There is no explorer in this report: the probabilities are intervals" in page.text("main")
+        assert "There is no explorer in this report: nature picks the model's parameters" in page.text("main")
         assert page.js("document.querySelectorAll('#automaton svg, #automaton .strip').length") > 0
 
 

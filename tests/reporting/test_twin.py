@@ -1,36 +1,38 @@
 """The explorer's engine, a twin of the checker in JavaScript, against the checker: in node, where there is one."""
 
+import itertools
 import json
 import shutil
 import subprocess
+from functools import partial
 
 import numpy as np
 import pytest
 
 import stltool as stl
 from stltool.checking.situations import Situations, policy_numbers, reachable
-from stltool.reporting.explorer import automaton_data, explorer_data
+from stltool.reporting.explorer import _array, _fitting, automaton_data, explorer_data
 from tests.conftest import FACTORY, ROOT, many
 
 ENGINE = ROOT / "stltool" / "reporting" / "templates" / "engine.js"
 pytestmark = pytest.mark.skipif(shutil.which("node") is None, reason="the engine runs in node, which is absent")
 
 
-def run_twin(product, policy, edits=(), file=None, maximize=True):
+def run_twin(product, policy, edits=(), file=None, maximize=True, judge=stl.check):
     """The explorer's data of a policy, and what the engine makes of it."""
-    checked = stl.check(product, policy)
-    data = explorer_data(product, checked, stl.check(product, maximize=maximize), None, False)
+    checked = judge(product, policy, maximize=maximize)
+    data = explorer_data(product, checked, judge(product, maximize=maximize), None, False)
     assert "refused" not in data
     home, _ = policy.on(product)
-    given = {
-        "explorer": data,
-        "automaton": automaton_data(home.automaton),
-        "edits": list(edits),
-        "file": str(file or ""),
-    }
+    return checked, data, in_node(home, data, edits, file)
+
+
+def in_node(product, data, edits, file=None):
+    automaton = automaton_data(product.automaton)
+    given = {"explorer": data, "automaton": automaton, "edits": list(edits), "file": str(file or "")}
     command = ["node", ROOT / "tests" / "reporting" / "twin.js", ENGINE]
     done = subprocess.run(command, input=json.dumps(given), capture_output=True, text=True, check=True)
-    return checked, data, json.loads(done.stdout)
+    return json.loads(done.stdout)
 
 
 def random_product(rng, n=6):
@@ -152,6 +154,82 @@ def test_the_worst_policy_is_explored_against_the_least_probability(patrolling):
     _, data, found = run_twin(patrolling, worst.policy, maximize=False)
     assert data["claim"]["maximize"] is False
     assert found["optimum"] == pytest.approx(worst.probability, abs=1e-12)
+
+
+def widened(product, rng):
+    """The model with intervals around its probabilities, some of which begin at 0."""
+    model = product.model
+    below, above = rng.uniform(0, 0.3, size=(2, model.n_transitions))
+    lower, upper = np.maximum(model.probability - below, 0), np.minimum(model.probability + above, 1)
+    shape, entries = (model.n_states, model.n_states), []
+    choices = [(s, i) for s in range(model.n_states) for i in range(model.choice_start[s + 1] - model.choice_start[s])]
+    for c, (s, i) in enumerate(choices):
+        rows = slice(model.row_start[c], model.row_start[c + 1])
+        entries += [(i, s, u, a, b) for u, a, b in zip(model.target[rows], lower[rows], upper[rows], strict=True)]
+    ends = np.zeros((2, 3, *shape))
+    for i, s, u, a, b in entries:
+        ends[:, i, s, u] = a, b
+    made = stl.MDP.from_intervals(*ends, {}, labels=model.labels, initial=model.initial)
+    return stl.build_product(made, product.formula)
+
+
+@pytest.mark.parametrize("nature", ["against", "with"])
+@pytest.mark.parametrize("maximize", [True, False])
+@pytest.mark.parametrize("seed", range(many(3)))
+def test_nature_picks_as_in_the_robust_check_also_after_edits(tmp_path, seed, maximize, nature):
+    rng = np.random.default_rng(seed)
+    product = widened(random_product(rng), rng)
+    judge = partial(stl.robust_check, nature=nature)
+    policy = judge(product, maximize=maximize).policy
+    edits, file = random_edits(product, rng, 12), tmp_path / "edited.npz"
+    checked, data, found = run_twin(product, policy, edits, file, maximize, judge)
+    assert data["nature"] == {"minimal": maximize == (nature == "against")}
+    assert (found["nodes"], found["checksum"]) == (data["claim"]["nodes"], data["claim"]["checksum"])
+    assert found["probability"] == pytest.approx(checked.probability, abs=1e-12)
+    assert found["optimum"] == pytest.approx(checked.probability, abs=1e-12)
+    assert found["undone"] == found["probability"]
+    if edits:
+        judged = judge(product, stl.load_policy(file, product), maximize=maximize)
+        assert found["edited"][-1] == pytest.approx(judged.probability, abs=1e-12)
+
+
+def test_mixed_policies_under_nature(patrolling, tmp_path):
+    """On the rough floor, whose rows have up to nine successors; nature knows which choice a mixture has taken."""
+    product = stl.build_product(stl.load_model(FACTORY / "floor-5x5-uncertain.toml"), patrolling.formula)
+    rng = np.random.default_rng(5)
+    policy = stl.Policy(product, rng.dirichlet(np.full(9, 0.3), size=product.shape))
+    edits, file = random_edits(product, rng, 5), tmp_path / "edited.npz"
+    checked, _, found = run_twin(product, policy, edits, file, judge=stl.robust_check)
+    assert found["probability"] == pytest.approx(checked.probability, abs=1e-12)
+    judged = stl.robust_check(product, stl.load_policy(file, product))
+    assert found["edited"][-1] == pytest.approx(judged.probability, abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(many(3)))
+def test_transitions_of_probability_0_lead_nowhere(seed):
+    """Models drop them when they are made, so they are put into the page's data: one more in every row, to a state that
+    no run comes to."""
+    rng = np.random.default_rng(seed)
+    rows = rng.dirichlet(np.ones(4), size=(2, 5))
+    rows = np.concatenate([rows, np.zeros((2, 5, 1))], axis=2)
+    labels = {"a": rng.random(5) < 0.4, "b": rng.random(5) < 0.4}
+    model = stl.MDP.from_arrays(rows, {}, labels=labels)
+    product = stl.build_product(model, stl.parse("G[0,3] F[0,2] (a | b)"))
+    policy = stl.check(product).policy
+    edits = random_edits(product, rng, 12)
+    _, data, found = run_twin(product, policy, edits)
+    at = np.array([rng.integers(a, b + 1) for a, b in itertools.pairwise(model.row_start.tolist())])
+    arrays = data["arrays"]
+    arrays["row_start"] = _fitting(model.row_start + np.arange(model.n_choices + 1))
+    arrays["target"] = _fitting(np.insert(model.target, at, 4))
+    values, index = np.unique(np.insert(model.probability, at, 0.0), return_inverse=True)
+    arrays["values"], arrays["value"] = _array(values, "f8"), _fitting(index)
+    again = in_node(product, data, edits)
+    assert set(again) == set(found)
+    for name in ("nodes", "checksum", "probability", "values", "optimum", "visits", "edited", "undone"):
+        assert again[name] == found[name]
+    for name in ("best", "worst"):
+        assert (again[name] and again[name]["p"]) == (found[name] and found[name]["p"])
 
 
 def test_a_policy_with_its_own_memory_is_explored_and_not_exported(patrolling, flagged):

@@ -4,7 +4,10 @@
    A node is an undecided (t, s, q) that some policy reaches (reporting/explorer.py): nodes are numbered by t, then by
    s·Q + q, so a loop from the last to the first is backward induction. A policy is a number for each node: i ≥ 0 takes
    the state's i-th choice, NO_ACTION none, −2 − k mixes choices by the k-th mixture. Where it takes none, values are
-   NaN, and so is every value that depends on them. */
+   NaN, and so is every value that depends on them.
+
+   If the probabilities are intervals, nature picks them in every node, for the least value of each choice, or for the
+   greatest; it answers to the values of the last policy that was evaluated. */
 
 const NO_ACTION = -1;
 const FALSE = -1,
@@ -33,7 +36,12 @@ function build(data, Q, q0) {
   for (const name of Object.keys(data.arrays)) A[name] = decode(data.arrays[name]);
   const S = A.choice_start.length - 1,
     h = data.horizon;
-  const M = { ...A, S, Q, h, q0, probability: Float64Array.from(A.value, (i) => A.values[i]) };
+  const listed = (of, values) => Float64Array.from(of, (i) => values[i]);
+  const M = { ...A, S, Q, h, q0, probability: listed(A.value, A.values), values: null };
+  M.lower = A.lower ? listed(A.lower, A.lowers) : null;
+  M.upper = A.upper ? listed(A.upper, A.uppers) : null;
+  M.minimal = data.nature ? data.nature.minimal : false; // whether nature picks for the least value
+  M.possible = (k) => (M.upper || M.probability)[k] > 0;
   M.most = 0;
   for (let s = 0; s < S; s++) M.most = Math.max(M.most, A.choice_start[s + 1] - A.choice_start[s]);
   M.choices = (s) => A.choice_start[s + 1] - A.choice_start[s];
@@ -72,7 +80,7 @@ function findNodes(M) {
       const s = Math.floor(code / Q),
         q = code - s * Q;
       for (let k = M.row_start[M.choice_start[s]], end = M.row_start[M.choice_start[s + 1]]; k < end; k++) {
-        if (M.probability[k] === 0) continue;
+        if (!M.possible(k)) continue;
         const s2 = M.target[k],
           q2 = M.delta[M.letter[s2] * Q + q];
         if (M.verdict_rows[row + q2] < 0) mark[s2 * Q + q2] = 1;
@@ -134,7 +142,7 @@ function findEdges(M) {
         const s2 = M.target[k],
           q2 = M.delta[M.letter[s2] * Q + q],
           verdict = M.verdict_rows[row + q2];
-        if (M.probability[k] === 0) M.next[e] = NEVER;
+        if (!M.possible(k)) M.next[e] = NEVER;
         else M.next[e] = verdict === 1 ? TRUE : verdict === 0 ? FALSE : where[s2 * Q + q2];
       }
     }
@@ -143,15 +151,35 @@ function findEdges(M) {
 
 const worth = (V, n) => (n >= 0 ? V[n] : n === TRUE ? 1 : 0);
 
+/* The probabilities of the transitions of a choice c in node n, if V is P of what comes after: the model's, or nature's
+   picks in the intervals (checking/robust.py): to each its lower end, and what then lacks of 1 to the transitions in
+   the order of their worth, to each at most its width. */
+function picks(M, V, n, c) {
+  const first = M.row_start[c],
+    end = M.row_start[c + 1];
+  if (!M.lower) return M.probability.subarray(first, end);
+  const p = M.lower.slice(first, end),
+    edge = M.edge[n] + first - M.row_start[M.choice_start[M.state[n]]],
+    worths = Array.from(p, (_, j) => (M.minimal ? 1 : -1) * worth(V, M.next[edge + j])),
+    order = Array.from(p, (_, j) => j).sort((a, b) => worths[a] - worths[b]);
+  let left = 1;
+  for (const x of p) left -= x;
+  for (const j of order) {
+    const more = Math.min(M.upper[first + j] - M.lower[first + j], left);
+    p[j] += more;
+    left -= more;
+  }
+  return p;
+}
+
 /* P from node n if its i-th choice is taken there, and V is P of what comes after. */
 function choiceValue(M, V, n, i) {
   const s = M.state[n],
     c = M.choice_start[s] + i,
-    base = M.row_start[M.choice_start[s]];
+    p = picks(M, V, n, c),
+    edge = M.edge[n] + M.row_start[c] - M.row_start[M.choice_start[s]];
   let sum = 0;
-  for (let k = M.row_start[c], e = M.edge[n] + k - base; k < M.row_start[c + 1]; k++, e++) {
-    sum += M.probability[k] * worth(V, M.next[e]);
-  }
+  for (let j = 0; j < p.length; j++) sum += p[j] * worth(V, M.next[edge + j]);
   return sum;
 }
 
@@ -173,6 +201,7 @@ function nodeValue(M, V, n, number) {
 
 /* Backward induction of a policy over the nodes up to layer `last` (by default all); V is filled in. */
 function evaluate(M, policy, V, last = M.h - 1) {
+  M.values = V;
   if (last < 0) return V;
   for (let n = M.offset[last + 1] - 1; n >= 0; n--) V[n] = nodeValue(M, V, n, policy[n]);
   return V;
@@ -199,18 +228,21 @@ function total(M, V) {
   return sum;
 }
 
-/* Where choice i leads from node n: states, memories, probabilities, and the next node or verdict. */
+/* Where choice i leads from node n: states, memories, probabilities, their intervals if they have any, and the next node
+   or verdict. */
 function outcomes(M, n, i) {
   const s = M.state[n],
     q = M.memory[n],
     c = M.choice_start[s] + i,
-    base = M.row_start[M.choice_start[s]],
+    first = M.row_start[c],
+    edge = M.edge[n] + first - M.row_start[M.choice_start[s]],
     found = [];
-  for (let k = M.row_start[c]; k < M.row_start[c + 1]; k++) {
-    if (M.probability[k] === 0) continue;
-    const s2 = M.target[k];
-    found.push({ s: s2, q: M.enter(s2, q), p: M.probability[k], next: M.next[M.edge[n] + k - base] });
-  }
+  picks(M, M.values, n, c).forEach((p, j) => {
+    if (!(p > 0)) return;
+    const s2 = M.target[first + j],
+      range = M.lower ? [M.lower[first + j], M.upper[first + j]] : null;
+    found.push({ s: s2, q: M.enter(s2, q), p, range, next: M.next[edge + j] });
+  });
   return found;
 }
 
