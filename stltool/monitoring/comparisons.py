@@ -1,32 +1,22 @@
 """Comparisons over arrays, decided exactly as in the slow semantics, which computes in fractions.
 
-Terms are computed in doubles, each value v̂ with a bound E on its distance from the value in the semantics (first-order
-terms as in [Higham02, §3.3]; u = 2⁻⁵³ the unit roundoff):
+Terms are computed in doubles, with bounds on their errors (doubles.py). A sample whose margin |left − right| exceeds
+twice the bound E is decided (the semantics itself sometimes rounds a power, by no more than these bounds). Samples
+nearer to the border are decided in whole numbers (borders.py), and what is left over one by one with the slow
+semantics, each combination of values once. Comparisons that only choose among signals and numbers (by −, abs, min, max)
+are exact in doubles, whose order is that of the decimals they print as.
 
-    number, signal   E = 4u|v̂|                  a double is at most u|v̂| from the decimal it prints as
-    a + b, a − b     E = Ea + Eb + 4u|v̂|
-    a · b            E = |a|Eb + |b|Ea + Ea·Eb + 4u|v̂|
-    a / b            E = (Ea + |v̂|Eb) / (|b| − Eb) + 4u|v̂|            if |b| > Eb
-    sqrt a           E = Ea / v̂ + 4u|v̂|                               if a > Ea
-    a ^ c            E = |c| max((|a| ± Ea)^(c−1)) Ea + 32u|v̂|         c a constant, away from the border at 0
-    min, max, abs, − E = max of the operands'
-
-and ∞ otherwise. A sample whose margin |left − right| exceeds twice the bound is decided (the semantics itself sometimes
-rounds a power, by no more than these bounds). The remaining samples, few unless data often lie on borders, are
-judged one by one with the slow semantics, each combination of values once. Comparisons without arithmetic are exact in
-doubles, whose order is that of the decimals they print as.
-
-A margin is within 2E + 4u|margin| of that in the semantics, and equal to it for samples judged one by one. So its sign
+A margin is within 2E + 4u|margin| of that in the semantics, and equal to it for samples near the border. So its sign
 is right: > 0 implies true, < 0 implies false.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, reduce
 from math import isfinite
 from operator import itemgetter
-from typing import Any, TypeAlias, assert_never
+from typing import TypeAlias, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,36 +34,34 @@ from stltool.logic.formula import (
     variables,
 )
 from stltool.logic.semantics import COMPARE, robustness, satisfies
+from stltool.monitoring.borders import differences, possible
+from stltool.monitoring.doubles import TINY, UNIT, WIDER, Floats, Values, bounded
 from stltool.source import Span
-
-Floats: TypeAlias = NDArray[np.float64]
-Values: TypeAlias = Floats | np.float64
-Bounded: TypeAlias = tuple[Values, Values]  # values and their bounds
 
 _COMPARE: dict[Comparator, np.ufunc] = {
     "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "==": np.equal, "!=": np.not_equal,
 }  # fmt: skip
+_Places: TypeAlias = tuple[NDArray[np.intp], ...]
+Bools: TypeAlias = NDArray[np.bool_]
+
 _REMEMBERED = 1 << 14  # cached results of samples judged one by one
-_U = 2.0**-53
-_TINY = 1e-322  # covers losses by underflow
-_WIDER = 1.25  # covers the rounding of the bounds themselves
-_LARGEST_EXPONENT = 1000.0
 
 
 class Predicate:
     """One comparison, ready to judge arrays."""
 
-    __slots__ = ("_settled", "names", "node", "plain")
+    __slots__ = ("_on_borders", "_settled", "names", "node", "plain")
 
     def __init__(self, node: Comparison) -> None:
         self.node = node
         self.names: dict[str, Span | None] = variables(node)
         self.plain = _is_plain(node.left) and _is_plain(node.right)
+        self._on_borders = not self.plain and possible(node)
         self._settled = lru_cache(maxsize=_REMEMBERED)(self._settle)
 
     def judge(
-        self, columns: Mapping[str, Floats], truth: NDArray[np.bool_] | None, margin: Floats | None, wide: bool
-    ) -> tuple[NDArray[np.bool_] | None, bool]:
+        self, columns: Mapping[str, Floats], truth: Bools | None, margin: Floats | None, wide: bool
+    ) -> tuple[Bools | None, bool]:
         """Write truth and signed margin of every sample into the given arrays, which have the shape of the columns.
 
         Returns a mask of samples where a term has no value (truth is then false, the margin NaN), None if there are
@@ -126,9 +114,7 @@ class Predicate:
             robustness(self.node, {name: [value] for name, value in sample.items()})  # raises
         return float(margin[0, 0]), bool(truth[0, 0])
 
-    def _constant(
-        self, truth: NDArray[np.bool_] | None, margin: Floats | None
-    ) -> tuple[NDArray[np.bool_] | None, bool]:
+    def _constant(self, truth: Bools | None, margin: Floats | None) -> tuple[Bools | None, bool]:
         true, distance = self._settled()
         if truth is not None:
             truth[...] = bool(true)
@@ -138,17 +124,57 @@ class Predicate:
         return np.ones(shape, dtype=np.bool_) if true is None else None, bool(np.isnan(distance))
 
     def _compute(
-        self, columns: Mapping[str, Floats], truth: NDArray[np.bool_] | None, margin: Floats | None
-    ) -> tuple[NDArray[np.bool_] | None, bool]:
+        self, columns: Mapping[str, Floats], truth: Bools | None, margin: Floats | None
+    ) -> tuple[Bools | None, bool]:
         left, right, error = self._sides(columns)
         if truth is not None:
             _COMPARE[self.node.op](left, right, out=truth)
         if margin is not None:
             _signed(self.node.op, left, right, margin)
         shape = columns[next(iter(self.names))].shape
-        where = np.nonzero(np.broadcast_to(~(np.abs(left - right) > error), shape))
-        if not len(where[0]):
-            return None, False
+        apart = np.abs(left - right)
+        near = np.broadcast_to(~(apart > error), shape)
+        count = int(np.count_nonzero(near))
+        if count and self._on_borders:
+            near = self._at_the_border(columns, near, count, np.broadcast_to(apart + error, shape), truth, margin)
+            count = int(np.count_nonzero(near))
+        return self._one_by_one(columns, np.nonzero(near), shape, truth, margin) if count else (None, False)
+
+    def _at_the_border(
+        self,
+        columns: Mapping[str, Floats],
+        near: Bools,
+        count: int,
+        apart: Floats,
+        truth: Bools | None,
+        margin: Floats | None,
+    ) -> Bools:
+        """Settle `count` samples in whole numbers; returns which others are left."""
+        dense = 2 * count > near.size  # then all are computed, which is quicker than picking some
+        given = {name: columns[name].reshape(-1) if dense else columns[name][near] for name in self.names}
+        sign, difference, known = differences(self.node, given, apart.reshape(-1) if dense else apart[near])
+        settled = known.reshape(near.shape) if dense else np.zeros_like(near)
+        if dense:
+            settled &= near
+        else:
+            settled[near] = known
+        picked = settled.reshape(-1) if dense else known
+        if truth is not None:
+            truth[settled] = _COMPARE[self.node.op](sign[picked], 0)
+        if margin is not None:
+            found = np.empty(len(sign))
+            _signed(self.node.op, difference, np.float64(0.0), found)
+            margin[settled] = found[picked]
+        return near & ~settled
+
+    def _one_by_one(
+        self,
+        columns: Mapping[str, Floats],
+        where: _Places,
+        shape: tuple[int, ...],
+        truth: Bools | None,
+        margin: Floats | None,
+    ) -> tuple[Bools | None, bool]:
         samples = zip(*(columns[name][where].tolist() for name in self.names), strict=True)
         judged = [self._settled(*sample) for sample in samples]
         if truth is not None:
@@ -169,8 +195,8 @@ class Predicate:
 
     def _sides(self, columns: Mapping[str, Floats]) -> tuple[Values, Values, Values]:
         """Left and right values, and the bound on the error of their difference."""
-        (left, ea), (right, eb) = _bounded(self.node.left, columns), _bounded(self.node.right, columns)
-        return left, right, 2 * _WIDER * (ea + eb) + 4 * _U * np.abs(left - right) + _TINY
+        (left, ea), (right, eb) = bounded(self.node.left, columns), bounded(self.node.right, columns)
+        return left, right, 2 * WIDER * (ea + eb) + 4 * UNIT * np.abs(left - right) + TINY
 
     def _settle(self, *sample: float) -> tuple[bool | None, float]:
         """Truth and margin of one sample by the slow semantics; None and NaN if there is none."""
@@ -213,98 +239,52 @@ def _subtract(a: Values, b: Values, out: Floats) -> None:
 
 
 def _is_plain(term: Term) -> bool:
-    """A signal or a number, without arithmetic that could round."""
-    return isinstance(term, Variable | Number) or (isinstance(term, Negate) and _is_plain(term.arg))
-
-
-def _plain_value(term: Term, columns: Mapping[str, Floats]) -> Values:
-    if isinstance(term, Variable):
-        return columns[term.name]
-    if isinstance(term, Negate):
-        return np.negative(_plain_value(term.arg, columns))
-    assert isinstance(term, Number)
-    return np.float64(term.value)
-
-
-def _getter(term: Term) -> Callable[[Mapping[str, float]], float]:
-    """A plain term's value at one sample."""
-    if isinstance(term, Variable):
-        return itemgetter(term.name)
-    if isinstance(term, Negate):
-        inner = _getter(term.arg)
-        return lambda sample: -inner(sample)
-    assert isinstance(term, Number)
-    number = term.value
-    return lambda sample: number
-
-
-def _bounded(term: Term, columns: Mapping[str, Floats]) -> Bounded:
+    """Chooses among signals and numbers: nothing is rounded."""
     match term:
-        case Number(number):
-            return _rounded(np.float64(number))
-        case Variable(name):
-            return _rounded(columns[name])
+        case Variable() | Number():
+            return True
         case Negate(arg):
-            value, error = _bounded(arg, columns)
-            return np.negative(value), error
-        case Arithmetic(op, left, right):
-            (a, ea), (b, eb) = _bounded(left, columns), _bounded(right, columns)
-            match op:
-                case "+":
-                    return _rounded(np.add(a, b), ea + eb)
-                case "-":
-                    return _rounded(np.subtract(a, b), ea + eb)
-                case "*":
-                    return _rounded(np.multiply(a, b), np.abs(a) * eb + np.abs(b) * ea + ea * eb)
-                case "/":
-                    value, room = np.divide(a, b), np.abs(b) - eb
-                    return _rounded(value, np.where(room > 0, _WIDER * (ea + np.abs(value) * eb) / room, np.inf))
-                case "^":
-                    return _power(a, ea, right)
-                case _:
-                    assert_never(op)
+            return _is_plain(arg)
         case Call(function, args):
-            operands = [_bounded(arg, columns) for arg in args]
-            value, error = operands[0]
-            match function:
-                case "abs":
-                    return np.abs(value), error
-                case "sqrt":
-                    root = np.sqrt(value)
-                    return _rounded(root, np.where(value > error, _WIDER * error / root, np.inf))
-                case "min" | "max":
-                    extremum = np.minimum if function == "min" else np.maximum
-                    for other, its in operands[1:]:
-                        value, error = extremum(value, other), np.maximum(error, its)
-                    return value, error
-                case _:
-                    assert_never(function)
+            return function != "sqrt" and all(map(_is_plain, args))
+        case Arithmetic():
+            return False
         case _:
             assert_never(term)
 
 
-def _rounded(value: Any, error: Any = 0.0, units: float = 4.0) -> Bounded:
-    return value, error + units * _U * np.abs(value) + _TINY
+def _plain_value(term: Term, columns: Mapping[str, Floats]) -> Values:
+    match term:
+        case Variable(name):
+            return columns[name]
+        case Negate(arg):
+            return np.negative(_plain_value(arg, columns))
+        case Number(value):
+            return np.float64(value)
+        case Call(function, args):
+            values = [_plain_value(arg, columns) for arg in args]
+            if function == "abs":
+                return np.abs(values[0])
+            return reduce(np.minimum if function == "min" else np.maximum, values)
+        case _:
+            raise AssertionError(term)
 
 
-def _power(a: Values, ea: Values, exponent: Term) -> Bounded:
-    c = _constant_value(exponent)
-    if c is None:
-        return np.zeros_like(a), np.full_like(a, np.inf)
-    value = np.power(a, c)
-    high, low = np.abs(a) + ea, np.abs(a) - ea
-    if c.is_integer() and 0 <= c <= _LARGEST_EXPONENT:
-        slope = c * np.power(high, max(c - 1.0, 0.0))
-    else:
-        away = low > 0 if c.is_integer() else a > ea
-        slope = np.where(away, abs(c) * np.maximum(np.power(high, c - 1.0), np.power(low, c - 1.0)), np.inf)
-    return _rounded(value, _WIDER * slope * ea, units=32.0)
-
-
-def _constant_value(term: Term) -> float | None:
-    if isinstance(term, Number):
-        return float(term.value)
-    if isinstance(term, Negate):
-        inner = _constant_value(term.arg)
-        return None if inner is None else -inner
-    return None
+def _getter(term: Term) -> Callable[[Mapping[str, float]], float]:
+    """A plain term's value at one sample."""
+    match term:
+        case Variable(name):
+            return itemgetter(name)
+        case Negate(arg):
+            inner = _getter(arg)
+            return lambda sample: -inner(sample)
+        case Number(number):
+            return lambda sample: number
+        case Call(function, args):
+            getters = [_getter(arg) for arg in args]
+            if function == "abs":
+                return lambda sample: abs(getters[0](sample))
+            choose = min if function == "min" else max
+            return lambda sample: choose(get(sample) for get in getters)
+        case _:
+            raise AssertionError(term)

@@ -108,8 +108,8 @@ def test_samples_away_from_borders_are_not_judged_one_by_one(monkeypatch):
     ):  # fmt: skip
         judged(stl.parse(text), x, y)
         assert not asked, text
-    judged(stl.parse("x + y > 1.5"), [0.5, 0.7, 1.0] * 2, [1.0, 0.8, 1.0] * 2)
-    assert asked == [(0.5, 1.0), (0.7, 0.8)]  # each once, and not the third
+    judged(stl.parse("x / y > 0.5"), [0.5, 0.7, 1.0] * 2, [1.0, 1.4, 1.0] * 2)
+    assert asked == [(0.5, 1.0), (0.7, 1.4)]  # each once, and not the third
 
 
 def test_a_comparison_of_numbers_alone():

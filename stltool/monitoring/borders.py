@@ -1,0 +1,258 @@
+"""Comparisons on their border, decided in vectors: exact, with whole numbers modulo 2⁶⁴.
+
+A sample is here if its two sides, in doubles, are no farther apart than their error E (comparisons.py). Every value is
+the decimal m / 10^k that it prints as. Sums, differences, products and powers of such are again whole numbers over a
+power of ten, and so is the difference of the sides, D / 10^K. D is known modulo 2⁶⁴ by the wrapping arithmetic of
+64-bit integers, however large the terms are, and |D| ≤ 2E·10^K; so where that is below 2⁶³ it is D.
+
+    the sides      without roots       left − right = D / 10^K
+                   √A and B > 0        A − B² = D / 10^K has the sign of √A − B = D / (10^K (√A + B))
+
+min, max and abs choose by the doubles, or in the same way where these are too near. What is left over (divisions,
+other powers and roots, numbers of many digits times one another) is told, and judged one by one.
+
+The margin is the nearest double of the quotient: D, 10^K and the quotient are taken as sums of two doubles. It is left
+over where it is too near to half-way between two doubles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.logic.formula import Arithmetic, Call, Comparison, Negate, Number, Term, Variable
+from stltool.monitoring.doubles import bounded
+from stltool.numbers import shortest
+
+Floats: TypeAlias = NDArray[np.float64]
+Mask: TypeAlias = NDArray[np.bool_]
+Words: TypeAlias = "NDArray[np.uint64] | np.uint64"
+Places: TypeAlias = "NDArray[np.int64] | np.int64"
+Whole: TypeAlias = tuple[Words, Places]  # m modulo 2⁶⁴, and k
+Pair: TypeAlias = tuple[Floats, Floats]  # the sum of two doubles
+
+_SCALES = (0, 1, 2, 3, 4, 5, 6, 8, 10)  # decimal places that a whole column may have
+_MOST_PLACES = 44  # 10^44 is the sum of two doubles
+_LARGEST_POWER = 8
+_COMPILED_FROM = 2000  # samples; for fewer, printing each is quicker than loading a compiled kernel
+_ROOM = 2.0**63 * (1 - 2.0**-20)
+_TENS = np.array([pow(10, k, 1 << 64) for k in range(_MOST_PLACES + 1)], dtype=np.uint64)
+_TENS_HIGH = np.array([float(10**k) for k in range(_MOST_PLACES + 1)])
+_EXACT_TENS = _TENS_HIGH[:23]
+_TENS_LOW = np.array([float(10**k - int(high)) for k, high in enumerate(_TENS_HIGH)])
+
+
+def possible(node: Comparison) -> bool:
+    """Whether the comparison's terms are of the kinds decided here."""
+    root, side = _sides(node)
+    return _is_polynomial(root.args[0] if isinstance(root, Call) else node.left) and _is_polynomial(side)
+
+
+def differences(
+    node: Comparison, columns: Mapping[str, Floats], apart: Floats
+) -> tuple[NDArray[np.int8], Floats, Mask]:
+    """Sign and nearest double of left − right for samples (n,), and a mask of those that are settled.
+
+    `apart` bounds |left − right| of each. To be called under `np.errstate(all="ignore")`, for a `possible` comparison.
+    """
+    exact = _Exact(columns)
+    root, side = _sides(node)
+    if root is None:
+        whole, places = exact.difference(exact.whole(node.left), exact.whole(node.right), apart)
+        margin = exact.quotient(whole, places)
+        return np.sign(whole).astype(np.int8), margin, exact.settled
+    inside, other = exact.whole(root.args[0]), exact.whole(side)
+    b, error = bounded(side, columns)
+    exact.settled &= b > 2 * error
+    whole, places = exact.difference(inside, _times(other, other), apart * (2 * np.abs(b) + 2 * error + apart))
+    margin = exact.over_sum(whole, places, other, np.asarray(b))
+    sign = np.sign(whole).astype(np.int8)
+    return (sign, margin, exact.settled) if root is node.left else (-sign, 0.0 - margin, exact.settled)
+
+
+def _sides(node: Comparison) -> tuple[Call | None, Term]:
+    """The side that is a root, if there is one, and the other."""
+    for side, other in ((node.left, node.right), (node.right, node.left)):
+        if isinstance(side, Call) and side.function == "sqrt":
+            return side, other
+    return None, node.right
+
+
+def _is_polynomial(term: Term) -> bool:
+    match term:
+        case Variable():
+            return True
+        case Number(value):
+            return _constant(value) is not None
+        case Negate(arg):
+            return _is_polynomial(arg)
+        case Arithmetic("^", left, Number(power)):
+            return power in range(1, _LARGEST_POWER + 1) and _is_polynomial(left)
+        case Arithmetic(op, left, right):
+            return op in "+-*" and _is_polynomial(left) and _is_polynomial(right)
+        case Call(function, args):
+            return function != "sqrt" and all(map(_is_polynomial, args))
+
+
+def _constant(value: float) -> Whole | None:
+    """m modulo 2⁶⁴ and k of a finite double; None if it has too many places."""
+    decimal = shortest(value)
+    for k in range(_MOST_PLACES + 1):
+        if 10**k % decimal.denominator == 0:
+            return np.uint64(int(decimal * 10**k) % (1 << 64)), np.int64(k)
+    return None
+
+
+def _times(a: Whole, b: Whole) -> Whole:
+    return a[0] * b[0], a[1] + b[1]
+
+
+class _Exact:
+    """Terms of n samples as whole numbers; `settled` becomes false where something remains open."""
+
+    def __init__(self, columns: Mapping[str, Floats]) -> None:
+        self._columns = columns
+        self.settled = np.ones(len(next(iter(columns.values()))), dtype=np.bool_)
+        self._given = {name: self._column(values) for name, values in columns.items()}
+
+    def _column(self, values: Floats) -> Whole:
+        for k in _SCALES:
+            if _with_places(values[:100], k) is not None and (whole := _with_places(values, k)) is not None:
+                return whole.view(np.uint64), np.int64(k)
+        if len(values) < _COMPILED_FROM:
+            found = [_constant(value) if np.isfinite(value) else None for value in values.tolist()]
+            words = np.array([0 if one is None else one[0] for one in found], dtype=np.uint64)
+            places = np.array([-1 if one is None else one[1] for one in found], dtype=np.int64)
+        else:
+            from stltool.kernels.decimals import EXPONENTS, POWERS, decimals
+
+            whole, places = np.empty(len(values), np.int64), np.empty(len(values), np.int64)
+            decimals(np.ascontiguousarray(values), POWERS, EXPONENTS, whole, places)
+            words = whole.view(np.uint64)
+        self.settled &= places >= 0
+        return words, np.maximum(places, 0)
+
+    def whole(self, term: Term) -> Whole:
+        match term:
+            case Variable(name):
+                return self._given[name]
+            case Number(value):
+                constant = _constant(value)
+                assert constant is not None
+                return constant
+            case Negate(arg):
+                words, places = self.whole(arg)
+                return np.uint64(0) - words, places
+            case Arithmetic("^", left, Number(power)):
+                base = self.whole(left)
+                result = base
+                for _ in range(int(power) - 1):
+                    result = _times(result, base)
+                return result
+            case Arithmetic("*", left, right):
+                return _times(self.whole(left), self.whole(right))
+            case Arithmetic(op, left, right):
+                a, b, places = self._aligned(self.whole(left), self.whole(right))
+                return (a + b if op == "+" else a - b), places
+            case Call("abs", (arg,)):
+                return self._larger(arg, Negate(arg))
+            case Call(function, (first, *rest)):
+                if not rest:
+                    return self.whole(first)
+                others = Call(function, tuple(rest)) if len(rest) > 1 else rest[0]
+                if function == "max":
+                    return self._larger(first, others)
+                words, places = self._larger(Negate(first), Negate(others))
+                return np.uint64(0) - words, places
+            case _:
+                raise AssertionError(term)
+
+    def _larger(self, left: Term, right: Term) -> Whole:
+        """The larger term."""
+        a, b, places = self._aligned(self.whole(left), self.whole(right))
+        (x, ex), (y, ey) = bounded(left, self._columns), bounded(right, self._columns)
+        apart, error = np.abs(x - y), 2 * (ex + ey)
+        near = ~(apart > error)
+        room = (apart + error) * _TENS_HIGH[np.minimum(places, _MOST_PLACES)]
+        self.settled &= ~near | (room < _ROOM)
+        return np.where(np.where(near, (a - b).view(np.int64) > 0, x > y), a, b), places
+
+    def _aligned(self, a: Whole, b: Whole) -> tuple[Words, Words, Places]:
+        """Both over the same power of ten."""
+        places = np.maximum(a[1], b[1])
+        up, down = (_TENS[np.minimum(places - its[1], _MOST_PLACES)] for its in (a, b))
+        return a[0] * up, b[0] * down, places
+
+    def difference(self, a: Whole, b: Whole, apart: Floats) -> tuple[NDArray[np.int64], Places]:
+        """D and K of a − b, where it is less than `apart`."""
+        left, right, places = self._aligned(a, b)
+        self.settled &= (places <= _MOST_PLACES) & (apart * _TENS_HIGH[np.minimum(places, _MOST_PLACES)] < _ROOM)
+        words = np.broadcast_to(left - right, self.settled.shape)
+        return words.view(np.int64), np.minimum(places, _MOST_PLACES)
+
+    def quotient(self, whole: NDArray[np.int64], places: Places) -> Floats:
+        """The nearest double of the quotient by 10^places."""
+        if places.max() < len(_EXACT_TENS) and max(-whole.min(), whole.max()) < 2**53:
+            near: Floats = whole.astype(np.float64) / _EXACT_TENS[places]
+            return near
+        return self._rounded(_divided(_pair(whole), (_TENS_HIGH[places], _TENS_LOW[places])), 2.0**-95)
+
+    def over_sum(self, whole: NDArray[np.int64], places: Places, other: Whole, b: Floats) -> Floats:
+        """The nearest double of δ = D / (10^K (√A + B)), where D / 10^K = A − B²: √A + B is 2B + δ."""
+        difference = _divided(_pair(whole), (_TENS_HIGH[places], _TENS_LOW[places]))
+        high, low = _divided(_pair(other[0].view(np.int64)), (_TENS_HIGH[other[1]], _TENS_LOW[other[1]]))
+        rough = difference[0] / (2 * high)
+        # B itself is needed, not B modulo 2⁶⁴; and √A + B must be known well enough with the rough δ
+        self.settled &= (np.abs(high - b) <= 1e-9 * b) & (np.abs(rough) < 2.0**-45 * b)
+        return self._rounded(_divided(difference, _sum(2 * high, rough, 2 * low)), 2.0**-85)
+
+    def _rounded(self, quotient: Pair, relative: float) -> Floats:
+        high, low = quotient
+        room = relative * np.abs(high)
+        result = high + (low - room)
+        self.settled &= result == high + (low + room)
+        return result + 0.0
+
+
+def _with_places(values: Floats, k: int) -> NDArray[np.int64] | None:
+    """values · 10^k if each is a decimal of k places and at most 15 digits: it then is what the value prints as."""
+    whole = np.rint(values * 10.0**k)
+    if not (whole / 10.0**k == values).all() or max(-whole.min(), whole.max()) >= 1e15:
+        return None
+    return whole.astype(np.int64)
+
+
+# ------------------------------------------------------------------------- sums of two doubles [Dekker71]
+
+
+def _pair(whole: NDArray[np.int64] | np.int64) -> Pair:
+    """Of whole numbers below 2⁶³, exactly."""
+    whole = np.asarray(whole)
+    high = whole.astype(np.float64)
+    low = (whole - np.clip(high, -(2.0**62), 2.0**62).astype(np.int64)).astype(np.float64)
+    return high, low
+
+
+def _sum(a: Floats, b: Floats, rest: Floats) -> Pair:
+    total = a + b
+    part = total - a
+    return total, ((a - (total - part)) + (b - part)) + rest
+
+
+def _split(a: Floats) -> Pair:
+    c = 134217729.0 * a
+    high = c - (c - a)
+    return high, a - high
+
+
+def _divided(a: Pair, b: Pair) -> Pair:
+    """a / b, to some 2⁻¹⁰⁰ of it."""
+    first = a[0] / b[0]
+    product = first * b[0]
+    (f, g), (h, i) = _split(first), _split(b[0])
+    error = ((f * h - product) + f * i + g * h) + g * i
+    rest = ((a[0] - product) - error) + (a[1] - first * b[1])
+    return first, rest / b[0]

@@ -1,0 +1,138 @@
+"""Samples on the border of a comparison: in vectors as one by one, and one by one only where the page says so."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import stltool as stl
+from stltool.logic.formula import COMPARATORS, Arithmetic, Call, Comparison, Negate, Number, Variable
+from stltool.logic.semantics import robustness, satisfies
+from stltool.monitoring import borders
+from stltool.monitoring.borders import differences, possible
+from stltool.monitoring.comparisons import Predicate
+
+
+def polynomials():
+    leaves = st.sampled_from("xyz").map(Variable) | st.sampled_from([0.0, 0.1, 2.0, 0.25, 3e-7, 1e22]).map(Number)
+
+    def grow(below):
+        return st.one_of(
+            below.map(Negate),
+            st.builds(Arithmetic, st.sampled_from("+-*"), below, below),
+            st.builds(Arithmetic, st.just("^"), below, st.sampled_from([1.0, 2.0, 3.0]).map(Number)),
+            st.builds(Call, st.just("abs"), st.tuples(below)),
+            st.builds(Call, st.sampled_from(["min", "max"]), st.tuples(below, below) | st.tuples(below, below, below)),
+        )
+
+    return st.recursive(leaves, grow, max_leaves=5)
+
+
+def rooted():
+    root = st.builds(Call, st.just("sqrt"), st.tuples(polynomials()))
+    return st.tuples(root, polynomials()) | st.tuples(polynomials(), root) | st.tuples(polynomials(), polynomials())
+
+
+decimal = st.builds(lambda n, k: n / 10**k, st.integers(-50, 50), st.integers(0, 3))
+double = st.floats(-1e6, 1e6, allow_nan=False)
+
+
+@given(
+    sides=rooted(), op=st.sampled_from(COMPARATORS), samples=st.lists(st.tuples(*[decimal | double] * 3), min_size=1)
+)
+def test_every_settled_sample_is_as_in_the_slow_semantics(sides, op, samples):
+    node = Comparison(op, *sides)
+    if not possible(node) or not Predicate(node).names:
+        return
+    names = list(Predicate(node).names)
+    rows = dict(zip("xyz", np.array(samples).T, strict=True))
+    columns = {name: rows[name] for name in names}
+    for t in range(len(samples)):
+        one = {name: values[t : t + 1] for name, values in columns.items()}
+        with np.errstate(all="ignore"):
+            sign, margin, settled = differences(node, one, np.array([_apart(node, one)]))
+        if settled[0]:
+            plain = {name: values.tolist() for name, values in one.items()}
+            assert satisfies(node, plain) == {
+                "<": sign[0] < 0, "<=": sign[0] <= 0, ">": sign[0] > 0, ">=": sign[0] >= 0, "==": sign[0] == 0,
+                "!=": sign[0] != 0,
+            }[op]  # fmt: skip
+            assert robustness(Comparison(">", *sides), plain) == margin[0]
+
+
+def _apart(node, one):
+    """|left − right| from above: not only of samples on the border."""
+    plain = {name: values.tolist() for name, values in one.items()}
+    try:
+        return abs(robustness(Comparison(">", node.left, node.right), plain)) * (1 + 1e-12)
+    except stl.StlToolError:
+        return math.inf
+
+
+def borders_of(text, rng, n):
+    """Samples of which each is on the text's border, or next to it, computed or measured."""
+    x, y = np.round(rng.random((2, n)) * 100 + 0.01, 2)
+    k = np.arange(1, n + 1)
+    match text:
+        case "x + y <= z":
+            return x, y, np.round(x + y, 2)
+        case "x + y >= z":
+            x = x + rng.random(n)
+            return x, y, x + y
+        case "x * y == z":
+            return x, y, np.round(x * y, 4)
+        case "2*x - y < z":
+            return x, y, 2 * x - y
+        case "x^2 + y^2 > z^2" | "sqrt(x^2 + y^2) <= z" | "z >= sqrt(x*x + y*y)":
+            return np.round(0.03 * k, 2), np.round(0.04 * k, 2), np.round(0.05 * k, 2) + 0.01 * (k % 5 == 0)
+        case "max(x, y + 1) >= z":
+            return x, y, np.round(np.maximum(x, y + 1), 2)
+        case "min(x, y + 1) <= z":
+            return x, y, np.round(np.minimum(x, y + 1), 2)
+        case "abs(x - y) != z":
+            return x, y, np.round(np.abs(x - y), 2)
+    raise AssertionError(text)
+
+
+TEXTS = (
+    "x + y <= z", "x + y >= z", "x * y == z", "2*x - y < z", "x^2 + y^2 > z^2", "sqrt(x^2 + y^2) <= z",
+    "z >= sqrt(x*x + y*y)", "max(x, y + 1) >= z", "min(x, y + 1) <= z", "abs(x - y) != z",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("text", TEXTS)
+@pytest.mark.parametrize("compiled", [False, True])
+def test_whole_columns_of_borders(text, compiled, monkeypatch):
+    monkeypatch.setattr(borders, "_COMPILED_FROM", 1 if compiled else 10**9)
+    asked = []
+    slow = Predicate._settle
+    monkeypatch.setattr(Predicate, "_settle", lambda self, *sample: asked.append(sample) or slow(self, *sample))
+    n = 400
+    trace = dict(zip("xyz", borders_of(text, np.random.default_rng(5), n), strict=True))
+    phi = stl.parse(text)
+    result = stl.monitor(phi, trace, semantics="both")
+    assert result.verdicts.tolist() == [satisfies(phi, trace, t) for t in range(n)]
+    assert result.robustness.tolist() == pytest.approx([robustness(phi, trace, t) for t in range(n)], rel=1e-12)
+    assert len(asked) <= 0.05 * n, len(asked)
+
+
+def test_terms_that_are_not_decided_here():
+    for text in ("x / y > 1", "x^0.5 > y", "x^y > 1", "sqrt(x) > sqrt(y)", "sqrt(sqrt(x)) > y", "x^9 > y", "x > 1e-60"):
+        assert not possible(stl.parse(text)), text
+    for text in ("x^8 > y", "sqrt(x) > y + 1", "x + 1e22 > y", "abs(x) + max(x, y, 1) > 0.1"):
+        assert possible(stl.parse(text)), text
+
+
+def test_choices_among_signals_are_plain():
+    for text in ("max(x, y) >= x", "abs(x) <= max(x, -x, 1)", "min(x, 3) < -y"):
+        assert Predicate(stl.parse(text)).plain, text
+    x, y = np.random.default_rng(0).normal(size=(2, 300)).round(1)
+    for text in ("max(x, y) >= x", "max(x, y) > x", "abs(x) <= max(x, -x, 0.3)", "min(x, 3) < -y", "abs(-x) == x"):
+        phi = stl.parse(text)
+        result = stl.monitor(phi, {"x": x, "y": y}, semantics="both")
+        assert result.verdicts.tolist() == [satisfies(phi, {"x": x, "y": y}, t) for t in range(300)], text
+        online = stl.OnlineMonitor(phi)
+        margins = [d.robustness for a, b in zip(x, y, strict=True) for d in online.feed({"x": a, "y": b})]
+        assert margins == result.robustness.tolist(), text
