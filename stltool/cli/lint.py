@@ -20,8 +20,9 @@ def lint(
 ) -> None:
     """Report passages of task files that other tools would read differently, and expectations that say nothing.
 
-    Exit code 1 if there are any; 2 if a file does not parse, with all its errors. Models are not read. Operators that
-    other tools define differently are notes, with the text for the other definition; they leave the exit code as it is.
+    Exit code 1 if there are any; 2 if a file does not parse, with all its errors. Models are not read. Notes leave the
+    exit code as it is: operators that other tools define differently, with the text for the other definition, and
+    equalities that computed values hardly ever fulfil.
     """
     import stltool as stl
     from stltool.reporting.terminal import print_json

@@ -563,7 +563,7 @@ def variables(phi: Formula) -> dict[str, Span | None]:
     found: dict[str, Span | None] = {}
     for node in walk(phi):
         if isinstance(node, Comparison):
-            for variable in _term_variables(node.left) + _term_variables(node.right):
+            for variable in term_variables(node.left) + term_variables(node.right):
                 found.setdefault(variable.name, variable.span)
     return found
 
@@ -577,18 +577,19 @@ def label_names(phi: Formula) -> dict[str, Span | None]:
     return found
 
 
-def _term_variables(term: Term) -> list[Variable]:
+def term_variables(term: Term) -> list[Variable]:
+    """The signals of a term, left to right, repeated ones too."""
     match term:
         case Number():
             return []
         case Variable():
             return [term]
         case Negate(arg):
-            return _term_variables(arg)
+            return term_variables(arg)
         case Arithmetic(_, left, right):
-            return _term_variables(left) + _term_variables(right)
+            return term_variables(left) + term_variables(right)
         case Call(_, args):
-            return [variable for arg in args for variable in _term_variables(arg)]
+            return [variable for arg in args for variable in term_variables(arg)]
         case _:
             assert_never(term)
 

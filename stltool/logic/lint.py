@@ -17,8 +17,26 @@ from stltool.arguments import require
 from stltool.errors import near_misses
 from stltool.logic.builder import Builder
 from stltool.logic.format import flat_text
-from stltool.logic.formula import And, Composable, Constant, Eventually, Formula, Interval, Or, Until, walk
+from stltool.logic.formula import (
+    And,
+    Arithmetic,
+    Call,
+    Comparison,
+    Composable,
+    Constant,
+    Eventually,
+    Formula,
+    Interval,
+    Negate,
+    Number,
+    Or,
+    Term,
+    Until,
+    term_variables,
+    walk,
+)
 from stltool.logic.names import near_names, unquoted
+from stltool.logic.printer import term_text
 from stltool.logic.syntax import INFIXES, PAST_PREFIXES, SOFT_WORDS, Branch, Document, Token, bare, branches
 from stltool.logic.task import Task
 from stltool.source import Span
@@ -57,13 +75,19 @@ def ambiguities(task: Task | Document) -> list[Advice]:
 
 
 def conventions(task: Task) -> list[Advice]:
-    """Every until of a task whose definition differs between tools, with the text for the other one, in text order."""
+    """Every until of a task whose definition differs between tools, with the text for the other one, in text order.
+
+    Also every equality of values that a program would have computed in doubles: of decimals, it hardly ever holds. (The
+    signals of a task on a model are the model's own numbers.)
+    """
     require(task, Task, "conventions' task")
     found: dict[int, Advice] = {}
     bodies = [*task.definitions.values(), *(line.formula for line in task.expectations), task.formula]
     for phi in (body._formula() for body in bodies if isinstance(body, Composable)):
         for node in walk(phi):
-            if isinstance(node, Until) and node.span is not None and (told := _until(node)):
+            if not isinstance(node, Until | Comparison) or node.span is None:
+                continue
+            if told := _until(node) if isinstance(node, Until) else "" if task.model else _equality(node):
                 found.setdefault(node.span.start, Advice(node.span, told))
     return sorted(found.values(), key=lambda advice: advice.span.start)
 
@@ -82,6 +106,37 @@ def _until(phi: Until) -> str:
     if not told:
         return ""
     return f"the left side of until must hold from now on, before the right side does; {'; '.join(told)}"
+
+
+def _equality(phi: Comparison) -> str:
+    """What to know about an equality of computed values ("" if it is none)."""
+    if phi.op not in ("==", "!="):
+        return ""
+    computed = [side for side in (phi.left, phi.right) if _is_computed(side)]
+    if not computed:
+        return ""
+    within = Comparison(
+        "<=" if phi.op == "==" else ">", Call("abs", (Arithmetic("-", phi.left, phi.right),)), Number(1e-9)
+    )
+    return (
+        f"compares decimals exactly, and {_cut(term_text(computed[0]))} that was computed in doubles is hardly ever "
+        f"the decimal that the other side prints as; for a tolerance, write {_cut(str(within))}"
+    )
+
+
+def _is_computed(term: Term) -> bool:
+    """Whether signals are combined in it, or a root or power taken."""
+    match term:
+        case Negate(arg):
+            return _is_computed(arg)
+        case Arithmetic(op, left, right):
+            signals = (bool(term_variables(left)), bool(term_variables(right)))
+            return all(signals) or (op == "^" and any(signals)) or _is_computed(left) or _is_computed(right)
+        case Call(function, args):
+            rooted = function == "sqrt" and any(map(term_variables, args))
+            return rooted or any(map(_is_computed, args))
+        case _:
+            return False
 
 
 def _contains(phi: Formula, kind: type[And] | type[Or], part: Formula) -> bool:

@@ -2,6 +2,7 @@
 
 import itertools
 
+import numpy as np
 import pytest
 from hypothesis import given
 
@@ -83,6 +84,33 @@ def test_the_other_definitions_of_until_are_told_as_texts():
 )
 def test_an_until_that_all_define_alike_is_not_told(text):
     assert stl.conventions(stl.parse_task(f"r := {text}")) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "near"),
+    [
+        ("v * i == p", "abs(v * i - p) <= 1e-09"),
+        ("s != x + y", "abs(s - (x + y)) > 1e-09"),
+        ("sqrt(x) == y", "abs(sqrt(x) - y) <= 1e-09"),
+        ("min(x^2, 3) == -(x / y)", "abs(min(x^2, 3) - -(x / y)) <= 1e-09"),
+    ],
+)
+def test_an_equality_of_computed_values_is_told_with_one_that_holds(text, near):
+    (note,) = stl.conventions(stl.parse_task(f"r := G[0,2] (p -> {text})"))
+    assert note.span.text() == text
+    assert stl.parse(note.message.split("write ")[1]) == stl.parse(near)
+    assert stl.conventions(stl.parse_task(f'model "floor.toml"\nr := G[0,2] {text}')) == []  # a model's own numbers
+
+
+@pytest.mark.parametrize("text", ["x == 3", "x + 1 == y", "2 * x != 4", "x == y", "abs(x) == max(x, y)", "x * y <= p"])
+def test_an_equality_of_recorded_values_is_not_told(text):
+    assert stl.conventions(stl.parse_task(f"r := {text}")) == []
+
+
+def test_an_equality_of_computed_doubles_hardly_ever_holds():
+    v, i = np.random.default_rng(0).random((2, 1000))
+    assert stl.monitor(stl.parse("v * i == p"), {"v": v, "i": i, "p": v * i}).verdicts.sum() < 10
+    assert stl.monitor(stl.parse("abs(v * i - p) <= 1e-9"), {"v": v, "i": i, "p": v * i}).verdicts.all()
 
 
 @pytest.mark.parametrize(
