@@ -33,27 +33,55 @@ def browser():
     with sync_api.sync_playwright() as playwright:
         flags = ["--no-sandbox"] if os.geteuid() == 0 else []
         launched = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
-        yield launched
+        yield Browser(launched)
         launched.close()
 
 
-class Opened:
-    """A page with all that it asked for and said."""
+class Browser:
+    """Its tabs, one for all pages of a kind: a tab of its own costs a page three times what the page does."""
 
-    def __init__(self, browser, path, width=1280, scheme="light", **more):
-        self.context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme, **more)
-        self.page = self.context.new_page()
+    def __init__(self, launched):
+        self._launched, self._tabs = launched, {}
+
+    def tab(self, **kind):
+        key = frozenset(kind.items())
+        if key not in self._tabs:
+            self._tabs[key] = self._launched.new_context(**kind).new_page()
+        return self._tabs[key]
+
+    def close(self, tab):
+        self._tabs = {key: other for key, other in self._tabs.items() if other is not tab}
+        tab.context.close()
+
+
+class Opened:
+    """A page with all that it asked for and said; `kind` of tab, which no page opened later has if it is spoilt."""
+
+    def __init__(self, browser, path, width=1280, scheme="light", motion="no-preference", spoilt=False, **kind):
+        self._browser, self._spoilt = browser, spoilt
+        self.page = browser.tab(**kind)
+        self.page.set_viewport_size({"width": width, "height": 900})
+        self.page.emulate_media(media="null", color_scheme=scheme, reduced_motion=motion)
         self.said, self.requests = [], []
-        self.page.on("console", lambda message: self.said.append(message.text))
-        self.page.on("pageerror", lambda error: self.said.append(str(error)))
-        self.page.on("request", lambda request: self.requests.append(request.url))
+        self._heard = {
+            "console": lambda message: self.said.append(message.text),
+            "pageerror": lambda error: self.said.append(str(error)),
+            "request": lambda request: self.requests.append(request.url),
+        }
+        for event, hear in self._heard.items():
+            self.page.on(event, hear)
         self.page.goto(path.as_uri())
 
     def __enter__(self):
         return self
 
     def __exit__(self, *error):
-        self.context.close()
+        for event, hear in self._heard.items():
+            self.page.remove_listener(event, hear)
+        if self._spoilt or error[0] is not None:
+            self._browser.close(self.page)
+        else:
+            self.page.goto("about:blank")
         if error[0] is None:
             assert self.said == []
             assert all(url.startswith(("file:", "blob:")) for url in self.requests)
@@ -264,7 +292,7 @@ def test_keys(opened):
 
 
 def test_a_run_plays_and_pauses(browser, factory):
-    with Opened(browser, factory[3]) as page:
+    with Opened(browser, factory[3], spoilt=True) as page:
         page.page.clock.install()
         page.page.reload()
         page.requests.pop()
@@ -406,7 +434,7 @@ def test_on_paper_it_is_light_and_without_controls(browser, factory):
 
 
 def test_without_motion_nothing_moves(browser, factory):
-    with Opened(browser, factory[3], reduced_motion="reduce") as page:
+    with Opened(browser, factory[3], motion="reduce") as page:
         assert page.js("getComputedStyle(document.querySelector('.cell .bg')).transitionDuration") == "0s"
 
 
