@@ -210,8 +210,9 @@ def _steps_text(
 ) -> tuple[list[str], float] | None:
     """The lines and the size of a text with the ranges, within so many points; None if none would be legible."""
     texts = [str(a) if a == b else f"{a}–{b}" for a, b in ranges]
+    listed = _listed(texts)
     sizes = np.arange(min(9.0, max(_TEXT, largest)), _TEXT - 0.01, -0.5).tolist()
-    for words, size in itertools.chain(((_listed(texts), size) for size in sizes), _shorter(texts, sizes[-1])):
+    for words, size in itertools.chain(((listed, size) for size in sizes), _shorter(texts, sizes[-1])):
         lines = _wrapped(words, size, wide, 1 + int((high / size - _CAPITALS) / _LINE))
         if lines is not None:
             return lines, size

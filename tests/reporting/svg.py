@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from matplotlib import rc_context
 from matplotlib.textpath import TextPath
+from matplotlib.transforms import Bbox
 
 SVG, XLINK = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xlink}"
 _UNITS = {"": 1, "k": 1e3, "M": 1e6, "m": 1e-3}
@@ -170,8 +171,11 @@ def points_of(path):
 
 @cache
 def outline(text, size):
+    """Letters have points where they extend farthest, so that their curves need not be solved for their extrema."""
     with rc_context({"text.parse_math": False}):
-        return TextPath((0, 0), text, size=size).get_extents()
+        path = TextPath((0, 0), text, size=size)
+    points = path.vertices[path.codes != path.CLOSEPOLY]
+    return Bbox([points.min(axis=0), points.max(axis=0)])
 
 
 def ink(element):
