@@ -14,6 +14,7 @@ Choices are indices within their state: i is its i-th available action.
 from __future__ import annotations
 
 import itertools
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, TypeAlias
@@ -28,6 +29,7 @@ from stltool.sizes import IntegerType
 I64: TypeAlias = NDArray[np.int64]
 F64: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.signedinteger[Any]]
+Words: TypeAlias = tuple[I64, NDArray[np.uint64], I64, NDArray[np.unsignedinteger]]
 
 
 class Form(Protocol):
@@ -277,9 +279,8 @@ class Choices(Displayed):
         self, shape: tuple[int, int], horizon: int, layers: Sequence[Listed], kind: IntegerType = np.int16
     ) -> None:
         self.shape, self.horizon, self.layers, self.kind = shape, horizon, tuple(layers), kind
-        self._first = np.array([layer.first for layer in layers], dtype=np.int64)
-        self._last = np.array([layer.last for layer in layers], dtype=np.int64)
-        self._rank: tuple[int, I64] = (-1, np.empty(0, dtype=np.int64))
+        self._first, self._last = [layer.first for layer in layers], [layer.last for layer in layers]
+        self._words: tuple[int, Words] = (-1, _NONE)
 
     def _card(self) -> Card:
         n = sum(len(layer.choice) for layer in self.layers)
@@ -302,7 +303,8 @@ class Choices(Displayed):
         bits = [np.empty(0, dtype=np.uint64), *(layer.bits for layer in self.layers)]
         choice = [np.empty(0, dtype=kind), *(layer.choice for layer in self.layers)]
         joined = {"keys": np.concatenate(keys), "bits": np.concatenate(bits), "choice": np.concatenate(choice)}
-        return {"first": self._first, "last": self._last, "start": start, **joined}
+        first, last = (np.array(steps, dtype=np.int64) for steps in (self._first, self._last))
+        return {"first": first, "last": last, "start": start, **joined}
 
     @classmethod
     def of_arrays(
@@ -329,24 +331,37 @@ class Choices(Displayed):
             before = layer.last
         return True
 
-    def words(self, t: int) -> tuple[I64, NDArray[np.uint64], I64, NDArray[np.unsignedinteger]]:
+    def words(self, t: int) -> Words:
         """keys, bits, the number of choices before each word, and choices of step t; empty if none is listed."""
-        i = int(np.searchsorted(self._first, t, side="right")) - 1
+        i = bisect_right(self._first, t) - 1
         if i < 0 or t > self._last[i]:
-            return read_only(_NO_KEYS), read_only(_NO_BITS), _NO_KEYS, read_only(_NO_CHOICES)
-        layer = self.layers[i]
-        if self._rank[0] != i:
+            return _NONE
+        number, words = self._words
+        if number != i:
+            layer = self.layers[i]
             counts = np.bitwise_count(layer.bits)
-            self._rank = (i, np.cumsum(counts, dtype=np.int64) - counts)
-        return read_only(layer.keys), read_only(layer.bits), self._rank[1], read_only(layer.choice)
+            rank = np.cumsum(counts, dtype=np.int64) - counts
+            words = read_only(layer.keys), read_only(layer.bits), rank, read_only(layer.choice)
+            self._words = i, words
+        return words
 
     def alike(self, t: int) -> tuple[int, int]:
-        i = int(np.searchsorted(self._first, t, side="right")) - 1
+        i = bisect_right(self._first, t) - 1
         if i >= 0 and t <= self._last[i]:
-            return int(self._first[i]), int(self._last[i])
-        before = int(self._last[i]) + 1 if i >= 0 else 0
-        after = int(self._first[i + 1]) - 1 if i + 1 < len(self._first) else self.horizon - 1
+            return self._first[i], self._last[i]
+        before = self._last[i] + 1 if i >= 0 else 0
+        after = self._first[i + 1] - 1 if i + 1 < len(self._first) else self.horizon - 1
         return before, after
+
+    def one(self, t: int, s: int, q: int) -> int:
+        """The choice of one pair; −1 if it is not listed."""
+        keys, bits, rank, choice = self.words(t)
+        wanted, bit = s * self.n_words + q // 64, 1 << q % 64
+        i = int(keys.searchsorted(wanted))
+        if i == len(keys) or keys[i] != wanted:
+            return -1
+        word = int(bits[i])
+        return int(choice[rank[i] + (word & (bit - 1)).bit_count()]) if word & bit else -1
 
     def at(self, t: int, s: Indices, q: Indices) -> I64:
         place, there, bit = self._places(t, s, q)
@@ -366,16 +381,14 @@ class Choices(Displayed):
         place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
         return place, (keys[place] == wanted) & (bits[place] & bit != 0), bit
 
-    def lists(self, t: int, s: Indices, q: Indices) -> NDArray[np.bool_]:
-        """(n,) whether each pair is listed in the layer of step t."""
-        return self._places(t, s, q)[1]
-
     def mixtures(self) -> F64:
         raise NotImplementedError  # not a mixture
 
     def resized(self, shape: tuple[int, int]) -> Choices:
         """The same over more or fewer model or automaton states; listed pairs must still exist."""
         n_words, layers = -(-shape[1] // 64), []
+        if n_words == self.n_words:
+            return Choices(shape, self.horizon, self.layers, self.kind)
         for layer in self.layers:
             s, word = np.divmod(layer.keys, self.n_words)
             layers.append(layer._replace(keys=s * n_words + word))
@@ -406,8 +419,10 @@ def _fits(layer: Listed, n_choices: Indices, n_memories: int, n_words: int) -> b
     return not beyond.any() and bool((choice < np.repeat(n_choices[states], np.bitwise_count(bits))).all())
 
 
-_NO_KEYS, _NO_BITS = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.uint64)
-_NO_CHOICES = np.empty(0, dtype=np.uint8)
+_NO_KEYS = np.empty(0, dtype=np.int64)
+_NONE: Words = (
+    read_only(_NO_KEYS), read_only(np.empty(0, dtype=np.uint64)), _NO_KEYS, read_only(np.empty(0, dtype=np.uint8))
+)  # fmt: skip
 
 
 def listed(first: int, last: int, n_words: int, s: I64, q: I64, choice: NDArray[np.unsignedinteger]) -> Listed:

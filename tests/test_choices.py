@@ -84,3 +84,20 @@ def test_choices_move_to_another_shape(seed, shape):
     for t in range(3):
         assert np.array_equal(moved.row(t)[:4, :64], choices.row(t)[:4, :64])
     assert not moved.row(1)[4:].any()
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=many(30))
+def test_one_pair_has_the_choice_of_many_where_it_is_listed(seed):
+    rng, layers, known = np.random.default_rng(seed), [], {}
+    for first, last in ((1, 1), (2, 4), (6, 6)):
+        codes = np.flatnonzero(rng.random(280) < rng.choice([0, 0.1, 1]))
+        choice = rng.integers(C, size=len(codes)).astype(np.uint8)
+        layers.append(listed(first, last, 2, *np.divmod(codes, 70), choice))
+        known |= {(t, code): a for t in range(first, last + 1) for code, a in zip(codes, choice, strict=True)}
+    form = Choices(SHAPE, 8, layers)
+    for t in rng.permutation(8).tolist():
+        for code in range(280):
+            s, q = divmod(code, 70)
+            assert form.one(t, s, q) == known.get((t, code), -1)
+            assert form.at(t, np.array([s]), np.array([q])) == known.get((t, code), 0)

@@ -143,7 +143,7 @@ class TaskAutomaton(Displayed):
 
     def verdicts(self, t: int) -> NDArray[np.int8]:
         """verdict_t of every state, (n_states,) int8."""
-        row: NDArray[np.int8] = self.verdict_rows[np.searchsorted(self.verdict_starts, t, side="right") - 1]
+        row: NDArray[np.int8] = self.verdict_rows[self.verdict_starts.searchsorted(t, side="right") - 1]
         return row
 
     def judge(self, letters: Sequence[int]) -> tuple[bool, int] | None:

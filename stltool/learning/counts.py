@@ -41,6 +41,7 @@ class Counts(Displayed):
         self._waiting: list[tuple[Whole, Whole]] = []
         self._n_waiting = 0
         self._single: list[tuple[int, int]] = []
+        self._together: tuple[Whole, Whole] | None = None  # the rows of all contexts, once asked for
 
     def _card(self) -> Card:
         visits = self.visits
@@ -140,15 +141,17 @@ class Counts(Displayed):
         if (seen < 1).any() or sum(seen.tolist()) > _MOST:
             raise ValueError("a transition was seen less than once, or too often to be counted")
         self._codes, self._contexts, self._seen = codes.copy(), contexts.copy(), seen.copy()
-        self._waiting, self._n_waiting, self._single = [], 0, []
+        self._waiting, self._n_waiting, self._single, self._together = [], 0, [], None
 
     def _pairs(self) -> tuple[Whole, Whole]:
         """(codes, seen) of all contexts together, ascending."""
         self._settle()
-        if self.n_contexts == 1 or not len(self._codes):
-            return self._codes, self._seen
-        first = np.flatnonzero(np.diff(self._codes, prepend=-1))
-        return self._codes[first], np.add.reduceat(self._seen, first)
+        if self._together is None:
+            self._together = self._codes, self._seen
+            if self.n_contexts > 1 and len(self._codes):
+                first = np.flatnonzero(np.diff(self._codes, prepend=-1))
+                self._together = self._codes[first], np.add.reduceat(self._seen, first)
+        return self._together
 
     def _settle(self) -> None:
         if not self._waiting and not self._single:
@@ -161,9 +164,11 @@ class Counts(Displayed):
         seen = np.concatenate([self._seen, np.ones(len(codes) - len(self._seen), dtype=np.int64)])
         order = np.lexsort((contexts, codes))
         codes, contexts, seen = codes[order], contexts[order], seen[order]
-        first = np.flatnonzero((np.diff(codes, prepend=-1) != 0) | (np.diff(contexts, prepend=-1) != 0))
+        new = np.ones(len(codes), dtype=np.bool_)
+        new[1:] = (codes[1:] != codes[:-1]) | (contexts[1:] != contexts[:-1])
+        first = np.flatnonzero(new)
         self._codes, self._contexts, self._seen = codes[first], contexts[first], np.add.reduceat(seen, first)
-        self._waiting, self._n_waiting, self._single = [], 0, []
+        self._waiting, self._n_waiting, self._single, self._together = [], 0, [], None
 
 
 def _indices(name: str, given: ArrayLike, n: int) -> Whole:

@@ -216,8 +216,7 @@ class Plan:
         """The choice; −1 where it does not say."""
         if isinstance(self.form, np.ndarray):
             return int(self.form[t, s, q])
-        t, here, memory = t - self.since, np.array([s]), np.array([q])
-        return int(self.form.at(t, here, memory)[0]) if self.form.lists(t, here, memory)[0] else -1
+        return self.form.one(t - self.since, s, q)
 
 
 class Planner:

@@ -99,7 +99,7 @@ def required(product, counts, outside, since, optimistic):
         if reached:
             s, q = np.array(sorted(reached)).T
             assert np.array_equal(plan.at(t - since, s, q), wanted[t, s, q])
-            assert plan.lists(t - since, s, q).all()
+            assert [plan.one(t - since, *pair) for pair in sorted(reached)] == wanted[t, s, q].tolist()
         assert int(np.bitwise_count(plan.words(t - since)[1]).sum()) == len(reached)
         reached = {(y, product.enter(y, m)) for x, m in reached for y in after.get(x, ())}
 

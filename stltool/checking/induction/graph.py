@@ -106,7 +106,7 @@ class Joint:
 
 def _around(starts: I64, t: int, last: int) -> tuple[int, int]:
     """The first and the last step of the range that t is in, given where ranges start."""
-    i = int(np.searchsorted(starts, t, side="right"))
+    i = int(starts.searchsorted(t, side="right"))
     return int(starts[i - 1]), int(starts[i]) - 1 if i < len(starts) else last
 
 
