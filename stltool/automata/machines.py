@@ -8,7 +8,8 @@ the fewest states is used:
     each     keep every pending start: no need to wait for a window that begins late
     single   only the first start, with the outer window inside the residual: for pending sets that explode
 
-Every machine is minimised.
+A machine whose part looks back has the registers of registers.py beside that, which its starts share; a register that
+nothing pending depends on is empty. Every machine is minimised.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from stltool.automata.automaton import Part, Remembered, Text
 from stltool.automata.minimise import coarsest_partition, quotient
+from stltool.automata.registers import Recorder, Register, Registers
 from stltool.automata.residuals import FALSE as NO
 from stltool.automata.residuals import TRUE as YES
 from stltool.automata.residuals import ByLetter, Letter, Progression, Residual, Residuals, by_letter
@@ -80,30 +82,39 @@ def machine_of(
     success = table.node(x)[0] == "F"
     watched = table.negation(x) if success else x
     # a part reads only its own atoms: letters that agree on them are explored once
-    own = sorted(table.atoms_in(x))
+    own = {index for index in table.atoms_in(x) if index < len(table.atoms)}
     projected = [tuple(value and i in own for i, value in enumerate(letter)) for letter in letters]
     distinct = sorted(set(projected))
     number = {letter: i for i, letter in enumerate(distinct)}
     reads = np.array([number[letter] for letter in projected], dtype=np.int64)
-    after = Progression(table, distinct)
-    searches = []
+    searches: list[_Search] = []
+    recorder = Recorder(table, table.past_in(x), distinct)
     for method in _methods(table, watched, success):
         negated = success and method != "single"
-        searches.append(_Search(table, watched if negated else x, method, after, negated))
+        searches.append(_Search(table, watched if negated else x, method, recorder, negated))
     fitting = allowed // (_STATE_BYTES + 4 * len(distinct))
-    most = min(most_states, fitting)
+    most, large = min(most_states, fitting), None
     for budget in sorted({min(most, size) for size in (_FIRST_BUDGET, _DEAR, most)}):
         found: list[Machine] = []
         for search in searches:
             room = min([budget, *(max(m.n_states, min(_WORTH_TRYING * m.n_states, _DEAR)) + 16 for m in found)])
             if search.method == "single" and found and found[0].n_states <= _HARDLY_WORSE * search.delay:
                 continue
-            # an obligation can stay open to its last step, and each step is a state
-            if search.grow(room, search.delay):
+            # an obligation can stay open to its last step, and each step is a state, unless it looks back
+            if search.grow(room, 0 if recorder.own else search.delay):
                 found.append(search.machine(reads, flipped))
         if found:
             return min(found, key=lambda machine: machine.n_states)
+        if (large := recorder.too_many(most, table.horizon(x))) is not None:  # exploring on would be in vain
+            break
     phi = table.formula(x)
+    if large is not None:
+        past = table.past[large[0]]
+        raise SizeError(
+            f"the automaton of {phi} grows over {most} states: {table.atom(len(table.atoms) + large[0])} alone has "
+            f"{large[1]:.3g}, since it must remember when {table.formula(past.right)} held in the last {past.b} steps; "
+            "widen its window, or begin it closer to now"
+        )
     if fitting < most_states:
         require_memory(
             (fitting + 1) * (_STATE_BYTES + 4 * len(distinct)),
@@ -182,7 +193,7 @@ class Exploration(Generic[_T]):
 class _Search:
     """The machine of x by one method, found state by state; `negated`: of a watch over ¬φ, inverted."""
 
-    def __init__(self, table: Residuals, x: Residual, method: Method, after: Progression, negated: bool) -> None:
+    def __init__(self, table: Residuals, x: Residual, method: Method, recorder: Recorder, negated: bool) -> None:
         self.table, self.x, self.method, self.negated = table, x, method, negated
         self.obligation = _obligation(table, x, method)
         self.delay = table.horizon(self.obligation)
@@ -191,19 +202,51 @@ class _Search:
         start = _of_kind("begins" if method == "single" else "runs")
         if self.window[0] and method in ("oldest", "until"):
             start = _of_kind("waits", self.window[0])
-        if method == "single":
-            successors = _single(after, self.obligation)
-        elif method == "until":
-            successors = _until(table, x, after)
-        else:
-            successors = _watch(table, self.obligation, self.delay, method, after)
-        self._found = Exploration(start, successors)
-        self.grow = self._found.grow
+        self._recorder = recorder
+        self._steps: dict[Registers, Callable[[_State], Sequence[_State]]] = {}
+        self._plain = None if recorder.own else Exploration(start, self._step(recorder.read(()).after))
+        self._looking_back = Exploration((recorder.empty, start), self._successors)
+        self.grow = self._looking_back.grow if self._plain is None else self._plain.grow
+
+    def _successors(self, state: tuple[Registers, _State]) -> Sequence[tuple[Registers, _State]]:
+        registers, inner = state
+        reading = self._recorder.read(registers)
+        step = self._steps.get(registers)
+        if step is None:
+            step = self._steps[registers] = self._step(reading.after)
+        return [(self._live(now, to), to) for now, to in zip(reading.registers, step(inner), strict=True)]
+
+    def _step(self, after: Progression) -> Callable[[_State], Sequence[_State]]:
+        if self.method == "single":
+            return _single(after, self.obligation)
+        if self.method == "until":
+            return _until(self.table, self.x, after)
+        return _watch(self.table, self.obligation, self.delay, self.method, after)
+
+    def _live(self, registers: Registers, state: _State) -> Registers:
+        """The registers that can still matter; the others are emptied."""
+        kind, _, _, pending = state
+        if kind in ("good", "bad") and (self.method in ("single", "until", "oldest")):
+            return self._recorder.empty
+        if self.method != "single":
+            return registers  # new starts begin at every step
+        own, todo, live = self._recorder.own, list(pending), set[int]()
+        while todo:
+            for number in self.table.past_in(todo.pop()):
+                if number not in live:
+                    live.add(number)
+                    todo += [x for _, x in registers[own.index(number)]]
+        return tuple(register if number in live else () for number, register in zip(own, registers, strict=True))
 
     def machine(self, reads: NDArray[np.int64], flipped: bool) -> Machine:
         """The machine that was found, minimised."""
         table, x, method, obligation = self.table, self.x, self.method, self.obligation
-        states, delta = self._found.states, self._found.delta
+        if self._plain is not None:
+            states, registers, delta = self._plain.states, list[Registers](), self._plain.delta
+        else:
+            delta = self._looking_back.delta
+            states = [state for _, state in self._looking_back.states]
+            registers = [register for register, _ in self._looking_back.states]
         outcome = np.array([{"bad": BAD, "good": GOOD}.get(state[0], OPEN) for state in states], dtype=np.int8)
         if self.negated:  # a violation of ¬φ is a success and is never forgotten
             outcome = np.where(outcome == BAD, GOOD, OPEN).astype(np.int8)
@@ -222,7 +265,14 @@ class _Search:
             delta=small,
             reads=reads,
             outcome=outcome[representative],
-            memory=_Memory(table, [states[i] for i in representative.tolist()], obligation, method, turned),
+            memory=_Memory(
+                table,
+                [states[i] for i in representative.tolist()],
+                obligation,
+                method,
+                turned,
+                _Recall(table, self._recorder.own, [registers[i] for i in representative.tolist() if registers]),
+            ),
             first=a + delay if method not in ("single", "until") else 0,
             last=b + delay if method != "single" else table.horizon(x),
             good_at_end=not self.negated and not (method == "until" and table.node(x)[0] == "U"),
@@ -326,13 +376,25 @@ class _Memory:
     """
 
     def __init__(
-        self, table: Residuals, states: Sequence[_State], obligation: Residual, method: Method, negated: bool
+        self,
+        table: Residuals,
+        states: Sequence[_State],
+        obligation: Residual,
+        method: Method,
+        negated: bool,
+        recall: _Recall,
     ) -> None:
+        self._recall = recall
         self._table, self._obligation, self._method, self._negated = table, obligation, method, negated
         # a phrase needs the first pending start and their number
         self._states = [(kind, waits, ages[:1], xs[:1], len(xs)) for kind, waits, ages, xs in states]
 
     def __call__(self, q: int, text: Text) -> Remembered:
+        found = self._of_starts(q, text)
+        recalled = self._recall(q, text)
+        return replace(found, phrase=f"{found.phrase}; {recalled}") if recalled else found
+
+    def _of_starts(self, q: int, text: Text) -> Remembered:
         table, obligation, method, negated = self._table, self._obligation, self._method, self._negated
         kind, waits, ages, residuals, n_pending = self._states[q]
         if method == "oldest" and table.horizon(obligation) == 0 and kind not in ("waits", "begins"):
@@ -373,7 +435,7 @@ class _Memory:
         if counted is None:
             return found
         index, positive, ends_now = counted
-        psi = text(table.atoms[index])
+        psi = text(table.atom(index))
         if not ends_now:  # else the phrase names what must hold now
             phrase = f"{psi} {'not seen ' if positive else ''}for {_steps(age + 1)}"
         return replace(found, phrase=phrase, subject=psi)
@@ -394,6 +456,36 @@ class _Memory:
             return None
         _, index, positive = table.node(psi)
         return index, positive, window == 0
+
+
+class _Recall:
+    """What the registers of a state remember, in words."""
+
+    def __init__(self, table: Residuals, own: Sequence[int], registers: Sequence[Registers]) -> None:
+        self._table, self._own = table, own
+        self._registers = registers if own else ()
+
+    def __call__(self, q: int, text: Text) -> str:
+        if not self._registers:
+            return ""
+        phrases = [
+            self._phrase(number, register, text)
+            for number, register in zip(self._own, self._registers[q], strict=True)
+            if register
+        ]
+        return ", ".join(phrases)
+
+    def _phrase(self, number: int, register: Register, text: Text) -> str:
+        """`b 2 steps ago`, for the youngest entry; with what is still needed, if that is not known yet."""
+        table, atom = self._table, self._table.past[number]
+        age, x = register[0]
+        seen = text(table.formula(atom.right))
+        if atom.b is None and age == atom.a:
+            when = f"{seen} earlier" if age == 0 else f"{seen} at least {_steps(age + 1)} ago"
+        else:
+            when = f"{seen} {_steps(age + 1)} ago"
+        when = when if x == YES else f"{when} if {text(table.formula(x))}"
+        return when if len(register) == 1 else f"{when} (and {len(register) - 1} earlier)"
 
 
 def _steps(n: int) -> str:

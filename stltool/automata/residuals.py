@@ -11,14 +11,16 @@ Residuals are kept small by equivalences: F splits over ∨ and G over ∧, nest
 windows over one operand are joined, shifts move outwards, and operands implied by another are dropped. `implies` is
 sound but not complete: states that it fails to merge are merged by minimisation. Residuals are integers: equal numbers
 are equal residuals.
+
+φ since[a,b] ψ is an atom, numbered behind those of the formula, whose value at a step is a residual: what is still
+needed for it to hold there (true or false, unless φ or ψ looks ahead). registers.py computes it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import TypeAlias, TypeVar, assert_never
+from typing import NamedTuple, TypeAlias, TypeVar, assert_never
 
-from stltool.errors import FragmentError
 from stltool.logic.formula import (
     Always,
     And,
@@ -52,6 +54,15 @@ FALSE: Residual = 0
 TRUE: Residual = 1
 
 
+class PastAtom(NamedTuple):
+    """left since[a,b] right; no b: back to step 0."""
+
+    a: int
+    b: int | None
+    left: Residual
+    right: Residual
+
+
 class _Implied(dict[tuple[Residual, Residual], bool]):
     """Whether x ⇒ y, computed on first use; a dictionary, since loops look it up millions of times."""
 
@@ -68,11 +79,14 @@ class Residuals:
 
     def __init__(self, atoms: Sequence[Formula]) -> None:
         self.atoms = tuple(atoms)
+        self.past: list[PastAtom] = []  # those inside another come before it
+        self._past_index: dict[PastAtom, int] = {}
         self._atom_index = {psi: i for i, psi in enumerate(self.atoms)}
         self._nodes: list[tuple] = [("false",), ("true",)]  # type: ignore[type-arg]
         self._ids: dict[_Key, Residual] = {("false",): FALSE, ("true",): TRUE}
         self.implied = _Implied(self._implies)
         self._horizons: dict[Residual, int] = {}
+        self._atoms_in: dict[Residual, frozenset[int]] = {}
         self._negations: dict[Residual, Residual] = {}
 
     # ------------------------------------------------------------------------------------------ from formulas
@@ -107,12 +121,47 @@ class Residuals:
             case Release(interval, left, right):
                 join = self.until if negated else self.release
                 return join(interval.a, interval.last, self.residual(left, negated), self.residual(right, negated))
-            case Once() | Historically() | Since() | Trigger() | Rise():
-                raise FragmentError(f"{phi} looks back, which automata do not support yet; only monitors do")
+            case Once(interval, arg):
+                return self._signed(self.since(interval.a, interval.b, TRUE, self.residual(arg)), negated)
+            case Historically(interval, arg):
+                return self._signed(self.since(interval.a, interval.b, TRUE, self.residual(arg, True)), not negated)
+            case Since(interval, left, right):
+                found = self.since(interval.a, interval.b, self.residual(left), self.residual(right))
+                return self._signed(found, negated)
+            case Trigger(interval, left, right):
+                found = self.since(interval.a, interval.b, self.residual(left, True), self.residual(right, True))
+                return self._signed(found, not negated)
+            case Rise(arg):
+                parts = [
+                    self.residual(arg, negated),
+                    self._signed(self.since(1, 1, TRUE, self.residual(arg)), not negated),
+                ]
+                return self.disj(parts) if negated else self.conj(parts)
             case Constant() | Label() | Comparison():
                 raise AssertionError("a formula without temporal operators is an atom")
             case _:
                 assert_never(phi)
+
+    def _signed(self, x: Residual, negated: bool) -> Residual:
+        return self.negation(x) if negated else x
+
+    def since(self, a: int, b: int | None, left: Residual, right: Residual) -> Residual:
+        """The atom left since[a,b] right."""
+        if right == FALSE or b == 0 or (right == TRUE and a == 0):
+            return right
+        if left == FALSE:
+            return right if a == 0 else FALSE
+        node = self._nodes[right]
+        if left == TRUE and node[0] == "atom" and node[1] >= len(self.atoms) and node[2]:
+            inner = self.past[node[1] - len(self.atoms)]
+            if inner.left == TRUE:  # windows of once add up, cuts included
+                both = None if b is None or inner.b is None else b + inner.b
+                return self.since(a + inner.a, both, TRUE, inner.right)
+        key = PastAtom(a, b, left, right)
+        if key not in self._past_index:
+            self._past_index[key] = len(self.past)
+            self.past.append(key)
+        return self._node("atom", len(self.atoms) + self._past_index[key], True)
 
     def _atom(self, psi: Formula, negated: bool) -> Residual:
         while isinstance(psi, Not):
@@ -306,18 +355,41 @@ class Residuals:
                     value = b + self.horizon(y)
                 case ("U", _, b, y, z) | ("R", _, b, y, z):
                     value = b + max(self.horizon(y), self.horizon(z))
+                case ("atom", index, _) if index >= len(self.atoms):
+                    now = self.past[index - len(self.atoms)]
+                    value = max(self.horizon(now.left) if now.b != 0 else 0, self.horizon(now.right) - now.a, 0)
                 case _:
                     value = 0
             self._horizons[x] = value
         return self._horizons[x]
 
     def atoms_in(self, x: Residual) -> frozenset[int]:
-        """The indices of the atoms in x."""
-        node = self._nodes[x]
-        if node[0] == "atom":
-            return frozenset((node[1],))
-        below = node[1] if node[0] in ("and", "or") else node[3:]
-        return frozenset().union(*(self.atoms_in(part) for part in below))
+        """The indices of the atoms that x reads, also through atoms of the past, which count, too."""
+        if x not in self._atoms_in:
+            node, own = self._nodes[x], frozenset[int]()
+            below = node[1] if node[0] in ("and", "or") else node[3:]
+            if node[0] == "atom":
+                own, below = frozenset((node[1],)), ()
+                if node[1] >= len(self.atoms):
+                    below = self.past[node[1] - len(self.atoms)][2:]
+            self._atoms_in[x] = own.union(*(self.atoms_in(part) for part in below))
+        return self._atoms_in[x]
+
+    def past_in(self, x: Residual) -> list[int]:
+        """The numbers of the atoms of the past that x depends on, those inside another before it."""
+        n = len(self.atoms)
+        return sorted(index - n for index in self.atoms_in(x) if index >= n)
+
+    def atom(self, index: int) -> Formula:
+        """An atom as a formula."""
+        from stltool.logic.formula import Interval
+
+        if index < len(self.atoms):
+            return self.atoms[index]
+        a, b, left, right = self.past[index - len(self.atoms)]
+        if left == TRUE:
+            return Once(Interval(a, b), self.formula(right))
+        return Since(Interval(a, b), self.formula(left), self.formula(right))
 
     def implies(self, x: Residual, y: Residual) -> bool:
         """Whether x ⇒ y follows from the structure. Sound; False may mean "not found"."""
@@ -374,7 +446,7 @@ class Residuals:
             case ("false",) | ("true",):
                 return Constant(x == TRUE)
             case ("atom", index, positive):
-                return self.atoms[index] if positive else Not(self.atoms[index])
+                return self.atom(index) if positive else Not(self.atom(index))
             case ("and", parts):
                 return And(tuple(self.formula(part) for part in parts))
             case ("or", parts):
@@ -395,9 +467,17 @@ class Progression:
     """The progression of residuals through a letter, for all letters at once."""
 
     def __init__(self, table: Residuals, letters: Sequence[Letter]) -> None:
-        """`letters`: truth values of the table's atoms."""
-        self._table, self._letters = table, letters
+        """`letters`: truth values of the table's atoms; those of atoms of the past come with `assign`."""
+        self._table = table
+        self._n_letters = len(letters)
+        self._columns: dict[int, ByLetter] = {
+            i: tuple([TRUE if letter[i] else FALSE for letter in letters]) for i in range(len(table.atoms))
+        }
         self._known: dict[Residual, ByLetter] = {}
+
+    def assign(self, index: int, values: ByLetter) -> None:
+        """What an atom of the past still needs to hold at this step, before anything that reads it progresses."""
+        self._columns[index] = values
 
     def __call__(self, x: Residual) -> ByLetter:
         """progress(x, letter) for every letter."""
@@ -412,7 +492,8 @@ class Progression:
             case ("false",) | ("true",):
                 return self._always(x)
             case ("atom", index, positive):
-                return tuple(TRUE if letter[index] == positive else FALSE for letter in self._letters)
+                column = self._columns[index]
+                return column if positive else tuple([table.negation(value) for value in column])
             case ("and", parts):
                 return by_letter(table.conj, *map(self, parts))
             case ("or", parts):
@@ -437,7 +518,7 @@ class Progression:
                 raise AssertionError(other)
 
     def _always(self, x: Residual) -> ByLetter:
-        return (x,) * len(self._letters)
+        return (x,) * self._n_letters
 
 
 def by_letter(make: Callable[[ByLetter], _Made], *columns: ByLetter) -> tuple[_Made, ...]:

@@ -182,6 +182,8 @@ class _Tape:
         if block.end != "open":
             self.stride += max(self._looks_past_the_end(now) for now in self.instructions if now.op not in PAST)
         self.length = block.rows * self.stride
+        if block.end == "open" and machine.program.has_past:  # a part may look further ahead than the formula does
+            self.length += max(now.horizon or 0 for now in self.instructions)
         self.pool = machine.pool(algebra.dtype, self.length)
         self.values: dict[int, Array] = {}
 
@@ -199,7 +201,7 @@ class _Tape:
         return self._rows(buffer)[:, :steps][:, self.block.results]
 
     def _rows(self, buffer: Array) -> Array:
-        return buffer[: self.length].reshape(self.block.rows, self.stride)
+        return buffer[: self.block.rows * self.stride].reshape(self.block.rows, self.stride)
 
     def step(self, number: int, now: Instruction) -> None:
         """Compute the value of an operator, and free values after their last use."""

@@ -287,12 +287,12 @@ class _Machine:
         result, covered, span = x, 0, 1
         while True:
             if width & span:
-                n = len(x) - covered
+                n = max(len(x) - covered, 0)
                 result = self.smax(result[:n], x[covered:]) if covered else x
                 covered += span
             if covered == width:
                 return result
-            x = self.smax(x[: len(x) - span], x[span:])
+            x = self.smax(x[: max(len(x) - span, 0)], x[span:])
             span *= 2
 
     def until(self, A: _Soft, B: _Soft, width: int) -> _Soft:
@@ -300,13 +300,13 @@ class _Machine:
         firsts, result, covered, span = A, B, 0, 1
         while True:
             if width & span:
-                n = len(B) - covered
+                n = max(len(B) - covered, 0)
                 result = self.smax(result[:n], self.smin(firsts[:n], B[covered:])) if covered else B
                 firsts = self.smin(firsts[:n], A[covered:]) if covered else A
                 covered += span
             if covered == width:
                 return result
-            n = len(B) - span
+            n = max(len(B) - span, 0)
             A, B = self.smin(A[:n], A[span:]), self.smax(B[:n], self.smin(A[:n], B[span:]))
             span *= 2
 
