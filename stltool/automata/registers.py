@@ -123,7 +123,7 @@ class Recorder:
 
 
 def _sequences(length: int, shortest: int) -> int:
-    """The sequences of so many truth values in which "true" lasts at least `shortest` steps, except at the beginning."""
+    """The sequences of truth values in which "true" lasts at least `shortest` steps, except at the beginning."""
     ends_false = [1]  # by length; the empty sequence counts
     total = 0  # of those in `ends_false` that are long enough for another stretch of "true"
     for n in range(1, length + 1):

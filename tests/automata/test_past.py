@@ -115,7 +115,7 @@ def test_patterns_on_every_trace(text):
     ],
 )
 def test_sizes(text, states):
-    """One more than the states of the window, for a failure; counts of minimal Mealy machines, by hand and by search."""
+    """One more than the states of the window, for a failure: counts of minimal Mealy machines, found by search."""
     assert stl.compile_automaton(stl.parse(text)).n_states == states
 
 
