@@ -37,10 +37,12 @@ from stltool.logic.formula import (
     variables,
 )
 from stltool.logic.names import near_names
+from stltool.logic.shifts import has_delays
 from stltool.logic.task import Task
 from stltool.models import MDP
 from stltool.models.sensing import Atom
 from stltool.monitoring.states import truth
+from stltool.monitoring.values import by_values
 from stltool.sizes import require_memory
 from stltool.source import Span
 
@@ -52,6 +54,7 @@ class Product(Displayed):
     letter        (n_model_states,) int32: the automaton's letter L(s) of each model state
     task_name     the name of the definition if the formula came from a task file
     definitions   the task file's formulas without temporal operators, which reports call by their names
+    notes         comparisons of several steps, and the cases over values of the model that they were rewritten into
     """
 
     model: MDP
@@ -59,6 +62,7 @@ class Product(Displayed):
     letter: NDArray[np.int32]
     task_name: str = "formula"
     definitions: Mapping[str, Formula] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         require(self.model, MDP, "Product's model")
@@ -275,6 +279,12 @@ def build_product(
     sensing = model.sensing
     earlier = itertools.takewhile(lambda known: known != name, task.definitions) if isinstance(task, Task) else ()
     require_names(model, formula, task if isinstance(task, Task) else None, tuple(earlier))
+    if sensing is not None and has_delays(formula):
+        raise SettingsError(
+            f"{model.name} is a black box with real signals, which have no finite set of values; a comparison of "
+            "several steps, such as x[t+1] - x[t] > 0, needs one: record the difference as a signal of its own"
+        )
+    formula, cases = by_values(formula, model.signals)
     atoms = atoms_of(formula, encoding)
     if sensing is not None:
         model, told, code = sensing.bound(model, list(map(_sensed, atoms)))
@@ -289,7 +299,7 @@ def build_product(
     values = ((truth(psi, model.signals, model.labels, model.n_states), 2) for psi in atoms)
     valuations, which = _distinct(values, model.n_states)
     automaton = compile_automaton(formula, encoding, valuations != 0, memory_limit, most_states)
-    return Product(model, automaton, automaton.letter_of[which], name, named)
+    return Product(model, automaton, automaton.letter_of[which], name, named, tuple(map(str, cases)))
 
 
 def require_names(model: MDP, formula: Formula, task: Task | None, definitions: Sequence[str]) -> None:

@@ -20,6 +20,7 @@ from stltool.automata.windows import window_automaton
 from stltool.errors import FragmentError, InexactEncodingWarning, SettingsError, SizeError
 from stltool.logic.formula import Formula, atoms, boolean_value, bounded_formula_of
 from stltool.logic.fragment import Fragment, check_fragment
+from stltool.logic.shifts import delayed
 from stltool.logic.task import Task
 from stltool.sizes import require_limit
 
@@ -32,7 +33,7 @@ _MOST_ATOMS = 14  # up to here, all valuations of the predicates can be tabulate
 
 def atoms_of(phi: Formula | Task, encoding: Encoding = "exact") -> tuple[Formula, ...]:
     """The Boolean formulas whose truth the automaton of φ reads in this encoding, left to right."""
-    phi = bounded_formula_of(phi, "the automaton's formula")
+    phi = delayed(bounded_formula_of(phi, "the automaton's formula")).formula
     one_of(encoding, "encoding", ENCODINGS)
     if encoding == "paper":
         return tuple(part.psi for part in check_fragment(phi).parts)
@@ -54,7 +55,7 @@ def compile_automaton(
     over `most_states`, compilation stops with a SizeError that names the part at fault. Raises FragmentError for
     "paper" only.
     """
-    phi = bounded_formula_of(phi, "compile_automaton's formula")
+    phi = delayed(bounded_formula_of(phi, "compile_automaton's formula")).formula
     read = atoms_of(phi, encoding)
     most_states = whole(most_states, "most_states", least=1)
     if memory_limit is not None:

@@ -46,6 +46,7 @@ from stltool.logic.formula import (
 )
 from stltool.logic.occurrences import occurrences, with_replaced
 from stltool.logic.rewrite import OPPOSITE, simplify
+from stltool.logic.shifts import delayed
 from stltool.logic.task import Task
 
 MOST_EFFORT = 60_000  # states times letters explored: about a second
@@ -212,7 +213,7 @@ def meaning(
     letters; `status` reports what it left open. Raises StlSyntaxError for a formula without a horizon, and
     SettingsError for valuations of the wrong shape.
     """
-    phi = bounded_formula_of(phi, "meaning's formula")
+    phi = delayed(bounded_formula_of(phi, "meaning's formula")).formula
     most_effort = whole(most_effort, "most_effort", least=0)
     if valuations is not None:
         valuations = truth_table(valuations, len(leaves(phi)), "leaves(formula)")

@@ -212,9 +212,13 @@ def task_model(task: Task, model: Path | None, normalize: bool = False) -> MDP:
 
 def bind(task: Task, model: MDP, encoding: str) -> Product:
     import stltool as stl
+    from stltool.reporting.terminal import note
 
     with warnings_shown():
-        return stl.build_product(model, task, encoding)  # type: ignore[arg-type]  # checked there, with a message
+        product = stl.build_product(model, task, encoding)  # type: ignore[arg-type]  # checked there, with a message
+    for told in product.notes:
+        note(told)
+    return product
 
 
 def compile_task(task: Task, encoding: str) -> TaskAutomaton:

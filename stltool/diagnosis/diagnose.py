@@ -26,13 +26,16 @@ from stltool.logic.formula import (
     Since,
     Until,
     children,
+    formula_of,
     is_temporal,
     lookback,
 )
 from stltool.logic.quantities import Duration
+from stltool.logic.shifts import Delayed
 from stltool.logic.task import Task
 from stltool.monitoring.blocks import BlockEnd
 from stltool.monitoring.offline import monitor, prepare
+from stltool.monitoring.program import compile_delayed
 from stltool.monitoring.samples import End, Traces
 
 _CUT, _HOLD = named("end", 'end="cut"'), named("end", 'end="hold"')
@@ -138,10 +141,10 @@ def diagnose(
     one_of(end, "end", get_args(End))
     t = whole(t, "diagnose's step t", least=0)
     function(progress, "diagnose's progress")
-    formula, traces = prepare(phi, signals, end, "diagnose")
+    formula, traces, beyond = prepare(phi, signals, end, "diagnose")
     if traces.batch:
         raise TraceError("diagnose explains one trace, (n_steps,); give one row of the batch, as in {'x': x[3]}")
-    first, knowledge, real = _around(formula, traces, t, end)
+    first, knowledge, real = _around(formula, traces, t, end, beyond)
     everything = np.ones((knowledge.block.steps, len(knowledge.names)), dtype=np.bool_)
     whole_sheet = Sheet(knowledge, everything)
     at = t - first
@@ -158,32 +161,49 @@ def diagnose(
     kept = cause.kept[:real]
     story = _Story(whole_sheet if by_cases else sheet, traces, first, end)
     steps = {name: first + np.flatnonzero(column) for name, column in zip(knowledge.names, kept.T, strict=True)}
+    values = {name: traces.arrays[name][0, found] for name, found in steps.items()}
+    doubt = cause.doubt
+    given = formula_of(phi, "diagnose's formula")
+    if (made := compile_delayed(given)[0]).starts or made.signals:
+        steps = _read_at(made, steps, traces.n_steps - beyond)
+        values = {name: np.asarray(signals[name])[found] for name, found in steps.items()}
+        doubt = doubt or "comparisons read several steps, whose samples were taken for independent ones"
     return Diagnosis(
-        formula,
+        given,
         t,
         value > 0,
         end,
         steps,
-        {name: traces.arrays[name][0, found] for name, found in steps.items()},
-        cause.doubt,
+        values,
+        doubt,
         story.tell(formula, root, value),
         by_cases,
         phi.step if isinstance(phi, Task) else None,
     )
 
 
-def _around(formula: Formula, traces: Traces, t: int, end: End) -> tuple[int, Knowledge, int]:
+def _read_at(made: Delayed, steps: Mapping[str, NDArray[np.int64]], n: int) -> dict[str, NDArray[np.int64]]:
+    """The samples themselves, given those of signals that hold earlier ones; n samples are not held."""
+    found: dict[str, set[int]] = {}
+    for name, at in steps.items():
+        if name not in made.starts:
+            base, back = made.signals.get(name, (name, 0))
+            found.setdefault(base, set()).update(np.clip(at - back, 0, n - 1).tolist())
+    return {name: np.array(sorted(at), dtype=np.int64) for name, at in sorted(found.items())}
+
+
+def _around(formula: Formula, traces: Traces, t: int, end: End, beyond: int) -> tuple[int, Knowledge, int]:
     """The part of the trace on which the verdict at t depends: its first step, what is known there, and its length.
 
     If samples are held for operators of the past, the block is longer than that.
     """
     h, n = traces.program.horizon, traces.n_steps
-    judged = n if end != "error" or h is None else n - h
+    judged = n - beyond if end != "error" or h is None else n - h
     if t >= judged:
         advice = f", or {_CUT} or {_HOLD}" if end == "error" else ""
         raise SettingsError(
-            f"step {t} is not judged: the trace has {n} samples, and the horizon is {h}; give one of the steps "
-            f"0 … {judged - 1}, or a longer trace{advice}"
+            f"step {t} is not judged: the trace has {n - beyond} samples, and the horizon is {h}; give one of the "
+            f"steps 0 … {judged - 1}, or a longer trace{advice}"
         )
     stop = n if h is None else min(t + h + 1, n)
     whole_windows = h is not None and t + h < n

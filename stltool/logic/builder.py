@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from fractions import Fraction
 from typing import NoReturn, TypeVar, cast, get_args
 
@@ -55,6 +56,7 @@ from stltool.logic.formula import (
 from stltool.logic.names import unquoted, written
 from stltool.logic.printer import term_text
 from stltool.logic.quantities import STEP, UNITS, Duration, Quantity, one
+from stltool.logic.shifts import settled
 from stltool.logic.syntax import INFINITY, INFIXES, PAST_PREFIXES, WORDS, Branch, SyntaxFault, Token, bare, branches
 from stltool.numbers import NumberError, double, number_text, read
 from stltool.source import Source, Span
@@ -84,6 +86,10 @@ def _dividing(value: Fraction) -> Duration:
     """A step of which so many seconds are a multiple."""
     tenth = Fraction(1, 10)
     return Duration(tenth if (value / tenth).denominator == 1 else Fraction(1, value.denominator))
+
+
+def _mentions_t(tree: Branch) -> bool:
+    return any(str(part.children[0]) == "t" for part in tree.find_data("name"))
 
 
 class Builder:
@@ -411,7 +417,7 @@ class Builder:
                 return Rise(Not(self.formula(parts[0]), span=span), span=span)
             case "comparison":
                 left, op, right = parts
-                return Comparison(self.comparator(op), self.term(left), self.term(right), span=span)
+                return settled(Comparison(self.comparator(op), self.term(left), self.term(right), span=span))
             case "chained":
                 self.fail(tree, f"comparisons cannot be chained; write ({self.unchained(tree)})")
             case "number" | "binary" | "negate" | "call" | "time" | "sample":
@@ -669,22 +675,35 @@ class Builder:
         return self.variable(tree, name)
 
     def sample(self, tree: Branch) -> Term:
-        """Breach's `x[t]`: the value of the signal at the evaluation step."""
+        """Breach's `x[t]`: the value of the signal at the evaluation step; `x[t+k]` and `x[t-k]`: at others."""
         token, index = cast(tuple[Token, Branch], tuple(tree.children))
         name, quoted = unquoted(str(token)), token.type == "STRING"
-        if index.data != "name" or str(index.children[0]) != "t":
-            self.fail(
-                tree,
-                f"a predicate reads a single step, {name}[t]; record {self.span(tree).text()} as a signal of its own "
-                "(for a truth value one step later, write F[1,1] a)",
-            )
+        delay = -self.shift(tree, index)
         if quoted:
-            self.require_name(token)
-            return Variable(name, span=self.span(tree))
+            return Variable(unquoted(str(self.require_name(token))), delay, span=self.span(tree))
         if name in self.params or name in self.definitions:
             self.fail(tree, f"{name} is a {'param' if name in self.params else 'definition'}, not a signal; drop [t]")
         self.pass_over(name)
-        return self.variable(tree, name)
+        return replace(self.variable(tree, name), delay=delay)
+
+    def shift(self, tree: Branch, index: Branch) -> int:
+        """How many steps after t a sample is read: 0 for t, 2 for t + 2."""
+        index = bare(index)
+        parts = branches(index)
+        if index.data == "name" and str(parts[0]) == "t":
+            return 0
+        if index.data == "binary" and str(parts[1]) in "+-":
+            left, right = parts[0], parts[2]
+            if _mentions_t(left):
+                return self.shift(tree, left) + (1 if str(parts[1]) == "+" else -1) * self.whole_steps(right)
+            if str(parts[1]) == "+":
+                return self.whole_steps(left) + self.shift(tree, right)
+        name = str(tree.children[0])
+        self.fail(
+            tree,
+            f"a sample is read at the step t, or some steps after or before it; write {name}[t], {name}[t+1] or "
+            f"{name}[t-1]",
+        )
 
     def variable(self, tree: Branch, name: str) -> Variable:
         span = self.span(tree)

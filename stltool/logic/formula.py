@@ -66,9 +66,13 @@ class Number(Node):
 
 @dataclass(frozen=True, slots=True)
 class Variable(Node):
-    """The value of a named signal at the evaluation step."""
+    """The value of a named signal, `delay` steps before the evaluation step.
+
+    A comparison is false at steps that lie before those it reads (logic/shifts.py).
+    """
 
     name: str
+    delay: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -476,7 +480,9 @@ def _lookback(phi: Formula) -> int | None:
             return _back(below[0], 1)
         case Not() | And() | Or() | Implies() | Iff():
             return _furthest(*below)
-        case Constant() | Label() | Comparison():
+        case Comparison():
+            return delay(phi)
+        case Constant() | Label():
             return 0
         case _:
             assert_never(phi)
@@ -497,8 +503,10 @@ def is_bounded(phi: Formula) -> bool:
 
 
 def is_temporal(phi: Formula) -> bool:
-    """Whether the formula contains a temporal operator."""
-    return any(isinstance(node, FUTURE + PAST) for node in walk(phi))
+    """Whether the formula contains a temporal operator, or a comparison that reads earlier steps."""
+    return any(
+        isinstance(node, FUTURE + PAST) or (isinstance(node, Comparison) and delay(node) > 0) for node in walk(phi)
+    )
 
 
 def has_past(phi: Formula) -> bool:
@@ -566,6 +574,11 @@ def variables(phi: Formula) -> dict[str, Span | None]:
             for variable in term_variables(node.left) + term_variables(node.right):
                 found.setdefault(variable.name, variable.span)
     return found
+
+
+def delay(phi: Comparison) -> int:
+    """How many steps before the evaluation step a comparison reads, at most."""
+    return max((variable.delay for variable in term_variables(phi.left) + term_variables(phi.right)), default=0)
 
 
 def label_names(phi: Formula) -> dict[str, Span | None]:

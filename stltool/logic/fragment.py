@@ -34,6 +34,7 @@ from stltool.logic.formula import (
     walk,
     with_children,
 )
+from stltool.logic.shifts import delayed
 from stltool.logic.task import Task
 
 Operator = Literal["F", "G"]
@@ -84,7 +85,7 @@ class Fragment(Displayed):
 
 def check_fragment(phi: Formula | Task) -> Fragment:
     """Decompose φ according to the paper's fragment; FragmentError names what is outside it."""
-    phi = bounded_formula_of(phi, "check_fragment's formula")
+    phi = delayed(bounded_formula_of(phi, "check_fragment's formula")).formula
     if has_past(phi):
         first = next(node for node in walk(phi) if isinstance(node, PAST))
         raise FragmentError(

@@ -145,8 +145,9 @@ def _term(term: Term) -> _TermText:
     match term:
         case Number(value):
             return (str(int(value)) if value.is_integer() and value < 1e16 else repr(value)), STRENGTH["atom"]
-        case Variable(name):
-            return written(name), STRENGTH["atom"]
+        case Variable(name, delay):
+            read = f"[t{-delay:+d}]" if delay else ""
+            return f"{written(name)}{read}", STRENGTH["atom"]
         case Negate(arg):
             return negated(_term(arg)), STRENGTH["negate"]
         case Arithmetic(op, left, right):

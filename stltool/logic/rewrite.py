@@ -44,6 +44,7 @@ from stltool.logic.formula import (
     Trigger,
     Until,
     children,
+    delay,
     formula_of,
     walk,
 )
@@ -83,7 +84,7 @@ def _own_operators(phi: Formula) -> int:
 
 
 def negation_normal_form(phi: Formula | Task, most_operators: int = MOST_OPERATORS) -> Formula:
-    """φ with negations in front of labels only, and without implications and equivalences.
+    """φ with negations in front of labels, and of comparisons that read earlier steps, only, and without -> and <->.
 
     Truth and robustness stay the same at every step, also for traces that end inside a window. An equivalence and a
     rise repeat their operands: SizeError if this gives more than `most_operators`.
@@ -120,6 +121,8 @@ def _nnf_node(phi: Formula, negated: bool, known: dict[tuple[int, bool], Formula
         case Constant(value):
             return Constant(value != negated, span=span)
         case Label():
+            return Not(phi, span=span) if negated else phi
+        case Comparison() if delay(phi):  # false at steps before its samples exist, as its opposite would be
             return Not(phi, span=span) if negated else phi
         case Comparison(op, left, right):
             return Comparison(OPPOSITE[op], left, right, span=span) if negated else phi
@@ -269,7 +272,7 @@ class _Simplifier:
         op, left, right = phi.op, phi.left, phi.right
         if op in (">", ">="):
             op, left, right = MIRROR[op], right, left
-        return self._part(phi, (op, left, right), (), growth=0)
+        return self._part(phi, (op, left, right), (), growth=1 if delay(phi) else 0)
 
     # ------------------------------------------------------------------------------------------ Boolean operators
 
@@ -288,6 +291,8 @@ class _Simplifier:
             case Constant(value):
                 return self.constant(not value, phi.span)
             case Comparison(op, left, right):
+                if delay(phi):
+                    return self._part(Not(phi, span=span), ("not", x.key), (x,), growth=-1)
                 return self.comparison(Comparison(OPPOSITE[op], left, right, span=phi.span))
             case Not():
                 return operands[0]

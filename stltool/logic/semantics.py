@@ -58,6 +58,7 @@ from stltool.logic.formula import (
     Trigger,
     Until,
     Variable,
+    delay,
     formula_of,
     horizon,
     label_names,
@@ -162,6 +163,8 @@ def _true(phi: Formula, signal: Mapping[str, NDArray[np.float64]], t: int) -> bo
             return value
         case Label(name):
             return bool(signal[name][t])
+        case Comparison() if delay(phi) > t:
+            return False
         case Comparison(op, left, right):
             return _decided(phi, COMPARE[op], _value(left, signal, t), _value(right, signal, t))
         case Not(arg):
@@ -214,6 +217,8 @@ def _margin(phi: Formula, signal: Mapping[str, NDArray[np.float64]], t: int) -> 
             return math.inf if value else -math.inf
         case Label(name):
             return math.inf if signal[name][t] else -math.inf
+        case Comparison() if delay(phi) > t:
+            return -math.inf
         case Comparison(_, left, right):
             return _as_double(phi, _value(left, signal, t), _value(right, signal, t))
         case Not(arg):
@@ -323,8 +328,8 @@ def _value(term: Term, signal: Mapping[str, NDArray[np.float64]], t: int) -> Rea
     match term:
         case Number(value):
             return exact(value)
-        case Variable(name):
-            return exact(signal[name][t])
+        case Variable(name, steps):
+            return exact(signal[name][t - steps])
         case Negate(arg):
             return -_value(arg, signal, t)
         case Arithmetic(op, left, right):

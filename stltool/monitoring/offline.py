@@ -44,8 +44,8 @@ from stltool.logic.formula import (
 )
 from stltool.logic.task import Task
 from stltool.monitoring.blocks import Machine
-from stltool.monitoring.program import compile_formula
-from stltool.monitoring.samples import End, Traces, read_traces
+from stltool.monitoring.program import compile_delayed, compile_formula
+from stltool.monitoring.samples import End, Traces, read_traces, with_earlier
 
 Semantics = Literal["both", "boolean", "robustness"]
 
@@ -122,13 +122,23 @@ def monitor(
     missing, and StlSyntaxError if an interval has no end and `end` is "error".
     """
     one_of(semantics, "semantics", get_args(Semantics))
-    formula, traces = prepare(phi, signals, end, "monitor")
+    formula, traces, beyond = prepare(phi, signals, end, "monitor")
     truth, margins = semantics != "robustness", semantics != "boolean"
-    outs = judge(formula, traces, end, truth, margins)
+    outs = [without_last(out, beyond) for out in judge(formula, traces, end, truth, margins)]
     outs = outs if traces.batch else [out[0] for out in outs]
     return MonitorResult(
-        formula, end, traces.n_steps, traces.program.horizon, outs[0] if truth else None, outs[-1] if margins else None
+        formula_of(phi, "monitor's formula"),
+        end,
+        traces.n_steps - beyond,
+        traces.program.horizon,
+        outs[0] if truth else None,
+        outs[-1] if margins else None,
     )
+
+
+def without_last(out: NDArray[Any], n: int) -> NDArray[Any]:
+    """Steps (n_traces, n_steps) without the last n."""
+    return out[:, : out.shape[1] - n]
 
 
 def judge(formula: Formula, traces: Traces, end: End, truth: bool, margins: bool) -> list[NDArray[Any]]:
@@ -145,15 +155,22 @@ def judge(formula: Formula, traces: Traces, end: End, truth: bool, margins: bool
     return outs
 
 
-def prepare(phi: Formula | Task, signals: Mapping[str, ArrayLike], end: End, caller: str) -> tuple[Formula, Traces]:
-    """The formula and the traces it reads. Raises what `monitor` raises, except for faults of single samples."""
-    formula = formula_of(phi, f"{caller}'s formula")
+def prepare(
+    phi: Formula | Task, signals: Mapping[str, ArrayLike], end: End, caller: str
+) -> tuple[Formula, Traces, int]:
+    """The formula as it is judged, the traces it reads, and the number of their steps that were added to hold the last.
+
+    Raises what `monitor` raises, except for faults of single samples.
+    """
+    given = formula_of(phi, f"{caller}'s formula")
     mapping(signals, f"{caller}'s signals", oracle.SIGNALS)
-    program = compile_formula(formula)
+    made, program = compile_delayed(given)
+    formula = made.formula
     one_of(end, "end", get_args(End))
     if end == "error" and program.horizon is None:
         horizon(formula)  # raises, with the position of the interval without end
-    return formula, read_traces(program, signals)
+    held = end == "hold"
+    return formula, read_traces(program, with_earlier(made, signals, held)), made.longest * held
 
 
 def decided_steps(traces: Traces, end: End) -> int:

@@ -31,8 +31,8 @@ from stltool.logic.names import near_names
 from stltool.logic.task import Task
 from stltool.monitoring.comparisons import Predicate
 from stltool.monitoring.offline import judge
-from stltool.monitoring.program import Atom, Instruction, compile_formula
-from stltool.monitoring.samples import WHOLE, Traces
+from stltool.monitoring.program import Atom, Instruction, compile_delayed
+from stltool.monitoring.samples import WHOLE, Earlier, Traces
 
 Sample: TypeAlias = Mapping[str, float]
 _Value: TypeAlias = tuple[float, bool]
@@ -64,7 +64,8 @@ class OnlineMonitor(Displayed):
 
     def __init__(self, phi: Formula | Task) -> None:
         self.formula = bounded_formula_of(phi, "OnlineMonitor's formula")
-        self._program = compile_formula(self.formula)
+        made, self._program = compile_delayed(self.formula)
+        self._judged, self._earlier = made.formula, Earlier(made)
         if self._program.has_past:
             raise FragmentError(f"{self.formula} looks back, which online monitors do not support yet; use monitor")
         instructions = self._program.instructions
@@ -93,12 +94,14 @@ class OnlineMonitor(Displayed):
         true nor false), or gives a predicate no value or no margin. A refused sample leaves the monitor unchanged.
         """
         mapping(sample, "feed's sample", "{'x': 0.5}")
-        values = self._read(sample)
+        bases = {name: self._real(name, self._given(name, sample)) for name in self._earlier.kept}
+        values = self._read({**sample, **self._earlier.of(bases)} if self._earlier.made.starts or bases else sample)
         try:
             atoms = [(i, atom(values)) for i, atom in self._atoms]
         except TraceError as error:
             raise TraceError(f"step {self.n_steps}: {error}") from None
         value = self._network.advance(atoms)
+        self._earlier.keep(bases)
         self._last.append(values)
         self.n_steps += 1
         if self.n_steps <= self.horizon:
@@ -111,12 +114,15 @@ class OnlineMonitor(Displayed):
         n = len(self._last)
         if n == 0:
             return []
+        samples = list(self._last)
+        if end == "hold":
+            samples += [{**samples[-1], **made} for made in self._earlier.held()]
         arrays = {
-            name: np.array([[sample[name] for sample in self._last]])
+            name: np.array([[sample[name] for sample in samples]])
             for name in (*self._program.variables, *self._program.labels)
         }
-        traces = Traces(arrays, self._program, 1, n, batch=False, first_step=self.n_steps - n)
-        truth, margins = judge(self.formula, traces, end, True, True)
+        traces = Traces(arrays, self._program, 1, len(samples), batch=False, first_step=self.n_steps - n)
+        truth, margins = (found[:, :n] for found in judge(self._judged, traces, end, True, True))
         found = zip(range(self.n_steps - n, self.n_steps), truth[0].tolist(), margins[0].tolist(), strict=True)
         return [Decision(*decision) for decision in found]
 

@@ -41,7 +41,9 @@ from stltool.logic.formula import (
     Since,
     Trigger,
     Until,
+    delay,
 )
+from stltool.logic.shifts import Delayed, delayed
 from stltool.monitoring.comparisons import Predicate
 from stltool.source import Span
 
@@ -102,6 +104,11 @@ def compile_formula(phi: Formula) -> Program:
     return _compile(_Same(phi))
 
 
+def compile_delayed(phi: Formula) -> tuple[Delayed, Program]:
+    """A formula that may read earlier samples as the monitors read it, and its program; kept likewise."""
+    return _compile_delayed(_Same(phi))
+
+
 class _Same:
     """A key for a formula that compares the object: hashing its nodes would cost more than compiling them."""
 
@@ -115,6 +122,12 @@ class _Same:
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Same) and self.phi is other.phi
+
+
+@lru_cache(maxsize=8)
+def _compile_delayed(key: _Same) -> tuple[Delayed, Program]:
+    made = delayed(key.phi, once=True)
+    return made, compile_formula(made.formula)
 
 
 @lru_cache(maxsize=8)
@@ -146,6 +159,8 @@ class _Compiler:
                 self.labels.setdefault(name, phi.span)
                 return self._atom(phi, phi)
             case Comparison():
+                if delay(phi):
+                    raise ValueError(f"{phi} reads earlier samples; compile_delayed makes signals of them")
                 if phi in self.numbers:
                     return self.numbers[phi]
                 predicate = Predicate(phi)

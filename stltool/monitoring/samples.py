@@ -6,6 +6,7 @@ Samples are checked block by block, while they are in the cache for judging.
 from __future__ import annotations
 
 import itertools
+from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -14,7 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stltool.errors import NameLookupError, TraceError
+from stltool.logic.formula import label_names, variables
 from stltool.logic.names import near_names
+from stltool.logic.shifts import Delayed
 from stltool.monitoring.blocks import Block, BlockEnd
 from stltool.monitoring.program import Program
 from stltool.sizes import require_memory
@@ -180,6 +183,65 @@ def read_traces(program: Program, signals: Mapping[str, ArrayLike]) -> Traces:
     n_traces, n_steps = shape if batch else (1, *shape)
     rows = {name: array.reshape(n_traces, n_steps) for name, array in arrays.items()}
     return Traces(rows, program, n_traces, n_steps, batch)
+
+
+def with_earlier(made: Delayed, signals: Mapping[str, ArrayLike], held: bool) -> Mapping[str, ArrayLike]:
+    """The signals, and those made from them; with `held`, the last samples are held for as long as others look back."""
+    if not made.signals:
+        return signals
+    bases = dict.fromkeys(name for name, _ in made.signals.values())
+    names = {**variables(made.formula), **label_names(made.formula)}
+    needed = {name: None for name in names if name not in made.signals and name not in made.starts} | bases
+    arrays: dict[str, NDArray[Any]] = {}
+    for name in needed:
+        if name not in signals:
+            raise NameLookupError(f"the traces have no signal {name}; {near_names(name, signals)}")
+        array = _as_array(name, signals[name])
+        edge = [(0, 0)] * (array.ndim - 1) + [(0, made.longest * held)]
+        arrays[name] = np.pad(array, edge, mode="edge") if array.shape[-1] else array
+    for name, (base, steps) in made.signals.items():
+        array = arrays[base]
+        n = array.shape[-1]
+        arrays[name] = array[..., np.maximum(np.arange(n) - steps, 0)]  # where there is none, nobody looks
+    for name, first in made.starts.items():
+        arrays[name] = np.broadcast_to(np.arange(n) >= first, array.shape)
+    return arrays
+
+
+class Earlier:
+    """What is made from a running trace's earlier samples, one sample after another."""
+
+    def __init__(self, made: Delayed) -> None:
+        self.made = made
+        self.n_steps = 0
+        self.kept: dict[str, deque[float]] = {}
+        for base, steps in made.signals.values():
+            longest = max(steps, self.kept[base].maxlen or 0) if base in self.kept else steps
+            self.kept[base] = deque(maxlen=longest)
+
+    def of(self, bases: Mapping[str, float]) -> dict[str, float]:
+        """The signals and labels that are made, at the step of these samples of the signals they are made from."""
+        found: dict[str, float] = {name: self.n_steps >= first for name, first in self.made.starts.items()}
+        for name, (base, steps) in self.made.signals.items():
+            kept = self.kept[base]
+            found[name] = kept[-steps] if len(kept) >= steps else bases[base]  # where there is none, nobody looks
+        return found
+
+    def keep(self, bases: Mapping[str, float]) -> None:
+        """These samples have been read."""
+        for base, value in bases.items():
+            self.kept[base].append(value)
+        self.n_steps += 1
+
+    def held(self) -> list[dict[str, float]]:
+        """What is made while the last samples are held for as long as others look back."""
+        ahead, last = Earlier(self.made), {base: kept[-1] for base, kept in self.kept.items()}
+        ahead.n_steps, ahead.kept = self.n_steps, {base: kept.copy() for base, kept in self.kept.items()}
+        rows = []
+        for _ in range(self.made.longest):
+            rows.append(ahead.of(last))
+            ahead.keep(last)
+        return rows
 
 
 def _as_array(name: str, values: ArrayLike) -> NDArray[Any]:

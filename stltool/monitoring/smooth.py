@@ -39,7 +39,7 @@ from stltool.logic.formula import Constant, Formula, Label
 from stltool.logic.task import Task
 from stltool.monitoring.blocks import Block
 from stltool.monitoring.comparisons import Predicate
-from stltool.monitoring.offline import decided_steps, prepare, refuse_unknown
+from stltool.monitoring.offline import decided_steps, prepare, refuse_unknown, without_last
 from stltool.monitoring.program import Atom, Instruction, Program
 from stltool.monitoring.samples import End
 
@@ -84,7 +84,7 @@ def smooth_robustness(
     """
     if not 1e-100 <= (beta := float(real(beta, "beta", "10"))) <= 1e100:
         raise SettingsError(f"beta is {beta!r}; it must be a number from 1e-100 to 1e100")
-    formula, traces = prepare(phi, signals, end, "smooth_robustness")
+    formula, traces, beyond = prepare(phi, signals, end, "smooth_robustness")
     h = traces.program.horizon
     if h is None and end == "hold":
         raise SettingsError(
@@ -101,6 +101,7 @@ def smooth_robustness(
             refuse_unknown(found[0], formula, traces, rows.start, first, end)
             for out, array in zip(outs, found, strict=True):
                 out[rows, first : first + array.shape[1]] = array
+    outs = [without_last(out, beyond) for out in outs]
     values, lower, upper = outs if traces.batch else [out[0] for out in outs]
     return SmoothRobustness(values, lower, upper, float(beta))
 

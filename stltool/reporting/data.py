@@ -71,7 +71,7 @@ def product_data(product: Product) -> ProductRecord:
         "model": model.name,
         "model_digest": model.digest(),
         "automaton_digest": automaton.digest(),
-        "model_notes": list(model.notes.values()),
+        "model_notes": [*model.notes.values(), *product.notes],
         "initial": model.initial_text(),
         "initial_states": int(np.count_nonzero(model.initial)),
         "states": model.n_states,

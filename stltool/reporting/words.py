@@ -75,7 +75,7 @@ def sentence_text(sentence: SentenceRecord) -> str:
 
 
 def _sentence(phi: Formula, text: Text, at_start: bool, depth: int) -> SentenceRecord:
-    if not is_temporal(phi) or depth > _DEEPEST:
+    if isinstance(phi, Comparison) or not is_temporal(phi) or depth > _DEEPEST:
         return _plain(_holds(phi, text))
 
     def below(part: Formula, start: bool) -> SentenceRecord:
@@ -128,7 +128,7 @@ def _sentence(phi: Formula, text: Text, at_start: bool, depth: int) -> SentenceR
             return _introduced(f"if {condition['text']}, then", result)
         case Iff(left, right):
             return {"text": "both or neither of these:", "parts": [below(left, at_start), below(right, at_start)]}
-        case Constant() | Label() | Comparison():
+        case Constant() | Label():
             raise AssertionError("a formula without temporal operators")
         case _:
             assert_never(phi)

@@ -206,7 +206,8 @@ def test_bad_input_ends_with_code_2(stltool, log, batch, tmp_path, monkeypatch):
         ([tmp_path / "none" / "a.stl", log], "a.stl: there is no such task file\n"),
         (["folder.stl", log], "folder.stl: this is a folder; name a task file"),
         (["task", log], f"{log}: there is no column task; known names: door, when, x"),
-        (["task.txt", log], "(read as a formula: there is no file task.txt)"),
+        (["task.txt", log], "task.txt: there is no such task file; a label of that name is in quotes"),
+        (["folder/task", log], "(read as a formula: there is no file folder/task)"),
         (["G[0,1] x >", log], "G[0,1] x >\n              ^\n"),
         (["G[0,1] " * 60 + "x >", log], "formula, line 1"),  # too long for a file's name
         (["task.stl", log, "--task", "bonded"], "there is no definition bonded; did you mean bounded?"),
@@ -305,3 +306,14 @@ def test_why_of_a_batch_is_of_the_trace_that_is_shown(stltool, batch):
     ]  # fmt: skip
     code, out, _ = stltool("monitor", "x > 0", batch, "--why", "--trace", 0, "--json")
     assert (json.loads(out)["why"]["trace"], json.loads(out)["why"]["verdict"]) == (0, True)
+
+
+def test_comparisons_of_several_steps(stltool, log, tmp_path):
+    code, out, _ = stltool("monitor", "x[t+1] - x[t] > -9", log, "--end", "cut", "--report", tmp_path, "--json")
+    data = json.loads(out)
+    assert (code, data["verdicts"][-1], all(data["verdicts"][:-1])) == (1, False, True)
+    assert "F[1,1] (x - x[t-1]" in (tmp_path / "report.html").read_text()
+    trace = tmp_path / "log.csv"
+    trace.write_text("speed\n1\n3\n2\n")
+    assert stltool("monitor", "speed[t+1s] > speed", trace, "--step", "1s", "--at", 0)[0] == 0
+    assert stltool("monitor", "speed[t+1s] > speed", trace, "--step", "1s", "--at", 1)[0] == 1
