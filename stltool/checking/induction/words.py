@@ -413,10 +413,8 @@ class Words(Layers[Sets, Layer]):
         chosen = np.empty(int(np.bitwise_count(both).sum(dtype=np.int64)), dtype=self.choices)
         by_tile = len(choice) == 8 * layer.n_tiles
         words.merge_choices(layer.open, layer.sure, by_tile, choice, layer.sure_choice, chosen)
-        keys, states, n_words = layer.keys(self.moves.n_words), self.graph.states, self.moves.n_words
-        if len(states) < self.game.n_states:  # otherwise they keep their numbers
-            keys = np.repeat(states[layer.states].astype(np.int64) * n_words, np.diff(layer.start)) + layer.word
-        return Listed(first, last, keys, both, chosen)
+        keys = np.repeat(self.graph.states[layer.states].astype(np.int64), np.diff(layer.start)) * self.moves.n_words
+        return Listed(first, last, keys + layer.word, both, chosen)
 
     def pairs(self, layer: Layer) -> tuple[I64, I64]:
         return layer.open_sets.pairs(self.graph)
