@@ -15,7 +15,7 @@ from stltool.checking.induction import EVERYTHING, Budget, Doubles, Fixed, Follo
 from stltool.cluster import _require_workers, connected, this_version
 from stltool.errors import PolicyError, SettingsError, SizeError
 from tests.checking.test_induction import random_policy, random_product
-from tests.conftest import many
+from tests.conftest import MORE, many
 
 distributed = pytest.importorskip("distributed")
 
@@ -82,12 +82,27 @@ def test_steps_that_repeat_are_left_out_in_blocks_too():
     assert all(np.array_equal(parts.choices.row(t), whole.choices.row(t)) for t in (0, 1, 50_000, 99_998, 99_999))
 
 
+def local(**kind):
+    """A cluster on this machine; without an address for its pages it takes port 8787, if that is free."""
+    return distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50, protocol="tcp://", **kind
+    )
+
+
 @pytest.fixture(scope="module")
-def cluster():
-    with distributed.LocalCluster(  # without an address it takes port 8787, if that is free
-        n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50
-    ) as made:
+def processes():
+    with local() as made:
         yield made
+
+
+@pytest.fixture(scope="module", params=["threads", *(["processes"] if MORE > 1 else [])])
+def cluster(request):
+    """Workers of this process, to which all is sent as to others; in `make soak` those of others, too."""
+    if request.param == "processes":
+        yield request.getfixturevalue("processes")
+    else:
+        with local(processes=False) as made:
+            yield made
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +111,7 @@ def patrolling():
     return stl.build_product(stl.load_model(task.model), task)
 
 
+@pytest.mark.soak
 def test_a_check_on_workers(cluster, patrolling, tmp_path):
     address = cluster.scheduler_address
     for maximize in (True, False):
@@ -111,6 +127,7 @@ def test_a_check_on_workers(cluster, patrolling, tmp_path):
     assert all(np.array_equal(kept.row(t), here.policy.row(t)) for t in range(patrolling.horizon))
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize("arithmetic", ["fixed", "double"])
 def test_a_certificate_by_workers_is_the_same_file(arithmetic, cluster, patrolling, tmp_path, monkeypatch):
     if arithmetic == "double":
@@ -125,18 +142,18 @@ def test_a_certificate_by_workers_is_the_same_file(arithmetic, cluster, patrolli
         stl.write_certificate(stl.check(patrolling, exact=True), tmp_path / "c.jsonl", cluster="tcp://here:1")
 
 
-def test_a_killed_worker_is_survived(cluster, patrolling):
+def test_a_killed_worker_is_survived(processes, patrolling):
     killed = []
 
     def progress(done, total):
         if not killed and done > total * 0.7:  # on its way back
-            with distributed.Client(cluster, set_as_default=False) as client:
+            with distributed.Client(processes, set_as_default=False) as client:
                 pids = client.run(os.getpid)
             killed.append(min(pids.values()))
             os.kill(killed[0], signal.SIGKILL)
 
     here = stl.check(patrolling, arithmetic="double")
-    there = stl.check(patrolling, arithmetic="double", cluster=cluster.scheduler_address, progress=progress)
+    there = stl.check(patrolling, arithmetic="double", cluster=processes.scheduler_address, progress=progress)
     assert len(killed) == 1
     assert (there.probability, there.lower, there.upper) == (here.probability, here.lower, here.upper)
     assert all(np.array_equal(there.policy.row(t), here.policy.row(t)) for t in range(patrolling.horizon))
