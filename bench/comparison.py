@@ -1,7 +1,8 @@
 """What stltool and other tools do with the same questions: `python bench/comparison.py`, for docs/comparison.md.
 
 Each cell is what a run found; the runs compare values before they say "yes". Cells marked *read* are from the tool's
-manual, and "–" was not looked up. A tool that is not installed is left out of its column with the word "absent".
+manual or its sources, which docs/comparison.md names; "–" was not looked up. A tool that is not installed is left out
+of its column with the word "absent".
 """
 
 from __future__ import annotations
@@ -125,6 +126,15 @@ def online_rtamt() -> str:
     specification = rtamt("Online")
     specification.pastify()
     found = [specification.update(t, [("x", x)]) for t, x in enumerate(TRACE)]
+    assert np.isclose(found[-1], ROBUSTNESS)
+    return "yes"
+
+
+def online_sentil() -> str:
+    import sentil
+
+    monitor = sentil.OnlineMonitor(sentil.parse("always[0,3](eventually[0,2](x > 0.5))"))
+    found = [monitor.update(float(t), {"x": x}).value for t, x in enumerate(TRACE)]
     assert np.isclose(found[-1], ROBUSTNESS)
     return "yes"
 
@@ -264,19 +274,27 @@ _CHECKER: dict[str, Cell] = {"RTAMT": READ_NO, "SENTIL": READ_NO, "Breach": READ
 QUESTIONS: list[tuple[str, dict[str, Cell]]] = [
     ("robustness of `G[0,3] F[0,2] (x > 0.5)` on a trace",
      {"stltool": trace_stltool, "RTAMT": trace_rtamt, "SENTIL": trace_sentil, **_MONITOR}),
-    ("the same, sample by sample", {"stltool": online_stltool, "RTAMT": online_rtamt, **_MONITOR, "Breach": "–"}),
+    ("the same, sample by sample",
+     {"stltool": online_stltool, "RTAMT": online_rtamt, "SENTIL": online_sentil, **_MONITOR,
+      "Breach": "yes, in Simulink *read*"}),
     (f"the maximal probability of `{NESTED}` on an MDP",
-     {"stltool": probability_stltool, "Storm": probability_storm, **_CHECKER}),
+     {"stltool": probability_stltool, "Storm": probability_storm, "PRISM": "no: no bounds below other operators *read*",
+      **_CHECKER}),
     ("CPU seconds for `G[0,2τ] (F[0,τ] a & F[0,τ] b)`, four states, τ = " + ", ".join(map(str, WINDOWS)),
-     {"stltool": long_stltool, "Storm": long_storm, **_CHECKER}),
-    ("the policy that attains a step-bounded maximum", {"stltool": policy_stltool, "Storm": policy_storm, **_CHECKER}),
-    ("the probability as a fraction", {"stltool": fraction_stltool, "Storm": fraction_storm, **_CHECKER}),
-    ("bounds that include rounding", {"stltool": enclosure_stltool, "Storm": enclosure_storm, **_CHECKER}),
-    ("refuses a row of a model that sums to 1.2", {"stltool": sums_stltool, "Storm": sums_storm, **_CHECKER}),
+     {"stltool": long_stltool, "Storm": long_storm, "PRISM": READ_NO, **_CHECKER}),
+    ("the policy that attains a step-bounded maximum",
+     {"stltool": policy_stltool, "Storm": policy_storm, "PRISM": "yes *read*", **_CHECKER}),
+    ("the probability as a fraction",
+     {"stltool": fraction_stltool, "Storm": fraction_storm, "PRISM": "no, only of unbounded ones *read*", **_CHECKER}),
+    ("bounds that include rounding",
+     {"stltool": enclosure_stltool, "Storm": enclosure_storm, "PRISM": READ_NO, **_CHECKER}),
+    ("refuses a row of a model that sums to 1.2",
+     {"stltool": sums_stltool, "Storm": sums_storm, "PRISM": "yes *read*", **_CHECKER}),
     ("learns a policy from resets and steps alone", {"stltool": learn_stltool, **_CHECKER, **_MODEL_CHECKERS}),
     ("bounds a policy's probability from its learning data",
      {"stltool": guarantee_stltool, **_CHECKER, **_MODEL_CHECKERS}),
-    ("a certificate that a separate checker proves", {"stltool": certificate_stltool, **_CHECKER}),
+    ("a certificate that a separate checker proves",
+     {"stltool": certificate_stltool, "PRISM": READ_NO, **_CHECKER}),
 ]  # fmt: skip
 
 
