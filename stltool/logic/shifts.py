@@ -17,6 +17,7 @@ from stltool.logic.formula import (
     Arithmetic,
     Call,
     Comparison,
+    Constant,
     Eventually,
     Formula,
     Interval,
@@ -92,10 +93,11 @@ class Delayed:
 
 
 def delayed(phi: Formula, once: bool = False) -> Delayed:
-    """φ with a signal for every earlier sample, and a label in front of each comparison that needs one to exist.
+    """φ with a signal for every earlier sample, and once[k,k] true in front of each comparison that needs it to exist.
 
     Behind F[k,k], samples of up to k steps before exist. With `once`, once[k,k] of a comparison is one that reads the
-    samples k steps before. For what does not know how these signals and labels arise, they are independent of others.
+    samples k steps before, and labels take the place of once[k,k] true: no operator of the past is added. For what does
+    not know how these signals arise, they are independent of others.
     """
 
     def reads_back(node: Formula) -> bool:
@@ -129,7 +131,9 @@ def delayed(phi: Formula, once: bool = False) -> Delayed:
         c, back = (node.arg, node.interval.a) if isinstance(node, Once) else (node, 0)
         assert isinstance(c, Comparison)
         steps = delay(c) + back
-        start = Label(name_of(f"{steps}", f"step >= {steps}"))
+        start: Formula = Once(Interval(steps, steps), Constant(True))
+        if once:
+            start = Label(name_of(f"{steps}", f"step >= {steps}"))
         moved = with_variables(c, lambda variable: read(replace(variable, delay=variable.delay + back)))
         return And((start, moved), span=node.span)
 

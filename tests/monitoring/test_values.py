@@ -46,6 +46,7 @@ def walks(matrix, n):
 @pytest.mark.parametrize(
     "text",
     ["G[0,3] (x[t+1] - x[t] <= 1)", "F[0,2] (x[t+2] > x[t+1] + x)", "G[0,2] (abs(x[t+1] - x) <= 1 | a)",
+     "G[1,3] (x - x[t-1] <= 1)", "F[0,2] !(x - x[t-1] > 0)", "(x[t-1] > 0) U[0,2] (x - x[t-2] > x[t+1])",
      "(x[t+1] > x) U[0,2] (x[t+1] < x)", "!(x[t+1] > x) & x[t+3] != x"],
 )  # fmt: skip
 def test_probabilities_are_those_of_the_paths(text):
@@ -77,6 +78,8 @@ def test_too_many_values_are_refused_with_their_number():
 def test_without_a_model_such_comparisons_are_independent_of_others():
     phi = stl.parse("G[0,2] (x[t+1] > x)")
     assert stl.meaning(phi).can_hold
+    assert stl.meaning(stl.parse("x - x[t-1] > 0")).can_hold is False  # at step 0
+    assert stl.meaning(stl.parse("F[1,1] !(x - x[t-1] > 0)")).can_hold
     assert stl.meaning(stl.parse("G[0,2] (x[t+1] > x & !(x[t+1] > x))")).can_hold is False
     assert stl.compile_automaton(phi).horizon == 3
     with pytest.raises(FragmentError, match=r"the window \[1,1\] starts at step 1"):
