@@ -320,7 +320,8 @@ class _Question:
             raise SizeError(f"its labels and comparisons have more than {_MOST_VALUATIONS} truth assignments")
         if temporal_depth(phi) > _DEEPEST:
             raise SizeError(f"it nests temporal operators {temporal_depth(phi)} deep, more than {_DEEPEST}")
-        truth = np.stack([self._truth(psi) for psi in atoms_of(phi)], axis=1)
+        columns = [self._truth(psi) for psi in atoms_of(phi)]
+        truth = np.stack(columns, axis=1) if columns else np.zeros((len(self.valuations), 0), dtype=np.bool_)
         occurring = np.unique(truth, axis=0)
         most = min(_MOST_STATES, self.effort.left // (2 * len(occurring)))  # half is reserved for the steps that follow
         if not most:
