@@ -29,7 +29,7 @@ from stltool.files import require_folder, require_replaceable, write_atomically
 from stltool.learning.kept import Kept
 from stltool.learning.trainer import Point, Progress, Status, Trainer
 
-FORMAT = "stltool-checkpoint-2"
+FORMAT = "stltool-checkpoint-3"
 _LONGEST_HEADER = 1 << 20
 _GENERATORS = ("PCG64", "PCG64DXSM")
 
@@ -58,6 +58,7 @@ def save_checkpoint(
         "episode": progress.episode,
         "steps": progress.steps,
         "status": progress.status,
+        "alarms": {tie: list(alarm) for tie, alarm in trainer.counts.alarms.items()},
         "generators": [generator.bit_generator.state for generator in generators],
     }
     write_atomically(path, packed(header, arrays))
@@ -88,6 +89,7 @@ def load_checkpoint(
             raise ValueError("its content was changed")
         progress = _progress(header, arrays, trainer)
         trainer.counts.restore({name: arrays[f"counts {name}"] for name in ("codes", "contexts", "seen")})
+        trainer.counts.alarms = _alarms(header["alarms"], trainer)
         _require_counts(progress, trainer)
         for name, kept in kept_arrays(trainer).items():
             kept.take(name, arrays[f"learner {name}"])
@@ -166,7 +168,7 @@ def _require_format(path: Path, header: dict[str, Any]) -> None:
             f"{path} has the format {version!r}, and this version of stltool reads {FORMAT!r}; "
             "finish the run with the version that started it, or start again"
         )
-    expected = {"format", "what", "episode", "steps", "status", "generators", "digest"}
+    expected = {"format", "what", "episode", "steps", "status", "alarms", "generators", "digest"}
     if header.keys() != expected or not isinstance(header["what"], dict) or not isinstance(header["generators"], list):
         raise ValueError("its header is not that of a run")
 
@@ -260,6 +262,21 @@ def _require_counts(progress: Progress, trainer: Trainer) -> None:
         possible = choices * counts.n_states + tables.target
         if not np.isin(counts.choice * counts.n_states + counts.target, possible).all():
             raise ValueError("a transition was counted that the model does not have")
+
+
+def _alarms(given: Any, trainer: Trainer) -> dict[str, tuple[float, int]]:
+    """The alarms that rang, of models with these states and choices."""
+    fine = isinstance(given, dict) and (not given or trainer.certifier is not None)
+    least, most = -trainer.counts.n_choices, trainer.counts.n_states
+    if not fine or not all(
+        isinstance(alarm, list)
+        and [type(number) for number in alarm] == [float, int]
+        and math.isfinite(alarm[0])
+        and least <= alarm[1] < most
+        for alarm in given.values()
+    ):
+        raise ValueError("its alarms are not those of a run")
+    return {tie: (alarm[0], alarm[1]) for tie, alarm in given.items()}
 
 
 def _state(generator: np.random.Generator, state: Any) -> dict[str, Any]:

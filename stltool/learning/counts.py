@@ -26,6 +26,8 @@ class Counts(Displayed):
     n_contexts  with more than one, the context of every transition is counted too: what else was known before it, as an
                 integer, such as a robot's heading. `markov_test` tests whether it matters. With one, contexts are
                 ignored. In the counts of `learn`, the context is 1 + the choice before, and 0 at an episode's start
+    alarms      the ties of a model's rows that these data contradicted at some look: by tie, the greatest ln of the
+                evidence, and where (learning/tied.py)
     """
 
     def __init__(self, n_choices: int, n_states: int, n_contexts: int = 1) -> None:
@@ -42,6 +44,7 @@ class Counts(Displayed):
         self._n_waiting = 0
         self._single: list[tuple[int, int]] = []
         self._together: tuple[Whole, Whole] | None = None  # the rows of all contexts, once asked for
+        self.alarms: dict[str, tuple[float, int]] = {}
 
     def _card(self) -> Card:
         visits = self.visits

@@ -176,8 +176,9 @@ def guarantee(
                 grid its success probability. Of the model only the graph and the form of the rows are read. With one
                 parameter the bound is the least value over its set, but for 1e-7; with several, or if that takes too
                 long, nature picks them again in every row, and the result says so (`looser`)
-    test_tie    with parameters: refuse (TieError) where the data contradict that they are the same everywhere; if they
-                are, this happens with a probability of at most 1 − confidence
+    test_tie    with parameters: refuse (TieError) where the data contradict that they are the same everywhere, or did
+                so at an earlier look at these `counts`; if they are, this ever happens with a probability of at most
+                1 − confidence
     fresh       fresh runs of the policy (`estimate`), whose number was fixed beforehand: the bound is the greater one
                 of the two, each at half of 1 − confidence
     start       the state where every run starts, for a model that does not say it (a black box)
@@ -211,7 +212,8 @@ def guarantee(
     if parameters is not None:
         if successors is not None:
             raise SettingsError("a model with parameters knows its successors; leave out successors or parameters")
-        found = _tied(product, policy, counts, initial, share, test_tie, began, memory_limit, progress)
+        tested = 1 - exact(confidence) if test_tie else None
+        found = _tied(product, policy, counts, initial, share, tested, began, memory_limit, progress)
         return _with_runs(found, fresh, confidence, share)
     possible = possible_successors(model, successors) if successors is not None else None
     judge, rebased = policy.on(product) if policy is not None else (product, None)
@@ -404,16 +406,16 @@ def _tied(
     counts: Counts,
     initial: Floats,
     confidence: float | Fraction,
-    test_tie: bool,
+    tested: Fraction | None,
     began: float,
     memory_limit: int | None,
     progress: Progress | None,
 ) -> Guarantee:
-    alpha = 1 - exact(confidence)
+    """`tested`: at which level the tie is; None: it is not."""
     family = family_of(product.model, initial)
     evidence = Evidence(family, counts)
-    tie = evidence.require_tied(alpha) if test_tie else None
-    sets = evidence.sets(alpha)
+    tie = evidence.require_tied(tested) if tested is not None else None
+    sets = evidence.sets(1 - exact(confidence))
     narrow = family.within(**{one.name: (one.lower, one.upper) for one in sets})
     judge, rebased = policy.on(product) if policy is not None else (product, None)
     home = replace(judge, model=family)

@@ -18,7 +18,8 @@ state, or one action, has a parameter of its own. With mixtures over 512 fixed v
     E = mean over alternatives of  ∫ L_own dπ · ∫ L_rest dπ / max_x L(x)
 
 is below the same with L(true x), an average of martingales from 1: if the tie is right, E ever reaches 1/α with
-probability at most α. Half of the weight is on states, half on actions.
+probability at most α. Half of the weight is on states, half on actions. That is said of all looks together, so an alarm
+that rang stays: the counts remember it (`Counts.alarms`), and more data of the same run do not take it back.
 
 **Rounding.** A value of x is refused only if its evidence exceeds what is needed by 1e-12·(Σ N + 10): sets may be too
 wide, never too narrow; the maximum of ℓ is raised by as much.
@@ -28,6 +29,7 @@ Sources: [Robbins70], [Howard21].
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -99,6 +101,10 @@ class Evidence:
         of_entry = rows.tied_class[entry]
         kept = informative[of_entry]
         self._class, self._choice, self._seen = of_entry[kept], counts.choice[kept], counts.seen[kept]
+        self._alarms, said = counts.alarms, hashlib.sha256(repr(ties.classes).encode())
+        for column in (rows.row_start, rows.target, rows.tied_class):
+            said.update(np.ascontiguousarray(column).tobytes())
+        self._tie = said.hexdigest()
 
     def sets(self, alpha: Fraction) -> tuple[TiedParameter, ...]:
         """Every parameter's set; all of them hold with probability 1 − α, at all numbers of transitions at once."""
@@ -118,8 +124,8 @@ class Evidence:
         )
 
     @cached_property
-    def against_the_tie(self) -> tuple[float, str]:
-        """(ln E, the alternative that the data support most, in the user's names)."""
+    def against_the_tie(self) -> tuple[float, int]:
+        """(ln E, the alternative that the data support most: a state s, or −1 − a for an action a)."""
         model = self.family
         state = np.searchsorted(model.choice_start, self._choice, side="right") - 1
         found = [self._alternatives(k, state, model.n_states) for k in range(len(self.parameters))]
@@ -127,8 +133,8 @@ class Evidence:
         total = float(_log_mean(np.array([one for pair in zip(found, actions, strict=True) for one, _, _ in pair])))
         of_state, of_action = (max(several, key=lambda one: one[1]) for several in (found, actions))
         if of_state[1] >= of_action[1]:
-            return total, f"state {model.state_name(of_state[2])}"
-        return total, f"action {model.action_names[of_action[2]]}"
+            return total, of_state[2]
+        return total, -1 - of_action[2]
 
     def _alternatives(self, k: int, group: NDArray[np.signedinteger], n: int) -> tuple[float, float, int]:
         """ln of the mean over n alternatives; ln of the greatest of them, and which one it is."""
@@ -152,9 +158,15 @@ class Evidence:
         return float(_log_mean(np.concatenate(values))), float(found[best]), int(groups[best]) if len(groups) else 0
 
     def require_tied(self, alpha: Fraction) -> float:
-        """E. TieError if the data contradict the tie, at level α."""
-        evidence, place = self.against_the_tie
+        """E. TieError if the data contradict the tie, at level α, or did so at an earlier look."""
+        now = evidence, where = self.against_the_tie
+        if (rang := self._alarms.get(self._tie)) is not None and rang[0] > evidence:
+            evidence, where = rang
         if evidence >= log_inverse(1, alpha):
+            self._alarms[self._tie] = evidence, where
+            place = f"state {self.family.state_name(where)}"
+            if where < 0:
+                place = f"action {self.family.action_names[-1 - where]}"
             names = " and ".join(one.name for one in self.parameters)
             shown = f"{np.exp(evidence):.3g}" if evidence < 100 else f"1e{evidence / np.log(10):.0f}"
             raise TieError(
@@ -162,7 +174,7 @@ class Evidence:
                 f"probable with another one somewhere, most clearly in {place} (refused from {number_text(1 / alpha)} "
                 "on); use support='known', or give the rows that differ a parameter of their own"
             )
-        return float(np.exp(evidence))
+        return float(np.exp(now[0]))
 
 
 class _Likelihood:

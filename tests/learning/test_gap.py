@@ -16,6 +16,7 @@ from stltool.learning.counts import Counts
 from stltool.learning.gap import Certifier, UntiedGaps, due
 from stltool.learning.guarantee import interval_model
 from stltool.learning.tied import Evidence
+from stltool.models.environment import simulator
 from stltool.reporting import render, report_data
 from tests import oracles
 from tests.conftest import FACTORY, many
@@ -150,6 +151,23 @@ def test_a_tied_and_an_untied_gap_share_the_error(patrolling):
     assert (found.confidence, found.parameters) == (0.9, ())
     assert found.refused.startswith("the data contradict the assumption that the same success holds in every row")
     assert "not the same everywhere" in found.statement
+
+
+def test_an_alarm_while_learning_stays_when_the_run_is_resumed(patrolling, tmp_path, monkeypatch):
+    """Nine cells succeed in a third of their moves; later looks find nothing."""
+    probability, worse = FLOOR.probability.copy(), FLOOR.at(success="1/3")
+    probability[: FLOOR.row_start[FLOOR.choice_start[9]]] = worse.probability[: FLOOR.row_start[FLOOR.choice_start[9]]]
+    strange = FLOOR.with_rows(probability=probability, exact=None)
+    given = {"episodes": 30, "evaluate_every": 30, "until_gap": 1e-300, "checkpoint": tmp_path / "run.ckpt"}
+    run = stl.learn(patrolling, environment=simulator(strange, np.random.default_rng(0)), **given)
+    assert run.gap.refused is not None
+    assert run.counts.alarms
+    monkeypatch.setattr(Evidence, "against_the_tie", (0.0, 0))
+    again = stl.learn(patrolling, environment=simulator(strange, np.random.default_rng(0)), resume=True, **given)
+    assert again.gap.refused == run.gap.refused
+    assert again.counts.alarms == run.counts.alarms
+    with pytest.raises(TieError):
+        stl.guarantee(patrolling, None, again.counts, parameters="model")
 
 
 def odd_cell():

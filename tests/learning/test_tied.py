@@ -220,6 +220,30 @@ def test_data_that_contradict_the_tie_are_refused(patrolling):
     assert stl.guarantee(patrolling, None, counts, support="known").lower >= 0
 
 
+def test_an_alarm_that_rang_stays(patrolling):
+    """What contradicts the tie is made up for later, so that its frequencies are right in the end."""
+    states = np.repeat(np.arange(FLOOR.n_states), np.diff(FLOOR.choice_start))
+    counts = sampled(FLOOR, np.random.default_rng(0), np.where(states == 8, 0, 40))
+    choice = int(FLOOR.choice_start[8]) + 1
+    row = slice(*FLOOR.row_start[choice : choice + 2].tolist())
+    meant = int(FLOOR.target[row][FLOOR.probability[row].argmax()])
+    slip = int(FLOOR.target[row][FLOOR.probability[row].argmin()])
+    counts.add([choice] * 30, [slip] * 30)
+    with pytest.raises(TieError) as first:
+        stl.guarantee(patrolling, None, counts, parameters="model", confidence=0.9)
+    counts.add([choice] * 400, [meant] * 400)
+    again = Counts(counts.n_choices, counts.n_states)
+    again.add(np.repeat(counts.choice, counts.seen), np.repeat(counts.target, counts.seen))
+    assert stl.guarantee(patrolling, None, again, parameters="model", confidence=0.9).evidence < 10  # nobody had looked
+    policy = stl.check(patrolling).policy
+    for confidence in (0.9, 0.99):
+        for ask in (stl.guarantee, stl.optimality_gap):
+            with pytest.raises(TieError) as later:
+                ask(patrolling, policy, counts, parameters="model", confidence=confidence)
+            assert str(later.value).partition("(refused")[0] == str(first.value).partition("(refused")[0]
+    assert stl.guarantee(patrolling, None, counts, parameters="model", test_tie=False).lower > 0
+
+
 @pytest.mark.soak
 def test_the_alarm_is_silent_where_the_tie_is_right():
     alarms = 0
