@@ -37,7 +37,7 @@ from stltool.logic.formula import (
 )
 from stltool.logic.names import near_names, unquoted
 from stltool.logic.printer import term_text
-from stltool.logic.syntax import INFIXES, PAST_PREFIXES, SOFT_WORDS, Branch, Document, Token, bare, branches
+from stltool.logic.syntax import INFIXES, SOFT_WORDS, Branch, Document, Token, bare, branches
 from stltool.logic.task import Task
 from stltool.source import Span
 
@@ -211,7 +211,7 @@ def _cut(reading: str) -> str:
 def _ends_in_temporal(tree: Branch) -> bool:
     while tree.data == "not":
         tree = branches(tree)[-1]
-    return tree.data in ("eventually", "always", *PAST_PREFIXES)
+    return tree.data in ("eventually", "always")
 
 
 def _past_words(document: Document) -> Iterator[Advice]:

@@ -143,14 +143,16 @@ def _exempt(when: str, goal: SentenceRecord, other: SentenceRecord, where: str) 
 
 
 def _began(arg: SentenceRecord, kind: Literal["rise", "fall"]) -> SentenceRecord:
-    """rise, fall: what holds now but did not at the step before, or the other way round; at step 0 it began."""
-    start = "begins to hold" if kind == "rise" else "ceases to hold, or never held"
+    """rise, fall: what holds now but did not at the step before, or the other way round."""
     if arg["parts"]:
-        return {"text": f"this {start}:", "parts": [arg]}
+        start = "this begins to hold:" if kind == "rise" else "this does not hold, and did at the step before:"
+        return {"text": start, "parts": [arg]}
     text = arg["text"]
     if kind == "rise":
-        return _plain(f"{text} and did not at the step before")
-    return _plain(f"it is not the case that {text}, though at the step before it was")
+        return _plain(f"{text}, and did not at the step before")
+    ended = text.removesuffix(" holds")
+    now = f"{ended} does not hold" if ended != text else f"it is not the case that {text}"
+    return _plain(f"{now}, and did at the step before if there was one")
 
 
 def _plain(text: str) -> SentenceRecord:
