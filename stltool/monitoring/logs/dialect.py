@@ -75,9 +75,10 @@ def dialect_of(where: str, file: IO[str], decimal: str, named_columns: bool) -> 
     if row and (found := _units(row, separator, names)):
         units, above, body = found, lines.number, lines.bytes
         row = lines.next()
-    if first is not None and len(_split(row, separator)) < len(names):
+    cells = _split(row, separator)
+    if first is not None and not len(names) <= len(cells) <= len(names) + (not cells[-1]):
         raise TraceError(
-            f"{where}, line {lines.number}: expected a name, found {_split(row, separator)[0]}; put a line with the "
+            f"{where}, line {lines.number}: expected a name, found {cells[0]}; put a line with the "
             "names of the columns first"
         )
     names += [""] * (_trailing(row, separator, len(names)))

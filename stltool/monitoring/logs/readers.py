@@ -12,6 +12,7 @@ all) and the time that the user named (None: its own choice), and returns a `Rec
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from dataclasses import replace
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -133,6 +134,10 @@ def _of_others(path: Path, extension: str, asked: Asked) -> Recording:
     for name in names or ():
         if name not in found.signals:
             raise NameLookupError(f"{path}: there is no signal {name}; {near_names(name, found.signals)}")
+    if names is not None:
+        kept = {name: found.signals[name] for name in names}
+        missing = {name: none for name, none in found.missing.items() if name in kept}
+        found = replace(found, signals=kept, missing=missing)
     _require_arrays(path, found)
     return filled(found, asked.missing, lambda name, index: f"{path}, signal {name}, {found.place(index[-1])}")
 
