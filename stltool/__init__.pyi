@@ -27,6 +27,7 @@ from .logic.lint import ambiguities as ambiguities
 from .logic.lint import conventions as conventions
 from .monitoring import (
     Decision as Decision,
+    Decisions as Decisions,
     MonitorResult as MonitorResult,
     OnlineMonitor as OnlineMonitor,
     Recording as Recording,

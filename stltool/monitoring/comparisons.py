@@ -59,6 +59,9 @@ class Predicate:
         self._on_borders = not self.plain and possible(node)
         self._settled = lru_cache(maxsize=_REMEMBERED)(self._settle)
 
+    def __reduce__(self) -> tuple[type[Predicate], tuple[Comparison]]:
+        return Predicate, (self.node,)
+
     def judge(
         self, columns: Mapping[str, Floats], truth: Bools | None, margin: Floats | None, wide: bool
     ) -> tuple[Bools | None, bool]:

@@ -1,130 +1,253 @@
-"""Truth and robustness of a running trace: every step as soon as its samples have arrived.
+"""Truth and robustness of a running trace: verdicts as soon as they are certain, robustness once it is final.
 
-Step t is decided by sample t + horizon(φ). The program of φ runs once per sample; at time t an instruction of horizon h
-computes its value at step t − h, from operands that wait in a queue if their horizons are shorter. Windows of fixed
-width w are aggregated by two stacks over an associative ∘, with three applications per sample, amortised, and at most w
-stored values [Tangwongsan15, §2]:
-
-    F[a,b] φ       max of φ over w = b−a+1 steps                                       G[a,b]: min
-    φ U[0,w−1] ψ   B of (A₁,B₁) ∘ (A₂,B₂) = (min(A₁,A₂), max(B₁, min(A₁,B₂))) over the pairs (φ,ψ) of w steps
-    φ U[a,b] ψ     min of φ over [t, t+a), and φ U[0,b−a] ψ at t+a
-
-A value is a pair (margin, truth), ordered by margin, then by truth. As margin > 0 implies true and < 0 implies false,
-the truth of the greatest pair is "some are true": one lattice serves both semantics.
+A verdict is told as soon as every continuation of the trace agrees on it (early.py says how, and where it may take
+longer). The robustness of step t is final at sample t + horizon(φ); before, `bounds` encloses it (intervals.py). What
+runs per sample is in kernels/streams.py, over arrays that stream.py lays out.
 """
 
 from __future__ import annotations
 
 import math
-import sys
-from collections import deque
-from collections.abc import Callable, Mapping
-from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, assert_never
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, overload
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from stltool.arguments import described, mapping, one_of
+from stltool.arguments import described, mapping, one_of, require, whole
 from stltool.display import Card, Displayed, counted
-from stltool.errors import FragmentError, NameLookupError, TraceError
-from stltool.logic.formula import Constant, Formula, Label, bounded_formula_of
+from stltool.errors import FragmentError, NameLookupError, SettingsError, TraceError
+from stltool.kernels.told import FULL, NOTHING, REFUSED, SEVERAL
+from stltool.logic.formula import Formula, bounded_formula_of
 from stltool.logic.names import near_names
 from stltool.logic.task import Task
 from stltool.monitoring.comparisons import Predicate
+from stltool.monitoring.early import engine_of
+from stltool.monitoring.intervals import Enclosure
 from stltool.monitoring.offline import judge
-from stltool.monitoring.program import Atom, Instruction, compile_delayed
-from stltool.monitoring.samples import WHOLE, Earlier, Traces
+from stltool.monitoring.program import compile_formula
+from stltool.monitoring.samples import WHOLE, Traces, read_traces
 
-Sample: TypeAlias = Mapping[str, float]
-_Value: TypeAlias = tuple[float, bool]
-_Pair: TypeAlias = tuple[_Value, _Value]
-_T = TypeVar("_T")
+if TYPE_CHECKING:
+    from stltool.monitoring.stream import Stream
 
-_TRUE: _Value = (math.inf, True)
-_FALSE: _Value = (-math.inf, False)
+_BULK = 4  # horizons: longer blocks are judged as a whole, and only their last horizon runs sample by sample
+_new = tuple.__new__  # a named tuple's own constructor takes twice the time
 
 
 class Decision(NamedTuple):
-    """Truth and robustness at one step."""
+    """The verdict at one step; its robustness once that is final, else None."""
 
     step: int
     verdict: bool
-    robustness: float
+    robustness: float | None
 
     def _repr_html_(self) -> str:
         verdict = "true" if self.verdict else "false"
-        return Card(f"Decision: {verdict} at step {self.step}", [{"robustness": self.robustness}]).html()
+        robustness = "not final" if self.robustness is None else self.robustness
+        return Card(f"Decision: {verdict} at step {self.step}", [{"robustness": robustness}]).html()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Decisions(Displayed):
+    """The decisions that a block of samples yields, by step; iterating gives each as a `Decision`.
+
+    steps       (n,) int64, ascending
+    verdicts    (n,) Booleans
+    robustness  (n,) float64; NaN where it is not final
+    """
+
+    steps: NDArray[np.int64]
+    verdicts: NDArray[np.bool_]
+    robustness: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+    def __iter__(self) -> Iterator[Decision]:
+        for step, verdict, value in zip(
+            self.steps.tolist(), self.verdicts.tolist(), self.robustness.tolist(), strict=True
+        ):
+            yield Decision(step, verdict, None if math.isnan(value) else value)
+
+    def _card(self) -> Card:
+        facts = {"violated at": counted(int((~self.verdicts).sum()), "step")}
+        return Card(f"Decisions: {counted(len(self.steps), 'step')}", [facts])
 
 
 class OnlineMonitor(Displayed):
     """Judges a trace sample by sample; memory and time per sample do not grow with the trace.
 
-    The decisions after n samples are, bit for bit, those of `monitor` for these n samples with end "error"; with
-    `finish(end)` they are those with that end. Raises StlSyntaxError if an interval has no end.
+    `feed` returns each step once, as soon as every continuation of the trace agrees on its verdict: `G[0,1000] x > 0`,
+    violated at sample 3, is decided at sample 3. With `wait` it returns each step when its robustness is final, at
+    sample step + horizon: these decisions are, bit for bit, those of `monitor` with end "error".
+
+    early    which engine decides, and whether it is exact: "automaton", or "structure" where that would be too large
+    n_steps  the number of samples read
+
+    Raises StlSyntaxError if an interval has no end.
     """
 
-    def __init__(self, phi: Formula | Task) -> None:
+    def __init__(self, phi: Formula | Task, wait: bool = False) -> None:
+        from stltool.monitoring.stream import Stream  # which loads numba
+
         self.formula = bounded_formula_of(phi, "OnlineMonitor's formula")
-        made, self._program = compile_delayed(self.formula)
-        self._judged, self._earlier = made.formula, Earlier(made)
+        require(wait, (bool, np.bool_), "wait", "give True or False")
+        self._program = compile_formula(self.formula)
         if self._program.has_past:
             raise FragmentError(f"{self.formula} looks back, which online monitors do not support yet; use monitor")
-        instructions = self._program.instructions
-        self.horizon: int = instructions[-1].horizon or 0
-        self.n_steps = 0
-        self._last: deque[Sample] = deque(maxlen=min(self.horizon, sys.maxsize))
-        self._atoms = [(i, _atom(now.atom)) for i, now in enumerate(instructions) if now.atom is not None]
-        self._network = _Network(instructions)
+        self.horizon: int = self._program.horizon or 0
+        self.wait = bool(wait)
+        engine = engine_of(self.formula)
+        self.early = engine.early
+        self._stream = Stream(self._program, engine, self.horizon, self.wait)
+        self._enclosure: Enclosure | None = None
+        names = self._stream.names
+        self._one, self._two = (*names, None, None)[:2]
+        # one or two names are handed over as they are, if nothing needs Python to be judged
+        self._direct = 0 if self._stream.given or len(names) > 2 else len(names)
 
     def _card(self) -> Card:
-        decided = max(0, self.n_steps - self.horizon)
+        engine = f"{self.early.engine}, {'exact' if self.early.exact else 'possibly late'}"
         return Card(
-            f"OnlineMonitor: {counted(self.n_steps, 'sample')} read, {counted(decided, 'step')} decided",
-            [{"formula": self.formula}, {"horizon": self.horizon, "values held": self.stored}],
+            f"OnlineMonitor: {counted(self.n_steps, 'sample')} read",
+            [{"formula": self.formula}, {"horizon": self.horizon, "early verdicts": engine, "bytes": self.nbytes}],
         )
 
     @property
-    def stored(self) -> int:
-        """The number of stored samples and values: per operator, at most a few times the horizon."""
-        return len(self._last) + self._network.stored
+    def n_steps(self) -> int:
+        return self._stream.n_steps
 
-    def feed(self, sample: Mapping[str, Any]) -> list[Decision]:
-        """Take the next sample, a value for every name of φ; returns the decisions that it yields, at most one.
+    @property
+    def nbytes(self) -> int:
+        """Memory: bounded by the horizon, and by the samples so far."""
+        return self._stream.N.nbytes + self._stream.F.nbytes + self._stream.B.nbytes
+
+    @overload
+    def feed(self, sample: Mapping[str, float]) -> list[Decision]: ...
+
+    @overload
+    def feed(self, sample: Mapping[str, ArrayLike]) -> list[Decision] | Decisions: ...
+
+    def feed(self, sample: Mapping[str, Any]) -> list[Decision] | Decisions:
+        """Take the next sample, a value for every name of φ; returns the decisions that it yields, by step.
+
+        A mapping of names to arrays (n,) is a block of n samples, which is faster, and returns `Decisions`.
 
         Raises NameLookupError if a name is missing, TraceError if a value is not a finite number (for a label: neither
-        true nor false), or gives a predicate no value or no margin. A refused sample leaves the monitor unchanged.
+        true nor false), or gives a predicate no value or no margin. What is refused leaves the monitor unchanged.
         """
-        mapping(sample, "feed's sample", "{'x': 0.5}")
-        bases = {name: self._real(name, self._given(name, sample)) for name in self._earlier.kept}
-        values = self._read({**sample, **self._earlier.of(bases)} if self._earlier.made.starts or bases else sample)
+        stream, direct = self._stream, self._direct
         try:
-            atoms = [(i, atom(values)) for i, atom in self._atoms]
-        except TraceError as error:
-            raise TraceError(f"step {self.n_steps}: {error}") from None
-        value = self._network.advance(atoms)
-        self._earlier.keep(bases)
-        self._last.append(values)
-        self.n_steps += 1
-        if self.n_steps <= self.horizon:
+            x = sample[self._one]  # type: ignore[index]  # None if there are no names
+            if direct == 1 and x.__class__ is float:
+                code = stream.pair(stream.address, x, 0.0)
+            elif direct == 2 and x.__class__ is float and (y := sample[self._two]).__class__ is float:  # type: ignore[index]
+                code = stream.pair(stream.address, x, y)
+            else:
+                return self._feed(sample)
+        except (KeyError, TypeError, IndexError):
+            return self._feed(sample)
+        if code > NOTHING:
+            return [_new(Decision, (code >> 3, code & 2 == 2, stream.margin[0] if code & 4 else None))]
+        if code == NOTHING:
             return []
-        return [Decision(self.n_steps - 1 - self.horizon, value[1], value[0])]
+        return self._told() if code == SEVERAL else self._feed(sample)
 
     def finish(self, end: Literal["cut", "hold"] = "cut") -> list[Decision]:
-        """The decisions of the remaining steps if the trace ended here. The monitor can still be fed."""
+        """The decisions of the steps still open if the trace ended here. The monitor can still be fed."""
         one_of(end, "end", ("cut", "hold"))
-        n = len(self._last)
-        if n == 0:
+        n = self.n_steps
+        first = n - min(self.horizon, n)
+        kept = self._stream.kept()[-(n - first) :] if n > first else self._stream.kept()[:0]
+        if not len(kept):
             return []
-        samples = list(self._last)
-        if end == "hold":
-            samples += [{**samples[-1], **made} for made in self._earlier.held()]
-        arrays = {
-            name: np.array([[sample[name] for sample in samples]])
-            for name in (*self._program.variables, *self._program.labels)
-        }
-        traces = Traces(arrays, self._program, 1, len(samples), batch=False, first_step=self.n_steps - n)
-        truth, margins = (found[:, :n] for found in judge(self._judged, traces, end, True, True))
-        found = zip(range(self.n_steps - n, self.n_steps), truth[0].tolist(), margins[0].tolist(), strict=True)
-        return [Decision(*decision) for decision in found]
+        truth, margins = judge(self.formula, self._traces(kept, first), end, True, True)
+        found = zip(range(first, n), truth[0].tolist(), margins[0].tolist(), strict=True)
+        return [Decision(*one) for one in found if self.wait or self._stream.verdict(one[0]) is None]
+
+    def bounds(self, step: int) -> tuple[float, float]:
+        """The least and the greatest robustness that the step can still have, whatever comes; equal once it is final.
+
+        For a step that has begun, and is not further back than the horizon; otherwise SettingsError.
+        """
+        n = self.n_steps
+        first = max(0, n - 1 - self.horizon)
+        step = whole(step, "bounds' step", least=0)
+        if not first <= step < n:
+            range_ = f"steps {first} … {n - 1}" if n else "no step yet"
+            raise SettingsError(f"bounds' step is {step}; {counted(n, 'sample')} read, so there are bounds of {range_}")
+        kept = self._stream.kept()
+        kept = kept[len(kept) - (n - step) :]
+        if n - step > self.horizon:
+            _, margins = judge(self.formula, self._traces(kept, step), "error", True, True)
+            return (float(margins[0, 0]),) * 2
+        if self._enclosure is None:
+            self._enclosure = Enclosure(self.formula)
+        columns = dict(zip(self._stream.names, kept.T, strict=True))
+        lower, upper = self._enclosure.at_start(columns, len(kept))
+        match self._stream.verdict(step):
+            case True:
+                return max(lower, 0.0), upper
+            case False:
+                return lower, min(upper, 0.0)
+            case None:
+                return lower, upper
+
+    # ------------------------------------------------------------------------------------------------ one sample
+
+    def _feed(self, sample: Mapping[str, Any]) -> list[Decision] | Decisions:
+        """`feed`, checking everything."""
+        mapping(sample, "feed's sample", "{'x': 0.5}")
+        stream, values = self._stream, self._stream.values
+        for i, name in enumerate(stream.names):
+            value = sample.get(name)
+            if value.__class__ is not float and value.__class__ is not bool:
+                break
+            values[i] = value
+        else:
+            if not stream.given and (code := stream.advance(stream.address)) not in (REFUSED, FULL):
+                return self._decided(code)
+        if any(_is_block(sample.get(name)) for name in stream.names):
+            return self._feed_block(sample)
+        read = self._read(sample)
+        try:
+            for i, atom in enumerate(stream.atoms):
+                if isinstance(atom, Predicate):
+                    margin, truth = atom.at_one_sample()(read)
+                    if i in stream.given:
+                        stream.set_given(i, margin, truth)
+        except TraceError as error:
+            raise TraceError(f"step {self.n_steps}: {error}") from None
+        for i, name in enumerate(stream.names):
+            values[i] = read[name]
+        code = stream.advance(stream.address)
+        if code == FULL:
+            self._grow(1)
+            return self._feed(sample)
+        return self._decided(code)
+
+    def _decided(self, code: int) -> list[Decision]:
+        if code == NOTHING:
+            return []
+        if code == SEVERAL:
+            return self._told()
+        return [Decision(code >> 3, code & 2 == 2, self._stream.margin[0] if code & 4 else None)]
+
+    def _told(self) -> list[Decision]:
+        final = self.n_steps - 1 - self.horizon
+        return [Decision(t, true, self._stream.margin[0] if t == final else None) for t, true in self._stream.told()]
+
+    def _grow(self, more: int) -> None:
+        """Make room for more samples."""
+        stream = self._stream
+        while stream.room < stream.n_read + more:
+            stream = stream.larger()
+        if stream is not self._stream:
+            kept = self._stream.kept()
+            stream.read(kept, self._outside(stream, kept, 0))
+            self._stream = stream
 
     def _read(self, sample: Mapping[str, Any]) -> dict[str, float]:
         values: dict[str, float] = {}
@@ -161,184 +284,104 @@ class OnlineMonitor(Displayed):
             raise TraceError(f"{name} is {real} at step {self.n_steps}; monitors judge finite samples")
         return real
 
+    # ----------------------------------------------------------------------------------------------------- blocks
+
+    def _feed_block(self, block: Mapping[str, Any]) -> Decisions:
+        n = self.n_steps
+        traces = replace(read_traces(self._program, block), first_step=n)
+        if traces.batch:
+            raise TraceError(f"feed's block has shape {(traces.n_traces, traces.n_steps)}; feed one trace, (n_steps,)")
+        if traces.n_steps == 0:
+            return _decisions([], [], [])
+        whole_block = traces.block(slice(0, 1), slice(0, traces.n_steps), "open")
+        samples = np.empty((traces.n_steps, len(self._stream.names)))
+        for i, name in enumerate(self._stream.names):
+            samples[:, i] = whole_block.columns[name][0]
+        if whole_block.wide:
+            self._refuse_margins(samples)
+        if traces.n_steps >= _BULK * (self.horizon + 1):
+            return self._judge(samples)
+        given = self._outside(self._stream, samples, n)
+        self._grow(len(samples))
+        read = self._stream.read(samples, given)
+        assert not isinstance(read, int)
+        steps, verdicts, margins = read
+        order = np.argsort(steps, kind="stable")
+        steps, final = steps[order], steps[order] + self.horizon - n
+        known = (final >= 0) & (final < len(samples))
+        robustness = np.where(known, margins[np.where(known, final, 0)], np.nan)
+        return Decisions(steps, verdicts[order], robustness)
+
+    def _judge(self, samples: NDArray[np.float64]) -> Decisions:
+        """A block that is much longer than the horizon: its settled steps at once, the open ones from new arrays."""
+        stream, n, h = self._stream, self.n_steps, self.horizon
+        before = stream.kept()[-h:] if h else stream.kept()[:0]
+        first = n - len(before)
+        joined = np.concatenate([before, samples])
+        truth, margins = judge(self.formula, self._traces(joined, first), "error", True, True)
+        last = joined[-(h + 1) :]
+        end = n + len(samples)
+        fresh = stream.afresh(end - len(last), len(last))
+        read = fresh.read(last, self._outside(fresh, last, end - len(last)))
+        assert not isinstance(read, int)
+        steps, verdicts = np.arange(first, first + truth.shape[1]), truth[0]
+        robustness = margins[0]
+        if not self.wait:
+            news = np.array([t >= n or stream.verdict(t) is None for t in range(first, first + len(before))], np.bool_)
+            keep = np.concatenate([news, np.ones(len(steps) - len(news), np.bool_)])
+            early = read[0] > steps[-1]
+            order = np.argsort(read[0][early])
+            steps = np.concatenate([steps[keep], read[0][early][order]])
+            verdicts = np.concatenate([verdicts[keep], read[1][early][order]])
+            robustness = np.concatenate([robustness[keep], np.full(len(order), np.nan)])
+        self._stream = fresh
+        return Decisions(steps, verdicts, robustness)
+
+    def _traces(self, samples: NDArray[np.float64], first_step: int) -> Traces:
+        arrays = {name: samples[:, i].reshape(1, -1) for i, name in enumerate(self._stream.names)}
+        return Traces(arrays, self._program, 1, len(samples), batch=False, first_step=first_step)
+
+    def _outside(self, stream: Stream, samples: NDArray[np.float64], first_step: int) -> NDArray[np.float64]:
+        """Margins and truths of the atoms that the kernel does not judge, (n, n_given, 2)."""
+        found = np.empty((len(samples), len(stream.given), 2))
+        columns = {name: samples[:, i].reshape(1, -1) for i, name in enumerate(stream.names)}
+        truth, margin = np.empty((1, len(samples)), np.bool_), np.empty((1, len(samples)))
+        for j, i in enumerate(stream.given):
+            predicate = stream.atoms[i]
+            assert isinstance(predicate, Predicate)
+            with np.errstate(all="ignore"):
+                predicate.judge(columns, truth, margin, True)
+            for step in np.flatnonzero(np.isnan(margin[0]))[:1].tolist():
+                self._raise(predicate, samples, step, first_step)
+            found[:, j, 0], found[:, j, 1] = margin[0], truth[0]
+        return found
+
+    def _refuse_margins(self, samples: NDArray[np.float64]) -> None:
+        """TraceError if the margin of a comparison is beyond the range of doubles."""
+        columns = {name: samples[:, i].reshape(1, -1) for i, name in enumerate(self._stream.names)}
+        margin = np.empty((1, len(samples)))
+        for predicate in self._stream.atoms:
+            if isinstance(predicate, Predicate):
+                with np.errstate(all="ignore"):
+                    predicate.judge(columns, None, margin, True)
+                for step in np.flatnonzero(np.isnan(margin[0]))[:1].tolist():
+                    self._raise(predicate, samples, step, self.n_steps)
+
+    def _raise(self, predicate: Predicate, samples: NDArray[np.float64], step: int, first_step: int) -> None:
+        sample = dict(zip(self._stream.names, samples[step].tolist(), strict=True))
+        try:
+            predicate.at_one_sample()(sample)
+        except TraceError as error:
+            raise TraceError(f"step {first_step + step}: {error}") from None
+        raise AssertionError(f"{predicate.node} has a margin at step {first_step + step}")
+
+
+def _is_block(value: object) -> bool:
+    return isinstance(value, list | tuple) or getattr(value, "ndim", 0) > 0
+
+
+def _decisions(steps: list[int], verdicts: list[bool], robustness: list[float]) -> Decisions:
+    return Decisions(np.array(steps, np.int64), np.array(verdicts, np.bool_), np.array(robustness, np.float64))
+
 
 _NUMBERS = (int, float, np.bool_, np.integer, np.floating)
-
-
-def _atom(atom: Atom) -> Callable[[Sample], _Value]:
-    match atom:
-        case Constant(value):
-            return lambda sample: _TRUE if value else _FALSE
-        case Label(name):
-            return lambda sample: _TRUE if sample[name] else _FALSE
-        case Predicate():
-            return atom.at_one_sample()
-        case _:
-            assert_never(atom)
-
-
-# ------------------------------------------------------------------------------------------- the running program
-
-
-class _Queue:
-    """A value that waits for others of the same step: `push` returns the one pushed `delay` times ago."""
-
-    def __init__(self, delay: int) -> None:
-        self.delay = delay
-        self.values: deque[Any] = deque()
-
-    def push(self, value: Any) -> Any:
-        self.values.append(value)
-        return self.values.popleft() if len(self.values) > self.delay else None
-
-    def __len__(self) -> int:
-        return len(self.values)
-
-
-class _Window:
-    """The aggregate of the last `width` values, once there are that many: two stacks, the older one of suffixes."""
-
-    def __init__(self, width: int, combine: Callable[[Any, Any], Any]) -> None:
-        self.width, self.combine = width, combine
-        self.older: list[Any] = []  # aggregates of the older values from each of them on, the oldest on top
-        self.newer: list[Any] = []
-        self.total: Any = None  # aggregate of the newer ones
-
-    def push(self, value: Any) -> Any:
-        combine = self.combine
-        self.total = combine(self.total, value) if self.newer else value
-        self.newer.append(value)
-        if len(self.older) + len(self.newer) < self.width:
-            return None
-        if not self.older:
-            suffix = self.newer.pop()
-            self.older.append(suffix)
-            while self.newer:
-                suffix = combine(self.newer.pop(), suffix)
-                self.older.append(suffix)
-            return self.older.pop()
-        oldest = self.older.pop()
-        return combine(oldest, self.total) if self.newer else oldest
-
-    def __len__(self) -> int:
-        return len(self.older) + len(self.newer)
-
-
-_State: TypeAlias = _Queue | _Window
-
-
-class _Network:
-    """The program over a stream. A node runs once the first values of its operands exist."""
-
-    def __init__(self, instructions: tuple[Instruction, ...]) -> None:
-        self.values: list[Any] = [None] * len(instructions)
-        self.nodes: list[tuple[int, Callable[[list[Any]], None]]] = []
-        self.states: list[_State] = []
-        self.result = len(instructions) - 1
-        self.time = 0
-        self._delayed: dict[tuple[int, int], int] = {}
-        for out, now in enumerate(instructions):
-            if now.op != "atom":
-                self._add(out, now, [instructions[arg].horizon or 0 for arg in now.args])
-
-    @property
-    def stored(self) -> int:
-        return sum(len(state) for state in self.states)
-
-    def advance(self, atoms: list[tuple[int, _Value]]) -> Any:
-        """The atoms of the next sample → the value of the formula that is now known, if any."""
-        values, time = self.values, self.time
-        for i, value in atoms:
-            values[i] = value
-        for start, run in self.nodes:
-            if start <= time:
-                run(values)
-        self.time += 1
-        return values[self.result]
-
-    def _add(self, out: int, now: Instruction, horizons: list[int]) -> None:
-        start = max(horizons)
-        args = [self._delay(arg, h, start - h) for arg, h in zip(now.args, horizons, strict=True)]
-        assert now.b is not None
-        match now.op:
-            case "not":
-                self._node(start, out, args, lambda x: (0.0 - x[0], not x[1]))
-            case "and":
-                self._node(start, out, args, _least)
-            case "or":
-                self._node(start, out, args, _greatest)
-            case "iff":
-                self._node(start, out, args, _equivalent)
-            case "eventually":
-                self._state(start + now.a, out, args[0], _Window(now.b - now.a + 1, _greatest))
-            case "always":
-                self._state(start + now.a, out, args[0], _Window(now.b - now.a + 1, _least))
-            case "until":
-                self._until(start, out, args, now.a, now.b)
-            case "once" | "historically" | "since":
-                raise AssertionError("the past is refused")
-            case "atom":
-                raise ValueError("an atom has no operands")
-            case _:
-                assert_never(now.op)
-
-    def _until(self, start: int, out: int, args: list[int], a: int, b: int) -> None:
-        pair, both = self._new(), self._new()
-        self._node(start, pair, args, lambda left, right: (left, right))
-        self._state(start + a, both, pair, _Window(b - a + 1, _compose))
-        if a == 0:
-            self._node(start + b, out, [both], lambda pair: pair[1])
-            return
-        before = self._new()
-        self._state(start, before, args[0], _Window(a, _least))
-        waited = self._delay(before, start + a - 1, b - a + 1)
-        self._node(start + b, out, [waited, both], lambda before, pair: _least(before, pair[1]))
-
-    def _new(self) -> int:
-        self.values.append(None)
-        return len(self.values) - 1
-
-    def _delay(self, arg: int, start: int, delay: int) -> int:
-        """The register of the value of `arg`, known from time `start` on, `delay` samples later."""
-        if delay == 0:
-            return arg
-        if (arg, delay) not in self._delayed:
-            self._delayed[arg, delay] = out = self._new()
-            self._state(start, out, arg, _Queue(delay))
-        return self._delayed[arg, delay]
-
-    def _node(self, start: int, out: int, args: list[int], function: Callable[..., Any]) -> None:
-        first, last = args[0], args[-1]
-
-        def one(values: list[Any]) -> None:
-            values[out] = function(values[first])
-
-        def two(values: list[Any]) -> None:
-            values[out] = function(values[first], values[last])
-
-        self.nodes.append((start, one if len(args) == 1 else two))
-
-    def _state(self, start: int, out: int, arg: int, state: _State) -> None:
-        push = state.push
-
-        def run(values: list[Any]) -> None:
-            values[out] = push(values[arg])
-
-        self.states.append(state)
-        self.nodes.append((start, run))
-
-
-def _least(x: _T, y: _T) -> _T:
-    return x if x <= y else y  # type: ignore[operator]
-
-
-def _greatest(x: _T, y: _T) -> _T:
-    return x if x >= y else y  # type: ignore[operator]
-
-
-def _equivalent(x: _Value, y: _Value) -> _Value:
-    return _least(_greatest((0.0 - x[0], not x[1]), y), _greatest(x, (0.0 - y[0], not y[1])))
-
-
-def _compose(x: _Pair, y: _Pair) -> _Pair:
-    return _least(x[0], y[0]), _greatest(x[1], _least(x[0], y[1]))

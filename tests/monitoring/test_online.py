@@ -1,6 +1,12 @@
-"""Monitors that read one sample at a time against those that see the whole trace."""
+"""Monitors that read one sample at a time against those that see the whole trace, and against all its continuations."""
 
+import copy
+import itertools
 import math
+import os
+import pickle
+import subprocess
+import sys
 from fractions import Fraction
 
 import numpy as np
@@ -10,8 +16,24 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.errors import NameLookupError, SettingsError, StlSyntaxError, TraceError
-from stltool.logic.formula import Always, Eventually, Interval, Until
+from stltool.logic.formula import (
+    Always,
+    And,
+    Comparison,
+    Constant,
+    Eventually,
+    Iff,
+    Implies,
+    Interval,
+    Label,
+    Not,
+    Or,
+    Until,
+    children,
+)  # fmt: skip
+from stltool.monitoring import early, stream
 from stltool.testing import formulas, traces
+from tests.conftest import many
 
 
 def decisions(result):
@@ -24,7 +46,7 @@ def decisions(result):
 def test_every_prefix_is_judged_as_the_offline_monitor_does(phi, data):
     n = stl.horizon(phi) + data.draw(st.integers(0, 5))
     trace = data.draw(traces(n))
-    online, so_far = stl.OnlineMonitor(phi), []
+    online, so_far = stl.OnlineMonitor(phi, wait=True), []
     for t in range(n):
         so_far += online.feed({name: values[t] for name, values in trace.items()})
         prefix = {name: values[: t + 1] for name, values in trace.items()}
@@ -40,7 +62,7 @@ def test_each_operator_over_any_window(a, width, seed):
     p, q = stl.parse("x > 0"), stl.parse("F[0,3] (y > 0)")
     x, y = rng.integers(-2, 9, 40) + 0.5, rng.integers(-9, 2, 40) + 0.5
     for phi in (Eventually(interval, q), Always(interval, p), Until(interval, p, q), Until(interval, q, p)):
-        online = stl.OnlineMonitor(phi)
+        online = stl.OnlineMonitor(phi, wait=True)
         found = [decision for pair in zip(x, y, strict=True) for decision in online.feed({"x": pair[0], "y": pair[1]})]
         assert found == decisions(stl.monitor(phi, {"x": x, "y": y}))
 
@@ -48,12 +70,18 @@ def test_each_operator_over_any_window(a, width, seed):
 def test_memory_is_bounded_by_the_horizon():
     phi = stl.parse("G[0,50] (F[2,20] (x > 0.5) & ((x < 0.9) U[3,20] (y > 0.5)) <-> y + x < 1.5)")
     online, rng = stl.OnlineMonitor(phi), np.random.default_rng(0)
-    held = []
+    before = online.nbytes
     for x, y in rng.random((2000, 2)).tolist():
         online.feed({"x": x, "y": y})
-        held.append(online.stored)
-    assert max(held) <= 6 * (stl.horizon(phi) + 1)
-    assert max(held[:200]) == max(held)
+    assert online.nbytes == before < 500 * (stl.horizon(phi) + 1)
+
+
+def test_memory_is_bounded_by_the_samples():
+    phi = stl.parse("G[0,100000000] (x > 0 | F[0,10000000] y > 0)")
+    online = stl.OnlineMonitor(phi)
+    for _ in range(1500):
+        online.feed({"x": 1.0, "y": 1.0})
+    assert online.nbytes < 1_000_000
 
 
 @pytest.mark.parametrize(
@@ -81,10 +109,10 @@ def test_a_refused_sample_leaves_the_monitor_as_it_was(sample, kind, says):
     wanted, online = stl.OnlineMonitor(phi), stl.OnlineMonitor(phi)
     for t, right in enumerate(good):
         if t == 1:
-            before = online.n_steps, online.stored, online.finish()
+            before = online.n_steps, online.bounds(0), online.finish()
             with pytest.raises(kind, match=says):
                 online.feed(sample)
-            assert (online.n_steps, online.stored, online.finish()) == before
+            assert (online.n_steps, online.bounds(0), online.finish()) == before
         assert online.feed(right) == wanted.feed(right)
 
 
@@ -100,4 +128,353 @@ def test_a_task_and_a_formula_that_looks_at_one_sample():
     assert online.finish() == []
     assert online.feed({"x": 2}) == [stl.Decision(0, True, 0.0)]
     assert online.feed({"x": 2.5, "y": None}) == [(1, False, -0.5)]
-    assert (online.finish("hold"), online.horizon, online.n_steps, online.stored) == ([], 0, 2, 0)
+    assert (online.finish("hold"), online.horizon, online.n_steps) == ([], 0, 2)
+
+
+# ------------------------------------------------------------------------------------------------- early verdicts
+
+
+def fed(online, trace):
+    """Each decision with the number of samples that were read when it came."""
+    n = len(next(iter(trace.values())))
+    return {
+        decision.step: (t + 1, decision.verdict)
+        for t in range(n)
+        for decision in online.feed({name: values[t] for name, values in trace.items()})
+    }
+
+
+def earliest(phi, trace, values):
+    """What `fed` should be: the samples after which every continuation over `values`, from the start on, agrees."""
+    names = sorted(values)
+    letters = list(itertools.product(*(values[name] for name in names)))
+    h, n = stl.horizon(phi), len(next(iter(trace.values())))
+    codes = np.array(list(itertools.product(range(len(letters)), repeat=h + 1)))
+    table = np.array(letters, dtype=float)[codes]  # (traces, h + 1, names)
+    signals = {name: table[:, :, i] for i, name in enumerate(names)}
+    verdicts = stl.monitor(phi, signals, semantics="boolean").verdicts[:, 0].reshape((len(letters),) * (h + 1))
+    numbers = {letter: i for i, letter in enumerate(letters)}
+    read = [numbers[tuple(trace[name][t] for name in names)] for t in range(n)]
+    found = {}
+    for t in range(n):
+        for end in range(t + 1, min(n, t + h + 1) + 1):
+            possible = verdicts[tuple(read[t:end])]
+            if possible.all() or not possible.any():
+                found[t] = (end, bool(possible.flat[0]))
+                break
+    return found
+
+
+TRICKY = [
+    "p | !p", "F[0,1] p & G[0,1] !p", "(F[0,2] p) | (G[0,2] !p)", "G[0,2] (p -> F[0,1] q) & F[0,2] (p & !q)",
+    "(p U[0,2] q) | F[1,3] (q & !p)", "G[0,3] true", "F[1,2] false | p", "(p <-> F[0,2] q) & (q <-> F[1,2] p)",
+    "G[0,1] (x > 2) | F[0,1] (x <= 3)", "F[0,2] (x > 3) -> F[0,2] (x > 2)", "G[0,2] (x > 2 -> F[0,1] (x < 1))",
+    "(x > 3 U[1,2] x < 2) | G[0,2] x >= 2", "F[0,1] (x == 2) & G[0,1] (x != 2)", "2*x > 4 & F[0,2] x <= 2",
+]  # fmt: skip
+CELLS = {"x": (0.0, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0), "p": (0.0, 1.0), "q": (0.0, 1.0)}
+
+
+@pytest.mark.parametrize("text", TRICKY)
+@pytest.mark.parametrize("kind", ["coalesced", "each"])
+def test_verdicts_come_as_soon_as_all_continuations_agree(text, kind, monkeypatch):
+    if kind == "each":
+        monkeypatch.setattr(early, "_decided_from", lambda automaton, runs: None)
+    phi = stl.parse(text)
+    names = {name for name in CELLS if name in text} or {"p"}
+    values, rng = {name: CELLS[name] for name in names}, np.random.default_rng(len(text))
+    for _ in range(4):
+        online = stl.OnlineMonitor(phi)
+        assert online.early.exact
+        assert online.early.engine == "automaton"
+        trace = {name: rng.choice(values[name], 12).tolist() for name in names}
+        assert fed(online, trace) == earliest(phi, trace, values)
+
+
+@pytest.mark.soak
+@given(phi=formulas(labels=("p", "q"), signals=(), longest=2, max_leaves=5), seed=st.integers(0, 999))
+def test_any_formula_is_decided_as_soon_as_all_continuations_agree(phi, seed):
+    if stl.horizon(phi) > 5:
+        return
+    trace = {name: np.random.default_rng(seed).integers(0, 2, 10).astype(float).tolist() for name in "pq"}
+    assert fed(stl.OnlineMonitor(phi), trace) == earliest(phi, trace, {"p": (0.0, 1.0), "q": (0.0, 1.0)})
+
+
+def test_the_example_of_the_documentation():
+    online = stl.OnlineMonitor(stl.parse("G[0,1000] (x > 0)"))
+    for x in (3.0, 2.0, 1.0):
+        assert online.feed({"x": x}) == []
+    assert online.feed({"x": -1.0}) == [stl.Decision(t, False, None) for t in range(4)]
+
+
+# ------------------------------------------------------------------------------------------------ the structure
+
+
+def structural(monkeypatch):
+    monkeypatch.setattr(early, "_of_automaton", lambda *arguments: None)
+
+
+def kleene(phi, trace, t, n):
+    """Three-valued truth at step t of a trace of which n samples are known: True, False or None."""
+    match phi:
+        case Constant(value):
+            return value
+        case Label(name):
+            return bool(trace[name][t]) if t < n else None
+        case Comparison():
+            return stl.satisfies(phi, {name: values[t : t + 1] for name, values in trace.items()}) if t < n else None
+        case Not(arg):
+            value = kleene(arg, trace, t, n)
+            return None if value is None else not value
+        case And() | Or():
+            found = [kleene(child, trace, t, n) for child in children(phi)]
+            return combined(found, isinstance(phi, Or))
+        case Implies(left, right):
+            return kleene(Or((Not(left), right)), trace, t, n)
+        case Iff(left, right):
+            return kleene(And((Or((Not(left), right)), Or((left, Not(right))))), trace, t, n)
+        case Eventually(interval, arg) | Always(interval, arg):
+            found = [kleene(arg, trace, u, n) for u in range(t + interval.a, t + interval.b + 1)]
+            return combined(found, isinstance(phi, Eventually))
+        case Until(interval, left, right):
+            held = [kleene(left, trace, u, n) for u in range(t, t + interval.b)]
+            return combined(
+                [
+                    combined([kleene(right, trace, u, n), *held[: u - t]], False)
+                    for u in range(t + interval.a, t + interval.b + 1)
+                ],
+                True,
+            )
+
+
+def combined(found, some):
+    """The disjunction (or conjunction) of three truth values."""
+    if some in found:
+        return some
+    return None if None in found else not some
+
+
+@given(phi=formulas(signals=("x",), longest=3, max_leaves=5), data=st.data())
+def test_the_structural_engine_is_three_valued_truth(phi, data):
+    n = stl.horizon(phi) + data.draw(st.integers(1, 4))
+    trace = data.draw(traces(n, signals=("x",)))
+    with pytest.MonkeyPatch.context() as patch:
+        structural(patch)
+        online = stl.OnlineMonitor(phi)
+    assert online.early.engine == "structure"
+    found = fed(online, trace)
+    for t in range(n):
+        when, verdict = found.get(t, (n + 1, None))
+        assert kleene(phi, trace, t, min(when, n)) is verdict
+        if when > t + 1:
+            assert kleene(phi, trace, t, when - 1) is None
+
+
+@pytest.mark.soak
+def test_structure_and_automaton_agree_over_long_windows(monkeypatch):
+    rng = np.random.default_rng(3)
+    texts = (
+        "G[0,200] F[0,70] p", "G[3,90] (p -> F[1,64] q)", "(p U[5,130] q) -> F[0,10] q", "F[64,128] G[0,63] p",
+        "G[0,150] (p -> F[0,30] (q & G[0,5] p))",
+    )  # fmt: skip
+    for text in texts:
+        phi = stl.parse(text)
+        trace = {"p": (rng.random(900) < 0.9).tolist(), "q": (rng.random(900) < 0.05).tolist()}
+        exact = fed(stl.OnlineMonitor(phi), trace)
+        with pytest.MonkeyPatch.context() as patch:
+            structural(patch)
+            other = stl.OnlineMonitor(phi)
+        found = fed(other, trace)
+        if other.early.exact:
+            assert found == exact
+        truth = stl.monitor(phi, trace, semantics="boolean").verdicts
+        for t, holds in enumerate(truth.tolist()):
+            assert exact[t][1] is found[t][1] is holds
+            assert exact[t][0] <= found[t][0] <= t + stl.horizon(phi) + 1
+
+
+def test_what_is_said_about_exactness():
+    large = "G[0,1000] (x > 5 -> F[0,100] (y > 3 & G[0,20] {}))"
+    assert stl.OnlineMonitor(stl.parse(large.format("p"))).early[:2] == ("structure", True)
+    mixed = stl.OnlineMonitor(stl.parse(large.format("x > 4"))).early
+    assert mixed[:2] == ("structure", False)
+    assert "depends on another" in mixed.why
+    assert stl.OnlineMonitor(stl.parse("F[0,3] x * y > 2")).early[:2] == ("automaton", False)
+    assert stl.OnlineMonitor(stl.parse(" & ".join(f"F[0,2] p{i}" for i in range(13)))).early.why.startswith(
+        "the formula has 13 labels and comparisons, over 12"
+    )
+
+
+# ------------------------------------------------------------------------------------------------ bounds and blocks
+
+
+@given(phi=formulas(longest=2, max_leaves=5), data=st.data())
+def test_bounds_contain_the_final_robustness_and_shrink(phi, data):
+    h = stl.horizon(phi)
+    trace = data.draw(traces(h + 1))
+    final = stl.robustness(phi, trace)
+    online, lower, upper = stl.OnlineMonitor(phi), -math.inf, math.inf
+    for t in range(h + 1):
+        online.feed({name: values[t] for name, values in trace.items()})
+        before = lower, upper
+        lower, upper = online.bounds(0)
+        assert before[0] <= lower <= upper <= before[1]
+        assert lower <= final + 1e-9
+        assert final - 1e-9 <= upper
+    assert lower == upper == stl.monitor(phi, trace).robustness[0]
+
+
+def test_bounds_are_reached_where_predicates_occur_in_one_polarity():
+    phi = stl.parse("G[0,2] (x > 1 | F[0,2] x < -1 & p)")
+    values, rng = {"x": (-3.0, 0.0, 2.0), "p": (0.0, 1.0)}, np.random.default_rng(0)
+    letters, h = list(itertools.product(*values.values())), stl.horizon(phi)
+    trace = [letters[i] for i in rng.integers(0, len(letters), h + 1)]
+    online = stl.OnlineMonitor(phi)
+    for known in range(1, h + 2):
+        online.feed(dict(zip(values, trace[known - 1], strict=True)))
+        ends = [trace[:known] + list(tail) for tail in itertools.product(letters, repeat=h + 1 - known)]
+        columns = {name: np.array([[sample[i] for sample in end] for end in ends]) for i, name in enumerate(values)}
+        found = stl.monitor(phi, columns).robustness[:, 0]
+        lower, upper = online.bounds(0)
+        # beyond the samples x may be anything, here it is between -3 and 2
+        assert lower == found.min() or (lower == -math.inf and known < h + 1)
+        assert upper == found.max() or (upper == math.inf and known < h + 1)
+
+
+def test_steps_without_bounds():
+    online = stl.OnlineMonitor(stl.parse("F[0,2] x > 0"))
+    with pytest.raises(SettingsError, match="bounds' step is 0; 0 samples read, so there are bounds of no step yet"):
+        online.bounds(0)
+    for x in (1.0, 2.0, 3.0, 4.0, 5.0):
+        online.feed({"x": x})
+    assert online.bounds(2) == (5.0, 5.0)
+    assert online.bounds(4) == (5.0, math.inf)
+    for step in (1, 5):
+        with pytest.raises(SettingsError, match="bounds of steps 2 … 4"):
+            online.bounds(step)
+
+
+@given(phi=formulas(longest=3, max_leaves=5), wait=st.booleans(), data=st.data())
+def test_blocks_yield_the_decisions_of_single_samples(phi, wait, data):
+    n = data.draw(st.integers(1, 40))
+    trace = data.draw(traces(n))
+    cuts = sorted(data.draw(st.lists(st.integers(0, n), max_size=3)))
+    one, other = stl.OnlineMonitor(phi, wait), stl.OnlineMonitor(phi, wait)
+    for start, end in itertools.pairwise([0, *cuts, n]):
+        singles = [
+            decision
+            for t in range(start, end)
+            for decision in one.feed({name: values[t] for name, values in trace.items()})
+        ]
+        block = other.feed({name: values[start:end] for name, values in trace.items()})
+        assert isinstance(block, stl.Decisions)
+        assert [decision[:2] for decision in block] == sorted(decision[:2] for decision in singles)
+        final = {d.step: d.robustness for d in singles if d.robustness is not None}
+        assert {d.step: d.robustness for d in block if d.step in final} == final
+        assert len(block) == len(singles)
+        assert other.n_steps == one.n_steps == end
+        for step in range(max(0, end - 1 - one.horizon), end):
+            assert one.bounds(step) == other.bounds(step)
+        assert one.finish("cut") == other.finish("cut")
+
+
+@pytest.mark.parametrize(
+    ("block", "says"),
+    [
+        ({"x": [1.0, math.nan], "a": [True, False]}, "signal x is nan at step 3"),
+        ({"x": [1.0, 2.0], "a": [1, 2]}, "signal a is 2 at step 3"),
+        ({"x": [1.0, 2.0], "a": [1]}, "signal x has shape .*, signal a .*; give all signals one shape"),
+        ({"x": [1.0, 2.0], "a": True}, "shape"),
+        ({"x": [[1.0]], "a": [[True]]}, "feed one trace"),
+        ({"x": [1.0, 0.0], "a": [1, 1]}, "step 3: .*no value for the operands 1, 0"),
+        ({"x": [1.0, -1.5e308], "a": [1, 1]}, "step 3: .*margin is beyond"),
+    ],
+)
+def test_a_refused_block_leaves_the_monitor_as_it_was(block, says):
+    online = stl.OnlineMonitor(stl.parse("F[0,1] (a & 1 / x > 0.25) & F[1,2] (x > 1e308)"))
+    online.feed({"x": [1.0, 2.0], "a": [True, False]})
+    before = online.n_steps, online.bounds(0), online.finish()
+    for longer in (1, 20):  # sample by sample, and as a whole
+        rows = {name: [*values, *[values[0]] * (longer - 1)] if isinstance(values, list) else values
+                for name, values in block.items()}  # fmt: skip
+        with pytest.raises(TraceError, match=says):
+            online.feed(rows)
+        assert (online.n_steps, online.bounds(0), online.finish()) == before
+    assert len(online.feed({"x": [], "a": []})) == 0
+
+
+# ------------------------------------------------------------------------------------------------ the arrays
+
+
+@given(phi=formulas(longest=6, max_leaves=5), wait=st.booleans(), structure=st.booleans(), data=st.data())
+def test_arrays_grow_with_the_trace(phi, wait, structure, data):
+    n = stl.horizon(phi) + 6
+    trace = data.draw(traces(n))
+    with pytest.MonkeyPatch.context() as patch:
+        if structure:
+            structural(patch)
+        one = stl.OnlineMonitor(phi, wait)
+        patch.setattr(stream.Stream.__init__, "__defaults__", (0, 2))
+        other = stl.OnlineMonitor(phi, wait)
+    for t in range(n):
+        sample = {name: values[t] for name, values in trace.items()}
+        assert one.feed(sample) == other.feed(sample)
+
+
+def test_monitors_are_copied_and_stored():
+    online = stl.OnlineMonitor(stl.parse("G[0,3] F[0,2] x > 0.5"))
+    xs = np.random.default_rng(0).random(40).tolist()
+    for x in xs[:10]:
+        online.feed({"x": x})
+    for other in (copy.deepcopy(online), pickle.loads(pickle.dumps(online))):
+        ahead = copy.deepcopy(online)
+        assert [other.feed({"x": x}) for x in xs[10:]] == [ahead.feed({"x": x}) for x in xs[10:]]
+    assert online.n_steps == 10
+
+
+def test_calls_without_numbas_entry_points(monkeypatch):
+    xs = np.random.default_rng(0).random(40).tolist()
+    expected = stl.OnlineMonitor(stl.parse("G[0,3] F[0,2] x > 0.5"))
+    monkeypatch.setattr(stream, "_entry", lambda kernel, n_arguments: kernel)
+    online = stl.OnlineMonitor(stl.parse("G[0,3] F[0,2] x > 0.5"))
+    assert [online.feed({"x": x}) for x in xs] == [expected.feed({"x": x}) for x in xs]
+
+
+PYTHONS = """
+import numpy as np, stltool as stl
+from stltool.monitoring import early
+automaton = early._of_automaton
+for text in ("(x > 0.2 U[1,3] y > 0.7) <-> G[0,1] x + y < 1.5", "F[0,66] (x > 0.99 & y < 0.5)"):
+    trace = dict(zip("xy", np.random.default_rng(0).random((2, 70))))
+    for early._of_automaton in (automaton, lambda *arguments: None):
+        online = stl.OnlineMonitor(stl.parse(text), wait="U" in text)
+        for x, y in zip(*trace.values()):
+            print(online.feed({"x": float(x), "y": float(y)}))
+"""
+
+
+def test_kernels_compute_what_their_python_does(capsys, monkeypatch):
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run([sys.executable, "-c", PYTHONS], capture_output=True, text=True, env=environment, check=True)
+    monkeypatch.setattr(early, "_of_automaton", early._of_automaton)
+    exec(PYTHONS, {})
+    assert done.stdout == capsys.readouterr().out
+    assert done.stdout.count("Decision") > 140
+
+
+@pytest.mark.soak
+def test_a_long_stream_neither_grows_nor_changes():
+    """Ten million samples in `make soak`; of each hundred thousand, the last ones again one by one."""
+    phi = stl.parse("G[0,100] F[0,10] (x > 5)")
+    online, rng = stl.OnlineMonitor(phi, wait=True), np.random.default_rng(0)
+    bytes_ = online.nbytes
+    before = np.empty(0)
+    for _ in range(many(3)):
+        for _ in range(10):
+            x = rng.random(10_000) * 6
+            found = online.feed({"x": x})
+            assert np.array_equal(found.robustness, stl.monitor(phi, {"x": np.concatenate([before, x])}).robustness)
+            before = x[-110:]
+        for value in (rng.random(10_000) * 6).tolist():
+            online.feed({"x": value})
+            before = np.append(before[-109:], value)
+    assert online.nbytes == bytes_

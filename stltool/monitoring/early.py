@@ -1,0 +1,221 @@
+"""Verdicts as soon as every continuation of the trace agrees: which engine an online monitor runs (kernels/streams.py).
+
+**Automaton.** Let E_c(q) be what is certain in state q of the automaton of φ after c + 1 letters:
+
+    E_h = verdict_h        E_c(q) = verdict_c(q) if decided, else v if E_{c+1}(δ(λ,q)) = v for every λ, else open
+
+over the letters λ that can occur (logic/feasible.py). The first E that is not open is the earliest possible verdict. δ
+has no clock, so open starts that are in one state stay together. If, among the pairs (c, q) that can be reached with
+nothing decided, E_c(q) is decided from some c = first(q) on, with one outcome, it suffices to look at the oldest start
+of each state ("coalesced"). Otherwise every open step has a state of its own ("each").
+
+**Structure.** For formulas whose automaton is too large: three-valued truth [Kleene38] of every sub-formula, with the
+samples that are still to come unknown. It is exact if every atom (maximal sub-formula without a temporal operator)
+occurs in one polarity, and all of them can be at their worst, and at their best, at once: the lower value is then that
+of one real continuation. Otherwise a verdict may come late, at the latest when all samples are there, never wrongly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.automata.automaton import FALSE, UNDECIDED, TaskAutomaton
+from stltool.automata.compile import compile_automaton
+from stltool.errors import SizeError
+from stltool.logic.feasible import feasible_valuations, leaves, realised
+from stltool.logic.formula import (
+    LARGEST_BOUND,
+    Constant,
+    Formula,
+    Iff,
+    Implies,
+    Not,
+    atoms,
+    boolean_value,
+    children,
+    horizon,
+)
+
+Ints: TypeAlias = NDArray[np.int64]
+
+MOST_STATES = 5000
+MOST_LEAVES = 12  # the letters are tabulated by the truth of all leaves
+_MOST_VALUATIONS = 1024
+_MOST_WORK = 20_000_000  # entries of δ looked up in closing the verdicts, at least this many per clock:
+_LEAST_WORK = 2000
+_LONGEST_EACH = 1000  # open steps, each with a state of its own
+OPEN, NO, YES = 0, 1, 2
+
+
+class Early(NamedTuple):
+    """How early a monitor decides: `exact` if as soon as every continuation agrees, else perhaps later, never wrongly.
+
+    engine  "automaton", or "structure" for formulas whose automaton is too large
+    why     in words
+    """
+
+    engine: Literal["automaton", "structure"]
+    exact: bool
+    why: str
+
+
+@dataclass(frozen=True, eq=False)
+class Engine:
+    """The tables of an engine; those of an automaton are empty for "structure".
+
+    leaves   the labels and comparisons whose truths form the code of a letter, the first in the lowest bit
+    letter   (2^n_leaves,) letters by code                      delta  (n_letters, n_states)
+    first    (n_states,) the clock from which a state is decided, as `outcome` (n_states,) says: NO or YES
+    closed   (horizon + 1, n_states) E; None if `first` and `outcome` say it all
+    """
+
+    early: Early
+    leaves: tuple[Formula, ...] = ()
+    letter: Ints | None = None
+    delta: Ints | None = None
+    initial: int = 0
+    first: Ints | None = None
+    outcome: Ints | None = None
+    closed: Ints | None = None
+
+
+def engine_of(phi: Formula) -> Engine:
+    """The engine of a formula with a horizon: its automaton if that is small enough, else its structure."""
+    read = leaves(phi)
+    valuations, complete = feasible_valuations(read, _MOST_VALUATIONS)
+    known = [dict(zip(read, row, strict=True)) for row in valuations.tolist()] if complete else []
+    asked = atoms(phi)
+    truths = np.array([[boolean_value(atom, row.get) for atom in asked] for row in known], dtype=np.bool_)
+    truths = truths.reshape(len(known), len(asked))
+    why = f"the formula has {len(read)} labels and comparisons, over {MOST_LEAVES}"
+    if horizon(phi) > LARGEST_BOUND:
+        why = f"the horizon is over {LARGEST_BOUND:.0e}"
+    elif complete and len(read) <= MOST_LEAVES:
+        try:
+            automaton = compile_automaton(phi, valuations=np.unique(truths, axis=0), most_states=MOST_STATES)
+            engine = _of_automaton(automaton, read, valuations, truths)
+        except SizeError:
+            engine = None
+        if engine is not None:
+            return engine
+        why = "the automaton of the formula is too large"
+    exact = complete and realised(read) and _extremes_meet(phi, asked, truths)
+    why += "; " + (
+        "every predicate occurs in one polarity"
+        if exact
+        else "a predicate occurs in two polarities, or depends on another"
+    )
+    return Engine(Early("structure", exact, why))
+
+
+def _of_automaton(
+    automaton: TaskAutomaton, read: tuple[Formula, ...], valuations: NDArray[np.bool_], truths: NDArray[np.bool_]
+) -> Engine | None:
+    """The engine of an automaton; None if its verdicts take too long to close."""
+    runs = _closed(automaton)
+    if runs is None:
+        return None
+    table = _decided_from(automaton, runs)
+    closed = None
+    if table is None:
+        if automaton.horizon > _LONGEST_EACH:
+            return None
+        closed = np.concatenate([np.tile(row, (last - first + 1, 1)) for first, last, row in reversed(runs)])
+    codes = valuations @ (1 << np.arange(len(read))) if len(read) else np.zeros(len(valuations), dtype=np.int64)
+    letter = np.zeros(1 << len(read), dtype=np.int64)
+    letter[codes] = automaton.letters_at(truths)
+    exact = realised(read)
+    states = f"its automaton has {automaton.n_states} states"
+    why = states if exact else f"{states}; its predicates depend on each other in ways that are not examined"
+    first, outcome = table if table is not None else (None, None)
+    return Engine(
+        Early("automaton", exact, why), read, letter, automaton.delta.astype(np.int64), automaton.initial, first,
+        outcome, closed,
+    )  # fmt: skip
+
+
+def _closed(automaton: TaskAutomaton) -> list[tuple[int, int, Ints]] | None:
+    """E in runs of equal clocks, from the last: (first clock, last clock, (n_states,)). None if there are too many."""
+    delta, starts = automaton.delta, automaton.verdict_starts
+    c = automaton.horizon
+    row = _outcomes(automaton.verdicts(c))
+    runs = [(c, c, row)]
+    work = 0
+    while c > 0:
+        c -= 1
+        work += max(_LEAST_WORK, delta.size)
+        if work > _MOST_WORK:
+            return None
+        after = row[delta]
+        agreed = np.where((after == after[0]).all(axis=0), after[0], OPEN)
+        own = _outcomes(automaton.verdicts(c))
+        closed = np.where(own != OPEN, own, agreed)
+        same = np.array_equal(closed, row)
+        if same:  # so it is down to the clock at which the automaton's own verdicts change
+            c = int(starts[np.searchsorted(starts, c, side="right") - 1])
+            runs[-1] = (c, runs[-1][1], row)
+        else:
+            runs.append((c, c, closed))
+        row = closed
+    return runs
+
+
+def _outcomes(verdicts: NDArray[np.int8]) -> Ints:
+    return np.where(verdicts == UNDECIDED, OPEN, np.where(verdicts == FALSE, NO, YES)).astype(np.int64)
+
+
+def _decided_from(automaton: TaskAutomaton, runs: Sequence[tuple[int, int, Ints]]) -> tuple[Ints, Ints] | None:
+    """For each state the clock from which it is decided, and its outcome; None if some state has no such clock.
+
+    Only pairs of clock and state that can be reached with nothing decided before count.
+    """
+    never = automaton.horizon + 1
+    first = np.full(automaton.n_states, never, dtype=np.int64)
+    outcome = np.zeros(automaton.n_states, dtype=np.int64)
+    last_open = np.full(automaton.n_states, -1, dtype=np.int64)
+    before = np.zeros(automaton.n_states, dtype=np.bool_)
+    before[automaton.initial] = True
+    reached = before
+    for start, last, row in reversed(runs):
+        c = start
+        while c <= last:
+            now = np.zeros_like(before)
+            now[automaton.delta[:, before]] = True
+            stays = c > start and np.array_equal(now, reached)  # so it is to the end of the run
+            reached, decided, still = now, now & (row != OPEN), now & (row == OPEN)
+            if (outcome[decided & (first < never)] != row[decided & (first < never)]).any():
+                return None
+            first[decided & (first == never)] = c
+            outcome[decided] = row[decided]
+            c = last if stays else c
+            last_open[still] = c
+            before = still
+            c += 1
+    return None if (first <= last_open).any() else (first, outcome)
+
+
+def _extremes_meet(phi: Formula, asked: Sequence[Formula], truths: NDArray[np.bool_]) -> bool:
+    """Whether every atom occurs in one polarity, and all can be at their worst at once, and at their best."""
+    signs: dict[Formula, set[bool]] = {atom: set() for atom in asked}
+    stack = [(phi, True)]
+    while stack:
+        node, sign = stack.pop()
+        if node in signs:
+            signs[node].add(sign)
+        elif isinstance(node, Not):
+            stack.append((node.arg, not sign))
+        elif isinstance(node, Implies):
+            stack += [(node.left, not sign), (node.right, sign)]
+        elif isinstance(node, Iff):
+            stack += [(child, either) for child in (node.left, node.right) for either in (True, False)]
+        elif not isinstance(node, Constant):
+            stack += [(child, sign) for child in children(node)]
+    if any(len(found) != 1 for found in signs.values()):
+        return False
+    best = np.array([found == {True} for found in signs.values()], dtype=np.bool_)
+    return bool((truths == best).all(axis=1).any() and (truths == ~best).all(axis=1).any())

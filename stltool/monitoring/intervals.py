@@ -1,0 +1,81 @@
+"""The robustness interval of a step whose samples have not all arrived: [lower, upper] contains the final value.
+
+In negation normal form robustness is monotone in the margins of literals, so it is evaluated twice, with the margins
+that are not known at −∞ and at +∞. It shrinks with every sample. If every predicate occurs in one polarity, both ends
+are reached by real continuations; otherwise the interval may be wider than that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.logic.formula import Constant, Formula, Label, Not, children, with_children
+from stltool.logic.rewrite import negation_normal_form
+from stltool.monitoring.blocks import Block, Machine
+from stltool.monitoring.comparisons import Predicate
+from stltool.monitoring.program import Instruction, compile_formula
+
+_NEGATED = "\0"  # begins the name of a negated label, and no name in a text
+_MOST_OPERATORS = 10**9  # shared operands are evaluated once
+
+
+class Enclosure:
+    """A formula's robustness at the first step of traces of which only a beginning is known."""
+
+    def __init__(self, phi: Formula) -> None:
+        machine = _OfKnown(_positive(negation_normal_form(phi, _MOST_OPERATORS)))
+        self._machine, self.names = machine, (*machine.program.variables, *machine.program.labels)
+
+    def at_start(self, columns: Mapping[str, NDArray[np.float64]], known: int) -> tuple[float, float]:
+        """Lower and upper end, given the first `known` samples of each name."""
+        samples: dict[str, NDArray[Any]] = {}
+        for name in self._machine.program.variables:
+            samples[name] = np.append(columns[name][:known], 0.0).reshape(1, -1)
+        for name in self._machine.program.labels:
+            truth = np.append(columns[name.removeprefix(_NEGATED)][:known] != 0.0, False).reshape(1, -1)
+            samples[name] = ~truth if name.startswith(_NEGATED) else truth
+        # one unknown sample stands for all later ones: what is held is its interval
+        block = Block(samples, 1, known + 1, "hold", wide=True)
+        lower, upper = (self._machine.first(block, unknown) for unknown in (-np.inf, np.inf))
+        return lower, upper
+
+
+class _OfKnown(Machine):
+    """Margins, those of literals at the last step being given."""
+
+    def __init__(self, phi: Formula) -> None:
+        super().__init__(compile_formula(phi), truth=False, margins=True)
+        self._unknown = 0.0
+
+    def first(self, block: Block, unknown: float) -> float:
+        self._unknown = unknown
+        [found] = self.run(block)
+        return float(found[0, 0])
+
+    def _load(self, now: Instruction, number: int, block: Block, truth: Any, margins: Any) -> None:
+        super()._load(now, number, block, truth, margins)
+        if isinstance(now.atom, Label) or (isinstance(now.atom, Predicate) and now.atom.names):
+            margins.values[number][block.steps - 1] = self._unknown
+
+
+def _positive(phi: Formula) -> Formula:
+    """φ in negation normal form, with new names for negated labels; shared operands stay shared."""
+    known: dict[int, Formula] = {}
+
+    def of(node: Formula) -> Formula:
+        found = known.get(id(node))
+        if found is None:
+            if isinstance(node, Not) and isinstance(node.arg, Label):
+                found = Label(_NEGATED + node.arg.name)
+            elif isinstance(node, Constant):
+                found = node
+            else:
+                found = with_children(node, tuple(of(child) for child in children(node)))
+            known[id(node)] = found
+        return found
+
+    return of(phi)

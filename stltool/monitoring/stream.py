@@ -1,0 +1,416 @@
+"""The state of an online monitor, laid out for kernels/streams.py, and the calls that read samples into it.
+
+The arrays have room for a number of samples. While that is less than a step's verdict can depend on, the monitor makes
+larger ones when they are full, and reads the samples again, which are all kept: so nothing is as large as the horizon
+before the trace is, and a sample still costs O(1), amortised.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias, assert_never, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.kernels import streams as k
+from stltool.logic.formula import Comparator, Constant, Formula, Label, Negate, Number, Term, Variable
+from stltool.monitoring.comparisons import Predicate
+from stltool.monitoring.early import Engine
+from stltool.monitoring.program import Atom, Instruction, Program
+
+Ints: TypeAlias = NDArray[np.int64]
+Floats: TypeAlias = NDArray[np.float64]
+
+_FIRST_ROOM = 1024
+_BEYOND = 2**60  # a time that never comes
+_COMPARATORS: dict[Comparator, int] = {
+    ">": k.GREATER, ">=": k.GREATER_EQUAL, "<": k.LESS, "<=": k.LESS_EQUAL, "==": k.EQUAL, "!=": k.UNEQUAL,
+}  # fmt: skip
+_OPS = {
+    "atom": k.OP_ATOM, "not": k.OP_NOT, "and": k.OP_AND, "or": k.OP_OR, "iff": k.OP_IFF,
+    "eventually": k.OP_EVENTUALLY, "always": k.OP_ALWAYS, "until": k.OP_UNTIL,
+}  # fmt: skip
+
+
+class Stream:
+    """The arrays of one monitor.
+
+    names    variables, then labels: the columns of samples       depth  samples that an open verdict can depend on
+    given    the atoms, by number, whose margin and truth come with each sample
+    start    the step of the first sample read into these arrays
+    """
+
+    def __init__(
+        self, program: Program, engine: Engine, horizon: int, waits: bool, start: int = 0, room: int = _FIRST_ROOM
+    ) -> None:
+        self.names = tuple(dict.fromkeys((*program.variables, *program.labels)))
+        self.depth = horizon + 1
+        self.atoms = [now.atom for now in program.instructions if now.atom is not None]
+        self.given = [i for i, atom in enumerate(self.atoms) if not _is_inside(atom)]
+        self._program, self._engine, self._horizon, self._waits = program, engine, horizon, waits
+        self.N, self.F, self.B = _laid_out(program, engine, self.names, horizon, waits, start, room)
+        self._bind()
+
+    values: Any
+    header: Any
+    margin: Any
+
+    def _bind(self) -> None:
+        """The calls, which know the addresses of the arrays."""
+        N, F, B = self.N, self.F, self.B
+        N[k.ADDRESSES : k.ADDRESSES + 5] = len(N), F.ctypes.data, len(F), B.ctypes.data, len(B)
+        self.address = N.ctypes.data
+        self.values = memoryview(cast(Any, F))[N[k.VALUES] : N[k.VALUES] + max(2, len(self.names))]
+        self.header = memoryview(cast(Any, N))[: k.HEADER]
+        self.margin = memoryview(cast(Any, F))[N[k.MARGIN] + N[k.RESULT] :][:1]
+        self.pair, self.advance = _calls(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        bound = ("address", "values", "header", "margin", "pair", "advance")
+        return {name: value for name, value in self.__dict__.items() if name not in bound}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._bind()
+
+    @property
+    def n_steps(self) -> int:
+        return int(self.header[k.TIME] + self.header[k.BASE])
+
+    @property
+    def n_read(self) -> int:
+        """The number of samples read into these arrays."""
+        return int(self.header[k.TIME])
+
+    @property
+    def room(self) -> int:
+        return int(self.header[k.ROOM])
+
+    def set_given(self, i: int, margin: float, truth: bool) -> None:
+        at = self.header[k.GIVEN] + 2 * i
+        self.F[at], self.F[at + 1] = margin, truth
+
+    def told(self) -> list[tuple[int, bool]]:
+        """The steps that the last sample decided, in order, with their verdicts."""
+        N = self.N
+        times = np.sort(N[N[k.TOLD_NOW] : N[k.TOLD_NOW] + N[k.TOLD]])
+        verdicts = N[N[k.VERDICT] + times % N[k.N_VERDICTS]] == 2
+        return list(zip((N[k.BASE] + times).tolist(), verdicts.tolist(), strict=True))
+
+    def kept(self) -> Floats:
+        """The last samples, at most `depth`, oldest first: (n, n_names)."""
+        N, time = self.N, int(self.N[k.TIME])
+        size, width = int(N[k.N_KEPT]), len(self.names)
+        rows = self.F[N[k.KEPT] : N[k.KEPT] + size * width].reshape(size, width)
+        n = min(time, size)
+        return rows[np.arange(time - n, time) % size]
+
+    def verdict(self, step: int) -> bool | None:
+        """The verdict of one of the last `depth` steps, if it is decided."""
+        N = self.N
+        found = int(N[N[k.VERDICT] + (step - N[k.BASE]) % N[k.N_VERDICTS]])
+        return None if found == 0 else found == 2
+
+    def read(self, samples: Floats, given: Floats) -> tuple[Ints, NDArray[np.bool_], Floats] | int:
+        """Read samples (n, n_names), with margins and truths (n, n_given, 2) of the atoms `given`.
+
+        Returns steps and verdicts of the decisions, and the final margins that the samples yield, (n,), NaN before
+        there are any; or the number of the sample that is refused, or for which there is no room.
+        """
+        most = len(samples) + min(self._horizon + 1, int(self.N[k.TIME]))
+        steps, verdicts, margins = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(len(samples))
+        which = np.array(self.given, dtype=np.int64)
+        count = k.advance_all(self.N, self.F, self.B, samples, given, which, steps, verdicts, margins)
+        return -1 - count if count < 0 else (steps[:count], verdicts[:count] == 1, margins)
+
+    def larger(self) -> Stream:
+        """A monitor's arrays with more room, to which the kept samples are still to be read."""
+        room = 4 * int(self.N[k.ROOM])
+        return Stream(self._program, self._engine, self._horizon, self._waits, int(self.N[k.BASE]), room)
+
+    def afresh(self, start: int, room: int) -> Stream:
+        """Empty arrays for samples from a step on."""
+        return Stream(self._program, self._engine, self._horizon, self._waits, start, room)
+
+
+def _calls(stream: Stream) -> tuple[Callable[[int, float, float], int], Callable[[int], int]]:
+    """Reading a sample of at most two names, and reading one that was written to `values`; both take the address.
+
+    numba's entry point of a compiled function takes half the time of its dispatcher. It is not a public name: without
+    it, the dispatcher is called; and without compilation, the kernel in Python.
+    """
+    if not hasattr(k, "feed_pair"):
+        arrays = stream.N, stream.F, stream.B
+
+        def advance(address: int) -> int:
+            return int(k.advance(*arrays))
+
+        def pair(address: int, x: float, y: float) -> int:
+            stream.F[stream.N[k.VALUES] : stream.N[k.VALUES] + 2] = x, y
+            return int(k.advance(*arrays))
+
+        return pair, advance
+    return _entry(k.feed_pair, 3) if len(stream.names) <= 2 else _unused, _entry(k.feed_values, 1)
+
+
+def _unused(address: int, x: float, y: float) -> int:
+    raise AssertionError("this sample has more than two values")
+
+
+def _entry(kernel: Any, n_arguments: int) -> Callable[..., int]:
+    from numba import types
+
+    signature = (types.int64, *[types.float64] * (n_arguments - 1))
+    kernel.compile(signature)
+    found: Callable[..., int] = getattr(kernel.overloads[signature], "entry_point", None) or kernel
+    return found
+
+
+# --------------------------------------------------------------------------------------------------------- layout
+
+
+def _is_inside(atom: Atom) -> bool:
+    """Whether the kernel judges the atom by itself: a constant, a label, or a comparison of signals and numbers."""
+    return not isinstance(atom, Predicate) or (atom.plain and bool(atom.names)) or _fixed(atom) is not None
+
+
+def _fixed(atom: Atom) -> tuple[float, bool] | None:
+    """Margin and truth of an atom that reads no signal, if it has them."""
+    if isinstance(atom, Constant):
+        return (np.inf, True) if atom.value else (-np.inf, False)
+    if isinstance(atom, Label) or atom.names:
+        return None
+    truth, margin = np.empty((1, 1), np.bool_), np.empty((1, 1))
+    with np.errstate(all="ignore"):
+        atom.judge({}, truth, margin, False)
+    return None if np.isnan(margin[0, 0]) else (float(margin[0, 0]), bool(truth[0, 0]))
+
+
+def _laid_out(
+    program: Program, engine: Engine, names: Sequence[str], horizon: int, waits: bool, start: int, room: int
+) -> tuple[Ints, Floats, NDArray[np.uint64]]:
+    instructions = program.instructions
+    depth = horizon + 1
+    room = min(room, depth)
+    N, F, B = _Tables(k.HEADER, np.int64), _Tables(0, np.float64), _Tables(0, np.uint64)
+    network = _Network(instructions, room)
+    atoms = [now for now in instructions if now.atom is not None]
+    read = [now.atom for now in instructions if now.atom is not None]
+    head = N.first
+    head[k.BASE], head[k.ROOM], head[k.HORIZON] = start, _BEYOND if room == depth else room, min(horizon, room)
+    head[k.WAITS], head[k.RESULT] = waits, network.registers[-1]
+    head[k.N_NAMES], head[k.N_ATOMS], head[k.N_NODES] = len(names), len(atoms), len(network.nodes)
+    head[k.N_KEPT] = head[k.N_VERDICTS] = room
+    head[k.NAMES] = N.add([name not in program.variables for name in names])
+    head[k.ATOMS] = N.add([_atom_row(atom, names) for atom in read])
+    head[k.TRUTH] = N.add(len(atoms))
+    head[k.NODES], head[k.COUNTERS] = N.add(network.nodes), N.add(3 * len(network.nodes))
+    head[k.MARK], head[k.VERDICT], head[k.TOLD_NOW] = N.add(network.length), N.add(room), N.add(room)
+    head[k.VALUES] = F.add(max(2, len(names)))
+    head[k.NUMBERS] = F.add([_numbers(atom) for atom in read])
+    head[k.GIVEN] = F.add([_fixed(atom) or (0.0, 0.0) for atom in read])
+    ring = np.full(network.length, -np.inf)
+    head[k.MARGIN], head[k.RING], head[k.KEPT] = F.add(network.n_registers), F.add(ring), F.add(room * len(names))
+    if engine.delta is not None:
+        _add_automaton(head, N, engine, atoms, room)
+    else:
+        _add_structure(head, N, B, instructions, len(atoms), room)
+    return N.array(), F.array(), B.array()
+
+
+class _Tables:
+    """An array that is put together from tables."""
+
+    def __init__(self, header: int, dtype: Any) -> None:
+        self.first = np.zeros(header, dtype=dtype)
+        self._dtype = dtype
+        self._parts = [self.first]
+        self._length = header
+
+    def add(self, table: Any) -> int:
+        """Append a table, or so many zeros; returns where it begins."""
+        values = np.zeros(table, self._dtype) if isinstance(table, int) else np.array(table, dtype=self._dtype).ravel()
+        self._parts.append(values)
+        self._length += len(values)
+        return self._length - len(values)
+
+    def array(self) -> NDArray[Any]:
+        return np.concatenate([*self._parts, np.zeros(1, self._dtype)])
+
+
+def _add_automaton(head: Ints, N: _Tables, engine: Engine, atoms: Sequence[Instruction], room: int) -> None:
+    assert engine.letter is not None
+    assert engine.delta is not None
+    numbers = {_formula(now): i for i, now in enumerate(atoms)}
+    n_states = engine.delta.shape[1]
+    head[k.N_LEAVES], head[k.N_STATES], head[k.INITIAL] = len(engine.leaves), n_states, engine.initial
+    head[k.LEAVES], head[k.LETTER] = N.add([numbers[leaf] for leaf in engine.leaves]), N.add(engine.letter)
+    head[k.DELTA], head[k.SLOTS] = N.add(engine.delta), room + 1
+    if engine.closed is not None:
+        head[k.ENGINE] = k.EACH
+        head[k.CLOSED], head[k.OPEN_STATES] = N.add(engine.closed), N.add(np.full(room + 1, -1))
+        return
+    assert engine.first is not None
+    assert engine.outcome is not None
+    head[k.ENGINE] = k.COALESCED
+    head[k.FIRST], head[k.OUTCOME] = N.add(engine.first), N.add(engine.outcome)
+    head[k.LISTS], head[k.FOLLOWING] = N.add(np.full(k.LIST_ROWS * (n_states + 1), -1)), N.add(room + 1)
+
+
+def _add_structure(
+    head: Ints, N: _Tables, B: _Tables, instructions: Sequence[Instruction], n_atoms: int, room: int
+) -> None:
+    words, n = room // 64 + 3, len(instructions)
+    numbers = {i: number for number, i in enumerate(i for i, now in enumerate(instructions) if now.atom is not None)}
+    rows: list[list[int]] = []
+    for i, now in enumerate(instructions):
+        first = numbers.get(i, now.args[0] if now.args else 0)
+        second = now.args[-1] if now.args else 0
+        assert now.b is not None
+        row = [_OPS[now.op], first, second, min(now.a, _BEYOND), min(now.b, _BEYOND)]
+        rows.append([*row, *_beyond(now, [rows[arg][5:] for arg in now.args])])
+    head[k.ENGINE], head[k.N_OPS], head[k.N_WORDS], head[k.N_LANES] = k.STRUCTURE, n, words, words
+    head[k.PROGRAM] = N.add(rows)
+    head[k.KNOWN], head[k.LANES] = B.add((n_atoms + 1) * words), B.add((2 * n + 3) * words)
+
+
+def _beyond(now: Instruction, below: list[list[int]]) -> list[int]:
+    """Whether the instruction is surely true, and possibly true, where no sample is known."""
+    match now.op:
+        case "atom":
+            assert now.atom is not None
+            fixed = _fixed(now.atom)
+            return [0, 1] if fixed is None else [int(fixed[1]), int(fixed[1])]
+        case "not":
+            return [1 - below[0][1], 1 - below[0][0]]
+        case "and":
+            return [min(x, y) for x, y in zip(*below, strict=True)]
+        case "or":
+            return [max(x, y) for x, y in zip(*below, strict=True)]
+        case "iff":
+            (p, q), (r, s) = below
+            return [min(max(1 - q, r), max(p, 1 - s)), min(max(1 - p, s), max(q, 1 - r))]
+        case "eventually" | "always":
+            return below[0]
+        case "until":
+            if now.a == 0:
+                return below[1]
+            return [min(x, y) for x, y in zip(*below, strict=True)]
+        case _:
+            assert_never(now.op)
+
+
+def _formula(now: Instruction) -> Formula:
+    assert now.atom is not None
+    return now.atom.node if isinstance(now.atom, Predicate) else now.atom
+
+
+def _atom_row(atom: Atom, names: Sequence[str]) -> list[int]:
+    nothing = [0, -1, 1, -1, 1]
+    if _fixed(atom) is not None:
+        return [k.FIXED, *nothing]
+    if isinstance(atom, Label):
+        return [k.LABEL, names.index(atom.name), *nothing[1:]]
+    if not _is_inside(atom):
+        return [k.GIVEN_ATOM, *nothing]
+    assert isinstance(atom, Predicate)
+    return [k.PLAIN, _COMPARATORS[atom.node.op], *_side(atom.node.left, names), *_side(atom.node.right, names)]
+
+
+def _side(term: Term, names: Sequence[str], sign: int = 1) -> tuple[int, int]:
+    """The column of a plain term, −1 for a number, and its sign."""
+    if isinstance(term, Negate):
+        return _side(term.arg, names, -sign)
+    return (names.index(term.name) if isinstance(term, Variable) else -1), sign
+
+
+def _numbers(atom: Atom) -> tuple[float, float]:
+    if not isinstance(atom, Predicate) or not atom.plain:
+        return 0.0, 0.0
+    return _number(atom.node.left), _number(atom.node.right)
+
+
+def _number(term: Term) -> float:
+    if isinstance(term, Negate):
+        return -_number(term.arg)
+    return float(term.value) if isinstance(term, Number) else 0.0
+
+
+class _Network:
+    """The nodes that compute margins: at time n, an instruction of horizon h has its value of step n − h.
+
+    Operands of shorter horizon wait in a queue. `registers` has the register of each instruction; those of atoms come
+    first.
+    """
+
+    def __init__(self, instructions: Sequence[Instruction], room: int) -> None:
+        self.nodes: list[list[int]] = []
+        self.length = 0
+        self._room = room
+        self._instructions = instructions
+        self._waiting: dict[tuple[int, int], int] = {}
+        atoms = [i for i, now in enumerate(instructions) if now.atom is not None]
+        others = [i for i, now in enumerate(instructions) if now.atom is None]
+        number = {i: n for n, i in enumerate([*atoms, *others])}
+        self.registers = [number[i] for i in range(len(instructions))]
+        self.n_registers = len(instructions)
+        for i in others:
+            self._add(i, instructions[i])
+
+    def _add(self, i: int, now: Instruction) -> None:
+        assert now.b is not None
+        horizons = [self._instructions[arg].horizon or 0 for arg in now.args]
+        start, out, a, b = max(horizons), self.registers[i], now.a, now.b
+        args = [self._wait(self.registers[arg], h, start - h) for arg, h in zip(now.args, horizons, strict=True)]
+        match now.op:
+            case "not":
+                self._node(k.NOT, out, args, start, start)
+            case "and":
+                self._node(k.AND, out, args, start, start)
+            case "or":
+                self._node(k.OR, out, args, start, start)
+            case "iff":
+                self._node(k.IFF, out, args, start, start)
+            case "eventually" | "always":
+                self._window(k.GREATEST if now.op == "eventually" else k.LEAST, out, args, start + a, b - a + 1)
+            case "until":
+                both = out if a == 0 else self._new()
+                self._pairs(k.UNTIL, both, args[0], args[-1], start, a, b - a + 1)
+                if a > 0:
+                    before = self._new()
+                    self._window(k.LEAST, before, args[:1], start, a)
+                    before = self._wait(before, start + a - 1, b - a + 1)
+                    self._node(k.AND, out, [before, both], start + b, start + b)
+            case "atom":
+                raise AssertionError("an atom has no operands")
+            case _:
+                assert_never(now.op)
+
+    def _new(self) -> int:
+        self.n_registers += 1
+        return self.n_registers - 1
+
+    def _node(self, op: int, out: int, args: list[int], pushes: int, shows: int, width: int = 0, size: int = 0) -> None:
+        times = [min(pushes, _BEYOND), min(shows, _BEYOND)]
+        self.nodes.append([op, out, args[0], args[-1], *times, width, self.length, size])
+        self.length += size
+
+    def _wait(self, register: int, start: int, delay: int) -> int:
+        """The register of a value, known from time `start` on, `delay` samples later."""
+        if delay == 0:
+            return register
+        if (register, delay) not in self._waiting:
+            self._waiting[register, delay] = out = self._new()
+            held = min(delay, self._room)
+            self._node(k.DELAY, out, [register], start, start + delay, held, held + 1)
+        return self._waiting[register, delay]
+
+    def _window(self, op: int, out: int, args: list[int], pushes: int, width: int) -> None:
+        held = min(width, self._room)
+        self._node(op, out, args, pushes, pushes + width - 1, held, 1 << held.bit_length())
+
+    def _pairs(self, op: int, out: int, left: int, right: int, start: int, a: int, width: int) -> None:
+        """The pairs of left and right sides from a steps after `start` on, `width` at a time."""
+        held = min(width, self._room)
+        self._node(op, out, [left, right], start + a, start + a + width - 1, held, 4 * held + 2)
