@@ -256,6 +256,7 @@ TAKES = {
     ),
     **{key: {"None", *NUMBERS} for key in ("epsilon", "mass", "memory_limit", "time_limit")},
     **{key: {"True"} for key in ("maximize", "exact", "keep_policy", "satisfied", "cut", "unbounded", "normalize")},
+    "wait": {"True"},
     **{key: {"text"} for key in ("text", "name", "objective")},
     **dict.fromkeys(("source", "command", "step", "unit"), TEXT),
     **dict.fromkeys(("labels", "params", "budget", "over", "parameters"), MAPPING),

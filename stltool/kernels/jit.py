@@ -47,15 +47,20 @@ _FILES = _files()
 SOURCES = _digest(_FILES)
 
 
-def kernel(function: _Kernel, *, inline: Literal["never", "always"] = "never") -> _Kernel:
+def kernel(
+    function: _Kernel, *, inline: Literal["never", "always"] = "never", counts: bool = True, lock: bool = False
+) -> _Kernel:
     """Compile `function` with numba, without Python and without its lock; `.py_func` is the Python function.
+
+    For functions of some nanoseconds: without `counts`, references to arrays are not counted, which takes longer than
+    that; such a kernel makes no arrays, and calls only its like. With `lock`, Python's lock is kept.
 
     The machine code is stored on disk, unless a source here has changed since this process began: the code that Python
     has read may then be older or newer than the digest.
     """
     from numba import njit
 
-    compiled: Any = njit(nogil=True, inline=inline)(function)
+    compiled: Any = njit(nogil=not lock, inline=inline, **({} if counts else {"_nrt": False}))(function)
     if hasattr(compiled, "py_func"):  # with NUMBA_DISABLE_JIT it is the function itself
         from stltool.kernels.cache import KernelCache
 

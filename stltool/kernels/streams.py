@@ -14,16 +14,17 @@ Times count the samples since the arrays were made; N[BASE] is the step of the f
 
 from __future__ import annotations
 
+import functools
 from typing import Any, TypeAlias, cast
 
-import numba
 import numpy as np
 from numba import types
 from numba.core import config as _config
 from numba.extending import intrinsic
+from numba.np.arrayobj import populate_array
 from numpy.typing import NDArray
 
-from stltool.kernels.jit import kernel
+from stltool.kernels import jit
 from stltool.kernels.told import FULL, NOTHING, REFUSED, SEVERAL
 
 I64: TypeAlias = NDArray[np.int64]
@@ -37,10 +38,10 @@ N_NAMES, N_ATOMS, N_NODES, N_KEPT, N_VERDICTS, N_LEAVES, N_STATES, N_OPS, N_WORD
 # where tables begin: in N
 NAMES, ATOMS, TRUTH, NODES, COUNTERS, MARK, VERDICT, TOLD_NOW = range(22, 30)
 LETTER, LEAVES, DELTA, FIRST, OUTCOME, LISTS, FOLLOWING, CLOSED, OPEN_STATES, PROGRAM = range(30, 40)
-# in F, in B, and the addresses and lengths of N, F and B
+# in F, in B
 VALUES, NUMBERS, GIVEN, MARGIN, RING, KEPT, KNOWN, LANES = range(40, 48)
-ADDRESSES = 48
-HEADER = 56
+HEADER = 48
+ROOT = 7  # length of the table of addresses
 
 COALESCED, EACH, STRUCTURE = range(3)  # engines
 ATOM, ATOM_WIDTH = range(6), 6  # an atom: kind, comparator or name, left name or −1, its sign, right name, its sign
@@ -56,7 +57,8 @@ OP_ATOM, OP_NOT, OP_AND, OP_OR, OP_IFF, OP_EVENTUALLY, OP_ALWAYS, OP_UNTIL, OP_O
 )
 LIST_ROWS = 6
 
-carray: Any = cast(Any, numba).carray
+kernel = functools.partial(jit.kernel, counts=False)
+entry = functools.partial(jit.kernel, counts=False, lock=True)
 _ZERO, _ONE, _ALL = np.uint64(0), np.uint64(1), np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
@@ -201,11 +203,11 @@ def run_network(N: I64, F: F64) -> None:
                 F[out] = _pair_value(N, F, node, count, op == SINCE)
         elif op == DELAY:
             if pushes:
-                ring, size, n = N[RING] + N[node + 7], N[node + 8], N[count]
-                F[ring + n % size] = F[margin + N[node + 2]]
+                ring, mask, n = N[RING] + N[node + 7], N[node + 8] - 1, N[count]
+                F[ring + (n & mask)] = F[margin + N[node + 2]]
                 N[count] = n + 1
                 if shows:
-                    F[out] = F[ring + (n - N[node + 6]) % size]
+                    F[out] = F[ring + ((n - N[node + 6]) & mask)]
         elif shows:
             x, y = F[margin + N[node + 2]], F[margin + N[node + 3]]
             if op == NOT:
@@ -227,12 +229,18 @@ def run_network(N: I64, F: F64) -> None:
 
 @kernel
 def _decide(N: I64, t: int, value: int, told: int) -> int:
-    """Note the verdict of the step at time t; returns the number of those told now."""
-    N[N[VERDICT] + t % N[N_VERDICTS]] = value
+    """Note the verdict of the step at time t, 1 or 2 for false or true; returns the number of those told now."""
+    N[N[VERDICT] + (t & (N[N_VERDICTS] - 1))] = value
     if N[WAITS] == 0:
-        N[N[TOLD_NOW] + told] = t
+        N[N[TOLD_NOW] + told] = _code(N, t, value)
         told += 1
     return told
+
+
+@kernel
+def _code(N: I64, t: int, value: int) -> Any:
+    """A decision as a number: step << 3 | robustness is final << 2 | verdict << 1 | 1."""
+    return (N[BASE] + t) << 3 | (4 if t + N[HORIZON] == N[TIME] else 0) | (value - 1) << 1 | 1
 
 
 @kernel
@@ -250,11 +258,11 @@ def run_coalesced(N: I64, told: int) -> int:
     Two starts in one state stay together, and as a state is decided from some clock on, only the head of a list can be
     decided: a sample costs as much as there are states with starts, amortised.
     """
-    time, size, n, wide = N[TIME], N[SLOTS], N[ACTIVE], N[N_STATES] + 1
-    row, after = N[DELTA] + _letter(N) * N[N_STATES], N[FOLLOWING]
+    time, mask, n, wide = N[TIME], N[SLOTS] - 1, N[ACTIVE], N[N_STATES] + 1
+    row, after, first, outcome = N[DELTA] + _letter(N) * N[N_STATES], N[FOLLOWING], N[FIRST], N[OUTCOME]
     head, tail, active = N[LISTS], N[LISTS] + wide, N[LISTS] + 2 * wide
     to_head, to_tail, to_active = head + 3 * wide, tail + 3 * wide, active + 3 * wide
-    q, slot = N[INITIAL], time % size
+    q, slot = N[INITIAL], time & mask
     N[after + slot] = -1
     if N[head + q] < 0:
         N[active + n], N[head + q] = q, slot
@@ -267,11 +275,12 @@ def run_coalesced(N: I64, told: int) -> int:
         q = N[active + i]
         x, end, to = N[head + q], N[tail + q], N[row + q]
         N[head + q] = -1
+        from_clock = N[first + to]
         while x >= 0:
-            age = (time - x) % size
-            if age < N[N[FIRST] + to]:
+            age = (time - x) & mask
+            if age < from_clock:
                 break
-            told = _decide(N, time - age, N[N[OUTCOME] + to], told)
+            told = _decide(N, time - age, N[outcome + to], told)
             x = N[after + x]
         if x < 0:
             continue
@@ -279,14 +288,14 @@ def run_coalesced(N: I64, told: int) -> int:
         if y < 0:
             N[to_active + m], N[to_head + to], N[to_tail + to] = to, x, end
             m += 1
-        elif (time - y_end) % size > (time - x) % size:  # all of the other list are older
+        elif (time - y_end) & mask > (time - x) & mask:  # all of the other list are older
             N[after + y_end], N[to_tail + to] = x, end
-        elif (time - end) % size > (time - y) % size:
+        elif (time - end) & mask > (time - y) & mask:
             N[after + end], N[to_head + to] = y, x
         else:  # they interleave
             last = np.int64(-1)
             while x >= 0 and y >= 0:
-                if (time - x) % size > (time - y) % size:
+                if (time - x) & mask > (time - y) & mask:
                     oldest = x
                     x = N[after + x]
                 else:
@@ -312,11 +321,11 @@ def run_coalesced(N: I64, told: int) -> int:
 @kernel
 def run_each(N: I64, told: int) -> int:
     """A state for every open step: for automata with a state that is decided at some clock and open at a later one."""
-    time, size = N[TIME], N[SLOTS]
+    time, mask = N[TIME], N[SLOTS] - 1
     row = N[DELTA] + _letter(N) * N[N_STATES]
-    N[N[OPEN_STATES] + time % size] = N[INITIAL]
+    N[N[OPEN_STATES] + (time & mask)] = N[INITIAL]
     for age in range(min(time, N[HORIZON]), -1, -1):
-        slot = N[OPEN_STATES] + (time - age) % size
+        slot = N[OPEN_STATES] + ((time - age) & mask)
         if N[slot] >= 0:
             q = N[row + N[slot]]
             value = N[N[CLOSED] + age * N[N_STATES] + q]
@@ -396,7 +405,7 @@ def run_structure(N: I64, B: U64, told: int) -> int:
     horizon, as far as an operator of the past can know something.
     """
     time, size, horizon, wide = N[TIME], N[N_WORDS], N[HORIZON], N[N_LANES]
-    now, bit = N[KNOWN] + (time >> 6) % size, np.uint64(time & 63)
+    now, bit = N[KNOWN] + ((time >> 6) & (size - 1)), np.uint64(time & 63)
     for i in range(N[N_ATOMS] + 1):
         if time & 63 == 0:
             B[now + i * size] = _ZERO
@@ -415,7 +424,7 @@ def run_structure(N: I64, B: U64, told: int) -> int:
         if op == OP_ATOM:
             row = N[KNOWN] + N[at + 1] * size
             for k in range(n):
-                known = B[row + (start + k) % size] if k <= last else _ZERO
+                known = B[row + ((start + k) & (size - 1))] if k <= last else _ZERO
                 ahead = _ZERO if k < last else (unread if k == last else _ALL)
                 B[lower + k] = known | ahead if N[at + 5] == 1 else known
                 B[upper + k] = known if N[at + 6] == 0 else known | ahead
@@ -454,7 +463,7 @@ def run_structure(N: I64, B: U64, told: int) -> int:
     first = max(0, time - horizon)
     told_row = N[KNOWN] + N[N_ATOMS] * size
     for k in range((first >> 6) - start, last + 1):
-        row = told_row + (start + k) % size
+        row = told_row + ((start + k) & (size - 1))
         new = (B[lower + k] | ~B[lower + wide + k]) & ~B[row]
         if k == last:
             new &= ~unread
@@ -478,16 +487,16 @@ def run_structure(N: I64, B: U64, told: int) -> int:
 def advance(N: I64, F: F64, B: U64) -> Any:
     """Read the sample in VALUES (and GIVEN); see the module docstring.
 
-    Returns NOTHING, REFUSED (a value or margin is not a finite number), FULL (there is no room for another sample),
-    SEVERAL (N[TOLD] steps are decided, whose times are in TOLD_NOW), or for a single decision the number
-    step << 3 | robustness is final << 2 | verdict << 1 | 1.
+    Returns the code of a single decision (`_code`) or what told.py lists: SEVERAL if the codes of N[TOLD] decisions are
+    in TOLD_NOW.
     """
     time, horizon = N[TIME], N[HORIZON]
     if time >= N[ROOM]:
         return FULL
     if not evaluate(N, F):
         return REFUSED
-    N[N[VERDICT] + time % N[N_VERDICTS]] = 0
+    verdict, mask = N[VERDICT], N[N_VERDICTS] - 1
+    N[verdict + (time & mask)] = 0
     run_network(N, F)
     if N[ENGINE] == COALESCED:
         told = run_coalesced(N, 0)
@@ -495,20 +504,20 @@ def advance(N: I64, F: F64, B: U64) -> Any:
         told = run_each(N, 0)
     else:
         told = run_structure(N, B, 0)
-    kept = N[KEPT] + (time % N[N_KEPT]) * N[N_NAMES]
-    for i in range(N[N_NAMES]):
+    names = N[N_NAMES]
+    kept = N[KEPT] + (time & (N[N_KEPT] - 1)) * names
+    for i in range(names):
         F[kept + i] = F[N[VALUES] + i]
-    N[TIME], N[TOLD] = time + 1, told
+    code = NOTHING
     if N[WAITS] != 0:
-        if time < horizon:
-            return NOTHING
-        t = time - horizon
+        if time >= horizon:
+            code = _code(N, time - horizon, N[verdict + ((time - horizon) & mask)])
     elif told == 1:
-        t = N[N[TOLD_NOW]]
-    else:
-        return NOTHING if told == 0 else SEVERAL
-    final = 4 if t + horizon == time else 0
-    return (N[BASE] + t) << 3 | final | (N[N[VERDICT] + t % N[N_VERDICTS]] - 1) << 1 | 1
+        code = N[N[TOLD_NOW]]
+    elif told > 1:
+        code = SEVERAL
+    N[TIME], N[TOLD] = time + 1, told
+    return code
 
 
 @kernel
@@ -533,8 +542,8 @@ def advance_all(
             return -1 - i
         if code == SEVERAL:
             for k in range(N[TOLD]):
-                t = N[N[TOLD_NOW] + k]
-                steps[count], verdicts[count] = N[BASE] + t, N[N[VERDICT] + t % N[N_VERDICTS]] - 1
+                told = N[N[TOLD_NOW] + k]
+                steps[count], verdicts[count] = told >> 3, told >> 1 & 1
                 count += 1
         elif code != NOTHING:
             steps[count], verdicts[count] = code >> 3, code >> 1 & 1
@@ -546,35 +555,49 @@ def advance_all(
 # ---------------------------------------------------------------------------------------- calls with an address
 # From Python, arrays cost more to hand over than a sample takes to read; an address is an integer.
 
-if not cast(Any, _config).DISABLE_JIT:
+
+def _arrays_of(dtype: Any) -> Any:
+    """array(address, length): the array there, which nobody counts references to."""
 
     @intrinsic
-    def _to_pointer(typing: Any, address: Any) -> Any:
+    def array(typing: Any, address: Any, length: Any) -> Any:
+        kind = types.Array(dtype, 1, "C")
+
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            return builder.inttoptr(args[0], context.get_value_type(types.voidptr))
+            made = context.make_array(kind)(context, builder)
+            size = context.get_abi_sizeof(context.get_data_type(dtype))
+            data = builder.inttoptr(args[0], made.data.type)
+            size = context.get_constant(types.intp, size)
+            populate_array(made, data, [args[1]], [size], size, None)
+            return made._getvalue()
 
-        return types.voidptr(types.int64), generate
+        return kind(types.int64, types.int64), generate
 
-    _pointer: Any = _to_pointer
+    return array
 
-    @kernel
-    def feed_values(address: int) -> Any:
-        """`advance` for the arrays whose addresses and lengths are in N, which is at `address`."""
-        N = carray(_pointer(address), (HEADER,), np.int64)
-        t = ADDRESSES
-        return advance(
-            carray(_pointer(address), (N[t],), np.int64),
-            carray(_pointer(N[t + 1]), (N[t + 2],), np.float64),
-            carray(_pointer(N[t + 3]), (N[t + 4],), np.uint64),
-        )
 
-    @kernel
-    def feed_pair(address: int, x: float, y: float) -> Any:
+_integers, _doubles, _sets = (_arrays_of(dtype) for dtype in (types.int64, types.float64, types.uint64))
+
+if not cast(Any, _config).DISABLE_JIT:
+
+    @entry
+    def feed_values(root: int) -> Any:
+        """`advance` for the arrays that `root` leads to: the addresses and lengths of N, F and B, and the address at
+        which the robustness of the newest step with a final one is left."""
+        t = _integers(root, ROOT)
+        N = _integers(t[0], t[1])
+        F = _doubles(t[2], t[3])
+        code = advance(N, F, _sets(t[4], t[5]))
+        _doubles(t[6], 1)[0] = F[N[MARGIN] + N[RESULT]]
+        return code
+
+    @entry
+    def feed_pair(root: int, x: float, y: float) -> Any:
         """The same, with the values of the first two names; F has room for a second one."""
-        N = carray(_pointer(address), (HEADER,), np.int64)
-        t = ADDRESSES
-        F = carray(_pointer(N[t + 1]), (N[t + 2],), np.float64)
+        t = _integers(root, ROOT)
+        N = _integers(t[0], t[1])
+        F = _doubles(t[2], t[3])
         F[N[VALUES]], F[N[VALUES] + 1] = x, y
-        return advance(
-            carray(_pointer(address), (N[t],), np.int64), F, carray(_pointer(N[t + 3]), (N[t + 4],), np.uint64)
-        )
+        code = advance(N, F, _sets(t[4], t[5]))
+        _doubles(t[6], 1)[0] = F[N[MARGIN] + N[RESULT]]
+        return code

@@ -103,10 +103,60 @@ class OnlineMonitor(Displayed):
         self.early = engine.early
         self._stream = Stream(self._program, engine, self.horizon, self.wait)
         self._enclosure: Enclosure | None = None
-        names = self._stream.names
-        self._one, self._two = (*names, None, None)[:2]
-        # one or two names are handed over as they are, if nothing needs Python to be judged
-        self._direct = 0 if self._stream.given or len(names) > 2 else len(names)
+        self._bind()
+
+    def _bind(self) -> None:
+        from stltool.monitoring.stream import Call
+
+        self._call = Call(self._stream)
+        atoms = enumerate(self._stream.atoms)
+        self._predicates = [(i, atom.at_one_sample()) for i, atom in atoms if isinstance(atom, Predicate)]
+        self._shorten()
+
+    def _shorten(self) -> None:
+        """Put a quicker `feed` in front of the method, if there are one or two names and nothing needs Python.
+
+        It refers to nothing that is replaced when arrays are, so it can be kept. What is not two floats, or not one
+        decision, goes to the method.
+        """
+        names, pair, root, latest = self._stream.names, self._call.pair, self._call.root, self._call.latest
+        if self._stream.given or len(names) not in (1, 2):
+            return
+        feed, one, two = self._feed, names[0], names[-1]
+
+        def quick(sample: Mapping[str, Any]) -> list[Decision] | Decisions:
+            try:
+                x = sample[one]
+                y = sample[two]
+            except (KeyError, TypeError, IndexError):
+                return feed(sample)
+            if x.__class__ is not float or y.__class__ is not float:
+                return feed(sample)
+            code = pair(root, x, y)
+            if code > 0:
+                return [_new(Decision, (code >> 3, code & 2 == 2, latest[0] if code & 4 else None))]
+            return [] if code == 0 else feed(sample, code)
+
+        def quicker(sample: Mapping[str, Any]) -> list[Decision] | Decisions:
+            try:
+                x = sample[one]
+            except (KeyError, TypeError, IndexError):
+                return feed(sample)
+            if x.__class__ is not float:
+                return feed(sample)
+            code = pair(root, x, 0.0)
+            if code > 0:
+                return [_new(Decision, (code >> 3, code & 2 == 2, latest[0] if code & 4 else None))]
+            return [] if code == 0 else feed(sample, code)
+
+        self.feed: Any = quick if len(names) == 2 else quicker  # type: ignore[misc]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name not in ("_call", "_predicates", "feed")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._bind()
 
     def _card(self) -> Card:
         engine = f"{self.early.engine}, {'exact' if self.early.exact else 'possibly late'}"
@@ -138,22 +188,7 @@ class OnlineMonitor(Displayed):
         Raises NameLookupError if a name is missing, TraceError if a value is not a finite number (for a label: neither
         true nor false), or gives a predicate no value or no margin. What is refused leaves the monitor unchanged.
         """
-        stream, direct = self._stream, self._direct
-        try:
-            x = sample[self._one]  # type: ignore[index]  # None if there are no names
-            if direct == 1 and x.__class__ is float:
-                code = stream.pair(stream.address, x, 0.0)
-            elif direct == 2 and x.__class__ is float and (y := sample[self._two]).__class__ is float:  # type: ignore[index]
-                code = stream.pair(stream.address, x, y)
-            else:
-                return self._feed(sample)
-        except (KeyError, TypeError, IndexError):
-            return self._feed(sample)
-        if code > NOTHING:
-            return [_new(Decision, (code >> 3, code & 2 == 2, stream.margin[0] if code & 4 else None))]
-        if code == NOTHING:
-            return []
-        return self._told() if code == SEVERAL else self._feed(sample)
+        return self._feed(sample)
 
     def finish(self, end: Literal["cut", "hold"] = "cut") -> list[Decision]:
         """The decisions of the steps still open if the trace ended here. The monitor can still be fed."""
@@ -197,8 +232,10 @@ class OnlineMonitor(Displayed):
 
     # ------------------------------------------------------------------------------------------------ one sample
 
-    def _feed(self, sample: Mapping[str, Any]) -> list[Decision] | Decisions:
-        """`feed`, checking everything."""
+    def _feed(self, sample: Mapping[str, Any], code: int | None = None) -> list[Decision] | Decisions:
+        """`feed`, checking everything; `code` is what reading it has returned, if it was read."""
+        if code is not None and code not in (REFUSED, FULL):
+            return self._decided(code)
         mapping(sample, "feed's sample", "{'x': 0.5}")
         stream, values = self._stream, self._stream.values
         for i, name in enumerate(stream.names):
@@ -207,37 +244,33 @@ class OnlineMonitor(Displayed):
                 break
             values[i] = value
         else:
-            if not stream.given and (code := stream.advance(stream.address)) not in (REFUSED, FULL):
-                return self._decided(code)
+            if not stream.given and (found := self._call.advance(self._call.root)) not in (REFUSED, FULL):
+                return self._decided(found)
         if any(_is_block(sample.get(name)) for name in stream.names):
             return self._feed_block(sample)
         read = self._read(sample)
         try:
-            for i, atom in enumerate(stream.atoms):
-                if isinstance(atom, Predicate):
-                    margin, truth = atom.at_one_sample()(read)
-                    if i in stream.given:
-                        stream.set_given(i, margin, truth)
+            for i, judge_one in self._predicates:
+                margin, truth = judge_one(read)
+                if i in stream.given:
+                    stream.set_given(i, margin, truth)
         except TraceError as error:
             raise TraceError(f"step {self.n_steps}: {error}") from None
         for i, name in enumerate(stream.names):
             values[i] = read[name]
-        code = stream.advance(stream.address)
+        code = self._call.advance(self._call.root)
         if code == FULL:
             self._grow(1)
             return self._feed(sample)
         return self._decided(code)
 
     def _decided(self, code: int) -> list[Decision]:
+        """The decisions that reading a sample has yielded."""
         if code == NOTHING:
             return []
-        if code == SEVERAL:
-            return self._told()
-        return [Decision(code >> 3, code & 2 == 2, self._stream.margin[0] if code & 4 else None)]
-
-    def _told(self) -> list[Decision]:
-        final = self.n_steps - 1 - self.horizon
-        return [Decision(t, true, self._stream.margin[0] if t == final else None) for t, true in self._stream.told()]
+        codes = [code] if code != SEVERAL else self._stream.told()
+        margin = self._call.latest[0]
+        return [_new(Decision, (one >> 3, one & 2 == 2, margin if one & 4 else None)) for one in codes]
 
     def _grow(self, more: int) -> None:
         """Make room for more samples."""
@@ -247,7 +280,11 @@ class OnlineMonitor(Displayed):
         if stream is not self._stream:
             kept = self._stream.kept()
             stream.read(kept, self._outside(stream, kept, 0))
-            self._stream = stream
+            self._take(stream)
+
+    def _take(self, stream: Stream) -> None:
+        self._stream = stream
+        self._call.bind(stream)
 
     def _read(self, sample: Mapping[str, Any]) -> dict[str, float]:
         values: dict[str, float] = {}
@@ -334,7 +371,7 @@ class OnlineMonitor(Displayed):
             steps = np.concatenate([steps[keep], read[0][early][order]])
             verdicts = np.concatenate([verdicts[keep], read[1][early][order]])
             robustness = np.concatenate([robustness[keep], np.full(len(order), np.nan)])
-        self._stream = fresh
+        self._take(fresh)
         return Decisions(steps, verdicts, robustness)
 
     def _traces(self, samples: NDArray[np.float64], first_step: int) -> Traces:

@@ -54,20 +54,17 @@ class Stream:
 
     values: Any
     header: Any
-    margin: Any
+    told_now: Any
 
     def _bind(self) -> None:
-        """The calls, which know the addresses of the arrays."""
-        N, F, B = self.N, self.F, self.B
-        N[k.ADDRESSES : k.ADDRESSES + 5] = len(N), F.ctypes.data, len(F), B.ctypes.data, len(B)
-        self.address = N.ctypes.data
-        self.values = memoryview(cast(Any, F))[N[k.VALUES] : N[k.VALUES] + max(2, len(self.names))]
+        """Views of the arrays that are quick to read and write from Python."""
+        N, F = self.N, self.F
         self.header = memoryview(cast(Any, N))[: k.HEADER]
-        self.margin = memoryview(cast(Any, F))[N[k.MARGIN] + N[k.RESULT] :][:1]
-        self.pair, self.advance = _calls(self)
+        self.values = memoryview(cast(Any, F))[N[k.VALUES] : N[k.VALUES] + len(self.names)]
+        self.told_now = memoryview(cast(Any, N))[N[k.TOLD_NOW] :]
 
     def __getstate__(self) -> dict[str, Any]:
-        bound = ("address", "values", "header", "margin", "pair", "advance")
+        bound = ("values", "header", "told_now")
         return {name: value for name, value in self.__dict__.items() if name not in bound}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -91,19 +88,17 @@ class Stream:
         at = self.header[k.GIVEN] + 2 * i
         self.F[at], self.F[at + 1] = margin, truth
 
-    def told(self) -> list[tuple[int, bool]]:
-        """The steps that the last sample decided, in order, with their verdicts."""
-        N = self.N
-        times = np.sort(N[N[k.TOLD_NOW] : N[k.TOLD_NOW] + N[k.TOLD]])
-        verdicts = N[N[k.VERDICT] + times % N[k.N_VERDICTS]] == 2
-        return list(zip((N[k.BASE] + times).tolist(), verdicts.tolist(), strict=True))
+    def told(self) -> list[int]:
+        """The codes of the decisions that the last sample yielded, by step (`_code` in kernels/streams.py)."""
+        found: list[int] = self.told_now[: self.header[k.TOLD]].tolist()
+        return sorted(found)
 
     def kept(self) -> Floats:
         """The last samples, at most `depth`, oldest first: (n, n_names)."""
         N, time = self.N, int(self.N[k.TIME])
         size, width = int(N[k.N_KEPT]), len(self.names)
         rows = self.F[N[k.KEPT] : N[k.KEPT] + size * width].reshape(size, width)
-        n = min(time, size)
+        n = min(time, self.depth)
         return rows[np.arange(time - n, time) % size]
 
     def verdict(self, step: int) -> bool | None:
@@ -134,28 +129,43 @@ class Stream:
         return Stream(self._program, self._engine, self._horizon, self._waits, start, room)
 
 
-def _calls(stream: Stream) -> tuple[Callable[[int, float, float], int], Callable[[int], int]]:
-    """Reading a sample of at most two names, and reading one that was written to `values`; both take the address.
+class Call:
+    """Reads single samples into whichever arrays it is bound to.
+
+    pair    takes `root` and two values, for at most two names      advance   takes `root`: the values were written
+    latest  its item 0 is, after a call, the robustness of the newest step that has a final one
 
     numba's entry point of a compiled function takes half the time of its dispatcher. It is not a public name: without
-    it, the dispatcher is called; and without compilation, the kernel in Python.
+    it the dispatcher is called, and without compilation the kernel in Python.
     """
-    if not hasattr(k, "feed_pair"):
-        arrays = stream.N, stream.F, stream.B
 
-        def advance(address: int) -> int:
-            return int(k.advance(*arrays))
+    def __init__(self, stream: Stream) -> None:
+        self._root = np.zeros(k.ROOT, dtype=np.int64)
+        self._latest = np.zeros(1)
+        self.root = self._root.ctypes.data
+        self.latest: Any = memoryview(cast(Any, self._latest))
+        self.bind(stream)
+        if hasattr(k, "feed_pair"):
+            self.advance = _entry(k.feed_values, 1) if len(stream.names) > 2 or stream.given else self._advance
+            self.pair = _entry(k.feed_pair, 3) if len(stream.names) <= 2 else self._pair
+        else:
+            self.advance, self.pair = self._advance, self._pair
 
-        def pair(address: int, x: float, y: float) -> int:
-            stream.F[stream.N[k.VALUES] : stream.N[k.VALUES] + 2] = x, y
-            return int(k.advance(*arrays))
+    def bind(self, stream: Stream) -> None:
+        self._stream = stream
+        N, F, B = stream.N, stream.F, stream.B
+        self._root[:] = (N.ctypes.data, len(N), F.ctypes.data, len(F), B.ctypes.data, len(B), self._latest.ctypes.data)
 
-        return pair, advance
-    return _entry(k.feed_pair, 3) if len(stream.names) <= 2 else _unused, _entry(k.feed_values, 1)
+    def _advance(self, root: int) -> int:
+        N, F, B = self._stream.N, self._stream.F, self._stream.B
+        code = int(k.advance(N, F, B))
+        self._latest[0] = F[N[k.MARGIN] + N[k.RESULT]]
+        return code
 
-
-def _unused(address: int, x: float, y: float) -> int:
-    raise AssertionError("this sample has more than two values")
+    def _pair(self, root: int, x: float, y: float) -> int:
+        F, first = self._stream.F, self._stream.header[k.VALUES]
+        F[first], F[first + 1] = x, y
+        return self._advance(root)
 
 
 def _entry(kernel: Any, n_arguments: int) -> Callable[..., int]:
@@ -201,22 +211,28 @@ def _laid_out(
     head[k.BASE], head[k.ROOM], head[k.HORIZON] = start, _BEYOND if room == depth else room, min(horizon, room)
     head[k.WAITS], head[k.RESULT] = waits, network.registers[-1]
     head[k.N_NAMES], head[k.N_ATOMS], head[k.N_NODES] = len(names), len(atoms), len(network.nodes)
-    head[k.N_KEPT] = head[k.N_VERDICTS] = room
+    ring_size = _power_of_two(room)
+    head[k.N_KEPT] = head[k.N_VERDICTS] = ring_size
     head[k.NAMES] = N.add([name not in program.variables for name in names])
     head[k.ATOMS] = N.add([_atom_row(atom, names) for atom in read])
     head[k.TRUTH] = N.add(len(atoms))
     head[k.NODES], head[k.COUNTERS] = N.add(network.nodes), N.add(3 * len(network.nodes))
-    head[k.MARK], head[k.VERDICT], head[k.TOLD_NOW] = N.add(network.length), N.add(room), N.add(room)
+    head[k.MARK], head[k.VERDICT], head[k.TOLD_NOW] = N.add(network.length), N.add(ring_size), N.add(room)
     head[k.VALUES] = F.add(max(2, len(names)))
     head[k.NUMBERS] = F.add([_numbers(atom) for atom in read])
     head[k.GIVEN] = F.add([_fixed(atom) or (0.0, 0.0) for atom in read])
     ring = np.full(network.length, -np.inf)
-    head[k.MARGIN], head[k.RING], head[k.KEPT] = F.add(network.n_registers), F.add(ring), F.add(room * len(names))
+    head[k.MARGIN], head[k.RING], head[k.KEPT] = F.add(network.n_registers), F.add(ring), F.add(ring_size * len(names))
     if engine.delta is not None:
         _add_automaton(head, N, engine, atoms, room)
     else:
         _add_structure(head, N, B, instructions, len(atoms), room)
     return N.array(), F.array(), B.array()
+
+
+def _power_of_two(n: int) -> int:
+    """The least power of two that is at least n."""
+    return 1 << (n - 1).bit_length()
 
 
 class _Tables:
@@ -246,22 +262,23 @@ def _add_automaton(head: Ints, N: _Tables, engine: Engine, atoms: Sequence[Instr
     n_states = engine.delta.shape[1]
     head[k.N_LEAVES], head[k.N_STATES], head[k.INITIAL] = len(engine.leaves), n_states, engine.initial
     head[k.LEAVES], head[k.LETTER] = N.add([numbers[leaf] for leaf in engine.leaves]), N.add(engine.letter)
-    head[k.DELTA], head[k.SLOTS] = N.add(engine.delta), room + 1
+    slots = _power_of_two(room + 1)
+    head[k.DELTA], head[k.SLOTS] = N.add(engine.delta), slots
     if engine.closed is not None:
         head[k.ENGINE] = k.EACH
-        head[k.CLOSED], head[k.OPEN_STATES] = N.add(engine.closed), N.add(np.full(room + 1, -1))
+        head[k.CLOSED], head[k.OPEN_STATES] = N.add(engine.closed), N.add(np.full(slots, -1))
         return
     assert engine.first is not None
     assert engine.outcome is not None
     head[k.ENGINE] = k.COALESCED
     head[k.FIRST], head[k.OUTCOME] = N.add(engine.first), N.add(engine.outcome)
-    head[k.LISTS], head[k.FOLLOWING] = N.add(np.full(k.LIST_ROWS * (n_states + 1), -1)), N.add(room + 1)
+    head[k.LISTS], head[k.FOLLOWING] = N.add(np.full(k.LIST_ROWS * (n_states + 1), -1)), N.add(slots)
 
 
 def _add_structure(
     head: Ints, N: _Tables, B: _Tables, instructions: Sequence[Instruction], n_atoms: int, room: int
 ) -> None:
-    words, n = room // 64 + 3, len(instructions)
+    words, n = _power_of_two(room // 64 + 3), len(instructions)
     numbers = {i: number for number, i in enumerate(i for i, now in enumerate(instructions) if now.atom is not None)}
     rows: list[list[int]] = []
     for i, now in enumerate(instructions):
@@ -403,12 +420,12 @@ class _Network:
         if (register, delay) not in self._waiting:
             self._waiting[register, delay] = out = self._new()
             held = min(delay, self._room)
-            self._node(k.DELAY, out, [register], start, start + delay, held, held + 1)
+            self._node(k.DELAY, out, [register], start, start + delay, held, _power_of_two(held + 1))
         return self._waiting[register, delay]
 
     def _window(self, op: int, out: int, args: list[int], pushes: int, width: int) -> None:
         held = min(width, self._room)
-        self._node(op, out, args, pushes, pushes + width - 1, held, 1 << held.bit_length())
+        self._node(op, out, args, pushes, pushes + width - 1, held, _power_of_two(held + 1))
 
     def _pairs(self, op: int, out: int, left: int, right: int, start: int, a: int, width: int) -> None:
         """The pairs of left and right sides from a steps after `start` on, `width` at a time."""
