@@ -60,7 +60,8 @@ def kernel(
     """
     from numba import njit
 
-    compiled: Any = njit(nogil=not lock, inline=inline, **({} if counts else {"_nrt": False}))(function)
+    options: dict[str, Any] = {} if counts else {"_nrt": False}
+    compiled: Any = njit(nogil=not lock, inline=inline, **options)(function)
     if hasattr(compiled, "py_func"):  # with NUMBA_DISABLE_JIT it is the function itself
         from stltool.kernels.cache import KernelCache
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, overload
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from stltool.arguments import described, mapping, one_of, require, whole
 from stltool.display import Card, Displayed, counted
@@ -149,7 +149,7 @@ class OnlineMonitor(Displayed):
                 return [_new(Decision, (code >> 3, code & 2 == 2, latest[0] if code & 4 else None))]
             return [] if code == 0 else feed(sample, code)
 
-        self.feed: Any = quick if len(names) == 2 else quicker  # type: ignore[misc]
+        self.feed = quick if len(names) == 2 else quicker  # type: ignore[method-assign]
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in ("_call", "_predicates", "feed")}
@@ -173,12 +173,6 @@ class OnlineMonitor(Displayed):
     def nbytes(self) -> int:
         """Memory: bounded by the horizon, and by the samples so far."""
         return self._stream.N.nbytes + self._stream.F.nbytes + self._stream.B.nbytes
-
-    @overload
-    def feed(self, sample: Mapping[str, float]) -> list[Decision]: ...
-
-    @overload
-    def feed(self, sample: Mapping[str, ArrayLike]) -> list[Decision] | Decisions: ...
 
     def feed(self, sample: Mapping[str, Any]) -> list[Decision] | Decisions:
         """Take the next sample, a value for every name of φ; returns the decisions that it yields, by step.

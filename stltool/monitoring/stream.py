@@ -7,7 +7,7 @@ before the trace is, and a sample still costs O(1), amortised.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeAlias, assert_never, cast
 
 import numpy as np
@@ -135,8 +135,7 @@ class Call:
     pair    takes `root` and two values, for at most two names      advance   takes `root`: the values were written
     latest  its item 0 is, after a call, the robustness of the newest step that has a final one
 
-    numba's entry point of a compiled function takes half the time of its dispatcher. It is not a public name: without
-    it the dispatcher is called, and without compilation the kernel in Python.
+    Without compilation, the kernel is called in Python.
     """
 
     def __init__(self, stream: Stream) -> None:
@@ -145,9 +144,9 @@ class Call:
         self.root = self._root.ctypes.data
         self.latest: Any = memoryview(cast(Any, self._latest))
         self.bind(stream)
-        if hasattr(k, "feed_pair"):
-            self.advance = _entry(k.feed_values, 1) if len(stream.names) > 2 or stream.given else self._advance
-            self.pair = _entry(k.feed_pair, 3) if len(stream.names) <= 2 else self._pair
+        if hasattr(k.feed_pair, "py_func"):
+            self.advance = k.entry_point(k.feed_values, 0) if len(stream.names) > 2 or stream.given else self._advance
+            self.pair = k.entry_point(k.feed_pair, 2) if len(stream.names) <= 2 else self._pair
         else:
             self.advance, self.pair = self._advance, self._pair
 
@@ -166,15 +165,6 @@ class Call:
         F, first = self._stream.F, self._stream.header[k.VALUES]
         F[first], F[first + 1] = x, y
         return self._advance(root)
-
-
-def _entry(kernel: Any, n_arguments: int) -> Callable[..., int]:
-    from numba import types
-
-    signature = (types.int64, *[types.float64] * (n_arguments - 1))
-    kernel.compile(signature)
-    found: Callable[..., int] = getattr(kernel.overloads[signature], "entry_point", None) or kernel
-    return found
 
 
 # --------------------------------------------------------------------------------------------------------- layout
