@@ -232,6 +232,8 @@ class OnlineMonitor(Displayed):
             return self._decided(code)
         mapping(sample, "feed's sample", "{'x': 0.5}")
         stream, values = self._stream, self._stream.values
+        if not stream.names and any(map(_is_block, sample.values())):
+            return self._feed_block(sample)
         for i, name in enumerate(stream.names):
             value = sample.get(name)
             if value.__class__ is not float and value.__class__ is not bool:

@@ -304,6 +304,8 @@ def _beyond(now: Instruction, below: list[list[int]]) -> list[int]:
             if now.a == 0:
                 return below[1]
             return [min(x, y) for x, y in zip(*below, strict=True)]
+        case "once" | "historically" | "since":
+            return [0, 1]
         case _:
             assert_never(now.op)
 
@@ -389,8 +391,8 @@ class _Network:
                     self._window(k.LEAST, before, args[:1], start, a)
                     before = self._wait(before, start + a - 1, b - a + 1)
                     self._node(k.AND, out, [before, both], start + b, start + b)
-            case "atom":
-                raise AssertionError("an atom has no operands")
+            case "atom" | "once" | "historically" | "since":
+                raise AssertionError(f"{now.op} is no node")
             case _:
                 assert_never(now.op)
 

@@ -28,6 +28,7 @@ from stltool.logic.formula import (
     Label,
     Not,
     Or,
+    Release,
     Until,
     children,
     variables,
@@ -238,6 +239,8 @@ def kleene(phi, trace, t, n):
         case Eventually(interval, arg) | Always(interval, arg):
             found = [kleene(arg, trace, u, n) for u in range(t + interval.a, t + interval.b + 1)]
             return combined(found, isinstance(phi, Eventually))
+        case Release(interval, left, right):
+            return kleene(Not(Until(interval, Not(left), Not(right))), trace, t, n)
         case Until(interval, left, right):
             held = [kleene(left, trace, u, n) for u in range(t, t + interval.b)]
             return combined(
