@@ -1,5 +1,13 @@
 """What is wrong with an argument is told in a sentence, by every public function and method, whatever it is given.
 
+
+def begun(phi):
+    """An online monitor that has read a sample."""
+    monitor = stl.OnlineMonitor(phi)
+    monitor.feed({"A": 1})
+    return monitor
+
+
 Every parameter of every door is given one thing of every kind. Either the kind is one that the door takes (`TAKES`,
 `OWN`), or a StlToolError comes out whose message is a short sentence. Doors are found by introspection: one without a
 valid call in `CALLS` fails.
@@ -162,7 +170,7 @@ CALLS = {
     "smooth_robustness": lambda w: {"phi": w.formula, "signals": {"A": [1, 0, 1]}, "beta": 1.0},
     "OnlineMonitor": lambda w: {"phi": w.formula, "wait": False},
     "OnlineMonitor.feed": lambda w: {"self": stl.OnlineMonitor(w.formula), "sample": {"A": 1}},
-    "OnlineMonitor.bounds": lambda w: {"self": stl.OnlineMonitor(w.formula), "step": 0},
+    "OnlineMonitor.bounds": lambda w: {"self": begun(w.formula), "step": 0},
     "OnlineMonitor.finish": lambda w: {"self": stl.OnlineMonitor(w.formula)},
     "meaning": lambda w: {"phi": w.formula},
     "compile_automaton": lambda w: {"phi": w.formula},
