@@ -1,13 +1,5 @@
 """What is wrong with an argument is told in a sentence, by every public function and method, whatever it is given.
 
-
-def begun(phi):
-    """An online monitor that has read a sample."""
-    monitor = stl.OnlineMonitor(phi)
-    monitor.feed({"A": 1})
-    return monitor
-
-
 Every parameter of every door is given one thing of every kind. Either the kind is one that the door takes (`TAKES`,
 `OWN`), or a StlToolError comes out whose message is a short sentence. Doors are found by introspection: one without a
 valid call in `CALLS` fails.
@@ -135,6 +127,15 @@ LEARNERS = [name for name in stl.__all__ if inspect.isclass(c := getattr(stl, na
 LEARNERS.remove("Learner")
 
 # door → a valid call, as arguments by name; "self" is the object whose method it is
+
+
+def begun(phi):
+    """An online monitor that has read a sample."""
+    monitor = stl.OnlineMonitor(phi)
+    monitor.feed({"A": 1})
+    return monitor
+
+
 CALLS = {
     "parse": lambda w: {"text": "F[0,2] A"},
     "parse_task": lambda w: {"text": w.text},

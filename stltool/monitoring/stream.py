@@ -172,7 +172,17 @@ class Call:
 
 def _is_inside(atom: Atom) -> bool:
     """Whether the kernel judges the atom by itself: a constant, a label, or a comparison of signals and numbers."""
-    return not isinstance(atom, Predicate) or (atom.plain and bool(atom.names)) or _fixed(atom) is not None
+    return not isinstance(atom, Predicate) or (_is_plain(atom) and bool(atom.names)) or _fixed(atom) is not None
+
+
+def _is_plain(atom: Predicate) -> bool:
+    """Whether both sides are a signal or a number, perhaps negated."""
+    for side in (atom.node.left, atom.node.right):
+        while isinstance(side, Negate):
+            side = side.arg
+        if not isinstance(side, Variable | Number):
+            return False
+    return True
 
 
 def _fixed(atom: Atom) -> tuple[float, bool] | None:
@@ -335,7 +345,7 @@ def _side(term: Term, names: Sequence[str], sign: int = 1) -> tuple[int, int]:
 
 
 def _numbers(atom: Atom) -> tuple[float, float]:
-    if not isinstance(atom, Predicate) or not atom.plain:
+    if not isinstance(atom, Predicate) or not _is_plain(atom):
         return 0.0, 0.0
     return _number(atom.node.left), _number(atom.node.right)
 
