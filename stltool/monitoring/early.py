@@ -84,8 +84,11 @@ class Engine:
     closed: Ints | None = None
 
 
-def engine_of(phi: Formula) -> Engine:
-    """The engine of a formula with a horizon: its automaton if that is small enough, else its structure."""
+def engine_of(phi: Formula, related: bool = False) -> Engine:
+    """The engine of a formula with a horizon: its automaton if that is small enough, else its structure.
+
+    `related`: some signals are earlier samples of others, so that not every sequence of letters can occur.
+    """
     read = leaves(phi)
     valuations, complete = feasible_valuations(read, _MOST_VALUATIONS)
     known = [dict(zip(read, row, strict=True)) for row in valuations.tolist()] if complete else []
@@ -98,13 +101,13 @@ def engine_of(phi: Formula) -> Engine:
     elif complete and len(read) <= MOST_LEAVES:
         try:
             automaton = compile_automaton(phi, valuations=np.unique(truths, axis=0), most_states=MOST_STATES)
-            engine = _of_automaton(automaton, read, valuations, truths)
+            engine = _of_automaton(automaton, read, valuations, truths, related)
         except SizeError:
             engine = None
         if engine is not None:
             return engine
         why = "the automaton of the formula is too large"
-    exact = complete and realised(read) and _extremes_meet(phi, asked, truths)
+    exact = complete and not related and realised(read) and _extremes_meet(phi, asked, truths)
     why += "; " + (
         "every predicate occurs in one polarity"
         if exact
@@ -114,7 +117,11 @@ def engine_of(phi: Formula) -> Engine:
 
 
 def _of_automaton(
-    automaton: TaskAutomaton, read: tuple[Formula, ...], valuations: NDArray[np.bool_], truths: NDArray[np.bool_]
+    automaton: TaskAutomaton,
+    read: tuple[Formula, ...],
+    valuations: NDArray[np.bool_],
+    truths: NDArray[np.bool_],
+    related: bool,
 ) -> Engine | None:
     """The engine of an automaton; None if its verdicts take too long to close."""
     runs = _closed(automaton)
@@ -129,7 +136,7 @@ def _of_automaton(
     codes = valuations @ (1 << np.arange(len(read))) if len(read) else np.zeros(len(valuations), dtype=np.int64)
     letter = np.zeros(1 << len(read), dtype=np.int64)
     letter[codes] = automaton.letters_at(truths)
-    exact = realised(read)
+    exact = realised(read) and not related
     states = f"its automaton has {automaton.n_states} states"
     why = states if exact else f"{states}; its predicates depend on each other in ways that are not examined"
     first, outcome = table if table is not None else (None, None)

@@ -7,6 +7,7 @@ runs per sample is in kernels/streams.py, over arrays that stream.py lays out.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -26,8 +27,8 @@ from stltool.monitoring.comparisons import Predicate
 from stltool.monitoring.early import engine_of
 from stltool.monitoring.intervals import Enclosure
 from stltool.monitoring.offline import judge
-from stltool.monitoring.program import compile_formula
-from stltool.monitoring.samples import WHOLE, Traces, read_traces
+from stltool.monitoring.program import compile_delayed
+from stltool.monitoring.samples import WHOLE, Earlier, Traces, read_traces
 
 if TYPE_CHECKING:
     from stltool.monitoring.stream import Stream
@@ -94,12 +95,13 @@ class OnlineMonitor(Displayed):
 
         self.formula = bounded_formula_of(phi, "OnlineMonitor's formula")
         require(wait, (bool, np.bool_), "wait", "give True or False")
-        self._program = compile_formula(self.formula)
+        made, self._program = compile_delayed(self.formula)
+        self._judged, self._earlier = made.formula, Earlier(made)
         if self._program.has_past:
             raise FragmentError(f"{self.formula} looks back, which online monitors do not support yet; use monitor")
         self.horizon: int = self._program.horizon or 0
         self.wait = bool(wait)
-        engine = engine_of(self.formula)
+        engine = engine_of(self._judged, bool(made.signals or made.starts))
         self.early = engine.early
         self._stream = Stream(self._program, engine, self.horizon, self.wait)
         self._enclosure: Enclosure | None = None
@@ -120,7 +122,7 @@ class OnlineMonitor(Displayed):
         decision, goes to the method.
         """
         names, pair, root, latest = self._stream.names, self._call.pair, self._call.root, self._call.latest
-        if self._stream.given or len(names) not in (1, 2):
+        if self._stream.given or self._delays or len(names) not in (1, 2):
             return
         feed, one, two = self._feed, names[0], names[-1]
 
@@ -189,10 +191,16 @@ class OnlineMonitor(Displayed):
         one_of(end, "end", ("cut", "hold"))
         n = self.n_steps
         first = n - min(self.horizon, n)
-        kept = self._stream.kept()[-(n - first) :] if n > first else self._stream.kept()[:0]
-        if not len(kept):
+        if n == first:
             return []
-        truth, margins = judge(self.formula, self._traces(kept, first), end, True, True)
+        kept = self._stream.kept()[-(n - first) :]
+        if end == "hold" and self._delays:
+            last = dict(zip(self._stream.names, kept[-1].tolist(), strict=True))
+            held = [[{**last, **made}[name] for name in self._stream.names] for made in self._earlier.held()]
+            kept = np.concatenate([kept, np.array(held, dtype=np.float64).reshape(-1, kept.shape[1])])
+        truth, margins = (found[:, : n - first] for found in judge(
+            self._judged, self._traces(kept, first), end, True, True
+        ))  # fmt: skip
         found = zip(range(first, n), truth[0].tolist(), margins[0].tolist(), strict=True)
         return [Decision(*one) for one in found if self.wait or self._stream.verdict(one[0]) is None]
 
@@ -210,10 +218,10 @@ class OnlineMonitor(Displayed):
         kept = self._stream.kept()
         kept = kept[len(kept) - (n - step) :]
         if n - step > self.horizon:
-            _, margins = judge(self.formula, self._traces(kept, step), "error", True, True)
+            _, margins = judge(self._judged, self._traces(kept, step), "error", True, True)
             return (float(margins[0, 0]),) * 2
         if self._enclosure is None:
-            self._enclosure = Enclosure(self.formula)
+            self._enclosure = Enclosure(self._judged)
         columns = dict(zip(self._stream.names, kept.T, strict=True))
         lower, upper = self._enclosure.at_start(columns, len(kept))
         match self._stream.verdict(step):
@@ -234,6 +242,12 @@ class OnlineMonitor(Displayed):
         stream, values = self._stream, self._stream.values
         if not stream.names and any(map(_is_block, sample.values())):
             return self._feed_block(sample)
+        bases: dict[str, float] = {}
+        if self._delays:
+            if any(_is_block(sample.get(name)) for name in (*stream.names, *self._earlier.kept)):
+                return self._feed_each(sample)
+            bases = {name: self._real(name, self._given(name, sample)) for name in self._earlier.kept}
+            sample = {**sample, **self._earlier.of(bases)}
         for i, name in enumerate(stream.names):
             value = sample.get(name)
             if value.__class__ is not float and value.__class__ is not bool:
@@ -241,6 +255,7 @@ class OnlineMonitor(Displayed):
             values[i] = value
         else:
             if not stream.given and (found := self._call.advance(self._call.root)) not in (REFUSED, FULL):
+                self._earlier.keep(bases)
                 return self._decided(found)
         if any(_is_block(sample.get(name)) for name in stream.names):
             return self._feed_block(sample)
@@ -258,6 +273,7 @@ class OnlineMonitor(Displayed):
         if code == FULL:
             self._grow(1)
             return self._feed(sample)
+        self._earlier.keep(bases)
         return self._decided(code)
 
     def _decided(self, code: int) -> list[Decision]:
@@ -319,6 +335,30 @@ class OnlineMonitor(Displayed):
 
     # ----------------------------------------------------------------------------------------------------- blocks
 
+    @property
+    def _delays(self) -> bool:
+        """Whether the formula reads earlier samples of a signal."""
+        return bool(self._earlier.made.signals or self._earlier.made.starts)
+
+    def _feed_each(self, block: Mapping[str, Any]) -> Decisions:
+        """A block, sample by sample; if one is refused, none was read."""
+        names = {**self._program.variables, **self._program.labels, **dict.fromkeys(self._earlier.kept)}
+        made = self._earlier.made
+        given = {name: self._given(name, block) for name in names if name not in {**made.signals, **made.starts}}
+        columns = {name: np.asarray(values) for name, values in given.items()}
+        shapes = {column.shape for column in columns.values()}
+        if len(shapes) != 1 or len(shape := shapes.pop()) != 1:
+            raise TraceError("the signals of feed's block differ in shape; give each an array (n_steps,)")
+        copied = copy.deepcopy(self)
+        decisions = [
+            decision
+            for t in range(shape[0])
+            for decision in copied._feed({name: column[t] for name, column in columns.items()})
+        ]
+        self.__setstate__(copied.__getstate__())
+        robustness = [math.nan if decision.robustness is None else decision.robustness for decision in decisions]
+        return _decisions([d.step for d in decisions], [d.verdict for d in decisions], robustness)
+
     def _feed_block(self, block: Mapping[str, Any]) -> Decisions:
         n = self.n_steps
         traces = replace(read_traces(self._program, block), first_step=n)
@@ -351,7 +391,7 @@ class OnlineMonitor(Displayed):
         before = stream.kept()[-h:] if h else stream.kept()[:0]
         first = n - len(before)
         joined = np.concatenate([before, samples])
-        truth, margins = judge(self.formula, self._traces(joined, first), "error", True, True)
+        truth, margins = judge(self._judged, self._traces(joined, first), "error", True, True)
         last = joined[-(h + 1) :]
         end = n + len(samples)
         fresh = stream.afresh(end - len(last), len(last))
@@ -414,7 +454,10 @@ def _is_block(value: object) -> bool:
 
 
 def _decisions(steps: list[int], verdicts: list[bool], robustness: list[float]) -> Decisions:
-    return Decisions(np.array(steps, np.int64), np.array(verdicts, np.bool_), np.array(robustness, np.float64))
+    order = np.argsort(np.array(steps, np.int64), kind="stable")
+    return Decisions(
+        np.array(steps, np.int64)[order], np.array(verdicts, np.bool_)[order], np.array(robustness, np.float64)[order]
+    )
 
 
 _NUMBERS = (int, float, np.bool_, np.integer, np.floating)

@@ -67,7 +67,7 @@ def test_monitors_read_the_samples_of_other_steps(read, trace, end):
 def test_running_monitors_decide_the_same(read, trace, end):
     phi = stl.parse(read[0])
     for psi in (phi, ~phi, stl.F(~phi, 1, 2)):
-        online = stl.OnlineMonitor(psi)
+        online = stl.OnlineMonitor(psi, wait=True)
         decisions = []
         for x, y in zip(trace["x"], trace["y"], strict=True):
             with pytest.raises(stl.errors.StlToolError):
@@ -78,6 +78,11 @@ def test_running_monitors_decide_the_same(read, trace, end):
         assert [decision.step for decision in decisions] == list(range(len(found.verdicts)))
         assert [decision.verdict for decision in decisions] == found.verdicts.tolist()
         assert [decision.robustness for decision in decisions] == found.robustness.tolist()
+        early = stl.OnlineMonitor(psi)
+        verdicts = dict(decision[:2] for decision in early.feed(trace))
+        verdicts.update(decision[:2] for decision in early.finish(end if end != "error" else "cut"))
+        decided = len(stl.monitor(psi, trace).verdicts) if len(trace["x"]) > online.horizon else 0
+        assert [verdicts[t] for t in range(decided)] == found.verdicts[:decided].tolist()
 
 
 @given(read=st.sampled_from(READS), trace=traces(), data=st.data())
