@@ -347,6 +347,14 @@ def test_every_name_that_a_message_lists_can_be_typed(stltool, tmp_path):
     assert 'did you mean "Engine Speed (rpm)"?' in err
 
 
+def test_comparisons_of_several_steps_tell_their_cases(stltool, tmp_path):
+    path = tmp_path / "task.stl"
+    path.write_text(f'model "{FACTORY / "floor-5x5.toml"}"\nr := G[0,3] (x[t+1] - x[t] <= 0.2)\n')
+    code, out, err = stltool("check", path, "--json")
+    told = "x - x[t-1] <= 0.2 is judged by 5 values of x: "
+    assert (code, told in err, told in json.loads(out)["model_notes"][-1]) == (0, True, True)
+
+
 def test_a_formula_may_have_times(stltool, tmp_path):
     assert json.loads(stltool("explain", "F[0,2s] a", "--step", "500ms", "--json")[1])["formula"] == "F[0,4] a"
     assert "no step is declared; give --step 0.1s" in stltool("explain", "F[0,2s] a")[2]
