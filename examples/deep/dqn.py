@@ -24,7 +24,8 @@ import stltool as stl
 from stltool.asked import Situations
 from stltool.envs.product import ProductEnv
 
-FLOOR = Path(__file__).parents[1] / "factory" / "floor-5x5.toml"
+_HERE = Path(__file__).resolve().parent
+FLOOR = next(path for path in (_HERE / "floor-5x5.toml", _HERE.parent / "factory" / "floor-5x5.toml") if path.exists())
 TASK = "G[0,5) (F[0,5) A & F[0,5) (x < 0.4 & y > 0.6))"
 DISCOUNT, BATCH, UPDATES, RENEW, CAPACITY = 1.0, 64, 4, 100, 50_000
 

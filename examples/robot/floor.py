@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 import stltool as stl
 
-FACTORY = Path(__file__).resolve().parent.parent / "factory"
+_HERE = Path(__file__).resolve().parent
+FACTORY = _HERE if (_HERE / "floor-5x5.toml").exists() else _HERE.parent / "factory"  # a copy has its files beside it
 
 HALF = 0.36
 """Half the width of a wall block. Blocks as wide as their cell would touch at the corners, and a diagonal move past one

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from pathlib import Path
 from typing import Annotated
@@ -69,5 +70,6 @@ def new(
     print_facts({"made": f"{folder} with {', '.join(made.files)}", "next": shlex.join(["cd", str(folder)])})
     for command in made.next:
         print(f"      {command}")
-    if any(b'kind = "gymnasium"' in content for content in made.files.values()) and find_spec("gymnasium") is None:
+    needs = any(re.search(rb'kind = "gymnasium"|^(from|import) gymnasium', text, re.M) for text in made.files.values())
+    if needs and find_spec("gymnasium") is None:
         note("these commands need the package gymnasium, which is not installed; pip install 'stltool[gymnasium]'")

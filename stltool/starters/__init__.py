@@ -5,6 +5,7 @@ A starter is a folder of this package: a task, a model or a log, and comments th
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,6 +30,8 @@ EXAMPLES = {
     "insulin": "a day of an insulin pump, judged by its therapy",
     "monitor": "the log of a delivery robot's shift",
     "paper": "the comparison of methods of Wang et al. (2024) as sweeps",
+    "robot": "a simulated robot with wheels as a black box, in Python: learn, promise, compare",
+    "deep": "a DQN on a task, judged exactly, in Python",
 }
 _NEXT = {
     "grid": ["stltool explain task.stl", "stltool check task.stl", "stltool run task.stl"],
@@ -45,7 +48,14 @@ _NEXT = {
     "zeroconf": ["stltool check address.stl --exact"],
     "drone": ["stltool monitor rules.stl flight.csv --plot flight.png"],
     "insulin": ["stltool monitor therapy.stl day.csv --plot day.png"],
+    "robot": ["python . --plant kinematic --robots 100 --moves 20000 --runs 500", "python . --help"],
+    "deep": ["python dqn.py --episodes 40 --seeds 2"],
 }
+_PROGRAMS = {"robot", "deep"}  # examples that are Python
+_ALSO = {
+    "deep": ["factory/floor-5x5.toml"],
+    "robot": ["factory/floor-5x5.toml", "factory/patrolling.stl"],
+}  # files of other examples
 
 
 @dataclass(frozen=True)
@@ -69,13 +79,29 @@ def example(name: str) -> Starter:
         raise SettingsError(f"--example {name}: there is no such example; {near_misses(name, EXAMPLES)}")
     for folder in (_HERE.parent / "examples", _HERE.parent.parent / "examples"):
         if (folder / name).is_dir():
-            return Starter(_files(folder / name), _NEXT[name])
+            files = _files(folder / name)
+            if name in _PROGRAMS:
+                files |= {path.name: _alone(path.read_bytes(), name) for path in _program(folder / name)}
+            files |= {Path(other).name: (folder / other).read_bytes() for other in _ALSO.get(name, [])}
+            return Starter(files, _NEXT[name])
     raise FileNotFoundError(f"the example {name} is missing from this installation; reinstall stltool")
 
 
 def _files(folder: Path) -> dict[str, bytes]:
     paths = sorted(path for path in folder.rglob("*") if path.is_file() and path.suffix in _SUFFIXES)
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+
+def _program(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.suffix in (".py", ".html") and path.stat().st_size)
+
+
+def _alone(text: bytes, name: str) -> bytes:
+    """A module of an example, for a folder that is not a package: its siblings are beside it."""
+    package = rb"examples\." + name.encode()
+    text = re.sub(rb"\bfrom " + package + rb"\.", b"from ", text)
+    text = re.sub(rb"python -m " + package + rb"\.(\w+)", rb"python \1.py", text)
+    return re.sub(rb"python -m " + package + rb"\b", b"python .", text)
 
 
 _SUFFIXES = {".stl", ".toml", ".csv", ".tra", ".lab", ".sta"}  # not what runs of an example have left

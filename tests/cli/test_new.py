@@ -2,7 +2,11 @@
 
 import importlib.util
 import json
+import os
+import re
 import shlex
+import subprocess
+import sys
 
 import pytest
 
@@ -14,13 +18,21 @@ QUICK = {"run": ["--rollouts", "50", "--episodes", "20"], "sweep": ["--workers",
 # which other tests do
 SLOW = {"stltool sweep small.toml", "stltool run patrolling.stl", "stltool run crossing-blackbox.stl",
         "stltool run delivery.stl", "stltool why inspection.stl"}  # fmt: skip
+# programs, with less to do
+LESS = {
+    "--example robot": shlex.split("--window 3 --episodes 10 --moves 300 --runs 10 --robots 10 --out out"),
+    "--example deep": shlex.split("--episodes 1 --seeds 1"),
+}
+SAYS = {"--example robot": "promise  P >= ", "--example deep": "counterfactual transitions a step"}
 VIOLATED = {"--example monitor", "--example drone", "--example insulin"}  # logs with something to see
 
 
 def test_a_missing_extra_is_told_with_what_needs_it(stltool, tmp_path, monkeypatch):
     found = importlib.util.find_spec
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "gymnasium" else found(name))
-    for i, (options, told) in enumerate([("--kind gymnasium", 1), ("--kind grid", 0), ("--example frozenlake", 1)]):
+    for i, (options, told) in enumerate(
+        [("--kind gymnasium", 1), ("--kind grid", 0), ("--example frozenlake", 1), ("--example deep", 1)]
+    ):
         code, _, err = stltool("new", tmp_path / str(i), *options.split())
         assert code == 0
         assert err.count("pip install 'stltool[gymnasium]'") == told
@@ -34,8 +46,16 @@ def test_what_is_made_runs(stltool, tmp_path, monkeypatch, made):
     assert text.splitlines()[1] == "next  cd shift"
     commands = [line.strip() for line in text.splitlines()[2:]]
     assert commands
-    assert all(command.startswith("stltool ") for command in commands)
+    assert all(command.startswith(("stltool ", "python ")) for command in commands)
     monkeypatch.chdir("shift")
+    programs = [shlex.split(command) for command in commands if command.startswith("python ")]
+    commands = [command for command in commands if command.startswith("stltool ")]
+    for _, file, *options in programs[:1]:
+        options += LESS[made]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        done = subprocess.run([sys.executable, file, *options], env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        assert SAYS[made] in done.stdout
     learned = made == "--kind grid"  # of the others, run is the same
     for command in [one for one in commands if one not in SLOW and (learned or one != "stltool run task.stl")]:
         _, name, *arguments = shlex.split(command)
@@ -62,7 +82,12 @@ def test_examples_are_those_of_the_sources():
         listed = (ROOT / "pyproject.toml").read_text()
         assert f'"examples/{name}" = "stltool/examples/{name}"' in listed
         for file, content in example(name).files.items():
-            assert (ROOT / "examples" / name / file).read_bytes() == content
+            if file.endswith(".py"):
+                assert not re.search(rb"^\s*(from|import) examples", content, re.M)  # it runs without the sources
+                compile(content, file, "exec")
+                assert content.count(b"\n") == (ROOT / "examples" / name / file).read_bytes().count(b"\n")
+            elif (ROOT / "examples" / name / file).exists():  # not a file of another one
+                assert (ROOT / "examples" / name / file).read_bytes() == content
     assert set(starter("grid").files) == {"floor.toml", "task.stl"}
     assert all(len(starter(kind).files["task.stl"].split(b"#")) > 1 for kind in KINDS)  # commented
 
