@@ -48,6 +48,7 @@ from stltool.logic.formula import (
     refuse_operand,
 )
 from stltool.logic.names import can_be_written
+from stltool.logic.shifts import moved, settled
 from stltool.logic.task import Task
 from stltool.numbers import exact, shortest
 
@@ -136,7 +137,10 @@ def signal(name: str) -> Expression:
 
 
 class Expression(Displayed):
-    """Arithmetic over signals and numbers: `+ - * / **` and abs; `< <= > >= == !=` turn it into a formula."""
+    """Arithmetic over signals and numbers: `+ - * / **` and abs; `< <= > >= == !=` turn it into a formula.
+
+    `x.at(1)` is x one step later, `x.at(-1)` one step earlier.
+    """
 
     __slots__ = ("term",)
     __array_ufunc__: ClassVar[None] = None  # numpy's numbers defer to the operators here
@@ -195,22 +199,27 @@ class Expression(Displayed):
     def __abs__(self) -> Expression:
         return Expression(fitting(Call("abs", (self.term,))))
 
-    def __lt__(self, other: Operand) -> Comparison:
+    def at(self, steps: int) -> Expression:
+        """The same expression some steps later, or earlier if `steps` is negative: x[t+1] is `x.at(1)`."""
+        steps = whole(steps, "at's steps", -LARGEST_BOUND, LARGEST_BOUND)
+        return Expression(moved(self.term, -steps))
+
+    def __lt__(self, other: Operand) -> Formula:
         return _compared("<", self, other)
 
-    def __le__(self, other: Operand) -> Comparison:
+    def __le__(self, other: Operand) -> Formula:
         return _compared("<=", self, other)
 
-    def __gt__(self, other: Operand) -> Comparison:
+    def __gt__(self, other: Operand) -> Formula:
         return _compared(">", self, other)
 
-    def __ge__(self, other: Operand) -> Comparison:
+    def __ge__(self, other: Operand) -> Formula:
         return _compared(">=", self, other)
 
-    def __eq__(self, other: Operand) -> Comparison:  # type: ignore[override]
+    def __eq__(self, other: Operand) -> Formula:  # type: ignore[override]
         return _compared("==", self, other)
 
-    def __ne__(self, other: Operand) -> Comparison:  # type: ignore[override]
+    def __ne__(self, other: Operand) -> Formula:  # type: ignore[override]
         return _compared("!=", self, other)
 
     def __and__(self, other: object) -> NoReturn:
@@ -245,8 +254,8 @@ def _require_readable(name: str) -> None:
         )
 
 
-def _compared(op: Comparator, left: Operand, right: Operand) -> Comparison:
-    return fitting(Comparison(op, _term(left, op), _term(right, op)))
+def _compared(op: Comparator, left: Operand, right: Operand) -> Formula:
+    return fitting(settled(Comparison(op, _term(left, op), _term(right, op))))
 
 
 def _computed(op: ArithmeticOperator, left: Operand, right: Operand) -> Expression:

@@ -43,9 +43,14 @@ def settled(phi: Comparison) -> Formula:
     latest = min(delays, default=0)
     if latest == 0:
         return phi
-    moved = with_variables(phi, lambda variable: replace(variable, delay=variable.delay - latest))
+    rest = Comparison(phi.op, moved(phi.left, -latest), moved(phi.right, -latest), span=phi.span)
     window = Interval(abs(latest), abs(latest))
-    return (Eventually if latest < 0 else Once)(window, moved, span=phi.span)
+    return (Eventually if latest < 0 else Once)(window, rest, span=phi.span)
+
+
+def moved(term: Term, steps: int) -> Term:
+    """The term as it was some steps before, or will be, if `steps` is negative."""
+    return _with_variables(term, lambda variable: replace(variable, delay=variable.delay + steps))
 
 
 def with_variables(phi: Comparison, new: Callable[[Variable], Variable]) -> Comparison:
@@ -134,8 +139,8 @@ def delayed(phi: Formula, once: bool = False) -> Delayed:
         start: Formula = Once(Interval(steps, steps), Constant(True))
         if once:
             start = Label(name_of(f"{steps}", f"step >= {steps}"))
-        moved = with_variables(c, lambda variable: read(replace(variable, delay=variable.delay + back)))
-        return And((start, moved), span=node.span)
+        plain = with_variables(c, lambda variable: read(replace(variable, delay=variable.delay + back)))
+        return And((start, plain), span=node.span)
 
     formula = replaced(phi, reads_back, guarded)
     signals = {name: what for what, name in names.items() if isinstance(what, tuple)}

@@ -120,6 +120,18 @@ def test_a_number_means_what_it_prints(value):
     assert not math.isfinite(high) or stl.satisfies(phi, {"x": [high]})
 
 
+def test_expressions_at_other_steps():
+    x, y = stl.signal("x"), stl.signal("y")
+    for composed, text in [
+        (x.at(1) - x > 0, "x[t+1] - x[t] > 0"),
+        ((x + y.at(-2)).at(1) >= 2 * x, "x[t+1] + y[t-1] >= 2 * x"),
+        (abs(x.at(3)) < 1, "abs(x[t+3]) < 1"),
+        (x.at(2).at(-2) == y, "x == y"),
+    ]:
+        assert composed == stl.parse(text)
+    assert str(x.at(2)) == "x[t+2]"
+
+
 @pytest.mark.parametrize(
     ("slip", "says"),
     [
@@ -158,6 +170,7 @@ def test_a_number_means_what_it_prints(value):
         (lambda: stl.G(A, 0, 10**16), "from 0 up to 1000000000000000"),
         (lambda: stl.G(x, 0, 1), r"G's formula is an Expression, not a Formula; compare it: stl.signal\('x'\) > 0.5"),
         (lambda: stl.U(A, 3, 0, 1), "U's second formula is 3, not a Formula"),
+        (lambda: x.at(1.5), "at's steps is 1.5; it must be an integer"),
         (lambda: stl.label(""), "'' cannot be the name of a label"),
         (lambda: stl.label("a\nb"), "cannot be the name of a label or signal, which is neither empty nor longer"),
         (lambda: stl.signal("a\rb"), "use another name"),
