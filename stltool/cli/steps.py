@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import itertools
 import os
 import re
 import shlex
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
@@ -149,7 +150,9 @@ def make_joint_product(
 
     loaded, world = load_with_model(task, model, param, names, normalize)
     with warnings_shown():
-        return stl.build_joint_product(world, loaded, encoding)  # type: ignore[arg-type]
+        joint = stl.build_joint_product(world, loaded, encoding)  # type: ignore[arg-type]
+    _tell(itertools.chain(*(product.notes for product in joint.products)))
+    return joint
 
 
 def load_with_model(
@@ -197,7 +200,6 @@ def judge_by(product: Product, nature: str | None) -> tuple[Product, Callable[..
 def task_model(task: Task, model: Path | None, normalize: bool = False) -> MDP:
     """The given model, or that of the task file; what `normalize` changed is reported on stderr."""
     import stltool as stl
-    from stltool.reporting.terminal import note
 
     path = model if model is not None else task.model
     if path is None:
@@ -212,13 +214,18 @@ def task_model(task: Task, model: Path | None, normalize: bool = False) -> MDP:
 
 def bind(task: Task, model: MDP, encoding: str) -> Product:
     import stltool as stl
-    from stltool.reporting.terminal import note
 
     with warnings_shown():
         product = stl.build_product(model, task, encoding)  # type: ignore[arg-type]  # checked there, with a message
-    for told in product.notes:
-        note(told)
+    _tell(product.notes)
     return product
+
+
+def _tell(notes: Iterable[str]) -> None:
+    from stltool.reporting.terminal import note
+
+    for told in notes:
+        note(told)
 
 
 def compile_task(task: Task, encoding: str) -> TaskAutomaton:

@@ -41,7 +41,7 @@ from stltool.logic.shifts import reads_ahead, replaced, with_variables
 from stltool.monitoring.states import Reals, truth
 
 MOST_COMBINATIONS = 1_000_000
-MOST_CASES = 2_000
+MOST_COMPARISONS = 10_000  # that take the place of one
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,13 +95,15 @@ def _by_values(c: Comparison, later: int, signals: Mapping[str, Reals], found: l
         )
     table = _table(c, steps, names, values)
     places = [later - step for step in steps]
-    formula = _cases(table, places, names, values)
-    cases = len(formula.args) if isinstance(formula, Or) else int(formula != Constant(False))
-    if cases > MOST_CASES:
+    try:
+        formula = _Cases(places, names, values).of(table)
+    except SizeError:
+        of = " and ".join(map(written, dict.fromkeys(itertools.chain(*names))))
         raise SizeError(
-            f"{c} reads several steps and differs for {cases} values, over {MOST_CASES}; compare signals with fewer "
-            "values"
-        )
+            f"{c} reads several steps; over values of {of} it takes over {MOST_COMPARISONS} comparisons, too many; "
+            "compare signals with fewer values"
+        ) from None
+    cases = len(formula.args) if isinstance(formula, Or) else int(formula != Constant(False))
     counts = {name: len(np.unique(signals[name])) for name in dict.fromkeys(itertools.chain(*names))}
     found.append(Cases(c, counts, cases))
     return formula
@@ -122,46 +124,54 @@ def _table(
     return truth(plain, columns, {}, index.shape[1]).reshape(sizes)
 
 
-def _cases(
-    table: NDArray[np.bool_], places: Sequence[int], names: Sequence[Sequence[str]], values: Sequence[Reals]
-) -> Formula:
-    """The disjunction over the values at the first of some steps, of those for which the rest of the table differs."""
-    if len(places) == 1:
-        return _at(places[0], _among(names[0], values[0], table))
-    rows, which = np.unique(table.reshape(len(table), -1), axis=0, return_inverse=True)
-    cases: list[Formula] = []
-    for i, row in enumerate(rows):
-        if row.any():
-            rest = _cases(row.reshape(table.shape[1:]), places[1:], names[1:], values[1:])
-            cases.append(_both(_at(places[0], _among(names[0], values[0], which.ravel() == i)), rest))
-    return Or(tuple(cases)) if len(cases) > 1 else cases[0] if cases else Constant(False)
+class _Cases:
+    """The disjunction over the values at the first of some steps, of those for which the rest of a table differs."""
 
+    def __init__(self, places: Sequence[int], names: Sequence[Sequence[str]], values: Sequence[Reals]) -> None:
+        self.places, self.names, self.values = places, names, values
+        self.left = MOST_COMPARISONS
 
-def _both(phi: Formula, psi: Formula) -> Formula:
-    return And((phi, *psi.args) if isinstance(psi, And) else (phi, psi))
+    def of(self, table: NDArray[np.bool_], i: int = 0) -> Formula:
+        """For the steps from the i-th on, whose values are the axes of the table."""
+        if table.ndim == 1:
+            return self.at(i, table)
+        rows, which = np.unique(table.reshape(len(table), -1), axis=0, return_inverse=True)
+        cases: list[Formula] = []
+        for number, row in enumerate(rows):
+            if row.any():
+                rest = self.of(row.reshape(table.shape[1:]), i + 1)
+                more = rest.args if isinstance(rest, And) else (rest,)
+                cases.append(And((self.at(i, which.ravel() == number), *more)))
+        return Or(tuple(cases)) if len(cases) > 1 else cases[0] if cases else Constant(False)
 
+    def at(self, i: int, among: NDArray[np.bool_]) -> Formula:
+        """That the signals have one of these rows of values at the i-th step; false where there is no such step."""
+        psi, place = self.among(i, among), self.places[i]
+        if place == 0:
+            return psi
+        window = Interval(abs(place), abs(place))
+        return Eventually(window, psi) if place > 0 else Once(window, psi)
 
-def _at(place: int, psi: Formula) -> Formula:
-    """ψ some steps later, or earlier; at steps before that, false."""
-    if place == 0:
-        return psi
-    window = Interval(abs(place), abs(place))
-    return Eventually(window, psi) if place > 0 else Once(window, psi)
+    def among(self, i: int, among: NDArray[np.bool_]) -> Formula:
+        """That the signals have one of some rows of values, of those that occur."""
+        if among.all():
+            return Constant(True)
+        variables, values = [Variable(name) for name in self.names[i]], self.values[i]
+        if len(variables) == 1:
+            found = _ranges(variables[0], values[:, 0], among)
+        else:
+            self.spend(int(among.sum()) * len(variables))
+            found = [
+                And(tuple(Comparison("==", x, _number(v)) for x, v in zip(variables, row, strict=True)))
+                for row in values[among].tolist()
+            ]
+        self.spend(len(found))
+        return Or(tuple(found)) if len(found) > 1 else found[0] if found else Constant(False)
 
-
-def _among(names: Sequence[str], values: Reals, among: NDArray[np.bool_]) -> Formula:
-    """That the signals have one of some rows of values, of those that occur."""
-    if among.all():
-        return Constant(True)
-    if len(names) == 1:
-        found = _ranges(Variable(names[0]), values[:, 0], among)
-    else:
-        variables = [Variable(name) for name in names]
-        found = [
-            And(tuple(Comparison("==", x, _number(v)) for x, v in zip(variables, row, strict=True)))
-            for row in values[among].tolist()
-        ]
-    return Or(tuple(found)) if len(found) > 1 else found[0] if found else Constant(False)
+    def spend(self, comparisons: int) -> None:
+        self.left -= comparisons
+        if self.left < 0:
+            raise SizeError("too many comparisons")
 
 
 def _ranges(x: Variable, values: NDArray[np.float64], among: NDArray[np.bool_]) -> list[Formula]:

@@ -71,8 +71,12 @@ def test_too_many_values_are_refused_with_their_number():
     model = stl.MDP.from_arrays(np.array(matrix), {"x": np.arange(n, dtype=float)}, initial=0)
     with pytest.raises(SizeError, match=r"1100 of x, 1100 of x: 1\.21e\+06 combinations of values, over 1000000"):
         stl.build_product(model, stl.parse("x[t+1] > x"))
+    scattered = {"x": np.arange(300) * 7919.0 % 997, "y": np.arange(300) * 104729.0 % 991}
+    model = stl.MDP.from_arrays(np.array([np.ones((300, 1)) @ np.eye(1, 300)]), scattered, initial=0)
+    with pytest.raises(SizeError, match="over values of x and y it takes over 10000 comparisons, too many"):
+        stl.build_product(model, stl.parse("x[t+1] * y > y[t+1] * x"))
     with pytest.raises(stl.errors.NameLookupError, match="the model has no signal y"):
-        stl.build_product(model, stl.parse("y[t+1] > y"))
+        stl.build_product(stl.MDP.from_arrays(np.ones((1, 1, 1)), {"x": [0.0]}, initial=0), stl.parse("y[t+1] > y"))
 
 
 def test_without_a_model_such_comparisons_are_independent_of_others():
