@@ -116,7 +116,7 @@ def trace_sentil() -> str:
 
 
 def online_stltool() -> str:
-    monitor = stl.OnlineMonitor(stl.parse("G[0,3] F[0,2] (x > 0.5)"))
+    monitor = stl.OnlineMonitor(stl.parse("G[0,3] F[0,2] (x > 0.5)"), wait=True)
     found = [decision.robustness for x in TRACE for decision in monitor.feed({"x": x})]
     assert np.allclose(found, [ROBUSTNESS])
     return "yes"

@@ -130,7 +130,7 @@ def online_row(n_steps: int = 20_000) -> str:
     mine, decided = [{"x": x, "y": y} for x, y in samples], []
 
     def ours() -> None:
-        monitor = stl.OnlineMonitor(PHI)
+        monitor = stl.OnlineMonitor(PHI, wait=True)
         decided[:] = [decision.robustness for sample in mine for decision in monitor.feed(sample)]
 
     if rtamt_specification("Online") is None:

@@ -9,8 +9,8 @@ has no clock, so open starts that are in one state stay together. If, among the 
 nothing decided, E_c(q) is decided from some c = first(q) on, with one outcome, it suffices to look at the oldest start
 of each state ("coalesced"). Otherwise every open step has a state of its own ("each").
 
-**Structure.** For formulas whose automaton is too large: three-valued truth [Kleene38] of every sub-formula, with the
-samples that are still to come unknown. It is exact if every atom (maximal sub-formula without a temporal operator)
+**Structure.** For formulas that look back, or whose automaton is too large: three-valued truth [Kleene38] of every
+sub-formula, with the samples that are still to come unknown. It is exact if every atom (maximal sub-formula without a temporal operator)
 occurs in one polarity, and all of them can be at their worst, and at their best, at once: the lower value is then that
 of one real continuation. Otherwise a verdict may come late, at the latest when all samples are there, never wrongly.
 """
@@ -35,9 +35,11 @@ from stltool.logic.formula import (
     Iff,
     Implies,
     Not,
+    Rise,
     atoms,
     boolean_value,
     children,
+    has_past,
     horizon,
 )
 
@@ -96,7 +98,9 @@ def engine_of(phi: Formula, related: bool = False) -> Engine:
     truths = np.array([[boolean_value(atom, row.get) for atom in asked] for row in known], dtype=np.bool_)
     truths = truths.reshape(len(known), len(asked))
     why = f"the formula has {len(read)} labels and comparisons, over {MOST_LEAVES}"
-    if horizon(phi) > LARGEST_BOUND:
+    if has_past(phi):
+        why = "the formula looks back"
+    elif horizon(phi) > LARGEST_BOUND:
         why = f"the horizon is over {LARGEST_BOUND:.0e}"
     elif complete and len(read) <= MOST_LEAVES:
         try:
@@ -218,8 +222,8 @@ def _extremes_meet(phi: Formula, asked: Sequence[Formula], truths: NDArray[np.bo
             stack.append((node.arg, not sign))
         elif isinstance(node, Implies):
             stack += [(node.left, not sign), (node.right, sign)]
-        elif isinstance(node, Iff):
-            stack += [(child, either) for child in (node.left, node.right) for either in (True, False)]
+        elif isinstance(node, Iff | Rise):
+            stack += [(child, either) for child in children(node) for either in (True, False)]
         elif not isinstance(node, Constant):
             stack += [(child, sign) for child in children(node)]
     if any(len(found) != 1 for found in signs.values()):

@@ -24,42 +24,44 @@ _MOST_OPERATORS = 10**9  # shared operands are evaluated once
 
 
 class Enclosure:
-    """A formula's robustness at the first step of traces of which only a beginning is known."""
+    """A formula's robustness at the steps of traces of which only a beginning is known."""
 
     def __init__(self, phi: Formula) -> None:
         machine = _OfKnown(_positive(negation_normal_form(phi, _MOST_OPERATORS)))
         self._machine, self.names = machine, (*machine.program.variables, *machine.program.labels)
 
-    def at_start(self, columns: Mapping[str, NDArray[np.float64]], known: int) -> tuple[float, float]:
-        """Lower and upper end, given the first `known` samples of each name."""
+    def at(self, columns: Mapping[str, NDArray[np.float64]], step: int) -> tuple[float, float]:
+        """Lower and upper end at one of the steps of which the samples are given."""
+        # one unknown sample stands for all later ones, as what is held is its interval; windows of the past need more
+        program = self._machine.program
+        more = min(program.settling, program.horizon or 0) + 1
         samples: dict[str, NDArray[Any]] = {}
         for name in self._machine.program.variables:
-            samples[name] = np.append(columns[name][:known], 0.0).reshape(1, -1)
+            samples[name] = np.append(columns[name], np.zeros(more)).reshape(1, -1)
         for name in self._machine.program.labels:
-            truth = np.append(columns[name.removeprefix(_NEGATED)][:known] != 0.0, False).reshape(1, -1)
+            truth = np.append(columns[name.removeprefix(_NEGATED)] != 0.0, np.zeros(more, np.bool_)).reshape(1, -1)
             samples[name] = ~truth if name.startswith(_NEGATED) else truth
-        # one unknown sample stands for all later ones: what is held is its interval
-        block = Block(samples, 1, known + 1, "hold", wide=True)
-        lower, upper = (self._machine.first(block, unknown) for unknown in (-np.inf, np.inf))
+        block = Block(samples, 1, next(iter(samples.values())).shape[1] if samples else step + more, "hold", wide=True)
+        lower, upper = (self._machine.at(block, step, more, unknown) for unknown in (-np.inf, np.inf))
         return lower, upper
 
 
 class _OfKnown(Machine):
-    """Margins, those of literals at the last step being given."""
+    """Margins, those of literals at the last steps being given."""
 
     def __init__(self, phi: Formula) -> None:
         super().__init__(compile_formula(phi), truth=False, margins=True)
-        self._unknown = 0.0
+        self._unknown, self._last = 0.0, 0
 
-    def first(self, block: Block, unknown: float) -> float:
-        self._unknown = unknown
+    def at(self, block: Block, step: int, last: int, unknown: float) -> float:
+        self._unknown, self._last = unknown, last
         [found] = self.run(block)
-        return float(found[0, 0])
+        return float(found[0, step])
 
     def _load(self, now: Instruction, number: int, block: Block, truth: Any, margins: Any) -> None:
         super()._load(now, number, block, truth, margins)
         if isinstance(now.atom, Label) or (isinstance(now.atom, Predicate) and now.atom.names):
-            margins.values[number][block.steps - 1] = self._unknown
+            margins.values[number][block.steps - self._last : block.steps] = self._unknown
 
 
 def _positive(phi: Formula) -> Formula:

@@ -87,7 +87,7 @@ class OnlineMonitor(Displayed):
     early    which engine decides, and whether it is exact: "automaton", or "structure" where that would be too large
     n_steps  the number of samples read
 
-    Raises StlSyntaxError if an interval has no end.
+    Raises StlSyntaxError if an interval has no end, FragmentError if one of the past has none.
     """
 
     def __init__(self, phi: Formula | Task, wait: bool = False) -> None:
@@ -97,8 +97,11 @@ class OnlineMonitor(Displayed):
         require(wait, (bool, np.bool_), "wait", "give True or False")
         made, self._program = compile_delayed(self.formula)
         self._judged, self._earlier = made.formula, Earlier(made)
-        if self._program.has_past:
-            raise FragmentError(f"{self.formula} looks back, which online monitors do not support yet; use monitor")
+        if self._program.lookback is None:
+            raise FragmentError(
+                f"{self.formula} looks back without a limit, which online monitors do not support; give its windows "
+                "ends, as in once[0,100], or judge a recorded trace with monitor"
+            )
         self.horizon: int = self._program.horizon or 0
         self.wait = bool(wait)
         engine = engine_of(self._judged, bool(made.signals or made.starts))
@@ -193,15 +196,15 @@ class OnlineMonitor(Displayed):
         first = n - min(self.horizon, n)
         if n == first:
             return []
-        kept = self._stream.kept()[-(n - first) :]
+        kept = self._stream.kept()
+        known = len(kept)
         if end == "hold" and self._delays:
             last = dict(zip(self._stream.names, kept[-1].tolist(), strict=True))
             held = [[{**last, **made}[name] for name in self._stream.names] for made in self._earlier.held()]
             kept = np.concatenate([kept, np.array(held, dtype=np.float64).reshape(-1, kept.shape[1])])
-        truth, margins = (found[:, : n - first] for found in judge(
-            self._judged, self._traces(kept, first), end, True, True
-        ))  # fmt: skip
-        found = zip(range(first, n), truth[0].tolist(), margins[0].tolist(), strict=True)
+        truth, margins = judge(self._judged, self._traces(kept, n - known), end, True, True)
+        open_ = slice(known - (n - first), known)
+        found = zip(range(first, n), truth[0, open_].tolist(), margins[0, open_].tolist(), strict=True)
         return [Decision(*one) for one in found if self.wait or self._stream.verdict(one[0]) is None]
 
     def bounds(self, step: int) -> tuple[float, float]:
@@ -216,14 +219,14 @@ class OnlineMonitor(Displayed):
             range_ = f"steps {first} … {n - 1}" if n else "no step yet"
             raise SettingsError(f"bounds' step is {step}; {counted(n, 'sample')} read, so there are bounds of {range_}")
         kept = self._stream.kept()
-        kept = kept[len(kept) - (n - step) :]
+        at = step - (n - len(kept))
         if n - step > self.horizon:
-            _, margins = judge(self._judged, self._traces(kept, step), "error", True, True)
-            return (float(margins[0, 0]),) * 2
+            _, margins = judge(self._judged, self._traces(kept, step - at), "error", True, True)
+            return (float(margins[0, at]),) * 2
         if self._enclosure is None:
             self._enclosure = Enclosure(self._judged)
         columns = dict(zip(self._stream.names, kept.T, strict=True))
-        lower, upper = self._enclosure.at_start(columns, len(kept))
+        lower, upper = self._enclosure.at(columns, at)
         match self._stream.verdict(step):
             case True:
                 return max(lower, 0.0), upper
@@ -372,7 +375,7 @@ class OnlineMonitor(Displayed):
             samples[:, i] = whole_block.columns[name][0]
         if whole_block.wide:
             self._refuse_margins(samples)
-        if traces.n_steps >= _BULK * (self.horizon + 1):
+        if traces.n_steps >= _BULK * self._stream.depth:
             return self._judge(samples)
         given = self._outside(self._stream, samples, n)
         self._grow(len(samples))
@@ -388,11 +391,13 @@ class OnlineMonitor(Displayed):
     def _judge(self, samples: NDArray[np.float64]) -> Decisions:
         """A block that is much longer than the horizon: its settled steps at once, the open ones from new arrays."""
         stream, n, h = self._stream, self.n_steps, self.horizon
-        before = stream.kept()[-h:] if h else stream.kept()[:0]
-        first = n - len(before)
+        back = stream.depth - 1
+        before = stream.kept()[-back:] if back else stream.kept()[:0]
+        first, judged = n - min(h, n), n - len(before)
         joined = np.concatenate([before, samples])
-        truth, margins = judge(self._judged, self._traces(joined, first), "error", True, True)
-        last = joined[-(h + 1) :]
+        found = judge(self._judged, self._traces(joined, judged), "error", True, True)
+        truth, margins = (values[:, first - judged :] for values in found)
+        last = joined[-stream.depth :]
         end = n + len(samples)
         fresh = stream.afresh(end - len(last), len(last))
         read = fresh.read(last, self._outside(fresh, last, end - len(last)))
@@ -400,7 +405,7 @@ class OnlineMonitor(Displayed):
         steps, verdicts = np.arange(first, first + truth.shape[1]), truth[0]
         robustness = margins[0]
         if not self.wait:
-            news = np.array([t >= n or stream.verdict(t) is None for t in range(first, first + len(before))], np.bool_)
+            news = np.array([t >= n or stream.verdict(t) is None for t in range(first, n)], np.bool_)
             keep = np.concatenate([news, np.ones(len(steps) - len(news), np.bool_)])
             early = read[0] > steps[-1]
             order = np.argsort(read[0][early])

@@ -17,7 +17,7 @@ from stltool.kernels import streams as k
 from stltool.logic.formula import Comparator, Constant, Formula, Label, Negate, Number, Term, Variable
 from stltool.monitoring.comparisons import Predicate
 from stltool.monitoring.early import Engine
-from stltool.monitoring.program import Atom, Instruction, Program
+from stltool.monitoring.program import PAST, Atom, Instruction, Program
 
 Ints: TypeAlias = NDArray[np.int64]
 Floats: TypeAlias = NDArray[np.float64]
@@ -30,6 +30,7 @@ _COMPARATORS: dict[Comparator, int] = {
 _OPS = {
     "atom": k.OP_ATOM, "not": k.OP_NOT, "and": k.OP_AND, "or": k.OP_OR, "iff": k.OP_IFF,
     "eventually": k.OP_EVENTUALLY, "always": k.OP_ALWAYS, "until": k.OP_UNTIL,
+    "once": k.OP_ONCE, "historically": k.OP_HISTORICALLY, "since": k.OP_SINCE,
 }  # fmt: skip
 
 
@@ -45,7 +46,9 @@ class Stream:
         self, program: Program, engine: Engine, horizon: int, waits: bool, start: int = 0, room: int = _FIRST_ROOM
     ) -> None:
         self.names = tuple(dict.fromkeys((*program.variables, *program.labels)))
-        self.depth = horizon + 1
+        back = program.lookback
+        assert back is not None
+        self.depth = horizon + back + 1
         self.atoms = [now.atom for now in program.instructions if now.atom is not None]
         self.given = [i for i, atom in enumerate(self.atoms) if not _is_inside(atom)]
         self._program, self._engine, self._horizon, self._waits = program, engine, horizon, waits
@@ -201,7 +204,9 @@ def _laid_out(
     program: Program, engine: Engine, names: Sequence[str], horizon: int, waits: bool, start: int, room: int
 ) -> tuple[Ints, Floats, NDArray[np.uint64]]:
     instructions = program.instructions
-    depth = horizon + 1
+    back = program.lookback
+    assert back is not None
+    depth = horizon + back + 1
     room = min(room, depth)
     N, F, B = _Tables(k.HEADER, np.int64), _Tables(0, np.float64), _Tables(0, np.uint64)
     network = _Network(instructions, room)
@@ -222,10 +227,13 @@ def _laid_out(
     head[k.NUMBERS] = F.add([_numbers(atom) for atom in read])
     head[k.GIVEN] = F.add([_fixed(atom) or (0.0, 0.0) for atom in read])
     ring = np.full(network.length, -np.inf)
-    head[k.MARGIN], head[k.RING], head[k.KEPT] = F.add(network.n_registers), F.add(ring), F.add(ring_size * len(names))
+    # what has not been computed yet is an empty window's value
+    head[k.MARGIN] = F.add(np.full(network.n_registers, -np.inf))
+    head[k.RING], head[k.KEPT] = F.add(ring), F.add(ring_size * len(names))
     if engine.delta is not None:
         _add_automaton(head, N, engine, atoms, room)
     else:
+        head[k.BACK] = min(max(back, 1), room) if program.has_past else 0
         _add_structure(head, N, B, instructions, len(atoms), room)
     return N.array(), F.array(), B.array()
 
@@ -287,9 +295,10 @@ def _add_structure(
         assert now.b is not None
         row = [_OPS[now.op], first, second, min(now.a, _BEYOND), min(now.b, _BEYOND)]
         rows.append([*row, *_beyond(now, [rows[arg][5:] for arg in now.args])])
-    head[k.ENGINE], head[k.N_OPS], head[k.N_WORDS], head[k.N_LANES] = k.STRUCTURE, n, words, words
+    wide = words + int(head[k.HORIZON]) // 64 + 2
+    head[k.ENGINE], head[k.N_OPS], head[k.N_WORDS], head[k.N_LANES] = k.STRUCTURE, n, words, wide
     head[k.PROGRAM] = N.add(rows)
-    head[k.KNOWN], head[k.LANES] = B.add((n_atoms + 1) * words), B.add((2 * n + 3) * words)
+    head[k.KNOWN], head[k.LANES] = B.add((n_atoms + 1) * words), B.add((2 * n + 3) * wide)
 
 
 def _beyond(now: Instruction, below: list[list[int]]) -> list[int]:
@@ -381,7 +390,9 @@ class _Network:
         assert now.b is not None
         horizons = [self._instructions[arg].horizon or 0 for arg in now.args]
         start, out, a, b = max(horizons), self.registers[i], now.a, now.b
-        args = [self._wait(self.registers[arg], h, start - h) for arg, h in zip(now.args, horizons, strict=True)]
+        args: list[int] = []
+        if now.op not in PAST:
+            args = [self._wait(self.registers[arg], h, start - h) for arg, h in zip(now.args, horizons, strict=True)]
         match now.op:
             case "not":
                 self._node(k.NOT, out, args, start, start)
@@ -401,8 +412,13 @@ class _Network:
                     self._window(k.LEAST, before, args[:1], start, a)
                     before = self._wait(before, start + a - 1, b - a + 1)
                     self._node(k.AND, out, [before, both], start + b, start + b)
-            case "atom" | "once" | "historically" | "since":
-                raise AssertionError(f"{now.op} is no node")
+            case "once" | "historically":
+                kind = k.GREATEST if now.op == "once" else k.LEAST
+                self._earlier(kind, out, self.registers[now.args[0]], horizons[0], now)
+            case "since":
+                self._since(out, now, horizons)
+            case "atom":
+                raise AssertionError("an atom has no operands")
             case _:
                 assert_never(now.op)
 
@@ -428,6 +444,38 @@ class _Network:
     def _window(self, op: int, out: int, args: list[int], pushes: int, width: int) -> None:
         held = min(width, self._room)
         self._node(op, out, args, pushes, pushes + width - 1, held, _power_of_two(held + 1))
+
+    def _earlier(self, op: int, out: int, register: int, horizon: int, now: Instruction) -> None:
+        """A window of the past: its operand, of this horizon, comes as late as its newest step is needed."""
+        assert now.horizon is not None
+        assert now.b is not None
+        first = now.horizon + now.a  # the time at which the operand's step 0 enters
+        held = min(now.b - now.a + 1, self._room)
+        args = [self._wait(register, horizon, first - horizon)]
+        self._node(op, out, args, first, now.horizon, held, _power_of_two(held + 1))
+
+    def _since(self, out: int, now: Instruction, horizons: list[int]) -> None:
+        """φ since[a,b] ψ: at t, φ throughout t−a+1 … t, and φ since[0,b−a] ψ at t−a."""
+        assert now.horizon is not None
+        assert now.b is not None
+        left, right = (self.registers[arg] for arg in now.args)
+        a, known = now.a, now.horizon
+        if now.b == 0:
+            self._node(k.OR, out, [self._wait(right, horizons[1], known - horizons[1])] * 2, known, known)
+            return
+        start = max(horizons)
+        pairs = [self._wait(register, h, start - h) for register, h in zip((left, right), horizons, strict=True)]
+        both = out if a == 0 else self._new()
+        held = min(now.b - a + 1, self._room)
+        self._node(k.SINCE, both, pairs, start, start, held, 4 * held + 2)
+        if a > 0:
+            within = self._new()
+            held = min(a, self._room)
+            self._node(
+                k.LEAST, within, [self._wait(left, horizons[0], known - horizons[0])], known, known, held,
+                _power_of_two(held + 1),
+            )  # fmt: skip
+            self._node(k.AND, out, [within, self._wait(both, start, known + a - start)], known, known)
 
     def _pairs(self, op: int, out: int, left: int, right: int, start: int, a: int, width: int) -> None:
         """The pairs of left and right sides from a steps after `start` on, `width` at a time."""

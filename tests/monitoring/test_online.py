@@ -15,27 +15,38 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.errors import NameLookupError, SettingsError, StlSyntaxError, TraceError
+from stltool.errors import FragmentError, NameLookupError, SettingsError, StlSyntaxError, TraceError
 from stltool.logic.formula import (
     Always,
     And,
     Comparison,
     Constant,
     Eventually,
+    Historically,
     Iff,
     Implies,
     Interval,
     Label,
     Not,
+    Once,
     Or,
     Release,
+    Rise,
+    Since,
+    Trigger,
     Until,
     children,
+    lookback,
     variables,
 )  # fmt: skip
 from stltool.monitoring import early, stream
 from stltool.testing import formulas, traces
 from tests.conftest import many
+
+
+def looking_back(**options):
+    """Formulas of the future and the past, whose windows have ends."""
+    return formulas(past=True, **options).filter(lambda phi: lookback(phi) is not None)
 
 
 def decisions(result):
@@ -44,7 +55,7 @@ def decisions(result):
     return [stl.Decision(*d) for d in zip(steps, result.verdicts.tolist(), result.robustness.tolist(), strict=True)]
 
 
-@given(phi=formulas(), data=st.data())
+@given(phi=formulas() | looking_back(), data=st.data())
 def test_every_prefix_is_judged_as_the_offline_monitor_does(phi, data):
     n = stl.horizon(phi) + data.draw(st.integers(0, 5))
     trace = data.draw(traces(n))
@@ -119,6 +130,8 @@ def test_a_refused_sample_leaves_the_monitor_as_it_was(sample, kind, says):
 
 
 def test_what_an_online_monitor_refuses():
+    with pytest.raises(FragmentError, match="looks back without a limit.* give its windows ends"):
+        stl.OnlineMonitor(stl.parse("F[0,3] (a since b)"))
     with pytest.raises(StlSyntaxError, match="no horizon"):
         stl.OnlineMonitor(Eventually(Interval(0, None), stl.parse("a")))
     with pytest.raises(SettingsError, match="end is 'error'; choose cut or hold"):
@@ -239,6 +252,20 @@ def kleene(phi, trace, t, n):
         case Eventually(interval, arg) | Always(interval, arg):
             found = [kleene(arg, trace, u, n) for u in range(t + interval.a, t + interval.b + 1)]
             return combined(found, isinstance(phi, Eventually))
+        case Once(interval, arg) | Historically(interval, arg):
+            found = [kleene(arg, trace, u, n) for u in range(max(0, t - interval.b), t - interval.a + 1)]
+            return combined(found, isinstance(phi, Once))
+        case Since(interval, left, right):
+            witnesses = range(max(0, t - interval.b), t - interval.a + 1)
+            found = [
+                combined([kleene(right, trace, u, n), *(kleene(left, trace, v, n) for v in range(u + 1, t + 1))], False)
+                for u in witnesses
+            ]
+            return combined(found, True)
+        case Trigger(interval, left, right):
+            return kleene(Not(Since(interval, Not(left), Not(right))), trace, t, n)
+        case Rise(arg):
+            return kleene(And((arg, Not(Once(Interval(1, 1), arg)))), trace, t, n)
         case Release(interval, left, right):
             return kleene(Not(Until(interval, Not(left), Not(right))), trace, t, n)
         case Until(interval, left, right):
@@ -259,10 +286,10 @@ def combined(found, some):
     return None if None in found else not some
 
 
-@given(phi=formulas(signals=("x",), longest=3, max_leaves=5), data=st.data())
+@given(phi=formulas(signals=("x",), longest=3, max_leaves=5) | looking_back(max_leaves=5), data=st.data())
 def test_the_structural_engine_is_three_valued_truth(phi, data):
     n = stl.horizon(phi) + data.draw(st.integers(1, 4))
-    trace = data.draw(traces(n, signals=("x",)))
+    trace = data.draw(traces(n))
     with pytest.MonkeyPatch.context() as patch:
         structural(patch)
         online = stl.OnlineMonitor(phi)
@@ -313,7 +340,7 @@ def test_what_is_said_about_exactness():
 # ------------------------------------------------------------------------------------------------ bounds and blocks
 
 
-@given(phi=formulas(longest=2, max_leaves=5), data=st.data())
+@given(phi=formulas(longest=2, max_leaves=5) | looking_back(longest=2, max_leaves=5), data=st.data())
 def test_bounds_contain_the_final_robustness_and_shrink(phi, data):
     h = stl.horizon(phi)
     trace = data.draw(traces(h + 1))
@@ -359,7 +386,7 @@ def test_steps_without_bounds():
             online.bounds(step)
 
 
-@given(phi=formulas(longest=3, max_leaves=5), wait=st.booleans(), data=st.data())
+@given(phi=formulas(longest=3, max_leaves=5) | looking_back(max_leaves=5), wait=st.booleans(), data=st.data())
 def test_blocks_yield_the_decisions_of_single_samples(phi, wait, data):
     n = data.draw(st.integers(1, 40))
     trace = data.draw(traces(n))
@@ -411,7 +438,12 @@ def test_a_refused_block_leaves_the_monitor_as_it_was(block, says):
 # ------------------------------------------------------------------------------------------------ the arrays
 
 
-@given(phi=formulas(longest=6, max_leaves=5), wait=st.booleans(), structure=st.booleans(), data=st.data())
+@given(
+    phi=formulas(longest=6, max_leaves=5) | looking_back(max_leaves=5),
+    wait=st.booleans(),
+    structure=st.booleans(),
+    data=st.data(),
+)
 def test_arrays_grow_with_the_trace(phi, wait, structure, data):
     n = stl.horizon(phi) + 6
     trace = data.draw(traces(n))
