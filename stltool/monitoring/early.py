@@ -10,9 +10,10 @@ nothing decided, E_c(q) is decided from some c = first(q) on, with one outcome, 
 of each state ("coalesced"). Otherwise every open step has a state of its own ("each").
 
 **Structure.** For formulas that look back, or whose automaton is too large: three-valued truth [Kleene38] of every
-sub-formula, with the samples that are still to come unknown. It is exact if every atom (maximal sub-formula without a temporal operator)
-occurs in one polarity, and all of them can be at their worst, and at their best, at once: the lower value is then that
-of one real continuation. Otherwise a verdict may come late, at the latest when all samples are there, never wrongly.
+sub-formula, with the samples that are still to come unknown. It is exact if every atom (maximal sub-formula without a
+temporal operator) occurs in one polarity, and all of them can be at their worst, and at their best, at once: the lower
+value is then that of one real continuation. Otherwise a verdict may come late, at the latest when all samples are
+there, never wrongly.
 """
 
 from __future__ import annotations
