@@ -151,7 +151,7 @@ def make_joint_product(
     loaded, world = load_with_model(task, model, param, names, normalize)
     with warnings_shown():
         joint = stl.build_joint_product(world, loaded, encoding)  # type: ignore[arg-type]
-    _tell(itertools.chain(*(product.notes for product in joint.products)))
+    _tell(itertools.chain(*(product.notes for product in joint.tasks)))
     return joint
 
 
@@ -200,6 +200,7 @@ def judge_by(product: Product, nature: str | None) -> tuple[Product, Callable[..
 def task_model(task: Task, model: Path | None, normalize: bool = False) -> MDP:
     """The given model, or that of the task file; what `normalize` changed is reported on stderr."""
     import stltool as stl
+    from stltool.reporting.terminal import note
 
     path = model if model is not None else task.model
     if path is None:
