@@ -19,6 +19,7 @@ The path through the package, and a map in reading order:
     logic/        text → Formula: grammar, parser, printer, rewriting, semantics (the oracle), the paper's fragment
     monitoring/   recorded traces → truth and robustness at every step
     automata/     Formula → TaskAutomaton: the memory needed to judge a run; whether a formula can hold and fail at all
+    diagnosis/    why a trace satisfies a formula at a step, or violates it: causes, and reasons in sentences
     models/       a file, arrays or a Gymnasium environment → MDP; MDP → an environment to reset and step
     product.py    MDP × TaskAutomaton, never built as a matrix
     policy.py     a table over (t?, s, q), saved and loaded without pickle

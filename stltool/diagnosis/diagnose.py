@@ -132,7 +132,7 @@ def diagnose(
 
     `signals` maps every name of φ to an array (n_steps,), and `end` is that of `monitor`. The causes are the
     colexicographically least minimal set (stltool/diagnosis/causes.py): its latest sample is as early as possible.
-    Where neither Kleene's evaluation nor an automaton is exact, another minimal set may be given, or one with a `doubt`.
+    Where neither Kleene's evaluation nor an automaton is exact, it may be another minimal set, or one with a `doubt`.
     `progress(done, total)` is called while they are sought, if that takes more than half a second.
 
     Raises what `monitor` raises, SettingsError if step t is not judged, and TraceError if the verdict depends on a
