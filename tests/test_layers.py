@@ -44,7 +44,7 @@ def test_imports_point_one_way():
 
 # what reporting/ calls in other rooms: for the doors `report` and `explain`, for counts, texts, and what pictures shade
 GATHERED = {"evidence_of", "tested", "take_apart", "recorded", "flag_states", "history_states", "monitor",
-            "part_verdicts", "ranges_of", "sentences"}  # fmt: skip
+            "part_verdicts", "ranges_of"}  # fmt: skip
 COMPUTING = {"anatomy", "automata", "checking", "diagnosis", "gate", "learning", "monitoring", "product"}
 
 

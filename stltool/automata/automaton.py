@@ -10,9 +10,9 @@ against `logic/semantics.py`.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol, TypeAlias
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +20,10 @@ from numpy.typing import NDArray
 from stltool.arguments import require, whole
 from stltool.display import Card, Displayed, StateNames, counted, listed
 from stltool.logic.formula import Formula
+from stltool.logic.printer import Text as Text  # what the memory of states is written in
 
 UNDECIDED, FALSE, TRUE = -1, 0, 1
 _SHOWN = 10  # parts listed in a notebook
-
-
-Text: TypeAlias = Callable[[Formula], str]
-"""How a formula is written; `str`, unless definitions are to keep their names."""
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,7 @@ def monitor(
         one = {key: values if shown is None else values[shown] for key, values in signals.items()}
         with progress_bar("finding causes", quiet=as_json, patience=2.0) as bar:
             diagnosis = stl.diagnose(loaded, one, asked, end=end, progress=bar)  # type: ignore[arg-type]
-        data["why"] = diagnosis_data(diagnosis, loaded, shown)
+        data["why"] = diagnosis_data(diagnosis, shown)
     if plot is not None:
         with working(f"drawing {plot}", quiet=as_json):
             write_monitor_picture(result, signals, loaded, plot, shown, at, diagnosis.causes if diagnosis else None)

@@ -30,6 +30,7 @@ from stltool.logic.formula import (
     is_temporal,
     lookback,
 )
+from stltool.logic.printer import Text, with_names
 from stltool.logic.quantities import Duration
 from stltool.logic.shifts import Delayed
 from stltool.logic.task import Task
@@ -61,6 +62,7 @@ class Diagnosis(Displayed):
     by_cases        whether no single sub-formula decides, as with `a | !a`: the reason is then one of several, and not
                     from the causes alone
     period          the duration of a step, if one is declared
+    text            how formulas are written: with the names of a task file's definitions
     """
 
     formula: Formula
@@ -73,6 +75,7 @@ class Diagnosis(Displayed):
     reason: Reason
     by_cases: bool = False
     period: Duration | None = None
+    text: Text = str
 
     @property
     def minimal(self) -> bool:
@@ -97,7 +100,7 @@ class Diagnosis(Displayed):
     @property
     def sentences(self) -> list[str]:
         """The reason, outside in; operands are indented by two spaces."""
-        return sentences(self.reason, self.period)
+        return sentences(self.reason, self.period, self.text)
 
     @property
     def summary(self) -> str:
@@ -179,6 +182,7 @@ def diagnose(
         story.tell(formula, root, value),
         by_cases,
         phi.step if isinstance(phi, Task) else None,
+        with_names(phi.formulas) if isinstance(phi, Task) else str,
     )
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata.automaton import Text
 from stltool.display import cut
 from stltool.errors import TraceError
 from stltool.logic.formula import Comparison, Constant, Formula, Label, Not
+from stltool.logic.printer import Text
 from stltool.logic.quantities import Duration
 from stltool.logic.semantics import robustness
 from stltool.numbers import number_text

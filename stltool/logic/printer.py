@@ -5,7 +5,8 @@ The rules for parentheses and spaces are defined here only; the formatter of tas
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
 from typing import Literal, TypeAlias, assert_never
 
 from stltool.logic.formula import (
@@ -35,6 +36,8 @@ from stltool.logic.formula import (
     Trigger,
     Until,
     Variable,
+    children,
+    with_children,
 )
 from stltool.logic.names import written
 
@@ -44,6 +47,9 @@ Kind: TypeAlias = Literal["atom", "not", "temporal", "comparison", "binary"]
 # binding strength of arithmetic, loosest first
 STRENGTH = {"+": 1, "-": 1, "*": 2, "/": 2, "negate": 3, "^": 4, "atom": 5}
 _TermText: TypeAlias = tuple[str, int]
+
+Text: TypeAlias = Callable[[Formula], str]
+"""How a formula is written; `str`, unless definitions are to keep their names."""
 
 
 def to_text(phi: Formula) -> str:
@@ -134,6 +140,22 @@ def _kind(phi: Formula) -> Kind:
             return "comparison"
         case _:
             return "binary"
+
+
+def with_names(definitions: Mapping[str, Formula]) -> Text:
+    """A writer of formulas in which those of `definitions` are called by their names."""
+    named = {phi: name for name, phi in definitions.items()}
+
+    def replaced(phi: Formula) -> Formula:
+        if phi in named:
+            return Label(named[phi])
+        return with_children(phi, tuple(map(replaced, children(phi))))
+
+    @cache
+    def text(phi: Formula) -> str:
+        return str(replaced(phi))
+
+    return text
 
 
 def term_text(term: Term) -> str:

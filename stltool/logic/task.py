@@ -58,10 +58,14 @@ class Task(Composable):
         return self.path.parent if self.path is not None else Path()
 
     @property
+    def formulas(self) -> dict[str, Formula]:
+        """The definitions that are formulas."""
+        return {name: phi._formula() for name, phi in self.definitions.items() if isinstance(phi, Composable)}
+
+    @property
     def predicates(self) -> dict[str, Formula]:
         """The definitions that are formulas without temporal operators."""
-        formulas = {name: phi._formula() for name, phi in self.definitions.items() if isinstance(phi, Composable)}
-        return {name: phi for name, phi in formulas.items() if not is_temporal(phi)}
+        return {name: phi for name, phi in self.formulas.items() if not is_temporal(phi)}
 
     @property
     def ticks(self) -> Ticks | None:

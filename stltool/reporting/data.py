@@ -16,6 +16,7 @@ from stltool.automata.history import history_states
 from stltool.checking import CheckResult, Estimate, Run, SequentialTest, StationaryResult
 from stltool.checking.evidence import Evidence
 from stltool.errors import SettingsError
+from stltool.logic.printer import with_names
 from stltool.models import MDP
 from stltool.numbers import fraction_text
 from stltool.policy import Policy
@@ -47,7 +48,7 @@ from stltool.reporting.records import (
     WhyRecord,
 )
 from stltool.reporting.runs import likely_data, sensitivity_data
-from stltool.reporting.words import sentences, with_names
+from stltool.reporting.words import sentences
 
 if TYPE_CHECKING:  # a check loads no learners
     from stltool.learning import Gap, Guarantee, MarkovTest, Training

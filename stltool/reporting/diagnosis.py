@@ -8,20 +8,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stltool.diagnosis import Diagnosis, Reason
-from stltool.diagnosis.sentences import ranges_of, sentences
-from stltool.logic.formula import Composable, Formula
+from stltool.diagnosis.sentences import ranges_of
+from stltool.logic.printer import Text, with_names
 from stltool.logic.task import Task
 from stltool.monitoring.parts import part_verdicts
 from stltool.monitoring.samples import End
 from stltool.reporting.records import CauseRecord, DiagnosisRecord, ReasonRecord, SubformulaRecord
-from stltool.reporting.words import Text, with_names
 
 PARTS = 12  # of a formula that are shown
 
 
-def diagnosis_data(found: Diagnosis, task: Task, trace: int | None = None) -> DiagnosisRecord:
+def diagnosis_data(found: Diagnosis, trace: int | None = None) -> DiagnosisRecord:
     """Causes, the tree of reasons and its sentences; `trace` is the number of the trace in a batch."""
-    text = with_names(named_formulas(task))
     causes: list[CauseRecord] = []
     for name, steps in found.causes.items():
         cause: CauseRecord = {"signal": name, "steps": steps.tolist(), "values": found.values[name].tolist()}
@@ -34,20 +32,20 @@ def diagnosis_data(found: Diagnosis, task: Task, trace: int | None = None) -> Di
         "step": found.step,
         "verdict": found.verdict,
         "period": str(found.period) if found.period is not None else None,
-        "sentences": sentences(found.reason, found.period, text),
+        "sentences": found.sentences,
         "summary": found.summary,
         "causes": causes,
         "minimal": found.minimal,
         "doubt": found.doubt,
         "by_cases": found.by_cases,
-        "reason": _reason_data(found.reason, text),
+        "reason": _reason_data(found.reason, found.text),
     }
 
 
 def subformulas_data(signals: Mapping[str, ArrayLike], task: Task, end: End) -> tuple[list[SubformulaRecord], int]:
     """Where the first parts of a formula hold on one trace, and how many more there are."""
     found, more = part_verdicts(task.formula, signals, end, PARTS)
-    text = with_names(named_formulas(task))
+    text = with_names(task.formulas)
     parts: list[SubformulaRecord] = []
     for part in found:
         held = None if part.verdicts is None else ranges_of(np.flatnonzero(part.verdicts))
@@ -57,11 +55,6 @@ def subformulas_data(signals: Mapping[str, ArrayLike], task: Task, end: End) -> 
             "holds": None if held is None else [[first, last] for first, last in held],
         })  # fmt: skip
     return parts, more
-
-
-def named_formulas(task: Task) -> dict[str, Formula]:
-    """The definitions of a task file that are formulas."""
-    return {name: phi._formula() for name, phi in task.definitions.items() if isinstance(phi, Composable)}
 
 
 def _reason_data(reason: Reason, text: Text) -> ReasonRecord:

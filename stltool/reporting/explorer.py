@@ -21,10 +21,10 @@ from stltool.automata import TaskAutomaton
 from stltool.automata.graph import Drawing
 from stltool.checking import CheckResult, Run
 from stltool.checking.situations import MOST_EDGES, MOST_NODES, Explored
+from stltool.logic.printer import Text, with_names
 from stltool.models import MDP
 from stltool.policy import FORMAT, Policy
 from stltool.product import Product
-from stltool.reporting.words import Text, with_names
 
 I64 = NDArray[np.int64]
 

@@ -29,15 +29,15 @@ from stltool.logic.formula import (
     variables,
     walk,
 )
+from stltool.logic.printer import with_names
 from stltool.logic.quantities import Ticks
 from stltool.logic.task import Task
 from stltool.monitoring.offline import MonitorResult, monitor
 from stltool.monitoring.parts import part_verdicts
 from stltool.numbers import shortest
-from stltool.reporting.diagnosis import PARTS, named_formulas
+from stltool.reporting.diagnosis import PARTS
 from stltool.reporting.drawing import INK, alone, drawing, fitted, picture, shown, svg, text_width
 from stltool.reporting.monitoring import both, robustness_text, true_ranges
-from stltool.reporting.words import with_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -118,7 +118,7 @@ def monitor_figure(
         for i, name in enumerate(lanes):
             _mark_causes(axes[len(panels)], np.full(result.n_steps, i), (causes or {}).get(name))
     if parts:
-        text = with_names(named_formulas(task))
+        text = with_names(task.formulas)
         lines = [Lane(text(part.formula), part.verdicts) for part in parts]
         part_panel(axes[len(panels) + bool(lanes)], lines, result.n_steps)
     _robustness_panel(axes[-2], robustness)

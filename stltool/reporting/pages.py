@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from stltool.checking import Front
 from stltool.logic.formula import is_bounded
+from stltool.logic.printer import with_names
 from stltool.logic.task import Task
 from stltool.numbers import bound_texts, ceiling_text, floor_text, probability_text, within_text
 from stltool.product import Product
@@ -20,7 +21,7 @@ from stltool.reporting.headline import positions, verdict_chip
 from stltool.reporting.monitoring import beside, monitor_facts, range_rows, robustness_text, shown_trace, trace_rows
 from stltool.reporting.records import MonitorRecord
 from stltool.reporting.tradeoffs import front_data
-from stltool.reporting.words import SentenceRecord, sentences, with_names
+from stltool.reporting.words import SentenceRecord, sentences
 
 FRONT_FORMAT, MONITOR_FORMAT = "stltool-front-1", "stltool-monitor-1"
 ESTIMATE_FORMAT, TEST_FORMAT = "stltool-estimate-1", "stltool-test-1"  # an interval, a sequential test

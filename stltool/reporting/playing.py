@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.text import Text as Line
 
 from stltool.checking.playing import Game
+from stltool.logic.printer import with_names
 from stltool.numbers import probability_text
-from stltool.reporting.words import with_names
 from stltool.streams import printable
 
 HELP = """\

@@ -95,7 +95,7 @@ def _why(found: Verified) -> DiagnosisRecord | None:
     if found.diagnosis is None or found.monitored is None or found.monitored.verdicts is None:
         return None
     verdicts = found.monitored.verdicts
-    return diagnosis_data(found.diagnosis, found.task, int(verdicts[:, 0].argmin()) if verdicts.ndim == 2 else None)
+    return diagnosis_data(found.diagnosis, int(verdicts[:, 0].argmin()) if verdicts.ndim == 2 else None)
 
 
 # ------------------------------------------------------------------------------------------------------------- texts

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import cache
-from typing import Any, Literal, TypeAlias, TypedDict, assert_never
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, TypedDict, assert_never
 
 from stltool.logic.formula import (
     Always,
@@ -26,13 +25,11 @@ from stltool.logic.formula import (
     Since,
     Trigger,
     Until,
-    children,
     is_temporal,
-    with_children,
 )
+from stltool.logic.printer import Text
 from stltool.numbers import probability_text
 
-Text: TypeAlias = Callable[[Formula], str]
 _LONG = 10  # states of a run that a sentence names
 _DEEPEST = 40  # levels of a sentence; below, formulas stand as they are
 
@@ -42,22 +39,6 @@ class SentenceRecord(TypedDict):
 
     text: str
     parts: list[SentenceRecord]
-
-
-def with_names(definitions: Mapping[str, Formula]) -> Text:
-    """A writer of formulas in which those of `definitions` are called by their names."""
-    named = {phi: name for name, phi in definitions.items()}
-
-    def replaced(phi: Formula) -> Formula:
-        if phi in named:
-            return Label(named[phi])
-        return with_children(phi, tuple(map(replaced, children(phi))))
-
-    @cache
-    def text(phi: Formula) -> str:
-        return str(replaced(phi))
-
-    return text
 
 
 def sentences(phi: Formula, text: Text = str) -> SentenceRecord:

@@ -205,7 +205,7 @@ def test_the_reported_run_is_the_reports(opened, factory):
 
 
 def _named(product):
-    from stltool.reporting.words import with_names
+    from stltool.logic.printer import with_names
 
     return with_names(product.definitions)
 

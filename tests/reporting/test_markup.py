@@ -216,7 +216,7 @@ def monitored():
     task = stl.parse_task("param T = 2\nhigh := x > 0.5\nkept := F[0,T] high")
     signals = {"x": np.array([1.0, 0, 0, 0, 0, 1, 1])}
     data = monitor_data(stl.monitor(task, signals), task, "log.csv")
-    data["why"] = diagnosis_data(stl.diagnose(task, signals, 1), task)
+    data["why"] = diagnosis_data(stl.diagnose(task, signals, 1))
     return json.loads(json.dumps(monitor_report(data, signals, task, "stltool monitor")))
 
 

@@ -409,7 +409,7 @@ def test_the_page_shows_parts_and_why():
     task = stl.parse_task("near := x > 2 & a\nduty := G[0,2] (near -> (F[0,1] b))")
     signals = {"x": [0, 3, 3, 0, 3, 3, 0], "a": [1, 0, 1, 1, 0, 1, 1], "b": [1, 0, 0, 0, 0, 1, 0]}
     data = monitor_data(stl.monitor(task, signals), task, "log.csv")
-    data["why"] = diagnosis_data(stl.diagnose(task, signals, 0), task)
+    data["why"] = diagnosis_data(stl.diagnose(task, signals, 0))
     page = render(json.loads(json.dumps(monitor_report(data, signals, task))))
     panel = Picture(drawn(page)[0]).panel
     told = [(lanes(panel, f"true-{i}", 7), lanes(panel, f"false-{i}", 7)) for i in range(4)]

@@ -3,7 +3,8 @@
 import pytest
 
 import stltool as stl
-from stltool.reporting.words import run_sentences, sensitivity_sentences, sentence_text, sentences, with_names
+from stltool.logic.printer import with_names
+from stltool.reporting.words import run_sentences, sensitivity_sentences, sentence_text, sentences
 
 
 @pytest.mark.parametrize(
