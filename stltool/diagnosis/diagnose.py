@@ -31,7 +31,7 @@ from stltool.logic.formula import (
     lookback,
 )
 from stltool.logic.printer import Text, with_names
-from stltool.logic.quantities import Duration
+from stltool.logic.quantities import Ticks
 from stltool.logic.shifts import Delayed
 from stltool.logic.task import Task
 from stltool.monitoring.blocks import BlockEnd
@@ -61,7 +61,7 @@ class Diagnosis(Displayed):
     reason          the sub-formulas, each with the steps at which it decided, as a tree
     by_cases        whether no single sub-formula decides, as with `a | !a`: the reason is then one of several, and not
                     from the causes alone
-    period          the duration of a step, if one is declared
+    ticks           steps as times, if the duration of a step is declared
     text            how formulas are written: with the names of a task file's definitions
     """
 
@@ -74,7 +74,7 @@ class Diagnosis(Displayed):
     doubt: str | None
     reason: Reason
     by_cases: bool = False
-    period: Duration | None = None
+    ticks: Ticks | None = None
     text: Text = str
 
     @property
@@ -100,14 +100,12 @@ class Diagnosis(Displayed):
     @property
     def sentences(self) -> list[str]:
         """The reason, outside in; operands are indented by two spaces."""
-        return sentences(self.reason, self.period, self.text)
+        return sentences(self.reason, self.ticks, self.text)
 
     @property
     def summary(self) -> str:
         """The causes in one line."""
-        told = ", ".join(
-            f"{name} {steps_text(steps, self.period)}" for name, steps in self.causes.items() if len(steps)
-        )
+        told = ", ".join(f"{name} {steps_text(steps, self.ticks)}" for name, steps in self.causes.items() if len(steps))
         if not told:
             return "none: the verdict is the same on every trace"
         how = "a minimal set" if self.minimal else "sufficient, perhaps not minimal"
@@ -181,8 +179,8 @@ def diagnose(
         doubt,
         story.tell(formula, root, value),
         by_cases,
-        phi.step if isinstance(phi, Task) else None,
-        with_names(phi.formulas) if isinstance(phi, Task) else str,
+        phi.ticks if isinstance(phi, Task) else None,
+        with_names(phi.formulas, phi.ticks) if isinstance(phi, Task) else str,
     )
 
 

@@ -13,9 +13,8 @@ from stltool.display import cut
 from stltool.errors import TraceError
 from stltool.logic.formula import Comparison, Constant, Formula, Label, Not
 from stltool.logic.printer import Text
-from stltool.logic.quantities import Duration
+from stltool.logic.quantities import Ticks
 from stltool.logic.semantics import robustness
-from stltool.numbers import number_text
 
 _LONGEST = 100  # characters of a formula
 _WIDTH = 112  # of a line with two parts
@@ -54,21 +53,22 @@ def ranges_of(steps: NDArray[np.int64]) -> list[tuple[int, int]]:
     return list(zip(firsts.tolist(), lasts.tolist(), strict=True))
 
 
-def time_text(step: int, period: Duration | None) -> str:
+def time_text(step: int, ticks: Ticks | None) -> str:
     """The time of a step: 4.1 s; without a declared step, its number."""
-    return str(step) if period is None else f"{number_text(step * period.seconds)} s"
+    return str(step) if ticks is None else ticks.text(step)
 
 
-def steps_text(steps: NDArray[np.int64], period: Duration | None) -> str:
+def steps_text(steps: NDArray[np.int64], ticks: Ticks | None) -> str:
     """`at step 3`, `at steps 4 … 6`, `at 0.4 … 0.6 s (steps 4 … 6)`, `at 17 steps from 3 to 90`."""
     ranges = ranges_of(steps)
     if len(ranges) > _RANGES:
         numbers = f"{len(steps)} steps from {ranges[0][0]} to {ranges[-1][1]}"
-        first, last = time_text(ranges[0][0], period), time_text(ranges[-1][1], period)
-        return f"at {numbers}" if period is None else f"at {len(steps)} steps from {first} to {last}"
-    if period is None:
+        first, last = time_text(ranges[0][0], ticks), time_text(ranges[-1][1], ticks)
+        return f"at {numbers}" if ticks is None else f"at {len(steps)} steps from {first} to {last}"
+    if ticks is None:
         return f"at step{'s'[: len(steps) != 1]} {_listed([_range(a, b) for a, b in ranges])}"
-    times = _listed([_range(time_text(a, period).removesuffix(" s" * (a != b)), time_text(b, period), a == b)
+    unit = f" {ticks.unit}"
+    times = _listed([_range(ticks.text(a).removesuffix(unit if a != b else ""), ticks.text(b), a == b)
                      for a, b in ranges])  # fmt: skip
     return f"at {times} ({steps_text(steps, None).removeprefix('at ')})"
 
@@ -81,29 +81,29 @@ def _listed(texts: list[str]) -> str:
     return texts[0] if len(texts) == 1 else f"{', '.join(texts[:-1])} and {texts[-1]}"
 
 
-def sentences(reason: Reason, period: Duration | None = None, text: Text = str) -> list[str]:
+def sentences(reason: Reason, ticks: Ticks | None = None, text: Text = str) -> list[str]:
     """One line for each sub-formula, operands below it and indented; a single operand without parts in its line."""
-    return ["  " * depth + line for depth, line in _lines(reason, 0, period, text)]
+    return ["  " * depth + line for depth, line in _lines(reason, 0, ticks, text)]
 
 
-def _lines(reason: Reason, depth: int, period: Duration | None, text: Text) -> Iterator[tuple[int, str]]:
+def _lines(reason: Reason, depth: int, ticks: Ticks | None, text: Text) -> Iterator[tuple[int, str]]:
     while isinstance(reason.formula, Not) and reason.parts:
         reason = reason.parts[0]
     parts = [_unwrapped(part) for part in reason.parts]
     if not parts:
-        yield depth, _leaf(reason, period, text)
+        yield depth, _leaf(reason, ticks, text)
         return
-    head = f"{_shown(reason.formula, text)} {'holds' if reason.holds else 'fails'} {steps_text(reason.steps, period)}"
+    head = f"{_shown(reason.formula, text)} {'holds' if reason.holds else 'fails'} {steps_text(reason.steps, ticks)}"
     if reason.awaited:
-        head += _neighbours(reason, period)
+        head += _neighbours(reason, ticks)
     if len(parts) == 1 and not parts[0].parts:
-        line = f"{head}: {_leaf(parts[0], period, text)}"
+        line = f"{head}: {_leaf(parts[0], ticks, text)}"
         if 2 * depth + len(line) <= _WIDTH:
             yield depth, line
             return
     yield depth, f"{head}:"
     for part in parts:
-        yield from _lines(part, depth + 1, period, text)
+        yield from _lines(part, depth + 1, ticks, text)
 
 
 def _unwrapped(reason: Reason) -> Reason:
@@ -114,9 +114,9 @@ def _unwrapped(reason: Reason) -> Reason:
     return reason
 
 
-def _leaf(reason: Reason, period: Duration | None, text: Text) -> str:
+def _leaf(reason: Reason, ticks: Ticks | None, text: Text) -> str:
     """What is read from the samples."""
-    phi, where = reason.formula, steps_text(reason.steps, period)
+    phi, where = reason.formula, steps_text(reason.steps, ticks)
     if isinstance(phi, Constant):
         return f"{phi} is {'true' if reason.holds else 'false'} by itself"
     if reason.awaited:
@@ -133,7 +133,7 @@ def _leaf(reason: Reason, period: Duration | None, text: Text) -> str:
         details = ["whatever the samples are"]
     if details:
         told += f" with {', '.join(details)}" if reason.values else f" ({details[0]})"
-    return told + (_neighbours(reason, period) if reason.awaited else "")
+    return told + (_neighbours(reason, ticks) if reason.awaited else "")
 
 
 def _values(name: str, values: NDArray[Any]) -> str:
@@ -154,14 +154,14 @@ def _short(phi: Comparison, reason: Reason) -> list[str]:
     return [f"short by {-margin:.6g}"] if margin else ["exactly on the border"]
 
 
-def _neighbours(reason: Reason, period: Duration | None) -> str:
+def _neighbours(reason: Reason, ticks: Ticks | None) -> str:
     """When it held before and after, and by when it was needed."""
     word = "true" if isinstance(reason.formula, Label) else "held"
     if reason.holds:  # awaited is its negation
         return ""
-    before = f"last {word} at {time_text(reason.last, period)}" if reason.last is not None else f"never {word} before"
-    after = f"next at {time_text(reason.next, period)}" if reason.next is not None else "not again"
-    return f"; {before}, {after}, needed by {time_text(int(reason.steps[-1]), period)}"
+    before = f"last {word} at {time_text(reason.last, ticks)}" if reason.last is not None else f"never {word} before"
+    after = f"next at {time_text(reason.next, ticks)}" if reason.next is not None else "not again"
+    return f"; {before}, {after}, needed by {time_text(int(reason.steps[-1]), ticks)}"
 
 
 def _shown(phi: Formula, text: Text) -> str:

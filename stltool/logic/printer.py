@@ -6,6 +6,7 @@ The rules for parentheses and spaces are defined here only; the formatter of tas
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal, TypeAlias, assert_never
 
@@ -40,6 +41,7 @@ from stltool.logic.formula import (
     with_children,
 )
 from stltool.logic.names import written
+from stltool.logic.quantities import Ticks
 
 Kind: TypeAlias = Literal["atom", "not", "temporal", "comparison", "binary"]
 """The form of an operand: a name or constant, `!…`, `F… …`, `once… …` or `!G… …`, `… < …`, or a binary operator."""
@@ -142,14 +144,28 @@ def _kind(phi: Formula) -> Kind:
             return "binary"
 
 
-def with_names(definitions: Mapping[str, Formula]) -> Text:
-    """A writer of formulas in which those of `definitions` are called by their names."""
+@dataclass(frozen=True, slots=True)
+class _Timed(Interval):
+    """An interval that is written in time: [0,2.5s]."""
+
+    ticks: Ticks
+
+    def __str__(self) -> str:
+        a, b = (None if end is None else self.ticks.text(end).replace(" ", "") for end in (self.a, self.b))
+        return f"[{a if self.a else 0},inf)" if b is None else f"[{a if self.a else 0},{b if self.b else 0}]"
+
+
+def with_names(definitions: Mapping[str, Formula], ticks: Ticks | None = None) -> Text:
+    """A writer of formulas that calls those of `definitions` by their names; with `ticks`, bounds are times."""
     named = {phi: name for name, phi in definitions.items()}
 
     def replaced(phi: Formula) -> Formula:
         if phi in named:
             return Label(named[phi])
-        return with_children(phi, tuple(map(replaced, children(phi))))
+        found = with_children(phi, tuple(map(replaced, children(phi))))
+        if ticks is None or isinstance(found, Constant | Label | Comparison | Not | And | Or | Implies | Iff | Rise):
+            return found
+        return replace(found, interval=_Timed(found.interval.a, found.interval.b, ticks))
 
     @cache
     def text(phi: Formula) -> str:

@@ -23,15 +23,16 @@ def diagnosis_data(found: Diagnosis, trace: int | None = None) -> DiagnosisRecor
     causes: list[CauseRecord] = []
     for name, steps in found.causes.items():
         cause: CauseRecord = {"signal": name, "steps": steps.tolist(), "values": found.values[name].tolist()}
-        if found.period is not None:
-            cause["times"] = [float(step * found.period.seconds) for step in steps.tolist()]
+        if found.ticks is not None:
+            cause["times"] = [found.ticks.number(step) for step in steps.tolist()]
         if len(steps):
             causes.append(cause)
     return {
         "trace": trace,
         "step": found.step,
         "verdict": found.verdict,
-        "period": str(found.period) if found.period is not None else None,
+        "time": found.ticks.number(found.step) if found.ticks is not None else None,
+        "unit": found.ticks.unit if found.ticks is not None else None,
         "sentences": found.sentences,
         "summary": found.summary,
         "causes": causes,
@@ -45,7 +46,7 @@ def diagnosis_data(found: Diagnosis, trace: int | None = None) -> DiagnosisRecor
 def subformulas_data(signals: Mapping[str, ArrayLike], task: Task, end: End) -> tuple[list[SubformulaRecord], int]:
     """Where the first parts of a formula hold on one trace, and how many more there are."""
     found, more = part_verdicts(task.formula, signals, end, PARTS)
-    text = with_names(task.formulas)
+    text = with_names(task.formulas, task.ticks)
     parts: list[SubformulaRecord] = []
     for part in found:
         held = None if part.verdicts is None else ranges_of(np.flatnonzero(part.verdicts))

@@ -30,7 +30,6 @@ from stltool.logic.formula import (
     walk,
 )
 from stltool.logic.printer import with_names
-from stltool.logic.quantities import Ticks
 from stltool.logic.task import Task
 from stltool.monitoring.offline import MonitorResult, monitor
 from stltool.monitoring.parts import part_verdicts
@@ -118,7 +117,7 @@ def monitor_figure(
         for i, name in enumerate(lanes):
             _mark_causes(axes[len(panels)], np.full(result.n_steps, i), (causes or {}).get(name))
     if parts:
-        text = with_names(task.formulas)
+        text = with_names(task.formulas, task.ticks)
         lines = [Lane(text(part.formula), part.verdicts) for part in parts]
         part_panel(axes[len(panels) + bool(lanes)], lines, result.n_steps)
     _robustness_panel(axes[-2], robustness)
@@ -143,7 +142,7 @@ def monitor_figure(
     ]
     axes[-1].set(xlabel="; ".join(["step", *hidden]), xlim=(-0.5, result.n_steps - 0.5))
     if task.ticks is not None:
-        _time_axis(axes[0], task.ticks)
+        _time_axis(axes[0], task.ticks.number(1), task.ticks.unit)
     figure.align_ylabels(axes[:-1])
     figure.suptitle(_title(task, verdicts, robustness, trace, at), fontsize=10, x=0.01, ha="left", color=INK)
     return figure
@@ -299,6 +298,8 @@ def lane_picture(data: Mapping[str, Any], verdicts: Booleans) -> str:
         _mark_causes(axes, np.full(data["samples"], i), np.array(cause["steps"], dtype=np.int64))
     axes.tick_params(labelsize=_SMALL)
     axes.set(xlabel="step", xlim=(-0.5, data["samples"] - 0.5), ylabel="")
+    if data["step"] is not None:
+        _time_axis(axes, data["step"], data["unit"])
     return svg(figure, "lanes", "where the task and its parts hold")
 
 
@@ -349,9 +350,8 @@ def _verdict_strip(axes: Axes, verdicts: Booleans, n_steps: int) -> None:
     axes.set_ylabel("verdict", fontsize=9, rotation=0, ha="right", va="center")
 
 
-def _time_axis(top: Axes, ticks: Ticks) -> None:
-    """The times of the steps, above the first panel."""
-    scale = ticks.number(1)
+def _time_axis(top: Axes, scale: float, unit: str) -> None:
+    """The times of the steps, above the first panel; `scale` is the duration of a step."""
 
     def time_of(steps: ArrayLike) -> Reals:
         return np.asarray(steps, dtype=np.float64) * scale
@@ -360,7 +360,7 @@ def _time_axis(top: Axes, ticks: Ticks) -> None:
         return np.asarray(times, dtype=np.float64) / scale
 
     times = top.secondary_xaxis("top", functions=(time_of, step_of))
-    times.set_xlabel(f"time [{ticks.unit}]", fontsize=9)
+    times.set_xlabel(f"time [{unit}]", fontsize=9)
     times.tick_params(labelsize=_SMALL)
 
 

@@ -851,7 +851,7 @@ class TraceRecord(TypedDict):
 
 
 class CauseRecord(TypedDict):
-    """Samples of one signal that a verdict depends on; `times` are in seconds, if the duration of a step is known."""
+    """Samples of one signal that a verdict depends on; `times` if the duration of a step is declared."""
 
     signal: str
     steps: list[int]
@@ -878,14 +878,16 @@ class ReasonRecord(TypedDict):
 class DiagnosisRecord(TypedDict):
     """What decided the verdict at a step.
 
-    `causes` are samples that force the verdict, whatever the others are. None of them can be left out if they are
-    `minimal`; otherwise `doubt` states why some might. `by_cases`: the tree under `reason` is one of several.
+    `time`, in the declared `unit`, is that of the step. `causes` force the verdict, whatever the other samples are.
+    None of them can be left out if they are `minimal`; otherwise `doubt` states why some might. `by_cases`: the tree
+    under `reason` is one of several.
     """
 
     trace: int | None
     step: int
     verdict: bool
-    period: str | None
+    time: float | None
+    unit: str | None
     sentences: list[str]
     summary: str
     causes: list[CauseRecord]

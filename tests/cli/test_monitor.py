@@ -288,13 +288,13 @@ def test_why_the_first_violated_step_fails(stltool, tmp_path):
     ]
     code, out, _ = stltool("monitor", "G[0,1s] F[0,0.4s] docked", path, "--why", "--step", "0.2s", "--json")
     why = json.loads(out)["why"]
-    assert (code, why["step"], why["verdict"], why["minimal"], why["period"]) == (1, 0, False, True, "0.2s")
+    assert (code, why["step"], why["verdict"], why["minimal"], why["unit"]) == (1, 0, False, True, "s")
     [cause] = why["causes"]
     assert (cause["signal"], cause["steps"], cause["values"]) == ("docked", [4, 5, 6], [False] * 3)
     assert cause["times"] == pytest.approx([0.8, 1.0, 1.2])
     assert why["sentences"][-1].endswith("last true at 0.6 s, next at 1.4 s, needed by 1.2 s")
     inner = why["reason"]["parts"][0]
-    assert (inner["formula"], inner["steps"], inner["holds"]) == ("F[0,2] docked", [[4, 4]], False)
+    assert (inner["formula"], inner["steps"], inner["holds"]) == ("F[0,0.4s] docked", [[4, 4]], False)
     assert [inner["parts"][0][key] for key in ("steps", "awaited", "last", "next")] == [[[4, 6]], True, 3, 7]
 
 
