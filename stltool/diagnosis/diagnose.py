@@ -212,6 +212,9 @@ def _around(formula: Formula, traces: Traces, t: int, end: End, beyond: int) -> 
     kind: BlockEnd = "open" if whole_windows else "hold" if end == "hold" else "cut"
     back, held = lookback(formula), 0
     first = max(t - back, 0) if back is not None else 0
+    if kind == "hold" and traces.program.has_past:  # the past of held samples changes until they fill its windows
+        held = traces.program.settling
+        traces = traces.held(held)
     block = traces.block(slice(0, 1), slice(first, stop + held), kind)
     return first, knowledge_of(formula, block), stop - first
 

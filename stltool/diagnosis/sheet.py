@@ -38,6 +38,7 @@ from stltool.logic.formula import (
     Trigger,
     Until,
     children,
+    horizon,
     is_temporal,
     with_children,
 )
@@ -79,8 +80,11 @@ class Sheet:
             return self._atom(phi).values(self.known)
         labels: tuple[Formula, ...] = tuple(Label(str(i)) for i in range(len(children(phi))))
         columns = {str(i): self[child][None] for i, child in enumerate(children(phi))}
-        found = Kleene(with_children(phi, labels)).judge(columns, self.n, self.block.end)[0]
+        one = with_children(phi, labels)
         values = np.zeros(self.n, dtype=np.int8)
+        if self.block.end == "open" and horizon(one) >= self.n:  # below an operator of the past, which does not look
+            return values
+        found = Kleene(one).judge(columns, self.n, self.block.end)[0]
         values[: len(found)] = found
         return values
 
