@@ -102,6 +102,7 @@ class _Trial:
         a, b = first // self.width, (stop - 1) // self.width + 1
         kept, values = flat[first:stop].copy(), self.values[:, a:b].copy()
         flat[first:stop] = False
+        self.kept[a:b, self.knowledge.facts] = True
         self.values[:, a:b] = self.knowledge.values(self.kept[a:b], a)
         if self.holds():
             return True
@@ -212,7 +213,7 @@ def by_automaton(known: Knowledge, at: int, truth: bool) -> Known:
         mask = 0 if step > settled else letters.all
         for column in reversed(range(len(known.names)) if mask else ()):
             less = mask & ~(1 << column)
-            if good[automaton.delta[letters.of(step, less), states[step]]].all():
+            if column not in known.facts and good[automaton.delta[letters.of(step, less), states[step]]].all():
                 mask = less
         kept[step] = [mask >> column & 1 for column in range(len(known.names))]
         good = np.asarray(good[automaton.delta[letters.of(step, mask)]].all(axis=0))
@@ -264,7 +265,7 @@ def each_is_needed(known: Knowledge, at: int, truth: bool, kept: Known) -> bool:
     signed = np.array([[1 if boolean_value(psi, row) else -1 for psi in psis] for row in assigned], dtype=np.int8)
     n, bits = known.block.steps, 1 << np.arange(len(known.names))
     masks = (kept @ bits).tolist()
-    samples = np.argwhere(kept).tolist()
+    samples = [place for place in np.argwhere(kept).tolist() if place[1] not in known.facts]
     if not letters.total or len(samples) * n * len(rows) * (len(rows) + _RANDOM + 1) > _MOST_TRIED:
         return False
     rng = np.random.default_rng(0)

@@ -30,6 +30,7 @@ from stltool.logic.formula import (
     is_temporal,
     lookback,
 )
+from stltool.logic.names import written
 from stltool.logic.printer import Text, with_names
 from stltool.logic.quantities import Ticks
 from stltool.logic.shifts import Delayed
@@ -145,7 +146,9 @@ def diagnose(
     formula, traces, beyond = prepare(phi, signals, end, "diagnose")
     if traces.batch:
         raise TraceError("diagnose explains one trace, (n_steps,); give one row of the batch, as in {'x': x[3]}")
-    first, knowledge, real = _around(formula, traces, t, end, beyond)
+    given = formula_of(phi, "diagnose's formula")
+    made = compile_delayed(given)[0]
+    first, knowledge, real = _around(formula, traces, t, end, beyond, made)
     everything = np.ones((knowledge.block.steps, len(knowledge.names)), dtype=np.bool_)
     whole_sheet = Sheet(knowledge, everything)
     at = t - first
@@ -163,12 +166,14 @@ def diagnose(
     story = _Story(whole_sheet if by_cases else sheet, traces, first, end)
     steps = {name: first + np.flatnonzero(column) for name, column in zip(knowledge.names, kept.T, strict=True)}
     values = {name: traces.arrays[name][0, found] for name, found in steps.items()}
-    doubt = cause.doubt
-    given = formula_of(phi, "diagnose's formula")
-    if (made := compile_delayed(given)[0]).starts or made.signals:
+    doubt, text = cause.doubt, with_names(phi.formulas, phi.ticks) if isinstance(phi, Task) else str
+    if made.starts or made.signals:
         steps = _read_at(made, steps, traces.n_steps - beyond)
         values = {name: np.asarray(signals[name])[found] for name, found in steps.items()}
-        doubt = doubt or "comparisons read several steps, whose samples were taken for independent ones"
+        text = _unquoted(text, made)
+        read = [made.signals.get(name, (name, 0))[0] for name in knowledge.names if name not in made.starts]
+        if doubt is None and len(set(read)) < len(read):
+            doubt = "comparisons read several steps, whose samples were taken for independent ones"
     return Diagnosis(
         given,
         t,
@@ -180,8 +185,20 @@ def diagnose(
         story.tell(formula, root, value),
         by_cases,
         phi.ticks if isinstance(phi, Task) else None,
-        with_names(phi.formulas, phi.ticks) if isinstance(phi, Task) else str,
+        text,
     )
+
+
+def _unquoted(text: Text, made: Delayed) -> Text:
+    """A writer to which earlier samples are no names in quotes."""
+
+    def told(phi: Formula) -> str:
+        found = text(phi)
+        for name in (*made.signals, *made.starts):
+            found = found.replace(written(name), name)
+        return found
+
+    return told
 
 
 def _read_at(made: Delayed, steps: Mapping[str, NDArray[np.int64]], n: int) -> dict[str, NDArray[np.int64]]:
@@ -194,7 +211,9 @@ def _read_at(made: Delayed, steps: Mapping[str, NDArray[np.int64]], n: int) -> d
     return {name: np.array(sorted(at), dtype=np.int64) for name, at in sorted(found.items())}
 
 
-def _around(formula: Formula, traces: Traces, t: int, end: End, beyond: int) -> tuple[int, Knowledge, int]:
+def _around(
+    formula: Formula, traces: Traces, t: int, end: End, beyond: int, made: Delayed
+) -> tuple[int, Knowledge, int]:
     """The part of the trace on which the verdict at t depends: its first step, what is known there, and its length.
 
     If samples are held for operators of the past, the block is longer than that.
@@ -216,7 +235,7 @@ def _around(formula: Formula, traces: Traces, t: int, end: End, beyond: int) -> 
         held = traces.program.settling
         traces = traces.held(held)
     block = traces.block(slice(0, 1), slice(first, stop + held), kind)
-    return first, knowledge_of(formula, block), stop - first
+    return first, knowledge_of(formula, block, made.starts), stop - first
 
 
 class _Story:

@@ -8,6 +8,7 @@ until both are known.
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,22 +111,24 @@ class Atom:
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """The atoms of a formula along a trace."""
+    """The atoms of a formula along a trace; `facts` are the columns of labels that are the same on every trace."""
 
     phi: Formula
     names: tuple[str, ...]
     block: Block
     atoms: tuple[Atom, ...]
+    facts: tuple[int, ...] = ()
 
     def values(self, known: Known, first: int = 0) -> NDArray[np.int8]:
         """(n_atoms, steps) int8: the atoms at the steps first, first + 1, …"""
         return np.stack([atom.values(known, first) for atom in self.atoms])
 
 
-def knowledge_of(phi: Formula, block: Block) -> Knowledge:
+def knowledge_of(phi: Formula, block: Block, facts: Container[str] = ()) -> Knowledge:
     """The atoms of φ along a block of one trace."""
     names = names_of(phi)
-    return Knowledge(phi, names, block, tuple(Atom(psi, names, block) for psi in atoms(phi)))
+    columns = tuple(i for i, name in enumerate(names) if name in facts)
+    return Knowledge(phi, names, block, tuple(Atom(psi, names, block) for psi in atoms(phi)), columns)
 
 
 def one_sided(phi: Formula) -> bool:

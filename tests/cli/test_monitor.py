@@ -222,7 +222,7 @@ def test_bad_input_ends_with_code_2(stltool, log, batch, tmp_path, monkeypatch):
         (["when > 0", log], "line 2, column when: 'Mon' is not a number"),
         (["x & door", log], "compare it, as in x > 0"),
         (["x > 0", "none.csv"], "none.csv: there is no such trace file"),
-        (["x > 0", "task.stl"], "task.stl: not a trace file; traces are read from .csv, .tsv, .npz, .parquet files"),
+        (["x > 0", "task.stl"], "task.stl: not a trace file; traces are read from .csv, .tsv, .npz, .parquet"),
         (["x > 0", log, "--end", "wrap"], "--end wrap: choose error, cut, hold"),
         (["x > 0", log, "--at", 5], "--at 5: steps 0 … 4 of these 5 samples are judged; --end cut or hold judges"),
         (["x > 0", log, "--at", -1], "--at -1: steps 0 … 4 of these 5 samples are judged"),

@@ -178,6 +178,20 @@ def test_what_several_signals_decide_together():
     assert {name: steps.tolist() for name, steps in guarded.causes.items()} == {"a": [0], "x": []}
 
 
+def test_comparisons_of_several_steps():
+    log = {"x": [0, 1, 5, 6.0], "a": [0, 1, 1, 1]}
+    jump = stl.diagnose(stl.parse("G[0,2] (x[t+1] - x[t] <= 1)"), log)
+    assert {name: steps.tolist() for name, steps in jump.causes.items()} == {"x": [1, 2]}
+    assert "several steps" in jump.doubt
+    assert jump.sentences[-1] == (
+        "    x - x[t-1] <= 1 fails at step 2 with x = 5, x[t-1] = 1, short by 3; last held at 1, next at 3, needed by 2"
+    )
+    before = stl.diagnose(stl.parse("G[1,2] (x[t-1] > 1)"), log)
+    assert ({name: steps.tolist() for name, steps in before.causes.items()}, before.minimal) == ({"x": [0]}, True)
+    start = stl.diagnose(stl.parse("a & x[t-1] > 1"), log)  # false at step 0 on every trace
+    assert (start.verdict, start.n_causes, start.minimal) == (False, 0, True)
+
+
 def test_long_traces_take_no_time():
     rng = np.random.default_rng(0)
     trace = {"a": rng.random(100_000) < 0.1, "b": rng.random(100_000) < 0.5, "x": np.ones(100_000)}
