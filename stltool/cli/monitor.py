@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
+from stltool.cli.follow import follow
 from stltool.cli.options import (
     AsJson,
     Decimal,
@@ -62,6 +63,13 @@ def monitor(
             "--why", help="what decided the first violated step, or --at: sentences, and a minimal set of samples"
         ),
     ] = False,
+    following: Annotated[
+        bool,
+        typer.Option(
+            "--follow",
+            help="read rows as they come, from a CSV file or - (standard input), and print violations once certain",
+        ),
+    ] = False,
     plot: Annotated[
         Path | None,
         typer.Option("--plot", metavar="FILE", help="draw the trace with its verdicts (.png, .svg, .pdf)"),
@@ -114,6 +122,13 @@ def monitor(
     names = {**variables(loaded.formula), **label_names(loaded.formula)}
     if not names:
         raise SettingsError(f"{loaded.formula}: this formula is constant; name a signal or a label of the trace")
+    if following:
+        beside = {"--trace": which is not None, "--why": why, "--plot": plot is not None, "--report": report is not None,
+                  "--resample": resample is not None, "--missing": missing != "error", "--json": as_json}  # fmt: skip
+        for option in (option for option, given in beside.items() if given):
+            raise SettingsError(f"--follow prints verdicts as they come; {option} needs the whole trace: leave one out")
+        follow(loaded, trace, end, at, steps, decimal, time)
+        return
     with working(f"reading {trace}", quiet=as_json):
         log = reading.log(trace, list(names), loaded.step, label_names(loaded.formula))
     signals = log.signals
