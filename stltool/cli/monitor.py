@@ -123,8 +123,10 @@ def monitor(
     if not names:
         raise SettingsError(f"{loaded.formula}: this formula is constant; name a signal or a label of the trace")
     if following:
-        beside = {"--trace": which is not None, "--why": why, "--plot": plot is not None, "--report": report is not None,
-                  "--resample": resample is not None, "--missing": missing != "error", "--json": as_json}  # fmt: skip
+        beside = {
+            "--trace": which is not None, "--why": why, "--plot": plot is not None, "--report": report is not None,
+            "--resample": resample is not None, "--missing": missing != "error", "--json": as_json,
+        }  # fmt: skip
         for option in (option for option, given in beside.items() if given):
             raise SettingsError(f"--follow prints verdicts as they come; {option} needs the whole trace: leave one out")
         follow(loaded, trace, end, at, steps, decimal, time)
