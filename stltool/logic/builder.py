@@ -8,6 +8,7 @@ it would have defined are skipped, since nothing can be said about them.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -82,12 +83,6 @@ class _PassedOver(Exception):
     """A statement refers to a name whose definition is faulty."""
 
 
-def _dividing(value: Fraction) -> Duration:
-    """A step of which so many seconds are a multiple."""
-    tenth = Fraction(1, 10)
-    return Duration(tenth if (value / tenth).denominator == 1 else Fraction(1, value.denominator))
-
-
 def _mentions_t(tree: Branch) -> bool:
     return any(str(part.children[0]) == "t" for part in tree.find_data("name"))
 
@@ -111,6 +106,7 @@ class Builder:
         self.overrides = overrides or {}
         self.step = step
         self.unit = unit
+        self.trees: list[Branch] = []
         self.lines = lines  # whether the text is a file, which may have lines of its own for these
         self.seen: set[str] = set()  # kinds of lines of which a file has only one
         self.unbounded = unbounded
@@ -130,7 +126,7 @@ class Builder:
 
     def statements(self, trees: Iterable[Branch]) -> None:
         """Read the statements of a task file; what is wrong with them is collected in `faults`."""
-        trees = list(trees)
+        self.trees = trees = list(trees)
         self.look_ahead(trees)
         order = {"signals": 0, "expectation": 2}  # signal lines apply to the whole file, and all of it to expectations
         for tree in sorted(trees, key=lambda tree: order.get(str(tree.data), 1)):
@@ -362,6 +358,7 @@ class Builder:
 
     def whole_formula(self, tree: Branch) -> Formula:
         """The formula of a text that contains nothing else."""
+        self.trees = [tree]
         try:
             return self.formula(branches(tree)[0])
         except RecursionError:
@@ -548,7 +545,7 @@ class Builder:
             value = (self.unit or STEP).times(value)
         steps = value.in_steps(self.step)
         if steps is None:
-            example = self.declare([("step", str(_dividing(value.seconds)))])
+            example = self.declare([("step", str(self.fitting_step(value.seconds)))])
             self.fail(tree, f"this bound is a time, but no step is declared; {example}")
         if steps.denominator != 1:
             self.no_multiple(tree, value, steps, plain)
@@ -595,6 +592,21 @@ class Builder:
             return f"add {'the lines' if both else 'a line'} {lines}"
         return f"give {joint.join(named(word, f'{word}={value!r}') for word, value in values)}"
 
+    def fitting_step(self, seconds: Fraction) -> Duration:
+        """A step of which this bound is a multiple, and all bounds of the text, as far as their numbers show."""
+        kinds = ("interval", "sample")
+        intervals = [part for tree in self.trees for kind in kinds for part in tree.find_data(kind)]
+        used = {str(part.children[0]) for tree in intervals for part in tree.find_data("name")}
+        params = [part for tree in self.trees if tree.data == "params" for part in branches(tree)]
+        found = [seconds]
+        for tree in intervals + [part for part in params if str(part.children[0]) in used]:
+            for part in (*tree.find_data("number"), *tree.find_data("time")):
+                with contextlib.suppress(StlSyntaxError):  # reported where it stands
+                    value = self.constant(part)
+                    found.append(value.seconds if isinstance(value, Duration) else value)
+        whole = math.lcm(*(value.denominator for value in found))
+        return Duration(Fraction(1, 10 if 10 % whole == 0 else whole))
+
     def no_multiple(self, tree: Branch, value: Duration, steps: Fraction, plain: bool) -> NoReturn:
         """Refuse a bound that lies between two steps."""
         near = [Fraction(math.floor(steps)), Fraction(math.ceil(steps))]
@@ -609,7 +621,7 @@ class Builder:
         low, high = (number_text(n) if plain else str(Duration(Fraction(0), n)) for n in near)
         seconds = ""
         if plain and unit is None:
-            lines = [("step", str(_dividing(value.steps))), ("unit", "s")]
+            lines = [("step", str(self.fitting_step(value.steps))), ("unit", "s")]
             seconds = f"; for times in seconds, {self.declare(lines, both=True)}"
         self.fail(tree, f"the bound {shown} is not an integer number of steps; write {low} or {high}{seconds}")
 

@@ -331,6 +331,14 @@ def test_plain_numbers_mean_what_the_unit_line_says():
             stl.parse("a", unit=unit)
 
 
+def test_the_step_that_is_advised_fits_every_bound():
+    text = "param t1 = 0.3, slack = 0.001\na := F[0,0.02] (x > slack)\nr := F[0.05,t1] a"
+    with pytest.raises(StlSyntaxError) as caught:
+        stl.parse_task(text)
+    assert str(caught.value).count("add the lines step = 0.01s and unit = s") == 2
+    assert stl.parse_task(f"step = 0.01s\nunit = s\n{text}").formula == stl.parse("F[5,30] F[0,2] (x > 0.001)")
+
+
 def test_steps_are_a_time():
     for text, same in [
         ("F[0,5 steps] A", "F[0,5] A"),
