@@ -107,7 +107,8 @@ def cluster(request):
 
 @pytest.fixture(scope="module")
 def patrolling():
-    task = stl.load_task("examples/factory/patrolling.stl", params={"T": 3, "tau": 6})
+    params = {"T": 3, "tau": 6} if MORE > 1 else {"T": 2, "tau": 4}
+    task = stl.load_task("examples/factory/patrolling.stl", params=params)
     return stl.build_product(stl.load_model(task.model), task)
 
 

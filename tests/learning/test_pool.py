@@ -40,7 +40,7 @@ def work(item):
 
 if __name__ == "__main__":
     items = ["deadly", "faulty", *(f"fine{i}" for i in range(6))]
-    for item, result in sorted(spread(work, items, 3)):
+    for item, result in sorted(spread(work, items, 2)):
         print(f"{item}: {result}")
 """
 UNGUARDED = """
