@@ -159,17 +159,42 @@ class Moves:
 
 @dataclass(frozen=True, eq=False)
 class Explored:
-    """The nodes of a product, and a policy's numbers there and its mixtures (k, C); see the module's text."""
+    """The nodes of a product, and a policy's numbers there and its mixtures (k, C); see the module's text.
+
+    Where these are too many, only those that this policy comes to (`whole` is then False).
+    """
 
     nodes: list[I64]
     numbers: NDArray[np.int32]
     mixtures: F64
+    whole: bool = True
 
     @classmethod
     def of(cls, product: Product, policy: Policy) -> Explored | None:
-        """None if there are more than MOST_NODES nodes or MOST_EDGES transitions."""
-        nodes = reachable(product)
-        return None if nodes is None else cls(nodes, *policy_numbers(product, policy, nodes))
+        """None if even the policy comes to more than MOST_NODES nodes, or their states have more than MOST_EDGES
+        transitions."""
+        nodes, whole = reachable(product), True
+        if nodes is None:
+            nodes, whole = _reached(product, policy, MOST_NODES, MOST_EDGES), False
+        return None if nodes is None else cls(nodes, *policy_numbers(product, policy, nodes), whole)
+
+
+def _reached(product: Product, policy: Policy, most_nodes: int, most_edges: int) -> list[I64] | None:
+    """As `reachable`, for one policy."""
+    automaton = product.automaton
+    here = _entered(product, np.flatnonzero(product.model.initial), automaton.initial)
+    found: list[I64] = []
+    n_nodes = n_edges = 0
+    for t in range(product.horizon):
+        here = here[automaton.verdicts(t)[here % automaton.n_states] == UNDECIDED]
+        s, q = np.divmod(here, automaton.n_states)
+        n_nodes, n_edges = n_nodes + len(here), n_edges + int(_transitions(product, s)[1].sum())
+        if n_nodes > most_nodes or n_edges > most_edges:
+            return None
+        found.append(here)
+        taken = policy.at(t, s, q) if len(s) else np.empty(0, dtype=np.int64)
+        here = _followed(product, s, q, taken)
+    return found
 
 
 @dataclass(frozen=True)
@@ -191,7 +216,7 @@ class Situations:
         product.model.require_points()
         self.product, self.policy = product, policy = policy.on(product)
         explored = Explored.of(product, policy)
-        if explored is None:
+        if explored is None or not explored.whole:
             raise SizeError(
                 f"runs can come to more than {MOST_NODES} situations of step, state and memory, or have more than "
                 f"{MOST_EDGES} moves there; shorten the windows"

@@ -107,7 +107,8 @@ class NatureRecord(TypedDict):
 
 
 class ExplorerRecord(TypedDict):
-    """All that the explorer needs; or `refused`, the reason why there is none, and nothing else.
+    """All that the explorer needs; or `refused`, the reason why there is none, and nothing else. It is `whole`, or has
+    only the situations that the policy comes to.
 
     `header` is that of a policy file; without one, edits cannot be exported, for the reason in `no_export`.
     """
@@ -121,6 +122,7 @@ class ExplorerRecord(TypedDict):
     position: NotRequired[PositionRecord]
     claim: NotRequired[ClaimRecord]
     nature: NotRequired[NatureRecord | None]
+    whole: NotRequired[bool]
     run: NotRequired[PathRecord | None]
     header: NotRequired[str | None]
     no_export: NotRequired[str | None]
@@ -144,15 +146,16 @@ def explorer_data(
     explored = Explored.of(product, policy)
     if explored is None:
         return {
-            "refused": f"a run can be in more than {MOST_NODES} situations of step, state and memory, or its moves are "
-            f"more than {MOST_EDGES}: too many for a page; a report of the same task with shorter windows has one"
+            "refused": f"under the policy, a run can be in more than {MOST_NODES} situations of step, state and "
+            f"memory, or its moves are more than {MOST_EDGES}: too many for a page; a report of the same task with "
+            "shorter windows has one"
         }
     model, automaton = product.model, product.automaton
     nodes, choice, mixtures = explored.nodes, explored.numbers, explored.mixtures
     no_export = _no_export(product, choice, remembers_more=product is not own)
     values, index = np.unique(model.probability, return_inverse=True)
     best = optimum if optimum is not None and optimum.product.automaton is automaton else None
-    maximize = (best or shown).question != "minimum"
+    maximize = (optimum or shown).question != "minimum"
     return {
         "policy": "learned" if learned else "given" if shown.question == "policy" else shown.question,
         "horizon": product.horizon,
@@ -162,11 +165,12 @@ def explorer_data(
         "position": position(product, nodes, [] if run is None else list(run.states)),
         "claim": {
             "probability": shown.probability,
-            "optimum": best.probability if best is not None else None,
+            "optimum": best.probability if best is not None and explored.whole else None,
             "maximize": maximize,
             "nodes": sum(map(len, nodes)),
             "checksum": checksum(nodes),
         },
+        "whole": explored.whole,
         "nature": {"minimal": maximize == (shown.nature == "against")} if model.uncertain else None,
         "run": _path(model, run) if run is not None else None,
         "header": None if no_export else json.dumps({"format": FORMAT, **asdict(policy.binding)}),

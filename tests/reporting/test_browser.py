@@ -528,6 +528,29 @@ def test_intervals_are_explored_with_natures_picks(browser, rough, tmp_path, nat
         assert "violated" in page.text("#chip")
 
 
+def test_of_many_situations_those_of_the_policy_are_shown(browser, patrolling, tmp_path, monkeypatch):
+    """The page says so; an action that leads elsewhere has no P, and cannot be put into the policy."""
+    monkeypatch.setattr("stltool.checking.situations.reachable", lambda product: None)
+    with Opened(browser, write(tmp_path, report_data([stl.check(patrolling)]))) as page:
+        assert page.js("explorer.agrees")
+        assert "All situations would be too many for a page" in page.text("#agrees")
+        for t in range(4):
+            page.js("t => explorer.go(t)", t)
+            assert page.page.locator("#here tr.on").count() == 1
+        page.js("explorer.go(0)")
+        rows = "[...document.querySelectorAll('#here .choices tbody tr')]"
+        row = page.js(f"{rows}.findIndex((row) => /not defined/.test(row.textContent))")
+        page.page.click(f"#here .choices button >> nth={row}")
+        assert "is not in this page" in page.text("#here .outcomes")
+        assert page.page.locator("#here .outcomes button.primary").count() == 0
+        for kind in ("new", "likely", "bad"):
+            page.page.select_option("#run", kind)
+            page.page.click("#last")
+            assert re.search("satisfied|violated", page.text("#chip"))
+        page.page.click("#as-table summary")
+        page.page.wait_for_selector("#map-table tbody tr")
+
+
 def test_a_report_without_an_explorer_says_why(browser, tmp_path):
     task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 2, "tau": 5})
     product = stl.build_product(stl.load_model(FACTORY / "floor-5x5-p.toml"), task)

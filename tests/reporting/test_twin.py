@@ -232,6 +232,37 @@ def test_transitions_of_probability_0_lead_nowhere(seed):
         assert (again[name] and again[name]["p"]) == (found[name] and found[name]["p"])
 
 
+@pytest.mark.parametrize("mixed", [False, True])
+def test_of_many_situations_those_of_the_policy_are_explored(tmp_path, monkeypatch, patrolling, mixed):
+    """Their values and runs are those of all; an edit among them has its exact P, one that leads elsewhere has none."""
+    rng = np.random.default_rng(0)
+    policy = stl.check(patrolling).policy
+    if mixed:
+        table = np.eye(9)[policy.table]
+        table[..., 4, :] = rng.dirichlet(np.full(9, 0.3), size=table.shape[:-2])
+        policy = stl.Policy(patrolling, table)
+    _, _, whole = run_twin(patrolling, policy)
+    codes = np.concatenate(reachable(patrolling))
+    monkeypatch.setattr("stltool.checking.situations.reachable", lambda product: None)
+    checked, data, found = run_twin(patrolling, policy)
+    assert (data["whole"], data["claim"]["optimum"]) == (False, None)
+    assert found["nodes"] == data["claim"]["nodes"] < len(codes)
+    assert found["checksum"] == data["claim"]["checksum"]
+    assert found["probability"] == pytest.approx(checked.probability, abs=1e-12)
+    there = [p for p in whole["visits"] if p > 0]
+    assert found["visits"] == pytest.approx(there, rel=1e-12)
+    assert found["values"] == pytest.approx([v for v, p in zip(whole["values"], whole["visits"], strict=True) if p > 0])
+    assert found["worst"] == whole["worst"]
+    with pytest.raises(stl.StlToolError, match="more than"):
+        Situations(patrolling, policy)
+    first = run_twin(patrolling, policy, [(0, i) for i in range(9)])[2]["edited"]  # another first action
+    assert None in first
+    monkeypatch.undo()
+    for i in [i for i, p in enumerate(first) if p is not None and not mixed]:
+        judged = stl.check(patrolling, edited(patrolling, policy, [(0, i)]))
+        assert first[i] == pytest.approx(judged.probability, abs=1e-12)
+
+
 def test_a_policy_with_its_own_memory_is_explored_and_not_exported(patrolling, flagged):
     policy = stl.Policy(flagged, stl.check(flagged).policy.table)
     checked, data, found = run_twin(patrolling, policy)

@@ -6,13 +6,17 @@
    the state's i-th choice, NO_ACTION none, −2 − k mixes choices by the k-th mixture. Where it takes none, values are
    NaN, and so is every value that depends on them.
 
+   If there are too many nodes, a page has only those that its policy comes to (`whole` is false then): what comes after
+   other choices is UNKNOWN there, and values that depend on it are NaN.
+
    If the probabilities are intervals, nature picks them in every node, for the least value of each choice, or for the
    greatest; it answers to the values of the last policy that was evaluated. */
 
 const NO_ACTION = -1;
 const FALSE = -1,
   TRUE = -2,
-  NEVER = -3; // in place of a next node: a verdict, or an edge of probability 0
+  NEVER = -3, // in place of a next node: a verdict, or an edge of probability 0
+  UNKNOWN = -4; // or a node that the page does not have
 
 const ARRAYS = {
   u1: Uint8Array,
@@ -40,6 +44,7 @@ function build(data, Q, q0) {
   const M = { ...A, S, Q, h, q0, probability: listed(A.value, A.values), values: null };
   M.lower = A.lower ? listed(A.lower, A.lowers) : null;
   M.upper = A.upper ? listed(A.upper, A.uppers) : null;
+  M.whole = data.whole;
   M.minimal = data.nature ? data.nature.minimal : false; // whether nature picks for the least value
   M.possible = (k) => (M.upper || M.probability)[k] > 0;
   M.most = 0;
@@ -76,16 +81,21 @@ function findNodes(M) {
     M.offset.push(M.offset[t] + layer.length);
     mark.fill(0);
     const row = M.verdictRow(t + 1);
-    for (const code of layer) {
-      const s = Math.floor(code / Q),
-        q = code - s * Q;
-      for (let k = M.row_start[M.choice_start[s]], end = M.row_start[M.choice_start[s + 1]]; k < end; k++) {
+    const follow = (q, first, end) => {
+      for (let k = M.row_start[first]; k < M.row_start[end]; k++) {
         if (!M.possible(k)) continue;
         const s2 = M.target[k],
           q2 = M.delta[M.letter[s2] * Q + q];
         if (M.verdict_rows[row + q2] < 0) mark[s2 * Q + q2] = 1;
       }
-    }
+    };
+    layer.forEach((code, j) => {
+      const s = Math.floor(code / Q),
+        q = code - s * Q,
+        first = M.choice_start[s];
+      if (M.whole) follow(q, first, M.choice_start[s + 1]);
+      else for (const [i] of taken(M, M.policy[M.offset[t] + j])) follow(q, first + i, first + i + 1);
+    });
     let n = 0;
     for (let i = 0; i < mark.length; i++) n += mark[i];
     layer = new Int32Array(n);
@@ -131,7 +141,7 @@ function findEdges(M) {
   M.next = new Int32Array(M.edge[N]);
   const where = new Int32Array(S * Q);
   for (let t = 0; t < h; t++) {
-    where.fill(NEVER);
+    where.fill(UNKNOWN);
     if (t + 1 < h) M.layers[t + 1].forEach((code, i) => (where[code] = M.offset[t + 1] + i));
     const row = M.verdictRow(t + 1);
     for (let n = M.offset[t]; n < M.offset[t + 1]; n++) {
@@ -149,7 +159,7 @@ function findEdges(M) {
   }
 }
 
-const worth = (V, n) => (n >= 0 ? V[n] : n === TRUE ? 1 : 0);
+const worth = (V, n) => (n >= 0 ? V[n] : n === TRUE ? 1 : n === UNKNOWN ? NaN : 0);
 
 /* The probabilities of the transitions of a choice c in node n, if V is P of what comes after: the model's, or nature's
    picks in the intervals (checking/robust.py): to each its lower end, and what then lacks of 1 to the transitions in
@@ -478,6 +488,7 @@ if (typeof module !== "undefined") {
     NO_ACTION,
     FALSE,
     TRUE,
+    UNKNOWN,
     build,
     choiceValue,
     decode,

@@ -39,7 +39,9 @@ function choices(s, o, onRun) {
     bestWord = E.claim.maximize ? "best" : "least";
   const rest = Number.isNaN(V[n])
     ? "the policy takes no action here, or later on"
-    : loss > 1e-13
+    : !M.whole
+      ? ""
+      : loss > 1e-13
       ? `${bestWord} possible: ${full(best[n])}`
       : `the ${bestWord} possible`;
   const rows = values.map((v, i) => {
@@ -72,7 +74,7 @@ function choices(s, o, onRun) {
       actionOf(s, i),
       tag ? el("span", { class: tag === "edited" ? "tag edit" : "tag" }, tag) : null,
     );
-    const below = Number.isNaN(v)
+    const below = Number.isNaN(v) || !M.whole
       ? ""
       : v === top
         ? bestWord
@@ -108,6 +110,12 @@ function whatFollows(s, o, trial, onRun) {
   const n = o.n,
     options = trial !== null ? [[trial, 1]] : taken(M, policy[n]),
     kids = [];
+  if (trial !== null && !M.whole && Number.isNaN(choiceValue(M, V, n, trial)))
+    return el(
+      "div",
+      { class: "outcomes no-print" },
+      el("p", { class: "last" }, `What ${actionOf(s, trial)} leads to is not in this page.`),
+    );
   if (options.length === 0) kids.push(el("p", {}, "The policy takes no action here. Choose one above."));
   for (const [i, weight] of options) {
     const name = actionOf(s, i);

@@ -5,7 +5,7 @@ const base = Int32Array.from(M.policy),
   V = new Float64Array(M.N),
   edits = new Map();
 evaluate(M, policy, V);
-const best = optimise(M, E.claim.maximize ? 1 : -1),
+const best = M.whole ? optimise(M, E.claim.maximize ? 1 : -1) : new Float64Array(M.N).fill(NaN),
   P0 = total(M, V),
   Pbest = total(M, best);
 let P = P0,

@@ -113,9 +113,12 @@ const natures =
   E.nature &&
   ` Where probabilities are intervals, nature picks them for the ${E.nature.minimal ? "least" : "greatest"} P, ` +
     "knowing the situation and the action. Shown are its picks, which answer to every edit; sampled runs follow them.";
+const partly =
+  " All situations would be too many for a page. P after an action that the policy does not take is therefore shown " +
+  "only where it leads to situations that are here, and the best possible P is not.";
 $("agrees").textContent = agrees
   ? `This page computed ${probabilities} again, from the model, in ${spaced(M.N)} undecided situations that runs can ` +
-    `reach; the results agree to 10⁻¹².${natures || ""}`
+    `reach${M.whole ? "" : " under the policy"}; the results agree to 10⁻¹².${natures || ""}${M.whole ? "" : partly}`
   : "This page's own computation disagrees with the checker's: do not trust the explorer.";
 if (!agrees) $("agrees").className = "warning";
 $("explorer").hidden = false;

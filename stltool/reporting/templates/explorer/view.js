@@ -41,9 +41,12 @@ function canBe(t, s, m) {
   if (!possible.has(t)) {
     const found = new Set();
     for (let n = M.offset[t - 1]; n < M.offset[t]; n++) {
-      const u = M.state[n];
-      for (let k = M.row_start[M.choice_start[u]]; k < M.row_start[M.choice_start[u + 1]]; k++) {
-        if (M.possible(k)) found.add(M.target[k] * M.Q + M.memory[n]);
+      const first = M.choice_start[M.state[n]],
+        every = Array.from({ length: M.choices(M.state[n]) }, (_, i) => i);
+      for (const i of M.whole ? every : taken(M, base[n]).map(([j]) => j)) {
+        for (let k = M.row_start[first + i]; k < M.row_start[first + i + 1]; k++) {
+          if (M.possible(k)) found.add(M.target[k] * M.Q + M.memory[n]);
+        }
       }
     }
     possible.set(t, found);
@@ -56,6 +59,7 @@ function look(t, s, m) {
   const q = M.enter(s, m),
     v = verdictAt(t, q),
     n = v < 0 ? M.node(t, s, q) : -1;
+  if (v < 0 && n < 0) return null; // not in this page
   return { n, q, v, p: v >= 0 ? v : V[n], m };
 }
 function distance(q, m) {
