@@ -58,11 +58,12 @@ OPEN, NO, YES = 0, 1, 2
 class Early(NamedTuple):
     """How early a monitor decides: `exact` if as soon as every continuation agrees, else perhaps later, never wrongly.
 
-    engine  "automaton", or "structure" for formulas whose automaton is too large
+    engine  "automaton", or "structure" for formulas whose automaton is too large; "network" for those that look back
+            without a limit, whose steps are decided when their samples are there
     why     in words
     """
 
-    engine: Literal["automaton", "structure"]
+    engine: Literal["automaton", "structure", "network"]
     exact: bool
     why: str
 

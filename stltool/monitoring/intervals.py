@@ -19,15 +19,15 @@ from stltool.monitoring.blocks import Block, Machine
 from stltool.monitoring.comparisons import Predicate
 from stltool.monitoring.program import Instruction, compile_formula
 
-_NEGATED = "\0"  # begins the name of a negated label, and no name in a text
-_MOST_OPERATORS = 10**9  # shared operands are evaluated once
+NEGATED = "\0"  # begins the name of a negated label, and no name in a text
+MOST_SHARED = 10**9  # shared operands are evaluated once
 
 
 class Enclosure:
     """A formula's robustness at the steps of traces of which only a beginning is known."""
 
     def __init__(self, phi: Formula) -> None:
-        machine = _OfKnown(_positive(negation_normal_form(phi, _MOST_OPERATORS)))
+        machine = _OfKnown(positive(negation_normal_form(phi, MOST_SHARED)))
         self._machine, self.names = machine, (*machine.program.variables, *machine.program.labels)
 
     def at(self, columns: Mapping[str, NDArray[np.float64]], step: int) -> tuple[float, float]:
@@ -39,8 +39,8 @@ class Enclosure:
         for name in self._machine.program.variables:
             samples[name] = np.append(columns[name], np.zeros(more)).reshape(1, -1)
         for name in self._machine.program.labels:
-            truth = np.append(columns[name.removeprefix(_NEGATED)] != 0.0, np.zeros(more, np.bool_)).reshape(1, -1)
-            samples[name] = ~truth if name.startswith(_NEGATED) else truth
+            truth = np.append(columns[name.removeprefix(NEGATED)] != 0.0, np.zeros(more, np.bool_)).reshape(1, -1)
+            samples[name] = ~truth if name.startswith(NEGATED) else truth
         block = Block(samples, 1, next(iter(samples.values())).shape[1] if samples else step + more, "hold", wide=True)
         lower, upper = (self._machine.at(block, step, more, unknown) for unknown in (-np.inf, np.inf))
         return lower, upper
@@ -64,7 +64,7 @@ class _OfKnown(Machine):
             margins.values[number][block.steps - self._last : block.steps] = self._unknown
 
 
-def _positive(phi: Formula) -> Formula:
+def positive(phi: Formula) -> Formula:
     """φ in negation normal form, with new names for negated labels; shared operands stay shared."""
     known: dict[int, Formula] = {}
 
@@ -72,7 +72,7 @@ def _positive(phi: Formula) -> Formula:
         found = known.get(id(node))
         if found is None:
             if isinstance(node, Not) and isinstance(node.arg, Label):
-                found = Label(_NEGATED + node.arg.name)
+                found = Label(NEGATED + node.arg.name)
             elif isinstance(node, Constant):
                 found = node
             else:

@@ -1,4 +1,4 @@
-"""The running program of a formula that looks back, one sample at a time.
+"""The running program of a formula that looks back without a limit, one sample at a time.
 
 At time n, an instruction of horizon h has its value at step n − h. Operands of shorter horizons wait in queues. Windows
 are two stacks over an associative ∘ [Tangwongsan15, §2]: a few applications a sample, amortised, and at most w stored
@@ -17,10 +17,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias, TypeVar, assert_never
 
-from stltool.monitoring.program import Instruction
+from stltool.logic.formula import Constant, Label
+from stltool.monitoring.comparisons import Predicate
+from stltool.monitoring.intervals import NEGATED
+from stltool.monitoring.program import Atom, Instruction
 
 Value: TypeAlias = tuple[float, bool]
 _Pair: TypeAlias = tuple[Value, Value]
@@ -54,6 +57,14 @@ class _Window:
         self.newer: list[Any] = []
         self.total: Any = None  # aggregate of the newer ones
 
+    @property
+    def contents(self) -> tuple[list[Any], list[Any], Any]:
+        return self.older, self.newer, self.total
+
+    @contents.setter
+    def contents(self, kept: tuple[list[Any], list[Any], Any]) -> None:
+        self.older, self.newer, self.total = kept
+
     def push(self, value: Any) -> Any:
         combine = self.combine
         if self.width is None:
@@ -79,6 +90,7 @@ class Network:
     """The program over a stream. A node runs once the first values of its operands exist."""
 
     def __init__(self, instructions: Sequence[Instruction]) -> None:
+        self._instructions = tuple(instructions)
         self._values: list[Any] = [None] * len(instructions)
         self._nodes: list[tuple[int, Callable[[list[Any]], None]]] = []
         self._states: list[_Queue | _Window] = []
@@ -88,6 +100,19 @@ class Network:
         for out, now in enumerate(instructions):
             if now.op != "atom":
                 self._add(out, now)
+
+    def __getstate__(self) -> dict[str, Any]:
+        states = [state.values if isinstance(state, _Queue) else state.contents for state in self._states]
+        return {"instructions": self._instructions, "values": self._values, "states": states, "time": self.time}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        self.__init__(kept["instructions"])  # type: ignore[misc]  # nodes are functions, which are made again
+        self._values[:], self.time = kept["values"], kept["time"]
+        for state, contents in zip(self._states, kept["states"], strict=True):
+            if isinstance(state, _Queue):
+                state.values = contents
+            else:
+                state.contents = contents
 
     @property
     def stored(self) -> int:
@@ -201,6 +226,22 @@ class Network:
 
         self._states.append(state)
         self._nodes.append((start, run))
+
+
+def judge_of(atom: Atom) -> Callable[[Mapping[str, float]], Value]:
+    """The value of an atom at one sample. A name that begins as intervals.NEGATED is a label's negation."""
+    match atom:
+        case Constant(value):
+            return lambda sample: TRUE if value else FALSE
+        case Label(name) if name.startswith(NEGATED):
+            label = name.removeprefix(NEGATED)
+            return lambda sample: FALSE if sample[label] else TRUE
+        case Label(name):
+            return lambda sample: TRUE if sample[name] else FALSE
+        case Predicate():
+            return atom.at_one_sample()
+        case _:
+            assert_never(atom)
 
 
 def _least(x: _T, y: _T) -> _T:

@@ -8,8 +8,10 @@ runs per sample is in kernels/streams.py, over arrays that stream.py lays out.
 from __future__ import annotations
 
 import copy
+import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -18,16 +20,18 @@ from numpy.typing import NDArray
 
 from stltool.arguments import described, mapping, one_of, require, whole
 from stltool.display import Card, Displayed, counted
-from stltool.errors import FragmentError, NameLookupError, SettingsError, TraceError
+from stltool.errors import NameLookupError, SettingsError, TraceError
 from stltool.kernels.told import FULL, NOTHING, REFUSED, SEVERAL
-from stltool.logic.formula import Formula, bounded_formula_of
+from stltool.logic.formula import Composable, Constant, Formula, bounded_formula_of
 from stltool.logic.names import near_names
+from stltool.logic.rewrite import negation_normal_form
 from stltool.logic.task import Task
 from stltool.monitoring.comparisons import Predicate
-from stltool.monitoring.early import engine_of
-from stltool.monitoring.intervals import Enclosure
+from stltool.monitoring.early import Early, engine_of
+from stltool.monitoring.intervals import MOST_SHARED, Enclosure, positive
+from stltool.monitoring.lookback import FALSE, TRUE, Network, Value, judge_of
 from stltool.monitoring.offline import judge
-from stltool.monitoring.program import compile_delayed
+from stltool.monitoring.program import compile_delayed, compile_formula
 from stltool.monitoring.samples import WHOLE, Earlier, Traces, read_traces
 
 if TYPE_CHECKING:
@@ -84,11 +88,17 @@ class OnlineMonitor(Displayed):
     violated at sample 3, is decided at sample 3. With `wait` it returns each step when its robustness is final, at
     sample step + horizon: these decisions are, bit for bit, those of `monitor` with end "error".
 
-    early    which engine decides, and whether it is exact: "automaton", or "structure" where that would be too large
+    early    which engine decides, and whether it is exact: "automaton", "structure" where that would be too large, or
+             "network" for a formula that looks back without a limit, whose steps are decided at sample step + horizon
     n_steps  the number of samples read
 
-    Raises StlSyntaxError if an interval has no end, FragmentError if one of the past has none.
+    Raises StlSyntaxError if an interval of the future has no end.
     """
+
+    def __new__(cls, phi: Formula | Task | None = None, wait: bool = False) -> OnlineMonitor:
+        if cls is OnlineMonitor and isinstance(phi, Composable) and compile_delayed(phi._formula())[1].lookback is None:
+            return object.__new__(_LookingBack)
+        return object.__new__(cls)
 
     def __init__(self, phi: Formula | Task, wait: bool = False) -> None:
         from stltool.monitoring.stream import Stream  # which loads numba
@@ -97,11 +107,6 @@ class OnlineMonitor(Displayed):
         require(wait, (bool, np.bool_), "wait", "give True or False")
         made, self._program = compile_delayed(self.formula)
         self._judged, self._earlier = made.formula, Earlier(made)
-        if self._program.lookback is None:
-            raise FragmentError(
-                f"{self.formula} looks back without a limit, which online monitors do not support; give its windows "
-                "ends, as in once[0,100], or judge a recorded trace with monitor"
-            )
         self.horizon: int = self._program.horizon or 0
         self.wait = bool(wait)
         engine = engine_of(self._judged, bool(made.signals or made.starts))
@@ -452,6 +457,144 @@ class OnlineMonitor(Displayed):
         except TraceError as error:
             raise TraceError(f"step {first_step + step}: {error}") from None
         raise AssertionError(f"{predicate.node} has a margin at step {first_step + step}")
+
+
+class _LookingBack(OnlineMonitor):
+    """An online monitor of a formula that looks back without a limit (lookback.py)."""
+
+    def __init__(self, phi: Formula | Task, wait: bool = False) -> None:
+        self.formula = bounded_formula_of(phi, "OnlineMonitor's formula")
+        require(wait, (bool, np.bool_), "wait", "give True or False")
+        made, self._program = compile_delayed(self.formula)
+        self._judged, self._earlier = made.formula, Earlier(made)
+        self.horizon = self._program.horizon or 0
+        self.wait = bool(wait)
+        self.early = Early("network", False, "the formula looks back without a limit")
+        self._network = Network(self._program.instructions)
+        self._literals = compile_formula(positive(negation_normal_form(self._judged, MOST_SHARED)))
+        self._enclosing = Network(self._literals.instructions)
+        self._kept: deque[dict[str, float]] = deque(maxlen=self.horizon)
+        self._n_steps, self._final = 0, math.nan
+        self._bind()
+
+    def _bind(self) -> None:
+        self._atoms, self._signs = (
+            [(i, judge_of(now.atom)) for i, now in enumerate(program.instructions) if now.atom is not None]
+            for program in (self._program, self._literals)
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name not in ("_atoms", "_signs")}
+
+    @property
+    def n_steps(self) -> int:
+        return self._n_steps
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the values that are held, about: bounded by the horizon and the windows of the past that end."""
+        names = len(self._program.variables) + len(self._program.labels)
+        return 100 * (self._network.stored + self._enclosing.stored) + 40 * len(self._kept) * names
+
+    def _feed(self, sample: Mapping[str, Any], code: int | None = None) -> list[Decision] | Decisions:
+        mapping(sample, "feed's sample", "{'x': 0.5}")
+        made = {**self._earlier.made.signals, **self._earlier.made.starts}
+        names = [*self._program.variables, *self._program.labels, *self._earlier.kept]
+        asked = [name for name in dict.fromkeys(names) if name not in made]
+        if any(_is_block(sample.get(name)) for name in asked) or (not asked and any(map(_is_block, sample.values()))):
+            return self._feed_all(sample, asked)
+        bases = {name: self._real(name, self._given(name, sample)) for name in self._earlier.kept}
+        values = self._read({**sample, **self._earlier.of(bases)})
+        try:
+            atoms = [(i, atom(values)) for i, atom in self._atoms]
+            signs = [(i, atom(values)) for i, atom in self._signs]
+        except TraceError as error:
+            raise TraceError(f"step {self.n_steps}: {error}") from None
+        self._earlier.keep(bases)
+        self._enclosing.advance(signs)
+        found = self._network.advance(atoms)
+        self._kept.append(values)
+        self._n_steps += 1
+        if found is None:
+            return []
+        self._final = found[0]
+        return [Decision(self._n_steps - 1 - self.horizon, found[1], found[0])]
+
+    def _feed_all(self, block: Mapping[str, Any], names: Sequence[str]) -> Decisions:
+        """A block, sample by sample; if one is refused, none was read."""
+        columns = {name: np.asarray(self._given(name, block)) for name in names} if names else dict(block)
+        shapes = {np.shape(column) for column in columns.values()}
+        if len(shapes) != 1 or len(shape := shapes.pop()) != 1:
+            raise TraceError("the signals of feed's block differ in shape; give each an array (n_steps,)")
+        copied = copy.deepcopy(self)
+        decisions = [
+            decision for t in range(shape[0]) for decision in copied._feed({name: columns[name][t] for name in names})
+        ]
+        self.__setstate__(copied.__getstate__())
+        margins = [math.nan if decision.robustness is None else decision.robustness for decision in decisions]
+        return _decisions([d.step for d in decisions], [d.verdict for d in decisions], margins)
+
+    def finish(self, end: Literal["cut", "hold"] = "cut") -> list[Decision]:
+        """The decisions of the steps still open if the trace ended here. The monitor can still be fed.
+
+        SettingsError for windows of the past without an end, which the samples that are kept do not fill, if `end` is
+        "cut" and the formula looks ahead as well.
+        """
+        one_of(end, "end", ("cut", "hold"))
+        n = self.n_steps
+        first = n - min(self.horizon, n)
+        if n == first:
+            return []
+        if end == "hold":
+            found = self._ahead(self._network, self.horizon, self._held())
+            return [Decision(n - len(found) + i, truth, margin) for i, (margin, truth) in enumerate(found)]
+        if n > len(self._kept):
+            raise SettingsError(
+                "this formula looks back without a limit, so its last steps cannot be judged with windows cut at the "
+                'end; use finish("hold"), or give its windows of the past an end'
+            )
+        start = n - len(self._kept)
+        arrays = {
+            name: np.array([[sample[name] for sample in self._kept]])
+            for name in (*self._program.variables, *self._program.labels)
+        }
+        if not arrays:
+            arrays = {"": np.zeros((1, len(self._kept)))}
+        traces = Traces(arrays, self._program, 1, len(self._kept), batch=False, first_step=start)
+        truth, margins = judge(self._judged, traces, end, True, True)
+        return [Decision(t, bool(truth[0, t - start]), float(margins[0, t - start])) for t in range(first, n)]
+
+    def _held(self) -> Iterator[list[tuple[int, Value]]]:
+        """The atoms of the samples that follow if the last one is held."""
+        last = self._kept[-1]
+        for made in itertools.chain(self._earlier.held(), itertools.repeat(None)):
+            last = {**last, **made} if made is not None else last
+            yield [(i, atom(last)) for i, atom in self._atoms]
+
+    @staticmethod
+    def _ahead(network: Network, steps: int, atoms: Iterator[list[tuple[int, Value]]]) -> list[Value]:
+        """What a network would say after so many more samples."""
+        copied = copy.deepcopy(network)
+        found = [copied.advance(next(atoms)) for _ in range(steps)]
+        return [value for value in found if value is not None]
+
+    def bounds(self, step: int) -> tuple[float, float]:
+        n = self.n_steps
+        first = max(0, n - 1 - self.horizon)
+        step = whole(step, "bounds' step", least=0)
+        if not first <= step < n:
+            range_ = f"steps {first} … {n - 1}" if n else "no step yet"
+            raise SettingsError(f"bounds' step is {step}; {counted(n, 'sample')} read, so there are bounds of {range_}")
+        if step + self.horizon < n:
+            return self._final, self._final
+        ends = []
+        for unknown in (FALSE, TRUE):
+            fixed = [
+                (i, value({}) if isinstance(self._literals.instructions[i].atom, Constant) else unknown)
+                for i, value in self._signs
+            ]
+            ends.append(self._ahead(self._enclosing, step + self.horizon - n + 1, itertools.repeat(fixed))[-1][0])
+        return ends[0], ends[1]
 
 
 def _is_block(value: object) -> bool:

@@ -11,11 +11,11 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.errors import FragmentError, NameLookupError, SettingsError, StlSyntaxError, TraceError
+from stltool.errors import NameLookupError, SettingsError, StlSyntaxError, TraceError
 from stltool.logic.formula import (
     Always,
     And,
@@ -130,8 +130,6 @@ def test_a_refused_sample_leaves_the_monitor_as_it_was(sample, kind, says):
 
 
 def test_what_an_online_monitor_refuses():
-    with pytest.raises(FragmentError, match="looks back without a limit.* give its windows ends"):
-        stl.OnlineMonitor(stl.parse("F[0,3] (a since b)"))
     with pytest.raises(StlSyntaxError, match="no horizon"):
         stl.OnlineMonitor(Eventually(Interval(0, None), stl.parse("a")))
     with pytest.raises(SettingsError, match="end is 'error'; choose cut or hold"):
@@ -516,3 +514,99 @@ def test_a_long_stream_neither_grows_nor_changes():
             online.feed({"x": value})
             before = np.append(before[-109:], value)
     assert online.nbytes == bytes_
+
+
+# ------------------------------------------------------------------------------------------------- looking back
+
+
+def endless_past(**options):
+    """Formulas that look back without a limit."""
+    return formulas(past=True, **options).filter(lambda phi: lookback(phi) is None)
+
+
+@given(phi=endless_past(), data=st.data())
+def test_what_looks_back_is_judged_as_the_offline_monitor_does(phi, data):
+    """After every prefix, with both ends; a copy that was pickled on the way goes on alike."""
+    n = stl.horizon(phi) + data.draw(st.integers(0, 6))
+    trace = data.draw(traces(n))
+    online, so_far = stl.OnlineMonitor(phi, wait=data.draw(st.booleans())), []
+    assert online.early.engine == "network"
+    for t in range(n):
+        so_far += online.feed({name: values[t] for name, values in trace.items()})
+        prefix = {name: values[: t + 1] for name, values in trace.items()}
+        if t >= stl.horizon(phi):
+            assert str(so_far) == str(decisions(stl.monitor(phi, prefix)))
+        assert str(so_far + online.finish("hold")) == str(decisions(stl.monitor(phi, prefix, "hold")))
+        if stl.horizon(phi) == 0 or t < stl.horizon(phi):
+            assert str(so_far + online.finish("cut")) == str(decisions(stl.monitor(phi, prefix, "cut")))
+        if t == n // 2:
+            online = pickle.loads(pickle.dumps(online))
+    block = stl.OnlineMonitor(phi)
+    assert str(list(block.feed(dict(trace.items())))) == str(so_far)
+    assert block.n_steps == n
+
+
+@given(phi=endless_past(max_leaves=4), data=st.data())
+def test_bounds_of_what_looks_back_hold_the_final_value(phi, data):
+    h = stl.horizon(phi)
+    trace = data.draw(traces(h + 4))
+    final = stl.monitor(phi, trace).robustness
+    online, before = stl.OnlineMonitor(phi), {}
+    for t in range(h + 4):
+        online.feed({name: values[t] for name, values in trace.items()})
+        for step in range(max(0, t - h), min(t + 1, len(final))):
+            lower, upper = online.bounds(step)
+            assert lower - 1e-9 <= final[step] <= upper + 1e-9
+            old = before.get(step, (-math.inf, math.inf))
+            assert old[0] <= lower
+            assert upper <= old[1]
+            before[step] = lower, upper
+            if t == step + h:
+                assert lower == upper == final[step]
+
+
+def test_memory_of_what_looks_back_is_bounded_by_its_windows():
+    phi = stl.parse(
+        "G[0,20] ((x > 0.5 since[3,90] F[2,20] (y > 0.5)) | historically[5,60] (x < 0.9) | once (y > 0.99))"
+    )
+    online, rng = stl.OnlineMonitor(phi), np.random.default_rng(0)
+    sizes = []
+    for x, y in rng.random((1200, 2)).tolist():
+        online.feed({"x": x, "y": y})
+        sizes.append(online.nbytes)
+    assert max(sizes[400:]) == max(sizes[800:]) < 200_000
+
+
+@given(a=st.integers(0, 5), width=st.integers(1, 12), seed=st.integers(0, 99))
+@settings(max_examples=many(25))
+def test_each_operator_of_the_past_over_any_window(a, width, seed):
+    rng = np.random.default_rng(seed)
+    trace = {name: rng.integers(-5, 6, 25) + 0.5 for name in "xy"}
+    p, q = stl.parse("x > 0"), stl.parse("F[0,3] (y > 0)")
+    for window in (Interval(a, a + width - 1), Interval(a, None)):
+        for phi in (Once(window, q), Historically(window, q), Since(window, p, q), Trigger(window, q, p), Rise(q)):
+            online = stl.OnlineMonitor(phi, wait=True)
+            fed = [online.feed({"x": x, "y": y}) for x, y in zip(*trace.values(), strict=True)]
+            assert list(itertools.chain(*fed)) == decisions(stl.monitor(phi, trace))
+
+
+def test_what_looks_back_without_a_limit_has_no_cut_end():
+    online = stl.OnlineMonitor(stl.parse("(once a) & F[0,2] b"))
+    online.feed({"a": [1, 0, 0, 0], "b": [0, 0, 1, 0]})
+    with pytest.raises(SettingsError, match=r'cannot be judged with windows cut at the end; use finish\("hold"\)'):
+        online.finish("cut")
+    assert [decision.verdict for decision in online.finish("hold")] == [True, False]
+    with pytest.raises(SettingsError, match="there are bounds of steps 1 … 3"):
+        online.bounds(0)
+    with pytest.raises(TraceError, match="a is 2 at step 5"):
+        online.feed({"a": [1, 2], "b": [0, 0]})
+    assert online.n_steps == 4
+
+
+def test_shifted_samples_in_what_looks_back():
+    phi = stl.parse("once (x[t-1] > x) | F[1,1] (x > 3)")
+    trace = {"x": [1.0, 2.0, 2.0, 2.0, 2.0, 4.0, 1.0, 0.0]}
+    online = stl.OnlineMonitor(phi)
+    found = [decision for x in trace["x"] for decision in online.feed({"x": x})]
+    assert found == decisions(stl.monitor(phi, trace))
+    assert found + online.finish("hold") == decisions(stl.monitor(phi, trace, "hold"))
