@@ -29,11 +29,11 @@ from numpy.typing import NDArray
 
 from stltool.automata.automaton import FALSE, TRUE, UNDECIDED
 from stltool.automata.compile import compile_automaton
-from stltool.diagnosis.knowledge import Knowledge, Known, names_of, one_sided, truth_along
+from stltool.diagnosis.knowledge import Knowledge, Known, agreeing, names_of, one_sided, tabulated, truth_along
 from stltool.diagnosis.sheet import Sheet
 from stltool.errors import FragmentError, SizeError
 from stltool.logic.feasible import feasible_valuations, leaves, realised
-from stltool.logic.formula import Eventually, Formula, Interval, atoms, boolean_value
+from stltool.logic.formula import Eventually, Formula, Interval, atoms
 from stltool.monitoring.kleene import Kleene, skeleton
 
 Progress = Callable[[int, int], None]
@@ -58,6 +58,8 @@ def find_cause(known: Knowledge, at: int, truth: bool, fixed: int | None, progre
 
     Samples from step `fixed` on are kept as they are.
     """
+    if not known.names:
+        return Cause(np.zeros((known.block.steps, 0), dtype=np.bool_), None)
     sharp = realised(leaves(known.phi))
     doubt = None
     if fixed is not None:
@@ -186,8 +188,7 @@ def by_automaton(known: Knowledge, at: int, truth: bool) -> Known:
     rows, complete = feasible_valuations(read, _MOST_VALUATIONS)
     if not complete:
         raise SizeError(f"its labels and comparisons have more than {_MOST_VALUATIONS} truth assignments")
-    assigned = [dict(zip(read, row, strict=True)).get for row in rows.tolist()]
-    table = np.array([[boolean_value(psi, row) for psi in atoms(phi)] for row in assigned], dtype=np.bool_)
+    table = tabulated(atoms(phi), read, rows)
     try:
         automaton = compile_automaton(phi, valuations=np.unique(table, axis=0), most_states=_MOST_STATES)
     except SizeError:
@@ -237,10 +238,7 @@ class _Letters:
     def of(self, step: int, mask: int) -> NDArray[np.integer[Any]]:
         key = mask, self._along[step].tobytes()
         if key not in self._known:
-            agree = np.ones(len(self._rows), dtype=np.bool_)
-            for column, (needs, truth) in enumerate(zip(self._needs, self._along[step].tolist(), strict=True)):
-                if needs & mask == needs and truth:
-                    agree &= self._rows[:, column] == (truth > 0)
+            agree = agreeing(self._rows, self._needs, self._along[step], mask)
             self._known[key] = np.unique(self._letter[agree])
         return self._known[key]
 
@@ -260,9 +258,8 @@ def each_is_needed(known: Knowledge, at: int, truth: bool, kept: Known) -> bool:
     if not complete:
         return False
     letters = _Letters(known, read, rows, np.arange(len(rows)))
-    assigned = [dict(zip(read, row, strict=True)).get for row in rows.tolist()]
     psis = [atom.formula for atom in known.atoms]
-    signed = np.array([[1 if boolean_value(psi, row) else -1 for psi in psis] for row in assigned], dtype=np.int8)
+    signed = np.where(tabulated(psis, read, rows), np.int8(1), np.int8(-1))
     n, bits = known.block.steps, 1 << np.arange(len(known.names))
     masks = (kept @ bits).tolist()
     samples = [place for place in np.argwhere(kept).tolist() if place[1] not in known.facts]

@@ -8,7 +8,7 @@ until both are known.
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +55,21 @@ def truth_along(phi: Formula, block: Block) -> Trits:
     return np.where(found, np.int8(1), np.int8(-1)) if found.dtype == np.bool_ else found.copy()
 
 
+def tabulated(psis: Sequence[Formula], read: Sequence[Formula], rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(n_rows, n_psis): the truth of formulas under assignments of what they read."""
+    assigned = [dict(zip(read, row, strict=True)).get for row in rows.tolist()]
+    return np.array([[boolean_value(psi, row) for psi in psis] for row in assigned], dtype=np.bool_)
+
+
+def agreeing(rows: NDArray[np.bool_], needs: Sequence[int], truth: Trits, mask: int) -> NDArray[np.bool_]:
+    """Which assignments have the truth of all labels and comparisons whose signals, as bits, are in the mask."""
+    agree = np.ones(len(rows), dtype=np.bool_)
+    for column, (signals, value) in enumerate(zip(needs, truth.tolist(), strict=True)):
+        if signals & mask == signals and value:
+            agree &= rows[:, column] == (value > 0)
+    return agree
+
+
 class Atom:
     """The values of one atom along a trace, given what is known."""
 
@@ -67,8 +82,7 @@ class Atom:
         self._needs = [sum(1 << mine.index(name) for name in names_of(leaf)) for leaf in self._read]
         rows, complete = feasible_valuations(self._read, MOST_ROWS) if self._read else (np.ones((1, 0), np.bool_), True)
         self._rows: NDArray[np.bool_] = rows
-        assigned = [dict(zip(self._read, row, strict=True)).get for row in rows.tolist()]
-        self._truth = np.array([boolean_value(psi, row) for row in assigned])
+        self._truth = tabulated((psi,), self._read, rows)[:, 0]
         self.free = self._agreed(np.ones(len(rows), dtype=np.bool_)) if complete else 0
         self._table: NDArray[np.int8] | None = None
         if complete and 1 < len(mine) <= _MOST_SIGNALS:
@@ -98,11 +112,7 @@ class Atom:
         return np.where(masks == (1 << mine.shape[1]) - 1, actual, found)
 
     def _partial(self, mask: int, which: int) -> int:
-        agree = np.ones(len(self._rows), dtype=np.bool_)
-        for column, (needs, truth) in enumerate(zip(self._needs, self._found[which].tolist(), strict=True)):
-            if needs & mask == needs and truth:
-                agree &= self._rows[:, column] == (truth > 0)
-        return self._agreed(agree)
+        return self._agreed(agreeing(self._rows, self._needs, self._found[which], mask))
 
     def _agreed(self, rows: NDArray[np.bool_]) -> int:
         truth = self._truth[rows]
@@ -121,7 +131,8 @@ class Knowledge:
 
     def values(self, known: Known, first: int = 0) -> NDArray[np.int8]:
         """(n_atoms, steps) int8: the atoms at the steps first, first + 1, …"""
-        return np.stack([atom.values(known, first) for atom in self.atoms])
+        found = [atom.values(known, first) for atom in self.atoms]
+        return np.stack(found) if found else np.empty((0, len(known)), dtype=np.int8)
 
 
 def knowledge_of(phi: Formula, block: Block, facts: Container[str] = ()) -> Knowledge:
@@ -178,8 +189,7 @@ def _has_extremes(signs: dict[Formula, int]) -> bool:
     rows, complete = feasible_valuations(read, MOST_ROWS)
     if not complete or len(names) > _MOST_SIGNALS:
         return False
-    assigned = [dict(zip(read, row, strict=True)).get for row in rows.tolist()]
-    signed = np.array([[boolean_value(psi, row) == (sign > 0) for psi, sign in signs.items()] for row in assigned])
+    signed = tabulated(tuple(signs), read, rows) == (np.array(list(signs.values())) > 0)
     for mask in range(1 << len(names)):
         known = {name for i, name in enumerate(names) if mask >> i & 1}
         columns = [i for i, leaf in enumerate(read) if known.issuperset(names_of(leaf))]

@@ -4,6 +4,8 @@ import time
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.diagnosis.causes import by_automaton, by_kleene, each_is_needed
@@ -29,6 +31,7 @@ from stltool.logic.formula import (
 )  # fmt: skip
 from stltool.monitoring.program import compile_formula
 from stltool.monitoring.samples import read_traces
+from stltool.testing import formulas, traces
 from tests.conftest import many
 from tests.oracles import least_cause
 
@@ -124,6 +127,28 @@ def test_causes_force_the_verdict_where_windows_pass_the_end(end):
                 assert not any(forces(found | {name: [other for other in steps if other != step]}) for step in steps)
         minimal += told.minimal
     assert cases / 2 < minimal <= cases
+
+
+@given(phi=formulas(past=True), data=st.data())
+def test_other_samples_may_change_freely(phi, data):
+    end = data.draw(st.sampled_from(["error", "cut", "hold"]))
+    n = stl.horizon(phi) + data.draw(st.integers(1, 4)) if end == "error" else data.draw(st.integers(1, 9))
+    trace, other = data.draw(traces(n)), data.draw(traces(n))
+    t = data.draw(st.integers(0, n - 1 - (stl.horizon(phi) if end == "error" else 0)))
+    told = stl.diagnose(phi, trace, t, end=end)
+    assert told.verdict == stl.monitor(phi, trace, end, "boolean").verdicts[t]
+    assert told.sentences
+    changed = {name: np.array(values) for name, values in other.items()}
+    for name, steps in told.causes.items():
+        changed[name][steps] = np.asarray(trace[name])[steps]
+    assert stl.monitor(phi, changed, end, "boolean").verdicts[t] == told.verdict
+
+
+@pytest.mark.parametrize("text", ["false", "F[0,1] true", "rise (false -> false)", "G[0,1] 1 < 2"])
+def test_what_reads_no_sample_needs_none(text):
+    told = stl.diagnose(stl.parse(text), {"a": [1, 0]})
+    assert (told.n_causes, told.minimal, told.verdict) == (0, True, text != "false")
+    assert told.sentences
 
 
 def test_both_ways_agree_on_longer_traces():

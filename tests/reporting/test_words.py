@@ -84,3 +84,11 @@ def test_a_long_run_is_told_by_its_ends():
     assert "cannot be averted under this policy from step 18 on" in text
     run["states"] = ["s0"] * 21
     assert "nowhere: it stays in s0" in run_sentences({"runs": [run]})[0]
+
+
+def test_bounds_are_written_as_times_where_a_step_is_declared():
+    task = stl.parse_task("step = 0.5s\nunit = ms\nnear := x < 1\nduty := G[0,2s] (near -> (F[500ms,1s] b))")
+    assert with_names(task.formulas, task.ticks)(task.formula) == "duty"
+    assert with_names(task.predicates, task.ticks)(task.formula) == "G[0,2000ms] (near -> (F[500ms,1000ms] b))"
+    once = stl.parse("once[0,inf] a & a U[2,3] b")
+    assert with_names({}, task.ticks)(once) == "(once[0,inf) a) & (a U[1000ms,1500ms] b)"
