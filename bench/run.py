@@ -62,6 +62,7 @@ PARTS = {
     "parsing": Part("Reading formulas", "parsing"),
     "loading": Part("Model files: CPU seconds and memory, beside an older commit", "loading"),
     "monitors": Part("Monitors", "monitors"),
+    "logs": Part("Reading logs in CSV, beside pyarrow", "logs"),
     "borders": Part("Monitors: every sample on a comparison's border", "borders"),
     "automata": Part(
         "Automata: states by encoding, seconds to compile the exact one", "automata",
