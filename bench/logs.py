@@ -1,8 +1,8 @@
 """Reading CSV logs, beside pyarrow's reader (its default, on all cores) and numpy.loadtxt: values compared first.
 
-Five columns of 1e6 rows: the time and four signals. In `full` the signals are doubles as Python prints them, in `rounded`
-decimals of three and six places, one column is of truth values, and in `quoted` one is a note in quotes with commas,
-which nobody asks for but pyarrow. Times are the shortest of some runs taken in turn.
+Five columns of 1e6 rows: the time and four signals. In `full` the signals are doubles as Python prints them; in
+`rounded` three are decimals of three and six places, one is of truth values; in `quoted` one column is a note in quotes
+with commas, which nobody asks for but pyarrow. Times are the shortest of some runs taken in turn.
 """
 
 from __future__ import annotations

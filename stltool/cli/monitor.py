@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -25,17 +26,59 @@ from stltool.cli.options import (
 )
 from stltool.cli.roles import Reads, Writes
 from stltool.cli.steps import load_task_or_formula, this_command
-from stltool.errors import SettingsError
+from stltool.errors import SettingsError, StlToolError
+
+if TYPE_CHECKING:
+    from stltool.logic.task import Task
+    from stltool.monitoring import MonitorResult
+    from stltool.monitoring.logs import Log
+    from stltool.monitoring.logs.recording import Signals
+    from stltool.reporting.records import MonitorRecord
 
 _ENDS = ("error", "cut", "hold")
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A file's signals, verdicts and data."""
+
+    result: MonitorResult
+    signals: Signals
+    data: MonitorRecord
+
+    @classmethod
+    def of(cls, log: Log, task: Task, end: str, at: int | None, several: bool) -> Judged:
+        import stltool as stl
+        from stltool.reporting import monitor_data
+
+        try:
+            result = stl.monitor(task, log.signals, end=end)  # type: ignore[arg-type]  # checked before
+            return cls(result, log.signals, monitor_data(result, task, log.where, at, log.timing.says))
+        except StlToolError as error:
+            raise type(error)(f"{log.where}: {error}") if several else error from None
+
+
+def shown_of(judged: list[Judged], shown: int | None) -> tuple[MonitorResult, Signals, int | None]:
+    """The verdicts and signals of the file that has the trace shown, and the trace's number there, if it is a batch."""
+    before = 0
+    for one in judged:
+        traces = one.data["traces"]
+        if shown is None or shown < before + (traces or 1):
+            return one.result, one.signals, shown - before if shown is not None and traces is not None else None
+        before += traces or 1
+    raise AssertionError("shown_trace gave a trace that exists")
 
 
 @app.command('stltool monitor "G[0,20] battery > 0.2" log.csv --plot log.png')
 def monitor(
     task: TaskOrFormula,
-    trace: Annotated[
-        Path,
-        typer.Argument(metavar="TRACE", help="trace file: .csv, .tsv, .npz, .parquet", show_default=False),
+    traces: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="TRACE...",
+            help="trace files: .csv, .tsv (also .gz), .npz, .parquet, .mcap; - is CSV from standard input",
+            show_default=False,
+        ),
         Reads("trace"),
     ],
     end: Annotated[
@@ -53,7 +96,7 @@ def monitor(
         typer.Option(
             "--trace",
             metavar="N",
-            help="in a batch: the trace for --plot, --steps and --why; default: the first that violates",
+            help="in a batch or of files: the trace for --plot, --steps and --why; default: the first that violates",
         ),
     ] = None,
     steps: Annotated[bool, typer.Option("--steps", help="list every judged step")] = False,
@@ -95,14 +138,16 @@ def monitor(
     import stltool as stl
     from stltool.logic.formula import label_names, variables
     from stltool.monitoring.logs import Reading
-    from stltool.reporting import monitor_data, monitor_report, require_report, write_monitor_picture, write_report
+    from stltool.reporting import monitor_report, require_report, write_monitor_picture, write_report
     from stltool.reporting.diagnosis import diagnosis_data, diagnosis_lines
     from stltool.reporting.monitoring import (
+        files_data,
         monitor_facts,
         range_rows,
         require_monitor_picture,
         shown_trace,
         step_lines,
+        trace_name,
         trace_rows,
     )
     from stltool.reporting.terminal import print_facts, print_json, print_table, progress_bar, working
@@ -129,28 +174,34 @@ def monitor(
         }  # fmt: skip
         for option in (option for option, given in beside.items() if given):
             raise SettingsError(f"--follow prints verdicts as they come; {option} needs the whole trace: leave one out")
-        follow(loaded, trace, end, at, steps, decimal, time)
+        if len(traces) > 1:
+            raise SettingsError(f"--follow reads one trace as it grows; {len(traces)} files are given: name one")
+        follow(loaded, traces[0], end, at, steps, decimal, time)
         return
-    with working(f"reading {trace}", quiet=as_json):
-        log = reading.log(trace, list(names), loaded.step, label_names(loaded.formula))
-    signals = log.signals
-    with working("judging every step", quiet=as_json):
-        result = stl.monitor(loaded, signals, end=end)  # type: ignore[arg-type]  # checked above
-        data = monitor_data(result, loaded, log.where, at, log.timing.says)
+    judged = []
+    for trace in traces:
+        with working(f"reading {trace}", quiet=as_json):
+            log = reading.log(trace, list(names), loaded.step, label_names(loaded.formula))
+        with working("judging every step", quiet=as_json):
+            judged.append(Judged.of(log, loaded, end, at, len(traces) > 1))
+    data = judged[0].data if len(judged) == 1 else files_data([one.data for one in judged], loaded)
     shown = shown_trace(data, which)
+    result, signals, within = shown_of(judged, shown)
     diagnosis = None
     if why:
         first = (data if shown is None else data["each"][shown])["first_violation"]
         asked = at if at is not None else first if first is not None else 0
-        one = {key: values if shown is None else values[shown] for key, values in signals.items()}
+        one = {key: values if within is None else values[within] for key, values in signals.items()}
         with progress_bar("finding causes", quiet=as_json, patience=2.0) as bar:
             diagnosis = stl.diagnose(loaded, one, asked, end=end, progress=bar)  # type: ignore[arg-type]
         data["why"] = diagnosis_data(diagnosis, shown)
     if plot is not None:
         with working(f"drawing {plot}", quiet=as_json):
-            write_monitor_picture(result, signals, loaded, plot, shown, at, diagnosis.causes if diagnosis else None)
+            write_monitor_picture(result, signals, loaded, plot, within, at, diagnosis.causes if diagnosis else None)
     if report is not None:
-        write_report(monitor_report(data, signals, loaded, this_command()), report / "report.html")
+        _, shown_signals, number = shown_of(judged, shown_trace(data, None))
+        one = shown_signals if number is None else {key: values[number] for key, values in shown_signals.items()}
+        write_report(monitor_report(data, one, loaded, this_command()), report / "report.html")
     if as_json:
         print_json(data)
     else:
@@ -164,11 +215,11 @@ def monitor(
         if why:
             print("\n" + "\n".join(diagnosis_lines(data["why"])))
         if steps:
-            print(f"\ntrace {shown}:" if shown is not None else "")
+            print(f"\n{trace_name(data, shown)}:" if shown is not None else "")
             print("\n".join(step_lines(data, shown)))
         if plot is not None:
             print()
-            print_facts({"plot": f"{plot}" + (f", trace {shown}" if shown is not None else "")})
+            print_facts({"plot": f"{plot}" + (f", {trace_name(data, shown)}" if shown is not None else "")})
         if report is not None:
             print_facts({"report": report / "report.html"})
     if not data["holds"]:

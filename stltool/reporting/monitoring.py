@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -72,6 +72,52 @@ def monitor_data(
     return data
 
 
+def files_data(parts: Sequence[MonitorRecord], task: Task) -> MonitorRecord:
+    """Several files' data, each made by `monitor_data`, as those of a batch, whose traces may differ in length."""
+    each: list[TraceRecord] = []
+    verdicts: list[Any] = []
+    robustness: list[Any] = []
+    for part in parts:
+        batch = part["traces"] is not None
+        verdicts += part["verdicts"] if batch else [part["verdicts"]]
+        robustness += part["robustness"] if batch else [part["robustness"]]
+        for number, figures in enumerate(part["each"] if batch else [_only(part)]):
+            each.append({
+                **figures,
+                "file": f"{part['trace']}, trace {number}" if batch else part["trace"],
+                "samples_there": part["samples"], "judged_there": part["judged"], "clock_there": part["clock"],
+            })  # fmt: skip
+    clocks = {part["clock"] for part in parts}
+    totals = _totals(each, task.ticks)
+    return {
+        **parts[0],
+        **totals,
+        "trace": f"{len(parts)} files",
+        "traces": len(each),
+        "samples": max(part["samples"] for part in parts),
+        "judged": max(part["judged"] for part in parts),
+        "clock": parts[0]["clock"] if len(clocks) == 1 else "differs from file to file; --json has it for each",
+        "verdicts": verdicts,
+        "robustness": robustness,
+        "violating_traces": sum(not figures["holds"] for figures in each),
+        "each": each,
+    }
+
+
+def _only(data: MonitorRecord) -> TraceRecord:
+    """The figures of a single trace."""
+    return {
+        "verdict": data["verdict"],
+        "holds": data["holds"],
+        "violations": data["violations"],
+        "first_violation": data["first_violation"],
+        "first_violation_time": data["first_violation_time"],
+        "least_robustness": data["least_robustness"],
+        "least_robustness_at": data["least_robustness_at"],
+        "least_robustness_time": data["least_robustness_time"],
+    }
+
+
 def both(result: MonitorResult) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
     """Verdicts and robustness; SettingsError if only one of them was requested."""
     if result.verdicts is None or result.robustness is None:
@@ -130,18 +176,15 @@ def _jsonable(values: NDArray[np.float64]) -> list[Robustness]:
 def monitor_facts(data: MonitorRecord) -> dict[str, str]:
     """The terminal's first lines: what was judged, and the result."""
     judged, at, traces = data["judged"], data["at"], data["traces"]
-    last = judged - 1
     horizon = "none: an interval has no end" if data["horizon"] is None else f"{data['horizon']}"
     if data["horizon"]:
         horizon += beside(data, data["horizon"])
     facts = {
         "task": f"{data['task']} := {data['formula']}" if data["task"] is not None else data["formula"],
-        "trace": f"{data['trace']}, {_count(data['samples'], 'sample')}" + (f" × {traces} traces" if traces else ""),
+        "trace": f"{data['trace']}, {_samples_text(data)}",
         "clock": data["clock"] or "",
         "horizon": horizon + _ENDS[data["end"]],
-        "judged": f"step {at}{beside(data, at)}"
-        if at is not None
-        else f"{_count(judged, 'step')}, 0 … {last}{beside(data, 0, last)}",
+        "judged": f"step {at}{beside(data, at)}" if at is not None else _judged_text(data),
     }
     if data["clock"] is None:
         del facts["clock"]
@@ -149,7 +192,8 @@ def monitor_facts(data: MonitorRecord) -> dict[str, str]:
         kept = traces - data["violating_traces"]
         facts["holds"] = f"for {kept} of {_count(traces, 'trace')}" + ("" if at is not None else " at every step")
         if at is None:
-            facts["violated"] = f"at {data['violations']} of {judged * traces} steps"
+            steps = sum(figures.get("judged_there", judged) for figures in data["each"])
+            facts["violated"] = f"at {data['violations']} of {steps} steps"
     else:
         facts[f"step {at or 0}"] = _verdict(data["verdict"])
         if at is None:
@@ -164,6 +208,29 @@ def monitor_facts(data: MonitorRecord) -> dict[str, str]:
         least = data["least_robustness_at"]
         facts["robustness"] += f" at step {least}{beside(data, least)}, the least"
     return facts
+
+
+def _judged_text(data: MonitorRecord) -> str:
+    """The steps that were judged; of files of several lengths, of how many at least and at most."""
+    last = data["judged"] - 1
+    text = f"{_count(data['judged'], 'step')}, 0 … {last}{beside(data, 0, last)}"
+    least = min((figures.get("judged_there", last + 1) for figures in data.get("each", [])), default=last + 1)
+    return text if least == last + 1 else f"{text} at most, {_count(least, 'step')} at least"
+
+
+def _samples_text(data: MonitorRecord) -> str:
+    """How many samples were judged: 251 samples, of a batch 251 samples × 3 traces, of files 101 to 251 samples."""
+    if data["traces"] is None:
+        return _count(data["samples"], "sample")
+    lengths = {figures.get("samples_there", data["samples"]) for figures in data["each"]}
+    if len(lengths) > 1:
+        return f"{data['traces']} traces of {min(lengths)} to {max(lengths)} samples"
+    return f"{_count(data['samples'], 'sample')} × {data['traces']} traces"
+
+
+def trace_name(data: MonitorRecord, shown: int) -> str:
+    """A trace of a batch: its number, or its file."""
+    return data["each"][shown].get("file") or f"trace {shown}"
 
 
 def step_time(data: MonitorRecord, step: int) -> str | None:
@@ -216,7 +283,10 @@ def trace_rows(data: MonitorRecord) -> tuple[list[dict[str, Any]], int]:
     """The first traces of a batch, one per row, and how many more there are."""
     rows = []
     for number, figures in enumerate(data["each"][:_TRACES]):
-        row = {"trace": number, f"step {data['at'] or 0}": _verdict(figures["verdict"])}
+        row: dict[str, Any] = {
+            "trace": figures.get("file", number),
+            f"step {data['at'] or 0}": _verdict(figures["verdict"]),
+        }
         if data["at"] is None:
             first = figures["first_violation"]
             shown = "–" if first is None else f"{first}{beside(data, first)}" if data["step"] is not None else first
@@ -254,7 +324,8 @@ def shown_trace(data: MonitorRecord, asked: int | None) -> int | None:
         return None
     if asked is not None:
         if not 0 <= asked < traces:
-            raise SettingsError(f"--trace {asked}: {data['trace']} contains traces 0 … {traces - 1}")
+            contains = "contain" if "file" in data["each"][0] else "contains"
+            raise SettingsError(f"--trace {asked}: {data['trace']} {contains} traces 0 … {traces - 1}")
         return asked
     return next((number for number, figures in enumerate(data["each"]) if not figures["holds"]), 0)
 

@@ -67,10 +67,13 @@ def front_content(data: Mapping[str, Any]) -> dict[str, Any]:
 def monitor_report(
     data: Mapping[str, Any], signals: Mapping[str, ArrayLike], task: Task, command: str | None = None
 ) -> dict[str, Any]:
-    """Everything that a monitored trace's page shows; `data` as made by `monitor_data`, `signals` what was judged."""
+    """Everything that a monitored trace's page shows; `data` as made by `monitor_data`, `signals` what was judged: all
+    traces of a batch, or the one that is shown.
+    """
     words = sentences(task.formula, with_names(task.predicates)) if is_bounded(task.formula) else None
     shown = shown_trace(cast(MonitorRecord, data), None)
-    one = signals if shown is None else {name: np.asarray(values)[shown] for name, values in signals.items()}
+    arrays = {name: np.asarray(values) for name, values in signals.items()}
+    one = {name: array if array.ndim == 1 else array[shown] for name, array in arrays.items()}
     parts, more = subformulas_data(one, task, data["end"])
     return {**_about(MONITOR_FORMAT, command), **data, "words": words, "subformulas": parts, "more_subformulas": more}
 

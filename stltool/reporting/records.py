@@ -838,7 +838,7 @@ class FrontRecord(JointRecord):
 
 
 class TraceRecord(TypedDict):
-    """The verdicts on one trace, in short."""
+    """The verdicts on one trace, in short; of one of several files, with its name, its lengths and its clock."""
 
     verdict: bool
     holds: bool
@@ -848,6 +848,10 @@ class TraceRecord(TypedDict):
     least_robustness: Robustness
     least_robustness_at: int
     least_robustness_time: float | None
+    file: NotRequired[str]
+    samples_there: NotRequired[int]
+    judged_there: NotRequired[int]
+    clock_there: NotRequired[str | None]
 
 
 class CauseRecord(TypedDict):
@@ -900,8 +904,8 @@ class DiagnosisRecord(TypedDict):
 class MonitorRecord(TraceRecord):
     """Verdicts and robustness of a trace at every judged step; of a batch, lists of lists, and `each` trace.
 
-    `step` is the duration of a step and, like all times, in `unit`; null if none is declared. `clock` says what was
-    done with the times of the trace.
+    Of several files, `samples` and `judged` are those of the longest trace. `step` is the duration of a step and, like
+    all times, in `unit`; null if none is declared. `clock` says what was done with the times of the trace.
     """
 
     task: str | None

@@ -1,7 +1,10 @@
 """The clock of a log as users of `monitor` and `verify` meet it."""
 
+import io
 import json
+import sys
 
+import numpy as np
 import pytest
 
 import stltool as stl
@@ -85,3 +88,53 @@ def test_what_was_done_is_told_and_times_stand_beside_steps(stltool, log, tmp_pa
     assert (data["first_violation"], data["first_violation_time"], data["least_robustness_time"]) == (2, 0.2, 0.2)
     assert "time [s]" in picture.read_text()
     assert "first at step 2 (0.2 s)" in (folder / "report.html").read_text()
+
+
+def test_several_files_are_judged_as_a_batch(stltool, log, tmp_path, monkeypatch):
+    """Each on its own clock; traces may differ in length, and rows are named by their files."""
+    monkeypatch.chdir(tmp_path)
+    log("a.csv", t=[0, 0.1, 0.2], x=[1, 2, 3])
+    log("b.csv", t=[5, 5.1, 5.2, 5.3], x=[1, -1, 2, -3])
+    np.savez("c.npz", x=np.array([[1.0, 1], [1, -9]]))
+    options = ["--step", "0.1s"]
+    code, out, err = stltool("monitor", "x > 0", "a.csv", "b.csv", "c.npz", *options)
+    assert (code, err) == (1, "")
+    assert out.splitlines() == [
+        "task        x > 0",
+        "trace       3 files, 4 traces of 2 to 4 samples",
+        "clock       differs from file to file; --json has it for each",
+        "horizon     0",
+        "judged      4 steps, 0 … 3 (0 s … 0.3 s) at most, 2 steps at least",
+        "holds       for 2 of 4 traces at every step",
+        "violated    at 3 of 11 steps",
+        "robustness  -9 at step 1 (0.1 s), the least",
+        "",
+        "trace           step 0  violated at  first      least robustness  at step",
+        "a.csv           holds   0 steps      –          1                 0",
+        "b.csv           holds   2 steps      1 (0.1 s)  -3                3",
+        "c.npz, trace 0  holds   0 steps      –          1                 0",
+        "c.npz, trace 1  holds   1 step       1 (0.1 s)  -9                1",
+    ]
+    data = json.loads(stltool("monitor", "x > 0", "a.csv", "b.csv", "c.npz", *options, "--json")[1])
+    assert [one["file"] for one in data["each"]] == ["a.csv", "b.csv", "c.npz, trace 0", "c.npz, trace 1"]
+    assert [one["samples_there"] for one in data["each"]] == [3, 4, 2, 2]
+    assert data["each"][1]["clock_there"] == "column t, every 0.1s"
+    assert (data["traces"], data["violating_traces"], data["violations"]) == (4, 2, 3)
+    assert data["verdicts"] == [[True] * 3, [True, False, True, False], [True, True], [True, False]]
+    out = stltool("monitor", "x > 0", "a.csv", "b.csv", *options, "--steps")[1]
+    assert "\nb.csv:\nstep  time" in out
+    out = stltool("monitor", "x > 0", "b.csv", "c.npz", *options, "--steps", "--trace", 2, "--plot", "p.svg")[1]
+    assert "\nc.npz, trace 1:\nstep  time" in out
+    assert out.endswith("plot  p.svg, c.npz, trace 1\n")
+    stltool("monitor", "x > 0", "a.csv", "b.csv", *options, "--report", "page")
+    assert "b.csv" in (tmp_path / "page" / "report.html").read_text()
+    assert stltool("monitor", "x > -99", "a.csv", "b.csv")[0] == 0
+    code, out, err = stltool("monitor", "G[0,2] x > 0", "a.csv", "c.npz")
+    assert (code, out) == (2, "")
+    assert "error: c.npz: the traces have 2 samples; this formula needs 3" in err
+    code, out, err = stltool("monitor", "x > 0", "a.csv", "none.csv")
+    assert (code, out) == (2, "")
+    assert "none.csv: there is no such trace file" in err
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(b"x\n1\n-1\n")))
+    out = stltool("monitor", "x > 0", "-")[1]
+    assert out.splitlines()[1] == "trace       standard input, 2 samples"
