@@ -119,6 +119,14 @@ r :=  # the task
 """
 
 
+def test_lines_on_time_and_names_in_quotes():
+    text = 'step=1us;unit = µs\ninput   signal a,"b c" # c\noutput signal d\nr:=F[0,3   steps]"x # y">a[t+2*1 step]\n'
+    assert format_task(text) == (
+        'step = 1us\nunit = µs\ninput signal a, "b c"  # c\noutput signal d\n'
+        'r := F[0,3 steps] ("x # y" > a[t + 2 * 1 step])\n'
+    )
+
+
 def test_comments_stay_where_they_were():
     assert format_task(COMMENTED) == COMMENTS_KEPT
 
