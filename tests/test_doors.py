@@ -18,11 +18,11 @@ from stltool.learning.settings import settings_of
 
 # classes whose objects functions make, so that their constructors are no doors
 RESULTS = {
-    "CheckResult", "Diagnosis", "Estimate", "Fragment", "Front", "Gap", "Guarantee", "JointProduct", "LikelyRuns",
-    "MDP", "Meaning", "MonitorResult", "ParametricResult", "PolicyTree", "Product", "Run", "Sensitivity",
-    "SequentialTest", "SmoothRobustness", "StationaryResult", "StlToolError", "Learner", "SurrogateResult", "Sweep",
-    "SweepResult", "Task", "TaskAutomaton", "Tradeoff", "Training", "Decision", "MarkovTest", "Verification",
-    "Verified", "Recording",
+    "CheckResult", "Decisions", "Diagnosis", "Estimate", "Fragment", "Front", "Gap", "Guarantee",
+    "JointProduct", "LikelyRuns", "MDP", "Meaning", "MonitorResult", "ParametricResult", "PolicyTree",
+    "Product", "Run", "Sensitivity", "SequentialTest", "SmoothRobustness", "StationaryResult", "StlToolError",
+    "Learner", "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton", "Tradeoff", "Training",
+    "Decision", "MarkovTest", "Verification", "Verified", "Recording",
 }  # fmt: skip
 
 # called from within, or in inner loops with indices of their own

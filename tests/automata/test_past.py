@@ -34,7 +34,7 @@ from stltool.logic.formula import (
 )
 from stltool.testing import formulas, models, traces
 from tests.automata.judging import every_trace, judge, judge_all, truth_of_all
-from tests.conftest import many
+from tests.conftest import MORE, many
 
 
 def mixed(**options):
@@ -53,6 +53,23 @@ def test_every_trace_is_judged_right(phi):
     assert (judge_all(stl.compile_automaton(phi), everything) == expected).all()
     few = {name: values[::37] for name, values in everything.items()}
     assert (truth_of_all(phi, few) == expected[::37]).all()
+
+
+@pytest.mark.soak
+@given(mixed(labels=("a", "b"), signals=(), longest=3, max_leaves=6))
+@settings(max_examples=many(40))
+def test_every_trace_of_up_to_eight_steps(phi):
+    h = stl.horizon(phi)
+    if h > 7:
+        return
+    everything = every_trace(h + 1)
+    few = everything if MORE > 1 else {name: values[:: 1 + (len(values) >> 13)] for name, values in everything.items()}
+    try:
+        automaton = stl.compile_automaton(phi, most_states=3_000)
+    except SizeError:
+        return
+    expected = stl.monitor(phi, few, semantics="boolean").verdicts[:, 0]
+    assert (judge_all(automaton, few) == expected).all()
 
 
 @given(phi=mixed(), data=st.data())

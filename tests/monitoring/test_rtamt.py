@@ -44,6 +44,7 @@ SAME = {
     "sqrt(a)": "sqrt(a) > 0", "pow(a, b)": "a ^ b > 0", "5.0": "5 > 0", "not(a)": "!(a > 0)",
     "a and b": "a > 0 & b > 0", "a or b": "a > 0 | b > 0", "a -> b": "a > 0 -> b > 0",
     "a > b": "a > b", "a >= b": "a >= b", "a < b": "a < b", "a <= b": "a <= b", "a == b": "a == b", "a !== b": "a != b",
+    "next(a)": "G[1,1] (a > 0)",  # true at the last step
     "always[0,1](a)": "G[0,1] (a > 0)", "eventually[0,1](a)": "F[0,1] (a > 0)",
     "a until[0,1] b": "a > 0 U[0,1] (b > 0)",
     "always(a)": Always(ENDLESS, POSITIVE_A), "eventually(a)": Eventually(ENDLESS, POSITIVE_A),
@@ -58,7 +59,7 @@ PAST = {
     "rise(a)": "rise (a > 0)", "fall(a)": "fall (a > 0)", "a since b": "a > 0 since (b > 0)",
     "a since[0,1] b": "a > 0 since[0,1] (b > 0)",
 }  # fmt: skip
-OTHERS = {"next(a)", "exp(a)"}  # next, and a function that we do not have
+OTHERS = {"exp(a)"}  # a function that we do not have
 ANOTHER = {"a iff b": "a > 0 <-> b > 0", "a xor b": "a > 0 xor b > 0"}  # RTAMT has -|a - b| and |a - b|
 
 
