@@ -305,6 +305,7 @@ OWN = {
     "ambiguities": {"task": {"Task"}},
     "conventions": {"task": {"Task"}},
     "explain": {"model": {"MDP", "None"}},
+    "monitor": {"at": {"None", "int"}},
     "MDP.from_family": {"build": CALLABLE - {"None"}, "parameters": {"dict"}},
     "ParametricResult.at": {"p": {*NUMBERS, "text"}},
     "ParametricResult.points": {"n": {"int"}},

@@ -15,13 +15,13 @@ cache. Windows of the past are cut at step 0.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NoReturn, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stltool.arguments import mapping, one_of
+from stltool.arguments import mapping, one_of, whole
 from stltool.display import Card, Displayed, counted
 from stltool.errors import SettingsError, TraceError, named
 from stltool.logic import semantics as oracle
@@ -40,8 +40,13 @@ from stltool.logic.formula import (
     formula_of,
     has_past,
     horizon,
+    is_bounded,
     is_temporal,
+    label_names,
+    lookback,
+    variables,
 )
+from stltool.logic.semantics import samples_of
 from stltool.logic.task import Task
 from stltool.monitoring.blocks import Machine
 from stltool.monitoring.program import compile_delayed, compile_formula
@@ -63,6 +68,7 @@ class MonitorResult(Displayed):
     robustness   float64 of the same shape; None if not requested
     horizon      number of later steps that a verdict depends on; None for a formula with an interval without end
     n_steps      samples of each trace
+    first_step   the step of the first verdict: 0, or the one requested with `at`
     """
 
     formula: Formula
@@ -71,6 +77,7 @@ class MonitorResult(Displayed):
     horizon: int | None
     verdicts: NDArray[np.bool_] | None
     robustness: NDArray[np.float64] | None
+    first_step: int = 0
 
     def _card(self) -> Card:
         some = self.verdicts if self.verdicts is not None else self.robustness
@@ -101,14 +108,18 @@ class MonitorResult(Displayed):
             raise SettingsError('there are no verdicts; monitor with semantics="both" or "boolean"')
         violated = ~self.verdicts
         if violated.ndim == 1:
-            return int(violated.argmax()) if violated.any() else None
+            return self.first_step + int(violated.argmax()) if violated.any() else None
         n = violated.shape[1]
         first = np.where(violated, np.arange(n), n).min(axis=1, initial=n)
-        return np.where(first < n, first, -1)
+        return np.where(first < n, self.first_step + first, -1)
 
 
 def monitor(
-    phi: Formula | Task, signals: Mapping[str, ArrayLike], end: End = "error", semantics: Semantics = "both"
+    phi: Formula | Task,
+    signals: Mapping[str, ArrayLike],
+    end: End = "error",
+    semantics: Semantics = "both",
+    at: int | None = None,
 ) -> MonitorResult:
     """Truth and robustness of φ at every decided step of one trace or of a batch.
 
@@ -117,23 +128,73 @@ def monitor(
     `satisfies`, exactly; robustness is in doubles, within a few units in the last place of the numbers compared, and
     its sign is right: > 0 implies true, < 0 implies false.
 
+    With `at`, only that step is judged, and only the samples are read that it depends on: the time does not grow with
+    the traces.
+
     Raises TraceError, naming trace and step, if traces are too short, of unequal lengths, not numbers, not finite, or
     give a predicate no value (if only verdicts are requested: if a verdict depends on it), NameLookupError if a name is
     missing, and StlSyntaxError if an interval has no end and `end` is "error".
     """
     one_of(semantics, "semantics", get_args(Semantics))
-    formula, traces, beyond = prepare(phi, signals, end, "monitor")
+    read, start, n_steps = signals, 0, None
+    if at is not None:
+        read, start, n_steps = _around(phi, signals, end, whole(at, "monitor's step at", least=0))
+    formula, traces, beyond = prepare(phi, read, end, "monitor")
+    traces = replace(traces, first_step=start)
     truth, margins = semantics != "robustness", semantics != "boolean"
     outs = [without_last(out, beyond) for out in judge(formula, traces, end, truth, margins)]
+    if at is not None:
+        outs = [out[:, at - start : at - start + 1] for out in outs]
     outs = outs if traces.batch else [out[0] for out in outs]
     return MonitorResult(
         formula_of(phi, "monitor's formula"),
         end,
-        traces.n_steps - beyond,
+        traces.n_steps - beyond if n_steps is None else n_steps,
         traces.program.horizon,
         outs[0] if truth else None,
         outs[-1] if margins else None,
+        at or 0,
     )
+
+
+def _around(
+    phi: Formula | Task, signals: Mapping[str, ArrayLike], end: End, at: int
+) -> tuple[dict[str, ArrayLike], int, int]:
+    """The samples that step `at` depends on, the step of the first, and the number of steps that there are."""
+    formula = formula_of(phi, "monitor's formula")
+    mapping(signals, "monitor's signals", oracle.SIGNALS)
+    names = {**variables(formula), **label_names(formula)}
+    arrays: dict[str, Any] = {}
+    lengths: dict[str, int] = {}
+    for name in names or signals:
+        if name in signals:  # `prepare` reports what is missing
+            array: Any = signals[name]
+            arrays[name] = array = array if _is_plain_list(array) else samples_of(name, array)
+            lengths[name] = len(array) if isinstance(array, list) else array.shape[-1] if array.ndim else 0
+    for name, length in lengths.items():
+        first = next(iter(lengths))
+        if length != lengths[first]:
+            raise TraceError(
+                f"signal {first} has {lengths[first]} samples, signal {name} {length}; give all signals one shape"
+            )
+    n = next(iter(lengths.values()), 0)
+    h = horizon(formula) if end == "error" or is_bounded(formula) else None
+    if at >= n or (end == "error" and h is not None and at + h >= n):
+        needed = at + 1 if end != "error" or h is None else at + h + 1
+        raise TraceError(
+            f"the traces have {n} samples; at step {at} this formula needs {needed}; give longer ones, or judge "
+            "an earlier step"
+        )
+    back = lookback(formula)
+    start = 0 if back is None else max(0, at - back)
+    part = slice(start, n if h is None else min(n, at + h + 1))
+    cut = {name: array[part] if isinstance(array, list) else array[..., part] for name, array in arrays.items()}
+    return cut, start, n
+
+
+def _is_plain_list(array: object) -> bool:
+    """Whether slicing reads only the slice."""
+    return isinstance(array, list) and bool(array) and not hasattr(array[0], "__len__")
 
 
 def without_last(out: NDArray[Any], n: int) -> NDArray[Any]:

@@ -459,3 +459,35 @@ def test_kernels_of_since_are_their_python():
         past.since_start(left, right, 3, 12, 10, start)
         past.since_within(left, right, 3, 12, 10, 9, within, *(np.empty(10, dtype) for _ in range(3)))
         assert np.array_equal(start, within, equal_nan=dtype == np.float64)
+
+
+@given(phi=formulas(past=True, max_leaves=5), n=st.integers(1, 30), data=st.data())
+def test_one_step_is_judged_as_among_all(phi, n, data):
+    trace = data.draw(traces(n))
+    batch = {name: np.stack([values, values[::-1]]) for name, values in trace.items()}
+    for end in ("error", "cut", "hold"):
+        if end == "error" and n <= stl.horizon(phi):
+            continue
+        everything, rows = stl.monitor(phi, trace, end), stl.monitor(phi, batch, end)
+        at = data.draw(st.integers(0, len(everything.verdicts) - 1))
+        for signals in (trace, {name: values.tolist() for name, values in trace.items()}):
+            one = stl.monitor(phi, signals, end, at=at)
+            assert one.verdicts.tolist() == [everything.verdicts[at]]
+            assert one.robustness.tolist() == [everything.robustness[at]]
+            assert one.first_violation == (None if everything.verdicts[at] else at)
+            assert one.n_steps == n
+        some = stl.monitor(phi, batch, end, at=at)
+        assert some.verdicts.tolist() == rows.verdicts[:, at : at + 1].tolist()
+
+
+def test_one_step_reads_only_what_it_depends_on():
+    phi = stl.parse("G[0,3] (x > 0 | once[0,2] y > 0)")
+    x, y = np.ones(1000), np.ones(1000)
+    x[[97, 104]] = np.nan
+    assert stl.monitor(phi, {"x": x, "y": y}, at=100).verdicts.tolist() == [True]
+    with pytest.raises(TraceError, match="signal x is nan at step 104"):
+        stl.monitor(phi, {"x": x, "y": y}, at=101)
+    with pytest.raises(TraceError, match="the traces have 1000 samples; at step 997 this formula needs 1001"):
+        stl.monitor(phi, {"x": y, "y": y}, at=997)
+    with pytest.raises(TraceError, match="signal x has 1000 samples, signal y 999"):
+        stl.monitor(phi, {"x": x, "y": y[:999]}, at=0)
