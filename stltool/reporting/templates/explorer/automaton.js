@@ -144,7 +144,7 @@ function plane(q, trace, live) {
     across = a.phrases.length,
     up = b.phrases.length,
     unit = 22,
-    left = 34,
+    left = 46,
     top = 8,
     size = 15;
   const spot = (state) => [left + (a.of[state] + 0.5) * unit, top + (up - b.of[state] - 0.5) * unit];
