@@ -28,6 +28,7 @@ Status = Literal["ok", "missing", "too old", "broken"]
 PURPOSES = {
     "cluster": "sweeps and checks on a dask cluster",
     "gymnasium": "Gymnasium environments as models, and models as environments",
+    "mcap": "traces in MCAP files, as robots record them",
     "parquet": "traces in Parquet files",
     "tensorboard": "learning curves as TensorBoard events",
     "trees": "policies as decision trees, with explain --policy",

@@ -104,6 +104,12 @@ def without_unit(name: str) -> tuple[str, str | None]:
     return found[1], next(unit for unit in found.groups()[1:] if unit is not None).strip()
 
 
+def _looks_like_a_time(column: str) -> bool:
+    """By its name; T [°C] is a temperature."""
+    name, unit = without_unit(column)
+    return name.lower() in _TIMES and (name.lower() != "t" or unit in (None, "", "-") or str(unit).lower() in _UNITS)
+
+
 def time_column(
     where: str, known: Sequence[str], given: str | None, timed: bool, units: Mapping[str, str] | None = None
 ) -> TimeColumn | None:
@@ -114,7 +120,7 @@ def time_column(
     """
     name, unit = given, None
     if given is None:
-        looks = [one for one in known if without_unit(one)[0].lower() in _TIMES]
+        looks = [one for one in known if _looks_like_a_time(one)]
         if not looks:
             return None
         if len(looks) > 1 and timed:
@@ -128,7 +134,7 @@ def time_column(
             raise NameLookupError(f"{where}: there is no column {given} for the time; {near_misses(given, known)}")
     assert name is not None
     written = unit or without_unit(name)[1] or (units or {}).get(name)
-    unit = written.strip("[]() ") if written else None
+    unit = written.strip("[]() -") if written else None
     return TimeColumn(name, _UNITS.get(unit.lower()) if unit else None, unit or None)
 
 

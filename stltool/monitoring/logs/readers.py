@@ -98,7 +98,8 @@ def extensions() -> list[str]:
 def read_recording(path: Path, asked: Asked) -> Recording:
     """The content of a trace file; FileError if no reader takes it."""
     name = path.name.lower()
-    fitting = [extension for extension in extensions() if name.endswith(extension)]
+    known = _OWN if any(name.endswith(one) for one in _OWN) or str(path) == "-" else trace_readers
+    fitting = [extension for extension in known if name.endswith(extension)]
     if str(path) == "-":
         extension = ".csv"
     elif fitting:

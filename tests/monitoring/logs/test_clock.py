@@ -131,6 +131,13 @@ def test_columns_of_times(log, name, values):
         stl.load_trace(path, ["x"], time="none")
 
 
+def test_a_temperature_is_no_time(log):
+    path = log(**{"T [°C]": [20, 21, 19], "time [-]": [0, 0.1, 0.2], "x": [1, 2, 3]})
+    assert stl.load_trace(path, ["x"], step="0.1s")["x"].tolist() == [1, 2, 3]
+    with pytest.raises(TraceError, match=r"in column time \[-\] they are 0.1s apart"):
+        stl.load_trace(path, ["x"], step="1s")
+
+
 def test_the_column_can_be_named(log):
     path = log(x=[1, 2, 3], when=[0, 100, 200], t=[20, 21, 19])
     assert len(stl.load_trace(path, ["x"], step="0.1s", time="when [ms]")["x"]) == 3
