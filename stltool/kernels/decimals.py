@@ -10,8 +10,6 @@ For a = |x| and e = ⌊log₁₀ a⌋, numbers of 15, 16 and 17 digits are tried
 
 k is −1, and m says nothing, where the choice is close (half-way between two m, at the end of the range that reads as a,
 powers of two, whose lower neighbour is nearer) or a lies outside 1e-5 … 1e15.
-
-[Dekker71] T. J. Dekker. A floating-point technique for extending the available precision. Numer. Math. 18 (1971).
 """
 
 from __future__ import annotations

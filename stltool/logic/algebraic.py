@@ -1,7 +1,7 @@
 """Numbers built from rationals by + − · / and roots, compared exactly.
 
 A number is kept as the expression that it is. Its sign is that of an enclosure that is refined until it excludes 0, or
-until it is narrower than what separates a number of this kind from 0 [BFMSS]. With the rules (logarithms in the code)
+until it is narrower than what separates a number of this kind from 0 [Burnikel09]. With the rules (logarithms in the code)
 
     E                u(E)                        l(E)
     n/m              |n|                         m
@@ -14,9 +14,6 @@ until it is narrower than what separates a number of this kind from 0 [BFMSS]. W
 and D(E) the product of the indices of all different roots in E, E is a quotient U/L of algebraic integers of degree at
 most D(E), whose conjugates are at most u(E) and l(E): U and L follow from the table (the root of U/L is the root of
 U·L^(k−1), over L). If E ≠ 0, the product of U's conjugates is a whole number other than 0, so |E| ≥ u(E)^(1−D) / l(E).
-
-[BFMSS] C. Burnikel, S. Funke, K. Mehlhorn, S. Schirra, S. Schmitt. A separation bound for real algebraic expressions.
-Algorithmica 55 (2009).
 """
 
 from __future__ import annotations
