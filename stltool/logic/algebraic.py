@@ -1,7 +1,8 @@
 """Numbers built from rationals by + − · / and roots, compared exactly.
 
 A number is kept as the expression that it is. Its sign is that of an enclosure that is refined until it excludes 0, or
-until it is narrower than what separates a number of this kind from 0 [Burnikel09]. With the rules (logarithms in the code)
+until it is narrower than what separates a number of this kind from 0 [Burnikel09]. With the rules (logarithms in the
+code)
 
     E                u(E)                        l(E)
     n/m              |n|                         m
