@@ -279,10 +279,13 @@ def part_panel(axes: Axes, lanes: Sequence[Lane], n_steps: int) -> None:
 
 
 @drawing()
-def lane_picture(data: Mapping[str, Any], verdicts: Booleans) -> str:
-    """The verdicts of a report's task and of its parts as SVG, and the samples that decided, signal by signal."""
+def lane_picture(data: Mapping[str, Any], verdicts: Booleans | None) -> str:
+    """The verdicts of a report's task and of its parts as SVG, and the samples that decided, signal by signal.
+
+    `verdicts` are those of the task; None if one step was judged.
+    """
     why = data.get("why") or {"causes": []}
-    lanes = [Lane(data["task"] or "the formula", verdicts)]
+    lanes = [Lane(data["task"] or "the formula", verdicts)] if verdicts is not None else []
     for part in data["subformulas"]:
         held = None
         if part["holds"] is not None:

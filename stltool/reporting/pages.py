@@ -71,11 +71,16 @@ def monitor_report(
     traces of a batch, or the one that is shown.
     """
     words = sentences(task.formula, with_names(task.predicates)) if is_bounded(task.formula) else None
-    shown = shown_trace(cast(MonitorRecord, data), None)
+    shown = _shown(cast(MonitorRecord, data))
     arrays = {name: np.asarray(values) for name, values in signals.items()}
     one = {name: array if array.ndim == 1 else array[shown] for name, array in arrays.items()}
     parts, more = subformulas_data(one, task, data["end"])
     return {**_about(MONITOR_FORMAT, command), **data, "words": words, "subformulas": parts, "more_subformulas": more}
+
+
+def _shown(data: MonitorRecord) -> int | None:
+    """Which trace of a batch the page shows: the explained one, if there is one."""
+    return shown_trace(data, data["why"]["trace"] if "why" in data and data["traces"] is not None else None)
 
 
 def monitor_content(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -84,7 +89,7 @@ def monitor_content(given: Mapping[str, Any]) -> dict[str, Any]:
     from stltool.reporting.figures import line_chart
     from stltool.reporting.monitor_figure import lane_picture
 
-    shown = shown_trace(data, None)
+    shown = _shown(data)
     rows, more = range_rows(data) if shown is None else trace_rows(data)
     robustness: Any = data["robustness"] if shown is None else data["robustness"][shown]
     chart = None
@@ -101,8 +106,8 @@ def monitor_content(given: Mapping[str, Any]) -> dict[str, Any]:
     facts = monitor_facts(data)
     verdicts: Any = data["verdicts"] if shown is None else data["verdicts"][shown]
     lanes = None
-    if 1 < len(verdicts) <= _LONGEST_CHART and data["at"] is None and data["samples"] <= 2 * _LONGEST_CHART:
-        lanes = lane_picture(given, np.array(verdicts, dtype=np.bool_))
+    if 1 < data["samples"] <= _LONGEST_CHART and (data["at"] is None or given["subformulas"] or "why" in data):
+        lanes = lane_picture(given, np.array(verdicts, dtype=np.bool_) if data["at"] is None else None)
     return {
         "lanes": lanes,
         "lead": _monitor_lead(data),
