@@ -23,7 +23,7 @@ _PLAIN = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
 
 def drawn(page):
     """The pictures of a report's page that were made before it, in order."""
-    return re.findall(r'<div class="pictures">(?:<!--.*?-->\s*)?(<svg.*?</svg>)', page, flags=re.DOTALL)
+    return re.findall(r'<div class="pictures">(<svg.*?</svg>)', page, flags=re.DOTALL)
 
 
 @dataclass(frozen=True)
