@@ -51,7 +51,7 @@ OPERATORS = {
 # page → title, and the modules whose public names it lists
 PAGES = {
     "formulas": ("Formulas and tasks", ("logic",)),
-    "monitoring": ("Monitors", ("monitoring",)),
+    "monitoring": ("Monitors", ("monitoring", "diagnosis")),
     "models": ("Automata, models and products", ("automata", "models", "product", "envs", "policy")),
     "checking": ("Checking", ("checking", "gate")),
     "learning": ("Learning and guarantees", ("learning",)),
