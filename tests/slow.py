@@ -1,9 +1,10 @@
 """Which tests are marked slow, so that the others take a minute: `python -m tests.slow` measures and lists them again.
 
 tests/slow.txt has a test a line, the longest first: processor seconds of all its parameters together, on one machine
-and one day, with the processes that it starts.
+and one day, with the processes that it starts or that a fixture has started for it.
 """
 
+import contextlib
 import json
 import os
 import subprocess
@@ -17,6 +18,7 @@ import pytest
 
 LIST = Path(__file__).with_name("slow.txt")
 REST = 50.0  # processor seconds of all others
+KEPT = {"browser", "cluster", "processes"}  # fixtures whose processes go on after a test
 _OUT = "STLTOOL_SLOW_OUT"
 
 
@@ -29,6 +31,15 @@ def of_all_parameters(nodeid):
     return nodeid.partition("[")[0]
 
 
+def seconds(fixtures):
+    """Of a processor, so far: of this process, those that have ended, and those that these fixtures keep."""
+    me, taken = psutil.Process(), 0.0
+    for process in [me, *(me.children(recursive=True) if KEPT & set(fixtures) else [])]:
+        with contextlib.suppress(psutil.NoSuchProcess):
+            taken += sum(process.cpu_times()[:4])
+    return taken
+
+
 class Stopwatch:
     """Of a process that runs tests: what each of them takes."""
 
@@ -37,9 +48,9 @@ class Stopwatch:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item, nextitem):
-        before = sum(psutil.Process().cpu_times()[:4])
+        before = seconds(item.fixturenames)
         ran = yield
-        self._taken[of_all_parameters(item.nodeid)] += sum(psutil.Process().cpu_times()[:4]) - before
+        self._taken[of_all_parameters(item.nodeid)] += seconds(item.fixturenames) - before
         return ran
 
     def pytest_sessionfinish(self):

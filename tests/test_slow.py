@@ -1,5 +1,8 @@
 """What is listed as slow is what takes long."""
 
+import subprocess
+import sys
+
 from tests import slow
 
 
@@ -12,3 +15,13 @@ def test_the_longest_are_listed_until_the_others_are_short():
 
 def test_parameters_count_together():
     assert slow.of_all_parameters("a.py::one[x[0]-y]") == "a.py::one" == slow.of_all_parameters("a.py::one")
+
+
+def test_processes_that_a_fixture_keeps_count():
+    code = "import time; start = time.process_time()\nwhile time.process_time() < start + 0.3: pass\nprint(); input()"
+    before = slow.seconds(["tmp_path", "browser"])
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        process.stdout.readline()
+        assert slow.seconds(["tmp_path"]) < before + 0.2 <= slow.seconds(["tmp_path", "browser"])
+        process.communicate(b"\n")
+    assert slow.seconds([]) >= before + 0.2  # it has ended
