@@ -149,10 +149,68 @@ def online_row(n_steps: int = 20_000) -> str:
     return f"| online, samples a second ({rates[0]:.3g}) | RTAMT ({rates[1]:.3g}) | {rates[0] / rates[1]:.3g} × |"
 
 
+def shortest_cpu(n: int, *actions: Callable[[], Any]) -> list[float]:
+    """Processor seconds of each action, the shortest of n runs, taken in turn."""
+    times = [[] for _ in actions]
+    for _ in range(n):
+        for action, taken in zip(actions, times, strict=True):
+            start = time.process_time()
+            action()
+            taken.append(time.process_time() - start)
+    return [min(taken) for taken in times]
+
+
+def streams_against_sentil(n_steps: int) -> list[str]:
+    """One sample a call, and blocks, in nanoseconds a sample; results are compared first."""
+    x, y = np.random.default_rng(0).random((2, n_steps))
+    samples = [{"x": a, "y": b} for a, b in zip(x.tolist(), y.tolist(), strict=True)]
+
+    def online(wait: bool) -> Callable[[], list[stl.Decision]]:
+        def run() -> list[stl.Decision]:
+            feed = stl.OnlineMonitor(PHI, wait).feed
+            return [decision for sample in samples for decision in feed(sample)]
+
+        return run
+
+    expected = stl.monitor(PHI, {"x": x, "y": y})
+    assert [decision.robustness for decision in online(True)()] == expected.robustness.tolist()
+    early = {step: verdict for step, verdict, _ in online(False)()}
+    assert [early[t] for t in range(len(expected.verdicts))] == expected.verdicts.tolist()
+    rows = []
+    if sentil_formula() is None:
+        (mine,) = shortest_cpu(5, online(True))
+        rows.append(
+            f"| online, ns a sample ({mine / n_steps * 1e9:.3g}) | SENTIL | not measured: it is not installed |"
+        )
+    else:
+        import sentil
+
+        def by_sentil() -> list[float]:
+            update = sentil.OnlineMonitor(TEXT).update
+            return [update(float(t), sample).value for t, sample in enumerate(samples)]
+
+        assert by_sentil()[stl.horizon(PHI) :] == expected.robustness.tolist()
+        *mine, theirs = shortest_cpu(5, online(False), online(True), by_sentil)
+        for what, taken in zip(("early verdicts", "final robustness"), mine, strict=True):
+            figures = f"{taken / n_steps * 1e9:.3g}) | SENTIL ({theirs / n_steps * 1e9:.3g}"
+            rows.append(f"| {what}, one sample a call, ns ({figures}) | {taken / theirs:.2g} of its time |")
+    for size in (n_steps // 20, n_steps):
+
+        def blocks(size: int = size) -> None:
+            monitor = stl.OnlineMonitor(PHI, wait=True)
+            for start in range(0, n_steps, size):
+                monitor.feed({"x": x[start : start + size], "y": y[start : start + size]})
+
+        (taken,) = shortest_cpu(5, blocks)
+        rows.append(f"| final robustness, blocks of {size} | | {taken / n_steps * 1e9:.3g} ns a sample |")
+    return rows
+
+
 def table(quick: bool = False) -> list[str]:
     lines = [f"`{TEXT}`", "", "| what | against | figure |", "|---|---|---|"]
     shapes = SMALL if quick else SHAPES
-    return [*lines, *(row for shape in shapes for row in offline_rows(*shape)), online_row(500 if quick else 20_000)]
+    return [*lines, *(row for shape in shapes for row in offline_rows(*shape)), online_row(500 if quick else 20_000),
+            *streams_against_sentil(2000 if quick else 100_000)]  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -4,8 +4,8 @@ N (integers) begins with a header: the clock, sizes, and where each table begins
 to a word. monitoring/stream.py lays them out. `advance` reads one sample. It refuses it, leaving all as it was, or
 
     1. evaluates the comparisons without arithmetic (the others are judged by the caller, who hands in the results);
-    2. runs the network: at time n a node of horizon h computes its margin at step n − h. Windows are monotone queues,
-       for until and since two stacks over an associative ∘ [Tangwongsan15, §2]: O(1) amortised;
+    2. with WAITS, runs the network: at time n a node of horizon h computes its margin at step n − h. Windows are
+       monotone queues, for until and since two stacks over an associative ∘ [Tangwongsan15, §2]: O(1) amortised;
     3. runs the engine that decides steps early (monitoring/early.py): an automaton whose starts coalesce, an automaton
        with one state per open step, or three-valued truth over sets of steps.
 
@@ -239,8 +239,8 @@ def _decide(N: I64, t: int, value: int, told: int) -> int:
 
 @kernel
 def _code(N: I64, t: int, value: int) -> Any:
-    """A decision as a number: step << 3 | robustness is final << 2 | verdict << 1 | 1."""
-    return (N[BASE] + t) << 3 | (4 if t + N[HORIZON] == N[TIME] else 0) | (value - 1) << 1 | 1
+    """A decision as a number: step << 3 | robustness is known << 2 | verdict << 1 | 1."""
+    return (N[BASE] + t) << 3 | (4 if N[WAITS] != 0 else 0) | (value - 1) << 1 | 1
 
 
 @kernel
@@ -497,7 +497,8 @@ def advance(N: I64, F: F64, B: U64) -> Any:
         return REFUSED
     verdict, mask = N[VERDICT], N[N_VERDICTS] - 1
     N[verdict + (time & mask)] = 0
-    run_network(N, F)
+    if N[WAITS] != 0:
+        run_network(N, F)
     if N[ENGINE] == COALESCED:
         told = run_coalesced(N, 0)
     elif N[ENGINE] == EACH:
@@ -548,7 +549,7 @@ def advance_all(
         elif code != NOTHING:
             steps[count], verdicts[count] = code >> 3, code >> 1 & 1
             count += 1
-        margins[i] = F[N[MARGIN] + N[RESULT]] if N[TIME] > N[HORIZON] else np.nan
+        margins[i] = F[N[MARGIN] + N[RESULT]] if N[WAITS] != 0 and N[TIME] > N[HORIZON] else np.nan
     return count
 
 

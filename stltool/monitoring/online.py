@@ -42,7 +42,7 @@ _new = tuple.__new__  # a named tuple's own constructor takes twice the time
 
 
 class Decision(NamedTuple):
-    """The verdict at one step; its robustness once that is final, else None."""
+    """The verdict at one step, and its robustness; None if that was not waited for."""
 
     step: int
     verdict: bool
@@ -60,7 +60,7 @@ class Decisions(Displayed):
 
     steps       (n,) int64, ascending
     verdicts    (n,) Booleans
-    robustness  (n,) float64; NaN where it is not final
+    robustness  (n,) float64; NaN if it was not waited for
     """
 
     steps: NDArray[np.int64]
@@ -108,7 +108,7 @@ class OnlineMonitor(Displayed):
         made, self._program = compile_delayed(self.formula)
         self._judged, self._earlier = made.formula, Earlier(made)
         self.horizon: int = self._program.horizon or 0
-        self.wait = bool(wait)
+        self.wait = bool(wait) or self.horizon == 0  # nothing to wait for
         engine = engine_of(self._judged, bool(made.signals or made.starts))
         self.early = engine.early
         self._stream = Stream(self._program, engine, self.horizon, self.wait)
@@ -380,9 +380,9 @@ class OnlineMonitor(Displayed):
             samples[:, i] = whole_block.columns[name][0]
         if whole_block.wide:
             self._refuse_margins(samples)
+        given = self._outside(self._stream, samples, n)  # raises for samples without a margin
         if traces.n_steps >= _BULK * self._stream.depth:
             return self._judge(samples)
-        given = self._outside(self._stream, samples, n)
         self._grow(len(samples))
         read = self._stream.read(samples, given)
         assert not isinstance(read, int)
@@ -400,8 +400,8 @@ class OnlineMonitor(Displayed):
         before = stream.kept()[-back:] if back else stream.kept()[:0]
         first, judged = n - min(h, n), n - len(before)
         joined = np.concatenate([before, samples])
-        found = judge(self._judged, self._traces(joined, judged), "error", True, True)
-        truth, margins = (values[:, first - judged :] for values in found)
+        found = judge(self._judged, self._traces(joined, judged), "error", True, self.wait)
+        truth, margins = found[0][:, first - judged :], found[-1][:, first - judged :]
         last = joined[-stream.depth :]
         end = n + len(samples)
         fresh = stream.afresh(end - len(last), len(last))
@@ -410,6 +410,7 @@ class OnlineMonitor(Displayed):
         steps, verdicts = np.arange(first, first + truth.shape[1]), truth[0]
         robustness = margins[0]
         if not self.wait:
+            robustness = np.full(len(steps), np.nan)
             news = np.array([t >= n or stream.verdict(t) is None for t in range(first, n)], np.bool_)
             keep = np.concatenate([news, np.ones(len(steps) - len(news), np.bool_)])
             early = read[0] > steps[-1]
