@@ -132,7 +132,7 @@ class OnlineMonitor(Displayed):
         names, pair, root, latest = self._stream.names, self._call.pair, self._call.root, self._call.latest
         if self._stream.given or self._delays or len(names) not in (1, 2):
             return
-        feed, one, two = self._feed, names[0], names[-1]
+        feed, several, one, two = self._feed, self._several, names[0], names[-1]
 
         def quick(sample: Mapping[str, Any]) -> list[Decision] | Decisions:
             try:
@@ -145,7 +145,7 @@ class OnlineMonitor(Displayed):
             code = pair(root, x, y)
             if code > 0:
                 return [_new(Decision, (code >> 3, code & 2 == 2, latest[0] if code & 4 else None))]
-            return [] if code == 0 else feed(sample, code)
+            return [] if code == 0 else several() if code == SEVERAL else feed(sample, code)
 
         def quicker(sample: Mapping[str, Any]) -> list[Decision] | Decisions:
             try:
@@ -157,7 +157,7 @@ class OnlineMonitor(Displayed):
             code = pair(root, x, 0.0)
             if code > 0:
                 return [_new(Decision, (code >> 3, code & 2 == 2, latest[0] if code & 4 else None))]
-            return [] if code == 0 else feed(sample, code)
+            return [] if code == 0 else several() if code == SEVERAL else feed(sample, code)
 
         self.feed = quick if len(names) == 2 else quicker  # type: ignore[method-assign]
 
@@ -288,9 +288,13 @@ class OnlineMonitor(Displayed):
         """The decisions that reading a sample has yielded."""
         if code == NOTHING:
             return []
-        codes = [code] if code != SEVERAL else self._stream.told()
-        margin = self._call.latest[0]
-        return [_new(Decision, (one >> 3, one & 2 == 2, margin if one & 4 else None)) for one in codes]
+        if code == SEVERAL:
+            return self._several()
+        return [_new(Decision, (code >> 3, code & 2 == 2, self._call.latest[0] if code & 4 else None))]
+
+    def _several(self) -> list[Decision]:
+        """The decisions of the last sample, if it has yielded more than one: early ones."""
+        return [_new(Decision, (code >> 3, code & 2 == 2, None)) for code in self._stream.told()]
 
     def _grow(self, more: int) -> None:
         """Make room for more samples."""
@@ -404,7 +408,7 @@ class OnlineMonitor(Displayed):
         truth, margins = found[0][:, first - judged :], found[-1][:, first - judged :]
         last = joined[-stream.depth :]
         end = n + len(samples)
-        fresh = stream.afresh(end - len(last), len(last))
+        fresh = stream.afresh(end - len(last))
         read = fresh.read(last, self._outside(fresh, last, end - len(last)))
         assert not isinstance(read, int)
         steps, verdicts = np.arange(first, first + truth.shape[1]), truth[0]

@@ -52,6 +52,7 @@ class Stream:
         self.atoms = [now.atom for now in program.instructions if now.atom is not None]
         self.given = [i for i, atom in enumerate(self.atoms) if not _is_inside(atom)]
         self._program, self._engine, self._horizon, self._waits = program, engine, horizon, waits
+        self._empty: tuple[Ints, Floats, NDArray[np.uint64]] | None = None  # arrays before the first sample
         self.N, self.F, self.B = _laid_out(program, engine, self.names, horizon, waits, start, room)
         self._bind()
 
@@ -127,9 +128,18 @@ class Stream:
         room = 4 * int(self.N[k.ROOM])
         return Stream(self._program, self._engine, self._horizon, self._waits, int(self.N[k.BASE]), room)
 
-    def afresh(self, start: int, room: int) -> Stream:
-        """Empty arrays for samples from a step on."""
-        return Stream(self._program, self._engine, self._horizon, self._waits, start, room)
+    def afresh(self, start: int) -> Stream:
+        """Empty arrays for samples from a step on, with all the room that there can be."""
+        if self._empty is None:
+            made = Stream(self._program, self._engine, self._horizon, self._waits, 0, self.depth)
+            self._empty = made.N, made.F, made.B
+        other = Stream.__new__(Stream)
+        other.__dict__.update(self.__getstate__())
+        N, F, B = self._empty
+        other.N, other.F, other.B = N.copy(), F.copy(), B.copy()
+        other.N[k.BASE] = start
+        other._bind()
+        return other
 
 
 class Call:
