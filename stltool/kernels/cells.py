@@ -156,17 +156,27 @@ def blank(data: U8, start: int, stop: int) -> bool:
 
 @kernel
 def read_rows(
-    data: U8, start: int, stop: int, separator: int, point: int, kinds: I8, out: F64, texts: I64, special: I64
+    data: U8,
+    start: int,
+    stop: int,
+    separator: int,
+    point: int,
+    kinds: I8,
+    out: F64,
+    base: int,
+    most: int,
+    texts: I64,
+    special: I64,
 ) -> tuple[int, int, int]:
     """Read rows that begin at `start`, one per line, until `stop`. Returns how it ended, their number and that of the
     special cells.
 
     kinds     of every column
-    out       (columns read, rows): numbers, and truth as 1 and 0; NaN at special cells
+    out       (columns read, rows): numbers, and truth as 1 and 0; NaN at special cells; `most` rows from `base` on
     texts     (rows, 2): where cells of the TEXT column begin and end
     special   (most, 4): cells that are missing or not plain: column read, row, begin, end
     """
-    n, n_special, i, most = len(kinds), 0, start, out.shape[1]
+    n, n_special, i = len(kinds), 0, start
     row = 0
     while i < stop:
         if row == most:
@@ -221,7 +231,7 @@ def read_rows(
                     special[n_special] = column, row, first, last
                     n_special += 1
                     value = np.nan
-                out[column, row] = value
+                out[column, base + row] = value
                 column += 1
             if not ended:
                 i += 1

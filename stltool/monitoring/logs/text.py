@@ -48,7 +48,7 @@ from stltool.numbers import NumberError, shown
 from stltool.sizes import require_memory
 
 STDIN = "-"
-LARGE = 1 << 22  # bytes from which loading the compiled reader pays
+LARGE = 1 << 23  # bytes from which loading the compiled reader pays
 _SAMPLE = 1 << 16  # bytes from which the length of a line is estimated
 _PART = 1 << 24  # bytes that a thread reads at once, at least
 _SPECIAL = 1 << 16  # cells of a part that the kernel may leave to Python
@@ -349,16 +349,17 @@ def read_bytes(table: _Table) -> _Read | None:
         kinds[place] = codes[columns.kind(name)]
     start = table.dialect.body
     bounds = _parts(table.source, data, start)
-    parts = _read_parts(table, data, kinds, bounds)
-    if parts is None and len(bounds) > 2:  # a quote inside a cell may have misled the division
-        parts = _read_parts(table, data, kinds, [start, len(data)])
-    if parts is None:
+    found = _read_parts(table, data, kinds, bounds)
+    if found is None and len(bounds) > 2:  # a quote inside a cell may have misled the division
+        found = _read_parts(table, data, kinds, [start, len(data)])
+    if found is None:
         return None
+    out, parts = found
     by_place = sorted(zip(columns.places, columns.names, strict=True))
     order = [name for _, name in by_place if columns.kind(name) != "date"]
-    values = {name: _joined([part.out[k, : part.rows] for part in parts]) for k, name in enumerate(order)}
-    missing: dict[str, NDArray[np.bool_]] = {}
     n, before = sum(part.rows for part in parts), 0
+    values = {name: out[k, :n] for k, name in enumerate(order)}
+    missing: dict[str, NDArray[np.bool_]] = {}
     for part in parts:
         for k, row, begin, end in part.special.tolist():
             name, cell = order[k], bytes(data[begin:end]).decode("utf-8", "surrogateescape")
@@ -380,7 +381,6 @@ def read_bytes(table: _Table) -> _Read | None:
 @dataclass(frozen=True)
 class _Part:
     rows: int
-    out: NDArray[np.float64]
     texts: NDArray[np.int64]
     special: NDArray[np.int64]
 
@@ -408,33 +408,32 @@ def _parts(source: Source, data: NDArray[np.uint8], start: int) -> list[int]:
 
 def _read_parts(
     table: _Table, data: NDArray[np.uint8], kinds: NDArray[np.int8], bounds: Sequence[int]
-) -> list[_Part] | None:
-    """The parts between bounds, read by a thread each; None if one is not as it should be."""
+) -> tuple[NDArray[np.float64], list[_Part]] | None:
+    """The columns (columns read, rows), and the parts between bounds, each read by a thread; None if one is not as it
+    should be.
+    """
     from stltool.kernels import cells
 
-    read = int((kinds == cells.NUMBER).sum() + (kinds == cells.LABEL).sum())
     dated = bool((kinds == cells.TEXT).any())
-
-    def part(begin: int, end: int) -> _Part | None:
-        most = cells.count(data, begin, end, ord("\n")) + 1
-        out, texts = np.empty((read, most)), np.empty((most if dated else 0, 2), np.int64)
-        special = np.empty((_SPECIAL, 4), np.int64)
-        separator, point = ord(table.dialect.separator), ord(table.asked.decimal)
-        how, rows, n = cells.read_rows(data, begin, end, separator, point, kinds, out, texts, special)
-        last = end == len(data)
-        return _Part(rows, out, texts, special[:n]) if how == cells.DONE and (last or rows == most - 1) else None
-
     spans = list(pairwise(bounds))
-    if len(spans) == 1:
-        parts = [part(*spans[0])]
-    else:
-        with ThreadPoolExecutor(len(spans)) as threads:
-            parts = list(threads.map(lambda span: part(*span), spans))
-    return None if None in parts else [one for one in parts if one is not None]
+    separator, point = ord(table.dialect.separator), ord(table.asked.decimal)
+    with ThreadPoolExecutor(len(spans)) as threads:
+        lines = list(threads.map(lambda span: cells.count(data, span[0], span[1], ord("\n")), spans))
+        read = int((kinds == cells.NUMBER).sum() + (kinds == cells.LABEL).sum())
+        out = np.empty((read, sum(lines) + 1))  # the last line may have no end
 
+        def part(number: int) -> _Part | None:
+            before, most, last = sum(lines[:number]), lines[number], number == len(spans) - 1
+            texts = np.empty((most + last if dated else 0, 2), np.int64)
+            special = np.empty((_SPECIAL, 4), np.int64)
+            how, rows, n = cells.read_rows(
+                data, *spans[number], separator, point, kinds, out, before, most + last, texts, special
+            )
+            return _Part(rows, texts, special[:n]) if how == cells.DONE and (last or rows == most) else None
 
-def _joined(pieces: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    return np.ascontiguousarray(pieces[0]) if len(pieces) == 1 else np.concatenate(pieces)
+        parts = list(threads.map(part, range(len(spans))))
+    whole = [one for one in parts if one is not None]
+    return (out, whole) if len(whole) == len(parts) else None
 
 
 def _special(table: _Table, name: str, cell: str) -> float | None:
