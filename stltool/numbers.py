@@ -233,7 +233,7 @@ def within_text(value: float, lower: float | Fraction, upper: float | Fraction, 
     to be told from 0 and 1."""
     least, most = map(Decimal, bound_texts(lower, upper))
     texts = [f"{value:.{n}g}" for n in range(digits, 18)]
-    fitting = (text for text in texts if least <= Decimal(text) <= most and (text in "01") == (value in (0, 1)))
+    fitting = (text for text in texts if least <= Decimal(text) <= most and (text in ("0", "1")) == (value in (0, 1)))
     return next(fitting, texts[-1])
 
 
@@ -266,6 +266,11 @@ def floor_text(bound: float | Fraction, digits: int = 6) -> str:
 def ceiling_text(bound: float | Fraction, digits: int = 6) -> str:
     """An upper bound with this many digits, rounded up."""
     return f"{_in_digits(bound, digits, ROUND_CEILING):f}"
+
+
+def most_text(value: float, digits: int = 3) -> str:
+    """What something is at most, however small: in this many digits, rounded up."""
+    return f"{_in_digits(value, digits, ROUND_CEILING):g}"
 
 
 def bound_texts(lower: float | Fraction, upper: float | Fraction) -> tuple[str, str]:

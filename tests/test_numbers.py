@@ -17,7 +17,7 @@ from stltool.cli.tradeoff import _read_bounds
 from stltool.errors import SettingsError, StlToolError
 from stltool.logic.quantities import duration, quantity
 from stltool.models.grid import grid_from_table
-from stltool.numbers import MOST_DIGITS, NumberError, bound_texts, difference_text, within_text
+from stltool.numbers import MOST_DIGITS, NumberError, bound_texts, difference_text, most_text, within_text
 
 DIGITS = st.text("0123456789", min_size=1, max_size=6)
 DECIMALS = st.builds(
@@ -376,8 +376,15 @@ def test_a_printed_value_lies_between_the_printed_bounds(value, below, above, di
     text = within_text(value, lower, upper, digits)
     least, most = bound_texts(lower, upper)
     assert Fraction(least) <= Fraction(text) <= Fraction(most)
-    if (short := f"{value:.{digits}g}") != text:
+    assert (text in ("0", "1")) == (value in (0, 1))
+    if (short := f"{value:.{digits}g}") != text and short not in ("0", "1"):
         assert not Fraction(least) <= Fraction(short) <= Fraction(most)
+
+
+@given(st.floats(0, 1), st.integers(1, 6))
+def test_what_something_is_at_most_is_rounded_up(value, digits):
+    shown = Fraction(most_text(value, digits))
+    assert Fraction(value) <= shown <= Fraction(value) * (1 + Fraction(10, 10**digits))
 
 
 @pytest.mark.parametrize(

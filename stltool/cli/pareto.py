@@ -12,6 +12,7 @@ from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, Repo
 from stltool.cli.roles import Writes
 from stltool.cli.steps import make_joint_product, this_command
 from stltool.errors import SettingsError
+from stltool.numbers import most_text
 
 
 @app.command("stltool pareto tradeoff.stl --tasks charging,patrolling --plot front.svg")
@@ -68,7 +69,7 @@ def pareto(
     print()
     print_facts({
         "front": f"{front.status}; {front.inductions} backward inductions, {front.seconds:.1f} s",
-        "gap": f"at most {front.gap:.3g} above the segments",
+        "gap": f"at most {most_text(front.gap)} above the segments",
         **({"plot": plot} if plot is not None else {}),
         **({"report": report / "report.html"} if report is not None else {}),
     })  # fmt: skip

@@ -6,7 +6,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from stltool.errors import SettingsError
-from stltool.numbers import NumberError, bound_texts, number_text, read
+from stltool.numbers import NumberError, bound_texts, most_text, number_text, read
 
 if TYPE_CHECKING:
     from stltool.policy import Policy
@@ -56,7 +56,7 @@ def check_range(
     least, greatest = bound_texts(found.least[0], found.greatest[1])
     print_facts({
         "everywhere": f"{least} <= P <= {greatest}",
-        "bounds": f"at most {found.gap:.3g} apart, in {len(found.pieces)} "
+        "bounds": f"at most {most_text(found.gap)} apart, in {len(found.pieces)} "
         f"{'piece' if len(found.pieces) == 1 else 'pieces'}; {found.status}",
         **{claim: _VERDICTS[holds] for claim, holds in verdicts.items()},
     })  # fmt: skip

@@ -22,7 +22,7 @@ from stltool.errors import ArgumentError, FileError
 from stltool.files import MARK, is_data, read_text, require_result, write_result
 from stltool.learning import Guarantee, Training
 from stltool.learning.markov import tested
-from stltool.numbers import bound_texts, difference_text, probability_text, within_text
+from stltool.numbers import bound_texts, difference_text, most_text, probability_text, within_text
 from stltool.product import Product
 from stltool.randomness import require_seed
 from stltool.reporting.data import FORMAT, SWEEP_FORMAT, VERIFY_FORMAT, policy_shown, report_data
@@ -280,7 +280,7 @@ def _templates() -> jinja2.Environment:
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["probability"] = probability_text
-    environment.globals.update(within_text=within_text, difference_text=difference_text)
+    environment.globals.update(within_text=within_text, difference_text=difference_text, most_text=most_text)
     environment.globals.update(natures=NATURES, mark=MARK)
     return environment
 
