@@ -80,6 +80,34 @@ def nearest(w: np.int64, rest: np.int64, behind: int, q: np.int64) -> tuple[floa
 
 
 @kernel
+def long_digits(data: U8, i: int, stop: int, point: int) -> tuple[np.int64, np.int64, int, np.int64, int]:
+    """A number of many digits as (w·10^behind + rest)·10^q, and the byte behind it; −1 if they are too many."""
+    w: np.int64 = np.int64(0)
+    rest: np.int64 = np.int64(0)
+    q: np.int64 = np.int64(0)
+    behind, used, fraction = 0, 0, False
+    while i < stop:
+        digit = np.int64(data[i]) - _ZERO
+        if 0 <= digit <= 9:
+            if used < _DIGITS:
+                w = 10 * w + digit
+                if w > 0:
+                    used += 1
+            elif behind < _DIGITS:
+                rest = 10 * rest + digit
+                behind += 1
+            else:
+                return w, rest, behind, q, -1
+            q -= fraction
+        elif data[i] == point and not fraction:
+            fraction = True
+        else:
+            break
+        i += 1
+    return w, rest, behind, q, i
+
+
+@kernel
 def number(data: U8, i: int, stop: int, point: int) -> tuple[float, int]:
     """The number that begins at i, and the byte behind it; −1 if there is none that is certain."""
     negative = False
@@ -89,26 +117,29 @@ def number(data: U8, i: int, stop: int, point: int) -> tuple[float, int]:
     w: np.int64 = np.int64(0)
     rest: np.int64 = np.int64(0)
     q: np.int64 = np.int64(0)
-    behind, used, digits, fraction = 0, 0, 0, False
-    while i < stop:
-        digit = np.int64(data[i]) - _ZERO
-        if 0 <= digit <= 9:
-            digits += 1
-            if used < _DIGITS:
-                w = 10 * w + digit
-                if w > 0:
-                    used += 1
-            elif behind < _DIGITS:
-                rest = 10 * rest + digit
-                behind += 1
-            else:
-                return 0.0, -1
-            q -= fraction
-        elif data[i] == point and not fraction:
-            fraction = True
-        else:
-            break
+    behind, begin = 0, i
+    while i < stop and 0 <= np.int64(data[i]) - _ZERO <= 9:
+        w = 10 * w + (np.int64(data[i]) - _ZERO)
         i += 1
+    digits = i - begin
+    significant = digits
+    if i < stop and data[i] == point:
+        i += 1
+        first = i
+        if w == 0:
+            while i < stop and data[i] == _ZERO:
+                i += 1
+            significant = first - i
+        while i < stop and 0 <= np.int64(data[i]) - _ZERO <= 9:
+            w = 10 * w + (np.int64(data[i]) - _ZERO)
+            i += 1
+        digits += i - first
+        significant += i - first
+        q = np.int64(first - i)
+    if significant > _DIGITS:
+        w, rest, behind, q, i = long_digits(data, begin, stop, point)
+        if i < 0:
+            return 0.0, -1
     if digits == 0:
         return 0.0, -1
     if i < stop and (data[i] == 69 or data[i] == 101):  # E, e
