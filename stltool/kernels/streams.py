@@ -44,12 +44,12 @@ HEADER = 48
 ROOT = 7  # length of the table of addresses
 
 COALESCED, EACH, STRUCTURE = range(3)  # engines
-ATOM, ATOM_WIDTH = range(6), 6  # an atom: kind, comparator or name, left name or −1, its sign, right name, its sign
+ATOM_WIDTH = 6  # an atom: kind, comparator or name, left name or −1, its sign, right name, its sign
 FIXED, GIVEN_ATOM, LABEL, PLAIN = range(4)
 GREATER, GREATER_EQUAL, LESS, LESS_EQUAL, EQUAL, UNEQUAL = range(6)
 # a node: op, register, operands, time of its first push, of its first value, width, start and length of its ring
 NODE_WIDTH = 9
-NOT, AND, OR, IFF, DELAY, GREATEST, LEAST, UNTIL, SINCE, SINCE_ALWAYS = range(10)
+NOT, AND, OR, IFF, DELAY, GREATEST, LEAST, UNTIL, SINCE = range(9)
 # an instruction: op, operands, a, b, its truth beyond the trace, lower and upper
 OP_WIDTH = 7
 OP_ATOM, OP_NOT, OP_AND, OP_OR, OP_IFF, OP_EVENTUALLY, OP_ALWAYS, OP_UNTIL, OP_ONCE, OP_HISTORICALLY, OP_SINCE = range(
@@ -218,10 +218,6 @@ def run_network(N: I64, F: F64) -> None:
                 F[out] = max(x, y)
             elif op == IFF:
                 F[out] = min(max(0.0 - x, y), max(x, 0.0 - y))
-            elif op == SINCE_ALWAYS:
-                ring = N[RING] + N[node + 7]
-                F[ring] = max(y, min(x, F[ring]))
-                F[out] = F[ring]
 
 
 # ---------------------------------------------------------------------------------------------------------- engines
