@@ -267,18 +267,19 @@ class _Story:
         known = isinstance(phi, Constant | Label | Comparison)
         return Reason(phi, value > 0, where, (), values if known else {})
 
-    def _neighbours(self, phi: Formula, steps: NDArray[np.int64]) -> tuple[int | None, int | None]:
-        """The last step before and the first after `steps` at which φ holds; None if it does at none."""
+    def _neighbours(self, phi: Formula, steps: NDArray[np.int64]) -> tuple[int | None, int | None, tuple[bool, bool]]:
+        """The last step before and the first after `steps` at which φ holds, and whether either is decided."""
         read = {name: self.traces.arrays[name][0] for name in names_of(phi)}
         try:
             verdicts = monitor(phi, read, self.end, "boolean").verdicts
         except TraceError:  # a term without a value somewhere
-            return None, None
+            return None, None, (False, False)
         assert verdicts is not None  # asked for
         before, after = np.flatnonzero(verdicts[: steps[0]]), np.flatnonzero(verdicts[steps[-1] + 1 :])
         return (
             int(before[-1]) if len(before) else None,
             int(steps[-1]) + 1 + int(after[0]) if len(after) else None,
+            (True, len(verdicts) == self.traces.n_steps),
         )
 
 

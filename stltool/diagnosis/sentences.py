@@ -30,6 +30,7 @@ class Reason:
     values       the samples at `steps` of the signals that a label or a comparison reads
     awaited      whether it is the operand of a failed eventually or until: it does not come throughout `steps`
     last, next   if so: the last step before and the first after at which it holds; None if there is none
+    decided      whether the trace decides that there is none before, and none after
     """
 
     formula: Formula
@@ -40,10 +41,11 @@ class Reason:
     awaited: bool = False
     last: int | None = None
     next: int | None = None
+    decided: tuple[bool, bool] = (True, True)
 
-    def between(self, last: int | None, next_: int | None) -> Reason:
+    def between(self, last: int | None, next_: int | None, decided: tuple[bool, bool]) -> Reason:
         """The same, as what did not come."""
-        return replace(self, awaited=True, last=last, next=next_)
+        return replace(self, awaited=True, last=last, next=next_, decided=decided)
 
 
 def ranges_of(steps: NDArray[np.int64]) -> list[tuple[int, int]]:
@@ -110,7 +112,7 @@ def _unwrapped(reason: Reason) -> Reason:
     """Without negations."""
     while isinstance(reason.formula, Not) and reason.parts:
         [inner] = reason.parts
-        reason = inner if not reason.awaited else replace(inner, awaited=True, last=reason.last, next=reason.next)
+        reason = inner if not reason.awaited else inner.between(reason.last, reason.next, reason.decided)
     return reason
 
 
@@ -159,9 +161,16 @@ def _neighbours(reason: Reason, ticks: Ticks | None) -> str:
     word = "true" if isinstance(reason.formula, Label) else "held"
     if reason.holds:  # awaited is its negation
         return ""
-    before = f"last {word} at {time_text(reason.last, ticks)}" if reason.last is not None else f"never {word} before"
-    after = f"next at {time_text(reason.next, ticks)}" if reason.next is not None else "not again"
-    return f"; {before}, {after}, needed by {time_text(int(reason.steps[-1]), ticks)}"
+    told = []
+    if reason.last is not None:
+        told.append(f"last {word} at {time_text(reason.last, ticks)}")
+    elif reason.decided[0]:
+        told.append(f"never {word} before")
+    if reason.next is not None:
+        told.append(f"next at {time_text(reason.next, ticks)}")
+    elif reason.decided[1]:
+        told.append("not again")
+    return "; " + ", ".join([*told, f"needed by {time_text(int(reason.steps[-1]), ticks)}"])
 
 
 def _shown(phi: Formula, text: Text) -> str:

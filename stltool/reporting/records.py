@@ -867,7 +867,7 @@ class ReasonRecord(TypedDict):
     """A sub-formula that has one truth value at some steps, and the operands that decide it there.
 
     `steps` are ranges [first, last]. If the part is the operand of a failed eventually or until, it is `awaited`, and
-    `last` and `next` are the last step before and the first after at which it holds.
+    `last` and `next` are the last step before and the first after at which it holds, as far as the trace decides.
     """
 
     formula: str

@@ -203,6 +203,18 @@ def test_what_several_signals_decide_together():
     assert {name: steps.tolist() for name, steps in guarded.causes.items()} == {"a": [0], "x": []}
 
 
+def test_what_the_trace_does_not_decide_is_not_told():
+    log = {"a": [1, 0, 0, 0, 0, 0], "x": [1.0, 0, 2, 2, 2, 2]}
+    leaf = stl.diagnose(stl.parse("F[0,2] a"), log, 1)
+    assert leaf.sentences[-1].endswith("; last true at 0, not again, needed by 3")
+    windowed = stl.diagnose(stl.parse("F[0,2] G[0,1] a"), log, 1)  # at step 5, G[0,1] a is open
+    assert windowed.sentences[1] == (
+        "  G[0,1] a fails at steps 1 … 3; never held before, needed by 3: a is false at steps 1 and 3"
+    )
+    undefined = stl.diagnose(stl.parse("F[0,1] 1 / x > 3"), log, 2)
+    assert undefined.sentences[0].endswith("with x = 2; needed by 3")
+
+
 def test_comparisons_of_several_steps():
     log = {"x": [0, 1, 5, 6.0], "a": [0, 1, 1, 1]}
     jump = stl.diagnose(stl.parse("G[0,2] (x[t+1] - x[t] <= 1)"), log)
