@@ -203,7 +203,8 @@ class _Exact:
     def over_sum(self, whole: NDArray[np.int64], places: Places, other: Whole, b: Floats) -> Floats:
         """The nearest double of δ = D / (10^K (√A + B)), where D / 10^K = A − B²: √A + B is 2B + δ."""
         difference = _divided(_pair(whole), (_TENS_HIGH[places], _TENS_LOW[places]))
-        high, low = _divided(_pair(other[0].view(np.int64)), (_TENS_HIGH[other[1]], _TENS_LOW[other[1]]))
+        tens = np.minimum(other[1], _MOST_PLACES)  # with more places, B² has, too: unsettled by `difference`
+        high, low = _divided(_pair(other[0].view(np.int64)), (_TENS_HIGH[tens], _TENS_LOW[tens]))
         rough = difference[0] / (2 * high)
         # B itself is needed, not B modulo 2⁶⁴; and √A + B must be known well enough with the rough δ
         self.settled &= (np.abs(high - b) <= 1e-9 * b) & (np.abs(rough) < 2.0**-45 * b)

@@ -150,6 +150,9 @@ def test_only_what_is_missing_or_changed_is_run_again(write, tmp_path):
     (out / spoilt[0]).write_bytes(whole[spoilt[0]][:50])
     (out / spoilt[1]).unlink()
     (out / spoilt[2]).write_text("[]")
+    with pytest.raises(FileError, match="does not contain a run of a sweep that stltool wrote, and would be lost"):
+        stl.run_sweep(sweep, out, workers=1)
+    (out / spoilt[2]).write_bytes(whole[spoilt[2]] + b"]")
     seen = []
     mended = stl.run_sweep(sweep, out, workers=1, progress=seen.append)
     assert (len(seen), mended.skipped) == (3, 5)
