@@ -141,9 +141,11 @@ def train(product: stl.Product, episodes: int, counterfactuals: int, seed: int) 
 
 def train_sb3(product: stl.Product, episodes: int, counterfactuals: int, seed: int) -> stl.Policy:
     """The same with Stable-Baselines3's DQN, whose rollouts store through `_store_transition`."""
+    import torch
     from gymnasium.wrappers import FlattenObservation
     from stable_baselines3 import DQN
 
+    torch.set_num_threads(1)  # so small a network takes several times as long on more
     env = stl.to_gymnasium(product, counterfactuals=max(counterfactuals, 1))
     space = env.observation_space
 
