@@ -140,8 +140,8 @@ MUTATIONS = {
     "plans: the later of equal choices": (
         PLANNING, "total[j] > best[j]", "total[j] >= best[j]", "tests/learning/test_planner.py",
     ),
-    "plans: what is decided is worth what it would be if it were not": (
-        PLANNING, "if verdicts[t, lo + j] == -1:", "if True:", "tests/learning/test_planner.py",
+    "plans: a success counts at the horizon alone": (
+        PLANNING, "row[q] = 1.0 if verdicts[t, q] == 1 else 0.0", "row[q] = 0.0", "tests/learning/test_planner.py",
     ),
     "stationary: half of the branches": (
         "checking/stationary.py", "for alone in (True, False):", "for alone in (True,):",
