@@ -417,6 +417,17 @@ def walk(phi: Formula) -> Iterator[Formula]:
         stack.extend(reversed(children(node)))
 
 
+def distinct(phi: Formula) -> Iterator[Formula]:
+    """Every sub-formula object once, outside in: in formulas composed in Python, objects can be shared."""
+    stack, seen = [phi], set[int]()
+    while stack:
+        node = stack.pop()
+        if id(node) not in seen:
+            seen.add(id(node))
+            yield node
+            stack.extend(reversed(children(node)))
+
+
 def horizon(phi: Formula | Task) -> int:
     """The number of steps after the evaluation step that can affect the truth value (docs/semantics.md §1).
 
@@ -569,7 +580,7 @@ def boolean_value(phi: Formula, value: Callable[[Formula], bool | None]) -> bool
 def variables(phi: Formula) -> dict[str, Span | None]:
     """The real-valued signals the formula reads, each with its first position in the text."""
     found: dict[str, Span | None] = {}
-    for node in walk(phi):
+    for node in distinct(phi):
         if isinstance(node, Comparison):
             for variable in term_variables(node.left) + term_variables(node.right):
                 found.setdefault(variable.name, variable.span)
@@ -584,7 +595,7 @@ def delay(phi: Comparison) -> int:
 def label_names(phi: Formula) -> dict[str, Span | None]:
     """The Boolean labels the formula reads, each with its first position in the text."""
     found: dict[str, Span | None] = {}
-    for node in walk(phi):
+    for node in distinct(phi):
         if isinstance(node, Label):
             found.setdefault(node.name, node.span)
     return found

@@ -29,10 +29,10 @@ from stltool.logic.formula import (
     Variable,
     children,
     delay,
+    distinct,
     label_names,
     term_variables,
     variables,
-    walk,
     with_children,
 )
 
@@ -76,7 +76,7 @@ def _with_variables(term: Term, new: Callable[[Variable], Variable]) -> Term:
 
 def has_delays(phi: Formula) -> bool:
     """Whether a comparison of the formula reads earlier steps."""
-    return any(isinstance(node, Comparison) and delay(node) for node in walk(phi))
+    return any(isinstance(node, Comparison) and delay(node) for node in distinct(phi))
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,7 @@ def delayed(phi: Formula, once: bool = False) -> Delayed:
             return once and node.interval.a == node.interval.b and node.interval.a > 0
         return (isinstance(node, Comparison) and delay(node) > 0) or reads_ahead(node)
 
-    if not any(reads_back(node) for node in walk(phi)):
+    if not any(reads_back(node) for node in distinct(phi)):
         return Delayed(phi, {}, {})
     taken = {*variables(phi), *label_names(phi)}
     names: dict[str | tuple[str, int], str] = {}
@@ -157,9 +157,17 @@ def reads_ahead(phi: Formula) -> bool:
 
 
 def replaced(phi: Formula, which: Callable[[Formula], bool], new: Callable[[Formula], Formula]) -> Formula:
-    """φ with some sub-formulas replaced, outside in; the rest stays the same objects."""
-    if which(phi):
-        return new(phi)
-    below = children(phi)
-    after = tuple(replaced(child, which, new) for child in below)
-    return phi if all(a is b for a, b in zip(below, after, strict=True)) else with_children(phi, after)
+    """φ with some sub-formulas replaced, outside in; the rest stays the same objects, and shared ones stay shared."""
+    known: dict[int, Formula] = {}
+
+    def visit(node: Formula) -> Formula:
+        if id(node) not in known:
+            known[id(node)] = new(node) if which(node) else below(node)
+        return known[id(node)]
+
+    def below(node: Formula) -> Formula:
+        before = children(node)
+        after = tuple(map(visit, before))
+        return node if all(a is b for a, b in zip(before, after, strict=True)) else with_children(node, after)
+
+    return visit(phi)

@@ -34,7 +34,6 @@ from stltool.logic.formula import (
     Variable,
     delay,
     term_variables,
-    walk,
 )
 from stltool.logic.names import written
 from stltool.logic.shifts import reads_ahead, replaced, with_variables
@@ -63,7 +62,7 @@ def by_values(phi: Formula, signals: Mapping[str, Reals]) -> tuple[Formula, list
     `signals` contain an array (n_states,) for each name that such comparisons read. Raises SizeError if there are too
     many combinations of values.
     """
-    if not any(isinstance(node, Comparison) and delay(node) for node in walk(phi)):
+    if not any(isinstance(node, Comparison) and delay(node) for node in distinct(phi)):
         return phi, []
     found: list[Cases] = []
 
