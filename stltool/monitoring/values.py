@@ -33,6 +33,7 @@ from stltool.logic.formula import (
     Term,
     Variable,
     delay,
+    distinct,
     term_variables,
 )
 from stltool.logic.names import written
