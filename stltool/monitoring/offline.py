@@ -217,15 +217,16 @@ def judge(formula: Formula, traces: Traces, end: End, truth: bool, margins: bool
 
 
 def prepare(
-    phi: Formula | Task, signals: Mapping[str, ArrayLike], end: End, caller: str
+    phi: Formula | Task, signals: Mapping[str, ArrayLike], end: End, caller: str, once: bool = True
 ) -> tuple[Formula, Traces, int]:
     """The formula as it is judged, the traces it reads, and the number of their steps that were added to hold the last.
 
+    `once`: once[k,k] of a comparison becomes one of earlier samples, for what computes no sum over operators.
     Raises what `monitor` raises, except for faults of single samples.
     """
     given = formula_of(phi, f"{caller}'s formula")
     mapping(signals, f"{caller}'s signals", oracle.SIGNALS)
-    made, program = compile_delayed(given)
+    made, program = compile_delayed(given, once)
     formula = made.formula
     one_of(end, "end", get_args(End))
     if end == "error" and program.horizon is None:

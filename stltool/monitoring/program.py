@@ -104,9 +104,9 @@ def compile_formula(phi: Formula) -> Program:
     return _compile(_Same(phi))
 
 
-def compile_delayed(phi: Formula) -> tuple[Delayed, Program]:
-    """A formula that may read earlier samples as the monitors read it, and its program; kept likewise."""
-    return _compile_delayed(_Same(phi))
+def compile_delayed(phi: Formula, once: bool = True) -> tuple[Delayed, Program]:
+    """A formula that may read earlier samples as the monitors read it (`delayed`), and its program; kept likewise."""
+    return _compile_delayed(_Same(phi), once)
 
 
 class _Same:
@@ -125,8 +125,8 @@ class _Same:
 
 
 @lru_cache(maxsize=8)
-def _compile_delayed(key: _Same) -> tuple[Delayed, Program]:
-    made = delayed(key.phi, once=True)
+def _compile_delayed(key: _Same, once: bool) -> tuple[Delayed, Program]:
+    made = delayed(key.phi, once=once)
     return made, compile_formula(made.formula)
 
 

@@ -84,7 +84,7 @@ def smooth_robustness(
     """
     if not 1e-100 <= (beta := float(real(beta, "beta", "10"))) <= 1e100:
         raise SettingsError(f"beta is {beta!r}; it must be a number from 1e-100 to 1e100")
-    formula, traces, beyond = prepare(phi, signals, end, "smooth_robustness")
+    formula, traces, beyond = prepare(phi, signals, end, "smooth_robustness", once=False)
     h = traces.program.horizon
     if h is None and end == "hold":
         raise SettingsError(

@@ -614,7 +614,9 @@ def test_a_certificate_replaces_no_other_file(tmp_path, patrolling):
     (tmp_path / "r.json").write_text('{"format": "stltool-report-1"}\n')
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     for path in before:
-        with pytest.raises(FileError, match="this file does not contain a certificate, and would be lost"):
+        with pytest.raises(
+            FileError, match="this file does not contain a certificate that stltool wrote, and would be lost"
+        ):
             stl.write_certificate(result, path)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
     for name in ("c", "c.json", "c.jsonl.gz"):  # any name; an old certificate makes way for a new one

@@ -69,14 +69,14 @@ def test_learning_and_judging_take_as_many_as_there_are():
     labels = {"goal": {15}, "hole": {5, 7, 11, 12}}
     model = stl.from_gymnasium(gymnasium.make_vec("FrozenLake-v1", 8), labels)
     product = stl.build_product(model, stl.parse("!hole U[0,12] goal"))
-    run = stl.learn(product, "model-based", episodes=48, evaluate_every=48)
+    run = stl.learn(product, "model-based", episodes=200, evaluate_every=200)
     assert run.counts.visits.sum() == run.environment_steps
     known = stl.build_product(stl.from_gymnasium(gymnasium.make("FrozenLake-v1"), labels), product.formula)
     exact = stl.check(known, stl.Policy(known, run.policy.form)).probability
     assert exact > 0.1 * stl.check(known).probability
     found = stl.estimate(product, run.policy, runs=400, confidence=0.999999)
     assert found.lower <= exact <= found.upper
-    again = stl.learn(product, "model-based", episodes=48, evaluate_every=48)
+    again = stl.learn(product, "model-based", episodes=200, evaluate_every=200)
     assert (again.counts.seen == run.counts.seen).all()
 
 

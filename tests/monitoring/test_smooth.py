@@ -241,5 +241,6 @@ def test_the_past_is_the_future_of_the_reversed_trace(a, width, beta, seed):
                 stl.smooth_robustness(ahead, mirrored, beta, "cut"),
             )
             assert np.array_equal(found.values, wanted.values[::-1])
-            assert np.array_equal(found.lower, wanted.lower[::-1])
-            assert np.array_equal(found.upper, wanted.upper[::-1])
+            # bounds also hold what rounding can do, which depends on the order of the operations
+            assert np.allclose(found.lower, wanted.lower[::-1], rtol=0, atol=1e-9)
+            assert np.allclose(found.upper, wanted.upper[::-1], rtol=0, atol=1e-9)
