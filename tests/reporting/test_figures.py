@@ -253,7 +253,7 @@ def test_a_monitored_trace():
     task = stl.Task("formula", stl.parse("(F[0,4] x > 0.5) & (abs(y - 0.5) < 0.4 | F[0,3] door)"))
     result = stl.monitor(task, signals)
     picture = Picture(monitored(result, signals, task, "svg"))
-    x, y, labels, robustness, verdict = picture.panels
+    x, y, labels, parts, robustness, verdict = picture.panels
     steps = np.arange(n)
     for panel, name in ((x, "x"), (y, "y")):
         same(panel.shapes("signal")[0], points(steps, signals[name]), panel)
@@ -265,6 +265,12 @@ def test_a_monitored_trace():
     inside = abs(signals["y"] - 0.5) < 0.4
     for panel, truth in ((x, signals["x"] > 0.5), (y, inside), (labels, signals["door"])):
         assert steps_of(panel, "every") == steps_of(panel, "some") == np.flatnonzero(truth).tolist()
+    ahead = np.lib.stride_tricks.sliding_window_view
+    some_x, some_door = ahead(signals["x"] > 0.5, 5).any(axis=1), ahead(signals["door"], 4).any(axis=1)
+    for i, truth in enumerate((some_x, inside[: len(some_door)] | some_door, some_door)):
+        assert steps_of(parts, f"true-{i}") == np.flatnonzero(truth).tolist()
+        assert steps_of(parts, f"false-{i}") == np.flatnonzero(~truth).tolist()
+        assert steps_of(parts, f"open-{i}") == list(range(len(truth), n))
     for name, truth in (("holds", result.verdicts), ("violated", ~result.verdicts)):
         assert steps_of(verdict, name) == np.flatnonzero(truth).tolist()
     assert steps_of(verdict, "unjudged") == list(range(len(result.verdicts), n))
