@@ -136,7 +136,10 @@ def _outer(phi: Formula) -> tuple[str, Interval, Formula]:
 
 
 class _Histories:
-    """Truth at a position of every full history; each (φ, k) is computed once."""
+    """Truth at a position of every full history; each (φ, k) is computed once.
+
+    It is found again by the object φ, so only parts of the formula itself are asked for, which live on.
+    """
 
     def __init__(self, atoms: dict[Formula, list[_Truth]], n: int) -> None:
         self._atoms, self._n = atoms, n
@@ -175,7 +178,12 @@ class _Histories:
                     so_far &= self.truth(left, k + u)
                 return result
             case Release(interval, left, right):
-                return ~self.truth(Until(interval, Not(left), Not(right)), k)
+                result, unreleased = np.ones((2, self._n), dtype=np.bool_)
+                for u in range(interval.last + 1):
+                    if u >= interval.a:
+                        result &= ~unreleased | self.truth(right, k + u)
+                    unreleased &= ~self.truth(left, k + u)
+                return result
             case Once() | Historically() | Since() | Trigger() | Rise():
                 raise AssertionError("histories of formulas of the past are refused")
             case Label() | Comparison():

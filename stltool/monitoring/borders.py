@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.logic.formula import Arithmetic, Call, Comparison, Negate, Number, Term, Variable
-from stltool.monitoring.doubles import bounded
+from stltool.monitoring.doubles import bounded, short_decimals
 from stltool.numbers import shortest
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -34,7 +34,6 @@ Places: TypeAlias = "NDArray[np.int64] | np.int64"
 Whole: TypeAlias = tuple[Words, Places]  # m modulo 2⁶⁴, and k
 Pair: TypeAlias = tuple[Floats, Floats]  # the sum of two doubles
 
-_SCALES = (0, 1, 2, 3, 4, 5, 6, 8, 10)  # decimal places that a whole column may have
 _MOST_PLACES = 44  # 10^44 is the sum of two doubles
 _LARGEST_POWER = 8
 _COMPILED_FROM = 2000  # samples; for fewer, printing each is quicker than loading a compiled kernel
@@ -119,9 +118,8 @@ class _Exact:
         self._given = {name: self._column(values) for name, values in columns.items()}
 
     def _column(self, values: Floats) -> Whole:
-        for k in _SCALES:
-            if _with_places(values[:100], k) is not None and (whole := _with_places(values, k)) is not None:
-                return whole.view(np.uint64), np.int64(k)
+        if (short := short_decimals(values)) is not None:
+            return short[0].view(np.uint64), np.int64(short[1])
         if len(values) < _COMPILED_FROM:
             found = [_constant(value) if np.isfinite(value) else None for value in values.tolist()]
             words = np.array([0 if one is None else one[0] for one in found], dtype=np.uint64)
@@ -216,14 +214,6 @@ class _Exact:
         result = high + (low - room)
         self.settled &= result == high + (low + room)
         return result + 0.0
-
-
-def _with_places(values: Floats, k: int) -> NDArray[np.int64] | None:
-    """values · 10^k if each is a decimal of k places and at most 15 digits: it then is what the value prints as."""
-    whole = np.rint(values * 10.0**k)
-    if not (whole / 10.0**k == values).all() or max(-whole.min(), whole.max()) >= 1e15:
-        return None
-    return whole.astype(np.int64)
 
 
 # ------------------------------------------------------------------------- sums of two doubles [Dekker71]

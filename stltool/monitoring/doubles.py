@@ -31,6 +31,7 @@ UNIT = 2.0**-53
 TINY = 1e-322  # covers losses by underflow
 WIDER = 1.25  # covers the rounding of the bounds themselves
 _LARGEST_EXPONENT = 1000.0
+_PLACES = (0, 1, 2, 3, 4, 5, 6, 8, 10)  # that the decimals of a whole column may have
 
 
 def bounded(term: Term, columns: Mapping[str, Floats]) -> Bounded:
@@ -104,3 +105,21 @@ def _constant_value(term: Term) -> float | None:
         inner = _constant_value(term.arg)
         return None if inner is None else -inner
     return None
+
+
+def short_decimals(values: Floats) -> tuple[NDArray[np.int64], int] | None:
+    """Whole numbers m and k with m / 10^k the decimals that the values print as, if k is small; None otherwise.
+
+    A decimal of at most 15 digits that reads as a double is what the double prints as.
+    """
+    for k in _PLACES:
+        if _with_places(values[:100], k) is not None and (whole := _with_places(values, k)) is not None:
+            return whole, k
+    return None
+
+
+def _with_places(values: Floats, k: int) -> NDArray[np.int64] | None:
+    whole = np.rint(values * 10.0**k)
+    if not (whole / 10.0**k == values).all() or max(-whole.min(), whole.max()) >= 1e15:
+        return None
+    return whole.astype(np.int64)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from fractions import Fraction
 from typing import Any
 
 from stltool.display import NATURES
@@ -69,10 +70,10 @@ def one_in(p: float) -> str:
     if _RARE < p < 1 - _RARE:
         percent = f"{100 * (1 - p):.3g} % of runs fail"
         return percent if percent.startswith(f"{100 * (1 - p):.12g} ") else f"about {percent}"
-    n = 1 / min(p, 1 - p)
-    rounded = round(n, 1 - math.floor(math.log10(n)))
+    n = round(1 / Fraction(min(p, 1 - p)))
+    rounded = round(n, 2 - len(str(n)))
     what = "fails" if p > _RARE else "succeeds"
-    return f"about one run in {rounded:,.0f} {what}".replace(",", "\u202f")
+    return f"about one run in {rounded:,} {what}".replace(",", "\u202f")
 
 
 def _whose(shown: Mapping[str, Any], learned: bool) -> str:

@@ -1,5 +1,7 @@
 """The specification: the first decided verdict equals the truth of the formula at 0, for every trace."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -39,6 +41,22 @@ def compiled(phi, encoding="exact"):
         return stl.compile_automaton(phi, encoding, memory_limit=2_000_000, most_states=3_000)
     except SizeError:
         return None
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "(a release[0,0] a) <-> (a release[0,0] !a)",
+        "(a release[0,2] b) & (b release[1,2] a | !(a release[0,1] c))",
+    ],
+)
+def test_parts_of_release_do_not_take_one_anothers_place(text):
+    """Histories know the parts of a formula by their objects."""
+    phi = stl.parse(text)
+    automaton = compiled(phi, "history")
+    for row in itertools.product((False, True), repeat=9):
+        trace = {"a": np.array(row[:3]), "b": np.array(row[3:6]), "c": np.array(row[6:])}
+        assert judge(automaton, trace)[0] == stl.satisfies(phi, trace)
 
 
 @pytest.mark.parametrize("encoding", EXACT)

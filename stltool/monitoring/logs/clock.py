@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from stltool.errors import NameLookupError, SettingsError, TraceError, near_misses
 from stltool.logic.quantities import Duration
+from stltool.monitoring.doubles import short_decimals
 from stltool.monitoring.logs.recording import SHORTER, Recording, Signals, option
 from stltool.sizes import require_memory
 
@@ -340,7 +341,10 @@ class _Grid:
 
 
 def _seconds(times: NDArray[Any]) -> Reals:
-    """Seconds since the first time."""
+    """Seconds since the first time, of the decimals that the times are written as."""
+    if times.dtype.kind == "f" and (short := short_decimals(times.astype(np.float64))) is not None:
+        whole, places = short
+        return cast(Reals, (whole - whole[0]) / 10.0**places)
     since = times - times[0] if times.dtype.kind != "u" else times.astype(np.float64) - float(times[0])
     if since.dtype.kind == "m":
         return cast(Reals, since.astype("m8[ns]").astype(np.int64) / 1e9)
