@@ -1,8 +1,8 @@
-"""The cells of a CSV file's bytes: numbers to the nearest double, truth values, missing cells (monitoring/logs/csv.py).
+"""The cells of a CSV file's bytes (monitoring/logs/text.py): numbers to the nearest double, truth values, missing ones.
 
 A decimal is w·10^q with w < 10^36. Both factors are sums of two doubles, hi + lo, within 2^-105, and so is their
 product v: r = hi + lo rounded is the double nearest to the decimal unless a change of v by 2^-99 |v| would change r
-(Dekker 1971 for the products; the test is Ziv's). Such decimals, about one in 10^13 and the exact halves, and those far
+([Dekker71] for the products; the test is Ziv's). Such decimals, about one in 10^13 and the exact halves, and those far
 from 1 are left to Python, like every cell that is not a plain number.
 """
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.kernels.jit import kernel
+from stltool.kernels.twofold import product
 
 U8: TypeAlias = NDArray[np.uint8]
 I8: TypeAlias = NDArray[np.int8]
@@ -27,7 +28,6 @@ DONE, UNLIKE, FULL = 0, 1, 2  # how reading ended: all rows; lines that are not 
 _QUOTE, _LF, _CR, _SPACE, _TAB, _PLUS, _MINUS, _ZERO = 34, 10, 13, 32, 9, 43, 45, 48
 _FAR = 290
 _DIGITS = 18  # of each half of w
-_SPLIT = 134217729.0  # 2^27 + 1
 _DOUBT = 2.0**-99
 
 
@@ -38,19 +38,6 @@ def _powers() -> tuple[F64, F64]:
 
 
 _HIGH, _LOW = _powers()
-
-
-@kernel
-def product(a: float, b: float) -> tuple[float, float]:
-    """a·b as a sum of two doubles, exactly, if nothing over- or underflows."""
-    p = a * b
-    c = _SPLIT * a
-    ah = c - (c - a)
-    al = a - ah
-    c = _SPLIT * b
-    bh = c - (c - b)
-    bl = b - bh
-    return p, ((ah * bh - p) + ah * bl + al * bh) + al * bl
 
 
 @kernel

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.kernels.jit import kernel
+from stltool.kernels.twofold import product
 
 F64: TypeAlias = NDArray[np.float64]
 I64: TypeAlias = NDArray[np.int64]
@@ -55,10 +56,9 @@ def decimals(x: F64, powers: F64, exponents: I64, m: I64, places: I64) -> None:
             continue
         half = math.ldexp(1.0, exponent - 54)  # of a unit in the last place of a
         for k in range(15 - e, 17 - e):
-            product = a * powers[k]
-            error = _product_error(a, powers[k], product)
-            low = math.floor(product)
-            rest = (product - low) + error
+            high, error = product(a, powers[k])
+            low = math.floor(high)
+            rest = (high - low) + error
             nearest = math.floor(rest + 0.5)
             distance = abs(nearest - rest)
             room = half * powers[k]
@@ -68,15 +68,3 @@ def decimals(x: F64, powers: F64, exponents: I64, m: I64, places: I64) -> None:
                 found = np.int64(low) + np.int64(nearest)
                 m[i], places[i] = (found if x[i] > 0 else -found), k
                 break
-
-
-@kernel
-def _product_error(a: float, b: float, product: float) -> float:
-    """a·b − product, exactly, for factors whose parts do not leave the range of doubles."""
-    c = 134217729.0 * a
-    a_high = c - (c - a)
-    a_low = a - a_high
-    c = 134217729.0 * b
-    b_high = c - (c - b)
-    b_low = b - b_high
-    return ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low

@@ -157,9 +157,7 @@ class _Exact:
                 return (a + b if op == "+" else a - b), places
             case Call("abs", (arg,)):
                 return self._larger(arg, Negate(arg))
-            case Call(function, (first, *rest)):
-                if not rest:
-                    return self.whole(first)
+            case Call(function, (first, *rest)):  # min and max have two arguments at least
                 others = Call(function, tuple(rest)) if len(rest) > 1 else rest[0]
                 if function == "max":
                     return self._larger(first, others)
