@@ -7,12 +7,14 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Literal, cast
+from typing import IO, TYPE_CHECKING, Literal, cast
 
 import typer
 
 from stltool.errors import FileError, SettingsError
-from stltool.logic.task import Task
+
+if TYPE_CHECKING:
+    from stltool.logic.task import Task
 
 
 def follow(task: Task, trace: Path, end: str, at: int | None, every: bool, decimal: str, time: str | None) -> None:
