@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,8 @@ from numpy.typing import NDArray
 from stltool.automata.automaton import UNDECIDED, TaskAutomaton
 from stltool.automata.compile import all_valuations, atoms_of, compile_automaton
 from stltool.errors import SizeError
-from stltool.logic.formula import Comparison, Formula, Label, boolean_value, walk
+from stltool.logic.feasible import leaves, tabulated
+from stltool.logic.formula import Formula
 
 _MOST_VISITED = 500_000
 
@@ -32,14 +32,10 @@ def with_formula(automaton: TaskAutomaton) -> Disagreement | None:
     Only valuations that the automaton accepts occur: with a model, those of its states. Without one, comparisons are
     treated as independent of each other. Raises SizeError if the search would be too large.
     """
-    leaves = list(dict.fromkeys(n for n in walk(automaton.formula) if isinstance(n, Label | Comparison)))
-    valuations = all_valuations(len(leaves))
-
-    def truths(psis: Sequence[Formula]) -> NDArray[np.bool_]:
-        known: list[dict[Formula, bool]] = [dict(zip(leaves, row, strict=True)) for row in valuations.tolist()]
-        return np.array([[boolean_value(psi, row.get) for psi in psis] for row in known], dtype=np.bool_)
-
-    truth, exact_truth = truths(automaton.atoms), truths(atoms_of(automaton.formula))
+    read = leaves(automaton.formula)
+    valuations = all_valuations(len(read))
+    truth = tabulated(automaton.atoms, read, valuations)
+    exact_truth = tabulated(atoms_of(automaton.formula), read, valuations)
     occurring = {row.tobytes() for row in automaton.valuations}
     possible = np.array([row.tobytes() in occurring for row in truth])
     valuations, truth, exact_truth = valuations[possible], truth[possible], exact_truth[possible]
@@ -50,7 +46,7 @@ def with_formula(automaton: TaskAutomaton) -> Disagreement | None:
         return None
     judged = exact.judge(letters[trace].tolist())
     assert judged is not None
-    steps: list[dict[Formula, bool]] = [dict(zip(leaves, row, strict=True)) for row in valuations[trace].tolist()]
+    steps: list[dict[Formula, bool]] = [dict(zip(read, row, strict=True)) for row in valuations[trace].tolist()]
     return Disagreement(tuple(steps), not judged[0], judged[0])
 
 

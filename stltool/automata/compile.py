@@ -18,7 +18,8 @@ from stltool.automata.history import history_automaton
 from stltool.automata.residuals import Residuals
 from stltool.automata.windows import window_automaton
 from stltool.errors import FragmentError, InexactEncodingWarning, SettingsError, SizeError
-from stltool.logic.formula import Formula, atoms, boolean_value, bounded_formula_of
+from stltool.logic.feasible import tabulated
+from stltool.logic.formula import Formula, atoms, bounded_formula_of
 from stltool.logic.fragment import Fragment, check_fragment
 from stltool.logic.shifts import delayed
 from stltool.logic.task import Task
@@ -103,8 +104,7 @@ def _exact(phi: Formula, valuations: NDArray[np.bool_], most_states: int, memory
     except SizeError as refusal:
         found, size = refusal, most_states + 1
     if flags is not None and math.prod(part.tau + 1 for part in flags.parts) < size:
-        known: list[dict[Formula, bool]] = [dict(zip(table.atoms, row, strict=True)) for row in valuations.tolist()]
-        truth = np.array([[boolean_value(part.psi, row.get) for part in flags.parts] for row in known], dtype=np.bool_)
+        truth = tabulated([part.psi for part in flags.parts], table.atoms, valuations)
         with contextlib.suppress(SizeError):  # the error of the first attempt has the remedies
             flagged = flag_automaton(phi, flags, truth, "exact", memory_limit)
             return dataclasses.replace(flagged, atoms=table.atoms, valuations=valuations)

@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 
 from stltool.automata.automaton import FALSE, TRUE, UNDECIDED
 from stltool.automata.compile import compile_automaton
-from stltool.diagnosis.knowledge import Knowledge, Known, agreeing, names_of, one_sided, tabulated, truth_along
+from stltool.diagnosis.knowledge import Knowledge, Known, agreeing, names_of, one_sided, truth_along
 from stltool.diagnosis.sheet import Sheet
 from stltool.errors import FragmentError, SizeError
-from stltool.logic.feasible import feasible_valuations, leaves, realised
+from stltool.logic.feasible import feasible_valuations, leaves, realised, tabulated
 from stltool.logic.formula import Eventually, Formula, Interval, atoms
 from stltool.monitoring.kleene import Kleene, skeleton
 

@@ -14,21 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.logic.feasible import feasible_valuations, leaves
-from stltool.logic.formula import (
-    Constant,
-    Formula,
-    Iff,
-    Implies,
-    Not,
-    Rise,
-    atoms,
-    boolean_value,
-    children,
-    is_temporal,
-    label_names,
-    variables,
-)
+from stltool.logic.feasible import feasible_valuations, leaves, tabulated
+from stltool.logic.formula import Formula, atoms, label_names, variables
+from stltool.logic.occurrences import polarities
 from stltool.monitoring.blocks import Block, Machine
 from stltool.monitoring.kleene import Trits
 from stltool.monitoring.program import compile_formula
@@ -53,12 +41,6 @@ def truth_along(phi: Formula, block: Block) -> Trits:
         columns = dict(block.columns)
     found = Machine(compile_formula(phi), margins=False).run(Block(columns, 1, block.steps))[0][0]
     return np.where(found, np.int8(1), np.int8(-1)) if found.dtype == np.bool_ else found.copy()
-
-
-def tabulated(psis: Sequence[Formula], read: Sequence[Formula], rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(n_rows, n_psis): the truth of formulas under assignments of what they read."""
-    assigned = [dict(zip(read, row, strict=True)).get for row in rows.tolist()]
-    return np.array([[boolean_value(psi, row) for psi in psis] for row in assigned], dtype=np.bool_)
 
 
 def agreeing(rows: NDArray[np.bool_], needs: Sequence[int], truth: Trits, mask: int) -> NDArray[np.bool_]:
@@ -148,24 +130,10 @@ def one_sided(phi: Formula) -> bool:
     Each atom must occur in one polarity. If atoms share signals, then for whatever is known of these, one assignment
     that can occur must be the worst for all of the atoms, and one the best.
     """
-    signs: dict[Formula, set[int]] = {}
-    _collect_signs(phi, 1, signs)
-    if any(len(found) > 1 or 0 in found for found in signs.values()):
+    signs = polarities(phi)
+    if 0 in signs.values():
         return False
-    single = {psi: min(found) for psi, found in signs.items()}
-    return all(_has_extremes({psi: single[psi] for psi in group}) for group in _sharing(tuple(signs)))
-
-
-def _collect_signs(phi: Formula, sign: int, signs: dict[Formula, set[int]]) -> None:
-    """The polarities of every atom; 0 under an equivalence."""
-    if isinstance(phi, Not):
-        _collect_signs(phi.arg, -sign, signs)
-    elif is_temporal(phi):
-        for i, child in enumerate(children(phi)):
-            below = 0 if isinstance(phi, Iff | Rise) else -sign if isinstance(phi, Implies) and i == 0 else sign
-            _collect_signs(child, below, signs)
-    elif not isinstance(phi, Constant):
-        signs.setdefault(phi, set()).add(sign)
+    return all(_has_extremes({psi: signs[psi] for psi in group}) for group in _sharing(tuple(signs)))
 
 
 def _sharing(psis: tuple[Formula, ...]) -> list[list[Formula]]:

@@ -21,7 +21,19 @@ from typing import TypeAlias, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.logic.formula import Arithmetic, Call, Comparison, Formula, Label, Negate, Number, Term, Variable, walk
+from stltool.logic.formula import (
+    Arithmetic,
+    Call,
+    Comparison,
+    Formula,
+    Label,
+    Negate,
+    Number,
+    Term,
+    Variable,
+    boolean_value,
+    walk,
+)
 from stltool.logic.printer import term_text
 from stltool.logic.rewrite import MIRROR
 from stltool.logic.semantics import CALL, COMPARE, COMPUTE, Real, exact
@@ -59,6 +71,13 @@ def feasible_valuations(read: Sequence[Formula], most: int) -> tuple[NDArray[np.
     result = np.unique(result, axis=0)
     holding = result.sum(axis=1)
     return result[np.argsort(np.minimum(holding, len(read) - holding), kind="stable")], complete
+
+
+def tabulated(psis: Sequence[Formula], read: Sequence[Formula], rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(n_rows, n_psis): the truth of formulas under assignments of what they read."""
+    assigned = [dict(zip(read, row, strict=True)).get for row in rows.tolist()]
+    truths = [[boolean_value(psi, row) for psi in psis] for row in assigned]
+    return np.array(truths, dtype=np.bool_).reshape(len(rows), len(psis))
 
 
 def _groups(read: Sequence[Formula]) -> list[tuple[list[int], NDArray[np.bool_]]]:

@@ -5,7 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from stltool.logic.formula import Formula, Iff, Implies, Not, Rise, children, with_children
+from stltool.logic.formula import (
+    Constant,
+    Formula,
+    Iff,
+    Implies,
+    Not,
+    Rise,
+    atoms,
+    children,
+    is_temporal,
+    with_children,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +60,23 @@ def _sign(phi: Formula, operand: int) -> int:
     if isinstance(phi, Iff | Rise):
         return 0
     return -1 if isinstance(phi, Not) or (isinstance(phi, Implies) and operand == 0) else 1
+
+
+def polarities(phi: Formula) -> dict[Formula, int]:
+    """The polarity of each of φ's `atoms`, in their order: 1 or −1 if all its occurrences have it, else 0."""
+    found: dict[Formula, set[int]] = {atom: set() for atom in atoms(phi)}
+    stack: list[tuple[Formula, int]] = [(phi, 1)]
+    seen: set[tuple[int, int]] = set()  # shared operands are visited once for each sign
+    while stack:
+        node, sign = stack.pop()
+        if (id(node), sign) in seen:
+            continue
+        seen.add((id(node), sign))
+        if isinstance(node, Not) or is_temporal(node):
+            stack += [(child, sign * _sign(node, i)) for i, child in enumerate(children(node))]
+        elif not isinstance(node, Constant):
+            found[node].add(sign)
+    return {atom: next(iter(signs)) if len(signs) == 1 else 0 for atom, signs in found.items()}
 
 
 def with_replaced(phi: Formula, path: Sequence[int], new: Formula) -> Formula:

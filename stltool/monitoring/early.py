@@ -28,21 +28,9 @@ from numpy.typing import NDArray
 from stltool.automata.automaton import FALSE, UNDECIDED, TaskAutomaton
 from stltool.automata.compile import compile_automaton
 from stltool.errors import SizeError
-from stltool.logic.feasible import feasible_valuations, leaves, realised
-from stltool.logic.formula import (
-    LARGEST_BOUND,
-    Constant,
-    Formula,
-    Iff,
-    Implies,
-    Not,
-    Rise,
-    atoms,
-    boolean_value,
-    children,
-    has_past,
-    horizon,
-)
+from stltool.logic.feasible import feasible_valuations, leaves, realised, tabulated
+from stltool.logic.formula import LARGEST_BOUND, Formula, atoms, has_past, horizon
+from stltool.logic.occurrences import polarities
 
 Ints: TypeAlias = NDArray[np.int64]
 
@@ -95,10 +83,7 @@ def engine_of(phi: Formula, related: bool = False) -> Engine:
     """
     read = leaves(phi)
     valuations, complete = feasible_valuations(read, _MOST_VALUATIONS)
-    known = [dict(zip(read, row, strict=True)) for row in valuations.tolist()] if complete else []
-    asked = atoms(phi)
-    truths = np.array([[boolean_value(atom, row.get) for atom in asked] for row in known], dtype=np.bool_)
-    truths = truths.reshape(len(known), len(asked))
+    truths = tabulated(atoms(phi), read, valuations if complete else valuations[:0])
     why = f"the formula has {len(read)} labels and comparisons, over {MOST_LEAVES}"
     if has_past(phi):
         why = "the formula looks back"
@@ -113,7 +98,7 @@ def engine_of(phi: Formula, related: bool = False) -> Engine:
         if engine is not None:
             return engine
         why = "the automaton of the formula is too large"
-    exact = complete and not related and realised(read) and _extremes_meet(phi, asked, truths)
+    exact = complete and not related and realised(read) and _extremes_meet(phi, truths)
     why += "; " + (
         "every predicate occurs in one polarity"
         if exact
@@ -212,23 +197,9 @@ def _decided_from(automaton: TaskAutomaton, runs: Sequence[tuple[int, int, Ints]
     return None if (first <= last_open).any() else (first, outcome)
 
 
-def _extremes_meet(phi: Formula, asked: Sequence[Formula], truths: NDArray[np.bool_]) -> bool:
+def _extremes_meet(phi: Formula, truths: NDArray[np.bool_]) -> bool:
     """Whether every atom occurs in one polarity, and all can be at their worst at once, and at their best."""
-    signs: dict[Formula, set[bool]] = {atom: set() for atom in asked}
-    stack = [(phi, True)]
-    while stack:
-        node, sign = stack.pop()
-        if node in signs:
-            signs[node].add(sign)
-        elif isinstance(node, Not):
-            stack.append((node.arg, not sign))
-        elif isinstance(node, Implies):
-            stack += [(node.left, not sign), (node.right, sign)]
-        elif isinstance(node, Iff | Rise):
-            stack += [(child, either) for child in children(node) for either in (True, False)]
-        elif not isinstance(node, Constant):
-            stack += [(child, sign) for child in children(node)]
-    if any(len(found) != 1 for found in signs.values()):
-        return False
-    best = np.array([found == {True} for found in signs.values()], dtype=np.bool_)
-    return bool((truths == best).all(axis=1).any() and (truths == ~best).all(axis=1).any())
+    signs = np.array(list(polarities(phi).values()), dtype=np.int64)
+    best = signs > 0
+    meets = (truths == best).all(axis=1).any() and (truths == ~best).all(axis=1).any()
+    return bool((signs != 0).all() and meets)
