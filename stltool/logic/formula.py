@@ -582,14 +582,14 @@ def variables(phi: Formula) -> dict[str, Span | None]:
     found: dict[str, Span | None] = {}
     for node in distinct(phi):
         if isinstance(node, Comparison):
-            for variable in term_variables(node.left) + term_variables(node.right):
+            for variable in read_by(node):
                 found.setdefault(variable.name, variable.span)
     return found
 
 
 def delay(phi: Comparison) -> int:
     """How many steps before the evaluation step a comparison reads, at most."""
-    return max((variable.delay for variable in term_variables(phi.left) + term_variables(phi.right)), default=0)
+    return max((variable.delay for variable in read_by(phi)), default=0)
 
 
 def label_names(phi: Formula) -> dict[str, Span | None]:
@@ -599,6 +599,11 @@ def label_names(phi: Formula) -> dict[str, Span | None]:
         if isinstance(node, Label):
             found.setdefault(node.name, node.span)
     return found
+
+
+def read_by(phi: Comparison) -> list[Variable]:
+    """The signals of a comparison, left to right, repeated ones too."""
+    return term_variables(phi.left) + term_variables(phi.right)
 
 
 def term_variables(term: Term) -> list[Variable]:

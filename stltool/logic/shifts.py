@@ -31,7 +31,7 @@ from stltool.logic.formula import (
     delay,
     distinct,
     label_names,
-    term_variables,
+    read_by,
     variables,
     with_children,
 )
@@ -39,7 +39,7 @@ from stltool.logic.formula import (
 
 def settled(phi: Comparison) -> Formula:
     """The normal form of a comparison whose variables may read any steps."""
-    delays = [variable.delay for variable in term_variables(phi.left) + term_variables(phi.right)]
+    delays = [variable.delay for variable in read_by(phi)]
     latest = min(delays, default=0)
     if latest == 0:
         return phi

@@ -34,7 +34,7 @@ from stltool.logic.formula import (
     Variable,
     delay,
     distinct,
-    term_variables,
+    read_by,
 )
 from stltool.logic.names import written
 from stltool.logic.shifts import reads_ahead, replaced, with_variables
@@ -82,7 +82,7 @@ def _reads_several_steps(phi: Formula) -> bool:
 
 def _by_values(c: Comparison, later: int, signals: Mapping[str, Reals], found: list[Cases]) -> Formula:
     """A comparison `later` steps ahead, as a disjunction over the values of its signals."""
-    read = term_variables(c.left) + term_variables(c.right)
+    read = read_by(c)
     steps = sorted({variable.delay for variable in read}, reverse=True)  # earliest first
     names = [sorted({variable.name for variable in read if variable.delay == step}) for step in steps]
     values = [np.unique(np.column_stack([signals[name] for name in group]), axis=0) for group in names]
