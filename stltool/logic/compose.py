@@ -68,20 +68,17 @@ def G(phi: Formula | Task, a: int, b: int | None) -> Always:
 
 def U(phi: Formula | Task, psi: Formula | Task, a: int, b: int | None) -> Until:
     """φ U[a,b] ψ: ψ at some step u of t+a … t+b, both included, and φ at every step of [t, u). `b` as for `F`."""
-    left, right = formula_of(phi, "U's first formula"), formula_of(psi, "U's second formula")
-    return fitting(Until(_interval("U", a, b), left, right))
+    return fitting(Until(*_joined("U", phi, psi, a, b)))
 
 
 def release(phi: Formula | Task, psi: Formula | Task, a: int, b: int | None) -> Release:
     """φ release[a,b] ψ = ¬(¬φ U[a,b] ¬ψ): ψ at every step u of t+a … t+b, unless φ at some step of [t, u)."""
-    left, right = formula_of(phi, "release's first formula"), formula_of(psi, "release's second formula")
-    return fitting(Release(_interval("release", a, b), left, right))
+    return fitting(Release(*_joined("release", phi, psi, a, b)))
 
 
 def weak_until(phi: Formula | Task, psi: Formula | Task, a: int, b: int | None) -> Or:
     """φ weak_until[a,b] ψ = (φ U[a,b] ψ) ∨ G[0,b] φ: until, but ψ need not come if φ stays."""
-    left, right = formula_of(phi, "weak_until's first formula"), formula_of(psi, "weak_until's second formula")
-    interval = _interval("weak_until", a, b)
+    interval, left, right = _joined("weak_until", phi, psi, a, b)
     return fitting(Or((Until(interval, left, right), Always(Interval(0, interval.b), left))))
 
 
@@ -97,14 +94,12 @@ def historically(phi: Formula | Task, a: int = 0, b: int | None = None) -> Histo
 
 def since(phi: Formula | Task, psi: Formula | Task, a: int = 0, b: int | None = None) -> Since:
     """φ since[a,b] ψ: ψ at some step u of t−b … t−a, of those from 0 on, and φ at every step of (u, t]."""
-    left, right = formula_of(phi, "since's first formula"), formula_of(psi, "since's second formula")
-    return fitting(Since(_interval("since", a, b), left, right))
+    return fitting(Since(*_joined("since", phi, psi, a, b)))
 
 
 def trigger(phi: Formula | Task, psi: Formula | Task, a: int = 0, b: int | None = None) -> Trigger:
     """φ trigger[a,b] ψ = ¬(¬φ since[a,b] ¬ψ): ψ at every step u of t−b … t−a, unless φ at some step of (u, t]."""
-    left, right = formula_of(phi, "trigger's first formula"), formula_of(psi, "trigger's second formula")
-    return fitting(Trigger(_interval("trigger", a, b), left, right))
+    return fitting(Trigger(*_joined("trigger", phi, psi, a, b)))
 
 
 def prev(phi: Formula | Task) -> Once:
@@ -238,6 +233,14 @@ class Expression(Displayed):
 
     def __bool__(self) -> NoReturn:
         raise ArgumentError(f"{self} is a number at every step, not true or false; compare it, as in {self} > 0.5")
+
+
+def _joined(
+    operator: str, phi: Formula | Task, psi: Formula | Task, a: object, b: object
+) -> tuple[Interval, Formula, Formula]:
+    """The interval and the formulas of an operator of two."""
+    left, right = formula_of(phi, f"{operator}'s first formula"), formula_of(psi, f"{operator}'s second formula")
+    return _interval(operator, a, b), left, right
 
 
 def _interval(operator: str, a: object, b: object) -> Interval:
