@@ -31,6 +31,7 @@ from stltool.logic.formula import (
     Historically,
     Iff,
     Implies,
+    Interval,
     Label,
     Not,
     Once,
@@ -382,8 +383,6 @@ class Residuals:
 
     def atom(self, index: int) -> Formula:
         """An atom as a formula."""
-        from stltool.logic.formula import Interval
-
         if index < len(self.atoms):
             return self.atoms[index]
         a, b, left, right = self.past[index - len(self.atoms)]
@@ -440,8 +439,6 @@ class Residuals:
 
     def formula(self, x: Residual) -> Formula:
         """The residual as a formula, windows counted from the next step."""
-        from stltool.logic.formula import Interval
-
         match self._nodes[x]:
             case ("false",) | ("true",):
                 return Constant(x == TRUE)
