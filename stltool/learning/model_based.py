@@ -237,10 +237,9 @@ class Planner:
         self._moves: list[dict[str, Any]] = [{}, {}]
         self._choices = unsigned_type(problem.most_choices - 1)
         self._anywhere: Anywhere | None = None
+        self._worth = np.zeros(0)
         if float(np.prod([float(n) for n in problem.shape])) <= most:
             self._anywhere = Anywhere(problem.automaton, problem.letter, problem.first_choice, self._choices)
-        self._worth = np.zeros(0)
-        if self._anywhere is not None:
             h = problem.automaton.horizon
             self._worth = np.array([paradise(t, h) for t in range(h)])
         self._batch: Batch | None = None
