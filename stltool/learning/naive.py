@@ -67,7 +67,7 @@ class Naive(Clocked, Learner["NaiveRun"]):
             u, chance = explore[t]
             a = int(chance * episode.n_choices) if u < epsilon else state.table.best(t, s, q, chance)
             episode.step(a)
-            state.table.update(t, s, q, a, episode.s, episode.q)
+            state.table.update(t, s, q, a, episode.s)
         if (episode.number + 1) % EVERY == 0:
             state.best.end(state.table.policy_table())
 

@@ -51,8 +51,8 @@ class NaiveER(Batches, Clocked, Learner["ReplayRun"]):
             episode.step(a)
             memory.add(np.array([[t, s, q, a, episode.s, episode.q]], dtype=np.int32))
             if t % self.period == 0:
-                for row in memory.rows[memory.draw(self.batch, episode.rng)]:
-                    table.update(*row.tolist())
+                for was_t, was_s, was_q, was_a, s2, _ in memory.rows[memory.draw(self.batch, episode.rng)].tolist():
+                    table.update(was_t, was_s, was_q, was_a, s2)
         if (episode.number + 1) % EVERY == 0:
             state.best.end(table.policy_table())
 

@@ -135,10 +135,23 @@ class ClockedTable:
         self.worth = np.zeros((problem.automaton.n_letters, entries.E))
         for letter, (t, _) in enumerate(entries.pairs):
             self.worth[letter, : len(t)] = outside.worth(t, problem.automaton.horizon)
-        available = np.arange(problem.most_choices) < problem.n_choices[:, None]
-        self.Q = np.where(available[:, :, None], self.worth[problem.letter][:, None, :], 0.0)
+        self.Q = self._untried()
         self.V = np.zeros((problem.n_states, entries.E + 2))
         self.V[:, :-2], self.V[:, -1] = self.Q.max(axis=1), 1.0
+
+    def _available(self) -> NDArray[np.bool_]:
+        """Which choices exist: (S, C)."""
+        problem = self.entries.problem
+        return np.arange(problem.most_choices) < problem.n_choices[:, None]
+
+    def _untried(self) -> NDArray[np.float64]:
+        """Q before anything is tried."""
+        worth = self.worth[self.entries.problem.letter]
+        return np.where(self._available()[:, :, None], worth[:, None, :], 0.0)
+
+    def _visits_by_entry(self) -> NDArray[np.int64]:
+        """The visits as (S, C, E), or (S, C, 1) where those of all entries are counted together."""
+        return self.visits if self.visits.ndim == 3 else self.visits[:, :, None]
 
     def best(self, t: int, s: int, q: int, chance: float) -> int:
         """The best choice in (t, s, q), ties broken by `chance` in [0, 1)."""
@@ -147,17 +160,18 @@ class ClockedTable:
         ties = np.flatnonzero(here == here.max())
         return int(ties[int(chance * len(ties))])
 
-    def update(self, t: int, s: int, q: int, a: int, s2: int, q2: int) -> None:
+    def update(self, t: int, s: int, q: int, a: int, s2: int) -> None:
         """The factual update of one entry."""
         from stltool.kernels import learning
 
         entries, letter = self.entries, self.entries.problem.letter
         entry = int(entries.index[letter[s], t, q])
         self.visits[s, a, entry] += 1
-        share = float(self.outside.share(self.visits[s, :, entry], self.visits[s, :, entry].mean())[a])
+        n_choices = int(entries.problem.n_choices[s])
+        visits = self.visits[s, :n_choices, entry]
+        share = float(self.outside.share(visits[a], visits.mean()))
         value = float(self.V[s2, entries.successor[letter[s], letter[s2], entry]])
         value = (1 - share) * value + share * float(self.worth[letter[s], entry])
-        n_choices = int(entries.problem.n_choices[s])
         learning.clocked_update(self.Q, self.V, self.visits, s, a, entry, n_choices, value, self.least_step)
 
     def update_all(self, rows: NDArray[np.int32]) -> None:
@@ -175,7 +189,7 @@ class ClockedTable:
         """The greedy policy over tried choices, the first of ties: (h, S, Q) choices."""
         problem, automaton = self.entries.problem, self.entries.problem.automaton
         table = np.zeros((automaton.horizon, problem.n_states, automaton.n_states), dtype=problem.choice_type)
-        visits = self.visits if self.visits.ndim == 3 else self.visits[:, :, None]
+        visits = self._visits_by_entry()
         for s, letter in enumerate(problem.letter):
             t, q = self.entries.pairs[letter]
             values = np.where(visits[s] > 0, self.Q[s], -1.0)[: problem.n_choices[s], : len(t)]
@@ -189,17 +203,15 @@ class ClockedTable:
     def check(self) -> None:
         """ValueError if the arrays contradict each other."""
         problem, (Q, V) = self.entries.problem, self._names
-        available = np.arange(self.Q.shape[1]) < problem.n_choices[:, None]
+        available = self._available()
         best = np.where(available[:, :, None], self.Q, 0).max(axis=1)
         if not np.array_equal(self.V, np.concatenate([best, np.tile([0.0, 1.0], (len(best), 1))], axis=1)):
             raise ValueError(f"{V} is not the best of {Q}")
         if self.Q[~available].any() or self.visits[~available].any():
             raise ValueError(f"{Q} or visits have values for choices that do not exist")
         open_ = np.arange(self.entries.E) < self.entries.numbers[problem.letter][:, None]
-        per_entry = self.visits if self.visits.ndim == 3 else self.visits[:, :, None]
-        tried = (per_entry > 0) & open_[:, None, :]
-        untried = np.where(available[:, :, None], self.worth[problem.letter][:, None, :], 0.0)
-        if (untried != self.Q)[~tried].any():
+        tried = (self._visits_by_entry() > 0) & open_[:, None, :]
+        if (self._untried() != self.Q)[~tried].any():
             raise ValueError(f"{Q} has learned about choices that were never tried")
         if self.visits.ndim == 3 and self.visits[~tried].any():
             raise ValueError("visits are of steps at which the task is decided")

@@ -190,6 +190,6 @@ def test_updates_are_counted_beyond_int32(wide):
     table = ClockedTable(entries, np.zeros(entries.shape, dtype=np.int64), Doubt(0.1), 0.1)
     q = product.enter(0, product.automaton.initial)
     table.visits[0, 0] = 2**31 - 1
-    table.update(0, 0, q, 0, 1, product.enter(1, q))
+    table.update(0, 0, q, 0, 1)
     assert table.visits[0, 0].max() == 2**31
     assert 0 <= table.Q.max() <= 1
