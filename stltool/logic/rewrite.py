@@ -290,9 +290,7 @@ class _Simplifier:
         match phi:
             case Constant(value):
                 return self.constant(not value, phi.span)
-            case Comparison(op, left, right):
-                if delay(phi):
-                    return self._part(Not(phi, span=span), ("not", x.key), (x,), growth=-1)
+            case Comparison(op, left, right) if not delay(phi):
                 return self.comparison(Comparison(OPPOSITE[op], left, right, span=phi.span))
             case Not():
                 return operands[0]
@@ -313,7 +311,7 @@ class _Simplifier:
             case Until(interval, _, _) | Release(interval, _, _) | Since(interval, _, _) | Trigger(interval, _, _):
                 p, q = map(self.negate, operands)
                 return self.until(_DUAL_JOIN[type(phi)], interval, p, q, phi.span)
-            case Label() | Rise():
+            case Label() | Comparison() | Rise():
                 raise AssertionError("its negation is larger")
             case _:
                 assert_never(phi)
