@@ -525,11 +525,6 @@ def has_past(phi: Formula) -> bool:
     return any(isinstance(node, PAST) for node in walk(phi))
 
 
-def has_future(phi: Formula) -> bool:
-    """Whether the formula contains an operator of the future."""
-    return any(isinstance(node, FUTURE) for node in walk(phi))
-
-
 def temporal_depth(phi: Formula) -> int:
     """The nesting depth of temporal operators: 0 for a Boolean formula over predicates."""
     below = max((temporal_depth(child) for child in children(phi)), default=0)

@@ -28,8 +28,8 @@ from stltool.logic.formula import (
     Trigger,
     Until,
     children,
-    has_future,
     has_past,
+    walk,
     with_children,
 )
 from stltool.testing import formulas, models, traces
@@ -192,7 +192,7 @@ def reach(phi):
 def delayed(phi, by):
     """P_D(φ), which looks back only: φ held D steps before, at a step that exists; for D >= reach(φ)."""
     guard = Once(Interval(by, by), stl.parse("true"))
-    if not has_future(phi):
+    if not any(isinstance(node, FUTURE) for node in walk(phi)):
         return Once(Interval(by, by), phi)
     within = max(map(reach, children(phi)))
     match phi:
