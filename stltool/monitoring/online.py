@@ -11,7 +11,7 @@ import copy
 import itertools
 import math
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -100,16 +100,23 @@ class OnlineMonitor(Displayed):
             return object.__new__(_LookingBack)
         return object.__new__(cls)
 
-    def __init__(self, phi: Formula | Task, wait: bool = False) -> None:
-        from stltool.monitoring.stream import Stream  # which loads numba
-
+    def _compile(self, phi: Formula | Task, wait: bool) -> None:
+        """What every kind of monitor begins with."""
         self.formula = bounded_formula_of(phi, "OnlineMonitor's formula")
         require(wait, (bool, np.bool_), "wait", "give True or False")
+        self.wait = bool(wait)
         made, self._program = compile_delayed(self.formula)
         self._judged, self._earlier = made.formula, Earlier(made)
         self.horizon: int = self._program.horizon or 0
-        self.wait = bool(wait) or self.horizon == 0  # nothing to wait for
-        engine = engine_of(self._judged, bool(made.signals or made.starts))
+        names = dict.fromkeys((*self._program.variables, *self._program.labels, *self._earlier.kept))
+        self._asked = tuple(name for name in names if name not in made.signals and name not in made.starts)
+
+    def __init__(self, phi: Formula | Task, wait: bool = False) -> None:
+        from stltool.monitoring.stream import Stream  # which loads numba
+
+        self._compile(phi, wait)
+        self.wait = self.wait or self.horizon == 0  # nothing to wait for
+        engine = engine_of(self._judged, self._delays)
         self.early = engine.early
         self._stream = Stream(self._program, engine, self.horizon, self.wait)
         self._enclosure: Enclosure | None = None
@@ -217,12 +224,7 @@ class OnlineMonitor(Displayed):
 
         For a step that has begun, and is not further back than the horizon; otherwise SettingsError.
         """
-        n = self.n_steps
-        first = max(0, n - 1 - self.horizon)
-        step = whole(step, "bounds' step", least=0)
-        if not first <= step < n:
-            range_ = f"steps {first} … {n - 1}" if n else "no step yet"
-            raise SettingsError(f"bounds' step is {step}; {counted(n, 'sample')} read, so there are bounds of {range_}")
+        step, n = self._bounded_step(step), self.n_steps
         kept = self._stream.kept()
         at = step - (n - len(kept))
         if n - step > self.horizon:
@@ -239,6 +241,15 @@ class OnlineMonitor(Displayed):
                 return lower, min(upper, 0.0)
             case None:
                 return lower, upper
+
+    def _bounded_step(self, step: int) -> int:
+        n = self.n_steps
+        first = max(0, n - 1 - self.horizon)
+        step = whole(step, "bounds' step", least=0)
+        if not first <= step < n:
+            range_ = f"steps {first} … {n - 1}" if n else "no step yet"
+            raise SettingsError(f"bounds' step is {step}; {counted(n, 'sample')} read, so there are bounds of {range_}")
+        return step
 
     # ------------------------------------------------------------------------------------------------ one sample
 
@@ -354,9 +365,7 @@ class OnlineMonitor(Displayed):
 
     def _feed_each(self, block: Mapping[str, Any]) -> Decisions:
         """A block, sample by sample; if one is refused, none was read."""
-        names = {**self._program.variables, **self._program.labels, **dict.fromkeys(self._earlier.kept)}
-        made = self._earlier.made
-        given = {name: self._given(name, block) for name in names if name not in {**made.signals, **made.starts}}
+        given = {name: self._given(name, block) for name in self._asked} if self._asked else block
         columns = {name: np.asarray(values) for name, values in given.items()}
         shapes = {column.shape for column in columns.values()}
         if len(shapes) != 1 or len(shape := shapes.pop()) != 1:
@@ -365,7 +374,7 @@ class OnlineMonitor(Displayed):
         decisions = [
             decision
             for t in range(shape[0])
-            for decision in copied._feed({name: column[t] for name, column in columns.items()})
+            for decision in copied._feed({name: columns[name][t] for name in self._asked})
         ]
         self.__setstate__(copied.__getstate__())
         robustness = [math.nan if decision.robustness is None else decision.robustness for decision in decisions]
@@ -468,12 +477,7 @@ class _LookingBack(OnlineMonitor):
     """An online monitor of a formula that looks back without a limit (lookback.py)."""
 
     def __init__(self, phi: Formula | Task, wait: bool = False) -> None:
-        self.formula = bounded_formula_of(phi, "OnlineMonitor's formula")
-        require(wait, (bool, np.bool_), "wait", "give True or False")
-        made, self._program = compile_delayed(self.formula)
-        self._judged, self._earlier = made.formula, Earlier(made)
-        self.horizon = self._program.horizon or 0
-        self.wait = bool(wait)
+        self._compile(phi, wait)
         self.early = Early("network", False, "the formula looks back without a limit")
         self._network = Network(self._program.instructions)
         self._literals = compile_formula(positive(negation_normal_form(self._judged, MOST_SHARED)))
@@ -503,11 +507,9 @@ class _LookingBack(OnlineMonitor):
 
     def _feed(self, sample: Mapping[str, Any], code: int | None = None) -> list[Decision] | Decisions:
         mapping(sample, "feed's sample", "{'x': 0.5}")
-        made = {**self._earlier.made.signals, **self._earlier.made.starts}
-        names = [*self._program.variables, *self._program.labels, *self._earlier.kept]
-        asked = [name for name in dict.fromkeys(names) if name not in made]
-        if any(_is_block(sample.get(name)) for name in asked) or (not asked and any(map(_is_block, sample.values()))):
-            return self._feed_all(sample, asked)
+        given = map(sample.get, self._asked) if self._asked else sample.values()
+        if any(map(_is_block, given)):
+            return self._feed_each(sample)
         bases = {name: self._real(name, self._given(name, sample)) for name in self._earlier.kept}
         values = self._read({**sample, **self._earlier.of(bases)})
         try:
@@ -524,20 +526,6 @@ class _LookingBack(OnlineMonitor):
             return []
         self._final = found[0]
         return [Decision(self._n_steps - 1 - self.horizon, found[1], found[0])]
-
-    def _feed_all(self, block: Mapping[str, Any], names: Sequence[str]) -> Decisions:
-        """A block, sample by sample; if one is refused, none was read."""
-        columns = {name: np.asarray(self._given(name, block)) for name in names} if names else dict(block)
-        shapes = {np.shape(column) for column in columns.values()}
-        if len(shapes) != 1 or len(shape := shapes.pop()) != 1:
-            raise TraceError("the signals of feed's block differ in shape; give each an array (n_steps,)")
-        copied = copy.deepcopy(self)
-        decisions = [
-            decision for t in range(shape[0]) for decision in copied._feed({name: columns[name][t] for name in names})
-        ]
-        self.__setstate__(copied.__getstate__())
-        margins = [math.nan if decision.robustness is None else decision.robustness for decision in decisions]
-        return _decisions([d.step for d in decisions], [d.verdict for d in decisions], margins)
 
     def finish(self, end: Literal["cut", "hold"] = "cut") -> list[Decision]:
         """The decisions of the steps still open if the trace ended here. The monitor can still be fed.
@@ -584,12 +572,7 @@ class _LookingBack(OnlineMonitor):
         return [value for value in found if value is not None]
 
     def bounds(self, step: int) -> tuple[float, float]:
-        n = self.n_steps
-        first = max(0, n - 1 - self.horizon)
-        step = whole(step, "bounds' step", least=0)
-        if not first <= step < n:
-            range_ = f"steps {first} … {n - 1}" if n else "no step yet"
-            raise SettingsError(f"bounds' step is {step}; {counted(n, 'sample')} read, so there are bounds of {range_}")
+        step, n = self._bounded_step(step), self.n_steps
         if step + self.horizon < n:
             return self._final, self._final
         ends = []
