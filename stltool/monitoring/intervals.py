@@ -27,8 +27,7 @@ class Enclosure:
     """A formula's robustness at the steps of traces of which only a beginning is known."""
 
     def __init__(self, phi: Formula) -> None:
-        machine = _OfKnown(positive(negation_normal_form(phi, MOST_SHARED)))
-        self._machine, self.names = machine, (*machine.program.variables, *machine.program.labels)
+        self._machine = _OfKnown(positive(negation_normal_form(phi, MOST_SHARED)))
 
     def at(self, columns: Mapping[str, NDArray[np.float64]], step: int) -> tuple[float, float]:
         """Lower and upper end at one of the steps of which the samples are given."""

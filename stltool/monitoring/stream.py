@@ -416,7 +416,8 @@ class _Network:
                 self._window(k.GREATEST if now.op == "eventually" else k.LEAST, out, args, start + a, b - a + 1)
             case "until":
                 both = out if a == 0 else self._new()
-                self._pairs(k.UNTIL, both, args[0], args[-1], start, a, b - a + 1)
+                held = min(b - a + 1, self._room)
+                self._node(k.UNTIL, both, args, start + a, start + b, held, 4 * held + 2)
                 if a > 0:
                     before = self._new()
                     self._window(k.LEAST, before, args[:1], start, a)
@@ -486,8 +487,3 @@ class _Network:
                 _power_of_two(held + 1),
             )  # fmt: skip
             self._node(k.AND, out, [within, self._wait(both, start, known + a - start)], known, known)
-
-    def _pairs(self, op: int, out: int, left: int, right: int, start: int, a: int, width: int) -> None:
-        """The pairs of left and right sides from a steps after `start` on, `width` at a time."""
-        held = min(width, self._room)
-        self._node(op, out, [left, right], start + a, start + a + width - 1, held, 4 * held + 2)
