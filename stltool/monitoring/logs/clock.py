@@ -132,7 +132,8 @@ def time_column(
     elif given not in known:
         name, unit = without_unit(given)
         if unit is None or name not in known:
-            raise NameLookupError(f"{where}: there is no column {given} for the time; {near_misses(given, known)}")
+            asked = given if given.strip() else f'"{given}"'
+            raise NameLookupError(f"{where}: there is no column {asked} for the time; {near_misses(given, known)}")
     assert name is not None
     written = unit or without_unit(name)[1] or (units or {}).get(name)
     unit = written.strip("[]() -") if written else None

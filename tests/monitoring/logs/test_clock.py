@@ -143,6 +143,8 @@ def test_the_column_can_be_named(log):
     assert len(stl.load_trace(path, ["x"], step="0.1s", time="when [ms]")["x"]) == 3
     with pytest.raises(NameLookupError, match="there is no column wen for the time; did you mean when?"):
         stl.load_trace(path, ["x"], step="0.1s", time="wen")
+    with pytest.raises(NameLookupError, match='there is no column "" for the time; known names: t, when, x'):
+        stl.load_trace(path, ["x"], step="0.1s", time="")
     both = log(x=[1, 2], t=[0, 0.1], Time=[0, 0.1])
     with pytest.raises(SettingsError, match='columns t and Time could both be the time; choose: time="t"'):
         stl.load_trace(both, ["x"], step="0.1s")
