@@ -11,7 +11,7 @@ from typing import IO, TYPE_CHECKING, Literal, cast
 
 import typer
 
-from stltool.errors import FileError, SettingsError
+from stltool.errors import SettingsError
 
 if TYPE_CHECKING:
     from stltool.logic.task import Task
@@ -24,10 +24,11 @@ def follow(task: Task, trace: Path, end: str, at: int | None, every: bool, decim
     """
     from stltool.logic.formula import label_names, variables
     from stltool.monitoring import Decision, OnlineMonitor
+    from stltool.monitoring.logs.clock import NO_TIME
     from stltool.monitoring.logs.following import samples
     from stltool.reporting.terminal import print_facts
 
-    if task.step is not None and time != "none":
+    if task.step is not None and time != NO_TIME:
         raise SettingsError(
             "--follow takes rows as steps and does not check their times, and the task declares a step; add --time none"
         )
@@ -76,6 +77,8 @@ def follow(task: Task, trace: Path, end: str, at: int | None, every: bool, decim
 @contextmanager
 def _opened(trace: Path) -> Iterator[tuple[str, IO[str]]]:
     """The name of a log in messages, and its text."""
+    from stltool.monitoring.logs.readers import require_trace_file
+
     if str(trace) == "-":
         text = io.TextIOWrapper(sys.stdin.buffer, "utf-8", "surrogateescape", newline="")
         try:
@@ -87,7 +90,6 @@ def _opened(trace: Path) -> Iterator[tuple[str, IO[str]]]:
         raise SettingsError(
             f"--follow reads CSV line by line, from .csv and .tsv files or from - (standard input), not {trace}"
         )
-    if not trace.is_file():
-        raise FileError(f"{trace}: there is no such trace file")
+    require_trace_file(trace)
     with trace.open(encoding="utf-8", errors="surrogateescape", newline="") as file:
         yield str(trace), file

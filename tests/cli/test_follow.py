@@ -66,6 +66,7 @@ def test_a_file_and_the_end_of_the_trace(stltool, tmp_path):
         ("x,a\n1,1\n", ["--at", "0"], "--at 0: not decided by the 1 samples of standard input"),
         ("x,a\n1,1\n", ["--json"], "--follow prints verdicts as they come; --json needs the whole trace"),
         ("x,a\n1,1\n", ["--step", "0.1s"], "--follow takes rows as steps"),
+        ("x,a,x\n1,1,5\n", [], "standard input, line 1: two columns are named x; every column needs a name of its own"),
         ("", [], "the file is empty"),
     ],
 )
@@ -80,6 +81,8 @@ def test_what_cannot_be_followed(stltool, typed, text, options, says):
 def test_other_files_cannot_be_followed(stltool, tmp_path):
     assert "--follow reads CSV line by line" in stltool("monitor", "x > 0", tmp_path / "log.npz", "--follow")[2]
     assert "no such trace file" in stltool("monitor", "x > 0", tmp_path / "log.csv", "--follow")[2]
+    (tmp_path / "folder.csv").mkdir()
+    assert "it is not a regular file" in stltool("monitor", "x > 0", tmp_path / "folder.csv", "--follow")[2]
 
 
 def test_a_verdict_comes_while_the_log_is_still_open():

@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import IO
 
@@ -47,6 +48,15 @@ class Dialect:
     @property
     def names(self) -> list[str]:
         return [name for name in self.header if name]
+
+    def require_single(self, where: str, names: Iterable[str]) -> None:
+        """TraceError if two columns have one of these names."""
+        counts = Counter(self.header)
+        for name in names:
+            if counts[name] > 1:
+                raise TraceError(
+                    f"{where}, line {self.above}: two columns are named {name}; every column needs a name of its own"
+                )
 
 
 def dialect_of(where: str, file: IO[str], decimal: str, named_columns: bool) -> Dialect:

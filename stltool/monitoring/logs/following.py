@@ -6,9 +6,9 @@ import csv
 from collections.abc import Iterator, Sequence
 from typing import IO
 
-from stltool.errors import NameLookupError, TraceError
-from stltool.logic.names import near_names
+from stltool.errors import TraceError
 from stltool.monitoring.logs.dialect import TRUTH, dialect_of, number_in
+from stltool.monitoring.logs.recording import chosen
 from stltool.numbers import NumberError, shown
 
 
@@ -16,10 +16,9 @@ def samples(where: str, file: IO[str], names: Sequence[str], decimal: str = ".")
     """The samples of the named columns. Raises TraceError, with the line, for what is not a number or a truth value."""
     lines = _Remembered(file)
     dialect = dialect_of(where, lines, decimal, False)  # type: ignore[arg-type]  # reads lines only
-    for name in names:
-        if name not in dialect.header:
-            raise NameLookupError(f"{where}: there is no column {name}; {near_names(name, dialect.names)}")
-    places = [(name, dialect.header.index(name)) for name in names]
+    wanted = chosen(where, dialect.names, names, "column")
+    dialect.require_single(where, wanted)
+    places = [(name, dialect.header.index(name)) for name in wanted]
     number = dialect.above
     for line in lines.rest(dialect.above):
         number += 1

@@ -107,13 +107,18 @@ def read_recording(path: Path, asked: Asked) -> Recording:
     else:
         raise FileError(f"{path}: not a trace file; traces are read from {', '.join(extensions())} files")
     if str(path) != "-":
-        if not path.exists():
-            raise FileError(f"{path}: there is no such trace file")
-        if not path.is_file():
-            raise FileError(f"{path}: this trace file cannot be read: it is not a regular file")
+        require_trace_file(path)
     if extension in _OWN:
         return cast(Recording, _function(f"{_HERE}.{_OWN[extension]}")(path, asked))
     return _of_others(path, extension, asked)
+
+
+def require_trace_file(path: Path) -> None:
+    """FileError unless there is a regular file."""
+    if not path.exists():
+        raise FileError(f"{path}: there is no such trace file")
+    if not path.is_file():
+        raise FileError(f"{path}: this trace file cannot be read: it is not a regular file")
 
 
 def _function(place: str) -> Callable[..., Any]:

@@ -15,7 +15,6 @@ import os
 import sys
 import zlib
 from array import array
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -159,12 +158,7 @@ class _Table:
         names = tuple(dict.fromkeys([*wanted, *([used.name] if used is not None else [])]))
         if dated and used is not None and used.name in wanted:
             raise TraceError(f"{where}: column {used.name} has dates, which are no signal")
-        counts = Counter(dialect.header)
-        for name in names:
-            if counts[name] > 1:
-                raise TraceError(
-                    f"{where}, line {dialect.above}: two columns are named {name}; every column needs a name of its own"
-                )
+        dialect.require_single(where, names)
         labels = frozenset(name for name in wanted if first[place[name]].strip().lower() in TRUTH)
         places = tuple(place[name] for name in names)
         columns = _Columns(names, places, tuple(wanted), labels, used, dated and used is not None)
