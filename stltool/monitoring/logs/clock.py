@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.errors import NameLookupError, SettingsError, TraceError, near_misses
-from stltool.logic.quantities import Duration
+from stltool.logic.quantities import UNITS, Duration
 from stltool.monitoring.doubles import short_decimals
 from stltool.monitoring.logs.recording import SHORTER, Recording, Signals, option
 from stltool.sizes import require_memory
@@ -33,17 +33,17 @@ NO_TIME = "none"  # as the name of the time column
 _TIMES = ("time", "t", "timestamp")
 _BRACKETED = re.compile(r"(.*?)\s*(?:\[(.*)\]|\((.*)\))\s*")
 _UNITS = {
-    unit: scale
-    for units, scale in (
-        ("s sec secs second seconds", Fraction(1)),
-        ("ms msec msecs millisecond milliseconds", Fraction(1, 1000)),
-        ("us µs μs usec usecs microsecond microseconds", Fraction(1, 10**6)),
-        ("ns nsec nsecs nanosecond nanoseconds", Fraction(1, 10**9)),
-        ("min mins minute minutes", Fraction(60)),
-        ("h hr hrs hour hours", Fraction(3600)),
-        ("d day days", Fraction(86400)),
+    name: scale
+    for scale, names in (
+        (UNITS["s"], "s sec secs second seconds"),
+        (UNITS["ms"], "ms msec msecs millisecond milliseconds"),
+        (UNITS["us"], "us µs μs usec usecs microsecond microseconds"),
+        (UNITS["ns"], "ns nsec nsecs nanosecond nanoseconds"),
+        (UNITS["min"], "min mins minute minutes"),
+        (UNITS["h"], "h hr hrs hour hours"),
+        (24 * UNITS["h"], "d day days"),
     )
-    for unit in units.split()
+    for name in names.split()
 }
 _ROUNDING = 1e-9  # of a step
 _RESAMPLE = f"{option('resample', 'hold')} or {option('resample', 'linear')}"
