@@ -35,12 +35,13 @@ _SURE = re.compile(
 
 @dataclass(frozen=True)
 class Dialect:
-    """`header` has a name for every cell of a row, "" for unnamed ones; the rows begin `above` lines down, at byte
-    `body`; `units` are those of a units row, by name.
+    """`header`, in line `line`, has a name for every cell of a row, "" for unnamed ones; the rows begin `above` lines
+    down, at byte `body`; `units` are those of a units row, by name.
     """
 
     separator: str
     header: tuple[str, ...]
+    line: int
     above: int
     body: int
     units: dict[str, str]
@@ -55,7 +56,7 @@ class Dialect:
         for name in names:
             if counts[name] > 1:
                 raise TraceError(
-                    f"{where}, line {self.above}: two columns are named {name}; every column needs a name of its own"
+                    f"{where}, line {self.line}: two columns are named {name}; every column needs a name of its own"
                 )
 
 
@@ -93,7 +94,7 @@ def dialect_of(where: str, file: IO[str], decimal: str, named_columns: bool) -> 
         )
     names += [""] * (_trailing(row, separator, len(names)))
     _require_names(where, number, names, named_columns)
-    return Dialect(separator, tuple(names), above, body, units)
+    return Dialect(separator, tuple(names), number, above, body, units)
 
 
 def is_value(text: str, decimal: str = ".") -> bool:

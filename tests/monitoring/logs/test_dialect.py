@@ -99,6 +99,12 @@ def test_a_row_of_units_gives_the_unit_of_the_time(load):
         load(text, ["x"], step="1s")
 
 
+def test_the_line_of_the_names_is_told_whatever_stands_between_it_and_the_rows(load):
+    for text, line in (("x,x\nm,s\n1,2\n", 1), ("# by hand\nx,x\nm,s\n1,2\n", 2)):
+        with pytest.raises(TraceError, match=f"line {line}: two columns are named x"):
+            load(text, ["x"])
+
+
 @pytest.mark.parametrize("row", ["n/a,true", "abc,true", "nan,-", "soon,later", "1,m/s"])
 def test_a_row_of_values_is_never_taken_for_units(load, row):
     with pytest.raises(TraceError, match="line 2, column (x|door)"):
