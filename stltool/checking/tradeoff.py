@@ -102,8 +102,9 @@ def tradeoff(
     """Maximise the probability of the task `objective`.
 
     at_least   lower bounds on the probabilities of other tasks, by name
-    budget     upper bounds on expected costs, by name. A cost is a signal (at least 0 everywhere) or a label (1 where
-               it holds), summed over the states s₀ … s_{h−1}, h the longest horizon of all tasks
+    budget     upper bounds on expected costs, by name. A cost is a signal (at least 0 everywhere), a label (1 where it
+               holds) or a cost of the model that depends on states alone, summed over the states s₀ … s_{h−1}, h the
+               longest horizon of all tasks
 
     Raises InfeasibleError, with what is possible, if no policy satisfies the constraints, SettingsError for a bound out
     of range, NameLookupError for an unknown task or cost, SizeError before building a programme of more than

@@ -123,21 +123,32 @@ class Criteria:
 
 
 def cost_values(model: MDP, name: str) -> Floats:
-    """(S,) the cost of a step in each state: a signal's values, or 1 where a label holds."""
-    if name in model.labels:
-        return model.labels[name].astype(np.float64)
-    if name not in model.signals:
+    """(S,) the cost of a step in each state: a signal's values, 1 where a label holds, or a cost of the model."""
+    columns = {**model.signals, **model.labels}
+    if name in model.costs:
+        cost = model.costs[name]
+        if name in columns:
+            raise SettingsError(f"the model has a cost {name} and a {_kind(model, name)} {name}; rename one of them")
+        if not cost.of_states_only:
+            raise SettingsError(f"cost {name} depends on actions; a budget takes costs that depend on states alone")
+        values = cost.states.values if cost.states is not None else np.zeros(model.n_states)
+    elif name in columns:
+        values = columns[name].astype(np.float64, copy=False)
+    else:
         raise NameLookupError(
-            f"the model has no signal {name} for this cost; {near_names(name, [*model.signals, *model.labels])}"
+            f"the model has no signal {name} for this cost; {near_names(name, [*columns, *model.costs])}"
         )
-    values = model.signals[name]
     if (values < 0).any():
         s = int(values.argmin())
         raise SettingsError(
-            f"signal {name} is {values[s]:g} in state {model.state_name(s)}, but a cost must be at least 0; "
-            "shift the signal"
+            f"{_kind(model, name)} {name} is {values[s]:g} in state {model.state_name(s)}, but a cost must be at least "
+            "0; shift it"
         )
     return values
+
+
+def _kind(model: MDP, name: str) -> str:
+    return "signal" if name in model.signals else "label" if name in model.labels else "cost"
 
 
 def best(criteria: Criteria, weights: Sequence[float]) -> tuple[Figure, list[Figure], Choices]:

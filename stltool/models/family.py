@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stltool.arguments import require
 from stltool.errors import ModelError, SettingsError
+from stltool.models.costs import united
 from stltool.models.fractions import over_one
 from stltool.models.mdp import MDP
 from stltool.models.parameters import Affine, Parameter, Ties, Values, read_affine, read_parameters
@@ -125,7 +126,7 @@ def _family(build: Callable[[Values], MDP], declared: dict[str, Parameter]) -> M
     )
     row_start = starts(np.array(lengths, dtype=np.int64))
     source = tied(base.choice_start, base.choice_action, row_start, np.array(target, dtype=np.int32), ties)
-    family = replace(base, source=source)
+    family = replace(base, source=source, costs=united([one.costs for one in (base, *tops, centre)]))
     values = {one.name: one.value for one in parameters if one.value is not None}
     if len(values) == len(parameters):
         return replace(family, source=source.at(values))

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from stltool.arguments import described, flag, mapping, require, texts, whole
 from stltool.display import Card, Displayed, StateNames, counted, distinct, listed
 from stltool.errors import ModelError, SettingsError, named, near_misses
+from stltool.models.costs import Cost, fitted, read_costs
 from stltool.models.fractions import (
     Fractions,
     Integers,
@@ -88,6 +89,7 @@ class MDP(Displayed):
                    define ("label", "signal")
     sensing        of a black box whose signals are real: its states are cells (models/sensing.py), and labels and
                    signals are empty; products read the task from what is sensed
+    costs          name → what a step costs (models/costs.py)
     Raises ModelError, naming state and action, if a row is not a distribution, a state has no action, a value is not
     finite, or a shape does not fit.
     """
@@ -104,11 +106,13 @@ class MDP(Displayed):
     blackbox: Callable[[np.random.Generator, int | None], BlackBox] | None = None
     notes: Mapping[str, str] = field(default_factory=dict)
     sensing: Sensing | None = None
+    costs: Mapping[str, Cost] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require(self.source, Source, "MDP's source", "make models by stl.MDP.from_arrays(...)")
         require(self.initial, np.ndarray, "MDP's initial", "make models by stl.MDP.from_arrays(...)")
         _validate(self)
+        object.__setattr__(self, "costs", fitted(self.costs, self.source))
         if self.state_names is not None and not isinstance(self.state_names, StateNames):
             object.__setattr__(self, "state_names", distinct(self.state_names))
         for array in (self.initial, *self.signals.values(), *self.labels.values()):
@@ -178,6 +182,7 @@ class MDP(Displayed):
                 {
                     "signals": listed(f"{x} in [{v.min():g}, {v.max():g}]" for x, v in self.signals.items()),
                     "labels": listed(f"{x} ({counted(int(v.sum()), 'state')})" for x, v in self.labels.items()),
+                    "costs": listed(self.costs) or None,
                 },
                 {
                     "starts in": self._starts(_SHOWN),
@@ -374,6 +379,8 @@ class MDP(Displayed):
         ]
         digest_arrays(sha, [*columns, *(("label " + name, self.labels[name]) for name in sorted(self.labels))])
         sha.update("\0".join(self.action_names).encode())
+        for name in sorted(self.costs):
+            self.costs[name].digest_into(sha, name)
         return sha.hexdigest()
 
     def digest(self) -> str:
@@ -422,6 +429,7 @@ class MDP(Displayed):
         *,
         normalize: bool = False,
         parameters: Mapping[str, Any] | None = None,
+        costs: Mapping[str, Any] | None = None,
     ) -> MDP:
         """An MDP from one transition matrix per action.
 
@@ -435,6 +443,8 @@ class MDP(Displayed):
                       exactly (models/normalize.py); `notes` describes what that changed
         parameters    name → domain, such as {"p": (0.5, 1)} or {"p": {"domain": (0.5, 1), "value": 0.93}}; entries may
                       then be expressions that are linear in them, such as "(1-p)/3", at most one parameter a row
+        costs         name → what a step costs: (S,) in each state, (S, A) for each action in it, (A, S, S) for each of
+                      its successors; or their sum: {"states": (S,), "choices": (S, A)}
         """
         normalize = flag(normalize, "normalize")
         if parameters is not None:
@@ -444,11 +454,11 @@ class MDP(Displayed):
                 raise SettingsError("rows that depend on parameters cannot be rescaled; leave out normalize")
             return from_expressions(
                 transitions, parameters, signals=signals, initial=initial, labels=labels, action_names=action_names,
-                state_names=state_names, name=name,
+                state_names=state_names, name=name, costs=costs,
             )  # fmt: skip
         given = _given(transitions, "transitions")
         return cls._of_rows(
-            _by_state(given), given, None, signals, initial, labels, action_names, state_names, name, normalize
+            _by_state(given), given, None, signals, initial, labels, action_names, state_names, name, costs, normalize
         )
 
     @classmethod
@@ -462,6 +472,8 @@ class MDP(Displayed):
         action_names: Sequence[str] | None = None,
         state_names: Sequence[str] | None = None,
         name: str = "model",
+        *,
+        costs: Mapping[str, Any] | None = None,
     ) -> MDP:
         """An MDP whose probabilities are intervals [lower, upper], for `robust_check`.
 
@@ -472,7 +484,7 @@ class MDP(Displayed):
         """
         rows = _by_state(_given(upper, "upper ends"))
         ends = Intervals(_aligned(_by_state(_given(lower, "lower ends")), rows), rows.data.astype(np.float64))
-        return cls._of_rows(rows, [], ends, signals, initial, labels, action_names, state_names, name)
+        return cls._of_rows(rows, [], ends, signals, initial, labels, action_names, state_names, name, costs)
 
     @classmethod
     def from_family(cls, build: Callable[..., MDP], parameters: Mapping[str, Any]) -> MDP:
@@ -501,6 +513,7 @@ class MDP(Displayed):
         denominator: int | None = None,
         state_names: Sequence[str] | None = None,
         name: str = "model",
+        costs: Mapping[str, Any] | None = None,
     ) -> MDP:
         """An MDP whose rows are computed by a function when needed, so that they are never all in memory.
 
@@ -511,7 +524,7 @@ class MDP(Displayed):
         denominator   probabilities are integers over it, and exact; None: they are doubles
         signals, labels   as in `from_arrays`, or functions of an array of states
         available     (S, A) Booleans: which actions a state has (default: all)
-        initial, state_names   as in `from_arrays`
+        initial, state_names, costs   as in `from_arrays`, without costs of successors
 
         A row is checked when it is computed: ModelError, naming state and action, if it is not a distribution.
         """
@@ -525,14 +538,17 @@ class MDP(Displayed):
             denominator = whole(denominator, "from_function's denominator", 1, 2**53 - 1)
         given_names = _names(state_names, "state_names")
         start, exact_start = _initial(initial, n_states, given_names)
+        has = _available(available, (n_states, len(names)))
+        everywhere = np.ones(n_states * len(names), dtype=np.bool_) if has is None else has.ravel()
         return cls(
-            Function(step, n_states, names, _available(available, (n_states, len(names))), denominator),
+            Function(step, n_states, names, has, denominator),
             initial=start,
             exact_initial=Shares(*over_one(exact_start)) if exact_start is not None else None,
             **_columns(_of_states(signals, n_states), _of_states(labels, n_states), optional=True),
             action_names=names,
             state_names=given_names,
             name=_name(name),
+            costs=read_costs(costs, n_states, len(names), everywhere, None),
         )
 
     @classmethod
@@ -605,6 +621,7 @@ class MDP(Displayed):
         action_names: Sequence[str] | None,
         state_names: Sequence[str] | None,
         name: str,
+        costs: Mapping[str, Any] | None,
         normalize: bool = False,
     ) -> MDP:
         """From rows (S·A, S), the actions of each state together; empty rows are unavailable actions.
@@ -656,6 +673,7 @@ class MDP(Displayed):
             state_names=given_names,
             name=_name(name),
             notes=notes,
+            costs=read_costs(costs, n_states, n_actions, available, (row_start, target)),
         )
 
 
