@@ -4,73 +4,61 @@ from __future__ import annotations
 
 import io
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Literal, cast
 
 import typer
 
+from stltool.display import counted
 from stltool.errors import SettingsError
 
 if TYPE_CHECKING:
     from stltool.logic.task import Task
+    from stltool.monitoring import Decision
+    from stltool.monitoring.logs import Reading
 
 
-def follow(task: Task, trace: Path, end: str, at: int | None, every: bool, decimal: str, time: str | None) -> None:
+def follow(task: Task, trace: Path, reading: Reading, end: str, at: int | None, every: bool, as_json: bool) -> None:
     """Print each violated step (`every`: each step) as soon as it is certain, and stop early if `at` is decided.
 
-    Exit code 1 if a decided step is violated.
+    With `as_json`, one object at the end has all of them. Exit code 1 if a decided step is violated.
     """
     from stltool.logic.formula import label_names, variables
-    from stltool.monitoring import Decision, OnlineMonitor
-    from stltool.monitoring.logs.clock import NO_TIME
-    from stltool.monitoring.logs.following import samples
-    from stltool.reporting.terminal import print_facts
+    from stltool.monitoring import OnlineMonitor
+    from stltool.monitoring.logs.following import Following
+    from stltool.reporting.following import Followed, followed_facts
+    from stltool.reporting.terminal import print_facts, print_json
 
-    if task.step is not None and time != NO_TIME:
-        raise SettingsError(
-            "--follow takes rows as steps and does not check their times, and the task declares a step; add --time none"
-        )
+    clock = reading.clock(task.step)
     online = OnlineMonitor(task)
     names = [*{**variables(task.formula), **label_names(task.formula)}]
-    decided = violated = 0
-    first: int | None = None
-    judged: Decision | None = None
+    found = Followed(task, end, at)
 
-    def tell(decision: Decision, when: str) -> None:
-        nonlocal decided, violated, first, judged
-        if at is not None and decision.step != at:
-            return
-        decided += 1
-        judged = decision
-        if not decision.verdict:
-            violated += 1
-            first = decision.step if first is None else min(first, decision.step)
-        if every or at is not None or not decision.verdict:
-            print(f"step {decision.step}  {'holds' if decision.verdict else 'violated'}, {when}", flush=True)
+    def tell(decisions: Iterable[Decision], sample: int | None) -> None:
+        for decision in decisions:
+            line = found.add(decision, sample)
+            if not as_json and line is not None and (every or at is not None or not decision.verdict):
+                print(line, flush=True)
 
     with _opened(trace) as (where, file):
-        for n, sample in enumerate(samples(where, file, names, decimal)):
-            for decision in online.feed(sample):
-                tell(decision, f"certain at step {n}")
-            if at is not None and judged is not None:
+        following = Following(where, file, names, clock, reading.decimal)
+        for n, sample in enumerate(following):
+            tell(online.feed(sample), n)
+            if found.settled:
                 break
-    if end != "error" and (at is None or judged is None):
-        for decision in online.finish(cast(Literal["cut", "hold"], end)):
-            tell(decision, "at the end of the trace")
-    if at is not None and judged is None:
-        raise SettingsError(
-            f"--at {at}: not decided by the {online.n_steps} samples of {where}; give more, or --end cut or hold"
-        )
-    if at is None:
-        left = online.n_steps - decided
-        print_facts({
-            "read": f"{online.n_steps} samples of {where}",
-            "decided": f"{decided} steps" + (f"; the verdicts of {left} depend on what comes" if left else ""),
-            "violated": f"at {violated} of them, first at step {first}" if violated else "at no step",
-        })  # fmt: skip
-    if violated:
+    if end != "error" and not found.settled:
+        tell(online.finish(cast(Literal["cut", "hold"], end)), None)
+    if at is not None and not found.settled:
+        read = counted(online.n_steps, "sample")
+        raise SettingsError(f"--at {at}: not decided by the {read} of {where}; give more, or --end cut or hold")
+    data = found.data(where, online.n_steps, online.horizon, following.timing.says)
+    if as_json:
+        print_json(data)
+    elif at is None:
+        print_facts(followed_facts(data))
+    if not data["holds"]:
         raise typer.Exit(1)
 
 

@@ -170,13 +170,13 @@ def monitor(
     if following:
         beside = {
             "--trace": which is not None, "--why": why, "--plot": plot is not None, "--report": report is not None,
-            "--resample": resample is not None, "--missing": missing != "error", "--json": as_json,
+            "--resample": resample is not None, "--missing": missing != "error",
         }  # fmt: skip
         for option in (option for option, given in beside.items() if given):
             raise SettingsError(f"--follow prints verdicts as they come; {option} needs the whole trace: leave one out")
         if len(traces) > 1:
             raise SettingsError(f"--follow reads one trace as it grows; {len(traces)} files are given: name one")
-        follow(loaded, traces[0], end, at, steps, decimal, time)
+        follow(loaded, traces[0], reading, end, at, steps, as_json)
         return
     judged = []
     for trace in traces:

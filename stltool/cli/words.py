@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -41,6 +42,7 @@ def spelling(options: Mapping[str, Spelled]) -> Callable[[str, str], str]:
         if known.flag or not equals:
             return known.option
         unquoted = value.strip("\"'")
-        return f"{known.option} {unquoted}"
+        # quotes that a shell needs stay: a column's name may have spaces and brackets
+        return f"{known.option} {unquoted}" if shlex.quote(unquoted) == unquoted else f'{known.option} "{unquoted}"'
 
     return spell

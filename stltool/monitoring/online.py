@@ -246,9 +246,14 @@ class OnlineMonitor(Displayed):
         n = self.n_steps
         first = max(0, n - 1 - self.horizon)
         step = whole(step, "bounds' step", least=0)
+        if n == 0:
+            raise SettingsError(f"bounds' step is {step}, but no sample was read; feed the first one, of step 0")
         if not first <= step < n:
-            range_ = f"steps {first} … {n - 1}" if n else "no step yet"
-            raise SettingsError(f"bounds' step is {step}; {counted(n, 'sample')} read, so there are bounds of {range_}")
+            range_ = f"steps {first} … {n - 1}" if first < n - 1 else f"step {first} only"
+            raise SettingsError(
+                f"bounds' step is {step}; after {counted(n, 'sample')} there are bounds of {range_}, as the horizon is "
+                f"{self.horizon}"
+            )
         return step
 
     # ------------------------------------------------------------------------------------------------ one sample

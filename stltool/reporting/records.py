@@ -927,6 +927,40 @@ class MonitorRecord(TraceRecord):
     why: NotRequired[DiagnosisRecord]
 
 
+class FollowedStepRecord(TypedDict):
+    """A decision: the step whose sample made it certain, or null at the end of the trace. Times are in the `unit`."""
+
+    step: int
+    time: float | None
+    verdict: bool
+    certain_at: int | None
+    certain_at_time: float | None
+
+
+class FollowedRecord(TypedDict):
+    """What `stltool monitor --follow --json` prints at the end of the trace: the decisions, in the order of deciding.
+
+    `holds` says that none of the `decided` steps is violated; the verdicts of the other samples depend on what comes.
+    """
+
+    task: str | None
+    formula: str
+    trace: str
+    samples: int
+    horizon: int
+    end: str
+    at: int | None
+    unit: str | None
+    step: float | None
+    clock: str | None
+    decided: int
+    holds: bool
+    violations: int
+    first_violation: int | None
+    first_violation_time: float | None
+    decisions: list[FollowedStepRecord]
+
+
 class FrontReport(FrontRecord):
     """A report of `stltool pareto`: a front, and its tasks in words."""
 
@@ -1079,6 +1113,7 @@ OUTPUTS = {
     "explain": ExplainOutput,
     "learn": TrainingOutput,
     "monitor": MonitorRecord,
+    "monitor --follow": FollowedRecord,
     "pareto": FrontRecord,
     "play": PlayOutput,
     "run": ReportRecord,

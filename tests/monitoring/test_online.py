@@ -381,7 +381,7 @@ def test_bounds_are_reached_where_predicates_occur_in_one_polarity():
 
 def test_steps_without_bounds():
     online = stl.OnlineMonitor(stl.parse("F[0,2] x > 0"))
-    with pytest.raises(SettingsError, match="bounds' step is 0; 0 samples read, so there are bounds of no step yet"):
+    with pytest.raises(SettingsError, match="bounds' step is 0, but no sample was read; feed the first one"):
         online.bounds(0)
     for x in (1.0, 2.0, 3.0, 4.0, 5.0):
         online.feed({"x": x})

@@ -41,6 +41,8 @@ MORE = {
          "--until-gap", "0.5"],
     ],
     "monitor": [["monitor", "F[0,1] x > 0.5", "batch.npz"], ["monitor", "G[0,1] (x > 0.5) | F[0,1] true", "trace.csv"]],
+    "monitor --follow": [["monitor", "F[0,2] x > 0.5", "trace.csv", "--follow", "--end", "cut"],
+                         ["monitor", "F[0,2] x > 0.5", "trace.csv", "--follow", "--at", "0"]],
     "verify": [["verify", "all.stl", "expected.stl", "--certificates", "proofs", "--exact-seconds", "0"]],
     "why": [["why", "patrolling.stl", *SMALL, "--mass", "0.001", "--satisfying"]],
 }  # fmt: skip

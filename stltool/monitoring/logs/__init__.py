@@ -68,21 +68,22 @@ class Reading:
         """The same without times, for tasks without a step."""
         return replace(self, time=None, resample=None)
 
-    def log(self, path: Path, names: Sequence[str] | None, step: Duration | None, labels: Collection[str] = ()) -> Log:
-        """The signals of a file, with a sample per step."""
+    def clock(self, step: Duration | None) -> Clock:
+        """How times become steps of a declared duration. SettingsError if times are asked for and none is declared."""
         if step is None and self.times_asked is not None:
             raise SettingsError(
                 f"{self.times_asked}: the duration of a step is not declared; a task file does so by a line such as "
                 f"step = 0.1s, a formula by {option('step', '0.1s')}"
             )
-        clock = Clock(step, self.time, self.resample, float(self.tolerance))
+        return Clock(step, self.time, self.resample, float(self.tolerance))
+
+    def log(self, path: Path, names: Sequence[str] | None, step: Duration | None, labels: Collection[str] = ()) -> Log:
+        """The signals of a file, with a sample per step."""
+        clock = self.clock(step)
         column = None if self.time == NO_TIME else self.time
         recording = read_recording(path, Asked(names, column, clock.used, self.decimal, self.missing))
         signals, timing = on_steps(recording, clock, _shown(path), labels)
-        signal = timing.unused is not None and timing.unused.removeprefix("column ") in (names or ())
-        if signal or (self.time == NO_TIME and step is None):
-            timing = Timing()
-        return Log(path, signals, timing)
+        return Log(path, signals, timing.beside(clock, names or ()))
 
 
 @dataclass(frozen=True, eq=False)

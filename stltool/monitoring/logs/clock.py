@@ -73,6 +73,11 @@ class Timing:
     start: str | None = None  # the first time, as the log has it
     unused: str | None = None  # the column that looks like a time but was not used, for want of a step
 
+    def beside(self, clock: Clock, names: Collection[str]) -> Timing:
+        """Nothing, if the times were not wanted: no step is declared, and their column is a signal, or "none" given."""
+        signal = self.unused is not None and self.unused.removeprefix("column ") in names
+        return Timing() if signal or (clock.time == NO_TIME and clock.step is None) else self
+
 
 # ------------------------------------------------------------------------------------------------------ the time column
 
@@ -162,8 +167,12 @@ def _rows_are_steps(recording: Recording, clock: Clock, where: str) -> Timing:
         )
     if clock.resample is not None:
         raise SettingsError(f"{where}: there is no time column to resample by; name it: {option('time', 't')}")
+    return rows_are_steps(clock, recording.clock)
+
+
+def rows_are_steps(clock: Clock, unused: str | None) -> Timing:
+    """What is done with the times of a log whose rows are steps; `unused` is what it calls them, if it has any."""
     if clock.step is None:
-        unused = recording.clock
         return Timing(f"rows are steps; the {unused} is not used" if unused else None, unused=unused)
     says = f"rows are steps of {clock.step}"
     return Timing(says if clock.time == NO_TIME else f"{says}; there is no column of times")
@@ -249,14 +258,11 @@ class _Grid:
         late = np.flatnonzero(~(np.diff(seconds) > 0))
         if len(late):
             i = int(late[0])
-            raise TraceError(
-                f"{self._at(trace, signal, i, i + 1)}: {self.column} goes from {_shown_time(times[i])} to "
-                f"{_shown_time(times[i + 1])}; times must increase from row to row; mend the log, or {_ROWS}"
-            )
+            raise _late(self._at(trace, signal, i, i + 1), self.column, times[i], times[i + 1])
         return seconds / self.seconds, _slack(times) / self.seconds
 
     def _tolerance(self, slack: float) -> float:
-        return self.clock.tolerance + slack + _ROUNDING
+        return _tolerated(self.clock, slack)
 
     def _require_uniform(self, steps: Reals, slack: float, trace: int | None) -> None:
         off = np.abs(steps - np.arange(len(steps)))
@@ -265,27 +271,12 @@ class _Grid:
             return
         i = int(wrong[0])
         gap = float(steps[i] - steps[i - 1])
-        apart = f"{gap * self.seconds:.6g}s apart"
-        if abs(gap - 1) > self._tolerance(2 * slack):
-            told = f"{self._at(trace, None, i - 1, i)}: in {self.column} they are {apart}; the step is {self.step}"
-            told += self._meant(steps)
-        else:
-            told = (
-                f"{self._at(trace, None, i)}: in {self.column} it is {off[i]:.3g} of a step away from step {i}; the "
-                f"step is {self.step}, and {self.clock.tolerance:.3g} of it is tolerated"
-            )
+        apart = abs(gap - 1) > self._tolerance(2 * slack)
+        at = self._at(trace, None, i - 1, i) if apart else self._at(trace, None, i)
+        usual = float(np.median(np.diff(steps)))
+        told = _off(at, self.column, self.clock, i, gap if apart else None, float(off[i]), usual)
         more = f" (and {len(wrong) - 1} more row{'s'[: len(wrong) > 2]})" if len(wrong) > 1 else ""
         raise TraceError(f"{told}{more}; {_RESAMPLE} puts the signals on the step's grid, {_ROWS}")
-
-    def _meant(self, steps: Reals) -> str:
-        """A hint, if the times look like another unit."""
-        usual = float(np.median(np.diff(steps)))
-        for unit in ("ms", "us", "ns", "min", "h"):
-            if abs(usual * float(_UNITS[unit]) - 1) <= self.clock.tolerance:
-                name = without_unit((self.recording.clock or "t").removeprefix("column "))[0]
-                given = option("time", f"{name} [{unit}]")
-                return f" (if the column is in {unit}, give {given})"
-        return ""
 
     def _at(self, trace: int | None, signal: str | None, *rows: int) -> str:
         of = f", trace {trace}" if trace is not None else f", {signal}" if signal is not None else ""
@@ -339,6 +330,77 @@ class _Grid:
         if not used.all():
             says += f"; {int((~used).sum())} rows lie between steps and are not judged"
         return says
+
+
+# -------------------------------------------------------------------------------------------- rows that come one by one
+
+
+class RunningClock:
+    """The times of a log that is still being written: each row is held against the step as it comes.
+
+    A row that `on_steps` refuses is refused here, by the same message as far as the rows so far tell.
+    """
+
+    def __init__(self, clock: Clock, where: str, column: str) -> None:
+        assert clock.step is not None
+        self.clock, self.where, self.column = clock, where, f"column {column}"
+        self._seconds = float(clock.step.seconds)
+        self._first: NDArray[Any] | None = None
+        self._before: tuple[NDArray[Any], int] | None = None
+        self._n = 0
+
+    def read(self, time: NDArray[Any], line: int) -> None:
+        """The time (1,) of the next row, in seconds or as a date. TraceError if the row is not the next step."""
+        if self._first is None or self._before is None:
+            self._first, self._before, self._n = time, (time, line), 1
+            return
+        i, (last, line_before) = self._n, self._before
+        times = np.concatenate([self._first, last, time])
+        rows = f"{self.where}, rows {i} and {i + 1} (lines {line_before} and {line})"
+        since = _seconds(times)
+        if not since[2] > since[1]:
+            raise _late(rows, self.column, last[0], time[0])
+        slack = _slack(times) / self._seconds
+        before, now = (since[1:] / self._seconds).tolist()
+        if abs(now - i) > _tolerated(self.clock, slack):
+            gap = now - before
+            apart = abs(gap - 1) > _tolerated(self.clock, 2 * slack)
+            at = rows if apart else f"{self.where}, row {i + 1} (line {line})"
+            usual = gap if i == 1 else 1.0  # the rows before were steps
+            told = _off(at, self.column, self.clock, i, gap if apart else None, abs(now - i), usual)
+            raise TraceError(f"{told}; {_ROWS}; without --follow, {_RESAMPLE} puts the signals on the step's grid")
+        self._before, self._n = (time, line), i + 1
+
+
+def _tolerated(clock: Clock, slack: float) -> float:
+    """How far from its step a row may be, in steps, the rounding of its time being `slack`."""
+    return clock.tolerance + slack + _ROUNDING
+
+
+def _late(at: str, column: str, before: Any, now: Any) -> TraceError:
+    return TraceError(
+        f"{at}: {column} goes from {_shown_time(before)} to {_shown_time(now)}; times must increase from row to row; "
+        f"mend the log, or {_ROWS}"
+    )
+
+
+def _off(at: str, column: str, clock: Clock, row: int, gap: float | None, off: float, usual: float) -> str:
+    """The fault of a row that is not its step: so many steps after the row before, or away from the grid.
+
+    With a hint, if steps that `usual`ly follow one another look like times of another unit.
+    """
+    assert clock.step is not None
+    if gap is None:
+        return (
+            f"{at}: in {column} it is {off:.3g} of a step away from step {row}; the step is {clock.step}, and "
+            f"{clock.tolerance:.3g} of it is tolerated"
+        )
+    told = f"{at}: in {column} they are {gap * float(clock.step.seconds):.6g}s apart; the step is {clock.step}"
+    for unit in ("ms", "us", "ns", "min", "h"):
+        if abs(usual * float(_UNITS[unit]) - 1) <= clock.tolerance:
+            name = without_unit(column.removeprefix("column "))[0]
+            return f"{told} (if the column is in {unit}, give {option('time', f'{name} [{unit}]')})"
+    return told
 
 
 def _seconds(times: NDArray[Any]) -> Reals:

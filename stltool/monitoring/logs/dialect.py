@@ -15,6 +15,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import IO
 
+from stltool.display import counted
 from stltool.errors import FileError, SettingsError, TraceError
 from stltool.monitoring.logs.dates import is_date
 from stltool.monitoring.logs.recording import option
@@ -58,6 +59,18 @@ class Dialect:
                 raise TraceError(
                     f"{where}, line {self.line}: two columns are named {name}; every column needs a name of its own"
                 )
+
+    def cells(self, where: str, line: int, row: list[str]) -> list[str]:
+        """The cells of a row, one for every column: rows may lack unnamed cells behind the last name, or have more
+        empty ones.
+        """
+        if len(row) == len(self.header):
+            return row
+        named = max(i for i, name in enumerate(self.header) if name) + 1
+        if len(row) < named or any(cell.strip() for cell in row[len(self.header) :]):
+            found, wanted = counted(len(row), "cell"), counted(named, "column")
+            raise TraceError(f"{where}, line {line}: {found} where the header names {wanted}")
+        return [*row, *[""] * (len(self.header) - len(row))]
 
 
 def dialect_of(where: str, file: IO[str], decimal: str, named_columns: bool) -> Dialect:

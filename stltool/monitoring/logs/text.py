@@ -217,17 +217,14 @@ class _Table:
             return dates(texts)
         except DateError as error:
             at = f"line {error.index + first}" if first is not None else f"row {error.index + 1}"
-            told = (
-                f"{shown(texts[error.index])} {error}"
-                if texts[error.index].strip()
-                else "an empty cell; every row needs a time"
-            )
+            text = texts[error.index]
+            told = f"{shown(text)} {error}" if text.strip() else no_time(text)
             raise TraceError(f"{self.source.where}, {at}, column {self.columns.time.name}: {told}") from None
 
     # ---------------------------------------------------------------------------------------------------- cell by cell
 
     def _read_cells(self) -> _Read:
-        columns, header = self.columns, self.dialect.header
+        columns = self.columns
         values = {name: array("d") for name in columns.names}
         signals = set(columns.signals)
         kinds = [(name, place, columns.kind(name), name in signals)
@@ -237,9 +234,7 @@ class _Table:
         row_count, plain, fill = 0, True, self.asked.missing != "error"
         with self.source.text() as file:
             for line, row in _rows(self.source.where, file, self.dialect):
-                if len(row) != len(header):
-                    self._require_cells(line, row)
-                    row += [""] * (len(header) - len(row))
+                row = self.dialect.cells(self.source.where, line, row)
                 plain = plain and line == self.dialect.above + row_count + 1
                 for name, place, kind, signal in kinds:
                     cell = row[place]
@@ -257,15 +252,6 @@ class _Table:
             missing[name][rows] = True
         kept = {name: np.frombuffer(column, np.float64).copy() for name, column in values.items()}
         return _Read(kept, missing, texts if columns.dated else None, plain)
-
-    def _require_cells(self, line: int, row: list[str]) -> None:
-        """Rows may lack unnamed cells behind the last name, or have more empty ones."""
-        named_cells = max(i for i, name in enumerate(self.dialect.header) if name) + 1
-        if len(row) < named_cells or any(cell.strip() for cell in row[len(self.dialect.header) :]):
-            raise TraceError(
-                f"{self.source.where}, line {line}: {_count(len(row), 'cell')} where the header names "
-                f"{_count(named_cells, 'column')}"
-            )
 
     def _value(self, line: int, name: str, cell: str) -> float:
         label = name in self.columns.labels
@@ -295,8 +281,12 @@ def _rows(where: str, file: IO[str], dialect: Dialect) -> Iterator[tuple[int, li
             empty = line if empty is None else empty
             continue
         if empty is not None:
-            raise TraceError(f"{where}, line {empty}: an empty line between rows; remove it, or write a row")
+            raise empty_line(where, empty)
         yield line, row
+
+
+def empty_line(where: str, line: int) -> TraceError:
+    return TraceError(f"{where}, line {line}: an empty line between rows; remove it, or write a row")
 
 
 def _truth(text: str) -> float:
@@ -305,15 +295,18 @@ def _truth(text: str) -> float:
     return float(TRUTH[text.strip().lower()])
 
 
+def no_time(text: str) -> str:
+    """The fault of a cell that has no time."""
+    if not text.strip():
+        return "an empty cell; every row needs a time"
+    return f"{shown(text)} is not a time; write seconds, or dates such as 2026-03-01T12:00:00.25Z"
+
+
 def _objection(text: str, label: bool, is_time: bool, why: str) -> str:
     """The fault of a cell, with the remedy; `why` it is not a value of its column."""
     bare = text.strip().lower()
     if is_time:
-        return (
-            f"{shown(text)} is not a time; write seconds, or dates such as 2026-03-01T12:00:00.25Z"
-            if bare
-            else ("an empty cell; every row needs a time")
-        )
+        return no_time(text)
     if not bare:
         return no_value("an empty cell")
     if not label and bare in TRUTH:
@@ -323,10 +316,6 @@ def _objection(text: str, label: bool, is_time: bool, why: str) -> str:
     if bare in NO_VALUE:
         return f"{why}; {NEEDED}: {WAYS}"
     return f"{why}; {NEEDED}" if "finite" in why else why
-
-
-def _count(n: int, what: str) -> str:
-    return f"{n} {what}{'s'[: n != 1]}"
 
 
 # ------------------------------------------------------------------------------------------------------ from its bytes
