@@ -42,6 +42,7 @@ from .automata.vacuity import Meaning as Meaning, meaning as meaning
 from .diagnosis import Diagnosis as Diagnosis, diagnose as diagnose
 from .models import (
     MDP as MDP,
+    compose as compose,
     from_gymnasium as from_gymnasium,
     load_model as load_model,
 )

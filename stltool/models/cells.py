@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.arrays import read_only
-from stltool.models.fractions import LARGEST_SUM, Integers, Shares, doubles_of
+from stltool.models.fractions import LARGEST_SUM, Shares, doubles_of
 from stltool.models.intervals import Intervals
 from stltool.models.parameters import Parameter, Ties, Values
 from stltool.models.rows import I32, I64, Chances, Rows, Source, starts
@@ -219,20 +219,15 @@ def _table(
     directions = np.array(target, dtype=np.int32)
     if not uncertain:
         given = Shares(low, denominator)
-        return Rows(choice_start, row_start, directions, Chances(_doubles(low, denominator), row_start, given))
+        return Rows(choice_start, row_start, directions, Chances(doubles_of(low, denominator), row_start, given))
     ties = None
     if parameter is not None:
         ties = Ties((parameter,), low, high, denominator, np.zeros(len(low), dtype=np.int16))
         low, high = np.minimum(low, high), np.maximum(low, high)
     # of the ends before they are cut to 1, so that the nominal model has one noise everywhere
-    nominal = Intervals(_doubles(low, denominator), _doubles(high, denominator)).nominal(row_start)
-    cut = Intervals(_doubles(low, denominator), _doubles(np.minimum(high, denominator), denominator))
+    nominal = Intervals(doubles_of(low, denominator), doubles_of(high, denominator)).nominal(row_start)
+    cut = Intervals(doubles_of(low, denominator), doubles_of(np.minimum(high, denominator), denominator))
     return Rows(choice_start, row_start, directions, Chances(nominal, row_start, intervals=cut, ties=ties))
-
-
-def _doubles(numerator: Integers, denominator: int) -> NDArray[np.float64]:
-    whole = numerator.dtype != object and denominator < 2**53
-    return numerator / denominator if whole else doubles_of(numerator, denominator)
 
 
 def _nominal(table: Rows) -> Rows:

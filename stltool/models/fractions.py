@@ -76,7 +76,10 @@ def over_one(values: Iterable[Fraction]) -> tuple[Integers, int]:
 
 
 def doubles_of(numerator: Integers, denominator: int) -> NDArray[np.float64]:
-    """The doubles nearest to numerator / denominator."""
+    """The doubles nearest to numerator / denominator, for numbers below 8."""
+    if numerator.dtype != object and denominator < 2**50:  # both are doubles, and division rounds once
+        quotients: NDArray[np.float64] = numerator / denominator
+        return quotients
     unique, which = np.unique(numerator, return_inverse=True)
     return np.array([int(n) / denominator for n in unique])[which]
 

@@ -87,6 +87,7 @@ class MDP(Displayed):
     state_names    a name for each state; names that repeat get the number of their state added: "x=0 (3)"
     notes          remarks on how the model was read, by subject: "normalize", or what a missing companion file would
                    define ("label", "signal")
+    members        of a composition (models/composition.py): the models that it consists of, by name
     sensing        of a black box whose signals are real: its states are cells (models/sensing.py), and labels and
                    signals are empty; products read the task from what is sensed
     costs          name → what a step costs (models/costs.py)
@@ -107,6 +108,7 @@ class MDP(Displayed):
     notes: Mapping[str, str] = field(default_factory=dict)
     sensing: Sensing | None = None
     costs: Mapping[str, Cost] = field(default_factory=dict)
+    members: Mapping[str, MDP] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require(self.source, Source, "MDP's source", "make models by stl.MDP.from_arrays(...)")
@@ -387,20 +389,29 @@ class MDP(Displayed):
         """A SHA-256 of the content, action names included; for rows on demand, of what defines them."""
         return self._digest
 
+    def starting_in(self, initial: int | str | ArrayLike) -> MDP:
+        """The model whose runs start elsewhere: in a state, by index or name, or by a distribution (S,), as in
+        `from_arrays`."""
+        self.require_probabilities()
+        start, shares = _initial(initial, self.n_states, self.state_names)
+        exact_start = Shares(*over_one(shares)) if shares is not None else None
+        return replace(self, initial=start, exact_initial=exact_start)
+
     @cached_property
-    def _initial_shares(self) -> Shares:
+    def initial_shares(self) -> Shares:
+        """The probability of starting in each state, exactly."""
         if self.exact_initial is not None:
             return self.exact_initial
         return Shares(*of_doubles(self.initial, np.array([0, self.n_states])))
 
     def initial_share(self, s: int) -> Fraction:
         """The probability of starting in state s, exactly."""
-        return self._initial_shares[s]
+        return self.initial_shares[s]
 
     @cached_property
     def initial_total(self) -> Fraction:
         """Σ initial, exactly."""
-        shares = self._initial_shares
+        shares = self.initial_shares
         return Fraction(int(shares.numerator.sum()), shares.denominator)
 
     @property
@@ -411,7 +422,7 @@ class MDP(Displayed):
     def exact(self) -> Fractions:
         """The exact probabilities: as given in fractions, or as the doubles are read (models/fractions.py)."""
         self.require_points()
-        rows, start = self.rows, self._initial_shares
+        rows, start = self.rows, self.initial_shares
         return Fractions(rows.numerator, rows.denominator, start.numerator, start.denominator)
 
     # ------------------------------------------------------------------------------------------ building

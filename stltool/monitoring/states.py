@@ -8,8 +8,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.errors import TraceError
-from stltool.logic.formula import Formula, is_temporal
+from stltool.errors import FragmentError, NameLookupError, TraceError
+from stltool.logic.formula import Formula, formula_of, is_temporal, label_names, variables
+from stltool.logic.names import near_names
+from stltool.logic.parser import parse
 from stltool.logic.semantics import satisfies
 from stltool.monitoring.blocks import Block, Machine
 from stltool.monitoring.program import compile_formula
@@ -39,3 +41,32 @@ def truth(psi: Formula, signals: Mapping[str, Reals], labels: Mapping[str, Boole
         except TraceError as error:
             raise TraceError(f"state {s}: {error}") from None
     return holds > 0
+
+
+def label_of(
+    name: str, formula: object, signals: Mapping[str, Reals], labels: Mapping[str, Booleans], n: int
+) -> Booleans:
+    """Where a label that a formula, or its text, defines holds among n states, (n,) bool.
+
+    Raises StlSyntaxError with the position in the text, NameLookupError for names that are not among `signals` and
+    `labels`, FragmentError if the formula is temporal, TraceError as `truth`.
+    """
+    psi = parse(formula, name=name) if isinstance(formula, str) else formula_of(formula, f"label {name}")
+    for wanted, known, other, kind, remedy in (
+        (label_names(psi), labels, signals, "label", "compare it with a number"),
+        (variables(psi), signals, labels, "signal", "use it without comparing"),
+    ):
+        for own, span in wanted.items():
+            if own not in known:
+                hint = f"it is a {'signal' if kind == 'label' else 'label'}; {remedy}"
+                message = f"there is no {kind} {own}; {hint if own in other else near_names(own, [*known, *other])}"
+                raise NameLookupError(span.show(message) if span is not None else f"label {name}: {message}")
+    if is_temporal(psi):
+        raise FragmentError(
+            f"label {name}: {psi} is about several steps; a label is a formula without temporal operators, over one "
+            "state"
+        )
+    try:
+        return truth(psi, signals, labels, n)
+    except TraceError as error:
+        raise TraceError(f"label {name}: {error}") from None
