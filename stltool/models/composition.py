@@ -45,7 +45,7 @@ from stltool.models.toml import Faults
 from stltool.sizes import require_memory, require_numbered
 
 if TYPE_CHECKING:
-    from stltool.logic.formula import Formula
+    from stltool.monitoring.states import Definition
 
 MOST_MEMBERS = 32
 _MOST_ACTIONS = 2**20
@@ -59,7 +59,7 @@ _MEMBER_KEYS = ("model", "start", "parameters")
 
 def compose(
     models: Sequence[MDP] | Mapping[str, MDP],
-    labels: Mapping[str, str | Formula] | None = None,
+    labels: Mapping[str, Definition] | None = None,
     name: str = "composition",
 ) -> MDP:
     """The synchronous product of models: in every step each takes one of its actions, independently of the others.
@@ -207,7 +207,7 @@ def _source(joint: Joint, members: Mapping[str, MDP]) -> tuple[Source, dict[str,
     return held.source if held is not None else joint, costs
 
 
-def _defined(model: MDP, formulas: Mapping[str, str | Formula]) -> MDP:
+def _defined(model: MDP, formulas: Mapping[str, Definition]) -> MDP:
     for key, formula in formulas.items():
         model = _with_label(model, key, formula)
     return model

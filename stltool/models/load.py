@@ -60,8 +60,8 @@ def _load_toml(path: Path, normalize: bool, opened: _Opened) -> MDP:
     kind, faults = table.get("kind"), Faults()
     try:
         if not isinstance(kind, str) or kind not in (*_KINDS, "composition"):
-            known = " or ".join(f'kind = "{name}"' for name in (*_KINDS, "composition"))
-            faults.add("kind", f"kind is {kind!r}; write {known}")
+            known = ", ".join(f'"{name}"' for name in _KINDS)
+            faults.add("kind", f'kind is {kind!r}; write kind = {known} or "composition"')
         if not isinstance(table.get("normalize", False), bool):
             faults.add("normalize", f"normalize is {table['normalize']!r}; write true or false")
         faults.refuse()

@@ -18,6 +18,8 @@ from stltool.monitoring.program import compile_formula
 
 Reals: TypeAlias = NDArray[np.float64]
 Booleans: TypeAlias = NDArray[np.bool_]
+Definition: TypeAlias = str | Formula
+"""A formula, or its text."""
 
 
 def truth(psi: Formula, signals: Mapping[str, Reals], labels: Mapping[str, Booleans], n: int) -> Booleans:

@@ -15,6 +15,7 @@ from tests.conftest import FACTORY
 from tests.golden.capture import refusal, rows
 from tests.learning import test_checkpoint, test_sweep
 from tests.models import (
+    test_composition,
     test_explicit,
     test_grid,
     test_gymnasium,
@@ -62,6 +63,12 @@ def grids():
     for changes, _ in rows(test_parameters.test_faults_of_a_grid_are_reported_with_their_line):
         path = test_parameters.grid(Path(), **changes)
         yield f"floor.toml with {text_of(changes)}", refusal(stl.load_model, path)
+    for text, _ in rows(test_composition.test_faults_are_told_with_their_lines):
+        path = test_composition.team(Path(), text)
+        yield f"{path}:\n{path.read_text(encoding='utf-8')}".rstrip(), refusal(stl.load_model, path)
+    for labels, _, _ in rows(test_composition.test_labels_that_are_none):
+        model = test_composition.random_model(np.random.default_rng(0), 6)
+        yield f"compose, labels = {text_of(labels)}", refusal(stl.compose, [model, model], labels)
     yield "no file", refusal(stl.load_model, "none.toml")
     yield "another ending", refusal(stl.load_model, "floor.yaml")
 

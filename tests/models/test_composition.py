@@ -323,6 +323,12 @@ def write(folder, **files):
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
 
 
+def team(folder, text):
+    head = "" if text.startswith("kind") else 'kind = "composition"\n'
+    write(folder, floor=FLOOR, bad="x = 1\n", team=head + text)
+    return folder / "team.toml"
+
+
 def test_a_file_names_its_members_relative_to_itself(tmp_path, monkeypatch):
     (tmp_path / "sub").mkdir()
     write(tmp_path, floor=FLOOR)
@@ -373,14 +379,12 @@ def test_members_start_elsewhere_and_get_values(tmp_path):
         ('[members]\nr1 = "floor.toml"\n[lables]\nmeet = "true"\n', "line 4: unknown key lables; did you mean labels"),
         ('labels = 3\n[members]\nr1 = "floor.toml"\n', r"line 2: labels is 3; write \[labels\]"),
         ('name = 3\n[members]\nr1 = "floor.toml"\n', "line 2: name is 3; write a text"),
-        ('[members]\nr1 = "bad.toml"\n', "line 3: member r1: .*bad.toml: kind is None"),
+        ('[members]\nr1 = "bad.toml"\n', "line 3: member r1: .*bad.toml: kind is None; write kind"),
     ],
 )  # fmt: skip
 def test_faults_are_told_with_their_lines(text, says, tmp_path):
-    head = "" if text.startswith("kind") else 'kind = "composition"\n'
-    write(tmp_path, floor=FLOOR, bad="x = 1\n", team=head + text)
     with pytest.raises(ModelError, match=says) as caught:
-        stl.load_model(tmp_path / "team.toml")
+        stl.load_model(team(tmp_path, text))
     assert str(caught.value).startswith(str(tmp_path / "team.toml"))
 
 
