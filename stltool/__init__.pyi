@@ -45,6 +45,7 @@ from .models import (
     compose as compose,
     from_gymnasium as from_gymnasium,
     load_model as load_model,
+    save_model as save_model,
 )
 from .product import (
     JointProduct as JointProduct,

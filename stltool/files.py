@@ -167,6 +167,57 @@ def write_result(path: str | Path, data: bytes | str, what: str, known: Callable
     write_atomically(path, data)
 
 
+def write_results(files: Mapping[Path, bytes | None], what: str, known: Callable[[Path], bool] = is_marked) -> None:
+    """Write files that belong together, all of them or none; None removes the file, if there is one.
+
+    FileError, before anything is changed, if that would replace or remove a file that is not a `what` of ours.
+    """
+    targets = {path.resolve(): content for path, content in files.items()}
+    for path in targets:
+        require_result(path, what, known)
+    made: dict[Path, str] = {}
+    kept: dict[Path, Path] = {}
+    replaced: list[Path] = []
+    try:
+        for path, content in targets.items():
+            if content is not None:
+                made[path] = _temporary(path, content)
+        for path in targets:
+            if path.exists():
+                kept[path] = path.with_name(f".{path.name}.{os.getpid()}.old")
+                os.replace(path, kept[path])
+            if path in made:
+                os.replace(made.pop(path), path)
+                replaced.append(path)
+    except BaseException as error:
+        for path in replaced:
+            path.unlink(missing_ok=True)
+        for path, former in kept.items():
+            os.replace(former, path)
+        for temporary in made.values():
+            Path(temporary).unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise FileError(f"{path}: cannot be written: {error.strerror}") from None
+        raise
+    for former in kept.values():
+        former.unlink(missing_ok=True)
+
+
+def _temporary(path: Path, content: bytes) -> str:
+    """The content in a file next to `path`, with its mode."""
+    mode = path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~_umask()
+    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+        try:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        except BaseException:
+            Path(file.name).unlink(missing_ok=True)
+            raise
+    os.chmod(file.name, mode)
+    return file.name
+
+
 def require_folder(path: str | Path) -> None:
     """FileError, before the work, if a results folder could not be created or written after it.
 

@@ -180,6 +180,7 @@ CALLS = {
     "load_model": lambda w: {"path": "model.toml"},
     "compose": lambda w: {"models": [w.model, w.model]},
     "MDP.starting_in": lambda w: {"self": w.model, "initial": 0},
+    "save_model": lambda w: {"model": w.model, "path": "saved.umb"},
     "MDP.from_arrays": lambda w: {"transitions": [[[1]]], "signals": {}},
     "MDP.from_intervals": lambda w: {"lower": [[[1]]], "upper": [[[1]]], "signals": {}},
     "MDP.from_function": lambda w: {"states": 2, "actions": 1, "step": lambda s, a: (s[:, None], s[:, None] * 0 + 1)},

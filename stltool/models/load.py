@@ -12,6 +12,7 @@ from stltool.arguments import path as path_of
 from stltool.errors import FileError, ModelError, StlToolError
 from stltool.models.composition import composition_from_table, member_files
 from stltool.models.formats.explicit import load_explicit
+from stltool.models.formats.umb import load_umb
 from stltool.models.grid import grid_from_table
 from stltool.models.gymnasium.file import gymnasium_from_table
 from stltool.models.mdp import MDP
@@ -28,8 +29,9 @@ def load_model(path: str | Path, normalize: bool = False) -> MDP:
 
     `.toml` is a grid world (models/grid.py), a Gymnasium environment (models/gymnasium/file.py) or a composition of
     model files (models/composition.py), depending on its `kind`; `.tra` is PRISM's explicit format
-    (models/formats/explicit.py). `normalize` rescales probabilities that miss a sum of 1 by at most 1/1000, as
-    `MDP.from_arrays` does; so does the key `normalize = true` of a TOML file.
+    (models/formats/explicit.py), `.umb` the unified Markov binary format (models/formats/umb.py). `normalize` rescales
+    probabilities that miss a sum of 1 by at most 1/1000, as `MDP.from_arrays` does; so does the key `normalize = true`
+    of a TOML file.
     """
     return _load(path_of(path, "load_model's path"), flag(normalize, "normalize"), _Opened())
 
@@ -120,4 +122,7 @@ def _members(path: Path, within: tuple[Path, ...]) -> Iterator[Path]:
 
 _DEEPEST = 10
 _BESIDE = {".tra": (".lab", ".sta")}
-_LOADERS: dict[str, Callable[[Path, bool], MDP]] = {".tra": load_explicit}
+_LOADERS: dict[str, Callable[[Path, bool], MDP]] = {
+    ".tra": load_explicit,
+    ".umb": load_umb,
+}
