@@ -8,7 +8,7 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import IO, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,14 @@ class Members:
             raise ValueError("its members are not arrays, or two have one name")
         self.names = tuple(name.removesuffix(".npy") for name in names)
 
+    def declared(self, name: str) -> tuple[np.dtype[Any], tuple[int, ...]]:
+        """What the array `name` says it is, before anything is unpacked."""
+        if name not in self.names:
+            raise ValueError(f"it has no array {name}")
+        with self._archive.open(f"{name}.npy") as member:
+            there, _, declared = _heading(name, member)
+        return declared, there
+
     def read(self, name: str, dtype: Any, shape: tuple[int | None, ...], most: int | None = None) -> NDArray[Any]:
         """The array `name`, unpacked only if it declares that type and shape, and has at most `most` entries.
 
@@ -46,10 +54,7 @@ class Members:
         if name not in self.names:
             raise ValueError(f"it has no array {name}")
         with self._archive.open(f"{name}.npy") as member:
-            version = np.lib.format.read_magic(member)
-            if version != (1, 0):
-                raise ValueError(f"{name} has another format version")
-            there, fortran, declared = np.lib.format.read_array_header_1_0(member)
+            there, fortran, declared = _heading(name, member)
             fits = len(there) == len(shape) and all(n in (None, m) for n, m in zip(shape, there, strict=True))
             if declared != np.dtype(dtype) or fortran or not fits:
                 wanted = " × ".join("n" if n is None else str(n) for n in shape)
@@ -62,6 +67,13 @@ class Members:
         if len(data) != size:
             raise ValueError(f"{name} does not contain as many entries as it declares")
         return np.frombuffer(data, dtype=dtype).reshape(there).copy()
+
+
+def _heading(name: str, member: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, whether in Fortran's order, and type of an array, from its first bytes."""
+    if np.lib.format.read_magic(member) != (1, 0):
+        raise ValueError(f"{name} has another format version")
+    return np.lib.format.read_array_header_1_0(member)
 
 
 @contextmanager

@@ -6,6 +6,7 @@
     Mixtures weights by step of the listed pairs, another form's choices elsewhere
     ByLayer  another form's, for automaton states that are numbered layer by layer and so determine the step
     Through  another form with its own automaton: memory (Q,) maps each automaton state to one of its own
+    Rules    of listed situations, and none elsewhere: a policy that was written as text (stltool/written.py)
     Asked    a function of the situation (stltool/asked.py)
 
 Choices are indices within their state: i is its i-th available action.
@@ -248,6 +249,69 @@ def distinct(rows: F64) -> tuple[F64, I64]:
 
 
 _ALWAYS = 2**62
+
+
+class Rules(Displayed):
+    """Choices or weights of listed situations; elsewhere no action, or no weight.
+
+    shape        (S, Q);  horizon  the number of steps
+    code         (n,) s·Q + q of each rule's pair;  first, last  (n,) its steps: of a pair, no two rules overlap
+    values       (n,) int64 choices, or (n, C) float64 weights
+    stationary   whether rules hold at every step; first and last are then 0
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        horizon: int,
+        code: I64,
+        first: I64,
+        last: I64,
+        values: NDArray[Any],
+        stationary: bool = False,
+        kind: IntegerType = np.int16,
+    ) -> None:
+        order = np.lexsort((first, code))
+        self.shape, self.horizon, self.stationary, self.kind = shape, horizon, stationary, kind
+        self.code, self.first, self.last, self.values = code[order], first[order], last[order], values[order]
+        self.deterministic = values.ndim == 1
+        self._span = horizon + 1
+        self._keys = self.code * self._span + self.first
+        self._changes = np.unique(np.concatenate([[0], self.first, self.last + 1]))
+
+    def _card(self) -> Card:
+        return Card(f"Rules: {len(self.code)} {'choices' if self.deterministic else 'mixtures'}")
+
+    def at(self, t: int, s: Indices, q: Indices) -> NDArray[Any]:
+        t = 0 if self.stationary else t
+        code = np.asarray(s, dtype=np.int64) * self.shape[1] + q
+        found: NDArray[Any] = np.full(len(code), -1) if self.deterministic else np.zeros((len(code), self._width))
+        if len(self.code):
+            place = np.maximum(np.searchsorted(self._keys, code * self._span + t, side="right") - 1, 0)
+            there = (self.code[place] == code) & (self.first[place] <= t) & (t <= self.last[place])
+            found[there] = self.values[place[there]]
+        return found
+
+    def row(self, t: int) -> NDArray[Any]:
+        t = 0 if self.stationary else t
+        now = (self.first <= t) & (t <= self.last)
+        n = self.shape[0] * self.shape[1]
+        table: NDArray[Any] = np.full(n, -1, self.kind) if self.deterministic else np.zeros((n, self._width))
+        table[self.code[now]] = self.values[now]
+        return table.reshape(*self.shape, *table.shape[1:])
+
+    def alike(self, t: int) -> tuple[int, int]:
+        if self.stationary:
+            return 0, _ALWAYS
+        i = int(np.searchsorted(self._changes, t, side="right"))
+        return int(self._changes[i - 1]), int(self._changes[i]) - 1 if i < len(self._changes) else _ALWAYS
+
+    def mixtures(self) -> F64:
+        return distinct(np.sort(self.values, axis=1))[0]
+
+    @property
+    def _width(self) -> int:
+        return int(self.values.shape[1])
 
 
 class Listed(NamedTuple):

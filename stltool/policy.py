@@ -29,16 +29,19 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stltool import written
 from stltool.arguments import path as path_of
 from stltool.arguments import require, whole
+from stltool.arrays import open_arrays
 from stltool.asked import Asked, Situation, Situations
 from stltool.automata import Encoding
-from stltool.choices import ByLayer, Choices, Form, Mixtures, Table, Through
+from stltool.choices import ByLayer, Choices, Form, Mixtures, Rules, Table, Through
 from stltool.display import Card, Displayed
-from stltool.errors import InexactEncodingWarning, PolicyError, StlToolError, near_misses
+from stltool.errors import FileError, InexactEncodingWarning, PolicyError, StlToolError, near_misses
 from stltool.files import (
     atomic_file,
-    read_bytes,
+    begins,
+    is_data,
     read_text,
     require_folder,
     require_own,
@@ -51,6 +54,8 @@ from stltool.product import JointProduct, Product, build_joint_product, build_pr
 from stltool.sizes import require_memory
 
 FORMAT = "stltool-policy-2"
+_TEXT = (".csv", ".json")
+_LONGEST_HEADER = 1 << 24
 _PARTS = {"first": np.int64, "last": np.int64, "start": np.int64, "keys": np.int64, "bits": np.uint64, "choice": None}
 """The arrays of `Choices` in a file, and their dtypes; choices have the smallest unsigned one."""
 _SIGNAL_TOLERANCE = 1e-6  # published tables have few digits
@@ -111,7 +116,7 @@ class Policy(Displayed):
     def __init__(self, product: Product | JointProduct, table: NDArray[Any] | Form) -> None:
         require(product, (Product, JointProduct), "Policy's product")
         self.home = product
-        if isinstance(table, Table | Choices | Mixtures | ByLayer | Through | Asked):
+        if isinstance(table, Table | Choices | Mixtures | ByLayer | Through | Rules | Asked):
             self.form: Form = table
             return
         try:
@@ -125,7 +130,7 @@ class Policy(Displayed):
     def _card(self) -> Card:
         home, form = self.home, self.form
         silent = int((form.table < 0).sum()) if isinstance(form, Table) else 0
-        if isinstance(form, Choices | Asked):
+        if isinstance(form, Choices | Rules | Asked):
             held = repr(form).partition(": ")[2]
         else:
             held = f"a table of {' x '.join(map(str, self._shape()))}"
@@ -217,12 +222,17 @@ class Policy(Displayed):
         return (*steps, *self.home.shape, *(() if self.deterministic else (self.home.model.most_choices,)))
 
     def save(self, path: str | Path) -> None:
-        """Write the policy with a JSON header, atomically, as .npz or as uncompressed .policy.
+        """Write the policy atomically: as .npz, as .csv or .json, or as uncompressed .policy.
 
-        A .policy file contains a policy found by `check`, and is read through a memory map (stltool/layered.py).
+        .csv and .json are text in the names of model and task, for people and other programs (stltool/written.py): the
+        rules for all situations that runs can come to. SizeError if these are too many. A .policy file contains a
+        policy found by `check`, and is read through a memory map (stltool/layered.py).
         """
         path = path_of(path, "save's path")
         require_policy_file(path)
+        if path.suffix.lower() in _TEXT:
+            write_atomically(path, written.as_text(self.home, self.form, self._facts(), path.suffix.lower()[1:]))
+            return
         if path.suffix.lower() == ".policy":
             if not isinstance(self.form, Choices):
                 raise PolicyError(f"{path}: .policy files are for policies found by check; save this one as .npz")
@@ -238,23 +248,55 @@ class Policy(Displayed):
         np.savez_compressed(buffer, header=np.frombuffer(header.encode("utf-8"), dtype=np.uint8), **arrays)
         write_atomically(path, buffer.getvalue())
 
+    def _facts(self) -> dict[str, list[str]]:
+        """What a policy as text says about the whole."""
+        binding = self.binding
+        return {
+            "task": list(binding.tasks or (binding.formula,)),
+            "encoding": [binding.encoding],
+            "model": [binding.model],
+            "model digest": [binding.model_digest],
+            "automaton digest": [binding.automaton_digest],
+        }
+
+    @classmethod
+    def _of_text(cls, path: Path, product: Product, text: str) -> Policy:
+        """A policy as text, for this product; see `load`."""
+        found = written.read(path, text, path.suffix.lower()[1:])
+        here = Binding.of(product)
+        tasks = tuple(found.facts.get("task", (here.formula,)))
+        binding = Binding(
+            formula=tasks[0],
+            encoding=found.fact("encoding") or here.encoding,
+            model=found.fact("model") or here.model,
+            model_digest=found.fact("model digest") or here.model_digest,
+            automaton_digest=found.fact("automaton digest") or "",
+            action_names=here.action_names,
+            tasks=tasks if len(tasks) > 1 else (),
+        )
+        home = _home_of(path, product, binding)
+        return cls(home, written.form_of(path, home, found))
+
     @classmethod
     def load(cls, path: str | Path, product: Product) -> Policy:
-        """Read a policy for this product; PolicyError names both sides if it belongs to another."""
+        """Read a policy for this product; PolicyError names both sides if it belongs to another.
+
+        Policies as text (.csv, .json) may be edited or written by hand: faults are told with their lines.
+        """
         path = path_of(path, "Policy.load's path")
         require(product, Product, "Policy.load's product")
+        if path.suffix.lower() in _TEXT:
+            return cls._of_text(path, product, read_text(path, "policy file"))
         layered = is_layered(path)
-        data = b"" if layered else read_bytes(path, "policy file")
         try:
             if layered:
-                header, table = read_header(path), {}
+                header = read_header(path)
                 for key in ("choice", "shape", "horizon"):
                     header.pop(key, None)
             else:
-                with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-                    header = json.loads(archive["header"].tobytes().decode("utf-8"))
-                    table = {name: archive[name] for name in archive.files if name != "header"}
-                    if set(table) not in ({"table"}, set(_PARTS)):
+                with open_arrays(path, "policy file") as archive:
+                    header = json.loads(archive.read("header", np.uint8, (None,), _LONGEST_HEADER).tobytes())
+                    if set(archive.names) - {"header"} not in ({"table"}, set(_PARTS)):
                         raise ValueError
             if header.pop("format") != FORMAT:
                 raise ValueError
@@ -264,25 +306,19 @@ class Policy(Displayed):
             texts = (*binding.action_names, binding.formula, *binding.tasks, binding.encoding, binding.model)
             if not all(isinstance(text, str) for text in (*texts, binding.model_digest, binding.automaton_digest)):
                 raise ValueError
+        except FileError:
+            raise
         except Exception:  # a damaged archive fails in many ways, all caused by the file
             raise PolicyError(
                 f"{path}: not a policy file of this version ({FORMAT}); write one with check --save-policy, "
                 "learn --out or Policy.save"
             ) from None
-        binding.require(product, f"{path}: this policy")
-        try:
-            home = _home(product, binding.encoding) if not binding.tasks else _joint_home(product, binding)
-        except StlToolError as error:
-            raise PolicyError(f"{path}: a damaged policy file: {error}") from None
-        if home.automaton.digest() != binding.automaton_digest:
-            raise PolicyError(
-                f"{path}: this policy was made with another automaton of the same task "
-                f"({binding.automaton_digest[:12]}, here {home.automaton.digest()[:12]}); learn it again"
-            )
+        home = _home_of(path, product, binding)
         try:
             if layered:
                 kind = home.model.choice_type
                 return cls(home, _required(home, Choices(home.shape, home.horizon, read_layers(path)[1], kind)))
+            table = _arrays(path, home)
             if "table" in table:
                 return cls(home, table["table"])
             return cls(home, _required(home, _of_arrays(home, table)))
@@ -360,23 +396,38 @@ def layered_header(product: Product | JointProduct) -> dict[str, Any]:
     return {"format": FORMAT, **asdict(Binding.of(product)), **sizes}
 
 
+def _home_of(path: Path, product: Product, binding: Binding) -> Product | JointProduct:
+    """The product that a file's policy was made on; PolicyError, naming both sides, if it is for something else."""
+    binding.require(product, f"{path}: this policy")
+    try:
+        home = _home(product, binding.encoding) if not binding.tasks else _joint_home(product, binding)
+    except StlToolError as error:
+        raise PolicyError(f"{path}: a damaged policy file: {error}") from None
+    if binding.automaton_digest and home.automaton.digest() != binding.automaton_digest:
+        raise PolicyError(
+            f"{path}: this policy was made with another automaton of the same task "
+            f"({binding.automaton_digest[:12]}, here {home.automaton.digest()[:12]}); learn it again"
+        )
+    return home
+
+
 def require_policy_file(path: str | Path) -> None:
     """An error, before the computation, if a policy could not be saved after it."""
     path = Path(path)
     require_replaceable(path)
-    if path.suffix.lower() not in (".npz", ".policy"):
-        raise PolicyError(f"{path}: policies are saved as .npz or .policy; use one of these extensions")
+    if path.suffix.lower() not in (".npz", ".policy", *_TEXT):
+        raise PolicyError(f"{path}: policies are saved as .npz, .csv, .json or .policy; use one of these extensions")
     require_own(path, "policy", _is_policy)
     require_folder(path.parent)
 
 
 def _is_policy(path: Path) -> bool:
     """Whether a file is a policy of ours, of this version or another."""
-    if is_layered(path):
+    if is_layered(path) or is_data(path) or begins("# format", written.FORMAT)(path):
         return True
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            found = json.loads(archive["header"].tobytes().decode("utf-8"))["format"]
+        with open_arrays(path, "policy file") as archive:
+            found = json.loads(archive.read("header", np.uint8, (None,), _LONGEST_HEADER).tobytes())["format"]
         return bool(found.rpartition("-")[0] == FORMAT.rpartition("-")[0])
     except Exception:  # other files, and damaged ones, fail in many ways
         return False
@@ -389,10 +440,10 @@ def silence(product: Product, s: int, q: int, t: int) -> PolicyError:
 
 
 def load_policy(path: str | Path, product: Product) -> Policy:
-    """Read a policy by its file's extension: `.npz` or `.policy` as saved by `Policy.save`, `.csv` a Q-table."""
+    """Read a policy file: `.npz`, `.csv`, `.json` or `.policy` as saved by `Policy.save`; or a Q-table in `.csv`."""
     path = path_of(path, "load_policy's path")
     require(product, Product, "load_policy's product")
-    if path.suffix.lower() == ".csv":
+    if path.suffix.lower() == ".csv" and not written.is_rules(read_text(path, "policy file")):
         return Policy.from_q_table(path, product)
     return Policy.load(path, product)
 
@@ -466,6 +517,34 @@ def _checked(product: Product | JointProduct, table: NDArray[Any]) -> NDArray[An
             f"choices of {product.describe(where[-2] * base[1] + where[-1])}"
         )
     return np.ascontiguousarray(table, dtype=np.float64)
+
+
+def _arrays(path: Path, product: Product | JointProduct) -> dict[str, NDArray[Any]]:
+    """The arrays of a file, each measured before it is unpacked: a few bytes may claim to be any size.
+
+    PolicyError if they are not of a type and shape that a policy of this product has; SizeError if there is no memory.
+    """
+    (S, Q), h, most = product.shape, product.horizon, product.model.most_choices
+    pairs = h * S * -(-Q // 64)
+    longest = {"first": h, "last": h, "start": h + 1, "keys": pairs, "bits": pairs, "choice": h * S * Q}
+    found = {}
+    try:
+        with open_arrays(path, "policy file") as archive:
+            for name in sorted(set(archive.names) - {"header"}):
+                kind, shape = archive.declared(name)
+                if name == "table":
+                    weights = (most,) if kind.kind == "f" else ()
+                    if kind.kind not in "iuf" or shape not in ((S, Q, *weights), (h, S, Q, *weights)):
+                        raise ValueError
+                elif len(shape) != 1 or shape[0] > longest[name] or kind != (_PARTS[name] or kind) or kind.hasobject:
+                    raise ValueError
+                require_memory(
+                    kind.itemsize * math.prod(shape), f"the policy's {name} of {shape} entries", "learn it again"
+                )
+                found[name] = archive.read(name, kind, shape)
+    except ValueError:
+        raise PolicyError(_MISFIT) from None
+    return found
 
 
 def _of_arrays(product: Product | JointProduct, arrays: dict[str, NDArray[Any]]) -> Choices:

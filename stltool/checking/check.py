@@ -436,10 +436,12 @@ class _Lenient(Following):
         self, rows: Rows | Demand, t: int, s: NDArray[np.int64], q: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats | None]:
         taken = self._lenient_form.at(t, s, q)
-        if self.mixed:
-            return super().choices(rows, t, s, q)
-        for place in zip(s[taken < 0].tolist(), q[taken < 0].tolist(), strict=True):
+        silent = taken < 0 if taken.ndim == 1 else ~taken.any(axis=1)
+        for place in zip(s[silent].tolist(), q[silent].tolist(), strict=True):
             self.places[place] = min(t, self.places.get(place, t))
-        owner = np.flatnonzero(taken >= 0)
+        owner = np.flatnonzero(~silent)
+        if self.mixed:
+            inner, number, weight = super().choices(rows, t, s[owner], q[owner])
+            return owner[inner], number, weight
         here = rows.at(s[owner])  # may generate them
         return owner, rows.choice_start[here] + taken[owner], None

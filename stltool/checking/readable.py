@@ -31,13 +31,14 @@ from stltool.arguments import function, real, whole
 from stltool.automata import TRUE, UNDECIDED
 from stltool.checking.check import CheckResult, check, or_optimal
 from stltool.checking.induction import OPEN, Progress
-from stltool.checking.situations import Moves, reachable
+from stltool.checking.situations import Moves
 from stltool.display import Card, Displayed, probability_text
 from stltool.errors import SettingsError, SizeError, named
 from stltool.extras import require as require_extra
 from stltool.models.rows import spans, starts
 from stltool.policy import Policy
 from stltool.product import Product
+from stltool.reached import reachable
 from stltool.sizes import memory_limit, require_memory
 
 Floats: TypeAlias = NDArray[np.float64]

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from stltool.asked import Asked
 from stltool.automata import TRUE, UNDECIDED
-from stltool.choices import Through
+from stltool.choices import Rules, Through
 from stltool.models.environment import BlackBox, Runs, batch_of, cumulated, hidden_in, require_state
 from stltool.policy import Policy, silence
 from stltool.product import Product
@@ -181,18 +181,24 @@ def taken(
     found = policy.form.at(t, s, q)
     if not policy.deterministic:
         below = found.cumsum(axis=1)
+        _require_action(product, t, s, q, below[:, -1] == 0)
         drawn: NDArray[Any] = (below <= draw()[:, None] * below[:, -1:]).sum(axis=1)
         return drawn
-    silent = np.flatnonzero(found < 0)
-    if silent.size:
-        raise silence(product, int(s[silent[0]]), int(q[silent[0]]), t)
+    _require_action(product, t, s, q, found < 0)
     return found
+
+
+def _require_action(product: Product, t: int, s: NDArray[Any], q: NDArray[Any], silent: NDArray[np.bool_]) -> None:
+    for i in np.flatnonzero(silent)[:1].tolist():
+        raise silence(product, int(s[i]), int(q[i]), t)
 
 
 def choice(product: Product, policy: Policy, s: int, q: int, t: int, rng: np.random.Generator) -> int:
     """What the policy does in one run; one random number if it is mixed."""
     entry = policy.form.at(t, np.array([s]), np.array([q]))[0]
     if not policy.deterministic:
+        if not entry.any():
+            raise silence(product, s, q, t)
         return int(rng.choice(len(entry), p=entry / entry.sum()))
     if entry < 0:
         raise silence(product, s, q, t)
@@ -218,7 +224,7 @@ def follow(product: Product, policy: Policy, sums: NDArray[np.float64], runs: in
     t, steps = 0, 0
     while len(s):
         choice = np.empty(len(s), dtype=model.choice_type)
-        if isinstance(policy.form, Asked | Through):  # of a function, asked only where runs are
+        if isinstance(policy.form, Asked | Through | Rules):  # of a function, asked only where runs are
             choice[:] = taken(product, policy, t, s, q, partial(draw, number))
         elif policy.deterministic:
             silent = rollout.pick(policy.row(t), s, q, choice)

@@ -1,7 +1,6 @@
 """The undecided situations that runs can come to, and P from each: what an explorer of a policy shows.
 
-A *node* is an undecided (t, s, q) that some policy reaches: state s was just read at step t, the automaton is then in
-q. The nodes of a step are listed by their codes s·|Q| + q, ascending. In a node a policy has a number,
+A *node* is an undecided (t, s, q) that some policy reaches (stltool/reached.py). In a node a policy has a number,
 
     i ≥ 0   its state's i-th choice        −1   no action        −2 − k   the k-th mixture
 
@@ -28,59 +27,12 @@ from stltool.errors import SizeError
 from stltool.models.rows import spans, starts
 from stltool.policy import Policy
 from stltool.product import Product
+from stltool.reached import MOST_EDGES, MOST_NODES, followed, reachable, reached_by, read, transitions
 
 I64 = NDArray[np.int64]
 F64 = NDArray[np.float64]
 
-MOST_NODES, MOST_EDGES = 400_000, 6_000_000  # a second to compute, in a page as well as here
 NO_ACTION = -1
-
-
-def reachable(product: Product, most_nodes: int = MOST_NODES, most_edges: int = MOST_EDGES) -> list[I64] | None:
-    """For t = 0 … h − 1 the codes of the nodes.
-
-    None if there are more than `most_nodes`, or they have more than `most_edges` outgoing transitions.
-    """
-    model, automaton = product.model, product.automaton
-    here = _entered(product, np.flatnonzero(model.initial), automaton.initial)
-    found: list[I64] = []
-    n_nodes = n_edges = 0
-    for t in range(product.horizon):
-        here = here[automaton.verdicts(t)[here % automaton.n_states] == UNDECIDED]
-        s, q = np.divmod(here, automaton.n_states)
-        entry, count = _transitions(product, s)
-        n_nodes, n_edges = n_nodes + len(here), n_edges + len(entry)
-        if n_nodes > most_nodes or n_edges > most_edges:
-            return None
-        found.append(here)
-        possible = _possible(product)[entry]
-        here = _entered(product, model.target[entry][possible], np.repeat(q, count)[possible])
-    return found
-
-
-def _possible(product: Product) -> NDArray[np.bool_]:
-    """Which transitions can happen; of intervals, whatever nature picks inside them."""
-    intervals = product.model.intervals
-    above: NDArray[np.bool_] = (product.model.probability if intervals is None else intervals.upper) > 0
-    return above
-
-
-def _transitions(product: Product, s: I64) -> tuple[I64, I64]:
-    """The transitions of all choices of states s (n,), one state after another, and how many each has (n,)."""
-    edges = product.model.row_start[product.model.choice_start]
-    return spans(edges[s], edges[s + 1]), edges[s + 1] - edges[s]
-
-
-def _entered(product: Product, s: NDArray[Any], q: NDArray[Any] | int) -> I64:
-    """The codes of the pairs after reading states s (n,) in automaton states q."""
-    codes: I64 = np.unique(_read(product, s, q))
-    return codes
-
-
-def _read(product: Product, s: NDArray[Any], q: NDArray[Any] | int) -> I64:
-    automaton = product.automaton
-    codes: I64 = s.astype(np.int64) * automaton.n_states + automaton.delta[product.letter[s], q]
-    return codes
 
 
 def policy_numbers(product: Product, policy: Policy, nodes: list[I64]) -> tuple[NDArray[np.int32], F64]:
@@ -100,7 +52,7 @@ def policy_numbers(product: Product, policy: Policy, nodes: list[I64]) -> tuple[
         full[there] = found
         numbers.append(full)
         if asked:
-            reached = _followed(product, s, q, found)
+            reached = followed(product, s, q, found)
     if policy.deterministic:
         joined = np.concatenate(numbers).astype(np.int32) if numbers else np.empty(0, dtype=np.int32)
         return np.maximum(joined, NO_ACTION), np.empty((0, most))
@@ -108,17 +60,6 @@ def policy_numbers(product: Product, policy: Policy, nodes: list[I64]) -> tuple[
     mixed = rows.any(axis=1) & (rows.max(axis=1, initial=0) != 1)
     number = np.where(mixed, -1 - np.cumsum(mixed), np.where(rows.any(axis=1), rows.argmax(axis=1), NO_ACTION))
     return number[which].astype(np.int32), rows[mixed]
-
-
-def _followed(product: Product, s: I64, q: I64, taken: NDArray[Any]) -> I64:
-    """The codes that the choices (n,) or weights (n, C) taken in these pairs lead to."""
-    model = product.model
-    owner, i = (np.flatnonzero(taken >= 0), taken[taken >= 0]) if taken.ndim == 1 else np.nonzero(taken > 0)
-    c = model.choice_start[s[owner]] + i.astype(np.int64)
-    first, end = model.row_start[c], model.row_start[c + 1]
-    entry = spans(first, end)
-    possible = _possible(product)[entry]
-    return _entered(product, model.target[entry][possible], np.repeat(q[owner], end - first)[possible])
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,8 +80,8 @@ class Moves:
     def of(cls, product: Product, nodes: list[I64], t: int) -> Moves:
         model, automaton = product.model, product.automaton
         s, q = np.divmod(nodes[t], automaton.n_states)
-        entry, count = _transitions(product, s)
-        code = _read(product, model.target[entry], np.repeat(q, count))
+        entry, count = transitions(product, s)
+        code = read(product, model.target[entry], np.repeat(q, count))
         verdict = automaton.verdicts(t + 1)[code % automaton.n_states]
         child = (verdict == TRUE).astype(np.int64)
         open_ = np.flatnonzero((verdict == UNDECIDED) & (model.probability[entry] > 0))
@@ -175,26 +116,8 @@ class Explored:
         transitions."""
         nodes, whole = reachable(product), True
         if nodes is None:
-            nodes, whole = _reached(product, policy, MOST_NODES, MOST_EDGES), False
+            nodes, whole = reached_by(product, policy.form), False
         return None if nodes is None else cls(nodes, *policy_numbers(product, policy, nodes), whole)
-
-
-def _reached(product: Product, policy: Policy, most_nodes: int, most_edges: int) -> list[I64] | None:
-    """As `reachable`, for one policy."""
-    automaton = product.automaton
-    here = _entered(product, np.flatnonzero(product.model.initial), automaton.initial)
-    found: list[I64] = []
-    n_nodes = n_edges = 0
-    for t in range(product.horizon):
-        here = here[automaton.verdicts(t)[here % automaton.n_states] == UNDECIDED]
-        s, q = np.divmod(here, automaton.n_states)
-        n_nodes, n_edges = n_nodes + len(here), n_edges + int(_transitions(product, s)[1].sum())
-        if n_nodes > most_nodes or n_edges > most_edges:
-            return None
-        found.append(here)
-        taken = policy.at(t, s, q) if len(s) else np.empty(0, dtype=np.int64)
-        here = _followed(product, s, q, taken)
-    return found
 
 
 @dataclass(frozen=True)

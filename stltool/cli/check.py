@@ -88,7 +88,7 @@ def check(
         typer.Option(
             "--save-policy",
             metavar="FILE",
-            help="write the optimal policy: .npz, or .policy, which is written step by step and may exceed memory",
+            help="write the optimal policy: .npz; text, .csv or .json; or .policy, which is written step by step and may exceed memory",
         ),
         Writes(_policy_files),
     ] = None,
@@ -185,12 +185,16 @@ def check(
         option = "--stationary" if stationary else "--memoryless"
         raise SettingsError(f"{option} needs probabilities without intervals; add --nature nominal")
     if clockless and streamed:
-        raise SettingsError(f"--save-policy {save_policy}: policies that do not know the step are saved as .npz")
+        raise SettingsError(
+            f"--save-policy {save_policy}: policies that do not know the step are saved as .npz, .csv or .json"
+        )
     fraction = {"exact": True} if exact else {}
     chosen = given_policy(product, policy, policy_function)
     to_file = {"policy_file": save_policy, "resume": resume} if streamed else {}
     if robust and streamed:
-        raise SettingsError(f"--save-policy {save_policy}: for interval probabilities, policies are saved as .npz")
+        raise SettingsError(
+            f"--save-policy {save_policy}: for interval probabilities, policies are saved as .npz, .csv or .json"
+        )
     if robust and cluster is not None:
         raise SettingsError("--cluster needs probabilities without intervals; add --nature nominal")
     if clockless and cluster is not None:

@@ -56,7 +56,9 @@ def explain(
         Writes(),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="save the tree as a policy (.npz)"), Writes()
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="save the tree as a policy (.npz; text: .csv, .json)"),
+        Writes(),
     ] = None,
     model: Model = None,
     normalize: Normalize = False,

@@ -45,7 +45,11 @@ from stltool.cli.steps import (
 @app.command("stltool learn patrolling.stl --episodes 2000 --out policy.npz", cls=LearnerCommand)
 def learn(
     task: TaskFile,
-    out: Annotated[Path, typer.Option("--out", "-o", help="policy file to write (.npz)", show_default=False), Writes()],
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", help="policy file to write (.npz; text: .csv, .json)", show_default=False),
+        Writes(),
+    ],
     method: Method = None,
     faithful: Faithful = False,
     episodes: Episodes = 1000,

@@ -57,7 +57,9 @@ Missing = Annotated[
 ]
 PolicyFile = Annotated[
     Path | None,
-    typer.Option("--policy", help="policy file (.npz, .policy) or Q-table (.csv); default: the best policy"),
+    typer.Option(
+        "--policy", help="policy file (.npz, .csv, .json, .policy) or Q-table (.csv); default: the best policy"
+    ),
     Reads("policy"),
 ]
 PolicyFunction = Annotated[

@@ -30,7 +30,7 @@ def tradeoff(
     ] = None,
     save_policy: Annotated[
         Path | None,
-        typer.Option("--save-policy", metavar="FILE", help="write the policy (.npz)"),
+        typer.Option("--save-policy", metavar="FILE", help="write the policy (.npz; text: .csv, .json)"),
         Writes(),
         Named("keep_policy", "leave --save-policy out, or "),
     ] = None,

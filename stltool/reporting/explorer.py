@@ -1,7 +1,7 @@
 """What the explorer of a report's page works on: the model, the automaton and the policy, as arrays.
 
 No value is shipped, all are computed in the page, by a twin of the checker (templates/engine.js). Python and the page
-find the nodes (checking/situations.py) by the same forward search and compare their number and a checksum (FNV-1a of
+find the nodes (stltool/reached.py) by the same forward search and compare their number and a checksum (FNV-1a of
 the codes), so no index is shipped either: the policy is one number a node.
 
 Arrays are little-endian bytes in base64 with their numpy type; the smallest type that holds them.
@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 from stltool.automata import TaskAutomaton
 from stltool.automata.graph import Drawing
 from stltool.checking import CheckResult, Run
-from stltool.checking.situations import MOST_EDGES, MOST_NODES, Explored
+from stltool.checking.situations import Explored
 from stltool.logic.printer import Text, with_names
 from stltool.models import MDP
 from stltool.policy import FORMAT, Policy
 from stltool.product import Product
+from stltool.reached import MOST_EDGES, MOST_NODES
 
 I64 = NDArray[np.int64]
 

@@ -8,7 +8,7 @@ import numpy as np
 import stltool as stl
 from stltool.models.parameters import read_affine
 from stltool.reporting import load_report
-from tests import test_policy
+from tests import test_policy, test_written
 from tests.checking import test_black_box, test_certificate
 from tests.cli import test_gymnasium as gymnasium_files
 from tests.conftest import FACTORY
@@ -172,10 +172,23 @@ def policies():
     Path("broken.npz").write_bytes(b"PK\x03\x04 broken")
     yield "broken", refusal(stl.load_policy, "broken.npz", flagged)
     yield "no file", refusal(stl.load_policy, "none.npz", flagged)
-    yield "saved as .csv", refusal(stl.check(flagged).policy.save, "p.csv")
+    yield "saved as .txt", refusal(stl.check(flagged).policy.save, "p.txt")
+    yield from written_policies()
     yield "saved over another file", refusal(stl.check(flagged).policy.save, "broken.npz")
     silent = stl.Policy(flagged, np.full(flagged.shape, -1))
     yield "a policy that says nothing", refusal(stl.check, flagged, silent)
+
+
+def written_policies():
+    product = patrolling()
+    stl.check(product).policy.save("written.csv")
+    text = Path("written.csv").read_text()
+    for old, new, _ in rows(test_written.test_faults_are_told_by_line):
+        Path("p.csv").write_text(text.replace(old, new, 1))
+        yield f"{old!r} → {new[:60]!r} in written.csv", refusal(stl.load_policy, "p.csv", product)
+    for number, (change, _) in enumerate(rows(test_written.test_faults_in_json_are_told_by_line), start=1):
+        test_written.changed_json(product, Path("p.json"), change)
+        yield f"p.json, changed {number}", refusal(stl.load_policy, "p.json", product)
 
 
 def certificates():

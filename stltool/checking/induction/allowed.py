@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,7 @@ class Following(Allowed):
         taken, here = self._form.at(t, s, q), rows.at(s)
         start = rows.choice_start[here]
         if taken.ndim == 2:
+            _require_weights(taken)
             owner, number = np.nonzero(taken)
             return owner, start[owner] + number, taken[owner, number] if self.mixed else None
         if (taken < 0).any():
@@ -89,6 +90,7 @@ class Following(Allowed):
             first, masks, silent = of_row(*layer, graph.states, graph.choice_start, form.row(t))
         else:
             taken = form.at(t, *sets.pairs(graph))
+            _require_weights(taken)
             of_pairs = words.taken_masks if form.deterministic else words.weighted_masks
             first, masks, silent = of_pairs(*layer, graph.choice_start, taken)
         if silent:
@@ -100,6 +102,12 @@ class Following(Allowed):
 
     def last_alike(self, t: int) -> int:
         return self._form.alike(t)[1]
+
+
+def _require_weights(taken: NDArray[Any]) -> None:
+    """Silent if some of the weights (n, C) are all zero: a mixture that was read from text lists situations."""
+    if taken.ndim == 2 and not taken.any(axis=1).all():
+        raise Silent
 
 
 class Among(Following):
