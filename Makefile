@@ -45,12 +45,14 @@ docs: .venv/installed-dev
 	$(BIN)/python docs/generated.py --site out/docs
 	$(BIN)/zensical build --strict --config-file out/docs/zensical.yml
 
-# ten minutes; FUZZ=-max_total_time=60 for another time, and libFuzzer's other options
+# ten minutes; WHAT=policies for the readers of policies, FUZZ=-max_total_time=60 for another time, and libFuzzer's other
+# options
 FUZZ ?= -max_total_time=600
+WHAT ?= formulas
 fuzz: .venv/installed-dev
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[fuzz]'
-	mkdir -p out/fuzz
-	cd out/fuzz && ../../$(BIN)/python ../../bench/fuzz.py -max_len=400 $(FUZZ) .
+	mkdir -p out/fuzz/$(WHAT)
+	cd out/fuzz/$(WHAT) && ../../../$(BIN)/python ../../../bench/fuzz_$(WHAT).py -max_len=400 $(FUZZ) .
 
 format: .venv/installed-dev
 	$(BIN)/ruff check --fix .

@@ -13,7 +13,7 @@ from stltool.errors import FileError, PolicyError, SizeError, StlToolError
 from stltool.reached import reachable, reached_by
 from tests.checking.test_black_box import hidden
 from tests.checking.test_check import products, random_policy
-from tests.conftest import FACTORY, many
+from tests.conftest import FACTORY, ROOT, many
 
 
 def agree(product, one, other):
@@ -62,6 +62,13 @@ def test_rules_are_in_the_order_of_a_run_and_only_of_what_can_happen(patrolling,
     first = [int(row.partition(",")[0]) for row in own]
     assert first == sorted(first)
     assert sum(row.partition(",")[0] != row.split(",")[1] for row in own + other) > 0  # ranges of steps
+
+
+def test_the_page_shows_how_a_file_begins(text):
+    page = (ROOT / "docs" / "policies.md").read_text()
+    shown = page.partition("```csv\n")[2].partition("…\n")[0]
+    assert shown.count("\n") == 14
+    assert text.startswith(shown)
 
 
 def test_steps_are_merged_over_steps_at_which_no_run_is_there(tmp_path):
@@ -289,7 +296,7 @@ def test_too_many_situations_are_not_text(patrolling, best, monkeypatch, tmp_pat
 
 @pytest.mark.parametrize("kind", ["csv", "json", "npz"])
 def test_whatever_is_damaged_is_refused_or_read(patrolling, best, tmp_path, kind):
-    """The readers' fuzzer in small (bench/fuzz.py): bytes changed, cut out and doubled."""
+    """The readers' fuzzer in small (bench/fuzz_policies.py): bytes changed, cut out and doubled."""
     path = tmp_path / f"p.{kind}"
     best.save(path)
     whole, rng, refused = path.read_bytes(), np.random.default_rng(0), 0

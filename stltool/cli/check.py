@@ -88,7 +88,8 @@ def check(
         typer.Option(
             "--save-policy",
             metavar="FILE",
-            help="write the optimal policy: .npz; text, .csv or .json; or .policy, which is written step by step and may exceed memory",
+            help="write the optimal policy: .npz; text, .csv or .json; or .policy, written step by step, which may "
+            "exceed memory",
         ),
         Writes(_policy_files),
     ] = None,

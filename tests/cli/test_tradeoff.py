@@ -102,7 +102,7 @@ def test_tradeoff_prints_and_saves(stltool, front, tmp_path):
         (["tradeoff", "--objective", "charging", "--require", "patrolling>=nan"], "'nan' is not a finite number"),
         (["tradeoff", "--objective", "charging", "--budget", "fuel<=2"], "no signal fuel for this cost"),
         (["tradeoff", "--objective", "charging", "--budget", "C<=2", "--budget", "C<=3"], "C has two bounds"),
-        (["tradeoff", "--objective", "charging", "--save-policy", "p.csv"], "policies are saved as .npz"),
+        (["tradeoff", "--objective", "charging", "--save-policy", "p.txt"], "policies are saved as .npz"),
         (
             ["tradeoff", "--objective", "charging", "--require", "patrolling>=0.99"],
             "P(patrolling) >= 0.99 cannot be met: its maximum is 0.956745",

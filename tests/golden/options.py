@@ -63,7 +63,7 @@ FAULTY = [
         ["--resume"], ["--method", "cfper"], ["--method", "model-based", "--faithful"], ["--history", "patrolling.stl"],
         ["--checkpoint", "p.npz"], ["--history", "trace.csv"],
     )),
-    ["learn", "patrolling.stl", "--out", "q.csv"], ["learn", "patrolling.stl", "--out", "."],
+    ["learn", "patrolling.stl", "--out", "q.txt"], ["learn", "patrolling.stl", "--out", "."],
     ["learn", "patrolling.stl", "--out", "patrolling.stl"], ["report", "bare.stl"], ["report", "none.json"],
     *(["estimate", "patrolling.stl", *SMALL, *options] for options in (
         *(options for options, _ in rows(test_estimate.test_bad_options_end_with_a_message)),
