@@ -11,6 +11,7 @@ from stltool.arguments import flag
 from stltool.arguments import path as path_of
 from stltool.errors import FileError, ModelError, StlToolError
 from stltool.models.composition import composition_from_table, member_files
+from stltool.models.formats.drn import load_drn
 from stltool.models.formats.explicit import load_explicit
 from stltool.models.formats.umb import load_umb
 from stltool.models.grid import grid_from_table
@@ -29,9 +30,9 @@ def load_model(path: str | Path, normalize: bool = False) -> MDP:
 
     `.toml` is a grid world (models/grid.py), a Gymnasium environment (models/gymnasium/file.py) or a composition of
     model files (models/composition.py), depending on its `kind`; `.tra` is PRISM's explicit format
-    (models/formats/explicit.py), `.umb` the unified Markov binary format (models/formats/umb.py). `normalize` rescales
-    probabilities that miss a sum of 1 by at most 1/1000, as `MDP.from_arrays` does; so does the key `normalize = true`
-    of a TOML file.
+    (models/formats/explicit.py), `.umb` the unified Markov binary format (models/formats/umb.py), `.drn` and `.drn.gz`
+    Storm's text format (models/formats/drn.py). `normalize` rescales probabilities that miss a sum of 1 by at most
+    1/1000, as `MDP.from_arrays` does; so does the key `normalize = true` of a TOML file.
     """
     return _load(path_of(path, "load_model's path"), flag(normalize, "normalize"), _Opened())
 
@@ -48,7 +49,7 @@ class _Opened:
 def _load(path: Path, normalize: bool, opened: _Opened) -> MDP:
     if path.suffix.lower() == ".toml":
         return _load_toml(path, normalize, opened)
-    loader = _LOADERS.get(path.suffix.lower())
+    loader = next((found for ending, found in _LOADERS.items() if path.name.lower().endswith(ending)), None)
     if loader is None:
         if not path.exists():
             raise FileError(f"{path}: there is no such model file")
@@ -124,5 +125,7 @@ _DEEPEST = 10
 _BESIDE = {".tra": (".lab", ".sta")}
 _LOADERS: dict[str, Callable[[Path, bool], MDP]] = {
     ".tra": load_explicit,
+    ".drn": load_drn,
+    ".drn.gz": load_drn,
     ".umb": load_umb,
 }

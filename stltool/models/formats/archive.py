@@ -15,6 +15,7 @@ from stltool.errors import FileError, ModelError
 from stltool.models.formats.packed import Data, mapped, stream, unpacked
 
 _MOST_FILES = 100_000
+_MAGIC, _MAGIC_AT = b"ustar", 257
 _FACTOR = 3.0  # bytes that a byte of an archive takes: itself, and the model's arrays
 
 
@@ -77,3 +78,14 @@ def archived(files: Mapping[str, bytes]) -> bytes:
             entry.size, entry.mode = len(content), 0o644
             tar.addfile(entry, io.BytesIO(content))
     return out.getvalue()
+
+
+def only_file(data: Data, path: Path, what: str) -> Data:
+    """The content of a tar archive of one file; other bytes unchanged."""
+    if data[_MAGIC_AT : _MAGIC_AT + len(_MAGIC)] != _MAGIC:
+        return data
+    where = list(_members(data, path, what).values())
+    if len(where) != 1:
+        raise FileError(f"{path}: not a {what}: it is an archive of {len(where)} files")
+    start, size = where[0]
+    return data[start : start + size]

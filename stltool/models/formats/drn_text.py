@@ -18,6 +18,9 @@ from stltool.models.mdp import MDP
 from stltool.numbers import fraction_text, number_text, shortest
 
 NO_LABEL = "__NOLABEL__"
+NAMES = "// names: "
+"""Of a comment of our own: the actions in order, and the labels of no state, which DRN does not represent."""
+
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_.]*", re.ASCII)
 _AND = "\t& "  # between the variables of a comment
 _ELSEWHERE = "write a .umb file, or rename it"
@@ -42,9 +45,12 @@ def _pieces(model: MDP) -> Iterator[str]:
         given = Shares(rows.numerator, rows.denominator) if rows.given_exactly else None
         kind = "rational" if given is not None else "double"
         shares = _texts(Amounts(rows.probability, given))
+    empty = [name for name, values in model.labels.items() if not values.any()]
+    names_of_all = {"actions": list(model.action_names), "labels": empty}
     chain = model.n_choices == model.n_states and bool((np.diff(model.choice_start) == 1).all())
     yield (
-        f"// {MARK}\n@type: {'DTMC' if chain else 'MDP'}\n@value_type: {kind}\n@parameters\n\n"
+        f"// {MARK}\n{NAMES}{json.dumps(names_of_all)}\n"
+        f"@type: {'DTMC' if chain else 'MDP'}\n@value_type: {kind}\n@parameters\n\n"
         f"@reward_models\n{' '.join(costs)}\n@nr_states\n{model.n_states}\n@nr_choices\n{model.n_choices}\n@model\n"
     )
     of_states, of_choices = _rewards(costs, "states", model.n_states), _rewards(costs, "choices", model.n_choices)
