@@ -256,6 +256,9 @@ def run_coalesced(N: I64, told: int) -> int:
     """
     time, mask, n, wide = N[TIME], N[SLOTS] - 1, N[ACTIVE], N[N_STATES] + 1
     row, after, first, outcome = N[DELTA] + _letter(N) * N[N_STATES], N[FOLLOWING], N[FIRST], N[OUTCOME]
+    # read once, not for each decision (see _decide): the compiler cannot know that no table overlaps the header
+    verdicts, last_verdict, told_now = N[VERDICT], N[N_VERDICTS] - 1, N[TOLD_NOW]
+    waits, base = N[WAITS] != 0, N[BASE]
     head, tail, active = N[LISTS], N[LISTS] + wide, N[LISTS] + 2 * wide
     to_head, to_tail, to_active = head + 3 * wide, tail + 3 * wide, active + 3 * wide
     q, slot = N[INITIAL], time & mask
@@ -271,12 +274,15 @@ def run_coalesced(N: I64, told: int) -> int:
         q = N[active + i]
         x, end, to = N[head + q], N[tail + q], N[row + q]
         N[head + q] = -1
-        from_clock = N[first + to]
+        from_clock, value = N[first + to], N[outcome + to]
         while x >= 0:
-            age = (time - x) & mask
-            if age < from_clock:
+            t = time - ((time - x) & mask)
+            if time - t < from_clock:
                 break
-            told = _decide(N, time - age, N[outcome + to], told)
+            N[verdicts + (t & last_verdict)] = value
+            if not waits:
+                N[told_now + told] = (base + t) << 3 | (value - 1) << 1 | 1
+                told += 1
             x = N[after + x]
         if x < 0:
             continue
@@ -550,7 +556,8 @@ def advance_all(
 
 
 # ---------------------------------------------------------------------------------------- calls with an address
-# From Python, arrays cost more to hand over than a sample takes to read; an address is an integer.
+# From Python, arrays cost more to hand over than a sample takes to read; an address is an integer. objects.py
+# hands over the sample as well.
 
 
 def _arrays_of(dtype: Any) -> Any:
@@ -588,24 +595,12 @@ def feed_values(root: int) -> Any:
     return code
 
 
-@entry
-def feed_pair(root: int, x: float, y: float) -> Any:
-    """The same, with the values of the first two names; F has room for a second one."""
-    t = _integers(root, ROOT)
-    N = _integers(t[0], t[1])
-    F = _doubles(t[2], t[3])
-    F[N[VALUES]], F[N[VALUES] + 1] = x, y
-    code = advance(N, F, _sets(t[4], t[5]))
-    _doubles(t[6], 1)[0] = F[N[MARGIN] + N[RESULT]]
-    return code
-
-
-def entry_point(function: Any, n_values: int) -> Callable[..., int]:
-    """What calls a compiled function of a root and so many values.
+def entry_point(function: Any) -> Callable[[int], int]:
+    """What calls a compiled function of a root.
 
     numba's entry point takes half the time of its dispatcher. It is not a public name: without it, the dispatcher.
     """
-    signature = (types.int64, *[types.float64] * n_values)
+    signature = (types.int64,)
     function.compile(signature)
-    found: Callable[..., int] = getattr(function.overloads[signature], "entry_point", None) or function
+    found: Callable[[int], int] = getattr(function.overloads[signature], "entry_point", None) or function
     return found

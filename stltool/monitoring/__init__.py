@@ -8,9 +8,10 @@ stream     their state, as arrays for the kernels       intervals  the robustnes
 smooth     log-sum-exp robustness with its enclosure    states     truth at the states of a model
 """
 
+from stltool.monitoring.decisions import Decision, Decisions
 from stltool.monitoring.logs import Recording, load_trace, trace_readers
 from stltool.monitoring.offline import MonitorResult, monitor
-from stltool.monitoring.online import Decision, Decisions, OnlineMonitor
+from stltool.monitoring.online import OnlineMonitor
 from stltool.monitoring.smooth import SmoothRobustness, smooth_robustness
 
 __all__ = [

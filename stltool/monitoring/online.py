@@ -12,8 +12,8 @@ import itertools
 import math
 from collections import deque
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from stltool.logic.names import near_names
 from stltool.logic.rewrite import negation_normal_form
 from stltool.logic.task import Task
 from stltool.monitoring.comparisons import Predicate
+from stltool.monitoring.decisions import Decision, Decisions, new
 from stltool.monitoring.early import Early, engine_of
 from stltool.monitoring.intervals import MOST_SHARED, Enclosure, positive
 from stltool.monitoring.lookback import FALSE, TRUE, Network, Value, judge_of
@@ -38,47 +39,6 @@ if TYPE_CHECKING:
     from stltool.monitoring.stream import Stream
 
 _BULK = 4  # horizons: longer blocks are judged as a whole, and only their last horizon runs sample by sample
-_new = tuple.__new__  # a named tuple's own constructor takes twice the time
-
-
-class Decision(NamedTuple):
-    """The verdict at one step, and its robustness; None if that was not waited for."""
-
-    step: int
-    verdict: bool
-    robustness: float | None
-
-    def _repr_html_(self) -> str:
-        verdict = "true" if self.verdict else "false"
-        robustness = "not final" if self.robustness is None else self.robustness
-        return Card(f"Decision: {verdict} at step {self.step}", [{"robustness": robustness}]).html()
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Decisions(Displayed):
-    """The decisions that a block of samples yields, by step; iterating gives each as a `Decision`.
-
-    steps       (n,) int64, ascending
-    verdicts    (n,) Booleans
-    robustness  (n,) float64; NaN if it was not waited for
-    """
-
-    steps: NDArray[np.int64]
-    verdicts: NDArray[np.bool_]
-    robustness: NDArray[np.float64]
-
-    def __len__(self) -> int:
-        return len(self.steps)
-
-    def __iter__(self) -> Iterator[Decision]:
-        for step, verdict, value in zip(
-            self.steps.tolist(), self.verdicts.tolist(), self.robustness.tolist(), strict=True
-        ):
-            yield Decision(step, verdict, None if math.isnan(value) else value)
-
-    def _card(self) -> Card:
-        facts = {"violated at": counted(int((~self.verdicts).sum()), "step")}
-        return Card(f"Decisions: {counted(len(self.steps), 'step')}", [facts])
 
 
 class OnlineMonitor(Displayed):
@@ -131,42 +91,19 @@ class OnlineMonitor(Displayed):
         self._shorten()
 
     def _shorten(self) -> None:
-        """Put a quicker `feed` in front of the method, if there are one or two names and nothing needs Python.
+        """Put a compiled `feed` (kernels/objects.py) in front of the method, if there is one and nothing needs Python.
 
-        It refers to nothing that is replaced when arrays are, so it can be kept. What is not two floats, or not one
-        decision, goes to the method.
+        What is not a dict of floats and truth values goes to the method. It keeps the monitor and its arrays alive.
         """
-        names, pair, root, latest = self._stream.names, self._call.pair, self._call.root, self._call.latest
-        if self._stream.given or self._delays or len(names) not in (1, 2):
+        from stltool.kernels.objects import bound
+
+        if self._stream.given or self._delays or not self._stream.names:
             return
-        feed, several, one, two = self._feed, self._several, names[0], names[-1]
-
-        def quick(sample: Mapping[str, Any]) -> list[Decision] | Decisions:
-            try:
-                x = sample[one]
-                y = sample[two]
-            except (KeyError, TypeError, IndexError):
-                return feed(sample)
-            if x.__class__ is not float or y.__class__ is not float:
-                return feed(sample)
-            code = pair(root, x, y)
-            if code > 0:
-                return [_new(Decision, (code >> 3, code & 2 == 2, latest[0] if code & 4 else None))]
-            return [] if code == 0 else several() if code == SEVERAL else feed(sample, code)
-
-        def quicker(sample: Mapping[str, Any]) -> list[Decision] | Decisions:
-            try:
-                x = sample[one]
-            except (KeyError, TypeError, IndexError):
-                return feed(sample)
-            if x.__class__ is not float:
-                return feed(sample)
-            code = pair(root, x, 0.0)
-            if code > 0:
-                return [_new(Decision, (code >> 3, code & 2 == 2, latest[0] if code & 4 else None))]
-            return [] if code == 0 else several() if code == SEVERAL else feed(sample, code)
-
-        self.feed = quick if len(names) == 2 else quicker  # type: ignore[method-assign]
+        types = dict, float, bool, True, False, None, Decision, Decisions
+        doc = f"feed(sample)\n--\n\n{OnlineMonitor.feed.__doc__}"
+        compiled = bound((self._call.root, *types, "_codes", self._feed, *self._stream.names), doc)
+        if compiled is not None:
+            self.feed = cast(Any, compiled)  # type: ignore[method-assign]
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in ("_call", "_predicates", "feed")}
@@ -192,9 +129,10 @@ class OnlineMonitor(Displayed):
         return self._stream.N.nbytes + self._stream.F.nbytes + self._stream.B.nbytes
 
     def feed(self, sample: Mapping[str, Any]) -> list[Decision] | Decisions:
-        """Take the next sample, a value for every name of φ; returns the decisions that it yields, by step.
+        """Take the next sample, a value for every name of φ; returns the decisions that it yields, a sequence by step.
 
-        A mapping of names to arrays (n,) is a block of n samples, which is faster, and returns `Decisions`.
+        A mapping of names to arrays (n,) is a block of n samples, which is faster. `Decisions`, of blocks and of single
+        samples that decide many steps, have arrays of them, too.
 
         Raises NameLookupError if a name is missing, TraceError if a value is not a finite number (for a label: neither
         true nor false), or gives a predicate no value or no margin. What is refused leaves the monitor unchanged.
@@ -258,10 +196,8 @@ class OnlineMonitor(Displayed):
 
     # ------------------------------------------------------------------------------------------------ one sample
 
-    def _feed(self, sample: Mapping[str, Any], code: int | None = None) -> list[Decision] | Decisions:
-        """`feed`, checking everything; `code` is what reading it has returned, if it was read."""
-        if code is not None and code not in (REFUSED, FULL):
-            return self._decided(code)
+    def _feed(self, sample: Mapping[str, Any]) -> list[Decision] | Decisions:
+        """`feed`, checking everything."""
         mapping(sample, "feed's sample", "{'x': 0.5}")
         stream, values = self._stream, self._stream.values
         if not stream.names and any(map(_is_block, sample.values())):
@@ -300,17 +236,13 @@ class OnlineMonitor(Displayed):
         self._earlier.keep(bases)
         return self._decided(code)
 
-    def _decided(self, code: int) -> list[Decision]:
+    def _decided(self, code: int) -> list[Decision] | Decisions:
         """The decisions that reading a sample has yielded."""
         if code == NOTHING:
             return []
         if code == SEVERAL:
-            return self._several()
-        return [_new(Decision, (code >> 3, code & 2 == 2, self._call.latest[0] if code & 4 else None))]
-
-    def _several(self) -> list[Decision]:
-        """The decisions of the last sample, if it has yielded more than one: early ones."""
-        return [_new(Decision, (code >> 3, code & 2 == 2, None)) for code in self._stream.told()]
+            return Decisions._of_codes(self._stream.told())
+        return [new(Decision, (code >> 3, code & 2 == 2, self._call.latest[0] if code & 4 else None))]
 
     def _grow(self, more: int) -> None:
         """Make room for more samples."""
@@ -510,7 +442,7 @@ class _LookingBack(OnlineMonitor):
         names = len(self._program.variables) + len(self._program.labels)
         return 100 * (self._network.stored + self._enclosing.stored) + 40 * len(self._kept) * names
 
-    def _feed(self, sample: Mapping[str, Any], code: int | None = None) -> list[Decision] | Decisions:
+    def _feed(self, sample: Mapping[str, Any]) -> list[Decision] | Decisions:
         mapping(sample, "feed's sample", "{'x': 0.5}")
         given = map(sample.get, self._asked) if self._asked else sample.values()
         if any(map(_is_block, given)):

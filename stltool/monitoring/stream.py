@@ -7,7 +7,8 @@ before the trace is, and a sample still costs O(1), amortised.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias, assert_never, cast
 
 import numpy as np
@@ -92,10 +93,10 @@ class Stream:
         at = self.header[k.GIVEN] + 2 * i
         self.F[at], self.F[at + 1] = margin, truth
 
-    def told(self) -> list[int]:
-        """The codes of the decisions that the last sample yielded, by step (`_code` in kernels/streams.py)."""
-        found: list[int] = self.told_now[: self.header[k.TOLD]].tolist()
-        return sorted(found)
+    def told(self) -> bytes:
+        """The codes of the decisions that the last sample yielded, in any order (`_code` in kernels/streams.py)."""
+        found: bytes = self.told_now[: self.header[k.TOLD]].tobytes()
+        return found
 
     def kept(self) -> Floats:
         """The last samples, at most `depth`, oldest first: (n, n_names)."""
@@ -143,10 +144,10 @@ class Stream:
 
 
 class Call:
-    """Reads single samples into whichever arrays it is bound to.
+    """Reads the single samples that were written to `values`, into whichever arrays it is bound to.
 
-    pair    takes `root` and two values, for at most two names      advance   takes `root`: the values were written
-    latest  its item 0 is, after a call, the robustness of the newest step that has a final one
+    advance  takes `root`
+    latest   its item 0 is, after a call, the robustness of the newest step that has a final one
 
     Without compilation, the kernel is called in Python.
     """
@@ -157,11 +158,10 @@ class Call:
         self.root = self._root.ctypes.data
         self.latest: Any = memoryview(cast(Any, self._latest))
         self.bind(stream)
-        if hasattr(k.feed_pair, "py_func"):
-            self.advance = k.entry_point(k.feed_values, 0) if len(stream.names) > 2 or stream.given else self._advance
-            self.pair = k.entry_point(k.feed_pair, 2) if len(stream.names) <= 2 else self._pair
-        else:
-            self.advance, self.pair = self._advance, self._pair
+
+    @functools.cached_property
+    def advance(self) -> Callable[[int], int]:
+        return k.entry_point(k.feed_values) if hasattr(k.feed_values, "py_func") else self._advance
 
     def bind(self, stream: Stream) -> None:
         self._stream = stream
@@ -173,11 +173,6 @@ class Call:
         code = int(k.advance(N, F, B))
         self._latest[0] = F[N[k.MARGIN] + N[k.RESULT]]
         return code
-
-    def _pair(self, root: int, x: float, y: float) -> int:
-        F, first = self._stream.F, self._stream.header[k.VALUES]
-        F[first], F[first + 1] = x, y
-        return self._advance(root)
 
 
 # --------------------------------------------------------------------------------------------------------- layout
@@ -233,7 +228,7 @@ def _laid_out(
     head[k.TRUTH] = N.add(len(atoms))
     head[k.NODES], head[k.COUNTERS] = N.add(network.nodes), N.add(3 * len(network.nodes))
     head[k.MARK], head[k.VERDICT], head[k.TOLD_NOW] = N.add(network.length), N.add(ring_size), N.add(room)
-    head[k.VALUES] = F.add(max(2, len(names)))
+    head[k.VALUES] = F.add(len(names))
     head[k.NUMBERS] = F.add([_numbers(atom) for atom in read])
     head[k.GIVEN] = F.add([_fixed(atom) or (0.0, 0.0) for atom in read])
     ring = np.full(network.length, -np.inf)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stltool.display import counted
 from stltool.logic.task import Task
-from stltool.monitoring.online import Decision
+from stltool.monitoring.decisions import Decision
 from stltool.reporting.records import FollowedRecord, FollowedStepRecord
 
 

@@ -1,12 +1,16 @@
 """Monitors that read one sample at a time against those that see the whole trace, and against all its continuations."""
 
 import copy
+import gc
+import inspect
 import itertools
 import math
 import os
 import pickle
+import re
 import subprocess
 import sys
+import tracemalloc
 from fractions import Fraction
 
 import numpy as np
@@ -16,6 +20,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.errors import NameLookupError, SettingsError, StlSyntaxError, TraceError
+from stltool.kernels import objects
 from stltool.logic.formula import (
     Always,
     And,
@@ -39,7 +44,7 @@ from stltool.logic.formula import (
     lookback,
     variables,
 )  # fmt: skip
-from stltool.monitoring import early, stream
+from stltool.monitoring import Decision, early, stream
 from stltool.testing import formulas, traces
 from tests.conftest import many
 
@@ -478,9 +483,139 @@ def test_monitors_are_copied_and_stored():
 def test_calls_without_numbas_entry_points(monkeypatch):
     xs = np.random.default_rng(0).random(40).tolist()
     expected = stl.OnlineMonitor(stl.parse("G[0,3] F[0,2] x > 0.5"))
-    monkeypatch.setattr(stream.k, "entry_point", lambda function, n_values: function)
+    monkeypatch.setattr(stream.k, "entry_point", lambda function: function)
+    monkeypatch.setattr(objects, "_defined", lambda doc: None)
     online = stl.OnlineMonitor(stl.parse("G[0,3] F[0,2] x > 0.5"))
+    assert not inspect.isbuiltin(online.feed)
     assert [online.feed({"x": x}) for x in xs] == [expected.feed({"x": x}) for x in xs]
+
+
+# ------------------------------------------------------------------------------- the compiled feed of a dict of floats
+
+
+def pure(phi, wait=False):
+    """A monitor that has no compiled `feed`."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(objects, "bound", lambda self, doc: None)
+        return stl.OnlineMonitor(phi, wait)
+
+
+def test_feed_is_compiled_here():
+    """So that the other tests test it, and speed is what it is said to be."""
+    online = stl.OnlineMonitor(stl.parse("G[0,2] (x > 0 & y > x & a)"))
+    assert inspect.isbuiltin(online.feed)
+    assert inspect.signature(online.feed) == inspect.signature(lambda sample: None)
+    assert online.feed(sample={"x": 1.0, "y": 2.0, "a": True}) == []
+    with pytest.raises(TypeError, match="missing 1 required positional argument: 'sample'"):
+        online.feed()
+    with pytest.raises(TypeError, match="unexpected keyword argument 'samples'"):
+        online.feed(samples={})
+    assert "Take the next sample" in online.feed.__doc__
+    assert not inspect.isbuiltin(stl.OnlineMonitor(stl.parse("x + y > 0")).feed)  # decided in Python
+
+
+@given(phi=formulas(longest=6, max_leaves=6) | looking_back(max_leaves=5), wait=st.booleans(), data=st.data())
+def test_the_compiled_feed_is_the_method(phi, wait, data):
+    n = data.draw(st.integers(1, 30))
+    trace = data.draw(traces(n))
+    one, other = stl.OnlineMonitor(phi, wait), pure(phi, wait)
+    for t in range(n):
+        sample = {name: values[t].item() for name, values in trace.items()}
+        found, expected = one.feed(sample), other.feed(sample)
+        assert found == expected
+        assert [type(part) for decision in found for part in decision] == [
+            type(part) for decision in expected for part in decision
+        ]
+        assert [hash(decision) for decision in found] == [hash(tuple(decision)) for decision in expected]
+        assert {type(decision) for decision in found} <= {Decision}
+    assert (one.n_steps, one.finish()) == (other.n_steps, other.finish())
+
+
+class Odd(dict):
+    def __getitem__(self, name):
+        return 3.0
+
+
+class Hash(str):
+    """A key that is never x, and says so loudly."""
+
+    def __hash__(self):
+        return hash("x")
+
+    def __eq__(self, other):
+        raise RuntimeError("compared")
+
+
+@pytest.mark.parametrize(
+    ("sample", "says"),
+    [
+        ({}, "the sample at step 0 has no value of a"),
+        ({"x": 1.0}, "the sample at step 0 has no value of a"),
+        ({"x": "1", "a": True}, "x is '1' at step 0; give a float"),
+        ({"x": True, "a": 2.0}, "a is 2.0 at step 0; it is used as a label"),
+        ({"x": math.nan, "a": True}, "x is nan at step 0"),
+        ({"x": 1.0, "a": None}, "a is None at step 0"),
+        ("x", "feed's sample"),
+        (None, "feed's sample"),
+    ],
+)
+def test_what_the_compiled_feed_leaves_to_the_method(sample, says):
+    phi = stl.parse("G[0,1] (x > 0 & a)")
+    for online in (stl.OnlineMonitor(phi), pure(phi)):
+        with pytest.raises(stl.StlToolError, match=re.escape(says)):
+            online.feed(sample)
+        assert online.n_steps == 0
+        assert online.feed({"x": np.float64(1.0), "a": 1}) == []
+        assert online.feed({"b": 0, "x": 1.0, "a": True}) == [(0, True, None)]
+
+
+def test_other_mappings_are_read_as_they_are():
+    phi = stl.parse("x > 2")
+    for online in (stl.OnlineMonitor(phi), pure(phi)):
+        assert online.feed(Odd(x=3.0)) == [(0, True, 1.0)]
+        with pytest.raises(RuntimeError, match="compared"):
+            online.feed({Hash("q"): 1.0})
+        assert online.feed({"x": 1.0}) == [(1, False, -1.0)]
+
+
+def test_many_steps_decided_at_once_come_by_step():
+    online = stl.OnlineMonitor(stl.parse("G[0,500] (x > 0 & F[0,50] y > 0)"))
+    for t in range(400):
+        online.feed({"x": 1.0, "y": float(t % 7 == 0)})
+    assert [decision.step for decision in online.feed({"x": -1.0, "y": 1.0})] == list(range(401))
+    codes = np.random.default_rng(0).permutation(3000) << 3 | 1
+    made = stl.Decisions._of_codes(codes.tobytes())
+    assert (len(made), [decision.step for decision in made]) == (3000, [*range(3000)])
+    assert made[7] == (7, False, None) == [*made][7]
+    assert made == [*made] == made[:]
+    assert made != [*made][1:]
+    assert made[5:7] == [(5, False, None), (6, False, None)]
+    assert np.array_equal(made.steps, np.arange(3000))
+    assert not made.verdicts.any()
+    assert np.isnan(made.robustness).all()
+    assert pickle.loads(pickle.dumps(made)) == copy.copy(made) == made
+
+
+def test_a_feed_keeps_its_monitor_and_nothing_else():
+    phi = stl.parse("G[0,3] (x > 0.3 & a)")
+    feed = stl.OnlineMonitor(phi, wait=True).feed
+    gc.collect()
+    other, early_ = stl.OnlineMonitor(phi, wait=True), stl.OnlineMonitor(phi).feed
+    samples = [{"x": x, "a": x > 0.1} for x in np.random.default_rng(0).random(2000).tolist()]
+    watched = (Decision, None, True, False, float, dict, samples[0], samples[0]["x"], "x", "a")
+
+    def run():
+        for sample in samples:
+            assert feed(sample) == other.feed(sample)
+            early_(sample)
+
+    run()
+    before = [sys.getrefcount(one) for one in watched]
+    tracemalloc.start()
+    run()
+    assert tracemalloc.get_traced_memory()[0] < 20_000
+    tracemalloc.stop()
+    assert max(abs(sys.getrefcount(one) - then) for one, then in zip(watched, before, strict=True)) < 100  # of 2000
 
 
 PYTHONS = """
@@ -492,7 +627,7 @@ for text in ("(x > 0.2 U[1,3] y > 0.7) <-> G[0,1] x + y < 1.5", "F[0,66] (x > 0.
     for early._of_automaton in (automaton, lambda *arguments: None):
         online = stl.OnlineMonitor(stl.parse(text), wait="U" in text)
         for x, y in zip(*trace.values()):
-            print(online.feed({"x": float(x), "y": float(y)}))
+            print([*online.feed({"x": float(x), "y": float(y)})])
 """
 
 
