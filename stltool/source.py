@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_right
 from dataclasses import dataclass, field
+from functools import cached_property
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Source:
     """A named text: a file, or the string given to `parse`."""
 
     name: str
     text: str = field(repr=False)
 
-    @property
+    @cached_property
     def lines(self) -> str:
         """The text with every line end, even that of old Macs, as a line feed; positions are unchanged."""
         return re.sub(r"\r(?!\n)", "\n", self.text)
+
+    @cached_property
+    def line_starts(self) -> list[int]:
+        """Where each line begins. A text may have as many faults as lines: none of them counts the lines again."""
+        return [0, *(found.end() for found in re.finditer("\n", self.lines))]
+
+    def line_start(self, place: int) -> int:
+        """Where the line of a character begins."""
+        return self.line_starts[bisect_right(self.line_starts, place) - 1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,12 +41,16 @@ class Span:
     @property
     def line(self) -> int:
         """Line number, from 1."""
-        return self.source.lines.count("\n", 0, self.start) + 1
+        return bisect_right(self.source.line_starts, self.start)
 
     @property
     def column(self) -> int:
         """Column number, from 1."""
-        return self.start - (self.source.lines.rfind("\n", 0, self.start) + 1) + 1
+        return self.start - self._begin + 1
+
+    @property
+    def _begin(self) -> int:
+        return self.source.line_start(self.start)
 
     def where(self) -> str:
         """`file, line 3, column 7`."""
@@ -47,7 +62,7 @@ class Span:
 
     def show(self, message: str) -> str:
         """The message with its position, the line, and carets under the span."""
-        begin = self.source.lines.rfind("\n", 0, self.start) + 1
+        begin = self._begin
         stop = self.source.lines.find("\n", begin)
         line = self.source.text[begin:] if stop < 0 else self.source.text[begin:stop]
         line = line.rstrip("\r")

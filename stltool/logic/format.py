@@ -234,8 +234,7 @@ class _Layout:
         while self.pending and self.pending[0].start < until:
             comment = self.pending.popleft()
             text = _comment_text(comment)
-            line_start = max(self.source.rfind("\n", 0, comment.start), self.source.rfind("\r", 0, comment.start)) + 1
-            behind = self.source[line_start : comment.start].strip()
+            behind = self.source[self.document.source.line_start(comment.start) : comment.start].strip()
             if behind and self.lines and self.lines[-1] and self.commented < len(self.lines):
                 self.lines[-1] += f"  {text}"
             else:
@@ -308,8 +307,9 @@ class _Layout:
             self.lines.append(line)
         elif tree.data in _SIGNS:
             operands = [part for part in branches(tree) if part.data != "interval"]
+            sign = _sign(tree)
             for i, part in enumerate(operands):
-                self.operand(part, indent, f"{_sign(tree)} " if i else lead, prefix=False)
+                self.operand(part, indent, f"{sign} " if i else lead, prefix=False)
         elif tree.data in _PREFIXES:
             self.operand(branches(tree)[-1], indent, lead + _sign(tree), prefix=True)
         else:

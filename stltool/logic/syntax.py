@@ -27,6 +27,7 @@ from stltool.source import Source, Span
 Branch: TypeAlias = Tree[Token]
 
 LONGEST_TEXT = 2_000_000  # characters; a trace that was given instead of a task file must not fill memory
+MOST_STATEMENTS = 20_000  # some seconds, and some hundred megabytes of trees
 _EQUAL_HINT = "write == to compare, := to define"
 INFIXES = ("until", "weak_until", "release", "since", "trigger")  # temporal operators between two operands
 PAST_PREFIXES = ("once", "historically", "prev", "rise", "fall")
@@ -133,7 +134,10 @@ class Comment:
 
 @dataclass(frozen=True, slots=True)
 class SyntaxFault:
-    """A message, ready to print, about position `start`; `names` are those that the statement would define."""
+    """A message, ready to print, about position `start`; `names` are those that the statement would define.
+
+    It is empty for a fault that is only counted, after `MOST_FAULTS` others.
+    """
 
     start: int
     message: str
@@ -191,11 +195,16 @@ def read(source: Source, start: str) -> Document:
     broken = {fault.start for fault in foreign}
     trees, faults = [], list(foreign)
     pieces = _statements(tokens) if start == "task" else [tokens]
+    if len(pieces) > MOST_STATEMENTS:
+        raise StlSyntaxError(
+            f"{source.name}: the text has {len(pieces)} statements, more than the limit of {MOST_STATEMENTS}; "
+            "split it into several task files"
+        )
     for piece, begin, end in _places(pieces, len(source.text)):
         if any(begin <= place < end for place in broken):
             faults = [replace(f, names=_defined(piece)) if begin <= f.start < end else f for f in faults]
             continue  # what follows an unknown character cannot be interpreted
-        result = _parse(source, "statement" if start == "task" else start, piece)
+        result = _parse(source, "statement" if start == "task" else start, piece, len(faults) < MOST_FAULTS)
         if isinstance(result, SyntaxFault):
             faults.append(result)
         else:
@@ -252,7 +261,7 @@ def _with_names(source: Source, tokens: list[Token]) -> tuple[list[Token], list[
     soft = (*_PREFIX_WORDS, *_INFIX_WORDS)
     if not any(token.type in soft for token in tokens):
         return tokens, []
-    declared = _declared(tokens)
+    declared, intervals = _declared(tokens), _intervals(tokens)
     found: list[Token] = []
     faults: list[SyntaxFault] = []
     opened: list[bool] = []  # for every open bracket, whether it is that of an interval
@@ -263,7 +272,7 @@ def _with_names(source: Source, tokens: list[Token]) -> tuple[list[Token], list[
         if operator and token.type in _INFIX_WORDS:
             operator = behind
         elif operator and follows == "LSQB":
-            operator = _holds_two(tokens, i + 1)
+            operator = i + 1 in intervals
         elif operator and follows in ("PLUS", "MINUS") and not behind:
             message = (
                 f"{token} before a sign may be the operator or a signal; write {token} ({tokens[i + 1]} …) for the "
@@ -276,7 +285,7 @@ def _with_names(source: Source, tokens: list[Token]) -> tuple[list[Token], list[
             token = Token("NAME", token.value, start_pos=token.start_pos, end_pos=token.end_pos)
         behind = token.type in _OPERAND_ENDS
         if token.type in ("LPAR", "LSQB"):
-            opened.append(bool(found) and found[-1].type in _TEMPORAL and _holds_two(tokens, i))
+            opened.append(bool(found) and found[-1].type in _TEMPORAL and i in intervals)
         elif token.type in ("RPAR", "RSQB") and opened:
             behind = not opened.pop()
         found.append(token)
@@ -297,16 +306,18 @@ def _declared(tokens: Sequence[Token]) -> set[str]:
     return names
 
 
-def _holds_two(tokens: Sequence[Token], i: int) -> bool:
-    """Whether the bracket at token i holds an interval: it has a comma, a colon or dots of its own."""
-    depth = 0
-    for token in tokens[i:]:
-        depth += _NESTING.get(token.type, 0)
-        if depth <= 0:
-            return False
-        if depth == 1 and token.type in ("COMMA", "COLON", "_DOTS"):
-            return True
-    return False
+def _intervals(tokens: Sequence[Token]) -> set[int]:
+    """The brackets, by their token, that hold an interval: each has a comma, a colon or dots of its own."""
+    holding: set[int] = set()
+    opened: list[int] = []
+    for i, token in enumerate(tokens):
+        if _NESTING.get(token.type, 0) > 0:
+            opened.append(i)
+        elif _NESTING.get(token.type, 0) < 0:
+            del opened[-1:]
+        elif token.type in ("COMMA", "COLON", "_DOTS") and opened:
+            holding.add(opened[-1])
+    return holding
 
 
 def _shifted(token: Token, offset: int) -> Token:
@@ -417,7 +428,8 @@ def _defined(tokens: Sequence[Token]) -> tuple[str, ...]:
 # --------------------------------------------------------------------------------------------------- statements
 
 
-def _parse(source: Source, start: str, tokens: list[Token]) -> Branch | SyntaxFault:
+def _parse(source: Source, start: str, tokens: list[Token], told: bool) -> Branch | SyntaxFault:
+    """The tree of a statement. Looking for what to write instead takes long: it is done for faults that are `told`."""
     machine = _lark().parse_interactive(start=start)
     for i, token in enumerate(tokens):
         try:
@@ -426,12 +438,14 @@ def _parse(source: Source, start: str, tokens: list[Token]) -> Branch | SyntaxFa
                 return SyntaxFault(cast(int, token.start_pos), _span(source, token).show(message), _defined(tokens))
             machine.feed_token(token)
         except UnexpectedToken:
-            return SyntaxFault(cast(int, token.start_pos), _unexpected(source, machine, tokens, i), _defined(tokens))
+            message = _unexpected(source, machine, tokens, i) if told else ""
+            return SyntaxFault(cast(int, token.start_pos), message, _defined(tokens))
     try:
         return cast(Branch, machine.feed_eof(tokens[-1] if tokens else None))  # type: ignore[no-untyped-call]
     except UnexpectedToken:
         place = cast(int, tokens[-1].end_pos) if tokens else 0
-        return SyntaxFault(place, _unexpected(source, machine, tokens, len(tokens)), _defined(tokens))
+        message = _unexpected(source, machine, tokens, len(tokens)) if told else ""
+        return SyntaxFault(place, message, _defined(tokens))
 
 
 def _empty_interval(before: Token, token: Token) -> bool:

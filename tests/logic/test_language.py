@@ -1,5 +1,6 @@
 """What users of other tools write: Breach's files, times with units, several faults at once, params changed late."""
 
+import contextlib
 import re
 import sys
 from fractions import Fraction
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.errors import FileError, SettingsError, StlSyntaxError
 from stltool.grammar import grammar_text
+from stltool.logic import syntax
 from stltool.logic.formula import (
     Always,
     And,
@@ -33,6 +35,7 @@ from stltool.logic.formula import (
     variables,
 )
 from stltool.logic.quantities import Duration, duration, quantity
+from stltool.source import Source, Span
 from tests.conftest import DATA, OUTSIDE, needs_outside
 
 A, B = Label("a"), Label("b")
@@ -667,6 +670,60 @@ def test_reading_takes_work_in_proportion_to_the_text(piece):
     stl.parse(texts[0])
     first, second, third = (calls(lambda text=text: stl.parse(text)) for text in texts)
     assert (third - second) / (second - first) == pytest.approx(2, rel=0.02)
+
+
+def lines_run(run):
+    """How many lines of Python are run: work that no clock measures, loops without calls among it."""
+    count = 0
+
+    def count_one(frame, event, arg):
+        nonlocal count
+        count += event == "line"
+        return count_one
+
+    before = sys.gettrace()
+    sys.settrace(count_one)
+    try:
+        with contextlib.suppress(StlSyntaxError):
+            run()
+    finally:
+        sys.settrace(before)
+    return count
+
+
+@pytest.mark.parametrize(("begin", "piece"), [
+    ("", "d := F[5,3] A\n"),  # a fault in each statement, found by the builder
+    ("", "d := F[0,3 A\n"),  # or by the parser
+    ("", "d{} := F[0,3] A\n"),
+    ("d := ", "once["),
+    ("d := A & ", "once[ a "),
+    ("d := A\n", "# c\n"),
+    ("d := A\n", "param p{} = 3\n"),
+    ("d := A", " & F[0,3] A"),
+])  # fmt: skip
+@pytest.mark.parametrize("read", [stl.parse_task, stl.format_task])
+def test_hostile_texts_take_work_in_proportion_to_their_length(read, begin, piece):
+    texts = [begin + "".join(piece.replace("{}", str(i)) for i in range(n)) for n in (50, 100, 200)]
+    with contextlib.suppress(StlSyntaxError):
+        read(texts[0])
+    first, second, third = (lines_run(lambda text=text: read(text)) for text in texts)
+    assert third - second <= 2.2 * (second - first)
+
+
+def test_a_file_of_too_many_statements_is_refused_with_their_number():
+    most = syntax.MOST_STATEMENTS
+    text = "".join(f"param p{i} = 3\n" for i in range(most))
+    with pytest.raises(StlSyntaxError, match=f"the text has {most + 1} statements, more than the limit of {most}"):
+        stl.parse_task(text + "d := A")
+
+
+@given(st.text("ab\r\n\t", max_size=30), st.integers(0, 29))
+def test_lines_and_columns_are_counted(text, place):
+    place = min(place, len(text))
+    before = "".join("\n" if c == "\r" and text[i + 1 : i + 2] != "\n" else c for i, c in enumerate(text))[:place]
+    span = Span(Source("text", text), place, place + 1)
+    assert span.line == before.count("\n") + 1
+    assert span.column == len(before) - (before.rfind("\n") + 1) + 1
 
 
 def test_lines_of_old_macs_are_counted():
