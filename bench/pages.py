@@ -8,6 +8,7 @@ alarm       the third one there: after how many steps a wrong tie is refused
 robust      docs/robust.md: a robust check beside an ordinary one
 tradeoff    docs/tradeoffs.md: a linear programme of a large task
 why         docs/why.md: the most probable runs and the derivatives of a long shift
+spread      docs/testing.md: at which steps the violations begin that Hypothesis draws
 """
 
 from __future__ import annotations
@@ -196,8 +197,29 @@ def why() -> None:
     print(f"10000 satisfying runs cover {satisfying.covered:.2f}")
 
 
+def spread() -> None:
+    from hypothesis import HealthCheck, Phase, given, seed, settings
+
+    from stltool.testing import Trace, violating_traces
+
+    phi, every = stl.parse("G[0,9] x < 5"), list(HealthCheck)
+    found: list[int] = []
+
+    @settings(max_examples=1000, database=None, phases=[Phase.generate], suppress_health_check=every)
+    @given(violating_traces(phi, {"x": (0, 9)}))
+    def collect(trace: Trace) -> None:
+        found.append(int((trace["x"] >= 5).argmax()))
+
+    counts = []
+    for start in range(5):
+        found.clear()
+        seed(start)(collect)()
+        counts += np.bincount(found, minlength=10).tolist()
+    print(f"of 1000 traces at least {min(counts)} and at most {max(counts)} at a step")
+
+
 if __name__ == "__main__":
-    programs = {f.__name__: f for f in (alarm, guarantees, robust, scenarios, sweep, tied, tradeoff, why)}
-    if sys.argv[1] not in ("scenarios", "sweep"):
+    programs = {f.__name__: f for f in (alarm, guarantees, robust, scenarios, spread, sweep, tied, tradeoff, why)}
+    if sys.argv[1] not in ("scenarios", "spread", "sweep"):
         kernels.warm_up("published", "clocked")
     programs[sys.argv[1]]()

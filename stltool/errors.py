@@ -89,7 +89,7 @@ class SettingsError(StlToolError):
 
 
 class InfeasibleError(StlToolError):
-    """No policy meets the given constraints."""
+    """No policy, or no trace, meets the given constraints."""
 
 
 class SolverError(StlToolError):

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool import gate
 from stltool.errors import StlToolError
-from stltool.testing import interval_models
+from stltool.testing import interval_mdps
 from tests import oracles
 from tests.conftest import many
 
@@ -135,7 +135,7 @@ def test_robust_is_what_is_guaranteed(written):
 
 
 @pytest.mark.soak
-@given(interval_models(max_states=3), st.sampled_from([Fraction(n, 8) for n in range(1, 8)]))
+@given(interval_mdps(states=3), st.sampled_from([Fraction(n, 8) for n in range(1, 8)]))
 @settings(max_examples=many(15))
 def test_nature_opposes_every_claim(model, bound):
     """Against the tree of all histories, in fractions: >= and > are about the least that nature can do, <= and < about

@@ -32,7 +32,7 @@ from stltool.logic.formula import (
     walk,
     with_children,
 )
-from stltool.testing import formulas, models, traces
+from stltool.testing import formulas, mdps, traces
 from tests.automata.judging import every_trace, judge, judge_all, truth_of_all
 from tests.conftest import MORE, many
 
@@ -266,7 +266,7 @@ def test_questions_on_models():
         assert estimate.lower <= best.probability <= estimate.upper
 
 
-@given(model=models(max_states=3, max_actions=2), phi=mixed(max_leaves=3, longest=2), data=st.data())
+@given(model=mdps(states=3, actions=2), phi=mixed(max_leaves=3, longest=2), data=st.data())
 @settings(max_examples=many(40))
 def test_the_optimum_is_that_of_the_unfolded_runs(model, phi, data):
     """Against enumeration of all runs, with the verdict of the slow semantics at their end."""

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.errors import PolicyError, SizeError
 from stltool.logic.formula import Not
-from stltool.testing import flag_formulas, formulas, models
+from stltool.testing import flag_formulas, formulas, mdps
 from tests import oracles
 from tests.conftest import OUTSIDE, ROOT, many, needs_outside
 
@@ -21,7 +21,7 @@ LABELS = ("a", "b", "c")
 @st.composite
 def products(draw, longest=2, **options):
     """Random tiny models with tasks of any kind; histories up to five steps."""
-    model = draw(models(**options))
+    model = draw(mdps(**options))
     phi = draw(st.one_of(flag_formulas(longest=longest, equal=False), formulas(longest=longest, max_leaves=5)))
     assume(stl.horizon(phi) <= 2 * longest + 1)
     return stl.build_product(model, phi)
@@ -41,7 +41,7 @@ def test_optimum_equals_the_tree_of_all_histories(product):
     close(stl.check(product, maximize=False), oracles.optimum(model, phi, maximize=False))
 
 
-@given(products(longest=1, max_states=2, single_start=True))
+@given(products(longest=1, states=2, single_start=True))
 @settings(max_examples=many(40))
 def test_optimum_equals_the_enumeration_of_all_policies(product):
     model, phi = product.model, product.formula
@@ -85,7 +85,7 @@ def test_the_optimal_policy_attains_the_optimum(product):
         assert stl.check(product, maximize=maximize, keep_policy=False).probability == best.probability
 
 
-@given(products(max_states=4, max_actions=3), st.integers(0, 2**32 - 1))
+@given(products(states=4, actions=3), st.integers(0, 2**32 - 1))
 def test_engines_agree(product, seed):
     rng = np.random.default_rng(seed)
     policies = [None] + [random_policy(product, rng, timed, mixed) for timed in (0, 1) for mixed in (0, 1)]

@@ -17,7 +17,7 @@ from stltool.checking.fixed import fixed_point
 from stltool.checking.induction import EVERYTHING, Following, Game, layers_of
 from stltool.checking.rational import exact_probability
 from stltool.errors import ModelError, SettingsError, SizeError
-from stltool.testing import strategies
+from stltool.testing import formulas, mdps
 from tests import oracles, qcomp
 from tests.conftest import DATA, OUTSIDE, many, needs_outside
 
@@ -79,8 +79,8 @@ def test_the_fraction_is_the_fraction():
 @given(st.data())
 def test_exact_optima_of_any_formula(data):
     """Against the tree of all histories and the slow semantics: automaton, product and arithmetic together."""
-    model = data.draw(strategies.models())
-    phi = data.draw(strategies.formulas(longest=2, max_leaves=4).filter(lambda f: stl.horizon(f) <= 4))
+    model = data.draw(mdps())
+    phi = data.draw(formulas(longest=2, max_leaves=4).filter(lambda f: stl.horizon(f) <= 4))
     maximize = data.draw(st.booleans())
     product = stl.build_product(model, phi)
     assert stl.check(product, maximize=maximize, exact=True).fraction == oracles.optimum(model, phi, maximize)

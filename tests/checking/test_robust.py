@@ -17,7 +17,7 @@ from stltool.logic.formula import Not
 from stltool.models import Intervals
 from stltool.models.environment import simulator
 from stltool.policy import with_flags
-from stltool.testing import flag_formulas, formulas, interval_models, models
+from stltool.testing import flag_formulas, formulas, interval_mdps, mdps
 from tests import dense, oracles
 from tests.checking.test_check import close, random_policy
 from tests.conftest import many, some
@@ -32,7 +32,7 @@ def minimizes(maximize, nature):
 
 @st.composite
 def products(draw, longest=2, most=3, **options):
-    model = draw(interval_models(**options))
+    model = draw(interval_mdps(**options))
     phi = draw(st.one_of(flag_formulas(longest=longest, equal=False), formulas(longest=longest, max_leaves=5)))
     assume(stl.horizon(phi) <= most)
     return stl.build_product(model, phi)
@@ -48,7 +48,7 @@ def test_values_equal_the_tree_of_all_histories(product):
         assert (result.question, result.nature) == ("maximum" if maximize else "minimum", nature)
 
 
-@given(products(longest=1, most=2, max_states=2, single_start=True), st.sampled_from(QUESTIONS))
+@given(products(longest=1, most=2, states=2, single_start=True), st.sampled_from(QUESTIONS))
 @settings(max_examples=many(25))
 def test_values_equal_the_enumeration_of_all_policies_and_natures(product, question):
     """Literally: the best over every policy of the worst over every strategy of nature, history-dependent both."""
@@ -233,7 +233,7 @@ def test_the_weights_of_a_mixture_may_miss_one():
 # ------------------------------------------------------------------------------------------- laws
 
 
-@given(models(max_states=4), st.sampled_from(QUESTIONS))
+@given(mdps(states=4), st.sampled_from(QUESTIONS))
 @settings(max_examples=many(60))
 def test_points_as_intervals_are_the_ordinary_check(model, question):
     maximize, nature = question
@@ -247,7 +247,7 @@ def test_points_as_intervals_are_the_ordinary_check(model, question):
     assert plain.lower <= robust.upper
 
 
-@given(products(max_states=4, max_actions=3))
+@given(products(states=4, actions=3))
 @settings(max_examples=many(40))
 def test_intervals_enclose_the_nominal_model(product):
     """max–min <= the nominal maximum <= max–max; and the same policy's values."""
@@ -265,7 +265,7 @@ def test_intervals_enclose_the_nominal_model(product):
             assert inside.lower <= high.upper
 
 
-@given(products(max_states=4), st.sampled_from(QUESTIONS))
+@given(products(states=4), st.sampled_from(QUESTIONS))
 @settings(max_examples=many(60))
 def test_wider_intervals_give_nature_more(product, question):
     maximize, nature = question
@@ -279,7 +279,7 @@ def test_wider_intervals_give_nature_more(product, question):
     assert b <= a + 1e-14 if minimizes(maximize, nature) else b >= a - 1e-14
 
 
-@given(products(max_states=4))
+@given(products(states=4))
 @settings(max_examples=many(40))
 def test_maximum_and_minimum_are_dual(product):
     """max–min of Φ = 1 − min–max of ¬Φ; max–max of Φ = 1 − min–min of ¬Φ."""
@@ -289,7 +289,7 @@ def test_maximum_and_minimum_are_dual(product):
         assert best.probability == pytest.approx(1 - worst.probability, abs=1e-13)
 
 
-@given(products(max_states=4, max_actions=3), st.sampled_from(QUESTIONS))
+@given(products(states=4, actions=3), st.sampled_from(QUESTIONS))
 @settings(max_examples=many(40))
 def test_the_optimal_policy_attains_the_optimum(product, question):
     options = dict(zip(("maximize", "nature"), question, strict=True))
@@ -299,7 +299,7 @@ def test_the_optimal_policy_attains_the_optimum(product, question):
     assert (unkept.probability, unkept.policy) == (best.probability, None)
 
 
-@given(products(max_states=4, max_actions=3), st.integers(0, 2**32 - 1), st.sampled_from(QUESTIONS))
+@given(products(states=4, actions=3), st.integers(0, 2**32 - 1), st.sampled_from(QUESTIONS))
 @settings(max_examples=many(40))
 def test_engines_agree_with_a_dense_one(product, seed, question):
     options = dict(zip(("maximize", "nature"), question, strict=True))

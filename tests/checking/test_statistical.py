@@ -19,7 +19,7 @@ from stltool.kernels import rollout as kernels
 from stltool.models.environment import Environment, cumulated, simulator
 from stltool.models.rows import Stored
 from stltool.randomness import Purpose
-from stltool.testing import flag_formulas, formulas, models
+from stltool.testing import flag_formulas, formulas, mdps
 from tests import oracles
 from tests.conftest import many
 
@@ -45,7 +45,7 @@ def counts(product, policy, groups, size, seed=0):
 def followed(draw):
     """A tiny product, a policy with weights over quarters, and how often each random number is used."""
     mixed = draw(st.booleans())
-    model = draw(models(max_states=3, max_actions=3))
+    model = draw(mdps(states=3, actions=3))
     phi = draw(st.one_of(flag_formulas(longest=2), formulas(signals=(), longest=2, max_leaves=4)))
     assume(1 <= stl.horizon(phi) <= (2 if mixed else 3))
     product = stl.build_product(model, phi)
@@ -201,7 +201,7 @@ def test_rows_are_summed_one_by_one():
     assert np.array_equal(cumulated(model).reshape(n, 2), np.cumsum(rare, axis=1))
 
 
-@given(models(max_states=5, max_actions=3))
+@given(mdps(states=5, actions=3))
 def test_cumulated_rows_are_numpys(model):
     rows = zip(model.row_start[:-1], model.row_start[1:], strict=True)
     slow = np.concatenate([np.cumsum(model.probability[a:b]) for a, b in rows])

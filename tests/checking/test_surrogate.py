@@ -16,7 +16,7 @@ from stltool.choices import Table
 from stltool.errors import FragmentError, SettingsError, SizeError
 from stltool.learning.problem import Problem
 from stltool.logic.fragment import check_fragment
-from stltool.testing import flag_formulas, interval_models, models
+from stltool.testing import flag_formulas, interval_mdps, mdps
 from tests import dense, oracles
 from tests.conftest import FACTORY, many
 
@@ -31,7 +31,7 @@ def flagged(draw, longest=2, equal=True, **options):
     assume(1 <= stl.horizon(phi) <= 3)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return stl.build_product(draw(models(**options)), phi, encoding="paper")
+        return stl.build_product(draw(mdps(**options)), phi, encoding="paper")
 
 
 def chi_of(product):
@@ -142,7 +142,7 @@ def test_a_late_reward_is_not_dropped_when_iteration_stops_before_it_is_seen():
     assert (fine[:2, 0].tolist(), coarse[:2, 0].tolist()) == ([False, True], [True, True])
 
 
-@given(flagged(max_states=2, longest=1))
+@given(flagged(states=2, longest=1))
 @settings(max_examples=many(30))
 def test_the_optimum_is_that_of_all_stationary_policies(product):
     assume(product.n_states <= 8)
@@ -415,7 +415,7 @@ def test_tasks_without_flags_and_sizes_that_do_not_fit_are_refused(floor5, patro
         stl.surrogate_optimum(patrolling, gamma=1 - 1e-12)
 
 
-@given(interval_models(max_states=2))
+@given(interval_mdps(states=2))
 @settings(max_examples=many(5))
 def test_intervals_are_refused(model):
     with pytest.raises(SettingsError, match="intervals"):

@@ -18,7 +18,7 @@ from stltool.checking.pareto import Corner, _undominated
 from stltool.checking.weighted import Criteria, Figure, best, of_policy
 from stltool.choices import Table
 from stltool.errors import InfeasibleError, NameLookupError, PolicyError, SettingsError, SizeError, SolverError
-from stltool.testing import flag_formulas, formulas, models
+from stltool.testing import flag_formulas, formulas, mdps
 from tests import oracles
 from tests.conftest import FACTORY, many
 
@@ -29,7 +29,7 @@ ENCLOSED = Fraction(1, 10**12)
 @st.composite
 def joints(draw, n_tasks=2, longest=2, **options):
     """Tiny models with tasks of any kind, of different horizons, and a signal `fuel` that is a cost."""
-    model = draw(models(max_actions=2, **options))
+    model = draw(mdps(actions=2, **options))
     kinds = st.one_of(flag_formulas(longest=longest, equal=False), formulas(longest=longest, max_leaves=4))
     phis = [draw(kinds) for _ in range(n_tasks)]
     assume(1 <= max(map(stl.horizon, phis)) <= 3)

@@ -18,7 +18,7 @@ from stltool.learning.confidence import entry_interval, unseen_mass
 from stltool.learning.counts import Counts
 from stltool.models.environment import simulator
 from stltool.product import with_outcome
-from stltool.testing import formulas, interval_models, models
+from stltool.testing import formulas, interval_mdps, mdps
 from tests import oracles
 from tests.checking.test_check import random_policy
 from tests.conftest import many
@@ -133,7 +133,7 @@ def robust_value(product, rows, policy=None):
 
 @st.composite
 def cases(draw):
-    model = draw(models(signals=()))
+    model = draw(mdps(signals=()))
     phi = draw(formulas(signals=(), longest=2, max_leaves=4))
     assume(1 <= stl.horizon(phi) <= 3)
     product = stl.build_product(model, phi)
@@ -316,7 +316,7 @@ def test_policies_of_every_kind_are_judged(patrolling, flagged):
     assert found.lower <= stl.check(patrolling, stl.Policy(joint, table)).upper
 
 
-@given(interval_models(max_states=3), st.integers(0, 99))
+@given(interval_mdps(states=3), st.integers(0, 99))
 @settings(max_examples=many(20))
 def test_models_with_intervals_lend_their_graph(model, seed):
     product = stl.build_product(model, stl.parse("F[0,2] a"))

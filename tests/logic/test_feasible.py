@@ -27,7 +27,7 @@ from stltool.logic.formula import (
 )
 from stltool.logic.occurrences import occurrences, with_replaced
 from stltool.testing import formulas, traces
-from stltool.testing.strategies import terms
+from stltool.testing.formulas import terms
 
 
 def rows(read, most=10**6):

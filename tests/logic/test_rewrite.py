@@ -39,7 +39,7 @@ from stltool.logic.formula import (
 )
 from stltool.logic.rewrite import negation_normal_form, operator_count, simplify
 from stltool.testing import formulas, traces
-from stltool.testing.strategies import intervals
+from stltool.testing.formulas import intervals
 from tests.conftest import many
 
 NAMES = {"labels": ("a", "b"), "signals": ("x", "y")}

@@ -13,7 +13,7 @@ import stltool as stl
 from stltool.errors import ModelError
 from stltool.models import Intervals
 from stltool.models.grid import grid_from_table
-from stltool.testing import interval_models
+from stltool.testing import interval_mdps
 from tests import oracles
 from tests.models.test_grid import table
 
@@ -51,7 +51,7 @@ def test_ends_stay_with_their_entries():
     assert one.choice_start.tolist() == [0, 1, 3]  # a row of zeros: not available
 
 
-@given(interval_models(max_states=4, max_actions=3))
+@given(interval_mdps(states=4, actions=3))
 def test_the_nominal_model_lies_inside(model):
     ends, nominal = model.intervals, model.nominal()
     assert (ends.lower <= model.probability).all()

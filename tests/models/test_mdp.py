@@ -7,7 +7,7 @@ from scipy import sparse
 import stltool as stl
 from stltool.errors import FileError, ModelError
 from stltool.models.environment import simulator
-from stltool.testing import models
+from stltool.testing import mdps
 
 STAY, SWAP = np.eye(2), np.array([[0.1, 0.9], [0.8, 0.2]])
 
@@ -32,7 +32,7 @@ def test_a_row_of_zeros_is_an_unavailable_action():
     assert model.choice_action.tolist() == [0, 0, 1]
 
 
-@given(models(max_states=4, max_actions=3))
+@given(mdps(states=4, actions=3))
 def test_models_of_the_strategy_are_distributions(model):
     assert np.allclose(model.matrix().sum(axis=1), 1)
     assert (np.diff(model.choice_start) > 0).all()
@@ -93,7 +93,7 @@ def test_model_files_are_told_by_their_ending(tmp_path):
         stl.load_model(tmp_path / "model.xyz")
 
 
-@given(model=models(), seed=st.integers(0, 2**32 - 1))
+@given(model=mdps(), seed=st.integers(0, 2**32 - 1))
 def test_the_simulator_takes_possible_steps_only(model, seed):
     rng = np.random.default_rng(seed)
     environment = simulator(model, rng)

@@ -13,12 +13,12 @@ from stltool.checking.encodings import compare_encodings, state_histories
 from stltool.errors import FragmentError
 from stltool.reporting import encoding_data, encoding_rows, surrogate_data, surrogate_rows
 from stltool.reporting.story import count_text
-from stltool.testing import models
+from stltool.testing import mdps
 from tests import oracles
 from tests.conftest import FACTORY, many
 
 
-@given(models(max_states=4), st.integers(1, 4))
+@given(mdps(states=4), st.integers(1, 4))
 @settings(max_examples=many(40))
 def test_state_histories_are_the_paths_of_the_model(model, length):
     follows = {s: {s2 for row in oracles.choices(model, s) for s2, p in row if p} for s in range(model.n_states)}

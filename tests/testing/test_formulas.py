@@ -6,7 +6,7 @@ from hypothesis import Phase, find, given, settings
 import stltool as stl
 from stltool.logic.formula import And, Iff, Implies, Not, Or
 from stltool.testing import flag_formulas, formulas, predicates
-from stltool.testing.strategies import terms
+from stltool.testing.formulas import terms
 from tests.conftest import many
 
 
