@@ -171,6 +171,8 @@ def _around(
             array: Any = signals[name]
             arrays[name] = array = array if _is_plain_list(array) else samples_of(name, array)
             lengths[name] = len(array) if isinstance(array, list) else array.shape[-1] if array.ndim else 0
+    if names and not lengths:
+        return {name: signals[name] for name in signals.keys()}, 0, 0  # noqa: SIM118 - of a data frame, too
     for name, length in lengths.items():
         first = next(iter(lengths))
         if length != lengths[first]:

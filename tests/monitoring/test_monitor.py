@@ -491,3 +491,5 @@ def test_one_step_reads_only_what_it_depends_on():
         stl.monitor(phi, {"x": y, "y": y}, at=997)
     with pytest.raises(TraceError, match="signal x has 1000 samples, signal y 999"):
         stl.monitor(phi, {"x": x, "y": y[:999]}, at=0)
+    with pytest.raises(NameLookupError, match="the traces have no signal"):
+        stl.monitor(phi, {"z": x}, at=0)
