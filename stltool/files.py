@@ -187,7 +187,8 @@ def write_results(files: Mapping[Path, bytes | None], what: str, known: Callable
                 kept[path] = path.with_name(f".{path.name}.{os.getpid()}.old")
                 os.replace(path, kept[path])
             if path in made:
-                os.replace(made.pop(path), path)
+                os.replace(made[path], path)
+                del made[path]
                 replaced.append(path)
     except BaseException as error:
         for path in replaced:

@@ -43,6 +43,7 @@ FILLED = {
     "sweep FILE": "sweep examples/paper/small.toml --workers 2",
     "verify FILE...": f"verify {FACTORY}gate.stl --junit verify.xml --certificates proofs",
     "lint FILE...": f"lint {FACTORY}patrolling.stl",
+    "convert IN OUT": f"convert {FACTORY}floor-5x5.toml floor.umb",
     "fmt FILE...": f"fmt {FACTORY}patrolling.stl {FACTORY}charging.stl",
     "REPORT.json": "out/patrolling/report.json",
     "new NAME --kind grid": "new shift --kind grid",

@@ -174,6 +174,13 @@ def sweep_folder(given: Given) -> Path | None:
         return None
 
 
+def written_model(path: Path) -> Iterable[Path]:
+    """A model file and its companion files."""
+    from stltool.models.save import written_files
+
+    return written_files(path)
+
+
 def beside(ending: str) -> Callable[[Path], Iterable[Path]]:
     """The file of the same name with another extension."""
     return lambda path: [path.with_suffix(ending)]

@@ -213,6 +213,18 @@ def task_model(task: Task, model: Path | None, normalize: bool = False) -> MDP:
     return loaded
 
 
+def converted_model(path: Path, param: list[str] | None, normalize: bool) -> MDP:
+    """A model file that is to be written in another format, with everything that its reader noted on stderr."""
+    import stltool as stl
+    from stltool.reporting.terminal import note
+
+    loaded = stl.load_model(path, normalize)
+    for said in loaded.notes.values():
+        note(f"{path}: {said}")
+    values = read_params(param)
+    return loaded.at(**values) if values else loaded
+
+
 def bind(task: Task, model: MDP, encoding: str) -> Product:
     import stltool as stl
 

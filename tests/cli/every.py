@@ -47,6 +47,7 @@ CASES = {
     "explain": ["patrolling.stl", *SMALL],
     "fmt": ["patrolling.stl"],
     "lint": ["patrolling.stl"],
+    "convert": ["floor-5x5.toml", "floor.umb"],
     "export": ["patrolling.stl", *SMALL, "--to", "dot"],
     "report": ["report.json"],
     "diff": ["report.json", "report.json"],

@@ -72,7 +72,17 @@ def test_the_schema_is_what_the_records_say():
 def test_every_output_is_tried():
     assert set(OUTPUTS) <= {*CASES, *MORE}
     computed = {name.split()[0] for name in OUTPUTS}
-    assert set(COMMANDS) - computed == {"certify", "diff", "doctor", "export", "fmt", "lint", "new", "report"}
+    assert set(COMMANDS) - computed == {
+        "certify",
+        "convert",
+        "diff",
+        "doctor",
+        "export",
+        "fmt",
+        "lint",
+        "new",
+        "report",
+    }
 
 
 @pytest.fixture(scope="module")

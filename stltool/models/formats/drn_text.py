@@ -26,6 +26,11 @@ _AND = "\t& "  # between the variables of a comment
 _ELSEWHERE = "write a .umb file, or rename it"
 
 
+def is_plain(name: str) -> bool:
+    """Whether a variable of that name can be written."""
+    return _PLAIN.fullmatch(name) is not None
+
+
 def drn_text(model: MDP) -> str:
     """The DRN text of a model. ModelError if a name cannot be written, or a cost is one of transitions."""
     return "".join(_pieces(model))

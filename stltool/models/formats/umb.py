@@ -58,7 +58,7 @@ from stltool.sizes import require_memory, require_numbered
 Floats: TypeAlias = NDArray[np.float64]
 
 WHAT = "UMB file"
-_LONGEST_NAMES = 1 << 24  # characters of all names of states, up to which they are written
+LONGEST_NAMES = 1 << 24  # characters of all names of states, up to which they are written
 _BYTES_A_BRANCH, _BYTES_A_STATE = 60, 60
 
 
@@ -327,7 +327,7 @@ def umb_bytes(model: MDP) -> bytes:
         annotations.setdefault("rewards", {})[key] = {"alias": name, "applies-to": list(parts), "type": sizes}
         files |= {f"annotations/rewards/{key}/{part}/values.bin": content for part, content in contents.items()}
     from_variables = Valuation.of(model)
-    names = from_variables.others_of(model, _LONGEST_NAMES)
+    names = from_variables.others_of(model, LONGEST_NAMES)
     valuations = _valuations(model, from_variables, files)
     index = {
         "format-version": VERSION,
