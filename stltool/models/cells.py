@@ -1,8 +1,9 @@
-"""Rows of a grid world, made when they are asked for: they depend on which of a cell's eight neighbours are free.
+"""Rows of a grid world, made when they are asked for: they depend on the ways out of a cell, and on its noise.
 
-A cell with its free neighbours is of one of at most 256 *kinds*. Cells of one kind have the same rows, up to where the
-neighbours stand; the rows of each kind that the map has are kept (`kinds`, whose targets are directions), a million
-cells have a table of a few thousand entries. States are numbered in reading order from the top left, so the entries of
+A cell's *kind* is which of its eight neighbours it can be left for (free ones, unless a one-way cell bars the way), and
+the noise of its moves. Cells of one kind have the same rows, up to where the neighbours stand; the rows of each kind
+that the map has are kept (`kinds`, whose targets are directions): a million cells have a table of a few thousand
+entries. States are numbered in reading order from the top left, so the entries of
 a row, which are ordered by state, are ordered by direction for every cell alike.
 """
 
@@ -14,7 +15,7 @@ from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
 from math import lcm
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +25,11 @@ from stltool.models.fractions import LARGEST_SUM, Shares, doubles_of
 from stltool.models.intervals import Intervals
 from stltool.models.parameters import Parameter, Ties, Values
 from stltool.models.rows import I32, I64, Chances, Rows, Source, starts
+from stltool.sizes import Numbers, integer_type, unsigned_type
 
 Ends: TypeAlias = tuple[Fraction, Fraction]
+Noise: TypeAlias = tuple[Ends, Ends]
+"""The probability of success, and of each of three slips."""
 
 COMPASS = {
     "N": (0, 1),
@@ -45,24 +49,27 @@ class Cells(Source):
     """The rows of the free cells of a map.
 
     free      (height, width) Booleans, the top row first        moves   names of `COMPASS`, or "stay"
-    success   the ends of the probability that a move is the action's (equal ones where it is known exactly)
-    slip      those of each of three others: stay, and the two neighbouring directions among the moves
-    parameter if they depend on one: `success` and `slip` are then the values at the ends of its domain
+    noises    for each noise, the ends of two probabilities (equal ones where these are known exactly): that a move is
+              the action's, and of each of three others: stay, and the two directions beside it (`beside`)
+    which     (n_states,) the noise of each cell; None: the first
+    barred    (n_states,) uint8: the bits of the directions of `COMPASS` in which a cell cannot be left; None: none
+    parameter if they depend on one: `noises` are then the values at the ends of its domain
 
-    Every grid with exact noise is a member of a family: that of its success probability, anywhere in [0, 1].
+    Every grid with one exact noise is a member of a family: that of its success probability, anywhere in [0, 1].
     """
 
     def __init__(
         self,
         free: NDArray[np.bool_],
         moves: tuple[str, ...],
-        success: Ends,
-        slip: Ends,
+        noises: Sequence[Noise],
         uncertain: bool,
         parameter: Parameter | None = None,
+        which: I64 | None = None,
+        barred: NDArray[np.uint8] | None = None,
     ) -> None:
         self._moves, self._uncertain, self._parameter = moves, uncertain, parameter
-        self._noise = success, slip
+        self._noises = tuple(noises)
         self._family: Cells | None = None
         height, width = free.shape
         around = np.full((height + 2, width + 2), -1, dtype=np.int32)
@@ -71,17 +78,25 @@ class Cells(Source):
         self._around, self._cell = around.ravel(), np.flatnonzero(around >= 0).astype(np.int32)
         steps = {**COMPASS, "stay": (0, 0)}
         self._offset = np.array([steps[name][0] - steps[name][1] * (width + 2) for name in READING], dtype=np.int32)
-        used = [name for name in COMPASS if name in moves]  # others do not make a difference
-        masks = np.zeros(len(self._cell), dtype=np.uint8)
-        for bit, name in enumerate(used):
-            free_there = self._around[self._cell + self._offset[READING.index(name)]] >= 0
-            masks |= free_there.view(np.uint8) << np.uint8(bit)
-        present = np.flatnonzero(np.bincount(masks, minlength=256))
-        number = np.zeros(256, dtype=np.uint8)
+        used = circle(moves)  # other directions do not make a difference
+        masks = np.zeros(len(self._cell), dtype=np.int64)
+        for bit, name in enumerate(COMPASS):
+            if name in used:
+                open_there = self._around[self._cell + self._offset[READING.index(name)]] >= 0
+                if barred is not None:
+                    open_there &= (barred >> np.uint8(bit)) & np.uint8(1) == 0
+                masks |= open_there.astype(np.int64) << bit
+        codes = masks if which is None else masks * len(self._noises) + which
+        present = np.flatnonzero(np.bincount(codes))
+        number = np.zeros(int(codes.max()) + 1, dtype=unsigned_type(len(present) - 1))
         number[present] = np.arange(len(present))
-        self._kind = number[masks]
-        self._free_ways = [{name for bit, name in enumerate(used) if mask >> bit & 1} for mask in present.tolist()]
-        self._table = _table(self._free_ways, moves, success, slip, uncertain, parameter)
+        self._kind = number[codes]
+        ways, noise = (present, np.zeros_like(present)) if which is None else np.divmod(present, len(self._noises))
+        self._ways = [
+            _Way(frozenset(name for bit, name in enumerate(COMPASS) if mask >> bit & 1), k)
+            for mask, k in zip(ways.tolist(), noise.tolist(), strict=True)
+        ]
+        self._table = _table(self._ways, moves, self._noises, uncertain, parameter)
 
     @property
     def n_states(self) -> int:
@@ -125,8 +140,8 @@ class Cells(Source):
         assert found.entry is not None
         cells = np.repeat(self._cell[states], np.diff(found.row_start[found.choice_start]))
         target = self._around[cells + self._offset[found.target]]
-        entry = found.entry.astype(np.int16)  # 256 kinds have at most 256 · 9 · 4
-        return Rows(found.choice_start, found.row_start, target, found.chances, entry)
+        few: Numbers = found.entry.astype(integer_type(len(self._table.target)))  # int16 for one noise: ≤ 256 · 9 · 4
+        return Rows(found.choice_start, found.row_start, target, found.chances, few)
 
     def nominal(self) -> Cells:
         """Entries whose probability must be 0 are left out."""
@@ -138,30 +153,28 @@ class Cells(Source):
     def family(self) -> Cells | None:
         if self._parameter is not None:
             return self
-        if self._family is None and not self._uncertain:
+        if self._family is None and not self._uncertain and len(self._noises) == 1:
             third = Fraction(1, 3)
-            self._family = self._made((Fraction(0), Fraction(1)), (third, Fraction(0)), SUCCESS, None)
+            self._family = self._made([((Fraction(0), Fraction(1)), (third, Fraction(0)))], SUCCESS, None)
         return self._family
 
     def at(self, values: Values) -> Cells:
         assert self._parameter is not None
         x = self._parameter.share(self._parameter.require(values[self._parameter.name]))
-        success, slip = ((1 - x) * ends[0] + x * ends[1] for ends in self._noise)
-        return self._made((success, success), (slip, slip), None, self)
+        return self._made([(_between(one, x, x), _between(other, x, x)) for one, other in self._noises], None, self)
 
     def narrowed(self, parameters: tuple[Parameter, ...]) -> Cells:
         assert self._parameter is not None
         (narrow,) = parameters
-        shares = [self._parameter.share(end) for end in (narrow.lower, narrow.upper)]
-        success, slip = (tuple((1 - x) * ends[0] + x * ends[1] for x in shares) for ends in self._noise)
-        return self._made((success[0], success[1]), (slip[0], slip[1]), narrow, None)
+        x, y = (self._parameter.share(end) for end in (narrow.lower, narrow.upper))
+        return self._made([(_between(one, x, y), _between(other, x, y)) for one, other in self._noises], narrow, None)
 
-    def _made(self, success: Ends, slip: Ends, parameter: Parameter | None, family: Cells | None) -> Cells:
+    def _made(self, noises: Sequence[Noise], parameter: Parameter | None, family: Cells | None) -> Cells:
         """The same cells with other noise."""
         uncertain = parameter is not None
-        table = _table(self._free_ways, self._moves, success, slip, uncertain, parameter)
+        table = _table(self._ways, self._moves, noises, uncertain, parameter)
         found = self._other(table, uncertain, parameter, family)
-        found._noise = success, slip
+        found._noises = tuple(noises)
         return found
 
     def _other(self, table: Rows, uncertain: bool, parameter: Parameter | None, family: Cells | None) -> Cells:
@@ -176,36 +189,53 @@ SUCCESS = Parameter("success", Fraction(0), Fraction(1))
 """The parameter of a grid whose file declares none."""
 
 
+def _between(ends: Ends, x: Fraction, y: Fraction) -> Ends:
+    """Where shares x and y of the way from the first end to the last lie."""
+    return (1 - x) * ends[0] + x * ends[1], (1 - y) * ends[0] + y * ends[1]
+
+
+def circle(moves: Sequence[str]) -> list[str]:
+    """The directions that a robot with these moves goes or slips in, clockwise: all eight if a move is diagonal."""
+    return [name for name in COMPASS if len(name) == 1 or any(len(move) == 2 for move in moves)]
+
+
+class _Way(NamedTuple):
+    """A kind of cells: the directions in which they can be left, and the number of their noise."""
+
+    out: frozenset[str]
+    noise: int
+
+
 def _table(
-    free_ways: Sequence[set[str]],
+    ways: Sequence[_Way],
     moves: tuple[str, ...],
-    success: Ends,
-    slip: Ends,
+    noises: Sequence[Noise],
     uncertain: bool,
     parameter: Parameter | None,
 ) -> Rows:
-    """The rows of a cell by the directions in which it is free.
+    """The rows of a cell by its kind.
 
     Outcomes that lead to the same cell (a wall stands there) add their ends: a distribution over cells within the added
     ends always comes from one over outcomes, for a cell's share y of [Σ l_j, Σ u_j] can be split as
     l_j + θ·(u_j − l_j) with one θ in [0, 1], and totals agree.
     """
-    denominator = lcm(*(end.denominator for end in (*success, *slip)))
-    goes, slips = ([int(end * denominator) for end in ends] for ends in (success, slip))
-    circle = [name for name in COMPASS if name in moves]
+    denominator = lcm(*(end.denominator for noise in noises for ends in noise for end in ends))
+    shares = [[[int(end * denominator) for end in ends] for ends in noise] for noise in noises]
+    around = circle(moves)
     lengths: list[int] = []
     target: list[int] = []
     least: list[int] = []
     most: list[int] = []
-    for free, move in itertools.product(free_ways, moves):
+    for way, move in itertools.product(ways, moves):
         outcomes = [("stay", [denominator, denominator])]
         if move != "stay":
-            place = circle.index(move)
-            sides = (circle[place - 1], circle[(place + 1) % len(circle)])
+            place = around.index(move)
+            sides = (around[place - 1], around[(place + 1) % len(around)])
+            goes, slips = shares[way.noise]
             outcomes = [(move, goes), ("stay", slips), (sides[0], slips), (sides[1], slips)]
         lower, upper = [0] * len(READING), [0] * len(READING)
         for direction, chance in outcomes:
-            there = READING.index(direction if direction in free else "stay")
+            there = READING.index(direction if direction in way.out else "stay")
             lower[there] += chance[0]
             upper[there] += chance[1]
         possible = [k for k, ends in enumerate(zip(lower, upper, strict=True)) if any(ends)]
@@ -214,7 +244,7 @@ def _table(
         least += [lower[k] for k in possible]
         most += [upper[k] for k in possible]
     row_start = starts(np.array(lengths, dtype=np.int64))
-    choice_start = np.arange(len(free_ways) + 1, dtype=np.int64) * len(moves)
+    choice_start = np.arange(len(ways) + 1, dtype=np.int64) * len(moves)
     low, high = (np.array(ends, dtype=np.int64 if 4 * denominator < LARGEST_SUM else object) for ends in (least, most))
     directions = np.array(target, dtype=np.int32)
     if not uncertain:

@@ -88,7 +88,7 @@ def test_without_noise_every_move_succeeds():
         ({"start": [0, 0]}, "keep one of them"),
         ({"map": "A.\n.#", "start": [1, 0]}, r"start = \[1, 0\] is blocked or off the map"),
         ({"map": "A.\n.#", "start": "A"}, r"write start = \[column, row\]"),
-        ({"moves": "knight"}, "moves is 'knight'; choose one of king, cross"),
+        ({"moves": "knight"}, "moves is 'knight'; choose king, cross, or list them: .*stay"),
         ({"success": "9/10"}, "sum to 0.97, not 1"),
         ({"success": "often"}, "success: 'often': there is no parameter often; declare it"),
         ({"slip": "1/0"}, "slip: '1/0' divides by zero"),
@@ -99,7 +99,38 @@ def test_without_noise_every_move_succeeds():
         ),
         ({"cell": "1e999999999"}, "cell: '1e999999999' is out of range"),
         ({"success": -1, "slip": "2/3"}, "success is -1; a probability lies between 0 and 1"),
-        ({"moves": ["king"]}, r"moves is \['king'\]; choose one of"),
+        ({"moves": ["king"]}, "moves contain 'king'; known names"),
+        ({"moves": []}, r"moves is \[\]; choose king, cross, or list them"),
+        ({"moves": ["N", 3]}, "moves contain 3; known names: E, N"),
+        ({"moves": ["N", "E", "N"]}, "moves contain N twice; list it once"),
+        ({"regions": 3}, r"regions is 3; write \[regions\] and below it wet = \[3, 0, 4, 1\]"),
+        ({"regions": {"x": [0, 0]}}, "region x: x is a signal of the grid; choose another name"),
+        ({"regions": {"": [0, 0]}}, "region '' cannot be a label"),
+        ({"regions": {"w": [2, 0]}}, r"region w: \[2, 0\] is not on the map of 2 × 2 cells"),
+        ({"regions": {"w": [0, -1]}}, r"region w: \[0, -1\] is not on the map"),
+        ({"regions": {"w": [[0, 0], [1, 0]]}}, r"region w: every cell of \[1, 0\] is blocked; name free cells"),
+        ({"regions": {"w": [1, 0, 0, 0]}}, r"region w: \[1, 0, 0, 0\] is no rectangle"),
+        ({"regions": {"w": [0, 0, 0]}}, r"region w: \[0, 0, 0\] is no cell; write \[column, row\] or a rectangle"),
+        ({"regions": {"w": [True, 0]}}, "is no cell"),
+        ({"regions": {"w": []}}, "is no cell"),
+        ({"regions": {"w": "A"}}, "region w: 'A' is no cell"),
+        ({"regions": {"w": [[0, 0], 3]}}, "is no cell"),
+        ({"noise": {"A": 3}}, "noise A is 3; write A = "),
+        ({"noise": {"A": {}}}, "noise A is a dict of 0; write A = "),
+        ({"noise": {"A": {"sucess": 1}}}, "noise A: unknown key sucess; did you mean success"),
+        ({"noise": {"B": {"success": 1}}}, "there is no region B, nor such a letter in the map; known names: A, S"),
+        ({"noise": {"A": {"success": 0.9, "slip": 0.1}}}, "success 0.9 and three times slip 0.1 sum to 1.2, not 1"),
+        (
+            {"regions": {"w": [0, 0, 1, 1]}, "noise": {"A": {"success": 1}, "w": {"success": 1}}},
+            r"cell \[0, 1\] has the noise of A and of w; make regions of their own that do not overlap",
+        ),
+        ({"noise": {"A": {"success": "1/1000000000000000003"}}}, "no common denominator below 2.53; round them"),
+        ({"one_way": {"X": [0, 0]}}, "one_way: X is no direction"),
+        ({"one_way": {"E": [1, 0]}}, r"one_way E: every cell of \[1, 0\] is blocked"),
+        ({"one_way": 3}, r"one_way is 3; write \[one_way\]"),
+        ({"noise": {"A": {"success": "p"}}, "parameters": {"q": [0, 1]}}, "there is no parameter p"),
+        ({"noise": {"A": {"success": "p"}}, "parameters": {"p": [0, 2]}}, "success is 2 where p is 2"),
+        ({"noise": {"A": {"success": "p", "slip": "(1-p)/2"}}, "parameters": {"p": [0, 1]}}, "must sum to 1 for every"),
         ({"cell": 0}, "the side of a cell is positive"),
         ({"success": "1e-30", "slip": "333333333333333333333333333333/1000000000000000000000000000000"}, "round them"),
     ],
@@ -143,7 +174,7 @@ F, line 5, column 3: this row has 5 cells, the first has 4
 F, line 7, column 4: 'é' is not a cell; use # (blocked), . (free), S (start) or a letter (label)
       #é.A
        ^
-F, line 9: moves is 'knight'; choose one of king, cross
+F, line 9: moves is 'knight'; choose king, cross, or list them: ["stay", "N", "E"]
 F, line 10: success is 1.2; a probability lies between 0 and 1
 F, line 11: slip: 'often': there is no parameter often; declare it at the end of the model file:
   [parameters]
@@ -210,3 +241,141 @@ def test_decimals_in_a_file_mean_those_decimals(tmp_path):
     path = tmp_path / "floor.toml"
     path.write_text('kind = "grid"\nmap = "S."\nsuccess = 0.7\nslip = 0.1')
     assert set(stl.load_model(path).probability.tolist()) == {0.1, 0.3, 0.7, 0.9, 1.0}
+
+
+MOVES = {"king": list(COMPASS), "cross": ["stay", "N", "S", "W", "E"]}
+RING = ["N", "NE", "E", "SE", "S", "SW", "W", "NW"]
+
+
+def slowly(table):
+    """(cell, move) → cell → [lower, upper] of a grid with regions, noise and one-way cells, cell by cell in plain
+    Python."""
+    lines = table["map"].split("\n")
+    cells = {
+        (c, len(lines) - 1 - i): kind for i, line in enumerate(lines) for c, kind in enumerate(line) if kind != "#"
+    }
+    moves = MOVES[table["moves"]] if isinstance(table["moves"], str) else table["moves"]
+    around = [name for name in RING if len(name) == 1 or any(len(move) == 2 for move in moves)]
+
+    def inside(cell, area):
+        if all(isinstance(one, list) for one in area):
+            return any(inside(cell, one) for one in area)
+        left, bottom, right, top = area if len(area) == 4 else area * 2
+        return left <= cell[0] <= right and bottom <= cell[1] <= top
+
+    def ends(cell):
+        found = table
+        for name, noise in table.get("noise", {}).items():
+            if cells[cell] == name or (name in table["regions"] and inside(cell, table["regions"][name])):
+                found = noise
+        success = [Fraction(part) for part in found["success"].strip("[]").split(",")]
+        slip = [Fraction(part) for part in found["slip"].strip("[]").split(",")]
+        return [success[0], success[-1]], [slip[0], slip[-1]]
+
+    def allowed(cell, there, move):
+        if there not in cells:
+            return False
+        own = [name for name, area in table["one_way"].items() if inside(cell, area)]
+        if own and move not in own:
+            return False
+        ways = [COMPASS[name] for name, area in table["one_way"].items() if inside(there, area)]
+        return all(COMPASS[move][0] * x + COMPASS[move][1] * y >= 0 for x, y in ways)
+
+    for cell in cells:
+        for move in moves:
+            success, slip = ends(cell)
+            outcomes = [("stay", [Fraction(1)] * 2)]
+            if move != "stay":
+                i = around.index(move)
+                sides = around[i - 1], around[(i + 1) % len(around)]
+                outcomes = [(move, success), ("stay", slip), (sides[0], slip), (sides[1], slip)]
+            row = {}
+            for direction, chance in outcomes:
+                there = tuple(np.add(cell, COMPASS[direction]).tolist())
+                if direction == "stay" or not allowed(cell, there, direction):
+                    there = cell
+                before = row.get(there, [0, 0])
+                row[there] = [before[0] + chance[0], before[1] + chance[1]]
+            yield (cell, move), {there: pair for there, pair in row.items() if pair[1]}
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_regions_noise_and_one_way_cells_against_plain_python(seed):
+    rng = np.random.default_rng(seed)
+    width, height = rng.integers(2, 7, 2).tolist()
+    letters = rng.choice(list("#..ab"), (height, width), p=[0.15, 0.25, 0.25, 0.2, 0.15])
+    letters[rng.integers(height), rng.integers(width)] = "S"
+    free = [[c, height - 1 - i] for i, c in np.argwhere(letters != "#").tolist()]
+
+    def area():
+        some = [free[k] for k in rng.integers(0, len(free), 2)]
+        whole = [*np.min(some, axis=0).tolist(), *np.max(some, axis=0).tolist()]
+        return [some[0], whole] if rng.random() < 0.5 else whole if rng.random() < 0.5 else some[0]
+
+    noises = [("9/10", "1/30"), ("1/7", "2/7"), ("[6/10, 9/10]", "[1/30, 2/15]")][: 2 + seed % 2]
+    own = [name for name in rng.permutation(list(COMPASS)).tolist() if rng.random() < 0.5] or ["E"]
+    table = {
+        "kind": "grid", "map": "\n".join(map("".join, letters)), "success": "93/100", "slip": "7/300",
+        "moves": [own, "king", "cross"][seed % 3],
+        "regions": {"wet": area(), "a": area(), "shelf": area()},
+        "one_way": {name: area() for name in rng.choice(RING, rng.integers(0, 3), replace=False).tolist()},
+    }  # fmt: skip
+    if "b" in table["map"]:
+        success, slip = noises[-1]
+        table["noise"] = {"b": {"success": success, "slip": slip}}
+    else:
+        table["noise"] = {"wet": {"success": noises[0][0], "slip": noises[0][1]}}
+    model = grid_from_table(table)
+    place = {tuple(int(i) for i in model.state_name(s)[1:-1].split(",")): s for s in range(model.n_states)}
+    wanted = dict(slowly(table))
+    assert len(wanted) == model.n_choices
+    for (cell, move), row in wanted.items():
+        s = place[cell]
+        c = model.choice_start[s] + model.action_names.index(move)
+        here = slice(model.row_start[c], model.row_start[c + 1])
+        expected = {place[there]: pair for there, pair in row.items()}
+        if model.uncertain:
+            pairs = zip(model.intervals.lower[here].tolist(), model.intervals.upper[here].tolist(), strict=True)
+            assert dict(zip(model.target[here].tolist(), pairs, strict=True)) == {
+                s2: (float(lower), float(min(upper, 1))) for s2, (lower, upper) in expected.items()
+            }
+        else:
+            exact = [Fraction(int(k), model.rows.denominator) for k in model.rows.numerator[here]]
+            assert dict(zip(model.target[here].tolist(), exact, strict=True)) == {
+                s2: pair[0] for s2, pair in expected.items()
+            }
+    for name, given in table["regions"].items():
+        rectangles = given if isinstance(given[0], list) else [given]
+        for cell, s in place.items():
+            kind = table["map"].split("\n")[height - 1 - cell[1]][cell[0]]
+            inside = any(one[0] <= cell[0] <= one[-2] and one[1] <= cell[1] <= one[-1] for one in rectangles)
+            assert model.labels[name][s] == (inside or kind == name)
+
+
+def test_noise_of_a_region_may_depend_on_the_parameter():
+    given = table(
+        map="A.B\nS#.", success="p", slip="(1-p)/3", noise={"A": {"success": "1/2"}, "B": {"success": "2*p-1"}},
+        parameters={"p": ["3/4", 1]},
+    )  # fmt: skip
+    model = grid_from_table(given)
+    assert (len(model.parameters), model.family) == (1, model)
+    for value in (Fraction(3, 4), Fraction(9, 10)):
+        at = model.at(p=value)
+        wanted = table(
+            map="A.B\nS#.", success=str(value), slip=str((1 - value) / 3),
+            noise={"A": {"success": "1/2"}, "B": {"success": str(2 * value - 1)}},
+        )  # fmt: skip
+        assert at.digest() == grid_from_table(wanted).digest()
+    narrow = model.within(p=("9/10", "9/10")).nominal()
+    assert narrow.rows.probability.tolist() == pytest.approx(model.at(p="9/10").probability.tolist())
+    assert grid_from_table(table(noise={"A": {"success": "1/2"}})).family is None
+
+
+def test_many_regions_and_rectangles_take_linear_time():
+    side = 400
+    rows = "\n".join("." * side for _ in range(side - 1)) + "\n" + "S" + "." * (side - 1)
+    area = [[0, 0, side - 1, side - 1] for _ in range(100_000)]
+    started = time.process_time()
+    model = grid_from_table(table(map=rows, regions={"all": area}))
+    assert model.labels["all"].all()
+    assert time.process_time() - started < 10  # seconds; cell by cell it is 1.6e10 steps
