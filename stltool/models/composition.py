@@ -21,6 +21,7 @@ labels and costs of member r1 are called r1.x; further labels are formulas over 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -68,7 +69,7 @@ def compose(
     labels   name → a formula without temporal operators over the members' signals and labels, such as
              {"meet": "r1.x == r2.x & r1.y == r2.y"}, and over the labels defined before it
 
-    States are called "r1 (0,0), r2 (4,0)", actions "r1.N, r2.E". Probabilities are exact products. One member may
+    States are called "r1=(0,0) r2=(4,0)", actions "r1.N+r2.E". Probabilities are exact products. One member may
     depend on parameters. Raises ModelError for intervals, black boxes and names that clash, SizeError before memory is
     taken, and for a label what its formula is refused for.
     """
@@ -137,7 +138,10 @@ def _product(members: Mapping[str, MDP], name: str) -> MDP:
 def _action_names(members: Mapping[str, MDP]) -> tuple[str, ...]:
     names = [""]
     for prefix, model in members.items():
-        names = [f"{name}{', ' if name else ''}{prefix}.{own}" for name in names for own in model.action_names]
+        names = [f"{name}{'+' if name else ''}{prefix}.{own}" for name in names for own in model.action_names]
+    if len(set(names)) < len(names):
+        repeated = next(name for name, times in Counter(names).items() if times > 1)
+        raise ModelError(f"two joint actions are called {described(repeated)}; rename the members' actions")
     return tuple(names)
 
 
@@ -150,7 +154,8 @@ class _Names:
     def __call__(self, s: int) -> str:
         digits = (int(self._joint.digits(np.array([s]), i)[0]) for i in range(len(self._members)))
         named = zip(self._members.items(), digits, strict=True)
-        return ", ".join(f"{prefix} {model.state_name(digit)}" for (prefix, model), digit in named)
+        names = ((prefix, model.state_name(digit)) for (prefix, model), digit in named)
+        return " ".join(f"{prefix}=[{name}]" if " " in name else f"{prefix}={name}" for prefix, name in names)
 
 
 def _require_composable(members: Mapping[str, MDP]) -> None:

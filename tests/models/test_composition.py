@@ -67,12 +67,12 @@ def test_rows_are_kronecker_products(seed):
     wanted = [np.prod(each, initial=Fraction(1)) for each in itertools.product(*starts)]
     assert [joint.initial_share(s) for s in range(joint.n_states)] == wanted
     for s, each in enumerate(itertools.product(*(range(model.n_states) for model in models))):
-        assert joint.state_name(s) == ", ".join(f"r{i} {own}" for i, own in enumerate(each, start=1))
+        assert joint.state_name(s) == " ".join(f"r{i}={own}" for i, own in enumerate(each, start=1))
         x, a, b = (joint.signals["r1.x"][s], joint.labels["r1.A"][s], joint.labels["r2.B"][s])
         assert (x, a) == (models[0].signals["x"][each[0]], models[0].labels["A"][each[0]])
         assert joint.labels["both"][s] == (a and b)
         assert joint.labels["same"][s] == (x == joint.signals["r2.x"][s] or (a and b))
-    assert joint.action_names[-1] == ", ".join(f"r{i}.{m.n_actions - 1}" for i, m in enumerate(models, start=1))
+    assert joint.action_names[-1] == "+".join(f"r{i}.{m.n_actions - 1}" for i, m in enumerate(models, start=1))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -230,7 +230,7 @@ def test_compositions_are_composed():
     assert (dense(nested) == dense(flat)).all()
     assert nested.labels["all"].tolist() == flat.labels["all"].tolist()
     assert set(nested.signals) == {"team.a.x", "team.b.x", "c.x"}
-    assert nested.state_name(0) == "team a 0, b 0, c 0"
+    assert nested.state_name(0) == "team=[a=0 b=0] c=0"
 
 
 def test_runs_policies_and_reports(tmp_path):
@@ -244,7 +244,7 @@ def test_runs_policies_and_reports(tmp_path):
     assert again.probability == best.probability
     stl.report([best], run, tmp_path / "r.html")
     page = (tmp_path / "r.html").read_text()
-    assert "r1.E, r2.N" in page
+    assert "r1.E+r2.N" in page
     made = stl.sample_run(product, best.policy, seed=1)
     assert all(": " not in name and name.startswith("r1.") for name in made.actions)
     assert stl.estimate(product, best.policy, runs=20).runs == 20
@@ -294,6 +294,9 @@ def test_what_cannot_be_composed():
         stl.compose([])
     with pytest.raises(ArgumentError, match="one of compose's models are 'floor.toml', not an MDP; load it"):
         stl.compose(["floor.toml"])
+    odd = stl.MDP.from_arrays([[[1]], [[1]]], {}, action_names=["a", "a+r2.a"])
+    with pytest.raises(ModelError, match=r"two joint actions are called 'r1.a\+r2.a\+r2.a'"):
+        stl.compose([odd, odd])
     for prefix in ("r 1", "", "1r", "a.b"):
         with pytest.raises(ModelError, match="a member's name begins its signals' names"):
             stl.compose({prefix: model})
@@ -338,7 +341,7 @@ def test_a_file_names_its_members_relative_to_itself(tmp_path, monkeypatch):
     floor = stl.load_model(tmp_path / "floor.toml")
     assert (dense(model) == dense(stl.compose([floor, floor]))).all()
     assert model.name == "team"
-    assert model.initial_text() == "r1 (0,0), r2 (1,1)"
+    assert model.initial_text() == "r1=(0,0) r2=(1,1)"
     assert model.labels["meet"].tolist() == (model.signals["r1.x"] == model.signals["r2.x"]).tolist()
     assert [path.resolve() for path in companions(tmp_path / "sub" / "team.toml")] == [tmp_path / "floor.toml"]
 
@@ -347,7 +350,7 @@ def test_members_start_elsewhere_and_get_values(tmp_path):
     noisy = FLOOR.replace('"93/100"', '"p"').replace('"7/300"', '"(1-p)/3"') + "[parameters]\np = [0.5, 1]\n"
     write(tmp_path, floor=noisy, team=TEAM.replace("start = [1, 1]", 'start = "(0,1)", parameters = { p = 0.9 }'))
     model = stl.load_model(tmp_path / "team.toml")
-    assert model.initial_text() == "r1 (0,0), r2 (0,1)"
+    assert model.initial_text() == "r1=(0,0) r2=(0,1)"
     assert [one.name for one in model.parameters] == ["p"]
     floor = stl.load_model(tmp_path / "floor.toml")
     assert (dense(model.at(p=0.8)) == dense(stl.compose([floor.at(p=0.8), floor.at(p=0.9)]))).all()
