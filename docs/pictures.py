@@ -19,12 +19,12 @@ import numpy as np
 import stltool as stl
 from stltool.files import write_atomically
 from stltool.reporting import front_data, load_report
-from stltool.reporting.data import floor_data
+from stltool.reporting.data import floors_data
 from stltool.reporting.drawing import drawing, svg
 from stltool.reporting.figures import learning_curves, leaves_curve, line_chart, pareto_front
 from stltool.reporting.floor import floor_map
 from stltool.reporting.monitor_figure import monitored
-from stltool.reporting.page import curve_picture, run_picture
+from stltool.reporting.page import curve_picture, run_pictures
 from stltool.reporting.trees import tree_data
 
 HERE = Path(__file__).parent
@@ -40,7 +40,8 @@ def curve() -> str:
 
 
 def floor() -> str:
-    return str(run_picture(report(OUT / "patrolling" / "report.json")))
+    [(_, picture)] = run_pictures(report(OUT / "patrolling" / "report.json"))
+    return picture
 
 
 def front() -> str | bytes:
@@ -85,7 +86,16 @@ def ward() -> str:
     """The most probable run of the best policy."""
     product = product_of("ward/delivery.stl")
     run = stl.likely_runs(product, satisfied=True, count=1).runs[0]
-    return str(floor_map(floor_data(product) or {}, run.states))
+    (floor,) = floors_data(product.model)
+    return str(floor_map(floor, run.states))
+
+
+def team(member: int) -> str:
+    """What one of two robots does in the most probable run of the best policy."""
+    product = product_of("team/handover.stl")
+    run = stl.likely_runs(product, satisfied=True, count=1).runs[0]
+    floor = list(floors_data(product.model))[member]
+    return str(floor_map(floor, run.states, f"team{member}"))
 
 
 def lift() -> str:
@@ -174,6 +184,7 @@ def leaves() -> str | bytes:
 PICTURES: dict[str, Callable[[], str | bytes]] = {
     "learning-curve": curve, "floor": floor, "front": front, "monitor": monitor, "sweep": sweep,
     "ward": ward, "battery": battery, "lift": lift, "frozenlake": frozenlake, "zeroconf": zeroconf, "drone": drone,
+    "team-r1": functools.partial(team, 0), "team-r2": functools.partial(team, 1),
     "insulin": insulin, "robot": robot, "leaves": leaves,
 }  # fmt: skip
 

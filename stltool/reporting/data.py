@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib import metadata
 from typing import TYPE_CHECKING, Literal, cast
 
@@ -325,7 +325,7 @@ def report_data(
         "markov": markov_data(markov, product.model) if markov is not None else None,
         "run": run_data(evidence.run, evidence.seed, product) if evidence is not None else None,
         "why": _why_data(evidence) if evidence is not None else None,
-        "floor": floor_data(product),
+        "floors": list(floors_data(product.model)),
         "asked": list(asked),
         "certificate": certificate,
         "words": sentences(product.formula, text),
@@ -397,15 +397,21 @@ def run_data(run: Run, seed: int, product: Product) -> RunRecord:
     return {"satisfied": run.satisfied, "seed": seed, "states": list(run.states), "steps": steps}
 
 
-def floor_data(product: Product) -> FloorRecord | None:
-    layout = product.model.layout
-    if layout is None:
-        return None
-    return {
-        "width": layout.width,
-        "height": layout.height,
-        "column": layout.column.tolist(),
-        "row": layout.row.tolist(),
-        "labels": {name: np.flatnonzero(values).tolist() for name, values in product.model.labels.items()},
-        "initial": np.flatnonzero(product.model.initial).tolist(),
-    }
+def floors_data(model: MDP, member: str = "", stride: int = 1) -> Iterator[FloorRecord]:
+    """The floor of a grid, or those of a composition's members that are grids; `stride` as in the record."""
+    layout = model.layout
+    if layout is not None:
+        yield {
+            "member": member,
+            "stride": stride,
+            "width": layout.width,
+            "height": layout.height,
+            "column": layout.column.tolist(),
+            "row": layout.row.tolist(),
+            "labels": {name: np.flatnonzero(values).tolist() for name, values in model.labels.items()},
+            "initial": np.flatnonzero(model.initial).tolist(),
+        }
+    stride *= math.prod(one.n_states for one in model.members.values())
+    for name, one in model.members.items():
+        stride //= one.n_states
+        yield from floors_data(one, f"{member}.{name}" if member else name, stride)

@@ -58,7 +58,8 @@ class _Sheet:
 @drawing()
 def floor_map(floor: dict[str, Any], states: Sequence[int] | None = None, salt: str = "floor") -> str:
     """The floor as SVG, with the run through `states`. `floor`: width and height in cells; for each state its `column`
-    and `row`; `labels` with their states; `initial` states. Cells without a state are blocked."""
+    and `row`; `labels` with their states; `initial` states. Cells without a state are blocked. In a composition,
+    `states` are those of the whole; `stride` says which of the floor's each is (records.py)."""
     width, height = floor["width"], floor["height"]
     cells: list[Cell] = list(zip(floor["column"], floor["row"], strict=True))
     side = max(width, height, 1)
@@ -77,7 +78,7 @@ def floor_map(floor: dict[str, Any], states: Sequence[int] | None = None, salt: 
     for axis, length in ((axes.xaxis, width), (axes.yaxis, height)):
         ticks = range(0, length, _every(sheet.points))
         axis.set_ticks([tick + 0.5 for tick in ticks], [str(tick) for tick in ticks])
-    path = [cells[s] for s in states] if states is not None else []
+    path = [cells[s // floor["stride"] % len(cells)] for s in states] if states is not None else []
     moves = list(dict.fromkeys((a, b) for a, b in itertools.pairwise(path) if a != b))
     _draw_cells(sheet, floor, cells)
     if legend:

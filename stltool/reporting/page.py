@@ -171,8 +171,8 @@ def render_report(data: Mapping[str, Any]) -> str:
         looser=looser_note(found or []),
         curve=curve_picture(data),
         gaps=gap_picture(data),
-        floor=run_picture(data),
-        likely_floor=likely_picture(data),
+        floors=run_pictures(data),
+        likely_floors=likely_pictures(data),
         bound_texts=bound_texts,
         certified=certificate_bounds(data["certificate"]) if data.get("certificate") else None,
         trace_text=trace_text,
@@ -198,20 +198,23 @@ def gap_picture(data: Mapping[str, Any]) -> str | None:
     return gap_curve(data["training"]["history"], gap["without_data"]) if gap else None
 
 
-def run_picture(data: Mapping[str, Any]) -> str | None:
-    """The floor of a report with the sampled run, if the model has a floor."""
+def run_pictures(data: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The floor of a report with the sampled run; of a composition, that of each member, with its name."""
     from stltool.reporting.floor import floor_map
 
-    run = data["run"]
-    return floor_map(data["floor"], run["states"] if run else None) if data["floor"] else None
+    states = data["run"]["states"] if data["run"] else None
+    return [(floor["member"], floor_map(floor, states, f"floor{floor['member']}")) for floor in data["floors"]]
 
 
-def likely_picture(data: Mapping[str, Any]) -> str | None:
-    """The floor with the most probable violation, if there is one."""
+def likely_pictures(data: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The same with the most probable violation, if there is one."""
     from stltool.reporting.floor import floor_map
 
     runs = data["why"]["runs"] if data.get("why") else []
-    return floor_map(data["floor"], runs[0]["state_indices"], "likely") if data["floor"] and runs else None
+    return [
+        (floor["member"], floor_map(floor, run["state_indices"], f"likely{floor['member']}"))
+        for run in runs[:1] for floor in data["floors"]
+    ]  # fmt: skip
 
 
 def render_verification(data: Mapping[str, Any]) -> str:

@@ -535,8 +535,14 @@ class GuaranteeRecord(TypedDict):
 
 
 class FloorRecord(TypedDict):
-    """The floor of a grid world: column and row of each state, and the states of each label."""
+    """The floor of a grid world: column and row of each state, and the states of each label.
 
+    member, stride   in a composition: whose floor it is, "" otherwise; a state s of the model is the floor's state
+                     (s // stride) mod the number of its states
+    """
+
+    member: str
+    stride: int
     width: int
     height: int
     column: list[int]
@@ -576,7 +582,7 @@ class ReportRecord(ProductRecord):
     markov: MarkovRecord | None
     run: RunRecord | None
     why: WhyRecord | None
-    floor: FloorRecord | None
+    floors: list[FloorRecord]
     asked: list[AskedRecord]
     certificate: ProvedRecord | None
     words: SentenceRecord

@@ -20,6 +20,7 @@ from stltool.errors import (
 )
 from stltool.models.load import companions
 from stltool.models.rows import Demand
+from stltool.reporting import load_report
 from tests.conftest import FACTORY, many
 from tests.oracles import optimum, random_model, tied_optimum
 
@@ -243,7 +244,14 @@ def test_runs_policies_and_reports(tmp_path):
     again = stl.check(product, stl.load_policy(tmp_path / "p.npz", product))
     assert again.probability == best.probability
     stl.report([best], run, tmp_path / "r.html")
-    page = (tmp_path / "r.html").read_text()
+    page, data = (tmp_path / "r.html").read_text(), load_report(tmp_path / "r.json")
+    assert [floor["member"] for floor in data["floors"]] == ["r1", "r2"]
+    for floor, states in zip(
+        data["floors"], zip(*[divmod(s, 18) for s in data["run"]["states"]], strict=True), strict=True
+    ):
+        assert [s // floor["stride"] % 18 for s in data["run"]["states"]] == list(states)
+    for member in ("r1", "r2"):
+        assert f'<p class="note">{member}</p>' in page
     assert "r1.E+r2.N" in page
     made = stl.sample_run(product, best.policy, seed=1)
     assert all(": " not in name and name.startswith("r1.") for name in made.actions)

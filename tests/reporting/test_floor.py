@@ -25,6 +25,7 @@ def layout(rows, labels=(), initial=()):
     cells = [(column, height - 1 - line) for line in range(height) for column in range(width)
              if rows[line][column] != "#"]  # fmt: skip
     return {
+        "member": "", "stride": 1,
         "width": width, "height": height, "column": [c for c, _ in cells], "row": [r for _, r in cells],
         "labels": {name: list(states) for name, states in dict(labels).items()}, "initial": list(initial),
     }  # fmt: skip
@@ -281,4 +282,4 @@ def test_a_report_shows_the_run_that_it_tells(patrolling):
     page = render(data)
     runs = data["why"]["runs"][0]["state_indices"], data["run"]["states"]
     for picture, run in zip(drawn(page), runs, strict=True):
-        require_run(Picture(picture), data["floor"], run)
+        require_run(Picture(picture), data["floors"][0], run)

@@ -162,7 +162,7 @@ def checked():
 @pytest.fixture(scope="module")
 def black_box(checked):
     refused = {"refused": "the model is a black box"}
-    return {**checked, "checks": [], "why": None, "run": None, "floor": None, "transitions": None, "explorer": refused}
+    return {**checked, "checks": [], "why": None, "run": None, "floors": [], "transitions": None, "explorer": refused}
 
 
 @pytest.fixture(scope="module")
@@ -260,7 +260,7 @@ def strings(value):
 def test_a_text_in_the_place_of_anything_stays_a_text_or_is_refused(kind, request, monkeypatch):
     """Pictures are drawn only where the place is of a picture: they take most of the time."""
     data = request.getfixturevalue(kind)
-    drawn = {"floor", "states", "state_indices", "history", "columns", "curve", "figure", "corners", "robustness"}
+    drawn = {"floors", "states", "state_indices", "history", "columns", "curve", "figure", "corners", "robustness"}
     shown = refused = 0
     tried = some(places(data))
     for path in tried:

@@ -9,7 +9,7 @@ import re
 import pytest
 
 import stltool as stl
-from stltool.reporting.data import floor_data
+from stltool.reporting.data import floors_data
 from tests.conftest import ROOT
 from tests.reporting.svg import Picture, same_picture
 from tests.reporting.test_floor import Picture as Floor
@@ -60,7 +60,7 @@ def test_the_committed_ward_has_the_most_probable_delivery():
     task = stl.load_task(ROOT / "examples" / "ward" / "delivery.stl")
     product = stl.build_product(stl.load_model(task.model), task)
     (run,) = stl.likely_runs(product, satisfied=True, count=1).runs
-    require_run(Floor(committed("ward")), floor_data(product), run.states)
+    require_run(Floor(committed("ward")), next(floors_data(product.model)), run.states)
 
 
 def test_the_committed_robot_drives_as_it_does_today(pictures):
@@ -80,7 +80,7 @@ def test_the_committed_robot_drives_as_it_does_today(pictures):
 
 def test_the_committed_floor_has_the_demos_run(pictures, demo):
     data = pictures.report(demo / "out" / "patrolling" / "report.json")
-    require_run(Floor(committed("floor")), data["floor"], data["run"]["states"])
+    require_run(Floor(committed("floor")), data["floors"][0], data["run"]["states"])
 
 
 def test_the_committed_sweep_has_the_papers_scenarios_and_their_optima():
