@@ -30,6 +30,7 @@ PURPOSES = {
     "gymnasium": "Gymnasium environments as models, and models as environments",
     "mcap": "traces in MCAP files, as robots record them",
     "parquet": "traces in Parquet files",
+    "storm": "models in PRISM's language and in JANI",
     "tensorboard": "learning curves as TensorBoard events",
     "trees": "policies as decision trees, with explain --policy",
     "robot": "the physical robot of the sources' examples/robot",

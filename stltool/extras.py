@@ -14,6 +14,7 @@ EXTRAS = {
     "pyarrow": "parquet",
     "tensorboard": "tensorboard",
     "sklearn": "trees",
+    "stormpy": "storm",
 }
 """Package → the extra of stltool that installs it."""
 

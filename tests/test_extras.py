@@ -61,6 +61,7 @@ DOORS = {
     "mcap": "stl.load_trace(f'{folder}/trace.mcap')",
     "pyarrow": "stl.load_trace(f'{folder}/trace.parquet')",
     "sklearn": "stl.policy_tree(stl.build_product(stl.MDP.from_arrays([[[1]]], {}), stl.parse('true')))",
+    "stormpy": "stl.load_model(f'{folder}/model.prism')",
     "tensorboard": "tensorboard.write_tensorboard(None, folder)",
 }
 
@@ -80,7 +81,7 @@ for door in doors.values():
 
 
 def test_a_missing_package_is_told_with_its_extra(tmp_path):
-    for name in ("trace.mcap", "trace.parquet"):
+    for name in ("trace.mcap", "trace.parquet", "model.prism"):
         (tmp_path / name).touch()
     command = [sys.executable, "-c", WITHOUT, tmp_path]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, input=json.dumps(DOORS))

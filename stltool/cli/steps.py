@@ -172,11 +172,12 @@ def load_with_model(
     except StlToolError:
         tasks = loaded({})
         of_model = {key: value for key, value in params.items() if key not in tasks[0].params}
-        world = task_model(tasks[0], model, normalize)
+        world, rest = model_with(model if model is not None else tasks[0].model, of_model, tasks[0], normalize)
         known = [one.name for one in world.family.parameters] if world.family is not None else []
-        if not of_model or not set(of_model) <= set(known):
+        if not of_model or not set(rest) <= set(known):
             raise  # what the task says
-        return loaded({key: params[key] for key in params if key not in of_model}), world.at(**of_model)
+        given = loaded({key: params[key] for key in params if key not in of_model})
+        return given, world.at(**rest) if rest else world
     return tasks, task_model(tasks[0], model, normalize)
 
 
@@ -197,7 +198,17 @@ def judge_by(product: Product, nature: str | None) -> tuple[Product, Callable[..
     return product, partial(stl.robust_check, nature=nature or "against")  # type: ignore[arg-type]  # checked above
 
 
-def task_model(task: Task, model: Path | None, normalize: bool = False) -> MDP:
+def model_with(path: Path | None, values: dict[str, str], task: Task, normalize: bool) -> tuple[MDP, dict[str, str]]:
+    """The model with the values of its program's constants, and the other values."""
+    from stltool.models.formats.language import constants_of
+
+    names = constants_of(path) if path is not None and values else []
+    constants = {name: value for name, value in values.items() if name in names}
+    rest = {name: value for name, value in values.items() if name not in names}
+    return task_model(task, path, normalize, constants), rest
+
+
+def task_model(task: Task, model: Path | None, normalize: bool = False, constants: dict[str, str] | None = None) -> MDP:
     """The given model, or that of the task file; what `normalize` changed is reported on stderr."""
     import stltool as stl
     from stltool.reporting.terminal import note
@@ -206,7 +217,7 @@ def task_model(task: Task, model: Path | None, normalize: bool = False) -> MDP:
     if path is None:
         remedy = 'add a line such as model "floor.toml", or give --model FILE'
         raise SettingsError(f"{task.path}: the task file names no model; {remedy}")
-    loaded = stl.load_model(path, normalize)
+    loaded = stl.load_model(path, normalize, constants=constants)
     for key in ("normalize", "cells"):
         if key in loaded.notes:
             note(f"{path}: {loaded.notes[key]}")
@@ -216,12 +227,14 @@ def task_model(task: Task, model: Path | None, normalize: bool = False) -> MDP:
 def converted_model(path: Path, param: list[str] | None, normalize: bool) -> MDP:
     """A model file that is to be written in another format, with everything that its reader noted on stderr."""
     import stltool as stl
+    from stltool.models.formats.language import constants_of
     from stltool.reporting.terminal import note
 
-    loaded = stl.load_model(path, normalize)
+    values = read_params(param)
+    names = constants_of(path) if values else []
+    loaded = stl.load_model(path, normalize, constants={name: values.pop(name) for name in names if name in values})
     for said in loaded.notes.values():
         note(f"{path}: {said}")
-    values = read_params(param)
     return loaded.at(**values) if values else loaded
 
 

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from stltool.arguments import flag
+from stltool.arguments import flag, mapping
 from stltool.arguments import path as path_of
-from stltool.errors import FileError, ModelError, StlToolError
+from stltool.errors import FileError, ModelError, SettingsError, StlToolError
 from stltool.models.composition import composition_from_table, member_files
 from stltool.models.formats.drn import load_drn
 from stltool.models.formats.explicit import load_explicit
+from stltool.models.formats.language import JANI, PRISM, load_language
 from stltool.models.formats.umb import load_umb
 from stltool.models.grid import grid_from_table
 from stltool.models.gymnasium.file import gymnasium_from_table
 from stltool.models.mdp import MDP
 from stltool.models.toml import Faults, ModelFaults, located, read_toml
+from stltool.numbers import Exactable
 
 _KINDS: dict[str, Callable[[dict[str, Any], str, bool], MDP]] = {
     "grid": grid_from_table,
@@ -25,16 +27,28 @@ _KINDS: dict[str, Callable[[dict[str, Any], str, bool], MDP]] = {
 }
 
 
-def load_model(path: str | Path, normalize: bool = False) -> MDP:
+def load_model(
+    path: str | Path, normalize: bool = False, *, constants: Mapping[str, Exactable | bool] | None = None
+) -> MDP:
     """Read a model file. Raises FileError, and ModelError listing all faults of the file with their lines.
 
     `.toml` is a grid world (models/grid.py), a Gymnasium environment (models/gymnasium/file.py) or a composition of
     model files (models/composition.py), depending on its `kind`; `.tra` is PRISM's explicit format
     (models/formats/explicit.py), `.umb` the unified Markov binary format (models/formats/umb.py), `.drn` and `.drn.gz`
-    Storm's text format (models/formats/drn.py). `normalize` rescales probabilities that miss a sum of 1 by at most
-    1/1000, as `MDP.from_arrays` does; so does the key `normalize = true` of a TOML file.
+    Storm's text format (models/formats/drn.py); `.prism`, `.pm`, `.nm` and `.jani` are programs, which Storm builds
+    (models/formats/language.py).
+
+    normalize  rescale probabilities that miss a sum of 1 by at most 1/1000, as `MDP.from_arrays` does; so does the key
+               `normalize = true` of a TOML file
+    constants  name → value of constants that a program leaves open
     """
-    return _load(path_of(path, "load_model's path"), flag(normalize, "normalize"), _Opened())
+    path, normalize = path_of(path, "load_model's path"), flag(normalize, "normalize")
+    known = mapping(constants, "load_model's constants", "{'N': 3}", optional=True)
+    if known:
+        if path.suffix.lower() not in (*PRISM, JANI):
+            raise SettingsError(f"{path}: only programs in PRISM's language or JANI have constants; leave them out")
+        return load_language(path, normalize, known)
+    return _load(path, normalize, _Opened())
 
 
 @dataclass
@@ -128,4 +142,5 @@ _LOADERS: dict[str, Callable[[Path, bool], MDP]] = {
     ".drn": load_drn,
     ".drn.gz": load_drn,
     ".umb": load_umb,
+    **dict.fromkeys((*PRISM, JANI), load_language),
 }

@@ -78,12 +78,22 @@ _REMEDIES = {
 def load_drn(path: Path, normalize: bool = False) -> MDP:
     """Read a DRN file, .drn or .drn.gz. Raises FileError, SizeError, and ModelError with the lines of faults."""
     data = only_file(unpacked(mapped(path, WHAT), path, WHAT, _FACTOR), path, WHAT)
-    reader = Reader(path, data)
+    return drn_model(path, data, name_of(path), normalize)
+
+
+def drn_model(
+    path: Path, data: Data, name: str, normalize: bool = False, variables: Sequence[str] | None = None
+) -> MDP:
+    """The model of a DRN text; `path` is named in messages.
+
+    variables  the names of all variables, if they are known
+    """
+    reader = Reader(path, data, variables)
     header = _header(reader)
     try:
         if header.parameters:
-            return family_of(reader, header, name_of(path), normalize)
-        return model_of(reader.given(header, normalize), name_of(path), normalize, reader.place)
+            return family_of(reader, header, name, normalize)
+        return model_of(reader.given(header, normalize), name, normalize, reader.place)
     except ModelError as error:
         raise error if str(error).startswith(str(path)) else ModelError(f"{path}: {error}") from None
 
@@ -304,8 +314,8 @@ class Lines:
 class Reader:
     """Reads one file; every fault has its line."""
 
-    def __init__(self, path: Path, data: Data) -> None:
-        self.path, self.data = path, data
+    def __init__(self, path: Path, data: Data, variables: Sequence[str] | None = None) -> None:
+        self.path, self.data, self.known = path, data, variables
         self.bytes = np.frombuffer(data, dtype=np.uint8)
         self._lines: Lines | None = None
 
@@ -546,7 +556,7 @@ class Reader:
         """Signals from Storm's comments, names of states, and what is to be noted."""
         from stltool.kernels import drn as kernels
 
-        if not lines.comment[:, 1].all():
+        if not lines.comment[:, 1].all() or self.known == []:
             return {}, None, {}
         n = bytes(self.data[lines.comment[0, 0] : lines.comment[0, 1]]).count(b"&") + 1
         require_memory(8.0 * n * lines.n_states, f"{self.path}: {n} variables", "use a part of the model")
@@ -557,6 +567,9 @@ class Reader:
             line = self.number_of(int(lines.comment[unlike, 0]))
             return {}, None, {"signal": f"the comment in line {line} is not one of variables; the model has no signals"}
         texts = [self.text(int(a), int(b)) for a, b in where.tolist()]
+        unnamed = [name for name in self.known or () if name not in texts]
+        if texts.count("") == len(unnamed):  # they are true everywhere, so any order will do
+            texts = [text or unnamed.pop() for text in texts]
         signals = {text: values[k] for k, text in enumerate(texts) if text}
         if len(signals) < sum(map(bool, texts)):
             return {}, None, {"signal": "two variables have one name; the model has no signals"}
