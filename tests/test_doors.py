@@ -271,7 +271,7 @@ TAKES = {
     "wait": {"True"},
     **{key: {"text"} for key in ("text", "name", "objective")},
     **dict.fromkeys(("source", "command", "step", "unit"), TEXT),
-    **dict.fromkeys(("labels", "costs", "params", "budget", "over", "parameters"), MAPPING),
+    **dict.fromkeys(("labels", "costs", "params", "budget", "over", "parameters", "constants"), MAPPING),
     "tol": NUMBERS,
     "most_pieces": {"int"},
     "most_leaves": {"int"},
