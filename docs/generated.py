@@ -55,7 +55,7 @@ PAGES = {
     "models": ("Automata, models and products", ("automata", "models", "product", "envs", "policy")),
     "checking": ("Checking", ("checking", "gate")),
     "learning": ("Learning and guarantees", ("learning",)),
-    "reporting": ("Reports and errors", ("reporting", "errors")),
+    "reporting": ("Reports, exports and errors", ("exporting", "reporting", "errors")),
 }
 
 

@@ -27,6 +27,7 @@ The path through the package, and a map in reading order:
     gate.py       whether task files keep what they expect
     recheck.py    re-checks certificates of those bounds; imports nothing from stltool
     learning/     policies from experience only, and guarantees from its data
+    exporting/    a product as an MDP of its own, for PRISM, Storm and other tools
     reporting/    results → JSON, HTML, terminal
     cli/          the same from the command line
     kernels/      numba loops; testing/  Hypothesis strategies for users' own tests

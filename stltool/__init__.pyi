@@ -109,6 +109,7 @@ from .learning import (
     markov_test as markov_test,
     run_sweep as run_sweep,
 )
+from .exporting import ProductMDP as ProductMDP, export as export, product_mdp as product_mdp
 from .reporting import explain as explain, report as report
 from .errors import StlToolError as StlToolError
 

@@ -20,9 +20,9 @@ from stltool.learning.settings import settings_of
 RESULTS = {
     "CheckResult", "Decisions", "Diagnosis", "Estimate", "Fragment", "Front", "Gap", "Guarantee",
     "JointProduct", "LikelyRuns", "MDP", "Meaning", "MonitorResult", "ParametricResult", "PolicyTree",
-    "Product", "Run", "Sensitivity", "SequentialTest", "SmoothRobustness", "StationaryResult", "StlToolError",
-    "Learner", "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton", "Tradeoff", "Training",
-    "Decision", "MarkovTest", "Verification", "Verified", "Recording",
+    "Product", "ProductMDP", "Run", "Sensitivity", "SequentialTest", "SmoothRobustness", "StationaryResult",
+    "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton", "Tradeoff",
+    "Training", "Decision", "MarkovTest", "Verification", "Verified", "Recording",
 }  # fmt: skip
 
 # called from within, or in inner loops with indices of their own
@@ -239,6 +239,8 @@ CALLS = {
     "load_sweep": lambda w: {"path": "sweep.toml"},
     "run_sweep": lambda w: {"sweep": w.sweep, "folder": "swept", "workers": 1},
     "Sweep.select": lambda w: {"self": w.sweep},
+    "product_mdp": lambda w: {"product": w.product, "policy": w.policy},
+    "export": lambda w: {"product": w.product, "path": "product.prism"},
     "report": lambda w: {"results": [w.result], "training": w.training, "path": "report.html"},
     "explain": lambda w: {"task": w.task},
 }
@@ -268,7 +270,7 @@ TAKES = {
     ),
     **{key: {"None", *NUMBERS} for key in ("epsilon", "mass", "memory_limit", "time_limit")},
     **{key: {"True"} for key in ("maximize", "exact", "keep_policy", "satisfied", "cut", "unbounded", "normalize")},
-    "wait": {"True"},
+    **{key: {"True"} for key in ("wait", "clock")},
     **{key: {"text"} for key in ("text", "name", "objective")},
     **dict.fromkeys(("source", "command", "step", "unit"), TEXT),
     **dict.fromkeys(("labels", "costs", "params", "budget", "over", "parameters", "constants"), MAPPING),
@@ -308,6 +310,7 @@ OWN = {
     "ambiguities": {"task": {"Task"}},
     "conventions": {"task": {"Task"}},
     "explain": {"model": {"MDP", "None"}},
+    "export": {"product": {"Product", "TaskAutomaton"}, "to": TEXT},
     "monitor": {"at": {"None", "int"}},
     "MDP.from_family": {"build": CALLABLE - {"None"}, "parameters": {"dict"}},
     "ParametricResult.at": {"p": {*NUMBERS, "text"}},

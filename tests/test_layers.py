@@ -11,7 +11,7 @@ from tests.sources import sources
 ORDER = ["errors", "streams", "log", "arguments", "numbers", "display", "extras", "source", "files", "grammar",
          "arrays", "sizes", "cluster", "choices", "layered", "randomness", "logic", "automata", "monitoring",
          "diagnosis", "models", "product", "anatomy", "asked", "reached", "written", "policy", "envs", "recheck",
-         "checking", "gate", "learning", "reporting", "starters", "doctor", "cli", "__main__"]  # fmt: skip
+         "checking", "gate", "learning", "exporting", "reporting", "starters", "doctor", "cli", "__main__"]  # fmt: skip
 FORBIDDEN = {("automata", "models"), ("models", "automata"), ("models", "logic"), ("checking", "learning")}
 
 

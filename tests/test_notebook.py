@@ -66,6 +66,7 @@ CELLS = {
     "MDP": ("model", "3 states, 2 actions"),
     "Product": ("product", "3 model states"),
     "JointProduct": ("joint", "stay := "),
+    "ProductMDP": ("stl.product_mdp(product)", "maximum: Pmax=? [ F"),
     "Policy": ("best.policy", "time-dependent, deterministic"),
     "CheckResult": ("best", "P = "),
     "Run": ("stl.sample_run(product, seed=3)", "seed: 3"),

@@ -1,4 +1,4 @@
-"""`stltool export`: automata in other formats."""
+"""`stltool export`: a task with its model, for other tools."""
 
 from __future__ import annotations
 
@@ -8,17 +8,44 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, TaskFile, TaskName
-from stltool.cli.roles import Writes
-from stltool.cli.steps import bind, compile_task, read_params, task_model
+from stltool.cli.options import (
+    AsJson,
+    Encoding,
+    Model,
+    Normalize,
+    Params,
+    PolicyFunction,
+    TaskFile,
+    TaskName,
+)
+from stltool.cli.roles import Reads, Writes
+from stltool.cli.steps import bind, compile_task, given_policy, load_with_model, read_params, require_one_policy
 from stltool.errors import SettingsError
 
 
-@app.command("stltool export patrolling.stl --to dot --out patrolling.dot")
+@app.command("stltool export patrolling.stl --to prism --out patrolling.prism")
 def export(
     task: TaskFile,
-    to: Annotated[str, typer.Option("--to", help="format: dot (Graphviz)")],
+    to: Annotated[
+        str | None,
+        typer.Option(
+            "--to",
+            metavar="FORMAT",
+            help="prism (program), or dot (Graphviz); default: by the file's ending",
+            autocompletion=lambda: ["prism", "dot"],
+        ),
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="file to write; default: print it"), Writes()] = None,
+    policy: Annotated[
+        Path | None,
+        typer.Option("--policy", help="the Markov chain under this policy; default: the product, with all choices"),
+        Reads("policy"),
+    ] = None,
+    policy_function: PolicyFunction = None,
+    clock: Annotated[
+        bool,
+        typer.Option("--clock", help="count steps in the states up to the horizon, so that the property has no bound"),
+    ] = False,
     model: Model = None,
     normalize: Normalize = False,
     param: Params = None,
@@ -26,31 +53,52 @@ def export(
     encoding: Encoding = "exact",
     as_json: AsJson = False,
 ) -> None:
-    """Export the task's automaton: states are labelled with what they remember, edges with their conditions."""
-    import stltool as stl
-    from stltool.automata.graph import to_dot
-    from stltool.files import require_result, write_result
-    from stltool.reporting.terminal import print_json, print_text
+    """Export the product of a task and its model, for PRISM and Storm to check it again; or draw the automaton.
 
-    if to != "dot":
-        raise SettingsError(f"--to {to}: there is no such format; known: dot")
+    --to prism writes the product as a program: variables are the state, what the task remembers, and the step where it
+    matters; labels "satisfied" and "violated" are the verdicts; a comment has the property that asks for P. With a
+    policy it is the Markov chain under that policy. --to dot draws the automaton: states are labelled with what they
+    remember, edges with their conditions.
+    """
+    import stltool as stl
+    from stltool.exporting import targets
+    from stltool.reporting.terminal import print_facts, print_json, print_text
+
+    target = targets.target_of(to, out)
+    named_policy = require_one_policy(policy, policy_function)
     if out is not None:
-        if out.suffix.lower() not in (".dot", ".gv"):
-            raise SettingsError(f"--out {out}: Graphviz files end in .dot or .gv; use one of these extensions")
-        require_result(out, "graph")
-    loaded = stl.load_task(task, read_params(param), name)
-    if model is not None or loaded.model is not None:
-        automaton = bind(loaded, task_model(loaded, model, normalize), encoding).automaton
+        targets.require_file(target, out)
+    if targets.TARGETS[target].of == "automaton" and model is None and stl.load_task(task, task=name).model is None:
+        if named_policy is not None:
+            raise SettingsError(f"--policy {named_policy}: a policy needs a model; give --model FILE")
+        loaded = stl.load_task(task, read_params(param), name)
+        asked = targets.Request(compile_task(loaded, encoding), clock=clock)
     else:
-        automaton = compile_task(loaded, encoding)
-    text = to_dot(automaton)
-    if out is not None:
-        write_result(out, text, "graph")
+        (loaded,), world = load_with_model(task, model, param, [name], normalize)
+        product = bind(loaded, world, encoding)
+        asked = targets.Request(product.automaton, product, given_policy(product, policy, policy_function), clock)
+    text = None
+    if out is None:
+        text = targets.text_of(target, asked)
+    else:
+        targets.write(target, asked, out)
+    sizes, questions = {}, {}
+    if targets.TARGETS[target].of != "automaton":
+        built = asked.built.model
+        sizes = {"states": built.n_states, "choices": built.n_choices, "transitions": built.n_transitions}
+        questions = asked.built.questions
     if as_json:
         print_json({
-            "task": loaded.name, "formula": str(loaded.formula), "horizon": automaton.horizon, "encoding": encoding,
-            "automaton_states": automaton.n_states, "to": to, "out": str(out) if out is not None else None,
-            "text": text if out is None else None,
+            "task": loaded.name, "formula": str(loaded.formula), "horizon": asked.automaton.horizon,
+            "encoding": encoding, "automaton_states": asked.automaton.n_states, "to": target,
+            "out": str(out) if out is not None else None, "text": text, **sizes,
+            "questions": {
+                asked_for: {"property": one.property, "complement": one.complement}
+                for asked_for, one in questions.items()
+            } or None,
         })  # fmt: skip
-    elif out is None:
+    elif text is not None:
         print_text(text)
+    elif sizes:
+        counts = ", ".join(f"{n} {what}" for what, n in sizes.items())
+        print_facts({"written": f"{out}: {counts}", **{name: str(one) for name, one in questions.items()}})

@@ -391,22 +391,6 @@ def test_a_large_tree_is_cut():
     assert tree["operands"][0]["operands"][-1]["operator"] == "…"
 
 
-def test_export_draws_the_automaton(stltool, tmp_path):
-    code, out, _ = stltool("export", PATROLLING, *SMALL, "--to", "dot")
-    assert code == 0
-    assert out.splitlines()[1].startswith("// G[0,4]")
-    assert "A not seen for 2 steps" in out
-    path = tmp_path / "task.dot"
-    assert stltool("export", PATROLLING, *SMALL, "--to", "dot", "--out", path)[0] == 0
-    assert path.read_text() == out
-    bare = tmp_path / "task.stl"
-    bare.write_text("task := G[0,5] (a -> F[0,3] b)\n")
-    code, out, _ = stltool("export", bare, "--to", "dot")
-    assert "b not seen for 2 steps" in out
-    code, _, err = stltool("export", bare, "--to", "png")
-    assert (code, "known: dot" in err) == (2, True)
-
-
 def test_the_papers_encoding_warns(stltool, tmp_path):
     path = tmp_path / "task.stl"
     path.write_text("task := F[0,3) (F[0,2) A & G[0,4) B)\n")

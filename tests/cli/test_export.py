@@ -1,0 +1,99 @@
+"""`stltool export`: automata for Graphviz, products and chains for PRISM and Storm."""
+
+import json
+import re
+
+import pytest
+
+import stltool as stl
+from tests.conftest import FACTORY, PATROLLING, SMALL
+from tests.prism import Program
+
+
+def test_export_draws_the_automaton(stltool, tmp_path):
+    code, out, _ = stltool("export", PATROLLING, *SMALL, "--to", "dot")
+    assert code == 0
+    assert out.splitlines()[1].startswith("// G[0,4]")
+    assert "A not seen for 2 steps" in out
+    path = tmp_path / "task.dot"
+    assert stltool("export", PATROLLING, *SMALL, "--to", "dot", "--out", path)[0] == 0
+    assert path.read_text() == out
+    bare = tmp_path / "task.stl"
+    bare.write_text("task := G[0,5] (a -> F[0,3] b)\n")
+    code, out, _ = stltool("export", bare, "--to", "dot")
+    assert "b not seen for 2 steps" in out
+    code, _, err = stltool("export", bare, "--to", "png")
+    assert (code, "known names: dot, prism" in err) == (2, True)
+
+
+def test_the_product_as_a_program(stltool, tmp_path):
+    path = tmp_path / "product.prism"
+    code, out, _ = stltool("export", PATROLLING, *SMALL, "--out", path)  # the ending says what to write
+    assert code == 0
+    states, choices, transitions = Program(path.read_text()).sizes()
+    lines = out.splitlines()
+    assert lines[0] == f"written  {path}: {states} states, {choices} choices, {transitions} transitions"
+    assert lines[1] == 'maximum  1 - x, where x is Pmin=? [ F<=8 "violated" ]'
+    code, out, _ = stltool("export", PATROLLING, *SMALL, "--to", "prism")
+    assert (code, out) == (0, path.read_text())
+    code, out, _ = stltool("export", PATROLLING, *SMALL, "--to", "prism", "--clock", "--json")
+    data = json.loads(out)
+    assert data["questions"] == {
+        "maximum": {"property": 'Pmax=? [ F "satisfied" ]', "complement": False},
+        "minimum": {"property": 'Pmin=? [ F "satisfied" ]', "complement": False},
+    }
+    assert Program(data["text"]).sizes() == tuple(data[key] for key in ("states", "choices", "transitions"))
+
+
+def test_the_chain_of_a_policy(stltool, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    task = stl.load_task(PATROLLING, {"T": "5", "tau": "5"})
+    product = stl.build_product(stl.load_model(task.model), task)
+    stl.check(product).policy.save("best.npz")
+    code, out, _ = stltool("export", PATROLLING, *SMALL, "--policy", "best.npz", "--to", "prism")
+    assert code == 0
+    program = Program(out)
+    assert program.kind == "dtmc"
+    exported = stl.product_mdp(product, stl.load_policy("best.npz", product))
+    assert program.value(exported.questions["policy"]) == stl.check(product, exact=True).fraction
+    (tmp_path / "my_agent.py").write_text("def act(here):\n    return here.actions[0]\n")
+    code, out, _ = stltool("export", PATROLLING, *SMALL, "--policy-function", "my_agent:act", "--to", "prism")
+    assert (code, Program(out).kind) == (0, "dtmc")
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ([], "no format is given; write --to prism, or name a file that ends in one of .dot, .prism"),
+        (["--out", "product.txt"], "product.txt: no format has this ending"),
+        (["--to", "prism", "--out", "product.dot"], "a PRISM program ends in .prism or .nm or .pm"),
+        (["--to", "prsm"], "--to prsm: there is no such format; did you mean prism?"),
+        (["--to", "dot", "--clock"], "--clock is for the product; leave it out with dot"),
+        (["--to", "dot", "--policy", "best.npz"], "a policy does not change the automaton"),
+    ],
+)
+def test_what_does_not_fit_is_refused(stltool, tmp_path, monkeypatch, options, says):
+    monkeypatch.chdir(tmp_path)
+    task = stl.load_task(PATROLLING, {"T": "5", "tau": "5"})
+    stl.check(stl.build_product(stl.load_model(task.model), task)).policy.save("best.npz")
+    code, out, err = stltool("export", PATROLLING, *SMALL, *options)
+    assert (code, out) == (2, "")
+    assert says in err
+    assert [path.name for path in tmp_path.iterdir()] == ["best.npz"]
+
+
+def test_a_task_without_a_model_has_no_product(stltool, tmp_path):
+    bare = tmp_path / "task.stl"
+    bare.write_text("task := F[0,5] A\n")
+    code, _, err = stltool("export", bare, "--to", "prism")
+    assert (code, "names no model" in err) == (2, True)
+    code, _, err = stltool("export", bare, "--to", "dot", "--policy", "best.npz")
+    assert (code, "a policy needs a model" in err) == (2, True)
+    assert stltool("export", bare, "--to", "prism", "--model", FACTORY / "floor-5x5.toml")[0] == 0
+
+
+def test_programs_too_long_to_read_are_refused_with_their_size(stltool, monkeypatch):
+    monkeypatch.setattr("stltool.exporting.prism.MOST_BRANCHES", 100)
+    code, out, err = stltool("export", PATROLLING, *SMALL, "--to", "prism")
+    assert (code, out) == (2, "")
+    assert re.search(r"the program would have \d+ branches, and has at most 100; use DRN or UMB, or coarsen", err)
