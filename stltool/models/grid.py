@@ -335,7 +335,7 @@ def _noise(table: Mapping[str, Any], normalize: bool, faults: Faults) -> _Noise 
     """None if it is faulty."""
     sections = _sections(table, faults)
     given = [section.keys.get(key) for section in sections for key in _NOISE_KEYS]
-    if "parameters" in table or any(map(_is_expression, given)):
+    if table.get("parameters", {}) != {} or any(map(_is_expression, given)):
         return _parametric(table, sections, faults)
     notes: dict[str, str] = {}
     read = [_plain(section, normalize, notes, faults) for section in sections]
