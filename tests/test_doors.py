@@ -312,6 +312,7 @@ OWN = {
     "explain": {"model": {"MDP", "None"}},
     "export": {"product": {"Product", "TaskAutomaton"}, "to": TEXT},
     "monitor": {"at": {"None", "int"}},
+    "load_model": {"initial": {"None", "int", "text"}},
     "MDP.from_family": {"build": CALLABLE - {"None"}, "parameters": {"dict"}},
     "ParametricResult.at": {"p": {*NUMBERS, "text"}},
     "ParametricResult.points": {"n": {"int"}},

@@ -218,7 +218,7 @@ def task_model(task: Task, model: Path | None, normalize: bool = False, constant
         remedy = 'add a line such as model "floor.toml", or give --model FILE'
         raise SettingsError(f"{task.path}: the task file names no model; {remedy}")
     loaded = stl.load_model(path, normalize, constants=constants)
-    for key in ("normalize", "cells"):
+    for key in ("normalize", "cells", "deadlocks"):
         if key in loaded.notes:
             note(f"{path}: {loaded.notes[key]}")
     return loaded

@@ -100,7 +100,7 @@ def verify(
     if report is not None:
         write_report(data, report / "report.html")
     for model in dict.fromkeys(one.result.product.model for one in found.results if one.result is not None):
-        for key in ("normalize", "cells"):
+        for key in ("normalize", "cells", "deadlocks"):
             if key in model.notes:
                 note(f"{model.name}: {model.notes[key]}")
     for path in found.quiet:

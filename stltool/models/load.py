@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from stltool.arguments import flag, mapping
+from stltool.arguments import mapping
 from stltool.arguments import path as path_of
 from stltool.errors import FileError, ModelError, SettingsError, StlToolError
 from stltool.models.composition import composition_from_table, member_files
 from stltool.models.formats.drn import load_drn
+from stltool.models.formats.explicit import companions as explicit_files
 from stltool.models.formats.explicit import load_explicit
 from stltool.models.formats.language import JANI, PRISM, load_language
 from stltool.models.formats.umb import load_umb
 from stltool.models.grid import grid_from_table
 from stltool.models.gymnasium.file import gymnasium_from_table
+from stltool.models.loading import Deadlocks, Loading, started
 from stltool.models.mdp import MDP
 from stltool.models.toml import Faults, ModelFaults, located, read_toml
 from stltool.numbers import Exactable
@@ -28,27 +30,36 @@ _KINDS: dict[str, Callable[[dict[str, Any], str, bool], MDP]] = {
 
 
 def load_model(
-    path: str | Path, normalize: bool = False, *, constants: Mapping[str, Exactable | bool] | None = None
+    path: str | Path,
+    normalize: bool = False,
+    *,
+    initial: str | int | None = None,
+    deadlocks: Deadlocks = "loop",
+    constants: Mapping[str, Exactable | bool] | None = None,
 ) -> MDP:
     """Read a model file. Raises FileError, and ModelError listing all faults of the file with their lines.
 
     `.toml` is a grid world (models/grid.py), a Gymnasium environment (models/gymnasium/file.py) or a composition of
-    model files (models/composition.py), depending on its `kind`; `.tra` is PRISM's explicit format
-    (models/formats/explicit.py), `.umb` the unified Markov binary format (models/formats/umb.py), `.drn` and `.drn.gz`
-    Storm's text format (models/formats/drn.py); `.prism`, `.pm`, `.nm` and `.jani` are programs, which Storm builds
-    (models/formats/language.py).
+    model files (models/composition.py), depending on its `kind`; `.tra` and `.tra.gz` are PRISM's explicit format, or
+    Storm's (models/formats/explicit.py), `.umb` is the unified Markov binary format (models/formats/umb.py), `.drn` and
+    `.drn.gz` are Storm's text format (models/formats/drn.py); `.prism`, `.pm`, `.nm` and `.jani` are programs, which
+    Storm builds (models/formats/language.py).
 
     normalize  rescale probabilities that miss a sum of 1 by at most 1/1000, as `MDP.from_arrays` does; so does the key
                `normalize = true` of a TOML file
+    initial    where runs start: the name or the number of a state, or "uniform": in each of the file's initial states
+               with the same probability, for formats that mark several without probabilities
+    deadlocks  states without transitions in `.tra` files stay where they are ("loop", as in PRISM; `notes` names them),
+               or are refused ("error")
     constants  name → value of constants that a program leaves open
     """
-    path, normalize = path_of(path, "load_model's path"), flag(normalize, "normalize")
+    path, loading = path_of(path, "load_model's path"), Loading.of(normalize, initial, deadlocks)
     known = mapping(constants, "load_model's constants", "{'N': 3}", optional=True)
     if known:
         if path.suffix.lower() not in (*PRISM, JANI):
             raise SettingsError(f"{path}: only programs in PRISM's language or JANI have constants; leave them out")
-        return load_language(path, normalize, known)
-    return _load(path, normalize, _Opened())
+        return load_language(path, loading, known)
+    return _load(path, loading, _Opened())
 
 
 @dataclass
@@ -57,22 +68,22 @@ class _Opened:
     ones."""
 
     within: tuple[Path, ...] = ()
-    known: dict[tuple[Path, bool], MDP | None] = field(default_factory=dict)
+    known: dict[tuple[Path, Loading], MDP | None] = field(default_factory=dict)
 
 
-def _load(path: Path, normalize: bool, opened: _Opened) -> MDP:
+def _load(path: Path, loading: Loading, opened: _Opened) -> MDP:
     if path.suffix.lower() == ".toml":
-        return _load_toml(path, normalize, opened)
+        return started(_load_toml(path, loading, opened), loading)
     loader = next((found for ending, found in _LOADERS.items() if path.name.lower().endswith(ending)), None)
     if loader is None:
         if not path.exists():
             raise FileError(f"{path}: there is no such model file")
         known = ", ".join((".toml", *_LOADERS))
         raise FileError(f"{path}: no model format has the extension {path.suffix!r}; known extensions: {known}")
-    return loader(path, normalize)
+    return loader(path, loading)
 
 
-def _load_toml(path: Path, normalize: bool, opened: _Opened) -> MDP:
+def _load_toml(path: Path, loading: Loading, opened: _Opened) -> MDP:
     table, text = read_toml(path)
     kind, faults = table.get("kind"), Faults()
     try:
@@ -84,15 +95,18 @@ def _load_toml(path: Path, normalize: bool, opened: _Opened) -> MDP:
         faults.refuse()
         if kind == "composition":
             inside = _Opened((*opened.within, path.resolve()), opened.known)
-            return composition_from_table(table, path, lambda file, fix: _member(file, fix, inside), normalize)
-        return _KINDS[str(kind)](table, path.stem, normalize)
+            inner = replace(loading, initial=None)
+            return composition_from_table(
+                table, path, lambda file, fix: _member(file, replace(inner, normalize=fix), inside), loading.normalize
+            )
+        return _KINDS[str(kind)](table, path.stem, loading.normalize)
     except ModelFaults as error:
         raise located(path, text, error) from None
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
 
 
-def _member(path: Path, normalize: bool, opened: _Opened) -> MDP:
+def _member(path: Path, loading: Loading, opened: _Opened) -> MDP:
     """A member of a composition, read once. ModelError if it contains a composition that it is a member of."""
     try:
         place = path.resolve()
@@ -103,10 +117,10 @@ def _member(path: Path, normalize: bool, opened: _Opened) -> MDP:
         raise ModelError(f"{' → '.join(one.name for one in circle)}: a composition cannot be its own member")
     if len(opened.within) > _DEEPEST:
         raise ModelError(f"compositions of compositions, {_DEEPEST} levels and more; write fewer")
-    key = (place, normalize)
+    key = (place, loading)
     if key not in opened.known:
         opened.known[key] = None
-        opened.known[key] = _load(path, normalize, opened)
+        opened.known[key] = _load(path, loading, opened)
     found = opened.known[key]
     if found is None:
         raise ModelError(f"{path}: its faults are told above")
@@ -117,8 +131,7 @@ def companions(path: Path) -> list[Path]:
     """The files that are read together with a model file, if they exist: those next to it, a composition's members."""
     if path.suffix.lower() == ".toml":
         return list(dict.fromkeys(_members(path, (path,))))
-    beside = (path.with_suffix(ending) for ending in _BESIDE.get(path.suffix.lower(), ()))
-    return [other for other in beside if other.exists()]
+    return explicit_files(path) if path.name.lower().endswith((".tra", ".tra.gz")) else []
 
 
 def _members(path: Path, within: tuple[Path, ...]) -> Iterator[Path]:
@@ -136,9 +149,9 @@ def _members(path: Path, within: tuple[Path, ...]) -> Iterator[Path]:
 
 
 _DEEPEST = 10
-_BESIDE = {".tra": (".lab", ".sta")}
-_LOADERS: dict[str, Callable[[Path, bool], MDP]] = {
+_LOADERS: dict[str, Callable[[Path, Loading], MDP]] = {
     ".tra": load_explicit,
+    ".tra.gz": load_explicit,
     ".drn": load_drn,
     ".drn.gz": load_drn,
     ".umb": load_umb,

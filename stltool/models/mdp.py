@@ -184,7 +184,7 @@ class MDP(Displayed):
                 {
                     "signals": listed(f"{x} in [{v.min():g}, {v.max():g}]" for x, v in self.signals.items()),
                     "labels": listed(f"{x} ({counted(int(v.sum()), 'state')})" for x, v in self.labels.items()),
-                    "costs": listed(self.costs) or None,
+                    "costs": listed(self.costs) if self.costs else None,
                 },
                 {
                     "starts in": self._starts(_SHOWN),

@@ -74,7 +74,7 @@ def test_rounded_decimals_load_with_a_defect(tmp_path):
 @pytest.mark.parametrize(
     ("files", "says"),
     [
-        ({"tra": "mdp\n0 0 0 1\n"}, r"m.tra, line 1: 'mdp': write \"states choices transitions\""),
+        ({"tra": "mpd\n0 0 0 1\n"}, r"m.tra, line 1: 'mpd': write \"states choices transitions\""),
         ({"tra": ""}, r"m.tra, line 1: '': write"),
         (
             {"tra": "3 4 6\n0 0 1 2:5\n"},
@@ -91,7 +91,6 @@ def test_rounded_decimals_load_with_a_defect(tmp_path):
             {"tra": "2 2 3\n0 0 0 1/2 a\n0 0 1 1/2 b\n1 0 1 1\n"},
             "line 3: .*this choice has the action a in line 2",
         ),
-        ({"tra": "2 1 1\n0 0 0 1\n", "lab": None, "sta": None}, "state 1 has no action; give it one that stays"),
         ({"tra": "1 1 1\n0 0 0 0\n"}, "state 0, choice 0: the probabilities sum to 0, not 1"),
         ({"tra": "1 1 1\n0 0 0 1/2\n", "lab": None}, "m.tra, line 2: state 0, choice 0: .* sum to 0.5, not 1"),
         ({"lab": "init: 0\n"}, r'm.lab, line 1: .*write 0="init" 1="deadlock"'),
@@ -104,7 +103,11 @@ def test_rounded_decimals_load_with_a_defect(tmp_path):
         ({"sta": "(x)\n0:(1_0)\n"}, "m.sta, line 2: .*write"),
         ({"sta": "(x)\n0:(1)\n0:(2)\n"}, "m.sta, line 3: .*state 0 appears twice"),
         ({"lab": '0="init"\n0: 1\n'}, r'line 2: .*write "state: number number …", states 0 … 2'),
-        ({"lab": '0="init"\n0: 0\n1: 0\n'}, 'm.lab: "init" marks 2 states; mark the one that runs start in'),
+        (
+            {"lab": '0="init"\n0: 0\n1: 0\n'},
+            r"m.lab: 2 initial states are marked \(x=0, up=true; x=-3, up=false\), and the format has no probabilities",
+        ),
+        ({"lab": '0="init"\n'}, "m.lab: no initial state is marked; mark the one that runs start in"),
         ({"lab": '0="init" 1="x"\n0: 0\n'}, "m.lab: the label x is also a variable in the .sta file; rename it"),
         ({"sta": "x,y\n0:(1,2)\n"}, r"m.sta, line 1: .*write the variables' names, such as \(x,y\)"),
         ({"sta": "(x)\n0:(1,2)\n"}, r'm.sta, line 2: .*write "state:\(x\)" with numbers, true or false'),

@@ -47,6 +47,7 @@ from stltool.models.formats.given import INIT, Given, Valuation, model_of
 from stltool.models.formats.packed import Data, mapped, unpacked
 from stltool.models.fractions import LARGEST_SUM, Integers, Shares, over_one
 from stltool.models.intervals import Intervals
+from stltool.models.loading import Loading
 from stltool.models.mdp import MDP
 from stltool.models.normalize import HINT, MOST_MISSING
 from stltool.numbers import NumberError, index, read
@@ -75,15 +76,13 @@ _REMEDIES = {
 }
 
 
-def load_drn(path: Path, normalize: bool = False) -> MDP:
+def load_drn(path: Path, loading: Loading) -> MDP:
     """Read a DRN file, .drn or .drn.gz. Raises FileError, SizeError, and ModelError with the lines of faults."""
     data = only_file(unpacked(mapped(path, WHAT), path, WHAT, _FACTOR), path, WHAT)
-    return drn_model(path, data, name_of(path), normalize)
+    return drn_model(path, data, name_of(path), loading)
 
 
-def drn_model(
-    path: Path, data: Data, name: str, normalize: bool = False, variables: Sequence[str] | None = None
-) -> MDP:
+def drn_model(path: Path, data: Data, name: str, loading: Loading, variables: Sequence[str] | None = None) -> MDP:
     """The model of a DRN text; `path` is named in messages.
 
     variables  the names of all variables, if they are known
@@ -92,8 +91,8 @@ def drn_model(
     header = _header(reader)
     try:
         if header.parameters:
-            return family_of(reader, header, name, normalize)
-        return model_of(reader.given(header, normalize), name, normalize, reader.place)
+            return family_of(reader, header, name, loading)
+        return model_of(reader.given(header, loading.normalize), name, loading, reader.place)
     except ModelError as error:
         raise error if str(error).startswith(str(path)) else ModelError(f"{path}: {error}") from None
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from stltool.errors import ModelError, SettingsError
 from stltool.models.formats.given import model_of
 from stltool.models.fractions import Shares, over_one
+from stltool.models.loading import Loading
 from stltool.models.mdp import MDP
 from stltool.models.parameters import Affine, Parameter, Values, read_affine
 from stltool.numbers import number_text
@@ -24,9 +25,9 @@ if TYPE_CHECKING:
 _FEW = 200_000  # entries; families are made entry by entry
 
 
-def family_of(reader: Reader, header: Header, name: str, normalize: bool) -> MDP:
+def family_of(reader: Reader, header: Header, name: str, loading: Loading) -> MDP:
     """The family. Raises ModelError for a row that is not linear in one parameter, or does not sum to 1."""
-    if normalize:
+    if loading.normalize:
         raise SettingsError("rows that depend on parameters cannot be rescaled; leave out normalize")
     declared = {one: Parameter(one, Fraction(0), Fraction(1)) for one in header.parameters}
 
@@ -47,7 +48,7 @@ def family_of(reader: Reader, header: Header, name: str, normalize: bool) -> MDP
     def build(**values: Fraction) -> MDP:
         at: Values = {**{one: Fraction(0) for one in declared}, **values}
         probability = Shares(*over_one(function.at(at) for function in functions))
-        return model_of(reader.described(header, lines, probability), name, False, reader.place)
+        return model_of(reader.described(header, lines, probability), name, loading, reader.place)
 
     if not domains:
         return build()

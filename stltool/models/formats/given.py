@@ -17,6 +17,7 @@ from stltool.errors import ModelError
 from stltool.models.costs import Amounts, Cost, Entries
 from stltool.models.fractions import Shares, doubles_of, of_doubles, over_one
 from stltool.models.intervals import Intervals
+from stltool.models.loading import Loading
 from stltool.models.mdp import MDP
 from stltool.models.normalize import NOTHING, rescale
 from stltool.models.rows import Place, Stored, starts
@@ -58,15 +59,12 @@ class Given:
     in_order: bool = False
 
 
-def model_of(given: Given, name: str, normalize: bool, place: Place | None = None) -> MDP:
+def model_of(given: Given, name: str, loading: Loading, place: Place | None = None) -> MDP:
     """The model. Raises ModelError if it is not one.
 
     place  names a choice in messages
     """
-    first = np.flatnonzero(given.initial)
-    if len(first) != 1:
-        marked = f"{len(first)} initial states are marked" if len(first) else "no initial state is marked"
-        raise ModelError(f"{marked}; mark the one that runs start in")
+    begin = loading.starts(given.initial, given.state_names)
     if INIT in given.labels and not np.array_equal(given.labels[INIT], given.initial):
         raise ModelError(f"the label {INIT} marks other states than those that runs start in; rename it")
     both = sorted(set(given.signals) & {INIT, *given.labels})
@@ -77,13 +75,13 @@ def model_of(given: Given, name: str, normalize: bool, place: Place | None = Non
     notes, exact, intervals = dict(given.notes), None, None
     if isinstance(given.probability, Intervals):
         intervals = given.probability
-        if normalize:
+        if loading.normalize:
             notes["normalize"] = NOTHING.format("intervals")
         probability = intervals.nominal(given.row_start)
     else:
         doubles = given.probability if not isinstance(given.probability, Shares) else np.empty(0)
         exact = given.probability if isinstance(given.probability, Shares) else None
-        if normalize:
+        if loading.normalize:
             shares = exact if exact is not None else Shares(*of_doubles(doubles, given.row_start, True))
 
             def numbered(c: int) -> str:
@@ -93,16 +91,15 @@ def model_of(given: Given, name: str, normalize: bool, place: Place | None = Non
             exact, notes["normalize"] = Shares(*found), str(done)
         probability = doubles_of(exact.numerator, exact.denominator) if exact is not None else doubles
     labels = {**given.labels, INIT: given.initial}
-    begin = given.initial.astype(np.int64)
     return MDP(
         Stored(given.choice_start, action, given.row_start, given.target, probability, exact, intervals),
-        initial=begin.astype(np.float64),
+        initial=begin / begin.sum(),
         signals=given.signals,
         labels=labels,
         action_names=names,
         state_names=given.state_names,
         name=name,
-        exact_initial=Shares(begin, 1),
+        exact_initial=Shares(begin, int(begin.sum())),
         notes=notes,
         costs={key: _cost(parts, given) for key, parts in given.costs.items()},
     )

@@ -17,6 +17,7 @@ from stltool.errors import ModelError, SettingsError, near_misses
 from stltool.extras import require
 from stltool.files import read_text
 from stltool.models.formats.drn import drn_model
+from stltool.models.loading import Loading
 from stltool.models.mdp import MDP
 from stltool.numbers import NumberError, exact, fraction_text
 
@@ -29,7 +30,7 @@ _INSTEAD = (
 )
 
 
-def load_language(path: Path, normalize: bool = False, constants: Mapping[str, Any] | None = None) -> MDP:
+def load_language(path: Path, loading: Loading, constants: Mapping[str, Any] | None = None) -> MDP:
     """Build the model of a PRISM or JANI file, with these values of constants.
 
     Raises MissingExtraError without stormpy; FileError; ModelError with what Storm says of the file, or naming the
@@ -59,7 +60,7 @@ def load_language(path: Path, normalize: bool = False, constants: Mapping[str, A
             stormpy.io.export_to_drn(built, str(text))
             names = [variable.name for variable in built.state_valuations.get_all_variables()]
             content = text.read_bytes()
-    return drn_model(path, content, path.stem, normalize, names)
+    return drn_model(path, content, path.stem, loading, names)
 
 
 def constants_of(path: Path) -> list[str]:

@@ -50,6 +50,7 @@ from stltool.models.formats.umb_values import (
     whole_numbers,
 )
 from stltool.models.fractions import Shares
+from stltool.models.loading import Loading
 from stltool.models.mdp import MDP
 from stltool.models.rows import spans, starts
 from stltool.numbers import number_text, shortest
@@ -62,7 +63,7 @@ LONGEST_NAMES = 1 << 24  # characters of all names of states, up to which they a
 _BYTES_A_BRANCH, _BYTES_A_STATE = 60, 60
 
 
-def load_umb(path: Path, normalize: bool = False) -> MDP:
+def load_umb(path: Path, loading: Loading) -> MDP:
     """Read a UMB file. Raises FileError, ModelError and SizeError, naming the file in the archive."""
     archive = Archive(path, WHAT)
     index = read_index(archive)
@@ -74,7 +75,7 @@ def load_umb(path: Path, normalize: bool = False) -> MDP:
     )
     given = _given(archive, index)
     try:
-        return model_of(given, index.name or path.stem, normalize)
+        return model_of(given, index.name or path.stem, loading)
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
 
