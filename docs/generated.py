@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import stltool as stl
+import stltool.testing
 from stltool.grammar import grammar_text
 
 HERE = Path(__file__).resolve().parent
@@ -100,11 +101,19 @@ def page(title: str, modules: tuple[str, ...]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def testing() -> str:
+    """The page of stltool.testing, which is imported by itself."""
+    parts = ["# Tests of your own", "From the docstrings; `from stltool.testing import ...`."]
+    for name in stltool.testing.__all__:
+        parts += entry(name, getattr(stltool.testing, name), "##")
+    return "\n\n".join(parts) + "\n"
+
+
 def entry(name: str, thing: Any, level: str) -> Iterator[str]:
     """A heading, the signature, the docstring; of a class its public members, too."""
     yield f"{level} {name}"
     if isinstance(thing, type):
-        if not issubclass(thing, BaseException) and not getattr(thing, "_is_protocol", False):
+        if not issubclass(thing, BaseException | dict) and not getattr(thing, "_is_protocol", False):
             yield signature(name, thing)
     elif callable(thing):
         yield signature(name, thing)
@@ -210,6 +219,7 @@ def site(folder: Path) -> None:
         shutil.copy(path, folder / "pages")
     for name, (title, modules) in PAGES.items():
         (reference / f"{name}.md").write_text(page(title, modules), encoding="utf-8")
+    (reference / "testing.md").write_text(testing(), encoding="utf-8")
     (reference / "commands.md").write_text(commands(), encoding="utf-8")
 
 

@@ -35,7 +35,7 @@ LARGEST_BOUND = 10**15  # steps
 DEEPEST = 200  # levels of operators: most traversals recurse
 
 COMPARATORS: tuple[Comparator, ...] = ("<", "<=", ">", ">=", "==", "!=")
-_LONGEST_REPR = 300
+_LONGEST_REPR = 290
 
 FUNCTION_ARITY: dict[FunctionName, tuple[int, int | None]] = {
     "abs": (1, 1), "sqrt": (1, 1), "min": (2, None), "max": (2, None),
@@ -198,7 +198,7 @@ class _Printed(Composable):
         return to_text(self)  # type: ignore[arg-type]
 
     def __repr__(self) -> str:
-        return f"parse({cut(str(self), _LONGEST_REPR)!r})"
+        return f"stl.parse({cut(str(self), _LONGEST_REPR)!r})"
 
     def _card(self) -> Card:
         phi = self._formula()

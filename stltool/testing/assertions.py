@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 
 from stltool.arguments import real, require, whole
 from stltool.automata.vacuity import meaning
-from stltool.checking import CheckResult, LikelyRuns, check, likely_runs
+from stltool.checking import CheckResult, LikelyRuns, check, likely_runs, robust_check
 from stltool.diagnosis import Diagnosis, diagnose
-from stltool.display import cut, probability_text
+from stltool.display import NATURES, cut, probability_text
 from stltool.errors import SettingsError, SizeError, StlToolError
 from stltool.logic.formula import And, Formula, Not, bounded_formula_of, formula_of
 from stltool.logic.task import Task
@@ -48,9 +48,12 @@ class TraceViolation(StlAssertionError):
 
 
 class ProbabilityViolation(StlAssertionError):
-    """A probability is not within the bound: `result` is the check, `likely` the most probable run that explains it."""
+    """A probability is not within the bound: `result` is the check, `likely` the most probable run that explains it.
 
-    def __init__(self, message: str, result: CheckResult, likely: LikelyRuns) -> None:
+    `likely` is None for interval probabilities, under which a run has no single one.
+    """
+
+    def __init__(self, message: str, result: CheckResult, likely: LikelyRuns | None) -> None:
         super().__init__(message)
         self.result, self.likely = result, likely
 
@@ -99,20 +102,24 @@ def assert_probability(
 ) -> CheckResult:
     """P(task) under the policy, exactly, is at least, or at most, a bound; without a policy the maximum over all.
 
-    Returns the check. If the bound lies inside its enclosure, the exact fraction decides where it can be had. Raises
+    If the model's probabilities are intervals, so it is whatever they are in these (`stl.robust_check`). Returns the
+    check. If the bound lies inside its enclosure, the exact fraction decides where it can be had. Raises
     ProbabilityViolation with the most probable violation, or satisfaction if P is too large.
     """
     __tracebackhide__ = True
     require(product, Product, "assert_probability's product")
     if at_least is None and at_most is None:
         raise SettingsError("assert_probability has no bound; give at_least=0.95, or at_most")
-    result = check(product, policy)
+    uncertain = product.model.uncertain
+    result = check(product, policy) if not uncertain else robust_check(product, policy)
     for bound, lowest in ((at_least, True), (at_most, False)):
         if bound is None:
             continue
         bound = real(bound, f"assert_probability's {'at_least' if lowest else 'at_most'}")
+        if uncertain and not lowest:
+            result = robust_check(product, policy, nature="with")
         kept = result.at_least(bound) if lowest else result.at_most(bound)
-        if kept is None:
+        if kept is None and not uncertain:
             result = _exactly(result, product, policy)
             kept = result.at_least(bound) if lowest else result.at_most(bound)
         if not kept:
@@ -129,7 +136,9 @@ def _exactly(result: CheckResult, product: Product, policy: Policy | None) -> Ch
 
 def _too_far(result: CheckResult, bound: float | Fraction, lowest: bool, undecided: bool) -> NoReturn:
     __tracebackhide__ = True
-    likely = likely_runs(result.product, result.policy, satisfied=not lowest, count=1)
+    likely = None
+    if not result.product.model.uncertain:
+        likely = likely_runs(result.product, result.policy, satisfied=not lowest, count=1)
     told = number_text(bound) if isinstance(bound, Fraction) else f"{bound:.15g}"
     wanted = f"at {'least' if lowest else 'most'} {told}"
     whose = {"maximum": "the maximum over all policies", "policy": "of the policy"}[result.question]
@@ -139,8 +148,10 @@ def _too_far(result: CheckResult, bound: float | Fraction, lowest: bool, undecid
         + (f"not known to be {wanted}: the bound lies inside the enclosure" if undecided else f"not {wanted}"),
         f"  enclosure  {result.lower!r} … {result.upper!r}",
     ]
-    data = likely_data(likely)
     kind = "violation" if lowest else "satisfaction"
+    if likely is None:
+        raise ProbabilityViolation("\n".join([*lines, f"  with {NATURES[result.nature or 'against']}"]), result, None)
+    data = likely_data(likely)
     for run in data["runs"]:
         share = f", {100 * run['share']:.3g} % of P({kind})" if run["share"] is not None else ""
         lines += [

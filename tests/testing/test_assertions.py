@@ -145,6 +145,17 @@ def test_a_task_that_cannot_be_violated(product):
         assert_probability(sure, at_least="high")
 
 
+def test_probabilities_in_intervals_are_judged_at_their_worst():
+    lower, upper = [[[0, 0.5], [0, 1]]], [[[0.5, 1], [0, 1]]]
+    model = stl.MDP.from_intervals(lower, upper, {}, labels={"goal": [0, 1]})
+    product = stl.build_product(model, stl.parse("F[0,1] goal"))
+    assert assert_probability(product, at_least=0.49, at_most=1).nature == "with"
+    text = message(ProbabilityViolation, assert_probability, product, at_least=0.6)
+    assert "is not at least 0.6\n" in text
+    assert text.endswith("with adversarial nature")
+    assert "with cooperative nature" in message(ProbabilityViolation, assert_probability, product, at_most=0.9)
+
+
 def test_formulas_that_differ_have_a_trace():
     text = message(FormulasDiffer, assert_equivalent, stl.parse("F[0,3] a"), stl.parse("F[0,2] a"))
     assert text.startswith(

@@ -28,7 +28,7 @@ from stltool.testing import (
 from stltool.testing.constructive import Constructor, NoTraceError, near
 from tests.conftest import many
 
-RESPONSE = stl.parse("G[0,12] (request -> F[0,4] level > 3)")
+RESPONSE = stl.parse("G[0,5] (request -> F[0,2] level > 3)")
 RANGES = {"x": (-1, 2), "y": (0, 1)}
 
 
