@@ -63,6 +63,7 @@ from .checking import (
     ParametricResult as ParametricResult,
     PolicyTree as PolicyTree,
     Run as Run,
+    Runner as Runner,
     Sensitivity as Sensitivity,
     SequentialTest as SequentialTest,
     StationaryResult as StationaryResult,

@@ -213,6 +213,8 @@ CALLS = {
     "ParametricResult.at_most": lambda w: {"self": stl.parametric(w.family), "bound": 0.5},
     "ParametricResult.points": lambda w: {"self": stl.parametric(w.family)},
     "policy_tree": lambda w: {"product": w.product},
+    "Runner": lambda w: {"product": w.product, "policy": w.policy},
+    "Runner.act": lambda w: {"self": stl.Runner(w.product), "state": 0},
     "MDP.from_family": lambda w: {"build": lambda p: w.family.model.at(p=p), "parameters": {"p": (0, 1)}},
     "sample_run": lambda w: {"product": w.product},
     "estimate": lambda w: {"product": w.product, "policy": w.policy, "runs": 5},

@@ -70,6 +70,7 @@ CELLS = {
     "Policy": ("best.policy", "time-dependent, deterministic"),
     "CheckResult": ("best", "P = "),
     "Run": ("stl.sample_run(product, seed=3)", "seed: 3"),
+    "Runner": ("stl.Runner(product)", "before the first state, undecided"),
     "Estimate": ("stl.estimate(product, runs=50, seed=4)", "of 50 runs satisfied"),
     "SequentialTest": ("stl.sprt(product, at_least=0.9, most_runs=500)", "P >= 0.9"),
     "LikelyRuns": ("stl.likely_runs(product)", "violating run"),

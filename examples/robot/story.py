@@ -117,10 +117,7 @@ def run_of(product: stl.Product, policy: stl.Policy, plant: Plant, seed: int) ->
     robots, only = Robots(plant, np.random.default_rng([seed, 2])), np.array([0])
     robots.place(only, robots.floor.start)
     track: list[Floats] = [plant.pose(only)]
-    automaton, t = product.automaton, 0
-    q = product.enter(int(robots.cells(only)[0]), automaton.initial)
-    while (verdict := automaton.verdicts(t)[q]) < 0:
-        robots.move(only, policy.table[t, robots.cells(only), q], track)
-        q = product.enter(int(robots.cells(only)[0]), q)
-        t += 1
-    return np.concatenate(track), bool(verdict == 1)
+    runner = stl.Runner(product, policy)
+    while (action := runner.act(int(robots.cells(only)[0]))) is not None:
+        robots.move(only, np.array([product.model.action_names.index(action)]), track)
+    return np.concatenate(track), bool(runner.verdict)

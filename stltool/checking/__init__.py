@@ -7,6 +7,7 @@ from stltool.checking.parametric import ParametricResult, parametric
 from stltool.checking.pareto import Front, pareto
 from stltool.checking.readable import Node, PolicyTree, policy_tree
 from stltool.checking.robust import robust_check
+from stltool.checking.runner import Runner
 from stltool.checking.sampling import Run, sample_run
 from stltool.checking.sensitivity import Sensitivity, sensitivity
 from stltool.checking.stationary import StationaryResult, stationary
@@ -16,8 +17,8 @@ from stltool.checking.tradeoff import Tradeoff, tradeoff
 
 __all__ = [
     "CheckResult", "Estimate", "Front", "LikelyRun", "LikelyRuns", "Node", "ParametricResult", "PolicyTree", "Run",
-    "Sensitivity", "SequentialTest", "StationaryResult", "SurrogateResult", "Tradeoff", "certify", "check", "estimate",
-    "estimate_from", "likely_runs", "parametric", "pareto", "policy_tree", "require_certificate_of", "robust_check",
-    "sample_run", "sensitivity", "sprt", "sprt_from", "stationary", "surrogate_optimum", "tradeoff",
+    "Runner", "Sensitivity", "SequentialTest", "StationaryResult", "SurrogateResult", "Tradeoff", "certify", "check",
+    "estimate", "estimate_from", "likely_runs", "parametric", "pareto", "policy_tree", "require_certificate_of",
+    "robust_check", "sample_run", "sensitivity", "sprt", "sprt_from", "stationary", "surrogate_optimum", "tradeoff",
     "write_certificate",
 ]  # fmt: skip
