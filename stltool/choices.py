@@ -8,6 +8,7 @@
     Through  another form with its own automaton: memory (Q,) maps each automaton state to one of its own
     Rules    of listed situations, and none elsewhere: a policy that was written as text (stltool/written.py)
     Asked    a function of the situation (stltool/asked.py)
+    Elsewhere another model's (stltool/transfer.py)
 
 Choices are indices within their state: i is its i-th available action.
 """
@@ -18,7 +19,7 @@ import itertools
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,7 @@ Indices: TypeAlias = NDArray[np.signedinteger[Any]]
 Words: TypeAlias = tuple[I64, NDArray[np.uint64], I64, NDArray[np.unsignedinteger]]
 
 
+@runtime_checkable
 class Form(Protocol):
     """What a policy does; t is a step, s and q are arrays of model and automaton states."""
 

@@ -35,7 +35,7 @@ from stltool.arguments import require, whole
 from stltool.arrays import open_arrays
 from stltool.asked import Asked, Situation, Situations
 from stltool.automata import Encoding
-from stltool.choices import ByLayer, Choices, Form, Mixtures, Rules, Table, Through
+from stltool.choices import Choices, Form, Rules, Table, Through
 from stltool.display import Card, Displayed
 from stltool.errors import FileError, InexactEncodingWarning, PolicyError, StlToolError, near_misses
 from stltool.files import (
@@ -116,7 +116,7 @@ class Policy(Displayed):
     def __init__(self, product: Product | JointProduct, table: NDArray[Any] | Form) -> None:
         require(product, (Product, JointProduct), "Policy's product")
         self.home = product
-        if isinstance(table, Table | Choices | Mixtures | ByLayer | Through | Rules | Asked):
+        if isinstance(table, Form):
             self.form: Form = table
             return
         try:

@@ -51,11 +51,13 @@ from stltool.cluster import connected
 from stltool.display import NATURES, Card, Displayed
 from stltool.errors import PolicyError, SettingsError, named
 from stltool.kernels.jit import SOURCES
+from stltool.models.compare import ModelDifferences
 from stltool.models.rows import Demand, Rows, least_positive
 from stltool.numbers import round_down, round_up
 from stltool.policy import Policy, layered_header, require_door, require_policy_file
 from stltool.product import Product
 from stltool.sizes import UnsignedType, seconds_of
+from stltool.transfer import transferred
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -79,6 +81,7 @@ class CheckResult(Displayed):
                   time), "cluster" (tiles, by the workers of a cluster)
     sweeps        backward steps that were computed; those left out are bit for bit equal to others
     values        (n_states,) the value of starting in each state, if asked for
+    transfer      of a policy of another model: how the models differ
     status        "complete": nothing was truncated
     seconds       wall time
     """
@@ -98,6 +101,7 @@ class CheckResult(Displayed):
     certain: bool = False
     engine: str = ""
     values: Floats | None = None
+    transfer: ModelDifferences | None = None
 
     @property
     def certainty(self) -> str | None:
@@ -158,6 +162,7 @@ def check(
     cluster: str | None = None,
     memory_limit: int | None = None,
     time_limit: float | None = None,
+    transfer: bool = False,
     progress: Progress | None = None,
 ) -> CheckResult:
     """The probability that the task holds: under `policy`, or the maximum (minimum) over all policies.
@@ -169,6 +174,8 @@ def check(
     next to it, and `resume=True` continues from there, with bit-for-bit the same result. `engine` and `threads`
     (default: all cores) change no bit of the result; nor does `cluster`, the address of a dask scheduler whose workers
     compute instead (docs/large.md). `time_limit` is for exact answers: the seconds that one may take, by estimate.
+    `transfer=True` takes a policy of another model with the same state and action names (stltool/transfer.py); the
+    result's `transfer` says how the models differ, its `policy` is the policy as it acts here.
 
     Raises PolicyError if the policy belongs to another task or model, or defines no action in a state it reaches;
     ModelError if an exact answer is asked for and rows do not sum to 1; SizeError before allocating more memory than is
@@ -191,6 +198,12 @@ def check(
     if cluster is not None:
         require_for_cluster(exact, policy, resume, engine, threads)
     limit = seconds_of(time_limit, "time_limit") if time_limit is not None else None
+    moved = None
+    if flag(transfer, "check's transfer"):
+        if policy is None:
+            raise SettingsError(f"{named('transfer', 'transfer=True')} is for a policy of another model; give one")
+        moved = transferred(product, policy)
+        policy = moved.policy
     path = _policy_file(policy_file, policy, keep_policy, resume)
     if exact and product.model.kinds is not None:
         require_exact(product.model, product.model.kinds)
@@ -223,6 +236,7 @@ def check(
         product, question, value, lower, upper, policy, found.swept, time.perf_counter() - start,
         fraction=fraction, arithmetic=used, certain=asked.certain(found), engine=found.engine,
         values=asked.of_states(found) if values is not None else None,
+        transfer=moved.differences if moved is not None else None,
     )  # fmt: skip
 
 

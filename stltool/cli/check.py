@@ -24,12 +24,14 @@ from stltool.cli.options import (
     TaskFile,
     TaskName,
 )
-from stltool.cli.roles import Writes
+from stltool.cli.roles import Reads, Writes, model_files
 from stltool.cli.steps import (
     given_policy,
     judge_by,
+    load_policy_product,
     load_product,
     make_product,
+    moved_policy,
     nature_text,
     read_probability,
     require_one_policy,
@@ -60,6 +62,22 @@ def check(
     task: TaskFile,
     policy: PolicyFile = None,
     policy_function: PolicyFunction = None,
+    transfer: Annotated[
+        bool,
+        typer.Option(
+            "--transfer",
+            help="judge a policy of another model, by the names of states and actions; report how the models differ",
+        ),
+    ] = False,
+    policy_model: Annotated[
+        Path | None,
+        typer.Option(
+            "--policy-model",
+            metavar="FILE",
+            help="with --transfer: the model that the policy was made for; default: the task file's model line",
+        ),
+        Reads("policy's model", model_files),
+    ] = None,
     minimize: Annotated[
         bool, typer.Option("--minimize", help="the minimum over all policies instead of the maximum")
     ] = False,
@@ -132,7 +150,14 @@ def check(
     from stltool.checking.evidence import evidence_of
     from stltool.files import read_text
     from stltool.policy import require_policy_file
-    from stltool.reporting import check_data, report_data, require_report, stationary_data, write_report
+    from stltool.reporting import (
+        check_data,
+        report_data,
+        require_report,
+        stationary_data,
+        transfer_data,
+        write_report,
+    )
     from stltool.reporting.records import CheckOutput, Nature, ProvedRecord
     from stltool.reporting.terminal import print_checks, print_facts, print_json, progress_bar
 
@@ -146,11 +171,15 @@ def check(
     nature = "nominal" if nominal else nature
     clockless = stationary or memoryless
     given = require_one_policy(policy, policy_function)
+    if transfer and policy is None:
+        raise SettingsError("--transfer judges a policy file on another model; add --policy FILE")
+    if policy_model is not None and not transfer:
+        raise SettingsError("--policy-model is for a policy of another model; add --transfer, or leave it out")
     if vary is not None:
         for forbidden, option in (
             (clockless, "--stationary and --memoryless"), (exact, "--exact"), (nature is not None, "--nature"),
             (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
-            (cluster is not None, "--cluster"), (report is not None, "--report"),
+            (cluster is not None, "--cluster"), (report is not None, "--report"), (transfer, "--transfer"),
         ):  # fmt: skip
             if forbidden:
                 raise SettingsError(f"{option} is for one value of the parameter; leave it or --vary out")
@@ -190,7 +219,11 @@ def check(
             f"--save-policy {save_policy}: policies that do not know the step are saved as .npz, .csv or .json"
         )
     fraction = {"exact": True} if exact else {}
-    chosen = given_policy(product, policy, policy_function)
+    moved = None
+    if transfer:
+        assert policy is not None  # required above
+        moved = moved_policy(product, policy, load_policy_product(task, policy_model, param, name, encoding, normalize))
+    chosen = moved.policy if moved is not None else given_policy(product, policy, policy_function)
     to_file = {"policy_file": save_policy, "resume": resume} if streamed else {}
     if robust and streamed:
         raise SettingsError(
@@ -224,6 +257,8 @@ def check(
         with progress_bar("writing the certificate", quiet=as_json) as bar:
             proved = stl.write_certificate(result, certificate, progress=bar, cluster=cluster)
     data = cast(CheckOutput, check_data(result, optimum))
+    if moved is not None:
+        data["transfer"] = transfer_data(moved.differences)
     if uncertain:
         data["nature"] = cast(Nature, nature or "against")
     if found is not None:
@@ -262,6 +297,8 @@ def check(
         if uncertain:
             print_facts({"nature": nature_text(nature or "against", product.model)})
         print_checks([check_data(optimum), data] if chosen is not None else [data])
+        if moved is not None:
+            print_facts({"policy's model": "; ".join(moved.differences.told) or "differs in nothing"})
         if found is not None:
             limit = bound_texts(found.bound, found.bound)[0 if minimize else 1]
             print_facts({

@@ -21,7 +21,7 @@ import typer
 from typer.core import TyperCommand
 
 from stltool.arguments import described
-from stltool.errors import InexactEncodingWarning, SettingsError, near_misses
+from stltool.errors import InexactEncodingWarning, PolicyError, SettingsError, near_misses
 from stltool.numbers import NumberError, read
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from stltool.policy import Policy
     from stltool.product import JointProduct, Product
     from stltool.reporting.records import GuaranteeRecord
+    from stltool.transfer import Transferred
 
 
 NATURES = {
@@ -88,6 +89,33 @@ def load_product(
     if nominal and not world.uncertain:
         raise SettingsError("--nominal: the model's probabilities are not intervals; leave out --nominal")
     return bind(loaded, world.nominal() if nominal else world, encoding)
+
+
+def load_policy_product(
+    task: Path, model: Path | None, param: list[str] | None, name: str | None, encoding: str, normalize: bool
+) -> Product:
+    """The product that a policy of another model was made on: of `--policy-model`, or of the task file's model line."""
+    import stltool as stl
+
+    if model is None and stl.load_task(task, task=name).model is None:
+        raise SettingsError(
+            "--transfer: the model that the policy was made for is not known, as the task file names none; add "
+            "--policy-model FILE"
+        )
+    return load_product(task, model, param, name, encoding, normalize=normalize)
+
+
+def moved_policy(product: Product, file: Path, home: Product) -> Transferred:
+    """The policy of a file, made on `home`, for another product."""
+    import stltool as stl
+    from stltool.transfer import transferred
+
+    try:
+        policy = stl.load_policy(file, home)
+    except PolicyError as error:
+        remedy = "; or name that model: --policy-model FILE" if "is for the model" in str(error) else ""
+        raise PolicyError(f"{error}{remedy}") from None
+    return transferred(product, policy)
 
 
 _FILES = {".txt", ".toml", ".csv", ".tsv", ".json", ".npz", ".parquet", ".policy", ".md", ".py", ".tra", ".prism"}

@@ -1,7 +1,16 @@
 """Results → JSON, HTML, terminal. The HTML page is made from the JSON alone, so it can be made again."""
 
 from .curves import write_history
-from .data import check_data, estimate_data, markov_data, product_data, report_data, stationary_data, training_data
+from .data import (
+    check_data,
+    estimate_data,
+    markov_data,
+    product_data,
+    report_data,
+    stationary_data,
+    training_data,
+    transfer_data,
+)
 from .explanation import explain
 from .guarantees import guarantee_data, guarantee_rows, looser_note, refused_data
 from .monitoring import monitor_data, write_monitor_picture
@@ -19,6 +28,6 @@ __all__ = [
     "front_report", "guarantee_data", "guarantee_rows", "junit_text", "likely_data", "load_report", "looser_note",
     "markdown_text", "markov_data", "monitor_data", "monitor_report", "parametric_data", "product_data",
     "refused_data", "render", "report", "report_data", "require_report", "sensitivity_data", "stationary_data",
-    "surrogate_data", "surrogate_rows", "sweep_data", "tradeoff_data", "training_data", "verification_data",
-    "write_front_picture", "write_history", "write_monitor_picture", "write_report", "write_sweep",
+    "surrogate_data", "surrogate_rows", "sweep_data", "tradeoff_data", "training_data", "transfer_data",
+    "verification_data", "write_front_picture", "write_history", "write_monitor_picture", "write_report", "write_sweep",
 ]  # fmt: skip

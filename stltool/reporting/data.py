@@ -18,6 +18,7 @@ from stltool.checking.evidence import Evidence
 from stltool.errors import SettingsError
 from stltool.logic.printer import with_names
 from stltool.models import MDP
+from stltool.models.compare import ModelDifferences
 from stltool.numbers import fraction_text
 from stltool.policy import Policy
 from stltool.product import Product
@@ -45,6 +46,7 @@ from stltool.reporting.records import (
     StatisticalRecord,
     StepRecord,
     TrainingRecord,
+    TransferRecord,
     WhyRecord,
 )
 from stltool.reporting.runs import likely_data, sensitivity_data
@@ -138,6 +140,30 @@ def check_data(result: CheckResult, optimum: CheckResult | None = None) -> Check
         "engine": result.engine,
         "sweeps": result.sweeps,
         "seconds": result.seconds,
+    }
+
+
+def transfer_data(found: ModelDifferences) -> TransferRecord:
+    """How the model of a check differs from the one that the policy was made for."""
+    there, here = found.names
+    return {
+        "from_model": there,
+        "to_model": here,
+        "told": list(found.told),
+        "states_only_there": list(found.states[0]),
+        "states_only_here": list(found.states[1]),
+        "actions_only_there": list(found.actions[0]),
+        "actions_only_here": list(found.actions[1]),
+        "signals": found.signals,
+        "labels": found.labels,
+        "choices_only_there": found.choices[0],
+        "choices_only_here": found.choices[1],
+        "common_choices": found.common,
+        "other_successors": found.successors,
+        "other_probabilities": found.probabilities,
+        "distance": found.distance,
+        "at": found.place,
+        "start": found.start,
     }
 
 

@@ -190,9 +190,36 @@ class StationaryRecord(TypedDict):
     seconds: float
 
 
+class TransferRecord(TypedDict):
+    """How the model differs from the one that a policy was made for; `told` in sentences.
+
+    Of states and actions, the names that only one has; of signals and labels, in how many common states they differ; of
+    common choices, how many have other successors or probabilities, and the largest total variation distance of one.
+    """
+
+    from_model: str
+    to_model: str
+    told: list[str]
+    states_only_there: list[str]
+    states_only_here: list[str]
+    actions_only_there: list[str]
+    actions_only_here: list[str]
+    signals: dict[str, int]
+    labels: dict[str, int]
+    choices_only_there: int
+    choices_only_here: int
+    common_choices: int
+    other_successors: int | None
+    other_probabilities: int | None
+    distance: float | None
+    at: str | None
+    start: float | None
+
+
 class CheckOutput(CheckRecord):
     """What `stltool check --json` prints: a check, and the verdict on the bounds that were asked for."""
 
+    transfer: NotRequired[TransferRecord]
     stationary: NotRequired[StationaryRecord]
     at_least: NotRequired[float]
     at_most: NotRequired[float]

@@ -46,7 +46,7 @@ FAULTY = [
         ["--model", "floor-5x5-uncertain.toml", "--nature", "kind"],
         ["--model", "floor-5x5-uncertain.toml", "--exact"],
         ["--model", "floor-5x5-uncertain.toml", "--memoryless"], ["--stationary", "--memoryless"],
-        ["--stationary", "--save-policy", "p.policy"],
+        ["--stationary", "--save-policy", "p.policy"], ["--transfer"], ["--policy-model", "floor-5x5.toml"],
     )),
     ["check", "bare.stl"], ["check", "none.stl"], ["check"], ["chek", "patrolling.stl"],
     *(["run", "patrolling.stl", *options] for options in (

@@ -25,6 +25,8 @@ MORE = {
     "check": [
         ["check", "patrolling.stl", *SMALL, "--exact", "--at-least", "0.5", "--at-most", "0.9"],
         ["check", "patrolling.stl", *SMALL, "--stationary"],
+        ["check", "patrolling.stl", *SMALL, "--model", "floor-5x5-p.toml", "-p", "p=0.9", "--policy", "policy.npz",
+         "--transfer"],
         ["check", "uncertain.stl", "-p", "T=3", "-p", "tau=8"],
     ],
     "check --vary": [["check", "patrolling.stl", *SMALL, "--model", "floor-5x5-p.toml", "--vary", "p=0.8:0.9",
