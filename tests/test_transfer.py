@@ -179,3 +179,5 @@ def test_the_command(monkeypatch, capsys, tmp_path):
         assert "the policy                 0.36845795555555" in out
         data = json.loads(told(monkeypatch, capsys, *asked, "--json", "--policy-model", FACTORY / "floor-5x5.toml"))
         assert data["transfer"]["other_probabilities"] == 113
+        same = [*asked[:6], "-p", "success=0.8", *asked[8:]]  # the task's own model, with another parameter
+        assert "the policy                 0.3684579555555555" in told(monkeypatch, capsys, *same)

@@ -38,6 +38,7 @@ FILLED = {
     "--vary p=0.5:1": "--vary success=0.5:1",
     "explain TASK --policy FILE": f"explain {FACTORY}patrolling.stl --policy out/patrolling/policy.npz",
     "play TASK --policy FILE": f'play {FACTORY}patrolling.stl --policy out/patrolling/policy.npz --moves ". *"',
+    "--model MODEL": f"--model {FACTORY}floor-5x5.toml",
     "--policy FILE": "--policy out/patrolling/policy.npz",
     "--out FILE": "--out learned.npz --checkpoint run.npz --history run.csv",
     "sweep FILE": "sweep examples/paper/small.toml --workers 2",

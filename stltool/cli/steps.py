@@ -94,15 +94,20 @@ def load_product(
 def load_policy_product(
     task: Path, model: Path | None, param: list[str] | None, name: str | None, encoding: str, normalize: bool
 ) -> Product:
-    """The product that a policy of another model was made on: of `--policy-model`, or of the task file's model line."""
+    """The product that a policy of another model was made on: of `--policy-model`, or of the task file's model line.
+
+    Of -p, it has the params of the task; parameters of the model are those of the model that is judged.
+    """
     import stltool as stl
 
-    if model is None and stl.load_task(task, task=name).model is None:
+    plain = stl.load_task(task, task=name)
+    if model is None and plain.model is None:
         raise SettingsError(
             "--transfer: the model that the policy was made for is not known, as the task file names none; add "
             "--policy-model FILE"
         )
-    return load_product(task, model, param, name, encoding, normalize=normalize)
+    own = [pair for pair in param or [] if pair.partition("=")[0].strip() in plain.params]
+    return load_product(task, model, own, name, encoding, normalize=normalize)
 
 
 def moved_policy(product: Product, file: Path, home: Product) -> Transferred:
