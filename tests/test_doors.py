@@ -272,7 +272,7 @@ TAKES = {
     ),
     **{key: {"None", *NUMBERS} for key in ("epsilon", "mass", "memory_limit", "time_limit")},
     **{key: {"True"} for key in ("maximize", "exact", "keep_policy", "satisfied", "cut", "unbounded", "normalize")},
-    **{key: {"True"} for key in ("wait", "clock")},
+    **{key: {"True"} for key in ("wait", "clock", "transfer")},
     **{key: {"text"} for key in ("text", "name", "objective")},
     **dict.fromkeys(("source", "command", "step", "unit"), TEXT),
     **dict.fromkeys(("labels", "costs", "params", "budget", "over", "parameters", "constants"), MAPPING),

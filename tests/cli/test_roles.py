@@ -17,7 +17,8 @@ from tests.cli.every import CASES, make_inputs
 # what a parameter of that role may name, in the folder that make_inputs fills, and what is read with it
 SAMPLES = {
     "task file": ["patrolling.stl", "floor-5x5.toml"], "model file": ["model.tra", "model.lab", "model.sta"],
-    "policy": ["policy.npz"], "trace": ["trace.csv"], "certificate": ["certificate.jsonl"],
+    "policy's model": ["floor-5x5.toml"], "policy": ["policy.npz"], "trace": ["trace.csv"],
+    "certificate": ["certificate.jsonl"],
     "sweep file": ["sweep.toml", "patrolling.stl", "floor-5x5.toml"], "report": ["report.json"],
 }  # fmt: skip
 COMMANDS = {command.name or command.callback.__name__: command.callback for command in app.registered_commands}
