@@ -8,7 +8,7 @@ After step t in (t, s, q), with V as in checking/situations.py,
 
     q_t = δ(L(s_t), q_{t−1}),    verdict = verdict_t(q_t),    probability = V_t(s_t, q_t)
 
-The same policy as a file of plain Python, without stltool, is checking/standalone.py's.
+exporting/standalone.py writes the same policy as a file of plain Python, which does not need stltool.
 """
 
 from __future__ import annotations

@@ -31,8 +31,8 @@ def export(
         typer.Option(
             "--to",
             metavar="FORMAT",
-            help="prism (program), or dot (Graphviz); default: by the file's ending",
-            autocompletion=lambda: ["prism", "dot"],
+            help="prism (program), python (a policy as a program), or dot (Graphviz); default: by the file's ending",
+            autocompletion=lambda: ["prism", "python", "dot"],
         ),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="file to write; default: print it"), Writes()] = None,
@@ -57,8 +57,9 @@ def export(
 
     --to prism writes the product as a program: variables are the state, what the task remembers, and the step where it
     matters; labels "satisfied" and "violated" are the verdicts; a comment has the property that asks for P. With a
-    policy it is the Markov chain under that policy. --to dot draws the automaton: states are labelled with what they
-    remember, edges with their conditions.
+    policy it is the Markov chain under that policy. --to python writes the policy as one file of plain Python, with its
+    tables inside, for a robot that does not have stltool. --to dot draws the automaton: states are labelled with what
+    they remember, edges with their conditions.
     """
     import stltool as stl
     from stltool.exporting import targets
@@ -83,7 +84,7 @@ def export(
     else:
         targets.write(target, asked, out)
     sizes, questions = {}, {}
-    if targets.TARGETS[target].of != "automaton":
+    if targets.TARGETS[target].of == "product":
         built = asked.built.model
         sizes = {"states": built.n_states, "choices": built.n_choices, "transitions": built.n_transitions}
         questions = asked.built.questions
@@ -102,3 +103,5 @@ def export(
     elif sizes:
         counts = ", ".join(f"{n} {what}" for what, n in sizes.items())
         print_facts({"written": f"{out}: {counts}", **{name: str(one) for name, one in questions.items()}})
+    elif targets.TARGETS[target].of == "policy":
+        print_facts({"written": out})

@@ -14,6 +14,7 @@ from stltool.automata.graph import to_dot
 from stltool.errors import FileError, SettingsError, named, near_misses
 from stltool.exporting.explicit import ProductMDP, product_mdp
 from stltool.exporting.prism import to_prism
+from stltool.exporting.standalone import to_python
 from stltool.files import require_result, write_result
 from stltool.policy import Policy, require_door
 from stltool.product import Product
@@ -54,6 +55,12 @@ class Target:
     of: str = "product"
 
 
+def _python(asked: Request) -> str:
+    assert asked.product is not None  # required by the target
+    assert asked.policy is not None
+    return to_python(asked.product, asked.policy)
+
+
 TARGETS: dict[str, Target] = {
     "dot": Target(
         (".dot", ".gv"), "graph", "the task's automaton for Graphviz", lambda asked: to_dot(asked.automaton),
@@ -62,6 +69,9 @@ TARGETS: dict[str, Target] = {
     "prism": Target(
         (".prism", ".nm", ".pm"), "PRISM program", "the product as a program for PRISM and Storm",
         lambda asked: to_prism(asked.built),
+    ),
+    "python": Target(
+        (".py",), "Python program", "a policy as a program of its own, for robots", _python, of="policy",
     ),
 }  # fmt: skip
 
@@ -78,7 +88,7 @@ def export(
 
     product  or an automaton alone, where the format shows nothing else
     path     the file; its ending says the format unless `to` does: "dot" (the automaton), "prism" (the product as a
-             program of the PRISM language)
+             program of the PRISM language), "python" (a policy as a program of its own)
     policy   export the Markov chain under this policy
     clock    count steps up to the horizon, so that the property that asks for P has no bound (see `product_mdp`)
 
@@ -133,8 +143,11 @@ def require_request(name: str, asked: Request) -> None:
         raise SettingsError(
             f"{name} is for the product of a task and a model; give one: stl.build_product(model, task)"
         )
-    if target.of == "policy" and asked.policy is None:
-        raise SettingsError(f"{name} needs a policy; give one")
+    if target.of == "policy":
+        if asked.policy is None:
+            raise SettingsError(f"{name} needs a policy; give {named('policy', 'policy=…')}")
+        if asked.clock:
+            raise SettingsError(f"{named('clock')} is for the product; leave it out with {name}")
     require_door("export", asked.product, asked.policy)
 
 

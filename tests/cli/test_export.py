@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -23,7 +25,7 @@ def test_export_draws_the_automaton(stltool, tmp_path):
     code, out, _ = stltool("export", bare, "--to", "dot")
     assert "b not seen for 2 steps" in out
     code, _, err = stltool("export", bare, "--to", "png")
-    assert (code, "known names: dot, prism" in err) == (2, True)
+    assert (code, "known names: dot, prism, python" in err) == (2, True)
 
 
 def test_the_product_as_a_program(stltool, tmp_path):
@@ -64,12 +66,14 @@ def test_the_chain_of_a_policy(stltool, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ([], "no format is given; write --to prism, or name a file that ends in one of .dot, .prism"),
+        ([], "no format is given; write --to prism, or name a file that ends in one of .dot, .prism, .py"),
         (["--out", "product.txt"], "product.txt: no format has this ending"),
         (["--to", "prism", "--out", "product.dot"], "a PRISM program ends in .prism or .nm or .pm"),
         (["--to", "prsm"], "--to prsm: there is no such format; did you mean prism?"),
         (["--to", "dot", "--clock"], "--clock is for the product; leave it out with dot"),
         (["--to", "dot", "--policy", "best.npz"], "a policy does not change the automaton"),
+        (["--to", "python"], "python needs a policy; give --policy"),
+        (["--out", "p.py", "--policy", "best.npz", "--clock"], "--clock is for the product; leave it out with python"),
     ],
 )
 def test_what_does_not_fit_is_refused(stltool, tmp_path, monkeypatch, options, says):
@@ -80,6 +84,23 @@ def test_what_does_not_fit_is_refused(stltool, tmp_path, monkeypatch, options, s
     assert (code, out) == (2, "")
     assert says in err
     assert [path.name for path in tmp_path.iterdir()] == ["best.npz"]
+
+
+def test_a_policy_as_a_program(stltool, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert stltool("check", PATROLLING, *SMALL, "--save-policy", "best.csv")[0] == 0
+    code, out, _ = stltool("export", PATROLLING, *SMALL, "--policy", "best.csv", "--out", "robot.py")
+    assert (code, out) == (0, "written  robot.py\n")
+    asked = ["export", PATROLLING, *SMALL, "--policy", "best.csv", "--to", "python"]
+    assert stltool(*asked)[1] == (tmp_path / "robot.py").read_text()
+    data = json.loads(stltool(*asked, "--json")[1])
+    assert (data["to"], data["questions"]) == ("python", None)
+    done = subprocess.run([sys.executable, "-I", "robot.py"], input="(1,0)\n(2,1)\n", capture_output=True, text=True)
+    assert done.stdout.split() == ["NE", "E", "undecided"]
+    assert stltool("export", PATROLLING, *SMALL, "--policy", "best.csv", "--out", "robot.py")[0] == 0  # ours
+    (tmp_path / "robot.py").write_text("print('mine')\n")
+    code, _, err = stltool("export", PATROLLING, *SMALL, "--policy", "best.csv", "--out", "robot.py")
+    assert (code, "does not contain a Python program that stltool wrote" in err) == (2, True)
 
 
 def test_a_task_without_a_model_has_no_product(stltool, tmp_path):

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.automata import UNDECIDED
-from stltool.checking.standalone import MOST_LINES, to_python
 from stltool.errors import PolicyError, SizeError
+from stltool.exporting.standalone import MOST_LINES, to_python
 from stltool.reached import reachable
 from tests.checking.test_black_box import hidden
 from tests.checking.test_check import products, random_policy
@@ -130,6 +130,6 @@ def test_a_policy_of_another_task_or_too_large_an_automaton(patrolling, floor5, 
     policy = stl.check(patrolling).policy
     with pytest.raises(PolicyError, match="not for F"):
         to_python(stl.build_product(floor5, stl.parse("F[0,5) A")), policy)
-    monkeypatch.setattr("stltool.checking.standalone._MOST_MOVES", 10)
+    monkeypatch.setattr("stltool.exporting.standalone._MOST_MOVES", 10)
     with pytest.raises(SizeError, match="too many for a program; save the policy as .json, and use stl.Runner"):
         to_python(patrolling, policy)

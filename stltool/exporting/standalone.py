@@ -32,7 +32,7 @@ _PROGRAM = '''\
 
 {facts}
 
-    from {module} import Policy
+    from policy import Policy        # if this file is called policy.py
 
     policy = Policy()
     while policy.verdict is None:
@@ -40,7 +40,7 @@ _PROGRAM = '''\
 
 `act` returns the name of an action, and None once the task is decided: `verdict` is then True or False. `reset` begins
 another run; `step`, `state` and `remembered` say where this one is. From a shell, with the name of a state on each line
-and the answers as they come: python -I {module}.py < states.txt
+and the answers as they come: python -I policy.py < states.txt
 
 {mark}
 """
@@ -142,8 +142,8 @@ if __name__ == "__main__":
 '''
 
 
-def to_python(product: Product, policy: Policy, module: str = "policy") -> str:
-    """The text of a Python file that acts as the policy does; `module` is its name, for its docstring.
+def to_python(product: Product, policy: Policy) -> str:
+    """The text of a Python file that acts as the policy does.
 
     Raises PolicyError if the policy belongs to another task or model, SizeError if its tables are too large for a
     program.
@@ -171,7 +171,7 @@ def to_python(product: Product, policy: Policy, module: str = "policy") -> str:
     shown = {name: _table(name, *table) for name, table in tables.items()}
     title = _plain(f"{product.task_name} on {model.name}, as a policy for robots.")
     return _PROGRAM.format(
-        title=title, facts=facts, module=module, mark=f"{MARK} {stltool.__version__}", horizon=automaton.horizon,
+        title=title, facts=facts, mark=f"{MARK} {stltool.__version__}", horizon=automaton.horizon,
         start=automaton.initial, **shown,
     )  # fmt: skip
 
