@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import base64
 import json
+import math
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any, NotRequired, TypedDict
 
@@ -73,8 +75,25 @@ class AutomatonRecord(TypedDict):
     arrows: list[ArrowRecord]
 
 
+class BodyRecord(TypedDict):
+    """A member of a composition that moves on a floor: of a state s of the model, its cell is (s // stride) mod the
+    number of its cells. `labels` are its own, by cell; `actions` are its parts of the model's actions."""
+
+    name: str
+    stride: int
+    width: int
+    height: int
+    x: list[int]
+    y: list[int]
+    labels: dict[str, list[int]]
+    actions: list[str]
+
+
 class PositionRecord(TypedDict):
-    """Where states are drawn: cells of a floor, or points of a graph in the unit square; only the `shown` ones."""
+    """Where states are drawn: cells of a floor, or points of a graph in the unit square; only the `shown` ones.
+
+    `bodies`, of a composition: the floor of each member that is a grid; the page draws one of them at a time.
+    """
 
     kind: str
     width: int
@@ -82,6 +101,7 @@ class PositionRecord(TypedDict):
     shown: list[int]
     x: list[float]
     y: list[float]
+    bodies: NotRequired[list[BodyRecord]]
 
 
 class ClaimRecord(TypedDict):
@@ -265,6 +285,28 @@ def _path(model: MDP, run: Run) -> PathRecord:
     return {"states": [int(s) for s in run.states], "choices": choices}
 
 
+def bodies(model: MDP) -> list[BodyRecord]:
+    """The members of a composition that are grids, those of its members included."""
+    return list(_bodies(model, "", 1, np.arange(model.n_actions)))
+
+
+def _bodies(model: MDP, name: str, stride: int, own: NDArray[np.int64]) -> Iterator[BodyRecord]:
+    """`own` is the model's part (n,) of each action of the whole."""
+    if model.layout is not None:
+        lay = model.layout
+        yield {
+            "name": name, "stride": stride, "width": lay.width, "height": lay.height, "x": lay.column.tolist(),
+            "y": (lay.height - 1 - lay.row).tolist(), "actions": [model.action_names[a] for a in own.tolist()],
+            "labels": {label: np.flatnonzero(values).tolist() for label, values in model.labels.items()},
+        }  # fmt: skip
+    stride *= math.prod(one.n_states for one in model.members.values())
+    actions = model.n_actions
+    for prefix, one in model.members.items():
+        stride, actions = stride // one.n_states, actions // one.n_actions
+        part = own // actions % one.n_actions
+        yield from _bodies(one, f"{name}.{prefix}" if name else prefix, stride, part)
+
+
 def position(product: Product, nodes: list[I64], run: list[int]) -> PositionRecord:
     """A floor, a floor read from two integer signals, or a graph; of many states, those that runs visit most."""
     model = product.model
@@ -274,6 +316,8 @@ def position(product: Product, nodes: list[I64], run: list[int]) -> PositionReco
         y = (lay.height - 1 - lay.row).tolist()
         return {"kind": "floor", "width": lay.width, "height": lay.height, "shown": everything,
                 "x": lay.column.tolist(), "y": y}  # fmt: skip
+    if model.members and (found := bodies(model)):
+        return {"kind": "floor", "width": 0, "height": 0, "shown": [], "x": [], "y": [], "bodies": found}
     if len(model.signals) == 2:
         (_, u), (name, v) = sorted(model.signals.items(), key=lambda pair: pair[0] in ("row", "y"))
         cells = np.stack([u, v], axis=1)

@@ -482,6 +482,49 @@ def test_random_models_are_explored_as_graphs(browser, tmp_path, seed):
         assert re.search(r"step 0 of \d+", page.text("#where"))
 
 
+def test_two_robots_are_explored_on_their_floors(browser, tmp_path):
+    """The picture is one robot's floor, the other one stays where the run has it; every cell is a joint state."""
+    task = stl.load_task(ROOT / "examples" / "team" / "handover.stl")
+    model = stl.load_model(task.model)
+    product = stl.build_product(model, task)
+    stl.report(stl.check(product), None, tmp_path / "page.html")
+    floor = model.members["r1"]
+    n = floor.n_states
+    with Opened(browser, tmp_path / "page.html") as page:
+        assert page.js("explorer.agrees")
+        for body, (name, stride) in enumerate((("r1", n), ("r2", 1))):
+            page.page.select_option("#body", str(body))
+            assert f"The floor of {name}" in page.text("#floor")
+            here = page.js("explorer.run().steps[explorer.view.t][0]")
+            states = page.js("n => Array.from({ length: n }, (_, u) => explorer.stateAt(u))", n)
+            assert states == [here + (u - here // stride % n) * stride for u in range(n)]
+            told = page.js(
+                "[...document.querySelectorAll('#floor g.cell[role=button]')].map(g => g.getAttribute('aria-label'))"
+            )
+            assert len(told) == n
+            for s, text in zip(states, told, strict=True):
+                assert text.startswith(f"state {model.state_name(s)}")
+            captions = page.js("[...document.querySelectorAll('#floor .ink text:first-child')].map(t => t.textContent)")
+            assert [set(text.split()) for text in captions] == [
+                {label for label, where in floor.labels.items() if where[u]} for u in range(n)
+            ]
+            open_cells = page.js(
+                "[...document.querySelectorAll('#floor g.cell[role=button]')].map((g, u) => [g, u])"
+                ".filter(([g]) => g.getAttribute('aria-disabled') === 'false').map(([, u]) => u)"
+            )
+            cell = next(u for u in open_cells if states[u] != here)
+            click = "dispatchEvent(new MouseEvent('click'))"
+            page.js(f"u => document.querySelectorAll('#floor g.cell[role=button]')[u].{click}", cell)
+            assert page.js("explorer.view.s") == states[cell]
+            assert model.state_name(states[cell]) in page.text("#here h3")
+            page.js("explorer.go(explorer.view.t)")
+        arrows = page.js("explorer.E.position.bodies.map(body => body.actions)")
+        for a, name in enumerate(model.action_names):
+            assert name == "+".join(f"r{i}.{own[a]}" for i, own in enumerate(arrows, start=1))
+        SCREENSHOTS.mkdir(parents=True, exist_ok=True)
+        page.page.locator("#explorer").screenshot(path=SCREENSHOTS / "team.png")
+
+
 def test_mixtures_are_shown_and_exported(browser, patrolling, tmp_path):
     weights = np.random.default_rng(0).dirichlet(np.full(9, 0.3), size=patrolling.shape)
     policy = stl.Policy(patrolling, weights)

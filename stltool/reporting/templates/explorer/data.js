@@ -39,3 +39,4 @@ if (!E || E.refused) {
 }
 const M = build(E, given.automaton.states, given.automaton.initial);
 const floor = E.position.kind === "floor";
+const bodies = E.position.bodies || null; // of a composition: the members whose floors can be drawn

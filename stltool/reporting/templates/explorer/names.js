@@ -14,22 +14,47 @@ const COMPASS = {
   left: [-1, 0],
   right: [1, 0],
 };
-const W = floor ? E.position.width * 100 : innerWidth < 560 ? 620 : 1000,
-  H = floor ? E.position.height * 100 : 640;
-const xy = new Array(M.S);
-E.position.shown.forEach((s, i) => {
-  const x = E.position.x[i],
-    y = E.position.y[i];
-  xy[s] = floor ? [x * 100 + 50, y * 100 + 50] : [70 + x * (W - 140), 80 + y * (H - 150)];
-});
+// The picture has slots: states, or the cells of one body, while the others stay where they are.
+let body = null, // the member of a composition whose floor is drawn
+  W = 0,
+  H = 0,
+  slots = [],
+  points = []; // of each slot
+function layOut(chosen) {
+  body = chosen;
+  const from = body || E.position;
+  W = floor ? from.width * 100 : innerWidth < 560 ? 620 : 1000;
+  H = floor ? from.height * 100 : 640;
+  slots = body ? body.x.map((_, cell) => cell) : E.position.shown;
+  points = [];
+  slots.forEach((slot, i) => {
+    const x = from.x[i],
+      y = from.y[i];
+    points[slot] = floor ? [x * 100 + 50, y * 100 + 50] : [70 + x * (W - 140), 80 + y * (H - 150)];
+  });
+}
+layOut(bodies ? bodies[0] : null);
+const cellOf = (s, of) => Math.floor(s / of.stride) % of.x.length;
+const slotOf = (s) => (body ? cellOf(s, body) : s);
+const xy = (s) => points[slotOf(s)];
+function anchor() {
+  // the state that the other bodies are in
+  if (view.s !== null) return view.s;
+  return at(Math.min(Math.max(view.t, run.start), end()))[0];
+}
+function stateAt(slot) {
+  if (!body) return slot;
+  const s = anchor();
+  return s + (slot - slotOf(s)) * body.stride;
+}
 const actionOf = (s, i) => E.actions[M.choice_action[M.choice_start[s] + i]];
-const place = floor ? "cell" : "state";
+const place = floor && !bodies ? "cell" : "state";
 const stateText = (s) => `${place} ${E.states[s]}`;
 const marksOf = E.states.map((_, s) => Object.keys(E.labels).filter((name) => E.labels[name].includes(s)));
 
 function heading(s, i) {
   // where an action points: its compass name, else its most probable successor
-  const name = actionOf(s, i);
+  const name = body ? body.actions[M.choice_action[M.choice_start[s] + i]] : actionOf(s, i);
   if (floor && Object.hasOwn(COMPASS, name)) return COMPASS[name];
   const c = M.choice_start[s] + i;
   let goal = -1,
@@ -37,9 +62,9 @@ function heading(s, i) {
   for (let k = M.row_start[c]; k < M.row_start[c + 1]; k++) {
     if (M.probability[k] > p) [goal, p] = [M.target[k], M.probability[k]];
   }
-  if (!xy[goal] || !xy[s]) return null;
-  const dx = xy[goal][0] - xy[s][0],
-    dy = xy[goal][1] - xy[s][1],
+  if (goal < 0 || !xy(goal) || !xy(s)) return null;
+  const dx = xy(goal)[0] - xy(s)[0],
+    dy = xy(goal)[1] - xy(s)[1],
     r = Math.hypot(dx, dy);
   return r && name !== "stay" ? [dx / r, dy / r] : null;
 }

@@ -1,12 +1,28 @@
 /* The floor or the graph, and its legend. */
 
-const cells = new Array(M.S),
-  layer = {},
-  drawn = new Array(M.S);
+let cells = [], // by slot
+  drawn = [];
+const layer = {};
 
+function pickBody() {
+  // whose floor is drawn, if there are several
+  const box = el("select", {
+    id: "body",
+    onchange: (event) => {
+      layOut(bodies[Number(event.target.value)]);
+      $("floor").replaceChildren();
+      buildPicture();
+      draw();
+    },
+  });
+  box.append(...bodies.map((one, i) => el("option", { value: i }, one.name)));
+  $("run").parentElement.after(el("label", { class: "pick" }, "Floor of ", box));
+}
 function buildPicture() {
-  const many = E.position.shown.length > 40,
-    fine = floor && E.position.width > 6;
+  [cells, drawn] = [[], []];
+  const many = slots.length > 40,
+    fine = floor && W > 600,
+    labels = body ? body.labels : E.labels;
   const root = svg("svg", {
     viewBox: `-4 -4 ${W + 8} ${H + 8}`,
     role: "group",
@@ -30,9 +46,9 @@ function buildPicture() {
   layer.taken = svg("g", { "aria-hidden": "true" });
   root.append(layer.taken);
   const inks = svg("g", { class: "inks", "aria-hidden": "true" });
-  E.position.shown.forEach((s, i) => {
-    const [x, y] = xy[s],
-      names = marksOf[s];
+  slots.forEach((slot, i) => {
+    const [x, y] = points[slot],
+      names = body ? Object.keys(labels).filter((name) => labels[name].includes(slot)) : marksOf[slot];
     const group = svg("g", { class: "cell", role: "button", tabindex: i ? -1 : 0 });
     const shape = (kind) => {
       const inset = kind === "edge" ? 3 : 0;
@@ -55,7 +71,7 @@ function buildPicture() {
       : svg(
           "text",
           { class: "caption", x, y: y - 58, "font-size": 22, "font-weight": 650, "text-anchor": "middle" },
-          label([E.states[s], ...names].join(" · ")),
+          label([E.states[slot], ...names].join(" · ")),
         );
     const ink = svg("g"),
       hand = svg("g"),
@@ -71,27 +87,38 @@ function buildPicture() {
     group.append(title, shape("bg"), shape("edge"));
     ink.append(caption, hand, value, badge);
     inks.append(ink);
-    group.addEventListener("click", () => choose(s));
-    group.addEventListener("keydown", (event) => cellKey(event, s));
+    group.addEventListener("click", () => choose(stateAt(slot)));
+    group.addEventListener("keydown", (event) => cellKey(event, slot));
     group.addEventListener("focus", () => {
-      for (const u of E.position.shown) cells[u].group.setAttribute("tabindex", u === s ? 0 : -1);
+      for (const u of slots) cells[u].group.setAttribute("tabindex", u === slot ? 0 : -1);
     });
-    cells[s] = { group, ink, hand, value, badge, title, fine };
+    cells[slot] = { group, ink, hand, value, badge, title, fine };
     root.append(group);
   });
   if (floor) {
-    for (const states of Object.values(E.labels))
-      root.append(svg("path", { class: "region", d: outline(states), "aria-hidden": "true" }));
+    for (const inside of Object.values(labels))
+      root.append(svg("path", { class: "region", d: outline(inside), "aria-hidden": "true" }));
   }
   layer.trail = svg("g", { "aria-hidden": "true", class: "inks" });
   root.append(layer.trail, inks);
   $("floor").append(root);
-  if (E.position.shown.length < M.S) {
+  if (body) {
+    const others = bodies.filter((one) => one !== body).map((one) => one.name);
+    if (others.length)
+      $("floor").append(
+        el(
+          "p",
+          { class: "note" },
+          `The floor of ${body.name}: what if it were in another cell, and ${others.join(", ")} where the run has them ` +
+            "(circles with their names, where they are on the same floor).",
+        ),
+      );
+  } else if (slots.length < M.S) {
     $("floor").append(
       el(
         "p",
         { class: "note" },
-        `Drawn are ${E.position.shown.length} of ${M.S} states: those of the report's run, and those in which runs can ` +
+        `Drawn are ${slots.length} of ${M.S} states: those of the report's run, and those in which runs can ` +
           "be at most steps. The table below the picture has all.",
       ),
     );
@@ -100,10 +127,10 @@ function buildPicture() {
 function links() {
   const seen = new Set(),
     found = [];
-  for (const s of E.position.shown) {
+  for (const s of slots) {
     for (let k = M.row_start[M.choice_start[s]]; k < M.row_start[M.choice_start[s + 1]]; k++) {
       const u = M.target[k];
-      if (u === s || !xy[u] || !M.possible(k) || seen.has(s * M.S + u)) continue;
+      if (u === s || !xy(u) || !M.possible(k) || seen.has(s * M.S + u)) continue;
       seen.add(s * M.S + u);
       found.push(svg("path", { class: "link", d: bend(s, u) }));
     }
@@ -111,19 +138,19 @@ function links() {
   return found;
 }
 function bend(s, u) {
-  const [x, y] = xy[s],
-    [X, Y] = xy[u],
+  const [x, y] = xy(s),
+    [X, Y] = xy(u),
     dx = X - x,
     dy = Y - y;
   return `M${x} ${y}Q${(x + X) / 2 - dy * 0.14} ${(y + Y) / 2 + dx * 0.14} ${X} ${Y}`;
 }
-function outline(states) {
+function outline(of) {
   const key = (x, y) => `${x},${y}`,
-    column = (s) => (xy[s][0] - 50) / 100,
-    row = (s) => (xy[s][1] - 50) / 100;
-  const inside = new Set(states.map((s) => key(column(s), row(s))));
+    column = (slot) => (points[slot][0] - 50) / 100,
+    row = (slot) => (points[slot][1] - 50) / 100;
+  const inside = new Set(of.map((slot) => key(column(slot), row(slot))));
   let d = "";
-  for (const s of states) {
+  for (const s of of) {
     const x = column(s),
       y = row(s),
       left = x * 100 + 6,
@@ -145,13 +172,14 @@ function choose(s) {
   draw();
 }
 const DIRECTIONS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
-function cellKey(event, s) {
-  const move = DIRECTIONS[event.key];
+function cellKey(event, slot) {
+  const s = stateAt(slot),
+    move = DIRECTIONS[event.key];
   if (event.key === "Enter" || event.key === " ") {
     event.preventDefault();
     event.stopPropagation();
     choose(s);
-    if (view.s === s) say(cells[s].group.getAttribute("aria-label"));
+    if (view.s === s) say(cells[slot].group.getAttribute("aria-label"));
     return;
   }
   if (!move) return;
@@ -159,10 +187,10 @@ function cellKey(event, s) {
   event.stopPropagation();
   let nearest = -1,
     least = Infinity;
-  for (const u of E.position.shown) {
-    // the nearest state in that direction
-    const dx = xy[u][0] - xy[s][0],
-      dy = xy[u][1] - xy[s][1];
+  for (const u of slots) {
+    // the nearest one in that direction
+    const dx = points[u][0] - points[slot][0],
+      dy = points[u][1] - points[slot][1];
     const along = dx * move[0] + dy * move[1],
       off = Math.abs(dx * move[1]) + Math.abs(dy * move[0]);
     if (along > 1 && along + 3 * off < least) [nearest, least] = [u, along + 3 * off];
@@ -170,7 +198,7 @@ function cellKey(event, s) {
   if (nearest >= 0) cells[nearest].group.focus();
 }
 function drawPicture() {
-  for (const s of E.position.shown) drawCell(s);
+  for (const slot of slots) drawCell(slot);
   drawTrail();
   if (floor) return;
   const here = following() ? at(view.t) : null,
@@ -180,16 +208,17 @@ function drawPicture() {
   if (o && o.n >= 0) {
     for (const [i, weight] of tried.n === o.n ? [[tried.i, 1]] : taken(M, policy[o.n])) {
       for (const x of outcomes(M, o.n, i)) {
-        if (x.s !== s && xy[x.s] && xy[s])
+        if (x.s !== s && xy(x.s) && xy(s))
           paths.push(svg("path", { class: "taken", d: bend(s, x.s), "stroke-width": 3 + 13 * x.p * weight }));
       }
     }
   }
   layer.taken.replaceChildren(...paths);
 }
-function drawCell(s) {
-  const o = shown(view.t, s, view.m),
-    c = cells[s],
+function drawCell(slot) {
+  const s = stateAt(slot),
+    o = shown(view.t, s, view.m),
+    c = cells[slot],
     open = !!o && o.n >= 0,
     k = o ? shade(o.p) : 0;
   const changed = open && edits.has(o.n),
@@ -208,8 +237,8 @@ function drawCell(s) {
   const marks = marksOf[s].length ? `, label ${marksOf[s].join(", ")}` : "";
   const text = `${stateText(s)}${marks}: ${words}${other}`;
   const key = [text, open ? policy[o.n] : "", o && o.p, selected, changed, rare].join();
-  if (drawn[s] === key) return;
-  drawn[s] = key;
+  if (drawn[slot] === key) return;
+  drawn[slot] = key;
   const classes = ["cell", k < 0.5 ? "l" : "h"];
   const when = {
     d1: k > 0.6,
@@ -227,7 +256,7 @@ function drawCell(s) {
   c.ink.setAttribute("class", [...classes, "ink"].join(" "));
   c.group.style.setProperty("--m", String(Math.round((k < 0.5 ? k : k - 0.5) * 200)));
   c.badge.setAttribute("r", changed ? 10 : 0);
-  const [x, y] = xy[s],
+  const [x, y] = points[slot],
     hands = [];
   if (open) {
     for (const [i, weight] of taken(M, policy[o.n])) hands.push(arrow(s, i, x, y - (floor ? 5 : 10), 17, weight));
@@ -256,9 +285,9 @@ function drawTrail() {
     from = Math.max(run.start, last - 6),
     up = floor ? 5 : 0;
   const steps = [];
-  for (let t = from; t <= last; t++) if (xy[at(t)[0]]) steps.push(at(t)[0]);
+  for (let t = from; t <= last; t++) if (xy(at(t)[0])) steps.push(at(t)[0]);
   if (floor && steps.length > 1) {
-    const d = `M${steps.map((s) => `${xy[s][0]} ${xy[s][1] - up}`).join("L")}`;
+    const d = `M${steps.map((s) => `${xy(s)[0]} ${xy(s)[1] - up}`).join("L")}`;
     parts.push(svg("path", { class: "trail-case", d }));
     parts.push(svg("path", { class: "trail", d, "stroke-opacity": following() ? 0.85 : 0.35 }));
   } else {
@@ -273,8 +302,17 @@ function drawTrail() {
     }
   }
   const now = at(last);
-  if (now && xy[now[0]]) {
-    const [cx, cy] = xy[now[0]],
+  for (const one of bodies || []) {
+    if (one === body || one.x.join() !== body.x.join() || one.y.join() !== body.y.join()) continue;
+    const [cx, cy] = points[cellOf(anchor(), one)];
+    parts.push(
+      svg("circle", { class: "robot-case", cx, cy: cy - up, r: 36 }),
+      svg("circle", { class: "robot away", cx, cy: cy - up, r: 36 }),
+      svg("text", { class: "fg", x: cx, y: cy + 20, "font-size": 17, "text-anchor": "middle" }, label(one.name)),
+    );
+  }
+  if (now && xy(now[0])) {
+    const [cx, cy] = xy(now[0]),
       away = following() ? "" : " away",
       r = floor ? 29 : 54;
     for (const kind of ["robot-case", "robot"]) parts.push(svg("circle", { class: kind + away, cx, cy: cy - up, r }));

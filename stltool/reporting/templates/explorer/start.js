@@ -56,6 +56,7 @@ function jump(t) {
   go(t);
   sayStep();
 }
+if (bodies && bodies.length > 1) pickBody();
 buildPicture();
 drawLegend();
 buildSliders();
@@ -153,6 +154,7 @@ globalThis.explorer = {
   Pbest,
   agrees,
   run: () => run,
+  stateAt,
   full,
   brief,
 }; // for tests
