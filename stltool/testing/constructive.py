@@ -103,7 +103,14 @@ class Constructor:
         self._groups = groups([leaf for leaf in read if isinstance(leaf, Comparison)], ranges)
         self.sharp = all(group.sharp for group in self._groups)
         self._labels = [leaf for leaf in read if isinstance(leaf, Label)]
-        known = {name for group in self._groups for name in group.names} | {label.name for label in self._labels}
+        compared = {name for group in self._groups for name in group.names}
+        told = {label.name for label in self._labels}
+        if both := sorted((compared | ranges.keys()) & (told | set(labels))):
+            raise SettingsError(
+                f"{', '.join(both)}: a name is either a label, true or false at each step, or a signal with a "
+                "range; use another name for one of them"
+            )
+        known = compared | told
         self._free = {name: _anything(limits) for name, limits in ranges.items() if name not in known}
         self._idle = [name for name in labels if name not in known]
         options: list[Sequence[tuple[bool, ...]]] = [group.rows for group in self._groups]
@@ -143,6 +150,7 @@ class Constructor:
         self._automaton = decided_early(automaton, letters)
         self._delta = self._automaton.delta[used]
         self._rows_of = [np.flatnonzero(self._letter_of_row == i).tolist() for i in range(len(used))]
+        self._known: dict[bytes, list[int]] = {}
         self._wins = lru_cache(maxsize=_REMEMBERED)(self._backwards)
 
     def _certain(self) -> list[int]:
@@ -174,7 +182,7 @@ class Constructor:
         for t in range(self.horizon + 1 if steps is None else steps):
             if t <= d:
                 after = self._delta[:, q]
-                rows = self._allowed(np.flatnonzero(win[t][after]).tobytes())
+                rows = self._allowed(np.flatnonzero(win[t][after]))
                 row = rows[draw(len(rows))]
                 q = int(after[self._letter_of_row[row]])
             else:
@@ -189,9 +197,12 @@ class Constructor:
             told.append([*(part[0] for part in parts[len(self._groups) :]), *(draw(2) == 1 for _ in self._idle)])
         return self._columns(values, told)
 
-    @lru_cache(maxsize=4096)  # noqa: B019  # lives as long as the constructor, which is itself kept
-    def _allowed(self, letters: bytes) -> list[int]:
-        return sorted(row for letter in np.frombuffer(letters, dtype=np.int64) for row in self._rows_of[letter])
+    def _allowed(self, letters: NDArray[np.int64]) -> list[int]:
+        """The assignments with one of these letters, simplest first."""
+        key = letters.tobytes()
+        if key not in self._known:
+            self._known[key] = sorted(row for letter in letters.tolist() for row in self._rows_of[letter])
+        return self._known[key]
 
     def _columns(self, values: Sequence[Values], told: Sequence[Sequence[bool]]) -> Columns:
         names = [label.name for label in self._labels] + self._idle

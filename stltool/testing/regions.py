@@ -129,8 +129,8 @@ class Choices:
         assert part.high is not None
         if part.low == part.high:
             return cls(part.low) if kept(part.low) and _is_decimal(part.low / scale) else None
-        magnitude = math.floor(math.log10((part.high - part.low) / scale))
-        power, found = magnitude + 1, list[Fraction]()  # at most ten multiples fit
+        magnitude = _magnitude_of((part.high - part.low) / scale)
+        power, found = magnitude + 1, list[Fraction]()  # few multiples fit
         while True:
             unit = scale * Fraction(10) ** power
             first, last = part.multiples(unit)
@@ -163,6 +163,11 @@ class Choices:
             return self.ends[i % 2]
         value = self.unit * self.multiples[(i - n) // 2]
         return value if kept(value) else self.simplest
+
+
+def _magnitude_of(width: Fraction) -> int:
+    """About log10, also beyond the range of doubles."""
+    return math.floor((width.numerator.bit_length() - width.denominator.bit_length()) * math.log10(2))
 
 
 def _plainness(value: Fraction) -> tuple[int, Fraction, bool]:

@@ -42,8 +42,18 @@ small = formulas(labels=("a", "b"), signals=RANGES, longest=2, max_leaves=2)
 windows = st.tuples(st.integers(0, 2), st.integers(0, 2)).map(lambda ab: Interval(min(ab), max(ab)))
 
 
+def online(phi, trace):
+    """The verdict of step 0, as soon as it is certain."""
+    monitor = stl.OnlineMonitor(phi)
+    for t in range(len(trace["a"])):
+        for decision in monitor.feed({name: values[t] for name, values in trace.items()}):
+            if decision.step == 0:
+                return decision.verdict
+    raise AssertionError("the trace decides step 0")
+
+
 @given(phi=formulas(labels=("a", "b"), signals=RANGES, longest=3, max_leaves=4, past=True), data=st.data())
-@settings(max_examples=many(80))
+@settings(max_examples=many(60))
 def test_every_judge_agrees_on_traces_that_satisfy_and_on_traces_that_violate(phi, data):
     read = leaves(phi)
     automaton = compile_automaton(phi)
@@ -65,19 +75,20 @@ def test_every_judge_agrees_on_traces_that_satisfy_and_on_traces_that_violate(ph
         assert automaton.judge(automaton.letters_at(rows)) is not None
         assert automaton.judge(automaton.letters_at(rows))[0] == verdict
         assert stl.diagnose(phi, trace).verdict == verdict
+        assert online(phi, trace) == verdict
         if verdict:
             assert_trace(phi, trace)
 
 
 @given(phi=small, psi=small, window=windows)
-@settings(max_examples=many(40))
+@settings(max_examples=many(25))
 def test_duality(phi, psi, window):
     assert_equivalent(Not(Eventually(window, phi)), Always(window, Not(phi)), RANGES)
     assert_equivalent(Not(Until(window, phi, psi)), stl.release(Not(phi), Not(psi), window.a, window.b), RANGES)
 
 
 @given(phi=small, psi=small, n=st.integers(1, 2))
-@settings(max_examples=many(40))
+@settings(max_examples=many(25))
 def test_unfolding(phi, psi, n):
     later = Interval(1, n)
     assert_equivalent(Eventually(Interval(0, n), phi), Or((phi, Eventually(later, phi))), RANGES)
@@ -86,7 +97,7 @@ def test_unfolding(phi, psi, n):
 
 
 @given(phi=small, window=windows, more=st.integers(0, 2))
-@settings(max_examples=many(40))
+@settings(max_examples=many(25))
 def test_wider_windows_are_weaker_for_eventually_and_stronger_for_always(phi, window, more):
     wider = Interval(window.a, window.last + more)
     assert_refines(Eventually(window, phi), Eventually(wider, phi), RANGES)
@@ -95,7 +106,7 @@ def test_wider_windows_are_weaker_for_eventually_and_stronger_for_always(phi, wi
 
 
 @given(model=mdps(states=3), phi=small, n=st.integers(0, 2))
-@settings(max_examples=many(40))
+@settings(max_examples=many(25))
 def test_probabilities_are_dual_and_monotone_in_windows(model, phi, n):
     best = [
         stl.check(stl.build_product(model, Eventually(Interval(0, m), phi)), exact=True).fraction for m in (n, n + 1)
@@ -132,7 +143,7 @@ def split(model, s):
 
 
 @given(model=mdps(states=3), phi=formulas(longest=2, max_leaves=3), data=st.data())
-@settings(max_examples=many(40))
+@settings(max_examples=many(25))
 def test_names_and_copies_of_states_do_not_matter(model, phi, data):
     best = stl.check(stl.build_product(model, phi), exact=True).fraction
 

@@ -96,4 +96,7 @@ def test_values_are_short_and_reach_the_ends():
     assert Choices.within(Span(Fraction(1), Fraction(1), low_open=True)) is None
     double = Fraction("0.1")
     assert Choices.within(Span(double, double + Fraction(1, 10**30), low_open=True)) is None  # between two doubles
+    largest = Fraction(1.7976931348623157e308)
+    widest = Choices.within(Span(-largest, largest))
+    assert all(abs(widest.pick(random.Random(seed).randrange)) <= largest for seed in range(20))
     assert Choices.within(Span(None, Fraction(10**15))).pick(lambda n: 0) <= 10**15

@@ -179,6 +179,9 @@ def test_ranges_and_names():
          r"no trace satisfies G\[0,3\] \(x > 20\) with signals in their ranges; give other ranges"),
         (lambda: violating_traces(stl.parse("x^2 >= 0")), InfeasibleError, "no trace was found that violates"),
         (lambda: satisfying_traces(stl.parse(" & ".join(f"l{i}" for i in range(20)))), SizeError, "20 labels"),
+        (lambda: satisfying_traces(stl.parse("a & a > 0.5")), SettingsError, "a: a name is either a label"),
+        (lambda: satisfying_traces(stl.parse("a"), {"a": (0, 1)}), SettingsError, "a: a name is either a label"),
+        (lambda: satisfying_traces(stl.parse("x > 1"), labels=["x"]), SettingsError, "x: a name is either a label"),
         (lambda: satisfying_traces(stl.parse("x*y*z*w*u*v > 1")), SettingsError, "compare fewer of them"),
     ],
 )  # fmt: skip
