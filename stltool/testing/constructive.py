@@ -68,6 +68,7 @@ Columns: TypeAlias = dict[str, NDArray[np.float64] | NDArray[np.bool_]]
 _MOST_ROWS = 1 << 14  # truth assignments of everything at a step
 _MOST_EFFORT = 200_000_000  # steps times states times letters
 _MOST_STATES = 20_000
+_MOST_STEPS = 100_000
 _REMEMBERED = 64  # steps of certainty whose moves are kept
 
 
@@ -99,6 +100,10 @@ class Constructor:
                 "give the change a signal of its own, such as change = x - x[t-1]"
             )
         self.horizon = horizon(phi)
+        if self.horizon >= _MOST_STEPS:
+            raise SizeError(
+                f"{_shown(phi)} has horizon {self.horizon}; traces of over {_MOST_STEPS} steps are not built"
+            )
         read = leaves(phi)
         self._groups = groups([leaf for leaf in read if isinstance(leaf, Comparison)], ranges)
         self.sharp = all(group.sharp for group in self._groups)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.errors import NameLookupError, SettingsError, TraceError
-from stltool.logic.formula import Not
+from stltool.logic.formula import And, Not
 from stltool.testing import (
     FormulasDiffer,
     ProbabilityViolation,
@@ -200,6 +200,21 @@ def test_formulas_differ_if_and_only_if_a_trace_says_so(phi, data):
         trace = data.draw(traces(steps, labels=("a",), signals={"x": (0, 3)}))
         assert stl.satisfies(phi, trace) == stl.satisfies(psi, trace)
     assert_equivalent(Not(Not(phi)), phi)
+
+
+@given(
+    phi=formulas(labels=("a",), signals={"x": (0, 1)}, max_leaves=2, longest=1, past=True),
+    psi=formulas(labels=("a",), signals={"x": (0, 1)}, max_leaves=2, longest=1, past=True),
+)
+@settings(max_examples=many(60))
+def test_formulas_refine_each_other_if_and_only_if_the_contrary_has_no_meaning(phi, psi):
+    try:
+        assert_refines(phi, psi)
+        refines = True
+    except FormulasDiffer:
+        refines = False
+    can_hold = stl.meaning(And((phi, Not(psi)))).can_hold  # decided by other means (automata/vacuity.py)
+    assert can_hold is None or can_hold != refines
 
 
 def test_every_assertion_is_one_and_hides_its_frames():

@@ -182,6 +182,7 @@ def test_ranges_and_names():
         (lambda: satisfying_traces(stl.parse("a & a > 0.5")), SettingsError, "a: a name is either a label"),
         (lambda: satisfying_traces(stl.parse("a"), {"a": (0, 1)}), SettingsError, "a: a name is either a label"),
         (lambda: satisfying_traces(stl.parse("x > 1"), labels=["x"]), SettingsError, "x: a name is either a label"),
+        (lambda: satisfying_traces(stl.parse("F[0,100000] a")), SizeError, "over 100000 steps are not built"),
         (lambda: satisfying_traces(stl.parse("x*y*z*w*u*v > 1")), SettingsError, "compare fewer of them"),
     ],
 )  # fmt: skip
