@@ -83,7 +83,7 @@ def _traces(
         elif isinstance(values, st.SearchStrategy):
             column = [_number(name, draw(values)) for _ in range(n)]
             if name in changes:
-                column = _slowed(column, changes[name])
+                column = slowed(column, changes[name])
         else:
             column = _within(by(draw), values, n, changes.get(name))
         trace[name] = np.array(column, dtype=np.float64)
@@ -112,7 +112,7 @@ def _number(name: str, value: object) -> float:
     return number
 
 
-def _slowed(towards: Sequence[float], change: Fraction) -> list[float]:
+def slowed(towards: Sequence[float], change: Fraction) -> list[float]:
     """From the first value towards each of the others, by at most `change`, in exact decimals."""
     column = [towards[0]]
     for goal in towards[1:]:

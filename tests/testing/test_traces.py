@@ -26,6 +26,7 @@ from stltool.testing import (
     violating_traces,
 )
 from stltool.testing.constructive import Constructor, NoTraceError, near
+from stltool.testing.traces import slowed
 from tests.conftest import many
 
 RESPONSE = stl.parse("G[0,5] (request -> F[0,2] level > 3)")
@@ -146,6 +147,12 @@ def test_signals_move_no_faster_than_allowed(data, change):
                for before, after in itertools.pairwise(column))  # fmt: skip
     assert min(column) >= Fraction("-0.1")
     assert values == (-0.1, None) or max(column) <= 9
+
+
+def test_rounding_moves_no_signal_too_fast():
+    rng = random.Random(3)
+    column = [shortest(value) for value in slowed([rng.uniform(0, 9) for _ in range(300)], Fraction(1, 3))]
+    assert max(abs(after - before) for before, after in itertools.pairwise(column)) <= Fraction(1, 3)
 
 
 def test_ranges_and_names():
