@@ -32,6 +32,11 @@ def reworded(error: StlToolError, spell: Callable[[str, str], str]) -> str:
     return _NAMED.sub(lambda found: spell(found[1], found[2]), error._marked)
 
 
+def marked(error: StlToolError) -> str:
+    """An error's message for the message of another error, which then spells the named arguments, too."""
+    return error._marked
+
+
 def named(argument: str, text: str | None = None) -> str:
     """An argument of a public function in a message: its name, or `text`, such as "resume=True".
 

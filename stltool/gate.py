@@ -19,7 +19,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal, TypeAlias, cast
 
-from stltool.arguments import flag, function, mapping, require
+from stltool.arguments import function, mapping, require
 from stltool.arguments import path as path_of
 from stltool.checking import CheckResult, check, robust_check, write_certificate
 from stltool.checking.certificate import require_certificate_file
@@ -34,6 +34,7 @@ from stltool.logic.parser import Survey, survey_task
 from stltool.logic.quantities import ParamValue
 from stltool.logic.task import Task
 from stltool.models import MDP, load_model
+from stltool.models.loading import Deadlocks, Loading
 from stltool.monitoring import MonitorResult, monitor
 from stltool.monitoring.logs import Reading
 from stltool.monitoring.logs.clock import TOLERANCE, Resample
@@ -123,6 +124,8 @@ def verify(
     *,
     params: Mapping[str, ParamValue] | None = None,
     normalize: bool = False,
+    initial: str | int | None = None,
+    deadlocks: Deadlocks = "loop",
     certificates: str | Path | None = None,
     exact_seconds: float = EXACT_SECONDS,
     memory_limit: int | None = None,
@@ -137,7 +140,7 @@ def verify(
 
     params          values of params, in every file that has one of that name; the others are values of parameters of
                     the models
-    normalize       as for `load_model`
+    normalize, initial, deadlocks     how models are read: as for `load_model`
     certificates    a folder that receives a certificate of every probability without intervals
     exact_seconds   where a bound lies inside an enclosure, the exact fraction is computed if it takes no longer than
                     this, by estimate; otherwise the expectation is undecided
@@ -153,13 +156,13 @@ def verify(
     paths = _paths(files)
     mapping(params, "verify's params", "{'T': 20}", optional=True)
     reading = Reading(time, resample, tolerance, decimal, missing)
-    flag(normalize, "verify's normalize")
+    loading = Loading.of(normalize, initial, deadlocks)
     function(stage, "verify's stage")
     seconds = seconds_of(exact_seconds, "exact_seconds")
     memory_limit = require_limit(memory_limit) if memory_limit is not None else None
     folder = path_of(certificates, "verify's certificates") if certificates is not None else None
     told = _staged(stage) if stage is not None else lambda title: nullcontext()
-    gate = _Gate(dict(params or {}), normalize, seconds, memory_limit, told, reading)
+    gate = _Gate(dict(params or {}), loading, seconds, memory_limit, told, reading)
     tasks = gate.read(paths)
     if folder is not None:
         require_folder(folder)
@@ -218,7 +221,7 @@ class _Asked:
 @dataclass
 class _Gate:
     params: dict[str, ParamValue]
-    normalize: bool
+    loading: Loading
     exact_seconds: float
     memory_limit: int | None
     stage: Stage
@@ -312,7 +315,7 @@ class _Gate:
         place = path.resolve()
         if place not in self.loaded:
             with self.stage(f"reading {path}"):
-                self.loaded[place] = load_model(path, self.normalize)
+                self.loaded[place] = load_model(path, **vars(self.loading))
         model = self.loaded[place]
         others = self.params.keys() - set(declared)
         names = frozenset(others.intersection(_parameters(model)) if others else ())

@@ -361,6 +361,7 @@ OWN = {
     "Counts.contains": {"other": {"Counts"}},
     "markov_test": {"counts": {"Counts"}, "draws": {"int"}},
     "verify": {
+        "initial": {"None", "int", "text"},
         "files": {*PATHS, *LISTS}, "certificates": {"None", *PATHS}, "exact_seconds": NUMBERS, "stage": CALLABLE,
         "time": {"None", "text"}, "resample": {"None"},
     },

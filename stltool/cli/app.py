@@ -29,7 +29,13 @@ class _App(typer.Typer):
         register = super().command(epilog=f"Example: {example}", context_settings=_HELP, **named)
 
         def registered(function: _Command) -> _Command:
-            hints: dict[str, Any] = get_type_hints(function, include_extras=True)
+            whole: dict[str, Any] = get_type_hints(function, include_extras=True)
+            groups = {
+                name: kind for name, kind in whole.items() if hasattr(kind, "_fields")
+            }  # options as a named tuple
+            hints: dict[str, Any] = {}
+            for name, hint in whole.items():
+                hints |= get_type_hints(hint, include_extras=True) if name in groups else {name: hint}
             files: dict[str, Parameter] = {}
             options: dict[str, Spelled] = {}
             for name, hint in hints.items():
@@ -44,7 +50,7 @@ class _App(typer.Typer):
                     options[own.argument] = Spelled(shown, kind is bool, own.advice)
                 if roles := tuple(role for role in option if isinstance(role, Reads | Writes)):
                     files[name] = Parameter(shown, roles)
-            function.__annotations__ = hints
+            function.__annotations__ = whole
 
             @functools.wraps(function)
             def command(quiet: bool, version: bool, **given: Any) -> Any:
@@ -53,6 +59,8 @@ class _App(typer.Typer):
                 LOG.quiet = quiet
                 try:
                     require_apart(files, given)
+                    for name, kind in groups.items():
+                        given[name] = kind(**{field: given.pop(field) for field in kind._fields})
                     return function(**given)
                 except StlToolError as fault:
                     fault.args = (reworded(fault, spelling(options)),)
@@ -63,8 +71,11 @@ class _App(typer.Typer):
                 inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
                 for name, kind in (("quiet", Quiet), ("version", Version))
             ]
-            given = [one.replace(annotation=hints[name], kind=inspect.Parameter.KEYWORD_ONLY)
-                     for name, one in signature.parameters.items()]  # fmt: skip
+            given = [
+                inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hints[key])
+                for name, one in signature.parameters.items()
+                for key, default in (groups[name]._field_defaults.items() if name in groups else [(name, one.default)])
+            ]
             command.__signature__ = signature.replace(parameters=[*given, *common])  # type: ignore[attr-defined]
             command.__annotations__ = {**hints, "quiet": Quiet, "version": Version}
             command.files = files  # type: ignore[attr-defined]  # for tests over all commands

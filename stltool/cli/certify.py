@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, TaskName
+from stltool.cli.options import READ, AsJson, Encoding, Model, ModelReading, Params, TaskName
 from stltool.cli.roles import Reads, task_files
 from stltool.cli.steps import load_product, read_params
 from stltool.errors import RefusedError, SettingsError
@@ -34,7 +34,7 @@ def certify(
         Reads("policy"),
     ] = None,
     model: Model = None,
-    normalize: Normalize = False,
+    reading: ModelReading = READ,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
@@ -61,7 +61,7 @@ def certify(
             error(str(refusal))
         raise typer.Exit(1) from None
     if task is not None:
-        product = load_product(task, model, param, name, encoding, normalize=normalize)
+        product = load_product(task, model, param, name, encoding, reading=reading)
         _require_task(file, task, param, str(proved["formula"]), str(product.formula))
         require_certificate_of(file, product, stl.load_policy(policy, product) if policy is not None else None)
         nominal = product.model.uncertain

@@ -12,11 +12,12 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import (
+    READ,
     AsJson,
     Encoding,
     Model,
+    ModelReading,
     Nominal,
-    Normalize,
     Params,
     PolicyFile,
     PolicyFunction,
@@ -138,7 +139,7 @@ def check(
     ] = None,
     report: ReportFolder = None,
     model: Model = None,
-    normalize: Normalize = False,
+    reading: ModelReading = READ,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
@@ -183,7 +184,7 @@ def check(
         ):  # fmt: skip
             if forbidden:
                 raise SettingsError(f"{option} is for one value of the parameter; leave it or --vary out")
-        product = load_product(task, model, param, name, encoding, normalize=normalize)
+        product = load_product(task, model, param, name, encoding, reading=reading)
         chosen = given_policy(product, policy, policy_function)
         if not check_range(product, chosen, vary, not minimize, bounds, as_json):
             raise typer.Exit(1)
@@ -201,7 +202,7 @@ def check(
         require_certificate_file(certificate)
     if report is not None:
         require_report(report / "report.html")
-    product = make_product(task, model, param, name, encoding, as_json, normalize=normalize)
+    product = make_product(task, model, param, name, encoding, as_json, reading=reading)
     uncertain = product.model.uncertain
     if nominal and not uncertain:
         raise SettingsError("--nominal: the model's probabilities are not intervals; leave out --nominal")
@@ -222,7 +223,7 @@ def check(
     moved = None
     if transfer:
         assert policy is not None  # required above
-        moved = moved_policy(product, policy, load_policy_product(task, policy_model, param, name, encoding, normalize))
+        moved = moved_policy(product, policy, load_policy_product(task, policy_model, param, name, encoding, reading))
     chosen = moved.policy if moved is not None else given_policy(product, policy, policy_function)
     to_file = {"policy_file": save_policy, "resume": resume} if streamed else {}
     if robust and streamed:

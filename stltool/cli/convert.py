@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Normalize, Params
+from stltool.cli.options import READ, AsJson, ModelReading, Params
 from stltool.cli.roles import Reads, Writes, model_files, written_model
 
 
@@ -26,7 +26,7 @@ def convert(
         ),
         Writes(written_model),
     ],
-    normalize: Normalize = False,
+    reading: ModelReading = READ,
     param: Params = None,
     as_json: AsJson = False,
 ) -> None:
@@ -40,7 +40,7 @@ def convert(
     from stltool.reporting.terminal import note, print_json
 
     require_writable(target)
-    model = converted_model(source, param, normalize)
+    model = converted_model(source, param, reading)
     save_model(model, target)
     written = [str(path) for path in files_of(target)]
     lost = not_kept(model, target)

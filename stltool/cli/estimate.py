@@ -9,11 +9,12 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import (
+    READ,
     AsJson,
     Encoding,
     Model,
+    ModelReading,
     Nominal,
-    Normalize,
     Params,
     PolicyFile,
     PolicyFunction,
@@ -70,7 +71,7 @@ def estimate(
     report: ReportFolder = None,
     nominal: Nominal = False,
     model: Model = None,
-    normalize: Normalize = False,
+    reading: ModelReading = READ,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
@@ -102,7 +103,7 @@ def estimate(
     else:
         hypotheses(bound, **sequential)
     product = make_product(
-        task, model, param, name, encoding, as_json, kernels=["rollouts"], nominal=nominal, normalize=normalize
+        task, model, param, name, encoding, as_json, kernels=["rollouts"], nominal=nominal, reading=reading
     )
     if product.model.blackbox is not None:
         if given is None:

@@ -11,10 +11,11 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import (
+    READ,
     AsJson,
     Encoding,
     Model,
-    Normalize,
+    ModelReading,
     Params,
     PolicyFile,
     PolicyFunction,
@@ -61,7 +62,7 @@ def explain(
         Writes(),
     ] = None,
     model: Model = None,
-    normalize: Normalize = False,
+    reading: ModelReading = READ,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
@@ -85,11 +86,11 @@ def explain(
         if not task.endswith(".stl") and not Path(task).is_file():
             raise SettingsError(f"{task}: the tree of a policy needs a task file with a model; give one")
         require_declared_there(step, unit)
-        product = make_product(Path(task), model, param, name, encoding, as_json, normalize=normalize)
+        product = make_product(Path(task), model, param, name, encoding, as_json, reading=reading)
         _explain_policy(product, policy, policy_function, price, most_leaves, plot, out, as_json)
         return
     loaded = load_task_or_formula(task, param, name, step, unit)
-    world = task_model(loaded, model, normalize) if model is not None or loaded.model is not None else None
+    world = task_model(loaded, model, reading) if model is not None or loaded.model is not None else None
     with warnings_shown():
         facts = stl.explain(loaded, model=world, encoding=encoding)  # type: ignore[arg-type]  # checked there, with a message
     if as_json:

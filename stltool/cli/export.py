@@ -9,10 +9,11 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import (
+    READ,
     AsJson,
     Encoding,
     Model,
-    Normalize,
+    ModelReading,
     Params,
     PolicyFunction,
     TaskFile,
@@ -47,7 +48,7 @@ def export(
         typer.Option("--clock", help="count steps in the states up to the horizon, so that the property has no bound"),
     ] = False,
     model: Model = None,
-    normalize: Normalize = False,
+    reading: ModelReading = READ,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
@@ -75,7 +76,7 @@ def export(
         loaded = stl.load_task(task, read_params(param), name)
         asked = targets.Request(compile_task(loaded, encoding), clock=clock)
     else:
-        (loaded,), world = load_with_model(task, model, param, [name], normalize)
+        (loaded,), world = load_with_model(task, model, param, [name], reading)
         product = bind(loaded, world, encoding)
         asked = targets.Request(product.automaton, product, given_policy(product, policy, policy_function), clock)
     text = None

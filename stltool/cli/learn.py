@@ -9,6 +9,7 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import (
+    READ,
     AsJson,
     Checkpoint,
     CheckpointEvery,
@@ -18,9 +19,9 @@ from stltool.cli.options import (
     Faithful,
     Method,
     Model,
+    ModelReading,
     MostSteps,
     Nominal,
-    Normalize,
     Params,
     Resume,
     Seed,
@@ -60,7 +61,7 @@ def learn(
     setting: Set = None,
     nominal: Nominal = False,
     model: Model = None,
-    normalize: Normalize = False,
+    reading: ModelReading = READ,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
@@ -92,7 +93,7 @@ def learn(
         require_tensorboard(tensorboard)
     learner = read_learner(method, faithful, setting)
     product = make_product(
-        task, model, param, name, encoding, as_json, kernels=learner.kernels, nominal=nominal, normalize=normalize
+        task, model, param, name, encoding, as_json, kernels=learner.kernels, nominal=nominal, reading=reading
     )
     with resumable(checkpoint):
         training = train(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 
@@ -21,10 +21,39 @@ Nominal = Annotated[
     typer.Option("--nominal", help="for interval probabilities: use nominal values inside the intervals"),
     Named("nominal", " (--nominal)"),
 ]
-Normalize = Annotated[
-    bool,
-    typer.Option("--normalize", help="rescale probabilities that miss a sum of 1 only by rounding; reported on stderr"),
-]
+
+
+class ModelReading(NamedTuple):
+    """How model files are read: three options, in every command that reads one."""
+
+    normalize: Annotated[
+        bool,
+        typer.Option(
+            "--normalize", help="rescale probabilities that miss a sum of 1 only by rounding; reported on stderr"
+        ),
+    ] = False
+    initial: Annotated[
+        str | None,
+        typer.Option(
+            "--initial",
+            metavar="STATE|uniform",
+            help="where runs start: a state's name or number, or uniform over the file's initial states",
+        ),
+    ] = None
+    deadlocks: Annotated[
+        str,
+        typer.Option(
+            "--deadlocks",
+            metavar="loop|error",
+            help="states without transitions in .tra files: they stay where they are, or are refused",
+            autocompletion=lambda: ["loop", "error"],
+        ),
+    ] = "loop"
+
+
+READ = ModelReading()
+
+
 TaskOrFormula = Annotated[
     str,
     typer.Argument(metavar="TASK|FORMULA", help="task file (.stl), or a formula in quotes", show_default=False),

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, ReportFolder, TaskFile
+from stltool.cli.options import READ, AsJson, Encoding, Model, ModelReading, Params, ReportFolder, TaskFile
 from stltool.cli.roles import Writes
 from stltool.cli.steps import make_joint_product, this_command
 from stltool.errors import SettingsError
@@ -25,7 +25,7 @@ def pareto(
     ] = None,
     report: ReportFolder = None,
     model: Model = None,
-    normalize: Normalize = False,
+    reading: ModelReading = READ,
     param: Params = None,
     encoding: Encoding = "exact",
     as_json: AsJson = False,
@@ -45,7 +45,7 @@ def pareto(
         require_picture(plot)
     if report is not None:
         require_report(report / "report.html")
-    joint = make_joint_product(task, names, model, param, encoding, as_json, normalize=normalize)
+    joint = make_joint_product(task, names, model, param, encoding, as_json, reading=reading)
     with progress_bar("finding corners", quiet=as_json) as bar:
         front = stl.pareto(joint, points=points, progress=bar)
     if plot is not None:

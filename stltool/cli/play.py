@@ -12,11 +12,12 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import (
+    READ,
     AsJson,
     Encoding,
     Model,
+    ModelReading,
     Nominal,
-    Normalize,
     Params,
     PolicyFile,
     PolicyFunction,
@@ -45,7 +46,7 @@ def play(
     seed: Seed = 0,
     nominal: Nominal = False,
     model: Model = None,
-    normalize: Normalize = False,
+    reading: ModelReading = READ,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
@@ -65,7 +66,7 @@ def play(
     listed = _split(moves) if moves is not None else None
     if listed is not None and not listed:
         raise SettingsError('--moves is empty; list moves, such as --moves ". N *", or leave it out to be asked')
-    product = make_product(task, model, param, name, encoding, as_json, nominal=nominal, normalize=normalize)
+    product = make_product(task, model, param, name, encoding, as_json, nominal=nominal, reading=reading)
     if product.model.blackbox is not None:
         raise SettingsError(f"{product.model.name} is a black box, whose probabilities are unknown; play needs them")
     chosen = given_policy(product, policy, policy_function)

@@ -10,6 +10,7 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import (
+    READ,
     AsJson,
     Checkpoint,
     CheckpointEvery,
@@ -19,9 +20,9 @@ from stltool.cli.options import (
     Faithful,
     Method,
     Model,
+    ModelReading,
     MostSteps,
     Nominal,
-    Normalize,
     Params,
     Resume,
     Seed,
@@ -64,7 +65,7 @@ def run(
     task: TaskFile,
     nominal: Nominal = False,
     model: Model = None,
-    normalize: Normalize = False,
+    reading: ModelReading = READ,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
@@ -135,7 +136,7 @@ def run(
         as_json,
         kernels=(*learner.kernels, "rollouts") if rollouts > 0 else learner.kernels,
         nominal=nominal,
-        normalize=normalize,
+        reading=reading,
     )
     folder = out if out is not None else Path("out") / product.task_name
     require_policy_file(folder / "policy.npz")

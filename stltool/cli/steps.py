@@ -21,6 +21,7 @@ import typer
 from typer.core import TyperCommand
 
 from stltool.arguments import described
+from stltool.cli.options import READ, ModelReading
 from stltool.errors import InexactEncodingWarning, PolicyError, SettingsError, near_misses
 from stltool.numbers import NumberError, read
 
@@ -62,14 +63,14 @@ def make_product(
     quiet: bool,
     kernels: Sequence[Group] = (),
     nominal: bool = False,
-    normalize: bool = False,
+    reading: ModelReading = READ,
 ) -> Product:
     """The product of a task file and its model, with the kernels that the command needs loaded; those of checking are
     loaded where a check is large enough for them."""
     from stltool.kernels import warm_up
     from stltool.reporting.terminal import kernels_ready
 
-    product = load_product(task, model, param, name, encoding, nominal, normalize)
+    product = load_product(task, model, param, name, encoding, nominal, reading)
     if kernels:
         with kernels_ready(quiet):
             warm_up(*kernels)
@@ -83,16 +84,16 @@ def load_product(
     name: str | None,
     encoding: str,
     nominal: bool = False,
-    normalize: bool = False,
+    reading: ModelReading = READ,
 ) -> Product:
-    (loaded,), world = load_with_model(task, model, param, [name], normalize)
+    (loaded,), world = load_with_model(task, model, param, [name], reading)
     if nominal and not world.uncertain:
         raise SettingsError("--nominal: the model's probabilities are not intervals; leave out --nominal")
     return bind(loaded, world.nominal() if nominal else world, encoding)
 
 
 def load_policy_product(
-    task: Path, model: Path | None, param: list[str] | None, name: str | None, encoding: str, normalize: bool
+    task: Path, model: Path | None, param: list[str] | None, name: str | None, encoding: str, reading: ModelReading
 ) -> Product:
     """The product that a policy of another model was made on: of `--policy-model`, or of the task file's model line.
 
@@ -107,7 +108,7 @@ def load_policy_product(
             "--policy-model FILE"
         )
     own = [pair for pair in param or [] if pair.partition("=")[0].strip() in plain.params]
-    return load_product(task, model, own, name, encoding, normalize=normalize)
+    return load_product(task, model, own, name, encoding, reading=reading)
 
 
 def moved_policy(product: Product, file: Path, home: Product) -> Transferred:
@@ -176,12 +177,12 @@ def make_joint_product(
     param: list[str] | None,
     encoding: str,
     quiet: bool,
-    normalize: bool = False,
+    reading: ModelReading = READ,
 ) -> JointProduct:
     """The joint product of the definitions `names` of a task file."""
     import stltool as stl
 
-    loaded, world = load_with_model(task, model, param, names, normalize)
+    loaded, world = load_with_model(task, model, param, names, reading)
     with warnings_shown():
         joint = stl.build_joint_product(world, loaded, encoding)  # type: ignore[arg-type]
     _tell(itertools.chain(*(product.notes for product in joint.tasks)))
@@ -189,7 +190,7 @@ def make_joint_product(
 
 
 def load_with_model(
-    task: Path, model: Path | None, param: list[str] | None, names: Sequence[str | None], normalize: bool = False
+    task: Path, model: Path | None, param: list[str] | None, names: Sequence[str | None], reading: ModelReading = READ
 ) -> tuple[list[Task], MDP]:
     """Definitions of a task file and its model. -p gives values to params of the task, and to parameters of the model
     that the task does not declare."""
@@ -205,13 +206,13 @@ def load_with_model(
     except StlToolError:
         tasks = loaded({})
         of_model = {key: value for key, value in params.items() if key not in tasks[0].params}
-        world, rest = model_with(model if model is not None else tasks[0].model, of_model, tasks[0], normalize)
+        world, rest = model_with(model if model is not None else tasks[0].model, of_model, tasks[0], reading)
         known = [one.name for one in world.family.parameters] if world.family is not None else []
         if not of_model or not set(rest) <= set(known):
             raise  # what the task says
         given = loaded({key: params[key] for key in params if key not in of_model})
         return given, world.at(**rest) if rest else world
-    return tasks, task_model(tasks[0], model, normalize)
+    return tasks, task_model(tasks[0], model, reading)
 
 
 def judge_by(product: Product, nature: str | None) -> tuple[Product, Callable[..., CheckResult]]:
@@ -231,18 +232,22 @@ def judge_by(product: Product, nature: str | None) -> tuple[Product, Callable[..
     return product, partial(stl.robust_check, nature=nature or "against")  # type: ignore[arg-type]  # checked above
 
 
-def model_with(path: Path | None, values: dict[str, str], task: Task, normalize: bool) -> tuple[MDP, dict[str, str]]:
+def model_with(
+    path: Path | None, values: dict[str, str], task: Task, reading: ModelReading
+) -> tuple[MDP, dict[str, str]]:
     """The model with the values of its program's constants, and the other values."""
     from stltool.models.formats.language import constants_of
 
     names = constants_of(path) if path is not None and values else []
     constants = {name: value for name, value in values.items() if name in names}
     rest = {name: value for name, value in values.items() if name not in names}
-    return task_model(task, path, normalize, constants), rest
+    return task_model(task, path, reading, constants), rest
 
 
-def task_model(task: Task, model: Path | None, normalize: bool = False, constants: dict[str, str] | None = None) -> MDP:
-    """The given model, or that of the task file; what `normalize` changed is reported on stderr."""
+def task_model(
+    task: Task, model: Path | None, reading: ModelReading = READ, constants: dict[str, str] | None = None
+) -> MDP:
+    """The given model, or that of the task file; what its reader changed is reported on stderr."""
     import stltool as stl
     from stltool.reporting.terminal import note
 
@@ -250,14 +255,14 @@ def task_model(task: Task, model: Path | None, normalize: bool = False, constant
     if path is None:
         remedy = 'add a line such as model "floor.toml", or give --model FILE'
         raise SettingsError(f"{task.path}: the task file names no model; {remedy}")
-    loaded = stl.load_model(path, normalize, constants=constants)
+    loaded = stl.load_model(path, **reading._asdict(), constants=constants)
     for key in ("normalize", "cells", "deadlocks"):
         if key in loaded.notes:
             note(f"{path}: {loaded.notes[key]}")
     return loaded
 
 
-def converted_model(path: Path, param: list[str] | None, normalize: bool) -> MDP:
+def converted_model(path: Path, param: list[str] | None, reading: ModelReading) -> MDP:
     """A model file that is to be written in another format, with everything that its reader noted on stderr."""
     import stltool as stl
     from stltool.models.formats.language import constants_of
@@ -265,7 +270,9 @@ def converted_model(path: Path, param: list[str] | None, normalize: bool) -> MDP
 
     values = read_params(param)
     names = constants_of(path) if values else []
-    loaded = stl.load_model(path, normalize, constants={name: values.pop(name) for name in names if name in values})
+    loaded = stl.load_model(
+        path, **reading._asdict(), constants={name: values.pop(name) for name in names if name in values}
+    )
     for said in loaded.notes.values():
         note(f"{path}: {said}")
     return loaded.at(**values) if values else loaded

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Model, Nominal, Normalize, Params, TaskFile, TaskName
+from stltool.cli.options import READ, AsJson, Model, ModelReading, Nominal, Params, TaskFile, TaskName
 from stltool.cli.steps import make_product
 
 
@@ -19,7 +19,7 @@ def surrogate(
     ] = (0.999),
     nominal: Nominal = False,
     model: Model = None,
-    normalize: Normalize = False,
+    reading: ModelReading = READ,
     param: Params = None,
     name: TaskName = None,
     as_json: AsJson = False,
@@ -31,7 +31,7 @@ def surrogate(
     from stltool.reporting.story import gap_text, reading_text
     from stltool.reporting.terminal import print_facts, print_json, print_table, progress_bar
 
-    product = make_product(task, model, param, name, "exact", as_json, nominal=nominal, normalize=normalize)
+    product = make_product(task, model, param, name, "exact", as_json, nominal=nominal, reading=reading)
     with progress_bar("solving the surrogate", quiet=as_json) as bar:
         results = [stl.surrogate_optimum(product, reading, gamma=gamma, progress=bar) for reading in READINGS]
     data: dict[str, Any] = {**product_data(product), "surrogates": [surrogate_data(result) for result in results]}

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Encoding, Model, Normalize, Params, TaskFile
+from stltool.cli.options import READ, AsJson, Encoding, Model, ModelReading, Params, TaskFile
 from stltool.cli.roles import Writes
 from stltool.cli.steps import make_joint_product
 from stltool.cli.words import Named
@@ -35,7 +35,7 @@ def tradeoff(
         Named("keep_policy", "leave --save-policy out, or "),
     ] = None,
     model: Model = None,
-    normalize: Normalize = False,
+    reading: ModelReading = READ,
     param: Params = None,
     encoding: Encoding = "exact",
     as_json: AsJson = False,
@@ -51,7 +51,7 @@ def tradeoff(
     if save_policy is not None:
         require_policy_file(save_policy)
     names = list(dict.fromkeys([objective, *at_least]))
-    joint = make_joint_product(task, names, model, param, encoding, as_json, normalize=normalize)
+    joint = make_joint_product(task, names, model, param, encoding, as_json, reading=reading)
     with progress_bar("checking what is possible", quiet=as_json) as bar:
         result = stl.tradeoff(
             joint, objective, at_least=at_least, budget=budgets, keep_policy=save_policy is not None, progress=bar

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import AsJson, Decimal, Missing, Normalize, Params, Resample, TimeOf, Tolerance
+from stltool.cli.options import READ, AsJson, Decimal, Missing, ModelReading, Params, Resample, TimeOf, Tolerance
 from stltool.cli.roles import Reads, Writes, expectation_files, within
 from stltool.cli.steps import read_params, this_command
 
@@ -53,7 +53,7 @@ def verify(
         ),
     ] = 60.0,
     param: Params = None,
-    normalize: Normalize = False,
+    reading: ModelReading = READ,
     time: TimeOf = None,
     resample: Resample = None,
     tolerance: Tolerance = 0.01,
@@ -82,7 +82,7 @@ def verify(
     found = stl.verify(
         files,
         params=read_params(param),
-        normalize=normalize,
+        **reading._asdict(),
         certificates=certificates,
         exact_seconds=exact_seconds,
         stage=partial(progress_bar, quiet=as_json, patience=2.0),

@@ -9,11 +9,12 @@ import typer
 from stltool.arguments import whole
 from stltool.cli.app import app
 from stltool.cli.options import (
+    READ,
     AsJson,
     Encoding,
     Model,
+    ModelReading,
     Nominal,
-    Normalize,
     Params,
     PolicyFile,
     PolicyFunction,
@@ -41,7 +42,7 @@ def why(
     states: Annotated[int, typer.Option("--states", metavar="N", help="most sensitive states to print")] = 5,
     nominal: Nominal = False,
     model: Model = None,
-    normalize: Normalize = False,
+    reading: ModelReading = READ,
     param: Params = None,
     name: TaskName = None,
     encoding: Encoding = "exact",
@@ -66,7 +67,7 @@ def why(
         raise SettingsError(f"--minimize asks for the worst policy, {option} for a given one; keep one of them")
     count = whole(count, "--count", least=1)
     states = whole(states, "--states", least=0)
-    product = make_product(task, model, param, name, encoding, as_json, nominal=nominal, normalize=normalize)
+    product = make_product(task, model, param, name, encoding, as_json, nominal=nominal, reading=reading)
     given = given_policy(product, policy, policy_function)
     if given is None:
         with progress_bar("checking", quiet=as_json) as bar:

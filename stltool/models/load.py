@@ -9,7 +9,7 @@ from typing import Any
 
 from stltool.arguments import mapping
 from stltool.arguments import path as path_of
-from stltool.errors import FileError, ModelError, SettingsError, StlToolError
+from stltool.errors import FileError, ModelError, SettingsError, StlToolError, marked
 from stltool.models.composition import composition_from_table, member_files
 from stltool.models.formats.drn import load_drn
 from stltool.models.formats.explicit import companions as explicit_files
@@ -103,7 +103,7 @@ def _load_toml(path: Path, loading: Loading, opened: _Opened) -> MDP:
     except ModelFaults as error:
         raise located(path, text, error) from None
     except ModelError as error:
-        raise ModelError(f"{path}: {error}") from None
+        raise ModelError(f"{path}: {marked(error)}") from None
 
 
 def _member(path: Path, loading: Loading, opened: _Opened) -> MDP:

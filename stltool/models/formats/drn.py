@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.display import StateNames
-from stltool.errors import MOST_FAULTS, ModelError, all_told
+from stltool.errors import MOST_FAULTS, ModelError, all_told, marked
 from stltool.models.costs import Amounts
 from stltool.models.formats.archive import only_file
 from stltool.models.formats.drn_family import family_of
@@ -94,7 +94,7 @@ def drn_model(path: Path, data: Data, name: str, loading: Loading, variables: Se
             return family_of(reader, header, name, loading)
         return model_of(reader.given(header, loading.normalize), name, loading, reader.place)
     except ModelError as error:
-        raise error if str(error).startswith(str(path)) else ModelError(f"{path}: {error}") from None
+        raise error if str(error).startswith(str(path)) else ModelError(f"{path}: {marked(error)}") from None
 
 
 def name_of(path: Path) -> str:

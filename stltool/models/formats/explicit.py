@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.display import StateNames, distinct
-from stltool.errors import ModelError
+from stltool.errors import ModelError, marked
 from stltool.models.costs import Amounts, Cost
 from stltool.models.costs import Entries as CostEntries
 from stltool.models.formats.lines import (
@@ -111,11 +111,11 @@ def load_explicit(path: str | Path, loading: Loading = Loading()) -> MDP:  # noq
         faults.add(f"{lab}: the label {both[0]} is also a variable in the .sta file; rename it")
     first = None
     if not lab_told:
-        marked = labels.get("init", np.arange(read.n_states) == 0)
+        beginning = labels.get("init", np.arange(read.n_states) == 0)
         try:
-            first = loading.starts(marked, names)
+            first = loading.starts(beginning, names)
         except ModelError as error:
-            faults.add(f"{lab if lab is not None else path}: {error}")
+            faults.add(f"{lab if lab is not None else path}: {marked(error)}")
     costs = _costs(path, read, table, faults)
     if table is not None and not read.entries.garbled:
         table.require_distributions(loading, faults)
@@ -140,7 +140,7 @@ def load_explicit(path: str | Path, loading: Loading = Loading()) -> MDP:  # noq
             costs=costs,
         )
     except ModelError as error:
-        raise ModelError(f"{path}: {error}") from None
+        raise ModelError(f"{path}: {marked(error)}") from None
 
 
 # --------------------------------------------------------------------------------------------------------------- files

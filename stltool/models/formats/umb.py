@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.display import StateNames
-from stltool.errors import ModelError, StlToolError
+from stltool.errors import ModelError, StlToolError, marked
 from stltool.models.costs import Amounts
 from stltool.models.formats.archive import Archive, archived
 from stltool.models.formats.given import INIT, Given, Valuation, model_of
@@ -77,7 +77,7 @@ def load_umb(path: Path, loading: Loading) -> MDP:
     try:
         return model_of(given, index.name or path.stem, loading)
     except ModelError as error:
-        raise ModelError(f"{path}: {error}") from None
+        raise ModelError(f"{path}: {marked(error)}") from None
 
 
 def _given(archive: Archive, index: Index) -> Given:
