@@ -5,7 +5,7 @@ Comparisons that share signals, directly or through others, form a group; groups
     linear   abs, min and max are split into cases, so that every truth assignment of the group is a union of polyhedra
              { A x ⋈ b }. Equations are substituted; then Fourier and Motzkin eliminate one signal after the other,
              which gives its interval for any values of the signals before it. All of it in rationals: an assignment is
-             offered if and only if some decimals have it
+             offered if some decimals have it, and only then; an equation that few decimals solve may be missed
     others   a table of points, each with the exact truth of every comparison: ends of ranges, constants, a grid, and
              both sides of each border between neighbouring points. What is offered is right; some may be missing
 

@@ -178,6 +178,7 @@ def test_what_is_not_decided_fails_and_says_so():
     text = message(FormulasDiffer, assert_equivalent, left, right)
     assert text.startswith("not decided whether F[0,2] (x * y > 2) and F[0,2] (y * x > 2) differ: no trace was found")
     assert "not linear" in text
+    assert message(FormulasDiffer, assert_refines, stl.parse("7 * x + 3 * y == 1"), stl.parse("false"))
     faster, rising = stl.parse("G[1,2] x[t] - x[t-1] > 1"), stl.parse("G[1,2] x[t] - x[t-1] > 0")
     assert_refines(faster, rising)
     assert "several steps" in message(FormulasDiffer, assert_refines, rising, faster)

@@ -71,6 +71,7 @@ def test_linear_comparisons_are_solved_and_no_assignment_is_missing(read, seed):
         ("3 * x == 1", 1, True),  # no decimal is a third
         ("3 * y == x", 2, True),
         ("x + y == 0.8 & x - y > 0.1", 4, True),
+        ("7 * x + 3 * y == 1", 1, False),  # some decimals solve it: -2 and 5
         ("1 > 2", 1, True),
         ("sqrt(2) > 1", 1, False),
         ("x^2 == 4 & x > 0", 4, False),
