@@ -1,8 +1,11 @@
 """UMB files: what we write is what we read, and what Storm and the package umbi read; theirs mean the same to us."""
 
+import gzip
 import io
 import json
+import lzma
 import tarfile
+import tracemalloc
 from fractions import Fraction
 
 import numpy as np
@@ -176,3 +179,237 @@ def changed(path, **edit):
             entry.size = len(content)
             tar.addfile(entry, io.BytesIO(content))
     return path
+
+
+# --------------------------------------------------------------------------------------------------------------- faults
+
+
+TS = "transition-system/"
+INDEX_FAULTS = [
+    ("format-version", 2, "index.json: the format version is 2; versions up to 1 can be read"),
+    ("format-version", "1", "index.json: format-version is '1'; it must be an integer"),
+    (TS + "time", "stochastic", "the model is a CTMDP: its time is continuous"),
+    (TS + "time", "urgent-stochastic", "the model is a Markov automaton: its time is continuous"),
+    (TS + "#players", 2, "the model is a game: it has 2 players"),
+    (TS + "#observations", 3, "the model is a POMDP: its states are observed in part"),
+    (TS + "branch-probability-type", None, "the model is a transition system (LTS): it has no probabilities"),
+    (TS + "#states", 0, "#states is 0; a model has states"),
+    (TS + "#states", -1, "#states is -1; it must be an integer from 0"),
+    (TS + "#states", True, "#states is True; it must be an integer"),
+    (TS + "#states", 3, "state-to-choices.bin has"),
+    (TS + "#states", 2**62, "more than can be numbered"),
+    (TS + "#branches", 2**62, "of memory"),
+    (TS + "#choices", 1, "choice-to-branches.bin has"),
+    (TS + "#initial-states", 2, "marks 1 states, but index.json declares 2 initial states"),
+    (TS + "#initial-states", 0, "no initial state is marked"),
+    (TS + "branch-probability-type/type", "int", "branch-probability-type is int; probabilities are"),
+    (TS + "branch-probability-type/type", "real", "there is no type 'real'; known types: bool"),
+    (TS + "branch-probability-type/size", 96, "a rational of 96 bits; it must have 128, or a multiple"),
+    (TS + "branch-probability-type/size", 256, "branch-to-probability.bin has"),
+    ("annotations/aps/home/type/type", "uint", "it is of type uint; atomic propositions are of type bool"),
+    ("annotations/aps/home/applies-to", ["choices"], "atomic propositions are of states"),
+    ("annotations/rewards/speed/type/type", "string", "it is of type string; rewards are numbers"),
+    ("annotations/rewards/speed/applies-to", ["players"], "rewards of players cannot be read"),
+    ("annotations/rewards/speed/alias", "toll", "the alias 'toll' is used twice; rename one"),
+    ("annotations/aps", [], "annotations: aps is []; it must be an object"),
+    ("annotations/aps/home/alias", "x", "x is the name of both a variable and a label"),
+    ("annotations/aps/0-far-away/alias", "init", "the label init marks other states than those that runs start in"),
+    ("valuations/states/classes", [], "there are no classes"),
+    ("valuations/states/classes/0/variables/0/type/size", 63, "their number must be a multiple of 8"),
+    ("valuations/states/classes/0/variables/0/name", "height", "variables have a name each; rename one"),
+    ("file-data/parameters", {"state-names": ["here"]}, "there are 1 names for"),
+    ("transition-system", [1], "transition-system is [1]; it must be an object"),
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    path = tmp_path_factory.mktemp("written") / "m.umb"
+    stl.save_model(random_model(np.random.default_rng(1)), path)
+    return path
+
+
+@pytest.fixture
+def file(written, tmp_path):
+    (tmp_path / "m.umb").write_bytes(written.read_bytes())
+    return tmp_path / "m.umb"
+
+
+@pytest.mark.parametrize(("key", "value", "message"), INDEX_FAULTS)
+def test_faults_of_the_index(file, key, value, message):
+    def edit(index):
+        *outer, last = key.split("/")
+        for name in outer:
+            index = index[int(name) if isinstance(index, list) else name]
+        if value is None:
+            del index[last]
+        else:
+            index[last] = value
+
+    with pytest.raises(stl.StlToolError) as caught:
+        stl.load_model(changed(file, index=edit))
+    assert message in str(caught.value)
+    assert str(file) in str(caught.value)
+
+
+def put(name, at, content):
+    def edit(files):
+        data = bytearray(files[name])
+        data[at : at + len(content)] = content
+        files[name] = bytes(data)
+
+    return edit
+
+
+def cut(name, n):
+    return lambda files: files.update({name: files[name][:-n]})
+
+
+U64 = (2**63).to_bytes(8, "little")
+FILE_FAULTS = [
+    (put("branch-to-target.bin", 0, U64), "branch-to-target.bin leads to state 9223372036854775808 in branch 0"),
+    (put("state-to-choices.bin", 0, b"\1"), "state-to-choices.bin is not a list of ascending numbers from 0 to"),
+    (put("choice-to-branches.bin", 8, U64), "choice-to-branches.bin is not a list of ascending numbers"),
+    (put("choice-to-branches.bin", 8, bytes(8)), "choice-to-branches.bin gives choice 0 no branch"),
+    (put("branch-to-probability.bin", 8, bytes(8)), "branch-to-probability.bin divides by zero in entry 0"),
+    (put("branch-to-probability.bin", 0, b"\xff" * 8), "branch-to-probability.bin has -"),
+    (put("branch-to-probability.bin", 0, (99).to_bytes(8, "little")), "which is not a probability"),
+    (put("actions/choices/values.bin", 0, b"\xff"), "actions/choices/values.bin gives choice 0 action 255; there are"),
+    (put("actions/choices/strings.bin", 0, b"\xff"), "actions/choices/strings.bin is not UTF-8 in text 0"),
+    (put("state-is-initial.bin", 7, b"\x80"), "state-is-initial.bin has bits behind the last of"),
+    (cut("branch-to-target.bin", 1), "branch-to-target.bin has"),
+    (cut("valuations/states/valuations.bin", 8), "valuations/states/valuations.bin has"),
+    (lambda files: files.pop("branch-to-probability.bin"), "branch-to-probability.bin is missing"),
+    (lambda files: files.pop("actions/choices/strings.bin"), "actions/choices/string-mapping.bin"),
+    (lambda files: files.update({"index.json": b"{"}), "index.json is not JSON"),
+    (lambda files: files.update({"index.json": b"[" * 10**5}), "index.json is not JSON"),
+    (lambda files: files.update({"index.json": b'{"format-version": NaN}'}), "NaN is not a number of JSON"),
+    (lambda files: files.pop("index.json"), "index.json is missing; this is not a UMB file"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("edit", "message"), FILE_FAULTS)
+def test_faults_of_files(file, edit, message):
+    with pytest.raises(stl.StlToolError) as caught:
+        stl.load_model(changed(file, files=edit))
+    assert message in str(caught.value)
+    assert str(file) in str(caught.value)
+
+
+def test_what_is_no_archive_or_a_damaged_one(tmp_path, file):
+    whole = file.read_bytes()
+    cases = {
+        b"": "it is empty", b"text": "it is not a tar archive", whole[:700]: "is cut off",
+        gzip.compress(whole)[:-100]: "is compressed and cannot be unpacked: it ends too early",
+        lzma.compress(whole)[:-40]: "is compressed and cannot be unpacked: it ends too early",
+        whole[: len(whole) // 2]: "",
+    }  # fmt: skip
+    for content, message in cases.items():
+        (tmp_path / "bad.umb").write_bytes(content)
+        with pytest.raises(stl.StlToolError, match=r"bad\.umb") as caught:
+            stl.load_model(tmp_path / "bad.umb")
+        assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "pack", [gzip.compress, lzma.compress, lambda content: gzip.compress(content[:999]) + gzip.compress(content[999:])]
+)
+def test_compressed_files(file, pack):
+    model = stl.load_model(file)
+    file.write_bytes(pack(file.read_bytes()))
+    same(model, stl.load_model(file))
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, lzma.compress])
+def test_what_unpacks_is_measured_first(tmp_path, pack, monkeypatch):
+    """A file of kilobytes that unpacks to more than there is memory for is refused, without taking it."""
+    monkeypatch.setattr("stltool.models.formats.packed.memory_limit", lambda: 3 * 2**23)
+    (tmp_path / "bomb.umb").write_bytes(pack(bytes(2**25)))
+    tracemalloc.start()
+    with pytest.raises(stl.errors.SizeError, match=r"bomb\.umb: this UMB file of .* unpacks to more than 8\.39 MB"):
+        stl.load_model(tmp_path / "bomb.umb")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2**24  # xz has a dictionary of 2**23
+
+
+def test_links_and_devices_in_an_archive_are_refused(tmp_path):
+    with tarfile.open(tmp_path / "link.umb", "w") as tar:
+        entry = tarfile.TarInfo("index.json")
+        entry.type, entry.linkname = tarfile.SYMTYPE, "/etc/hostname"
+        tar.addfile(entry)
+    with pytest.raises(stl.errors.FileError, match="'index.json' in it is not a regular file"):
+        stl.load_model(tmp_path / "link.umb")
+
+
+# ----------------------------------------------------------------------------------------------------------- the format
+
+
+def chain_with(file, variables, rows, n_strings=0, files=None):
+    """Two states with these variables, whose valuations are numbers, packed."""
+    size = sum(
+        one.get("padding", 0) + one.get("type", {}).get("size", 0) + one.get("is-optional", 0) for one in variables
+    )
+    stl.save_model(stl.MDP.from_arrays([[[0, 1], [1, 0]]], {}), file)
+
+    def edit_index(index):
+        states = {"unique": False, "classes": [{"variables": variables}]}
+        index["valuations"] = {"states": {**states, **({"#strings": n_strings} if n_strings else {})}}
+
+    def edit(content):
+        content["valuations/states/valuations.bin"] = b"".join(row.to_bytes(size // 8, "little") for row in rows)
+        content.update(files or {})
+
+    return stl.load_model(changed(file, index=edit_index, files=edit))
+
+
+def test_packed_variables(tmp_path):
+    """The second example of the specification, and bits that cross bytes."""
+    variables = [
+        {"name": "sv0", "type": {"type": "uint", "size": 8}, "offset": -128},
+        {"name": "sv1", "type": {"type": "int", "size": 16}},
+        {"padding": 3},
+        {"name": "b", "type": {"type": "bool", "size": 2}},
+        {"name": "r", "type": {"type": "rational", "size": 10}},
+        {"padding": 1},
+    ]
+    first = 0b10111101_11111111_10111000 | 2 << 27 | (0b00011_11110 << 29)  # r = -2/3
+    model = chain_with(tmp_path / "m.umb", variables, [first, 0b00001_00001 << 29])
+    assert {name: values.tolist() for name, values in model.signals.items()} == {
+        "sv0": [56, -128], "sv1": [-16897, 0], "b": [1, 0], "r": [-2 / 3, 1]
+    }  # fmt: skip
+    assert model.state_name(0).startswith("sv0=56, sv1=-16897, b=true, r=-0.66666")
+
+
+def test_optional_variables_and_texts_are_in_the_names_of_states(tmp_path):
+    variables = [
+        {"name": "v", "is-optional": True, "type": {"type": "uint", "size": 6}}, {"padding": 1},
+        {"name": "where", "type": {"type": "string", "size": 64}},
+        {"name": "x", "type": {"type": "double", "size": 64}},
+    ]  # fmt: skip
+    half = int.from_bytes(np.float64(0.5).tobytes(), "little")
+    rows = [1 | 27 << 1 | 1 << 8 | half << 72, half << 72]
+    starts, strings = np.array([0, 3, 5], dtype="<u8").tobytes(), b"xyzab"
+    texts = {"valuations/states/string-mapping.bin": starts, "valuations/states/strings.bin": strings}
+    model = chain_with(tmp_path / "m.umb", variables, rows, 2, texts)
+    assert list(model.signals) == ["x"]
+    assert list(model.state_names) == ["v=27, where=ab, x=0.5", "where=xyz, x=0.5"]
+    assert model.notes["signal"].endswith("where (a text), v (without a value in state 1)")
+
+
+def test_branches_to_the_same_state_add_up(tmp_path):
+    """Also the rewards of such branches: they become their expectation."""
+    path = tmp_path / "m.umb"
+    costs = {"toll": [[[1, 4], [0, 0]]]}
+    stl.save_model(stl.MDP.from_arrays([[["1/3", "2/3"], [0, 1]]], {}, costs=costs), path)
+    targets = np.array([1, 1, 1], dtype="<u8").tobytes()
+    read = stl.load_model(changed(path, files=lambda files: files.update({"branch-to-target.bin": targets})))
+    assert (read.n_transitions, read.exact().numerator.tolist(), read.target.tolist()) == (2, [3, 3], [1, 1])
+    assert [read.costs["toll"].transitions.exact[k] for k in range(2)] == [3, 0]
+
+
+def test_long_fractions(tmp_path):
+    share = Fraction(10**60 + 1, 3 * 10**60)
+    model = stl.MDP.from_arrays([[[share, 1 - share], [0, 1]]], {})
+    read = saved(model, tmp_path / "m.umb")
+    assert [Fraction(int(n), read.rows.denominator) for n in read.rows.numerator] == [share, 1 - share, 1]
