@@ -1,4 +1,4 @@
-"""`make fuzz WHAT=formats`: coverage-guided fuzzing of the readers of other tools' model files: .umb, .drn, .tra and more.
+"""`make fuzz WHAT=formats`: coverage-guided fuzzing of the readers of other tools' model files: .umb, .drn, .tra.
 
 Whatever the bytes: only StlToolError comes out, it names the file, and what is read is saved and read again as the same
 model. Inputs are mutations of a small model's files; see bench/fuzz_formulas.py.

@@ -49,8 +49,8 @@ def load_model(
                `normalize = true` of a TOML file
     initial    where runs start: the name or the number of a state, or "uniform": in each of the file's initial states
                with the same probability, for formats that mark several without probabilities
-    deadlocks  states without transitions in `.tra` files stay where they are ("loop", as in PRISM; `notes` names them),
-               or are refused ("error")
+    deadlocks  states without transitions stay where they are ("loop", as in PRISM; `notes` names them), or are refused
+               ("error")
     constants  name → value of constants that a program leaves open
     """
     path, loading = path_of(path, "load_model's path"), Loading.of(normalize, initial, deadlocks)

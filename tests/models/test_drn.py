@@ -171,6 +171,26 @@ def test_several_faults_are_told_at_once(tmp_path):
     assert str(caught.value).endswith("2 errors")
 
 
+def test_states_without_actions_stay_where_they_are(tmp_path):
+    text = COIN.replace("\t2 : 1\n", "").replace("@nr_choices\n4", "@nr_choices\n3")
+    model, whole = read(tmp_path, text), read(tmp_path, COIN)
+    assert model.notes["deadlocks"] == (
+        "states without transitions stay where they are, as in PRISM: b=false, x=0, y=1"
+    )
+    assert model.digest() == whole.digest()
+    with pytest.raises(
+        stl.errors.ModelError, match=r"m\.drn: states without actions: b=false, x=0, y=1; give them one"
+    ):
+        stl.load_model(tmp_path / "m.drn", deadlocks="error")
+
+
+def test_several_initial_states(tmp_path):
+    path = tmp_path / "m.drn"
+    path.write_text(COIN.replace("done", "done init"))
+    assert stl.load_model(path, initial="uniform").initial.tolist() == [0.5, 0.5, 0]
+    assert stl.load_model(path, initial=1).initial.tolist() == [0, 1, 0]
+
+
 def test_a_chain_has_one_action_a_state(tmp_path):
     with pytest.raises(
         stl.errors.ModelError, match=r"line 20: .*state 0 has a second action, but the model is a chain"

@@ -93,6 +93,40 @@ def test_what_is_written_is_read(tmp_path, kind, chain):
         same(model, saved(model, tmp_path / "m.umb"))
 
 
+def steps_of(cost, choice):
+    """What a step along each entry costs, without its state."""
+    along = np.zeros(len(choice))
+    along += cost.choices.values[choice] if cost.choices is not None else 0
+    return along + (cost.transitions.values if cost.transitions is not None else 0)
+
+
+@pytest.mark.parametrize("kind", ["fractions", "doubles", "intervals"])
+@pytest.mark.parametrize("ending", [".tra", ".tra.gz"])
+def test_the_same_as_explicit_files(tmp_path, kind, ending):
+    rng = np.random.default_rng(13)
+    for number, chain in enumerate((False, True)):
+        model = random_model(rng, kind, chain, "transitions")
+        names = tuple(name.replace(" ", "_") for name in model.action_names)
+        model = stl.models.mdp.replace(model, action_names=names)
+        read = saved(model, tmp_path / f"{number}{ending}")
+        np.testing.assert_array_equal(read.target, model.target)
+        np.testing.assert_array_equal(read.probability, model.probability)
+        assert [read.place(c).rpartition(", ")[2] for c in range(read.n_choices)] == [
+            model.place(c).rpartition(", ")[2] for c in range(model.n_choices)
+        ]
+        for mine, its in ((model.signals, read.signals), (model.labels, read.labels)):
+            assert {name: values.tolist() for name, values in mine.items()} == {
+                name: values.tolist() for name, values in its.items()
+            }
+        rows = model.rows
+        choice = np.repeat(np.arange(model.n_choices), np.diff(rows.row_start))
+        for name, cost in model.costs.items():
+            one, other = (steps_of(cost, choice) for cost in (cost, read.costs[name]))
+            np.testing.assert_array_equal(one, other)
+            if cost.states is not None:
+                np.testing.assert_array_equal(read.costs[name].states.values, cost.states.values)
+
+
 def test_a_grid_keeps_its_names_and_fractions(tmp_path):
     grid = stl.load_model(FACTORY / "floor-5x5.toml")
     read = saved(grid, tmp_path / "floor.umb")
@@ -197,16 +231,16 @@ INDEX_FAULTS = [
     (TS + "#states", -1, "#states is -1; it must be an integer from 0"),
     (TS + "#states", True, "#states is True; it must be an integer"),
     (TS + "#states", 3, "state-to-choices.bin has"),
-    (TS + "#states", 2**62, "more than can be numbered"),
+    (TS + "#choices", 2**62, "are more than can be numbered"),
     (TS + "#branches", 2**62, "of memory"),
-    (TS + "#choices", 1, "choice-to-branches.bin has"),
+    (TS + "#choices", 1, "state-to-choices.bin is not a list of ascending numbers from 0 to 1"),
     (TS + "#initial-states", 2, "marks 1 states, but index.json declares 2 initial states"),
     (TS + "#initial-states", 0, "no initial state is marked"),
-    (TS + "branch-probability-type/type", "int", "branch-probability-type is int; probabilities are"),
+    (TS + "branch-probability-type", {"type": "int"}, "branch-probability-type is int; probabilities are"),
     (TS + "branch-probability-type/type", "real", "there is no type 'real'; known types: bool"),
-    (TS + "branch-probability-type/size", 96, "a rational of 96 bits; it must have 128, or a multiple"),
+    (TS + "branch-probability-type/size", 96, "rational of 96 bits; it must have 128, or a multiple"),
     (TS + "branch-probability-type/size", 256, "branch-to-probability.bin has"),
-    ("annotations/aps/home/type/type", "uint", "it is of type uint; atomic propositions are of type bool"),
+    ("annotations/aps/home/type", {"type": "uint"}, "it is of type uint; atomic propositions are of type bool"),
     ("annotations/aps/home/applies-to", ["choices"], "atomic propositions are of states"),
     ("annotations/rewards/speed/type/type", "string", "it is of type string; rewards are numbers"),
     ("annotations/rewards/speed/applies-to", ["players"], "rewards of players cannot be read"),

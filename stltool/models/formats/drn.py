@@ -376,7 +376,7 @@ class Reader:
                 raise ModelError(f"{self.path}: {fault}")
         if not n_states:
             raise ModelError(f"{self.path}: the model has no states")
-        require_numbered(max(n_states, n_choices), "states or choices", "use a part of the model")
+        require_numbered(max(n_states, n_choices), f"states or choices of {self.path}", "use a part of the model")
         two = 2 if intervals else 1
         bytes_needed = (24 + 34 * two) * n_entries + (48 + 26 * n_rewards) * (n_states + n_choices)
         require_memory(2.0 * bytes_needed, f"{self.path}: {n_entries} transitions", "use a part of the model")

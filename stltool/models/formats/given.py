@@ -26,6 +26,7 @@ from stltool.numbers import number_text, shortest
 I64: TypeAlias = NDArray[np.int64]
 Floats: TypeAlias = NDArray[np.float64]
 
+_NAMED = 4  # states that a note names
 _NONE: Mapping[str, Any] = {}
 INIT = "init"
 """The label of the states that runs start in, in PRISM's and Storm's formats."""
@@ -56,7 +57,6 @@ class Given:
     state_names: Sequence[str] | None = None
     costs: dict[str, dict[str, Amounts]] = field(default_factory=dict)
     notes: dict[str, str] = field(default_factory=dict)
-    in_order: bool = False
 
 
 def model_of(given: Given, name: str, loading: Loading, place: Place | None = None) -> MDP:
@@ -70,6 +70,8 @@ def model_of(given: Given, name: str, loading: Loading, place: Place | None = No
     both = sorted(set(given.signals) & {INIT, *given.labels})
     if both:
         raise ModelError(f"{both[0]} is the name of both a variable and a label; rename one of them")
+    if _loop(given, loading):
+        place = None  # choices have other numbers now
     ordered(given)
     action, names = _actions(given)
     notes, exact, intervals = dict(given.notes), None, None
@@ -114,6 +116,45 @@ def _cost(parts: Mapping[str, Amounts], given: Given) -> Cost:
 
 
 # --------------------------------------------------------------------------------------------------------- rows
+
+
+def _loop(given: Given, loading: Loading) -> bool:
+    """Let states without choices stay where they are, for ever; whether there are any. ModelError if that is not asked
+    for."""
+    states = np.flatnonzero(np.diff(given.choice_start) == 0)
+    if not states.size:
+        return False
+    names = given.state_names
+    shown = ", ".join(names[s] if names is not None else str(s) for s in states[:_NAMED].tolist())
+    more = f", and {len(states) - _NAMED} more" if len(states) > _NAMED else ""
+    if loading.deadlocks == "error":
+        raise ModelError(f"states without actions: {shown}{more}; give them one that stays (probability 1 to itself)")
+    given.notes["deadlocks"] = f"states without transitions stay where they are, as in PRISM: {shown}{more}"
+    choice = given.choice_start[states]
+    entry = given.row_start[choice]
+
+    def added(amounts: Amounts, at: I64) -> Amounts:
+        shares = None
+        if amounts.given is not None:
+            shares = Shares(np.insert(amounts.given.numerator, at, 0), amounts.given.denominator)
+        return Amounts(np.insert(amounts.values, at, 0.0), shares)
+
+    for parts in given.costs.values():
+        for part, at in (("choices", choice), ("transitions", entry)):
+            if part in parts:
+                parts[part] = added(parts[part], at)
+    given.choice_start = starts(np.maximum(np.diff(given.choice_start), 1))
+    given.row_start = starts(np.insert(np.diff(given.row_start), choice, 1))
+    given.action = np.insert(given.action, choice, -1)
+    given.target = np.insert(given.target, entry, states.astype(np.int32))
+    one = given.probability
+    if isinstance(one, Intervals):
+        given.probability = Intervals(np.insert(one.lower, entry, 1.0), np.insert(one.upper, entry, 1.0))
+    elif isinstance(one, Shares):
+        given.probability = Shares(np.insert(one.numerator, entry, one.denominator), one.denominator)
+    else:
+        given.probability = np.insert(one, entry, 1.0)
+    return True
 
 
 def ordered(given: Given) -> None:

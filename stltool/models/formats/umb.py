@@ -67,7 +67,7 @@ def load_umb(path: Path, loading: Loading) -> MDP:
     """Read a UMB file. Raises FileError, ModelError and SizeError, naming the file in the archive."""
     archive = Archive(path, WHAT)
     index = read_index(archive)
-    require_numbered(max(index.n_states, index.n_choices), "states or choices", "use a part of the model")
+    require_numbered(max(index.n_states, index.n_choices), f"states or choices of {path}", "use a part of the model")
     require_memory(
         _BYTES_A_BRANCH * index.n_branches + _BYTES_A_STATE * (index.n_states + index.n_choices),
         f"{path}: {index.n_branches} branches of {index.n_states} states",

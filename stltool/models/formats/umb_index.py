@@ -157,7 +157,7 @@ class _Reader:
         else:
             fits = size % (usual if not packed else 2) == 0 if name.startswith("rational") else True
         if not fits:
-            self.refuse(f"{where}: a {name} of {size} bits; it must have {usual}, or a multiple if it is rational")
+            self.refuse(f"{where}: {name} of {size} bits; it must have {usual}, or a multiple if it is rational")
         return Type(name, size)
 
     def index(self, content: Any) -> Index:
