@@ -173,7 +173,7 @@ def test_several_faults_are_told_at_once(tmp_path):
 
 def test_states_without_actions_stay_where_they_are(tmp_path):
     text = COIN.replace("\t2 : 1\n", "").replace("@nr_choices\n4", "@nr_choices\n3")
-    model, whole = read(tmp_path, text), read(tmp_path, COIN)
+    whole, model = read(tmp_path, COIN), read(tmp_path, text)
     assert model.notes["deadlocks"] == (
         "states without transitions stay where they are, as in PRISM: b=false, x=0, y=1"
     )

@@ -230,7 +230,7 @@ INDEX_FAULTS = [
     (TS + "#states", 0, "#states is 0; a model has states"),
     (TS + "#states", -1, "#states is -1; it must be an integer from 0"),
     (TS + "#states", True, "#states is True; it must be an integer"),
-    (TS + "#states", 3, "state-to-choices.bin has"),
+    (TS + "#states", 3, "there are 4 names for 3 states"),
     (TS + "#choices", 2**62, "are more than can be numbered"),
     (TS + "#branches", 2**62, "of memory"),
     (TS + "#choices", 1, "state-to-choices.bin is not a list of ascending numbers from 0 to 1"),
