@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
-from rich.console import Console
+from stltool.screen import Screen
 
 EVERY = 10.0  # seconds
 
@@ -99,7 +99,7 @@ class Log:
 
 
 def _print(line: str) -> None:
-    Console(stderr=True, soft_wrap=True, highlight=False, markup=False).print(line)
+    Screen(stderr=True).print(line)
 
 
 LOG = Log(_print)

@@ -10,6 +10,7 @@ import codecs
 import errno
 import io
 import os
+import re
 import sys
 import unicodedata
 from typing import Any
@@ -20,6 +21,10 @@ _STAND_INS = {
     "‘": "'", "’": "'", "“": '"', "”": '"', "█": "#", "✓": "yes", "✗": "no", "\u0303": "~",
     "↑": "^", "↓": "v", "↗": "/", "↙": "/", "↘": "\\", "↖": "\\",
 }  # fmt: skip
+
+
+# what moves the cursor, recolours or retitles a terminal, or turns the order of letters around
+_OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 
 
 def prepare() -> None:
@@ -40,10 +45,21 @@ def prepare() -> None:
             setattr(sys, name, io.TextIOWrapper(io.BufferedWriter(raw), errors="stltool", **options))
 
 
+def escaped(text: str) -> str:
+    """The text with control characters as \\x1b; line ends and tabs stay."""
+    return _OBEYED.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+def control_character(text: str) -> str:
+    """The first control character of a text as U+001B; "" if there is none. Readers refuse names that hold one."""
+    found = _OBEYED.search(text)
+    return f"U+{ord(found[0]):04X}" if found is not None else ""
+
+
 def printable(text: str) -> str:
     """The text as stdout will show it, so that columns can be measured."""
     encoding = sys.stdout.encoding or "utf-8"
-    return text.encode(encoding, errors="stltool").decode(encoding)
+    return escaped(text).encode(encoding, errors="stltool").decode(encoding)
 
 
 class _Outlet(io.FileIO):

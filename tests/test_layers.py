@@ -8,8 +8,8 @@ from tests.conftest import ROOT
 from tests.sources import sources
 
 # each room may import itself and the rooms before it; kernels import nothing, nobody imports testing
-ORDER = ["errors", "streams", "log", "arguments", "numbers", "display", "extras", "source", "files", "grammar",
-         "arrays", "sizes", "cluster", "choices", "layered", "randomness", "logic", "automata", "monitoring",
+ORDER = ["errors", "streams", "screen", "log", "arguments", "numbers", "display", "extras", "source", "files",
+         "grammar", "arrays", "sizes", "cluster", "choices", "layered", "randomness", "logic", "automata", "monitoring",
          "diagnosis", "models", "product", "anatomy", "asked", "reached", "written", "policy", "transfer", "envs",
          "recheck", "checking", "gate", "learning", "exporting", "reporting", "starters", "doctor", "cli",
          "__main__"]  # fmt: skip

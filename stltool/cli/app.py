@@ -14,6 +14,7 @@ from stltool import numbers
 from stltool.cli.roles import Parameter, Reads, Writes, require_apart
 from stltool.cli.words import Named, Spelled, spelling
 from stltool.errors import StlToolError, reworded
+from stltool.screen import say
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _Number = TypeVar("_Number", int, float)
@@ -117,7 +118,7 @@ def _version(asked: bool) -> None:
     if asked:
         from importlib import metadata
 
-        print(f"stltool {metadata.version('stltool')}")
+        say(f"stltool {metadata.version('stltool')}")
         raise typer.Exit
 
 

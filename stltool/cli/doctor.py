@@ -6,6 +6,7 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import AsJson
+from stltool.screen import say
 
 
 @app.command("stltool doctor")
@@ -56,13 +57,13 @@ def doctor(as_json: AsJson = False) -> None:
             "a small check": "P = 15/16, as it must be" if found.check is None else found.check,
             **({"note": found.stale} if found.stale is not None else {}),
         })  # fmt: skip
-        print()
+        say()
         print_table([
             {"package": one.name, "needed": one.needed or "any", "installed": one.version or "-",
              "status": one.status if one.fault is None else f"{one.status}: {one.fault}"}
             for one in found.packages if one.extra is None
         ])  # fmt: skip
-        print()
+        say()
         print_table([
             {"extra": extra, "for": about["for"],
              "status": f"missing: pip install 'stltool[{extra}]'" if about["missing"] else "installed"
@@ -70,7 +71,7 @@ def doctor(as_json: AsJson = False) -> None:
              f"pip install --upgrade 'stltool[{extra}]'"}
             for extra, about in extras.items()
         ])  # fmt: skip
-        print()
+        say()
         print_facts({f"fault {i}": fault for i, fault in enumerate(found.faults, 1)} or {"faults": "none"})
     if found.faults:
         raise typer.Exit(1)

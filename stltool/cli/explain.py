@@ -35,6 +35,7 @@ from stltool.cli.steps import (
     warnings_shown,
 )
 from stltool.errors import SettingsError
+from stltool.screen import say
 
 if TYPE_CHECKING:
     from stltool.product import Product
@@ -97,23 +98,23 @@ def explain(
         print_json(facts)
         return
     print_facts(_shown(facts))
-    print()
+    say()
     print_tree(facts["tree"])
     if "parts" in facts:
-        print("\nparts of the automaton (a start's truth is known `delay` steps after it):")
+        say("\nparts of the automaton (a start's truth is known `delay` steps after it):")
         print_table(facts["parts"])
     trace = facts.get("disagrees_on")
     if trace is not None:
-        print(
+        say(
             "\na shortest trace on which the encoding and the formula disagree (without a model, comparisons are\n"
             "treated as independent of each other):"
         )
         print_table(trace["steps"])
-        print(f"the encoding says {trace['encoding_says']}, the formula is {trace['formula_is']}")
+        say(f"the encoding says {trace['encoding_says']}, the formula is {trace['formula_is']}")
     for note in facts.get("model_notes", []):
-        print(f"\nnote: {note}")
+        say(f"\nnote: {note}")
     for advice in facts.get("warnings", []) + facts["ambiguities"]:
-        print(f"\nwarning: {advice}")
+        say(f"\nwarning: {advice}")
 
 
 def _explain_policy(
@@ -162,9 +163,9 @@ def _explain_policy(
         **({"plot": plot} if plot is not None else {}),
         **({"saved": out} if out is not None else {}),
     })  # fmt: skip
-    print()
+    say()
     print_text("\n".join([found.rules, "", *found.legend, ""]))
-    print("\nthe best trees found of each size:")
+    say("\nthe best trees found of each size:")
     print_table([{"leaves": leaves, "P": probability_text(p)} for leaves, p in found.curve])
     _end(found.met)
 

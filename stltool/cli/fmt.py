@@ -12,6 +12,7 @@ from stltool.cli.app import app
 from stltool.cli.options import AsJson
 from stltool.cli.roles import Reads
 from stltool.errors import StlToolError
+from stltool.screen import say
 
 
 @app.command("stltool fmt --check patrolling.stl")
@@ -62,7 +63,7 @@ def fmt(
         if piped and not check:
             print_text(laid_out)
         elif laid_out != text:
-            print(f"{name}: {'would be reformatted' if check else 'reformatted'}")
+            say(f"{name}: {'would be reformatted' if check else 'reformatted'}")
     if as_json:
         print_json({"check": check, "files": told})
     refusals = [file["error"] for file in told if "error" in file]

@@ -13,6 +13,7 @@ import typer
 
 from stltool.display import counted
 from stltool.errors import SettingsError
+from stltool.screen import say
 
 if TYPE_CHECKING:
     from stltool.logic.task import Task
@@ -40,7 +41,7 @@ def follow(task: Task, trace: Path, reading: Reading, end: str, at: int | None, 
         for decision in decisions:
             line = found.add(decision, sample)
             if not as_json and line is not None and (every or at is not None or not decision.verdict):
-                print(line, flush=True)
+                say(line, flush=True)
 
     with _opened(trace) as (where, file):
         following = Following(where, file, names, clock, reading.decimal)

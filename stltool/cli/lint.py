@@ -11,6 +11,7 @@ from stltool.cli.app import app
 from stltool.cli.options import AsJson
 from stltool.cli.roles import Reads
 from stltool.errors import StlToolError
+from stltool.screen import say
 
 
 @app.command("stltool lint patrolling.stl")
@@ -39,9 +40,9 @@ def lint(
         told.append({"file": str(path), "advice": list(map(str, advices)), "notes": list(map(str, notes))})
         if not as_json:
             for advice in advices:
-                print(advice)
+                say(str(advice))
             for note in notes:
-                print(f"note: {note}")
+                say(f"note: {note}")
     if as_json:
         print_json({"files": told})
     refusals = [file["error"] for file in told if "error" in file]

@@ -27,6 +27,7 @@ from stltool.cli.options import (
 from stltool.cli.roles import Reads, Writes
 from stltool.cli.steps import load_task_or_formula, this_command
 from stltool.errors import SettingsError, StlToolError
+from stltool.screen import say
 
 if TYPE_CHECKING:
     from stltool.logic.task import Task
@@ -208,17 +209,17 @@ def monitor(
         print_facts(monitor_facts(data))
         rows, more = range_rows(data) if shown is None else trace_rows(data)
         if rows and (at is None or shown is not None):
-            print()
+            say()
             print_table(rows)
             if more:
-                print(f"and {more} more; --json lists all")
+                say(f"and {more} more; --json lists all")
         if why:
-            print("\n" + "\n".join(diagnosis_lines(data["why"])))
+            say("\n" + "\n".join(diagnosis_lines(data["why"])))
         if steps:
-            print(f"\n{trace_name(data, shown)}:" if shown is not None else "")
-            print("\n".join(step_lines(data, shown)))
+            say(f"\n{trace_name(data, shown)}:" if shown is not None else "")
+            say("\n".join(step_lines(data, shown)))
         if plot is not None:
-            print()
+            say()
             print_facts({"plot": f"{plot}" + (f", {trace_name(data, shown)}" if shown is not None else "")})
         if report is not None:
             print_facts({"report": report / "report.html"})

@@ -12,6 +12,7 @@ import typer
 from stltool.cli.app import app
 from stltool.cli.options import AsJson
 from stltool.cli.roles import Writes
+from stltool.screen import say
 from stltool.starters import EXAMPLES, KINDS, example, starter
 
 
@@ -69,7 +70,7 @@ def new(
         return
     print_facts({"made": f"{folder} with {', '.join(made.files)}", "next": shlex.join(["cd", str(folder)])})
     for command in made.next:
-        print(f"      {command}")
+        say(f"      {command}")
     needs = any(re.search(rb'kind = "gymnasium"|^(from|import) gymnasium', text, re.M) for text in made.files.values())
     if needs and find_spec("gymnasium") is None:
         note("these commands need the package gymnasium, which is not installed; pip install 'stltool[gymnasium]'")

@@ -13,6 +13,7 @@ from stltool.cli.roles import Writes
 from stltool.cli.steps import make_joint_product, this_command
 from stltool.errors import SettingsError
 from stltool.numbers import most_text
+from stltool.screen import say
 
 
 @app.command("stltool pareto tradeoff.stl --tasks charging,patrolling --plot front.svg")
@@ -56,7 +57,7 @@ def pareto(
         print_json(front_data(front))
         return
     print_facts({name: product.formula for name, product in zip(names, joint.tasks, strict=True)})
-    print("\ncorners of the front (mixtures of policies reach the segments between neighbours):")
+    say("\ncorners of the front (mixtures of policies reach the segments between neighbours):")
     print_table(
         [
             {
@@ -66,7 +67,7 @@ def pareto(
             for corner in front.corners
         ]
     )
-    print()
+    say()
     print_facts({
         "front": f"{front.status}; {front.inductions} backward inductions, {front.seconds:.1f} s",
         "gap": f"at most {most_text(front.gap)} above the segments",

@@ -27,6 +27,7 @@ from stltool.cli.options import (
 )
 from stltool.cli.steps import given_policy, make_product, require_one_policy
 from stltool.errors import SettingsError
+from stltool.screen import say
 
 
 @app.command("stltool play patrolling.stl --policy policy.npz")
@@ -53,13 +54,12 @@ def play(
     as_json: AsJson = False,
 ) -> None:
     """Step through a run of a policy, with P at every step; take other actions and see what they cost."""
-    from rich.console import Console
-
     import stltool as stl
     from stltool.checking.playing import Game
     from stltool.randomness import require_seed
     from stltool.reporting.playing import HELP, Told
     from stltool.reporting.terminal import print_json, progress_bar
+    from stltool.screen import Screen
 
     require_one_policy(policy, policy_function)
     require_seed(seed)
@@ -76,31 +76,31 @@ def play(
         game = Game(product, chosen, seed)
         told = Told(game)
     kept = io.StringIO() if moves is not None else None  # nothing is printed if one of them is refused
-    console = Console(highlight=False, soft_wrap=True, file=kept)
+    console = Screen(file=kept)
     if not as_json:
         told.show(console)
     for move in _asked() if listed is None else listed:
         if move == "q":
             break
         if move == "?":
-            console.print(HELP, markup=False)
+            console.print(HELP)
             continue
         try:
             remark = game.move(move)
         except SettingsError as error:
             if kept is not None:
                 raise
-            console.print(str(error), markup=False)
+            console.print(str(error))
             continue
         if not as_json:
             console.print()
             if remark is not None:
-                console.print(remark, markup=False)
+                console.print(remark)
             told.show(console)
     if listed is None and not as_json:
-        console.print(told.ending(), markup=False)
+        console.print(told.ending())
     if kept is not None:
-        print(kept.getvalue(), end="")
+        say(kept.getvalue(), end="")
     if as_json:
         print_json(told.data())
 
@@ -118,9 +118,9 @@ def _split(moves: str) -> list[str]:
 def _asked() -> Iterator[str]:
     """The lines of stdin, asked for until it ends."""
     while True:
-        print("move (? for help): ", end="", file=sys.stderr, flush=True)
+        say("move (? for help): ", end="", error=True, flush=True)
         line = sys.stdin.readline()
         if not line:
-            print(file=sys.stderr)
+            say(error=True)
             return
         yield line.strip()

@@ -24,6 +24,7 @@ from stltool.arguments import described
 from stltool.cli.options import READ, ModelReading
 from stltool.errors import InexactEncodingWarning, PolicyError, SettingsError, near_misses
 from stltool.numbers import NumberError, read
+from stltool.screen import say
 
 if TYPE_CHECKING:
     from stltool.automata import TaskAutomaton
@@ -455,7 +456,7 @@ class LearnerCommand(TyperCommand):
         from stltool.learning.methods import methods_text
 
         super().format_help(ctx, formatter)
-        print(f"\n{methods_text()}")
+        say(f"\n{methods_text()}")
 
 
 def split_episodes(split: float, episodes: int, rollouts: int) -> tuple[int, int]:

@@ -13,6 +13,7 @@ from stltool.cli.roles import Reads, Writes, sweep_files, sweep_folder, within
 from stltool.cli.steps import this_command
 from stltool.errors import SettingsError
 from stltool.numbers import NumberError, whole
+from stltool.screen import say
 
 _RESULTS = ("report.html", "report.json", "table.csv", "curves.csv", "figure.svg", "figure.png")
 
@@ -91,10 +92,10 @@ def sweep(
     else:
         print_table(result_rows(data))
         for section in data["sections"]:
-            print(f"\n{section['title']}: {section['text']}")
+            say(f"\n{section['title']}: {section['text']}")
             print_table(section["rows"])
         if paths:
-            print()
+            say()
         print_facts({
             "runs": f"{len(result.runs)} finished, {result.skipped} of them earlier; {len(result.failures)} failed",
             **({"report": paths[0], "data": ", ".join(path.name for path in paths[1:])} if paths else {}),

@@ -15,6 +15,7 @@ from stltool.cli.steps import make_joint_product
 from stltool.cli.words import Named
 from stltool.errors import SettingsError
 from stltool.numbers import NumberError, bound_texts, ceiling_text, number_text, read, within_text
+from stltool.screen import say
 
 
 @app.command('stltool tradeoff tradeoff.stl --objective charging --require "patrolling>=0.9" --budget "C<=3"')
@@ -62,7 +63,7 @@ def tradeoff(
         print_json(tradeoff_data(result))
         return
     print_facts({name: product.formula for name, product in zip(names, joint.tasks, strict=True)})
-    print()
+    say()
     figures = {f"P({name})": (figure, name, ">=", at_least) for name, figure in result.probabilities.items()}
     figures |= {f"E[{name}]": (figure, name, "<=", budgets) for name, figure in result.costs.items()}
     asked = {name: f">= {number_text(bound)}" for name, bound in at_least.items()}
@@ -79,7 +80,7 @@ def tradeoff(
             for shown, (figure, name, sign, bounds) in figures.items()
         ]
     )
-    print()
+    say()
     size = result.size
     print_facts({
         "no policy exceeds": f"P({objective}) = {ceiling_text(result.bound, 12)}, a gap of {result.gap:.3g}",

@@ -13,6 +13,7 @@ from stltool.cli.app import app
 from stltool.cli.options import READ, AsJson, Decimal, Missing, ModelReading, Params, Resample, TimeOf, Tolerance
 from stltool.cli.roles import Reads, Writes, expectation_files, within
 from stltool.cli.steps import read_params, this_command
+from stltool.screen import say
 
 _NO_CERTIFICATE = "none: no expectation has a probability that a certificate can prove; intervals and traces have none"
 
@@ -114,10 +115,10 @@ def verify(
         print_table(verification_rows(data))
         for row in data["expectations"]:
             if row["why"] is not None:
-                print(f"\n{place_text(row)}\n{indent(explained(row) or '', '  ')}")
+                say(f"\n{place_text(row)}\n{indent(explained(row) or '', '  ')}")
             elif row["reason"] is not None and row["verdict"] != "error":
                 print_facts({f"\n{place_text(row)}": row["reason"]})
-        print()
+        say()
         kept = {result.certificate.path for result in found.results if result.certificate is not None}
         written = {
             "certificates": f"{len(kept)} in {certificates}" if kept else _NO_CERTIFICATE if certificates else None,

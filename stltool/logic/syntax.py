@@ -23,6 +23,7 @@ from lark.parsers.lalr_interactive_parser import InteractiveParser
 from stltool.errors import MOST_FAULTS, StlSyntaxError, all_told
 from stltool.grammar import grammar_text
 from stltool.source import Source, Span
+from stltool.streams import control_character
 
 Branch: TypeAlias = Tree[Token]
 
@@ -232,6 +233,10 @@ def _tokens(source: Source) -> tuple[list[Token], list[SyntaxFault]]:
     while True:
         try:
             for token in _lark().lex(source.text[offset:] if offset else source.text):
+                if token.type == "STRING" and (control := control_character(token)):
+                    message = f"this name has the control character {control}; remove it"
+                    place = offset + cast(int, token.start_pos)
+                    faults.append(SyntaxFault(place, Span(source, place, place + len(token)).show(message)))
                 if token.type == "DOTTED":
                     token.type = "NAME"
                 tokens.append(_shifted(token, offset) if offset else token)

@@ -40,6 +40,7 @@ from stltool.models.parameters import Parameter
 from stltool.models.rows import READ_EXACTLY, ROW_TOLERANCE, Demand, Rows, Source, Stored, digest_arrays, hint, starts
 from stltool.numbers import Exactable, NumberError, exact, number_text
 from stltool.sizes import IntegerType, UnsignedType, integer_type, require_memory, require_numbered, unsigned_type
+from stltool.streams import control_character
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -922,6 +923,9 @@ def _validate(m: MDP) -> None:
         raise ModelError(f"{len(m.state_names)} state names for {m.n_states} states")
     if len(set(m.action_names)) != m.n_actions:
         raise ModelError(f"action names repeat: {', '.join(m.action_names)}")
+    for name in (*m.action_names, *m.signals, *m.labels, *m.costs):
+        if control := control_character(name):
+            raise ModelError(f"the name {name!r} has the control character {control}; rename it")
     for name, values in (*m.signals.items(), *m.labels.items()):
         if values.shape != (m.n_states,):
             raise ModelError(f"{name} has shape {values.shape}; give one value for each of the {m.n_states} states")

@@ -6,12 +6,12 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.text import Text as Line
 
 from stltool.checking.playing import Game
 from stltool.logic.printer import with_names
 from stltool.numbers import probability_text
+from stltool.screen import Screen
 from stltool.streams import printable
 
 HELP = """\
@@ -67,7 +67,7 @@ class Told:
     def _labels(self, s: int) -> list[str]:
         return [name for name, holds in self._game.product.model.labels.items() if holds[s]]
 
-    def show(self, console: Console) -> None:
+    def show(self, console: Screen) -> None:
         """Where the run is, what the policy does around it, and P after each action."""
         step, model = self._game.steps[-1], self._game.product.model
         labels = self._labels(step.s)

@@ -10,7 +10,6 @@ from contextlib import ExitStack, contextmanager
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
@@ -20,7 +19,8 @@ from stltool.log import LOG, Stage
 from stltool.numbers import bound_texts, difference_text, probability_text, within_text
 from stltool.reporting.runs import trace_text, verdict_text
 from stltool.reporting.words import run_sentences, sensitivity_sentences
-from stltool.streams import printable
+from stltool.screen import Screen, say
+from stltool.streams import escaped, printable
 
 if TYPE_CHECKING:
     from stltool.learning.sweep import SweepProgress
@@ -38,7 +38,7 @@ def progress_bar(title: str, quiet: bool = False, patience: float | None = None)
     `quiet` shows no bar, and in a log only stages that take longer than that. Kernels that are compiled meanwhile are
     announced.
     """
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console = Screen(stderr=True)
 
     quiet = quiet or LOG.quiet
 
@@ -51,7 +51,7 @@ def progress_bar(title: str, quiet: bool = False, patience: float | None = None)
 
 
 @contextmanager
-def _bar(console: Console, title: str, quiet: bool, patience: float | None) -> Iterator[Advance | None]:
+def _bar(console: Screen, title: str, quiet: bool, patience: float | None) -> Iterator[Advance | None]:
     if not console.is_terminal:
         with LOG.stage(title, None if quiet else patience) as stage:
             yield _to_log(stage, quiet)
@@ -90,7 +90,7 @@ def _notes(steps: int, probability: float | None) -> list[str]:
 @contextmanager
 def sweep_bar(quiet: bool = False) -> Iterator[Callable[[SweepProgress], None] | None]:
     """Runs done, environment steps per second and time left; in a log, a line at every tenth of the runs."""
-    console = Console(stderr=True, highlight=False)
+    console = Screen(stderr=True)
     start, quiet = time.perf_counter(), quiet or LOG.quiet
 
     def told(state: SweepProgress) -> str:
@@ -129,7 +129,7 @@ def _compiling_text(kept: bool) -> str:
 @contextmanager
 def kernels_ready(quiet: bool = False) -> Iterator[None]:
     """Announce that kernels are compiled in this block; usually they are only loaded, and nothing is printed."""
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console = Screen(stderr=True)
     status, quiet = console.status(""), quiet or LOG.quiet
 
     def tell(kept: bool) -> None:
@@ -153,7 +153,7 @@ def kernels_ready(quiet: bool = False) -> Iterator[None]:
 @contextmanager
 def working(title: str, quiet: bool = False) -> Iterator[None]:
     """Show on stderr what is going on: on a terminal at once, in a log only if it takes long."""
-    console, quiet = Console(stderr=True, soft_wrap=True, highlight=False), quiet or LOG.quiet
+    console, quiet = Screen(stderr=True), quiet or LOG.quiet
     if not console.is_terminal:
         with LOG.stage(title, patience=None if quiet else _PATIENCE):
             yield
@@ -207,7 +207,7 @@ def print_tree(data: Mapping[str, Any]) -> None:
 
     root = Tree(label(data))
     grow(data, root)
-    Console(soft_wrap=True, highlight=False).print(root)
+    Screen().print(root)
 
 
 def print_likely(data: Mapping[str, Any], count: int) -> None:
@@ -231,7 +231,7 @@ def print_likely(data: Mapping[str, Any], count: int) -> None:
         share = f", {100 * run['share']:.3g} %" if run["share"] is not None else ""
         rows = {f"run {number}": f"probability {run['probability']:.6g}{share}; {verdict_text(run)}"}
         rows[""] = trace_text(run["states"], run["labels"], run["actions"])
-        print()
+        say()
         print_facts(rows)
         if run["remembered"] is not None:
             print_facts({" " * len(f"run {number}"): f"before the verdict: {run['remembered']}"})
@@ -241,14 +241,14 @@ def print_likely(data: Mapping[str, Any], count: int) -> None:
 
 def print_findings(data: Mapping[str, Any]) -> None:
     """The first findings of `why` in sentences."""
-    print()
+    say()
     for text in (*run_sentences(data, 1), *sensitivity_sentences(data["sensitive"], 1)):
-        print(printable(text))
+        say(printable(text))
 
 
 def print_sensitive(rows: Sequence[SensitivityRecord]) -> None:
     """States by the effect of their success probability on P, with the most relevant actions."""
-    print()
+    say()
     if not rows:
         print_facts({"sensitive": "no state; no success probability affects P"})
     print_table(
@@ -271,7 +271,7 @@ def print_sensitive(rows: Sequence[SensitivityRecord]) -> None:
 def _print_columns(rows: list[tuple[str, ...]]) -> None:
     rows = [tuple(map(printable, row)) for row in rows]
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
-    console = Console(soft_wrap=True, highlight=False)
+    console = Screen()
     for row in rows:
         cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=True)]
         console.print(Text.assemble((cells[0], "bold"), "  ", "  ".join(cells[1:]).rstrip()))
@@ -279,25 +279,25 @@ def _print_columns(rows: list[tuple[str, ...]]) -> None:
 
 def print_json(data: Mapping[str, Any]) -> None:
     """One JSON object on a line, strictly: no NaN, no infinity."""
-    print(json.dumps(data, allow_nan=False))
+    say(json.dumps(data, allow_nan=False))
 
 
 def print_text(text: str) -> None:
-    """Print the text of a file in UTF-8, whatever the terminal's encoding."""
+    """Print the text of a file in UTF-8, whatever the terminal's encoding; its bytes as they are to a file or pipe."""
     sys.stdout.flush()
-    sys.stdout.buffer.write(text.encode())
+    sys.stdout.buffer.write((escaped(text) if sys.stdout.isatty() else text).encode())
 
 
 def error(message: str) -> None:
     """A message about the user's input, as plain text on stderr."""
-    Console(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=False).print(f"error: {message}")
+    Screen(stderr=True).print(f"error: {message}")
 
 
 def note(message: str) -> None:
     """Report something done on request, on stderr, where it does not mix with results."""
-    print(f"note: {message}", file=sys.stderr)
+    say(f"note: {message}", error=True)
 
 
 def warn(message: str) -> None:
     """Report something the user should know, on stderr, where it does not mix with results."""
-    print(f"warning: {message}", file=sys.stderr)
+    say(f"warning: {message}", error=True)

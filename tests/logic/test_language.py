@@ -36,6 +36,7 @@ from stltool.logic.formula import (
 )
 from stltool.logic.quantities import Duration, duration, quantity
 from stltool.source import Source, Span
+from stltool.streams import control_character
 from tests.conftest import DATA, OUTSIDE, needs_outside
 
 A, B = Label("a"), Label("b")
@@ -85,7 +86,9 @@ def test_names_in_quotes_are_labels_and_signals():
     assert stl.parse_task('model "a b.toml"\nr := "a b.toml"').model.name == "a b.toml"
 
 
-@given(st.text(st.characters(exclude_characters="\r\n", exclude_categories=["Cs"]), min_size=1))
+@given(st.text(st.characters(exclude_characters="\r\n", exclude_categories=["Cs"]), min_size=1).filter(
+    lambda name: not control_character(name)
+))  # fmt: skip
 def test_any_name_can_be_written(name):
     x = Variable(name)
     for phi in (

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.display import Card, Displayed, counted
-from stltool.errors import FileError, NameLookupError, named
+from stltool.errors import FileError, NameLookupError, TraceError, named
 from stltool.logic.names import near_names
+from stltool.streams import control_character
 
 Signals: TypeAlias = dict[str, NDArray[Any]]
 Missing: TypeAlias = Literal["error", "hold", "drop"]
@@ -93,7 +94,11 @@ def chosen(where: str, known: Sequence[str], names: Sequence[str] | None, what: 
     for name in names or ():
         if name not in there:
             raise NameLookupError(f"{where}: there is no {what} {name}; {near_names(name, known)}")
-    return list(known if names is None else names)
+    read = list(known if names is None else names)
+    for name in read:
+        if control := control_character(name):
+            raise TraceError(f"{where}: the {what} {name!r} has the control character {control} in its name; rename it")
+    return read
 
 
 @contextmanager
