@@ -10,6 +10,7 @@ import typer
 from stltool.cli.app import app
 from stltool.cli.options import READ, AsJson, ModelReading, Params
 from stltool.cli.roles import Reads, Writes, model_files, written_model
+from stltool.screen import say
 
 
 @app.command("stltool convert model.tra model.umb")
@@ -54,5 +55,5 @@ def convert(
             "costs": list(model.costs), "intervals": model.uncertain, "exact": model.rows.given_exactly,
         })  # fmt: skip
     else:
-        print(model)
-        print(f"written to {', '.join(written)}")
+        say(str(model))
+        say(f"written to {', '.join(written)}")

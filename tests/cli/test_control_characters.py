@@ -44,9 +44,9 @@ def test_readers_refuse_them_in_names(tmp_path):
     with pytest.raises(StlSyntaxError, match=r"column 12: this name has the control character U\+001B"):
         stl.parse('F[0,3] A & "\x1b[31m" & B')
     stay = [np.eye(1)]
-    for names in ({"labels": {"a\x1b": [True]}}, {"signals": {"a\x1b": [1.0]}}, {"actions": ["a\x1b"]}):
+    for names in ({"labels": {"a\x1b": [True]}}, {"signals": {"a\x1b": [1.0]}}, {"action_names": ["a\x1b"]}):
         with pytest.raises(ModelError, match=r"the name 'a\\x1b' has the control character U\+001B; rename it"):
-            stl.MDP.from_arrays(stay, **names)
+            stl.MDP.from_arrays(stay, **{"signals": {}, "labels": {}, **names})
     log = tmp_path / "log.csv"
     log.write_text("x,y\x1b[31m\n1,2\n")
     with pytest.raises(TraceError, match=r"log.csv: the column 'y\\x1b\[31m' has the control character U\+001B"):
