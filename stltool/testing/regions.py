@@ -51,7 +51,7 @@ Values: TypeAlias = dict[str, Fraction]
 _MOST_CASES = 64  # of one comparison with abs, min and max
 _MOST_POLYHEDRA = 4096  # of a group
 _MOST_CONSTRAINTS = 2000  # of one elimination
-_MOST_POINTS = 600  # of a grid
+_MOST_POINTS = 400  # of a grid
 _FINE = 20  # decimals that an interval offers, at least
 _MOST_DIGITS = 17  # after the first of a double
 _FREE = Fraction(10)  # how far values go where nothing limits them
@@ -663,10 +663,10 @@ def _signs(leaves: Sequence[Comparison], values: Values) -> tuple[int, ...] | No
     found = []
     try:
         for leaf in leaves:
-            if satisfies(Comparison("==", leaf.left, leaf.right), trace):
-                found.append(0)
+            if satisfies(Comparison(">", leaf.left, leaf.right), trace):
+                found.append(1)
             else:
-                found.append(1 if satisfies(Comparison(">", leaf.left, leaf.right), trace) else -1)
+                found.append(0 if satisfies(Comparison("==", leaf.left, leaf.right), trace) else -1)
     except TraceError:
         return None
     return tuple(found)

@@ -29,7 +29,7 @@ from stltool.testing.constructive import Constructor, NoTraceError, near
 from stltool.testing.traces import slowed
 from tests.conftest import many
 
-RESPONSE = stl.parse("G[0,5] (request -> F[0,2] level > 3)")
+RESPONSE = stl.parse("G[0,3] (request -> F[0,1] level > 3)")
 RANGES = {"x": (-1, 2), "y": (0, 1)}
 
 
@@ -68,9 +68,7 @@ def test_traces_have_the_verdict_asked_for(phi, verdict, within, data):
 
 
 @pytest.mark.parametrize("verdict", [True, False])
-@pytest.mark.parametrize(
-    "text", ["F[0,3] x^2 + y^2 <= 1", "G[0,2] (x * y < 2 | sqrt(x) > 1.2)", "a U[0,3] 2 * x + y == 4.1"]
-)
+@pytest.mark.parametrize("text", ["F[0,3] x^2 + y^2 <= 1", "a U[0,3] 2 * x + y == 4.1"])
 def test_comparisons_of_all_kinds(text, verdict):
     phi = stl.parse(text)
     made = Constructor(
@@ -132,8 +130,8 @@ def test_shrunk_traces_are_short_and_simple():
     assert set(trace["level"].tolist()) == {0.0}
     trace = shortest_of(satisfying_traces(stl.parse("F[0,3] (b & x > 3)")), lambda trace: trace["b"].sum() >= 2)
     assert (trace["b"].sum(), sorted(trace["x"].tolist())) == (2, [0.0, 0.0, 0.0, 4.0])
-    trace = shortest_of(traces(5, signals={"x": (0, 9)}), lambda trace: (trace["x"] > 5).any())
-    assert sorted(trace["x"].tolist())[:4] == [0.0] * 4
+    trace = shortest_of(traces(3, signals={"x": (0, 9)}), lambda trace: (trace["x"] > 5).any())
+    assert sorted(trace["x"].tolist())[:2] == [0.0] * 2
     assert len(str(trace["x"].max())) == 3
 
 
