@@ -50,7 +50,7 @@ from stltool.files import (
 )
 from stltool.layered import LayeredWriter, is_layered, read_header, read_layers
 from stltool.numbers import double
-from stltool.product import JointProduct, Product, build_joint_product, build_product, joined
+from stltool.product import Both, JointProduct, Product, build_joint_product, build_product, joined
 from stltool.sizes import require_memory
 
 FORMAT = "stltool-policy-2"
@@ -81,7 +81,7 @@ class Binding:
         together = [str(task.formula) for task in product.tasks] if isinstance(product, JointProduct) else []
         return cls(
             formula=together[0] if isinstance(product, JointProduct) else str(product.formula),
-            encoding=product.automaton.encoding,
+            encoding=_encoding_of(product),
             model=product.model.name,
             model_digest=product.model.nominal().digest(),  # intervals do not affect whether a policy fits
             automaton_digest=product.automaton.digest(),
@@ -230,6 +230,7 @@ class Policy(Displayed):
         """
         path = path_of(path, "save's path")
         require_policy_file(path)
+        self._require_home()
         if path.suffix.lower() in _TEXT:
             write_atomically(path, written.as_text(self.home, self.form, self._facts(), path.suffix.lower()[1:]))
             return
@@ -247,6 +248,21 @@ class Policy(Displayed):
         arrays: dict[str, Any] = self.form.arrays() if isinstance(self.form, Choices) else {"table": self.table}
         np.savez_compressed(buffer, header=np.frombuffer(header.encode("utf-8"), dtype=np.uint8), **arrays)
         write_atomically(path, buffer.getvalue())
+
+    def _require_home(self) -> None:
+        """PolicyError if what the policy remembers could not be made again from a file: nobody could load it."""
+        home = self.home
+        if isinstance(home, JointProduct) or not isinstance(home.automaton.memory, Both):
+            return
+        try:
+            again = _built(home, self.binding.encoding)
+        except StlToolError:
+            again = None
+        if again is None or again.automaton.digest() != home.automaton.digest():
+            raise PolicyError(
+                "the policy remembers more than its task, from several tasks or another model, and could not be loaded "
+                "again; save the policy that it was made from"
+            )
 
     def _facts(self) -> dict[str, list[str]]:
         """What a policy as text says about the whole."""
@@ -461,11 +477,29 @@ def greedy(product: Product, q_values: NDArray[np.float64]) -> Policy:
 
 def _home(product: Product, encoding: str) -> Product:
     """The product of the same model and task in a policy's own encoding; as memory, an approximation is good enough."""
-    if product.automaton.encoding == encoding:
+    if _encoding_of(product) == encoding:
         return product
+    if encoding.count("+") == 1:  # a policy of one encoding that was used on the product of another
+        left, _, right = encoding.partition("+")
+        return joined(_home(product, left), _home(product, right))[0]
+    return _built(product, encoding)
+
+
+def _built(product: Product, encoding: str) -> Product:
+    """As `_home`, made from model and formula alone."""
+    if encoding.count("+") == 1:  # a policy of one encoding that was used on the product of another
+        left, _, right = encoding.partition("+")
+        return joined(_built(product, left), _built(product, right))[0]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InexactEncodingWarning)
         return build_product(product.model, product.formula, cast(Encoding, encoding))
+
+
+def _encoding_of(product: Product | JointProduct) -> str:
+    """The encoding of what a policy on this product remembers: "exact+paper" if that is of two automata."""
+    if isinstance(product, Product) and isinstance(product.automaton.memory, Both):
+        return f"{product.automaton.memory.left.encoding}+{product.automaton.memory.right.encoding}"
+    return product.automaton.encoding
 
 
 def _joint_home(product: Product, binding: Binding) -> JointProduct:

@@ -222,29 +222,29 @@ def joined(task: Product, memory: Product | JointProduct) -> tuple[Product, NDAr
         delta=delta,
         initial=int(np.flatnonzero((q == left.initial) & (m == right.initial))[0]),
         verdict_rows=np.ascontiguousarray(left.verdict_rows[:, q]),
-        memory=_Both(left, right, q, m),
+        memory=Both(left, right, q, m),
         registers=np.empty((0, 0), dtype=np.int32),
         register_names=(),
     )
     return Product(task.model, automaton, letter, task.task_name, task.definitions), m
 
 
-class _Both:
+class Both:
     """What the states of two automata remember together; `right` is the one that a policy uses."""
 
     def __init__(
         self, left: TaskAutomaton, right: TaskAutomaton | JointAutomaton, q: NDArray[np.int64], m: NDArray[np.int64]
     ) -> None:
-        self._left, self._right, self._q, self._m = left, right, q, m
+        self.left, self.right, self._q, self._m = left, right, q, m
 
     def __call__(self, q: int, text: Text = str) -> tuple[Remembered, ...]:
         own, other = int(self._q[q]), int(self._m[q])
-        if isinstance(self._right, TaskAutomaton):
-            kept = self._right.memory(other, text)
+        if isinstance(self.right, TaskAutomaton):
+            kept = self.right.memory(other, text)
         else:
-            kept = (Remembered(self._right.describe(other), rank=other),)
+            kept = (Remembered(self.right.describe(other), rank=other),)
         policys = (replace(one, phrase=f"the policy: {one.phrase}", subject="") for one in kept)
-        return (*self._left.memory(own, text), *policys)
+        return (*self.left.memory(own, text), *policys)
 
 
 def with_outcome(product: Product, model: MDP, verdict: int) -> Product:

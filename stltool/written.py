@@ -96,6 +96,11 @@ def _line(place: str, key: Sequence[str], weights: dict[str, str]) -> Line:
 def rules_of(product: Product | JointProduct, form: Form) -> tuple[Rules, NDArray[np.bool_]]:
     """The rules that make up a policy, and whether runs under it come to each; SizeError if there are too many."""
     blackbox, asked = product.model.blackbox is not None, isinstance(form, Asked)
+    if blackbox and asked:
+        raise PolicyError(
+            "a policy function that acts in a black box, whose reach is not known, cannot be written as text; use the "
+            "function"
+        )
     own = None if blackbox else reached_by(product, form, _MOST_RULED, 2**60)
     nodes = None if asked else reachable(product, _MOST_RULED if blackbox else MOST_NODES)
     if own is None and (nodes is None or not blackbox):

@@ -262,6 +262,31 @@ def test_policies_of_another_encoding_joint_tasks_functions_and_black_boxes(patr
     )
 
 
+@pytest.mark.parametrize("kind", ["npz", "csv", "json"])
+def test_a_policy_with_two_memories_survives_its_file(patrolling, flagged, tmp_path, kind):
+    """A tree of a policy with flags, on the exact product: `explain --policy flags.npz --out tree.npz`."""
+    tree = stl.policy_tree(patrolling, stl.check(flagged).policy, price=0.1).policy
+    assert tree.home.automaton.n_states > patrolling.automaton.n_states
+    tree.save(tmp_path / f"tree.{kind}")
+    again = stl.load_policy(tmp_path / f"tree.{kind}", patrolling)
+    assert stl.check(patrolling, again).probability == stl.check(patrolling, tree).probability
+
+
+def test_what_could_not_be_loaded_is_not_saved(patrolling, tmp_path):
+    joint = stl.build_joint_product(patrolling.model, {"a": stl.parse("F[0,4] A"), "b": stl.parse("F[0,4] (y > 0.6)")})
+    both = stl.tradeoff(joint, "a", at_least={"b": 0.2}).policy
+    _, here = both.on(joint.tasks[0])
+    with pytest.raises(PolicyError, match="remembers more than its task, .*; save the policy that it was made from"):
+        here.save(tmp_path / "p.npz")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_function_in_a_black_box_is_not_text(floor5, tmp_path):
+    product = stl.build_product(hidden(floor5), stl.parse("F[0,3] A"))
+    with pytest.raises(PolicyError, match="a policy function that acts in a black box"):
+        stl.Policy.from_function(product, lambda here: "N").save(tmp_path / "p.csv")
+
+
 def test_a_black_box_has_rules_wherever_the_policy_acts(floor5, tmp_path):
     product = stl.build_product(hidden(floor5), stl.parse("F[0,3] A"))
     policy = stl.learn(product, "naive", episodes=50, seed=0).policy
