@@ -69,6 +69,9 @@ PARTS = {
         below="`*`: the flags are not the formula there.",
     ),
     "windows": Part("Automata: long windows, CPU seconds to compile them, beside an older commit", "windows"),
+    "falsify": Part(
+        "Falsification: executions to a violation, beside uniform points, Hypothesis and PSY-TaLiRo", "falsify"
+    ),
     "cluster": Part("A dask cluster of this machine's processes", "cluster"),
     "goals": Part("Environment steps to a good policy, twenty new seeds", "goals"),
     "beyond": Part("Learning beyond the paper's floor, beside posterior sampling and UCBVI", "goals", "beyond"),

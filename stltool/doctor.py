@@ -27,6 +27,7 @@ Status = Literal["ok", "missing", "too old", "broken"]
 
 PURPOSES = {
     "cluster": "sweeps and checks on a dask cluster",
+    "falsify": "other optimisers for stltool.testing.falsify",
     "gymnasium": "Gymnasium environments as models, and models as environments",
     "mcap": "traces in MCAP files, as robots record them",
     "parquet": "traces in Parquet files",

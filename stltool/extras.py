@@ -8,6 +8,8 @@ from typing import Any
 from stltool.errors import MissingExtraError
 
 EXTRAS = {
+    "cma": "falsify",
+    "optuna": "falsify",
     "distributed": "cluster",
     "gymnasium": "gymnasium",
     "mcap": "mcap",

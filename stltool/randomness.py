@@ -35,6 +35,10 @@ class Purpose(IntEnum):
     """`sample_run`: one run, step by step."""
     MARKOV_TEST = 5
     """`markov_test`: tables with the same margins as the data."""
+    FALSIFY = 6
+    """`stltool.testing.falsify`: which inputs are executed."""
+    SAMPLED = 7
+    """`stltool.testing.assert_probability_sampled`: what each run is given."""
 
 
 def generator(seed: int, purpose: Purpose, *part: int) -> np.random.Generator:

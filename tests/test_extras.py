@@ -22,6 +22,7 @@ IMPORTERS = {
     "models/gymnasium/cells.py": "gymnasium", "models/gymnasium/vector.py": "gymnasium",
     "monitoring/logs/mcap.py": "mcap", "monitoring/logs/parquet.py": "pyarrow",
     "reporting/tensorboard.py": "tensorboard", "checking/readable.py": "sklearn",
+    "testing/environments.py": "gymnasium",
 }  # fmt: skip
 
 
@@ -56,6 +57,8 @@ def test_whatever_is_imported_is_brought_by_the_install_or_by_a_named_extra():
 
 
 DOORS = {
+    "cma": "falsify(lambda inputs: {}, 'x > 0', {'a': (0, 1)}, method='cma')",
+    "optuna": "falsify(lambda inputs: {}, 'x > 0', {'a': (0, 1)}, method='optuna')",
     "distributed": "stl.run_sweep(stl.load_sweep('examples/paper/small.toml'), folder, cluster='tcp://localhost:1')",
     "gymnasium": "stl.load_model('examples/frozenlake/lake.toml')",
     "mcap": "stl.load_trace(f'{folder}/trace.mcap')",
@@ -72,6 +75,7 @@ doors, folder = json.load(sys.stdin), sys.argv[1]
 sys.modules.update(dict.fromkeys(doors))
 import stltool as stl
 from stltool.reporting import tensorboard
+from stltool.testing import falsify
 for door in doors.values():
     try:
         eval(door)

@@ -1,0 +1,51 @@
+"""The next point by a response surface of the scores: an interpolation by radial basis functions [Regis13].
+
+Candidates vary the best points so far. Of them that one is next whose predicted score and whose distance from all
+points tried are best together, with weights that go in turn from the distance to the score.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stltool.testing.falsification.candidates import Candidates
+from stltool.testing.falsification.inputs import F64
+
+_CANDIDATES = 300
+_WEIGHTS = (0.5, 0.8, 0.95, 1.0)
+_SPREADS = (0.3, 0.1, 0.03)
+_MOVED = 10  # coordinates that change, about
+_LATEST = 200  # points that the surface goes through
+
+
+def by_surface(candidates: Candidates, x: F64, scores: F64, turn: int) -> F64:
+    """The next point (dimension,), from points (n, dimension) and their scores (n,)."""
+    from scipy.interpolate import RBFInterpolator
+    from scipy.spatial.distance import cdist
+
+    order = np.argsort(scores, kind="stable")
+    kept = np.sort(order[:_LATEST])
+    dimension = x.shape[1]
+    heights = np.minimum(scores[kept], np.median(scores[kept]))  # how high the heights are does not matter
+    cubic = np.linalg.matrix_rank(x[kept] - x[kept[0]]) == dimension  # its linear part is determined
+    surface = RBFInterpolator(
+        x[kept], heights, kernel="cubic" if cubic else "linear", degree=1 if cubic else 0, smoothing=1e-8
+    )
+    chance = min(1.0, _MOVED / dimension)
+    parts = [candidates.uniform(_CANDIDATES // 10), candidates.pieces(_CANDIDATES // 10)]
+    parent = candidates.drawn(x[order[:10]], _CANDIDATES // 2)
+    parts.append(candidates.varied(parent))
+    parts += [candidates.nearby(candidates.drawn(x[order[:3]], _CANDIDATES // 10), s, chance) for s in _SPREADS]
+    new = np.concatenate(parts)
+    predicted, distance = surface(new), cdist(new, x).min(axis=1)
+    weight = _WEIGHTS[turn % len(_WEIGHTS)]
+    merit = weight * _unit(predicted) + (1 - weight) * (1 - _unit(distance))
+    merit[distance < 1e-6] = np.inf
+    best: F64 = new[int(np.argmin(merit))]
+    return best
+
+
+def _unit(values: F64) -> F64:
+    low, high = values.min(), values.max()
+    found: F64 = (values - low) / (high - low) if high > low else np.zeros_like(values)
+    return found

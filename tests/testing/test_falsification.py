@@ -1,0 +1,243 @@
+"""Falsification: what is found is a violation, what cannot be found ends with the budget, and a seed is a search."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import stltool as stl
+from stltool.errors import MissingExtraError
+from stltool.models.environment import simulator
+from stltool.testing import Signal, falsify, input_signals, replay, steer
+from stltool.testing.falsification import steering
+from stltool.testing.falsification.dynamics import Dynamics
+from stltool.testing.falsification.inputs import Inputs
+from stltool.testing.falsification.score import Scores
+from tests.conftest import many
+
+METHODS = ("portfolio", "random", "annealing", "cma", "optuna")
+
+
+class Integrator:
+    """x' = u, in steps of 0.1, from x = 0.1 u: with |u| <= 1, x reaches at most 5.1 in 50 steps."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self, inputs):
+        self.calls += 1
+        return {"x": 0.1 * np.cumsum(inputs["u"])}
+
+
+U = {"u": Signal(-1, 1, points=5)}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_only_the_extreme_input_violates_is_found(seed):
+    result = falsify(Integrator(), "G[0,50] (x < 5.1 - 1e-9)", U, seed=seed)
+    assert result.falsified
+    assert result.executions <= 4  # uniform points and the two corners, in turn
+    assert result.points["u"].tolist() == [1.0] * 5
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_what_no_input_violates_ends_with_the_budget(method):
+    system = Integrator()
+    result = falsify(system, "G[0,50] (x < 5.2)", U, budget=14, method=method)
+    assert not result
+    assert system.calls == result.executions == len(result.history) == 14
+    assert result.robustness == result.history.min() >= 0.1 - 1e-9
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_seed_is_a_search(method):
+    phi = "G[0,50] (x < 4.6 | x > 4.7)"
+    first, again, other = (falsify(Integrator(), phi, U, budget=14, seed=seed, method=method) for seed in (1, 1, 2))
+    assert first.history.tolist() == again.history.tolist()
+    assert first.code == again.code
+    assert first.history.tolist() != other.history.tolist()
+
+
+def test_the_result_is_the_execution_and_its_code_repeats_it():
+    system = Integrator()
+    result = falsify(system, "G[0,50] (x < 4.65 | x > 4.7)", {**U, "v": (0, 1)}, seed=3)
+    assert result.falsified
+    again = system(eval(result.code))
+    assert np.array_equal(again["x"], result.trace["x"])
+    assert not stl.satisfies(result.formula, result.trace)
+    assert result.robustness == stl.robustness(result.formula, result.trace) == result.history[-1]
+    assert not result.diagnosis.verdict
+
+
+@pytest.mark.soak
+def test_a_small_inner_region_is_found_sooner_than_by_chance():
+    """Uniform points fall into it once in 318 times."""
+
+    def bowl(inputs):
+        return {"r": np.array([np.hypot(inputs["a"] - 0.3, inputs["b"] - 0.7)])}
+
+    found = [
+        falsify(bowl, "r > 0.0316227766", {"a": (0, 1), "b": (0, 1)}, budget=100, seed=seed).executions
+        for seed in range(max(5, many(10)))
+    ]
+    assert np.median(found) < 40
+
+
+def test_inputs_and_labels_may_be_named_by_the_formula():
+    result = falsify(
+        lambda inputs: {"on": inputs["u"] > 0.95}, "G[0,9] (on -> u > 0.97)", {"u": Signal(0, 1, points=5)}, budget=300
+    )
+    assert result.falsified
+    assert result.trace["on"].dtype == bool
+    assert not stl.satisfies(result.formula, result.trace)
+
+
+@given(st.data())
+def test_signals_are_made_of_their_control_points(data):
+    shape = data.draw(st.sampled_from(["constant", "linear"]))
+    points, steps = data.draw(st.integers(1, 6)), data.draw(st.integers(1, 12))
+    values = data.draw(st.lists(st.floats(-5, 5), min_size=points, max_size=points))
+    found = Signal(-5, 5, points=points, shape=shape).samples(np.array(values), steps)
+    for t in range(steps):
+        if shape == "constant" or points == 1:
+            expected = values[t * points // steps]
+        else:
+            at = t * (points - 1) / (steps - 1) if steps > 1 else 0
+            expected = np.interp(at, range(points), values)
+        assert found[t] == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "text", ["G[0,5] (x < 100 -> F[0,3] (y > 0.5))", "x == 1 | !(y <= -2 * x)", "(x > 0.5) U[0,6] (y - x < 0.1)"]
+)
+def test_scores_have_the_sign_of_robustness(text):
+    rng, phi = np.random.default_rng(0), stl.parse(text)
+    scores, expected = Scores(phi), []
+    for _ in range(many(100)):
+        trace = {"x": 100 * rng.normal(size=9), "y": rng.normal(size=9)}
+        scores.add(trace)
+        expected.append(stl.robustness(phi, trace))
+    assert np.array_equal(np.sign(scores.values), np.sign(expected))
+
+
+def test_the_learned_model_of_a_linear_system_predicts_it():
+    rng = np.random.default_rng(0)
+    inputs = np.repeat(rng.random((12, 6, 1)), 8, axis=1)
+    signals = np.zeros((12, 48, 2))
+    for k in range(47):
+        x, v = signals[:, k].T
+        signals[:, k + 1, 0], signals[:, k + 1, 1] = x + 0.1 * v, 0.9 * v - 0.1 * x + inputs[:, k, 0] - 0.5
+    none = np.zeros((12, 0))
+    model = Dynamics(inputs[:9], signals[:9], none[:9], rng)
+    predicted = model.executed(inputs[9:], none[9:])
+    assert np.abs(predicted - signals[9:]).max() < 0.02 * np.abs(signals).max()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"system": 3}, "falsify's system is 3, not a function"),
+        ({"inputs": {}}, "inputs are empty"),
+        ({"inputs": {"u": (1, 1)}}, r"range of the input u is \(1, 1\); its low end must be below"),
+        ({"inputs": {"u": 3}}, r"the input u is 3; give its range, \(low, high\), or a Signal"),
+        ({"budget": 0}, "budget is 0; it must be an integer from 1"),
+        ({"method": "luck"}, "method is 'luck'; choose portfolio, random"),
+        ({"phi": "G (x > 0)"}, "needs an interval with an end"),
+        ({"seed": -1}, "seed is -1"),
+        ({"system": lambda inputs: {"x": [0.0]}}, r"signal x is of shape \(1,\); return at least 6 samples"),
+        ({"system": lambda inputs: {"x": "up"}}, "signal x is 'up'; return at least 6 samples"),
+        ({"system": lambda inputs: [0.0] * 6}, "the system's signals are .*, not a mapping"),
+        ({"system": lambda inputs: {"X": [0.0] * 6}}, "returns no signal x, which the formula names; did you mean X"),
+    ],
+)
+def test_bad_arguments_are_told(change, message):
+    given = {"system": Integrator(), "phi": "G[0,5] (x < 9)", "inputs": U, "budget": 3, **change}
+    with pytest.raises(stl.StlToolError, match=message):
+        falsify(given.pop("system"), given.pop("phi"), given.pop("inputs"), **given)
+
+
+@pytest.mark.parametrize("points", [0, 2.5])
+def test_a_signal_has_control_points(points):
+    with pytest.raises(stl.StlToolError, match="points is"):
+        Signal(0, 1, points=points)
+
+
+def test_an_exception_of_the_system_comes_with_the_inputs():
+    def system(inputs):
+        raise ZeroDivisionError("as it happens")
+
+    with pytest.raises(ZeroDivisionError, match="as it happens") as raised:
+        falsify(system, "G[0,5] (x < 9)", {"a": (2, 3)})
+    assert "under the inputs {'a': 2." in raised.value.__notes__[0] or "{'a': 3.0}" in raised.value.__notes__[0]
+
+
+def test_a_missing_optimiser_names_its_extra(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "cma", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'stltool\[falsify\]'"):
+        falsify(Integrator(), "G[0,5] (x < 9)", U, method="cma")
+
+
+# ------------------------------------------------------------------------------------------------------- Hypothesis
+
+
+def test_every_conjunct_steers_on_its_own(monkeypatch):
+    told = {}
+    monkeypatch.setattr(steering, "target", lambda value, label: told.__setitem__(label, value))
+    trace = {"x": [0.5, 2.0], "y": [1.0, 3.0]}
+    assert steer("(G[0,1] (x > 0)) & (F[0,1] (y > 2))", trace) == 0.5
+    assert told == {"robustness of G[0,1] (x > 0)": -0.5, "robustness of F[0,1] (y > 2)": -1.0}
+
+
+@given(input_signals({"u": Signal(2, 4, points=3), "a": (5, 6)}, steps=7))
+def test_input_signals_are_those_of_a_system(inputs):
+    assert inputs["u"].shape == (7,)
+    assert 2 <= inputs["u"].min() <= inputs["u"].max() <= 4
+    assert 5 <= inputs["a"] <= 6
+
+
+# ------------------------------------------------------------------------------------------------------------ replay
+
+
+@pytest.fixture(scope="module")
+def slippery():
+    """From state 0 one reaches 1 with probability 3/4, else stays; only 1 is A."""
+    model = stl.MDP.from_arrays([[[0.25, 0.75], [0, 1]]], {}, labels={"A": [0, 1]})
+    return stl.build_product(model, stl.parse("F[0,2] A"))
+
+
+def test_the_most_probable_violation_is_replayed_on_a_black_box(slippery):
+    box = simulator(slippery.model, np.random.default_rng(0))
+    result = replay(slippery, box, attempts=400)
+    assert result.run.probability == result.chance == 1 / 16
+    assert result.reproduced
+    assert result.furthest == (0, 0, 0)
+    assert result.missed == (15 / 16) ** result.attempts
+
+
+def test_a_black_box_that_does_not_follow_the_model_is_told(slippery):
+    class Sure:
+        def reset(self):
+            return 0
+
+        def step(self, action):
+            return 1
+
+    result = replay(slippery, Sure(), attempts=20)
+    assert not result
+    assert (result.attempts, result.furthest) == (20, (0, 1))
+    assert result.missed == pytest.approx((15 / 16) ** 20)
+
+
+def test_what_cannot_be_violated_has_no_replay(slippery):
+    product = stl.build_product(slippery.model, stl.parse("F[0,2] (A | !A)"))
+    with pytest.raises(stl.StlToolError, match="no run of this policy violates the task"):
+        replay(product, simulator(product.model, np.random.default_rng(0)))
+    with pytest.raises(stl.StlToolError, match="environment is None"):
+        replay(slippery, None)
+
+
+def test_numbers_and_signals_share_the_cube():
+    cube = Inputs({"a": (0, 10), "u": Signal(2, 4, points=2), "b": (-1, 1)}, 4)
+    values = cube.values(np.array([0.0, 1.0, 0.5, 0.25]))
+    assert list(values) == ["a", "u", "b"]
+    assert (values["a"], values["b"], values["u"].tolist()) == (5.0, -0.5, [2.0, 2.0, 4.0, 4.0])
