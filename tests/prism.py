@@ -6,7 +6,8 @@ updates stay in the variables' ranges, and the probabilities of a command sum to
 
 from __future__ import annotations
 
-import itertools
+import math
+import random
 import re
 from collections.abc import Callable, Iterator
 from fractions import Fraction
@@ -70,19 +71,21 @@ class Program:
             branches.append((Fraction(probability), new))
         return action, read(guard, self.formulas), branches
 
-    def require_total(self, most: int = 20_000) -> int:
-        """Check what PRISM's symbolic engines check, over all values of the variables; how many these are."""
-        n = 0
-        for values in itertools.islice(itertools.product(*self.values.values()), most):
-            state = dict(zip(self.values, values, strict=True))
-            n += 1
+    def require_total(self, most: int = 1000) -> int:
+        """Check what PRISM's symbolic engines check, at `most` values of the variables; returns at how many."""
+        every = range(math.prod(map(len, self.values.values())))
+        for number in (drawn := random.Random(0).sample(every, min(most, len(every)))):
+            state = {}
+            for name, values in self.values.items():
+                number, i = divmod(number, len(values))
+                state[name] = values[i]
             for _, guard, branches in self.commands:
                 if guard(state):
                     assert sum(share for share, _ in branches) == 1
                     for _, new in branches:
                         for name, expression in new.items():
                             assert expression(state) in self.values[name], (state, name)
-        return n
+        return len(drawn)
 
     def explored(self) -> tuple[list[Env], list[list[tuple[str, list[tuple[Fraction, int]]]]]]:
         """The reachable states and the choices of each."""
@@ -118,10 +121,12 @@ class Program:
 
     def value(self, question: Any) -> Fraction:
         """The probability that a question of ours asks for."""
-        side, bound, label = re.fullmatch(r'P(max|min|)=\? \[ F(?:<=(\d+))? "(\w+)" \]', question.property).groups()
+        side, bound, label = re.fullmatch(
+            r'P(max|min|)=\? \[ F(?:<=(\d+))? (".*"|false) \]', question.property
+        ).groups()
         states, choices = self.explored()
         best = {"max": max, "min": min, "": max}[side]
-        goal = [Fraction(bool(self.labels[label](state))) for state in states]
+        goal = [Fraction(bool(label != "false" and self.labels[label.strip('"')](state))) for state in states]
         values, step = goal, 0
         while bound is None or step < int(bound):
             after = [

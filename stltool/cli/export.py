@@ -32,8 +32,8 @@ def export(
         typer.Option(
             "--to",
             metavar="FORMAT",
-            help="prism (program), python (a policy as a program), or dot (Graphviz); default: by the file's ending",
-            autocompletion=lambda: ["prism", "python", "dot"],
+            help="prism, drn, umb (the product), dot (the automaton), python (a policy); default: by the file's ending",
+            autocompletion=lambda: ["prism", "drn", "umb", "dot", "python"],
         ),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="file to write; default: print it"), Writes()] = None,
@@ -56,15 +56,16 @@ def export(
 ) -> None:
     """Export the product of a task and its model, for PRISM and Storm to check it again; or draw the automaton.
 
-    --to prism writes the product as a program: variables are the state, what the task remembers, and the step where it
-    matters; labels "satisfied" and "violated" are the verdicts; a comment has the property that asks for P. With a
-    policy it is the Markov chain under that policy. --to python writes the policy as one file of plain Python, with its
-    tables inside, for a robot that does not have stltool. --to dot draws the automaton: states are labelled with what
-    they remember, edges with their conditions.
+    --to prism writes the product as a program that people can read: variables are the state, what the task remembers,
+    and the step where it matters; labels "satisfied" and "violated" are the verdicts. --to drn and --to umb write the
+    same state by state. The properties that ask for P are printed. With a policy it is the Markov chain under that
+    policy. --to python writes the policy as one file of plain Python, with its tables inside, for a robot that does not
+    have stltool. --to dot draws the automaton: states are labelled with what they remember, edges with their
+    conditions.
     """
     import stltool as stl
     from stltool.exporting import targets
-    from stltool.reporting.terminal import print_facts, print_json, print_text
+    from stltool.reporting.terminal import note, print_facts, print_json, print_text
 
     target = targets.target_of(to, out)
     named_policy = require_one_policy(policy, policy_function)
@@ -101,6 +102,8 @@ def export(
         })  # fmt: skip
     elif text is not None:
         print_text(text)
+        for asked_for, one in questions.items() if target != "prism" else ():  # which has them in a comment
+            note(f"{asked_for}: {one}")
     elif sizes:
         counts = ", ".join(f"{n} {what}" for what, n in sizes.items())
         print_facts({"written": f"{out}: {counts}", **{name: str(one) for name, one in questions.items()}})

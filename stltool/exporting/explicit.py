@@ -127,10 +127,11 @@ class ProductMDP(Displayed):
         within = "" if bound is None else f"<={bound}"
         complement = bound is not None and self.clock.rest == TRUE
         label = self.names.violated if complement else self.names.satisfied
+        goal = f'"{label}"' if self.model.labels[label].any() else "false"  # not every format has labels of no state
         opposite = {"max": "min", "min": "max", "": ""}
         sides = {"policy": ""} if self.policy is not None else {"maximum": "max", "minimum": "min"}
         return {
-            asked: Question(f'P{opposite[side] if complement else side}=? [ F{within} "{label}" ]', complement)
+            asked: Question(f"P{opposite[side] if complement else side}=? [ F{within} {goal} ]", complement)
             for asked, side in sides.items()
         }
 
@@ -307,7 +308,7 @@ class _Build:
             initial=self._initial(codes, before),
             signals=self._signals(step, s, m),
             labels={
-                **{name: holds[s] & (s >= 0) for name, holds in self.model.labels.items()},
+                **{self._label(name): holds[s] & (s >= 0) for name, holds in self.model.labels.items()},
                 self.names.satisfied: with_before == TRUE,
                 self.names.violated: with_before == FALSE,
             },
@@ -318,6 +319,10 @@ class _Build:
         return ProductMDP(
             self.asked, self.policy, self.product, model, step, s, m, self.clock, self.memory, self.of_state, self.names
         )
+
+    def _label(self, name: str) -> str:
+        """A label of the model; the product's own initial state, and deadlocks, are marked otherwise."""
+        return self.names.labels[name] if name in ("init", "deadlock") else name
 
     def _initial(self, codes: I64, before: bool) -> NDArray[np.float64]:
         initial = np.zeros(len(codes) + before)

@@ -1,19 +1,22 @@
 """What an automaton remembers, as variables: one for each part of the task where they can be told apart.
 
 Part i of an automaton has levels (`TaskAutomaton.tracks`), and level_i(q) determines, with all others, the state q. It
-becomes a variable x_i if its next level depends on the letter and on its own level alone,
+becomes a variable x_i if its next level follows from the letter and its own level alone,
 
-    x_i' = f_i(ℓ, x_i)        for every step from an undecided state to another.
+    x_i' = f_i(ℓ, x_i)
 
-Steps after which the task is decided for good lead to states that the automaton has merged; there a variable takes one
-more value, "the task is violated" or "the task holds", if its own level is what decides. Whatever is found is compared
-with δ in every reachable state and letter. If that fails, there is a single variable, the number of the state.
+The automaton has merged states that mean the same, so that levels may follow from others too, and several combinations
+of levels stand for one of its states. In particular it has merged those in which the task is decided: there a variable
+takes one more value, "the task is violated" or "the task holds", if its own level is what decides. Whatever f is found
+is compared with δ wherever runs come to. If that fails, there is a single variable, the number of the state.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +33,7 @@ I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 
 _LONGEST = 40  # characters of a variable's name
+_MOST_COMBINATIONS, _FEW_COMBINATIONS = 3, 100  # of levels: for each state of the automaton, and in any case
 _DECIDED = {FALSE: "the task is violated", TRUE: "the task holds"}
 
 
@@ -105,115 +109,131 @@ def _reached(automaton: TaskAutomaton, closed: I8) -> I64:
 
 
 def _attempts(automaton: TaskAutomaton, closed: I8, reached: I64, tracks: tuple[Track, ...]) -> Iterator[list[I32]]:
-    """Candidates for f_i: first with decisions as values of their own, then with the levels of merged states."""
-    if not tracks:
-        return
+    """Candidates for f_i: with decisions as values of their own, then with the levels of merged states; and where the
+    automaton has merged states that differ in a level, with what is most frequent, then with the last level."""
     states = reached[closed[reached] == UNDECIDED]
-    if not len(states):
+    if not tracks or not len(states):
         return
     after = automaton.delta[:, states]
-    for own_decisions in (True, False):
-        updates = [_update(track.level_of, len(track.levels), states, after, closed, own_decisions) for track in tracks]
-        known = [update for update in updates if update is not None]
-        if len(known) == len(tracks):
-            yield known
+    for own_decisions, frequent in ((True, True), (True, False), (False, True)):
+        yield [
+            _update(track.level_of, len(track.levels), states, after, closed, own_decisions, frequent)
+            for track in tracks
+        ]
 
 
-def _update(level: I32, n_levels: int, states: I64, after: I32, closed: I8, own_decisions: bool) -> I32 | None:
-    """f (n_letters, n_levels + 2) of one part, whose last two levels are decisions (false, true); None if it depends on
-    more than that part."""
-    shape = (len(after), n_levels + 2)
+def _update(level: I32, n_levels: int, states: I64, after: I32, closed: I8, own_decisions: bool, frequent: bool) -> I32:
+    """f (n_letters, n_levels + 2) of one part, whose last two levels are decisions (false, true); −1 where it is never
+    taken."""
     here = np.broadcast_to(level[states], after.shape)
     letter = np.broadcast_to(np.arange(len(after))[:, None], after.shape)
-    verdict = closed[after]
+    verdict, width = closed[after], n_levels + 2
+
+    def gathered(which: NDArray[np.bool_], value: NDArray[Any]) -> I32:
+        found = np.full((len(after), width), -1, dtype=np.int32)
+        votes = (letter[which].astype(np.int64) * width + here[which]) * width + value[which]
+        kinds, count = np.unique(votes, return_counts=True)
+        if frequent:  # of several, the last one assigned stays
+            kinds = kinds[np.argsort(count, kind="stable")]
+        found.reshape(-1)[kinds // width] = kinds % width
+        return found
+
     open_ = verdict == UNDECIDED
-
-    def gathered(which: NDArray[np.bool_], value: NDArray[np.signedinteger]) -> I32 | None:
-        found = np.full(shape, -1, dtype=np.int32)
-        found[letter[which], here[which]] = value[which]
-        return found if np.array_equal(found[letter[which], here[which]], value[which]) else None
-
     regular = gathered(open_, level[after])
-    if regular is None:
-        return None
     only_closed = ~open_ & (regular[letter, here] < 0)
-    for merged in (False, True) if own_decisions else (True, False):
-        found = gathered(only_closed, level[after] if merged else n_levels + verdict.astype(np.int32))
-        if found is not None:
-            return np.where(regular >= 0, regular, found).astype(np.int32)
-    return None
+    ending = gathered(only_closed, n_levels + verdict.astype(np.int32) if own_decisions else level[after])
+    return np.where(regular >= 0, regular, ending).astype(np.int32)
 
 
 def _factored(
-    automaton: TaskAutomaton,
-    closed: I8,
-    reached: I64,
-    tracks: tuple[Track, ...],
-    updates: list[I32],
-    names: Names,
+    automaton: TaskAutomaton, closed: I8, reached: I64, tracks: tuple[Track, ...], updates: list[I32], names: Names
 ) -> Memory | None:
-    """The memory with these updates; None if they do not do what δ does."""
-    states = reached[closed[reached] == UNDECIDED]
+    """The memory with these updates; None if they do not do what δ does.
+
+    Each combination x of levels stands for a state π(x) of the automaton: π(f(ℓ, x)) = δ(ℓ, π(x)) wherever it is
+    reached. Several may stand for one state, which the automaton has merged.
+    """
     levels = np.stack([track.level_of for track in tracks], axis=1)
-    widths = [update.shape[1] for update in updates]
-    if np.prod([float(width) for width in widths]) >= 2**62:
+    found = _Combinations([update.shape[1] for update in updates])
+    if not found.fits:
         return None
-
-    def code_of(rows: I32) -> I64:
-        code = np.zeros(rows.shape[:-1], dtype=np.int64)
-        for i, width in enumerate(widths):
-            code = code * width + rows[..., i]
-        return code
-
-    own = code_of(levels[states])
-    order = np.argsort(own)
-    if len(np.unique(own)) < len(own):
+    merged = np.arange(automaton.n_states)  # decided states are as good as each other
+    for verdict in (FALSE, TRUE):
+        alike = np.flatnonzero(closed == verdict)
+        merged[alike] = alike[:1]
+    q0, most = automaton.initial, _MOST_COMBINATIONS * len(reached) + _FEW_COMBINATIONS
+    first = np.unique(automaton.delta[:, q0]).astype(np.int64)
+    before = bool((closed[first] != UNDECIDED).any())  # begin before the first letter then
+    if before and closed[q0] != UNDECIDED:
         return None
-    states, own = states[order], own[order]
-    after = automaton.delta[:, states]
-    rows = np.stack([update[:, level] for update, level in zip(updates, levels[states].T, strict=True)], axis=2)
-    if (rows < 0).any():
+    first = np.array([q0]) if before else first
+    frontier = found.add(levels[first], first)
+    steps: list[tuple[I64, I64]] = []  # codes before (n,), and after (n_letters, n)
+    while frontier is not None and len(frontier[0]) and len(found.codes) <= most:
+        rows, states = frontier
+        acting = closed[states] == UNDECIDED
+        rows, states = rows[acting], states[acting]
+        after = np.stack([update[:, level] for update, level in zip(updates, rows.T, strict=True)], axis=2)
+        if (after < 0).any():
+            return None
+        steps.append((found.code_of(rows), found.code_of(after)))
+        frontier = found.add(after.reshape(-1, len(updates)), merged[automaton.delta[:, states]].ravel())
+    if frontier is None or len(frontier[0]):
         return None
-    reach, verdict = code_of(rows), closed[after]
-    place = np.minimum(np.searchsorted(own, reach), len(own) - 1)
-    is_regular = own[place] == reach
-    if (is_regular != (verdict == UNDECIDED)).any() or (states[place] != after)[is_regular].any():
-        return None
-    ends, first, which = np.unique(reach[~is_regular], return_index=True, return_inverse=True)
-    end_verdict = verdict[~is_regular][first]
-    if (end_verdict[which] != verdict[~is_regular]).any():
-        return None
-    delta = place.copy()
-    delta[~is_regular] = len(states) + which
-    delta = np.concatenate([delta, np.broadcast_to(len(states) + np.arange(len(ends)), (len(delta), len(ends)))], 1)
-    values = np.concatenate([levels[states], rows[~is_regular][first]])
-    entry = _entry(automaton, states, closed, delta)
-    if entry is None:
-        return None
+    n = len(found.codes)
+    delta = np.broadcast_to(np.arange(n), (automaton.n_letters, n)).copy()
+    for codes, codes_after in steps:
+        delta[:, np.searchsorted(found.codes, codes)] = np.searchsorted(found.codes, codes_after)
+    start = np.searchsorted(found.codes, found.code_of(levels[automaton.delta[:, q0]]))
+    entry = delta[:, np.searchsorted(found.codes, found.code_of(levels[q0]))] if before else start
+    values = found.rows
     used = [np.unique(column) for column in values.T]
-    position = [np.searchsorted(known, column) for known, column in zip(used, values.T, strict=True)]
-    variables = [
-        _variable(track, update, known, names) for track, update, known in zip(tracks, updates, used, strict=True)
-    ]
     kept = [i for i, known in enumerate(used) if len(known) > 1]
+    columns = [np.searchsorted(used[i], values[:, i]) for i in kept]
     return Memory(
-        tuple(variables[i] for i in kept),
-        np.array([position[i] for i in kept], dtype=np.int32).reshape(len(kept), len(values)).T,
-        np.concatenate([states, after[~is_regular][first]]),
-        np.concatenate([np.full(len(states), UNDECIDED), end_verdict]).astype(np.int8),
-        entry,
+        tuple(_variable(tracks[i], updates[i], used[i], names) for i in kept),
+        np.array(columns, dtype=np.int32).reshape(len(kept), n).T,
+        found.states,
+        closed[found.states],
+        entry.astype(np.int32),
         delta.astype(np.int32),
     )
 
 
-def _entry(automaton: TaskAutomaton, states: I64, closed: I8, delta: NDArray[np.int64]) -> I32 | None:
-    """(n_letters,) the state after the first letter."""
-    first = automaton.delta[:, automaton.initial]
-    place = {q: i for i, q in enumerate(states.tolist())}
-    if automaton.initial in place:
-        return delta[:, place[automaton.initial]].astype(np.int32)
-    found = [place.get(q, -1) for q in first.tolist()]
-    return np.array(found, dtype=np.int32) if min(found) >= 0 else None
+class _Combinations:
+    """Combinations of levels, by their codes in ascending order, each with the automaton's state that it stands for."""
+
+    def __init__(self, widths: list[int]) -> None:
+        self._widths, self.fits = widths, math.prod(widths) < 2**62
+        self.codes, self.states = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+
+    def code_of(self, rows: NDArray[Any]) -> I64:
+        """(…,) of rows (…, n_parts)"""
+        code = np.zeros(rows.shape[:-1], dtype=np.int64)
+        for i, width in enumerate(self._widths):
+            code = code * width + rows[..., i]
+        return code
+
+    @property
+    def rows(self) -> I32:
+        parts, rest = [], self.codes
+        for width in reversed(self._widths):
+            rest, part = np.divmod(rest, width)
+            parts.append(part)
+        return np.stack(parts[::-1], axis=1).astype(np.int32)
+
+    def add(self, rows: NDArray[Any], states: I64) -> tuple[I32, I64] | None:
+        """Those that are new, (rows, states); None if one would stand for two states."""
+        codes, which, back = np.unique(self.code_of(rows), return_index=True, return_inverse=True)
+        known = np.isin(codes, self.codes)
+        place = np.searchsorted(self.codes, codes[known])
+        if (states[which][back] != states).any() or (self.states[place] != states[which[known]]).any():
+            return None
+        new = which[~known]
+        together = np.concatenate([self.codes, codes[~known]])
+        order = np.argsort(together)
+        self.codes, self.states = together[order], np.concatenate([self.states, states[new]])[order]
+        return rows[new].astype(np.int32), states[new]
 
 
 def _variable(track: Track, update: I32, used: NDArray[np.int32], names: Names) -> Variable:

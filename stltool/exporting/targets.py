@@ -16,6 +16,8 @@ from stltool.exporting.explicit import ProductMDP, product_mdp
 from stltool.exporting.prism import to_prism
 from stltool.exporting.standalone import to_python
 from stltool.files import require_result, write_result
+from stltool.models.formats.drn_text import drn_text
+from stltool.models.save import require_writable, save_model
 from stltool.policy import Policy, require_door
 from stltool.product import Product
 
@@ -43,7 +45,7 @@ class Target:
     what      such a file, in messages
     content   what is in it, for help
     text      the text of a request; None: the format has none
-    save      writes a request to a file, for formats without text
+    save      writes a request to a file; None: the text is written
     of        what it is made from: "automaton", "product" or "policy" (a product and a policy)
     """
 
@@ -70,6 +72,14 @@ TARGETS: dict[str, Target] = {
         (".prism", ".nm", ".pm"), "PRISM program", "the product as a program for PRISM and Storm",
         lambda asked: to_prism(asked.built),
     ),
+    "drn": Target(
+        (".drn", ".drn.gz"), "DRN file", "the product, state by state, for Storm",
+        lambda asked: drn_text(asked.built.model), lambda asked, path: save_model(asked.built.model, path),
+    ),
+    "umb": Target(
+        (".umb",), "UMB file", "the same in binary, for Storm, PRISM and Modest",
+        save=lambda asked, path: save_model(asked.built.model, path),
+    ),
     "python": Target(
         (".py",), "Python program", "a policy as a program of its own, for robots", _python, of="policy",
     ),
@@ -88,12 +98,13 @@ def export(
 
     product  or an automaton alone, where the format shows nothing else
     path     the file; its ending says the format unless `to` does: "dot" (the automaton), "prism" (the product as a
-             program of the PRISM language), "python" (a policy as a program of its own)
+             program of the PRISM language), "drn" and "umb" (the product state by state, as `save_model` writes it),
+             "python" (a policy as a program of its own)
     policy   export the Markov chain under this policy
     clock    count steps up to the horizon, so that the property that asks for P has no bound (see `product_mdp`)
 
-    Only what runs reach is written. Labels "satisfied" and "violated" are the verdicts, and a comment has the
-    properties whose values are the probabilities of the task; `product_mdp(product).questions` are the same. Raises
+    Only what runs reach is written. Labels "satisfied" and "violated" are the verdicts. The properties whose values are
+    the probabilities of the task are `product_mdp(product).questions`; a program has them in a comment. Raises
     SettingsError for another format or ending, and what `product_mdp` raises.
     """
     require(product, (Product, TaskAutomaton), "export's product")
@@ -153,7 +164,9 @@ def require_request(name: str, asked: Request) -> None:
 
 def require_file(name: str, path: Path) -> None:
     """FileError, before the work, if a target's file could not be written after it."""
-    if TARGETS[name].text is not None:
+    if TARGETS[name].save is not None:
+        require_writable(path)
+    else:
         require_result(path, TARGETS[name].what)
 
 
@@ -162,7 +175,7 @@ def text_of(name: str, asked: Request) -> str:
     require_request(name, asked)
     text = TARGETS[name].text
     if text is None:
-        raise SettingsError(f"{name} is not a text to be printed; name a file: {named('out')}")
+        raise SettingsError(f"{name} files are not text; name one to write: {named('out', 'out=…')}")
     return text(asked)
 
 
@@ -171,7 +184,7 @@ def write(name: str, asked: Request, path: Path) -> None:
     target = TARGETS[name]
     require_request(name, asked)
     require_file(name, path)
-    if target.text is not None:
-        write_result(path, target.text(asked), target.what)
-    elif target.save is not None:
+    if target.save is not None:
         target.save(asked, path)
+    elif target.text is not None:
+        write_result(path, target.text(asked), target.what)

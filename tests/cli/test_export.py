@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+from fractions import Fraction
 
 import pytest
 
@@ -25,7 +26,7 @@ def test_export_draws_the_automaton(stltool, tmp_path):
     code, out, _ = stltool("export", bare, "--to", "dot")
     assert "b not seen for 2 steps" in out
     code, _, err = stltool("export", bare, "--to", "png")
-    assert (code, "known names: dot, prism, python" in err) == (2, True)
+    assert (code, "known names: dot, drn, prism, python, umb" in err) == (2, True)
 
 
 def test_the_product_as_a_program(stltool, tmp_path):
@@ -47,6 +48,33 @@ def test_the_product_as_a_program(stltool, tmp_path):
     assert Program(data["text"]).sizes() == tuple(data[key] for key in ("states", "choices", "transitions"))
 
 
+@pytest.mark.parametrize("ending", ["drn", "drn.gz", "umb"])
+def test_the_product_state_by_state(stltool, tmp_path, ending):
+    path = tmp_path / f"product.{ending}"
+    code, out, _ = stltool("export", PATROLLING, *SMALL, "--clock", "--out", path)
+    assert (code, 'maximum  Pmax=? [ F "satisfied" ]' in out) == (0, True)
+    product = stl.build_product(stl.load_model(path), stl.parse("F[0,8] satisfied"))
+    assert stl.check(product, exact=True).fraction == Fraction(73794757279959, 10**14)
+    assert {"column", "row", "without_at_A", "without_at_B", "step", "x", "y"} == set(product.model.signals)
+    assert {"A", "B", "C", "satisfied", "violated"} == set(product.model.labels) - {"init"}
+    path.write_text("mine")
+    code, _, err = stltool("export", PATROLLING, *SMALL, "--out", path)
+    assert (code, "would be lost" in err) == (2, True)
+
+
+def test_drn_is_printed_and_its_properties_told(stltool):
+    code, out, err = stltool("export", PATROLLING, *SMALL, "--to", "drn")
+    assert (code, "@nr_states\n109\n" in out) == (0, True)
+    assert 'maximum: 1 - x, where x is Pmin=? [ F<=8 "violated" ]' in err
+
+
+def test_a_label_that_other_tools_keep_for_the_initial_state_is_renamed(tmp_path):
+    model = stl.MDP.from_arrays([[[0.5, 0.5], [0, 1]]], {}, labels={"init": [1, 0], "A": [0, 1]})
+    product = stl.build_product(model, stl.parse("F[0,2] A"))
+    stl.export(product, tmp_path / "product.drn")
+    assert list(stl.product_mdp(product).model.labels) == ["init_", "A", "satisfied", "violated"]
+
+
 def test_the_chain_of_a_policy(stltool, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     task = stl.load_task(PATROLLING, {"T": "5", "tau": "5"})
@@ -66,7 +94,9 @@ def test_the_chain_of_a_policy(stltool, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ([], "no format is given; write --to prism, or name a file that ends in one of .dot, .prism, .py"),
+        ([], "no format is given; write --to prism, or name a file that ends in one of .dot, .prism, .drn, .umb, .py"),
+        (["--to", "umb"], "umb files are not text; name one to write: --out"),
+        (["--to", "drn", "--out", "product.tra"], "product.tra: a DRN file ends in .drn or .drn.gz"),
         (["--out", "product.txt"], "product.txt: no format has this ending"),
         (["--to", "prism", "--out", "product.dot"], "a PRISM program ends in .prism or .nm or .pm"),
         (["--to", "prsm"], "--to prsm: there is no such format; did you mean prism?"),

@@ -14,8 +14,7 @@ from tests.conftest import FACTORY
 TASKS: list[tuple[str, dict[str, str]]] = [
     ("patrolling.stl", {"T": "1", "tau": "5"}),
     ("charging.stl", {"T": "5", "tau": "3"}),
-    ("reaching.stl", {"T": "4", "tau": "3"}),
-    ("shift.stl", {"T": "5", "tau": "6"}),
+    ("shift.stl", {"T": "6", "tau": "10"}),
     ("docks.stl", {}),
 ]
 

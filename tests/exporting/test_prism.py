@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.exporting.prism import to_prism
 from tests.conftest import many
-from tests.exporting.products import TASKS, answers, factory, policies, products
+from tests.exporting.products import TASKS, answers, factory, mixture, policies, products
 from tests.prism import Program
 
 
@@ -26,7 +26,7 @@ def agree(product, policy, clock):
 
 
 @pytest.mark.soak
-@settings(max_examples=many(50))
+@settings(max_examples=many(25))
 @given(products(), st.booleans())
 def test_random_products_and_their_chains(product, clock):
     for policy in policies(product):
@@ -34,7 +34,26 @@ def test_random_products_and_their_chains(product, clock):
         assert program.require_total()
 
 
-@pytest.mark.parametrize(("name", "params"), TASKS, ids=[name for name, _ in TASKS])
+def test_a_task_that_cannot_hold_has_a_property_all_the_same():
+    """Formats without labels of no state, such as DRN, have no label "satisfied" then."""
+    product = stl.build_product(stl.MDP.from_arrays([[[1]]], {}, labels={"A": [0]}), stl.parse("F[0,2] A"))
+    exported, _ = agree(product, None, clock=False)
+    assert exported.questions["maximum"].property == "Pmax=? [ F<=2 false ]"
+    exported, _ = agree(product, None, clock=True)
+    assert exported.questions["maximum"].property == "Pmax=? [ F false ]"
+
+
+def test_rows_of_a_mixture_sum_to_one_where_runs_start_in_several_states():
+    model = stl.MDP.from_arrays([[[0.5, 0.5]] * 2, [[0.1, 0.9]] * 2], {}, [0.5, 0.5], {"A": [0, 1]})
+    product = stl.build_product(model, stl.parse("G[0,2] A"))
+    exported, _ = agree(product, mixture(product, 0, by_step=True), clock=False)
+    assert exported.model.rows.defect == 0
+
+
+SMALL = [task for task in TASKS if task[0] not in ("shift.stl", "patrolling.stl")]
+
+
+@pytest.mark.parametrize(("name", "params"), SMALL, ids=[name for name, _ in SMALL])
 def test_the_factory_tasks(name, params):
     product = factory(name, params)
     for policy in (None, stl.check(product).policy):
