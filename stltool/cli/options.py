@@ -45,7 +45,7 @@ class ModelReading(NamedTuple):
         typer.Option(
             "--deadlocks",
             metavar="loop|error",
-            help="states without transitions in .tra files: they stay where they are, or are refused",
+            help="states without transitions: they stay where they are, or are refused",
             autocompletion=lambda: ["loop", "error"],
         ),
     ] = "loop"

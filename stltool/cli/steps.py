@@ -276,6 +276,8 @@ def converted_model(path: Path, param: list[str] | None, reading: ModelReading) 
     )
     for said in loaded.notes.values():
         note(f"{path}: {said}")
+    if reading.initial is not None and "init" in loaded.labels:  # which says where runs start in the other file, too
+        loaded = replace(loaded, labels={**loaded.labels, "init": loaded.initial > 0})
     return loaded.at(**values) if values else loaded
 
 

@@ -140,6 +140,16 @@ def test_all_files_are_written_or_none(coin):
     }
 
 
+def test_a_start_is_chosen_for_formats_with_one(stltool, coin):
+    (coin / "two.drn").write_text(COIN.replace("done", "done init"))
+    code, _, refused = stltool("convert", "two.drn", "two.umb", "-p", "p=0.5", "--initial", "uniform")
+    assert code == 2
+    assert "runs of two start in 2 states, and .umb files have one initial state" in refused
+    assert stltool("convert", "two.drn", "two.umb", "-p", "p=0.5", "--initial", "1")[0] == 0
+    model = stl.load_model(coin / "two.umb")
+    assert model.initial.tolist() == model.labels["init"].tolist() == [0, 1]
+
+
 def test_an_unknown_extension(stltool, coin):
     code, _, refused = stltool("convert", "coin.drn", "coin.xyz")
     assert code == 2
