@@ -61,6 +61,7 @@ PARTS = {
     ),
     "parsing": Part("Reading formulas", "parsing"),
     "loading": Part("Model files: CPU seconds and memory, beside an older commit", "loading"),
+    "formats": Part("Model files in UMB and DRN, beside umbi and Storm", "formats"),
     "monitors": Part("Monitors", "monitors"),
     "logs": Part("Reading logs in CSV, beside pyarrow", "logs"),
     "borders": Part("Monitors: every sample on a comparison's border", "borders"),
