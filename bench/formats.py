@@ -1,10 +1,10 @@
-"""Model files in UMB and DRN, beside the package umbi and Storm: CPU seconds to read them, and GB that the peak rises by.
+"""Model files in UMB and DRN, beside umbi and Storm: CPU seconds to read them, and GB that the peak rises by.
 
 A random MDP with five actions a state and two branches a choice, a double and an integer as variables of its states, a
-label and a reward; the file is written by stltool. Before anything is timed, what each reads is compared with the model:
-targets and probabilities, number by number (of umbi for the smallest size: its objects take minutes). umbi reads plain
-files only; Storm reads no variables of states, and gzip is what it writes by default. Each cell in a process of its own,
-after reading a small file of the same kind.
+label and a reward; stltool writes the file. Before anything is timed, what the others read of the smallest file is
+compared with what stltool reads: targets and probabilities, number by number. umbi reads files that are not compressed,
+and is left out where it takes minutes; Storm reads no variables of states. Each cell in a process of its own, after
+reading a small file of the same kind.
 """
 
 from __future__ import annotations
@@ -34,7 +34,9 @@ def write_model(branches: int, path: Path, packed: bool) -> None:
     from stltool.models.rows import Stored
 
     rng, states = np.random.default_rng(0), branches // 10
-    target = np.sort(rng.integers(0, states // 2, (5 * states, 2)) + [0, states // 2], axis=1).astype(np.int32)
+    target = np.sort(rng.integers(0, states // 2, (5 * states, 2)) + np.array([0, states // 2]), axis=1).astype(
+        np.int32
+    )
     share = rng.integers(1, 1000, 5 * states) / 1000
     first = np.zeros(states)
     first[0] = 1
