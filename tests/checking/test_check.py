@@ -5,7 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
@@ -22,8 +22,8 @@ LABELS = ("a", "b", "c")
 def products(draw, longest=2, **options):
     """Random tiny models with tasks of any kind; histories up to five steps."""
     model = draw(mdps(**options))
-    phi = draw(st.one_of(flag_formulas(longest=longest, equal=False), formulas(longest=longest, max_leaves=5)))
-    assume(stl.horizon(phi) <= 2 * longest + 1)
+    flags = flag_formulas(longest=longest, equal=False)
+    phi = draw(st.one_of(flags, formulas(longest=longest, max_leaves=5, horizon=2 * longest + 1)))
     return stl.build_product(model, phi)
 
 

@@ -80,7 +80,7 @@ def test_the_fraction_is_the_fraction():
 def test_exact_optima_of_any_formula(data):
     """Against the tree of all histories and the slow semantics: automaton, product and arithmetic together."""
     model = data.draw(mdps())
-    phi = data.draw(formulas(longest=2, max_leaves=4).filter(lambda f: stl.horizon(f) <= 4))
+    phi = data.draw(formulas(longest=2, max_leaves=4, horizon=4))
     maximize = data.draw(st.booleans())
     product = stl.build_product(model, phi)
     assert stl.check(product, maximize=maximize, exact=True).fraction == oracles.optimum(model, phi, maximize)

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
@@ -33,8 +33,8 @@ def minimizes(maximize, nature):
 @st.composite
 def products(draw, longest=2, most=3, **options):
     model = draw(interval_mdps(**options))
-    phi = draw(st.one_of(flag_formulas(longest=longest, equal=False), formulas(longest=longest, max_leaves=5)))
-    assume(stl.horizon(phi) <= most)
+    flags = flag_formulas(longest=longest, equal=False, horizon=most)
+    phi = draw(st.one_of(flags, formulas(longest=longest, max_leaves=5, horizon=most)))
     return stl.build_product(model, phi)
 
 

@@ -46,8 +46,10 @@ def followed(draw):
     """A tiny product, a policy with weights over quarters, and how often each random number is used."""
     mixed = draw(st.booleans())
     model = draw(mdps(states=3, actions=3))
-    phi = draw(st.one_of(flag_formulas(longest=2), formulas(signals=(), longest=2, max_leaves=4)))
-    assume(1 <= stl.horizon(phi) <= (2 if mixed else 3))
+    most = 2 if mixed else 3
+    kinds = flag_formulas(longest=2, horizon=most), formulas(signals=(), longest=2, max_leaves=4, horizon=most)
+    phi = draw(st.one_of(kinds))
+    assume(stl.horizon(phi) >= 1)
     product = stl.build_product(model, phi)
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     shape = (product.horizon, *product.shape) if draw(st.booleans()) else product.shape

@@ -27,8 +27,8 @@ CLEAR = 1e-7  # the oracle's own rounding; choices that lose less are not told a
 @st.composite
 def flagged(draw, longest=2, equal=True, **options):
     """Tiny models with tasks of the fragment, on their flags."""
-    phi = draw(flag_formulas(longest=longest, equal=equal))
-    assume(1 <= stl.horizon(phi) <= 3)
+    phi = draw(flag_formulas(longest=longest, equal=equal, horizon=3))
+    assume(stl.horizon(phi) >= 1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return stl.build_product(draw(mdps(**options)), phi, encoding="paper")
