@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -76,7 +77,7 @@ def _load(path: Path, loading: Loading, opened: _Opened) -> MDP:
         return started(_load_toml(path, loading, opened), loading)
     loader = next((found for ending, found in _LOADERS.items() if path.name.lower().endswith(ending)), None)
     if loader is None:
-        if not path.exists():
+        if not os.path.exists(path):
             raise FileError(f"{path}: there is no such model file")
         known = ", ".join((".toml", *_LOADERS))
         raise FileError(f"{path}: no model format has the extension {path.suffix!r}; known extensions: {known}")
@@ -130,11 +131,12 @@ def _member(path: Path, loading: Loading, opened: _Opened) -> MDP:
 def companions(path: Path) -> list[Path]:
     """The files that are read together with a model file, if they exist: those next to it, a composition's members."""
     if path.suffix.lower() == ".toml":
-        return list(dict.fromkeys(_members(path, (path,))))
+        return list(_members(path, {Path(os.path.realpath(path))}))
     return explicit_files(path) if path.name.lower().endswith((".tra", ".tra.gz")) else []
 
 
-def _members(path: Path, within: tuple[Path, ...]) -> Iterator[Path]:
+def _members(path: Path, seen: set[Path]) -> Iterator[Path]:
+    """The members of a composition, theirs, and so on, each once; none of a file that cannot be read."""
     try:
         table, _ = read_toml(path)
         files = member_files(table, Faults()) if table.get("kind") == "composition" else {}
@@ -142,10 +144,10 @@ def _members(path: Path, within: tuple[Path, ...]) -> Iterator[Path]:
         return
     for file, _, _ in files.values():
         member = path.parent / file
-        if member.exists() and member not in within and len(within) <= _DEEPEST:
-            yield from (member, *companions(member)) if member.suffix.lower() != ".toml" else (
-                member, *_members(member, (*within, member))
-            )  # fmt: skip
+        if os.path.exists(member) and (place := Path(os.path.realpath(member))) not in seen:
+            seen.add(place)
+            yield member
+            yield from _members(member, seen) if member.suffix.lower() == ".toml" else companions(member)
 
 
 _DEEPEST = 10

@@ -373,6 +373,8 @@ def test_members_start_elsewhere_and_get_values(tmp_path):
         ("[members]\nr1 = { model = 3 }\n", "line 3: member r1 is .*; write the path of its model"),
         ('[members]\nr1 = "none.toml"\n', "line 3: member r1: .*none.toml: there is no such model file"),
         ('[members]\nr1 = "."\n', "line 3: member r1: "),
+        (f'[members]\nr1 = "{"a" * 300}.toml"\n', "line 3: member r1: .*a.toml"),
+        (f'[members]\nr1 = "{"a" * 300}.x"\n', "line 3: member r1: .*a.x: there is no such model file"),
         ('[members]\nr1 = "a\\u0000b"\n', "line 3: member r1 is "),
         ('[members]\nr1 = { model = "floor.toml", strat = 1 }\n', "member r1: unknown key strat; did you mean start"),
         ('[members]\nr1 = { model = "floor.toml", start = [1, 0] }\n', r"start = \[1, 0\] is blocked or off the map"),
@@ -424,4 +426,13 @@ def test_files_that_double_at_every_level_are_read_once_and_refused(tmp_path):
         stl.load_model(tmp_path / "f9.toml")
     assert str(caught.value).count("its faults are told above") == 9
     assert len(str(caught.value)) < 5000
-    assert len(companions(tmp_path / "f29.toml")) <= 12
+    assert len(companions(tmp_path / "f29.toml")) == 29
+
+
+def test_companions_of_many_members_are_found_in_linear_time(tmp_path):
+    """Twenty files, each with a thousand lines that name the next one: 10^60 ways."""
+    for k in range(20):
+        lines = "".join(f'm{i} = "f{k + 1}.toml"\n' for i in range(1000))
+        write(tmp_path, **{f"f{k}": f'kind = "composition"\n[members]\n{lines}'})
+    write(tmp_path, f20='kind = "grid"\nmap = "S"\n')
+    assert len(companions(tmp_path / "f0.toml")) == 20
