@@ -7,17 +7,23 @@ pages and pictures carry MARK for that, near their beginning or end; other kinds
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from stat import S_ISDIR, S_ISREG
 from typing import IO
 
 from stltool.errors import FileError
 
 MARK = "Generator: stltool"  # in a comment or in the metadata of what is written
 _NEAR = 4096  # bytes from the beginning or the end of a file that the mark is within
+_SUFFIX = ".stltool"  # of temporary files and folders, which begin with a dot and the name that they will get
+_LEFT = re.compile(r"\..+\.[a-z0-9_]{8}\.stltool", re.DOTALL)
+_YOUNG = 5.0  # seconds; a younger one may be about to be held
 _TRIAL = 1 << 16  # bytes that must fit into a results folder
 
 
@@ -68,10 +74,12 @@ def write_folder(folder: str | Path, files: Mapping[str, bytes]) -> None:
     folder = Path(folder).absolute()
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise FileError(f"{folder}: it exists, and nothing is replaced; name a new folder")
-    temporary = None
+    temporary, held = None, None
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+        _tidy(folder.parent)
+        temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=_prefix(folder), suffix=_SUFFIX))
+        held = _hold(temporary)
         for name, content in files.items():
             (temporary / name).parent.mkdir(parents=True, exist_ok=True)
             (temporary / name).write_bytes(content)
@@ -85,6 +93,8 @@ def write_folder(folder: str | Path, files: Mapping[str, bytes]) -> None:
         if isinstance(error, OSError):
             raise FileError(f"{folder}: cannot be made: {error.strerror}") from None
         raise
+    finally:
+        _release(held)
 
 
 @contextmanager
@@ -92,12 +102,14 @@ def atomic_file(path: str | Path) -> Iterator[IO[bytes]]:
     """A binary file next to `path` that replaces it if the block succeeds, and is removed if it fails."""
     path = Path(path).resolve()  # through a link, to what it names
     require_replaceable(path)
-    temporary = None
+    temporary, held = None, None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         mode = path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~_umask()
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+        _tidy(path.parent)
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=_prefix(path), suffix=_SUFFIX, delete=False) as file:
             temporary = file.name
+            held = _hold(Path(temporary))
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -109,11 +121,104 @@ def atomic_file(path: str | Path) -> Iterator[IO[bytes]]:
         if isinstance(error, OSError):
             raise FileError(f"{path}: cannot be written: {error.strerror}") from None
         raise
+    finally:
+        _release(held)
+
+
+# ------------------------------------------------------------------------------------------ what killed processes leave
+
+
+def _prefix(path: Path) -> str:
+    """The beginning of the name of a temporary file or folder that will become `path`; a long name is cut."""
+    return f".{os.fsdecode(os.fsencode(path.name)[:200])}."
+
+
+def _hold(path: Path) -> int | None:
+    """A descriptor whose lock shows that a temporary file or folder is in use; None if it is held already, or where
+    there are no such locks. The lock ends with the process."""
+    try:
+        import fcntl
+    except ImportError:  # on Windows
+        return None
+    held = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(held)
+        return None
+    return held
+
+
+def _release(held: int | None) -> None:
+    if held is not None:
+        os.close(held)
+
+
+_tidied: set[Path] = set()
+
+
+def _tidy(folder: Path) -> None:
+    """Remove temporary files and folders that killed processes left in a folder; once for each folder."""
+    if folder in _tidied:
+        return
+    _tidied.add(folder)
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            if _LEFT.fullmatch(entry.name) is None:
+                continue
+            with suppress(OSError):
+                kind = entry.stat(follow_symlinks=False)
+                if time.time() - kind.st_mtime < _YOUNG or not (S_ISREG(kind.st_mode) or S_ISDIR(kind.st_mode)):
+                    continue
+                held = _hold(Path(entry.path))
+                if held is None:
+                    continue
+                try:
+                    if S_ISDIR(kind.st_mode):
+                        shutil.rmtree(entry.path)
+                    else:
+                        os.unlink(entry.path)
+                finally:
+                    os.close(held)
+
+
+@contextmanager
+def alone_in(folder: Path, what: str) -> Iterator[None]:
+    """The results folder for this process alone, while it makes `what` ("run"): FileError if another one does that.
+
+    A folder that is made for it, and is empty in the end, is removed.
+    """
+    made = not folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"{folder}: cannot create the results folder: {error.strerror}; name another") from None
+    try:
+        import fcntl
+    except ImportError:  # on Windows
+        yield
+        return
+    held = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise FileError(
+                f"{folder}: another {what} is writing there; wait until it ends, or name another folder (--out)"
+            ) from None
+        except OSError:  # a file system without locks
+            pass
+        yield
+    finally:
+        os.close(held)
+        if made:
+            with suppress(OSError):  # it is not empty
+                folder.rmdir()
 
 
 def require_replaceable(path: Path) -> None:
     """FileError if `path` exists and is not a regular file but a folder, a pipe or a device."""
-    if path.exists() and not path.is_file():
+    if os.path.exists(path) and not path.is_file():  # unlike Path.exists, for names of any length
         raise FileError(f"{path}: cannot be written: it is not a regular file; name another")
 
 
@@ -145,7 +250,7 @@ def require_own(path: str | Path, what: str, known: Callable[[Path], bool]) -> N
     path = Path(path)
     require_replaceable(path)
     try:
-        foreign = path.exists() and path.stat().st_size > 0 and not known(path)
+        foreign = os.path.exists(path) and path.stat().st_size > 0 and not known(path)
     except OSError:  # what cannot be read is not known to be ours
         foreign = True
     if foreign:
@@ -176,12 +281,13 @@ def write_results(files: Mapping[Path, bytes | None], what: str, known: Callable
     for path in targets:
         require_result(path, what, known)
     made: dict[Path, str] = {}
+    holds: list[int | None] = []
     kept: dict[Path, Path] = {}
     replaced: list[Path] = []
     try:
         for path, content in targets.items():
             if content is not None:
-                made[path] = _temporary(path, content)
+                made[path] = _temporary(path, content, holds)
         for path in targets:
             if path.exists():
                 kept[path] = path.with_name(f".{path.name}.{os.getpid()}.old")
@@ -200,14 +306,19 @@ def write_results(files: Mapping[Path, bytes | None], what: str, known: Callable
         if isinstance(error, OSError):
             raise FileError(f"{path}: cannot be written: {error.strerror}") from None
         raise
+    finally:
+        for held in holds:
+            _release(held)
     for former in kept.values():
         former.unlink(missing_ok=True)
 
 
-def _temporary(path: Path, content: bytes) -> str:
-    """The content in a file next to `path`, with its mode."""
+def _temporary(path: Path, content: bytes, holds: list[int | None]) -> str:
+    """The content in a file next to `path`, with its mode, held."""
+    _tidy(path.parent)
     mode = path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~_umask()
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=_prefix(path), suffix=_SUFFIX, delete=False) as file:
+        holds.append(_hold(Path(file.name)))
         try:
             file.write(content)
             file.flush()
@@ -225,7 +336,7 @@ def require_folder(path: str | Path) -> None:
     Tried with an unnamed temporary file; nothing is left behind.
     """
     existing = Path(path).resolve()
-    while not existing.exists():
+    while not os.path.exists(existing):
         existing = existing.parent
     if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
         fault = f"{existing} is not a writable directory"

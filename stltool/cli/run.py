@@ -115,7 +115,7 @@ def run(
     import stltool as stl
     from stltool.checking.evidence import evidence_of
     from stltool.checking.statistical import planned_runs
-    from stltool.files import read_text
+    from stltool.files import alone_in, read_text
     from stltool.learning.checkpoint import require_checkpoint
     from stltool.learning.markov import tested
     from stltool.policy import require_policy_file
@@ -150,7 +150,7 @@ def run(
             "bound by runs: stltool estimate --policy FILE --at-least P"
         )
     require_checkpoint(checkpoint, resume)
-    with resumable(checkpoint):
+    with alone_in(folder, "run"), resumable(checkpoint):
         checks = []
         if known:
             with progress_bar("checking the optimum", quiet=as_json) as bar:

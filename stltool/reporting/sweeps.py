@@ -28,7 +28,7 @@ from stltool.reporting.story import story_sections
 
 _NEAR = 0.99  # fraction of the optimum from which a task is considered learned
 _COLUMNS = ("scenario", "method", "median", "q1", "q3", "least", "greatest", "published", "optimum",
-            "environment_steps", "near_optimum_at", "regret", "seconds", "seeds")  # fmt: skip
+            "environment_steps", "near_optimum_at", "regret", "wall_seconds", "seeds")  # fmt: skip
 _POINTS = ("scenario", "method", "seed", "episode", "steps", "probability")
 _FILES: dict[str, tuple[str, Callable[[Path], bool]]] = {
     "report.html": ("page", is_marked),
@@ -232,8 +232,8 @@ def write_sweep(data: SweepRecord, folder: str | Path) -> list[Path]:
     write_result(paths[1], json.dumps(data, indent=1) + "\n", *_FILES["report.json"])
     write_result(paths[0], page, *_FILES["report.html"])
     write_csv(paths[2], "table", _COLUMNS, (
-        [*(cast(dict[str, Any], result)[column] for column in _COLUMNS[:-1]), len(result["seeds"])]
-        for result in data["results"]
+        [*(columns[name.removeprefix("wall_")] for name in _COLUMNS[:-1]), len(columns["seeds"])]
+        for columns in cast(list[dict[str, Any]], data["results"])
     ))  # fmt: skip
     points = (
         (result["scenario"], result["method"], run["seed"], *point)
