@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -54,6 +55,7 @@ _MOST_CONSTRAINTS = 2000  # of one elimination
 _MOST_POINTS = 400  # of a grid
 _FINE = 20  # decimals that an interval offers, at least
 _MOST_DIGITS = 17  # after the first of a double
+_LARGEST = Fraction(sys.float_info.max)
 _FREE = Fraction(10)  # how far values go where nothing limits them
 _BISECTIONS = 40
 _MOST_BORDERS = 6  # between two truth assignments of a table
@@ -171,7 +173,9 @@ def _magnitude_of(width: Fraction) -> int:
 
 
 def _plainness(value: Fraction) -> tuple[int, Fraction, bool]:
-    return len(f"{float(abs(value)):g}"), abs(value), value < 0
+    """Few characters first, then what is near 0."""
+    characters = len(f"{float(abs(value)):g}") if abs(value) < _LARGEST else len(str(value))
+    return characters, abs(value), value < 0
 
 
 def _is_decimal(value: Fraction) -> bool:

@@ -100,4 +100,5 @@ def test_values_are_short_and_reach_the_ends():
     largest = Fraction(1.7976931348623157e308)
     widest = Choices.within(Span(-largest, largest))
     assert all(abs(widest.pick(random.Random(seed).randrange)) <= largest for seed in range(20))
+    assert Choices.within(Span(largest, 10 * largest, low_open=True)) is None
     assert Choices.within(Span(None, Fraction(10**15))).pick(lambda n: 0) <= 10**15
