@@ -48,7 +48,8 @@ from stltool.logic.formula import (
 )
 from stltool.logic.semantics import samples_of
 from stltool.logic.task import Task
-from stltool.monitoring.blocks import Machine
+from stltool.monitoring.blocks import Block, Machine
+from stltool.monitoring.compiled import SAMPLES, Compiled, compilable, compiled, worthwhile
 from stltool.monitoring.program import compile_delayed, compile_formula
 from stltool.monitoring.samples import End, Traces, read_traces, with_earlier
 
@@ -209,13 +210,31 @@ def judge(formula: Formula, traces: Traces, end: End, truth: bool, margins: bool
     decided = decided_steps(traces, end)
     outs: list[NDArray[Any]] = [np.empty((traces.n_traces, decided), np.bool_)] * truth
     outs += [np.empty((traces.n_traces, decided))] * margins
-    machine = Machine(traces.program, truth, margins)
-    for block, rows, first in traces.blocks(end, _MARGINS if margins else _TRUTH):
+    machine, quick, samples = Machine(traces.program, truth, margins), None, _MARGINS if margins else _TRUTH
+    if compilable(traces.program) and worthwhile(traces.n_traces * traces.n_steps):
+        quick, samples = compiled(traces.program), SAMPLES
+    for block, rows, first in traces.blocks(end, samples):
+        if quick is not None and not machine.gaps and _judge_quickly(quick, block, outs, truth, margins, rows, first):
+            continue
         for out, found in zip(outs, machine.run(block), strict=True):
             if machine.gaps:
                 refuse_unknown(found, formula, traces, rows.start, first, end)
             out[rows, first : first + found.shape[1]] = found > 0 if found.dtype == np.int8 else found
     return outs
+
+
+def _judge_quickly(
+    quick: Compiled, block: Block, outs: list[NDArray[Any]], truth: bool, margins: bool, rows: slice, first: int
+) -> bool:
+    """Whether the kernel has judged a block; otherwise, what it has written is to be written again."""
+    if block.wide or (margins and not quick.run(block, False, outs[-1], rows.start, first)):
+        return False
+    if truth and margins:
+        found = outs[-1][rows, first : first + block.steps]
+        if found.all():  # the sign of a margin that is not 0 is the truth
+            np.greater(found, 0.0, out=outs[0][rows, first : first + block.steps])
+            return True
+    return not truth or quick.run(block, True, outs[0], rows.start, first)
 
 
 def prepare(

@@ -33,7 +33,7 @@ from stltool.monitoring.intervals import MOST_SHARED, Enclosure, positive
 from stltool.monitoring.lookback import FALSE, TRUE, Network, Value, judge_of
 from stltool.monitoring.offline import judge
 from stltool.monitoring.program import compile_delayed, compile_formula
-from stltool.monitoring.samples import WHOLE, Earlier, Traces, read_traces
+from stltool.monitoring.samples import WHOLE, WIDE, Earlier, Traces, read_traces
 
 if TYPE_CHECKING:
     from stltool.monitoring.stream import Stream
@@ -332,7 +332,7 @@ class OnlineMonitor(Displayed):
             self._refuse_margins(samples)
         given = self._outside(self._stream, samples, n)  # raises for samples without a margin
         if traces.n_steps >= _BULK * self._stream.depth:
-            return self._judge(samples)
+            return self._judge(samples, whole_block.wide)
         self._grow(len(samples))
         read = self._stream.read(samples, given)
         assert not isinstance(read, int)
@@ -343,14 +343,16 @@ class OnlineMonitor(Displayed):
         robustness = np.where(known, margins[np.where(known, final, 0)], np.nan)
         return Decisions(steps, verdicts[order], robustness)
 
-    def _judge(self, samples: NDArray[np.float64]) -> Decisions:
+    def _judge(self, samples: NDArray[np.float64], wide: bool) -> Decisions:
         """A block that is much longer than the horizon: its settled steps at once, the open ones from new arrays."""
         stream, n, h = self._stream, self.n_steps, self.horizon
         back = stream.depth - 1
         before = stream.kept()[-back:] if back else stream.kept()[:0]
         first, judged = n - min(h, n), n - len(before)
         joined = np.concatenate([before, samples])
-        found = judge(self._judged, self._traces(joined, judged), "error", True, self.wait)
+        small = not wide and bool((np.abs(before) < WIDE).all())  # they need not be looked at again
+        traces = replace(self._traces(joined, judged), small=small)
+        found = judge(self._judged, traces, "error", True, self.wait)
         truth, margins = found[0][:, first - judged :], found[-1][:, first - judged :]
         last = joined[-stream.depth :]
         end = n + len(samples)

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Literal, NamedTuple, TypeAlias, assert_never
+from typing import Generic, Literal, NamedTuple, TypeAlias, TypeVar, assert_never
 
 from stltool.logic.formula import (
     Always,
@@ -47,6 +47,7 @@ from stltool.logic.shifts import Delayed, delayed
 from stltool.monitoring.comparisons import Predicate
 from stltool.source import Span
 
+_T = TypeVar("_T")
 Op = Literal["atom", "not", "and", "or", "iff", "eventually", "always", "until", "once", "historically", "since"]
 PAST = ("once", "historically", "since")
 Atom: TypeAlias = Constant | Label | Predicate
@@ -101,39 +102,39 @@ class Program:
 
 def compile_formula(phi: Formula) -> Program:
     """The program of a formula; those of the last few formula objects are kept."""
-    return _compile(_Same(phi))
+    return _compile(Same(phi))
 
 
 def compile_delayed(phi: Formula, once: bool = True) -> tuple[Delayed, Program]:
     """A formula that may read earlier samples as the monitors read it (`delayed`), and its program; kept likewise."""
-    return _compile_delayed(_Same(phi), once)
+    return _compile_delayed(Same(phi), once)
 
 
-class _Same:
-    """A key for a formula that compares the object: hashing its nodes would cost more than compiling them."""
+class Same(Generic[_T]):
+    """A key that compares the object: hashing a formula's nodes, say, would cost more than compiling them."""
 
-    __slots__ = ("phi",)
+    __slots__ = ("thing",)
 
-    def __init__(self, phi: Formula) -> None:
-        self.phi = phi
+    def __init__(self, thing: _T) -> None:
+        self.thing = thing
 
     def __hash__(self) -> int:
-        return id(self.phi)
+        return id(self.thing)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and self.phi is other.phi
+        return isinstance(other, Same) and self.thing is other.thing
 
 
 @lru_cache(maxsize=8)
-def _compile_delayed(key: _Same, once: bool) -> tuple[Delayed, Program]:
-    made = delayed(key.phi, once=once)
+def _compile_delayed(key: Same[Formula], once: bool) -> tuple[Delayed, Program]:
+    made = delayed(key.thing, once=once)
     return made, compile_formula(made.formula)
 
 
 @lru_cache(maxsize=8)
-def _compile(key: _Same) -> Program:
+def _compile(key: Same[Formula]) -> Program:
     compiler = _Compiler()
-    compiler.visit(key.phi)
+    compiler.visit(key.thing)
     return compiler.program()
 
 

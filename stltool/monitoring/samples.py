@@ -25,7 +25,7 @@ from stltool.sizes import require_memory
 End = Literal["error", "cut", "hold"]
 
 WHOLE = 2**53  # integers up to here are exact in doubles
-_WIDE = 2.0**969  # differences of samples below this, or of one and any double, do not overflow
+WIDE = 2.0**969  # differences of samples below this, or of one and any double, do not overflow
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +38,7 @@ class Traces:
     n_steps: int
     batch: bool
     first_step: int = 0  # the number of the first sample in messages
+    small: bool = False  # all samples are known to be finite, and small enough for their differences to be, too
 
     def place(self, row: int, step: int) -> str:
         """`trace 3, step 17`, or without the trace if there is only one."""
@@ -127,7 +128,10 @@ class Traces:
                 columns[name] = self._label(name, given, rows, steps)
             if name in self.program.variables:  # a name that is both is read as reals
                 columns[name] = column = self._variable(name, given, rows, steps)
-                if not -_WIDE < np.minimum.reduce(column, axis=None) <= np.maximum.reduce(column, axis=None) < _WIDE:
+                if (
+                    not self.small
+                    and not -WIDE < np.minimum.reduce(column, axis=None) <= np.maximum.reduce(column, axis=None) < WIDE
+                ):
                     self._refuse(name, ~np.isfinite(column), rows, steps, "monitors judge finite samples")
                     wide = True
         return Block(columns, rows.stop - rows.start, steps.stop - steps.start, end, wide)

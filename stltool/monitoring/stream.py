@@ -24,11 +24,11 @@ Ints: TypeAlias = NDArray[np.int64]
 Floats: TypeAlias = NDArray[np.float64]
 
 _FIRST_ROOM = 1024
-_BEYOND = 2**60  # a time that never comes
-_COMPARATORS: dict[Comparator, int] = {
+BEYOND = 2**60  # a time that never comes
+COMPARATORS: dict[Comparator, int] = {
     ">": k.GREATER, ">=": k.GREATER_EQUAL, "<": k.LESS, "<=": k.LESS_EQUAL, "==": k.EQUAL, "!=": k.UNEQUAL,
 }  # fmt: skip
-_OPS = {
+OPERATORS = {
     "atom": k.OP_ATOM, "not": k.OP_NOT, "and": k.OP_AND, "or": k.OP_OR, "iff": k.OP_IFF,
     "eventually": k.OP_EVENTUALLY, "always": k.OP_ALWAYS, "until": k.OP_UNTIL,
     "once": k.OP_ONCE, "historically": k.OP_HISTORICALLY, "since": k.OP_SINCE,
@@ -218,7 +218,7 @@ def _laid_out(
     atoms = [now for now in instructions if now.atom is not None]
     read = [now.atom for now in instructions if now.atom is not None]
     head = N.first
-    head[k.BASE], head[k.ROOM], head[k.HORIZON] = start, _BEYOND if room == depth else room, min(horizon, room)
+    head[k.BASE], head[k.ROOM], head[k.HORIZON] = start, BEYOND if room == depth else room, min(horizon, room)
     head[k.WAITS], head[k.RESULT] = waits, network.registers[-1]
     head[k.N_NAMES], head[k.N_ATOMS], head[k.N_NODES] = len(names), len(atoms), len(network.nodes)
     ring_size = _power_of_two(room)
@@ -298,7 +298,7 @@ def _add_structure(
         first = numbers.get(i, now.args[0] if now.args else 0)
         second = now.args[-1] if now.args else 0
         assert now.b is not None
-        row = [_OPS[now.op], first, second, min(now.a, _BEYOND), min(now.b, _BEYOND)]
+        row = [OPERATORS[now.op], first, second, min(now.a, BEYOND), min(now.b, BEYOND)]
         rows.append([*row, *_beyond(now, [rows[arg][5:] for arg in now.args])])
     wide = words + int(head[k.HORIZON]) // 64 + 2
     head[k.ENGINE], head[k.N_OPS], head[k.N_WORDS], head[k.N_LANES] = k.STRUCTURE, n, words, wide
@@ -348,7 +348,7 @@ def _atom_row(atom: Atom, names: Sequence[str]) -> list[int]:
     if not _is_inside(atom):
         return [k.GIVEN_ATOM, *nothing]
     assert isinstance(atom, Predicate)
-    return [k.PLAIN, _COMPARATORS[atom.node.op], *_side(atom.node.left, names), *_side(atom.node.right, names)]
+    return [k.PLAIN, COMPARATORS[atom.node.op], *_side(atom.node.left, names), *_side(atom.node.right, names)]
 
 
 def _side(term: Term, names: Sequence[str], sign: int = 1) -> tuple[int, int]:
@@ -433,7 +433,7 @@ class _Network:
         return self.n_registers - 1
 
     def _node(self, op: int, out: int, args: list[int], pushes: int, shows: int, width: int = 0, size: int = 0) -> None:
-        times = [min(pushes, _BEYOND), min(shows, _BEYOND)]
+        times = [min(pushes, BEYOND), min(shows, BEYOND)]
         self.nodes.append([op, out, args[0], args[-1], *times, width, self.length, size])
         self.length += size
 
