@@ -44,6 +44,7 @@ from stltool.models.formats.archive import only_file
 from stltool.models.formats.drn_family import family_of
 from stltool.models.formats.drn_text import NAMES, NO_LABEL
 from stltool.models.formats.given import INIT, Given, Valuation, model_of
+from stltool.models.formats.lines import Written
 from stltool.models.formats.packed import Data, mapped, unpacked
 from stltool.models.fractions import LARGEST_SUM, Integers, Shares, over_one
 from stltool.models.intervals import Intervals
@@ -59,6 +60,7 @@ Floats: TypeAlias = NDArray[np.float64]
 
 WHAT = "DRN file"
 _FACTOR = 12.0  # bytes that a byte of text takes
+_MOST_PLACES = 120
 _LONGEST_HEADER = 1 << 20  # bytes
 _SHOWN = 80  # characters of a line that a message quotes
 _TOLERANCE = 1e-9  # how far the sum of a row may be from 1
@@ -240,6 +242,12 @@ class Numbers:
                 found[k] = _double(self.at(k))
         return found
 
+    @property
+    def shares(self) -> Shares:
+        """Exactly; over one denominator when that is needed, if all are decimals."""
+        decimal = (self.kind == 0).all() and (self.below <= 0).all() and (self.below >= -_MOST_PLACES).all()
+        return Written(self.above, (-self.below).astype(np.int8), []) if decimal else self.exact
+
     @cached_property
     def exact(self) -> Shares:
         """Over one denominator."""
@@ -411,8 +419,9 @@ class Reader:
     def given(self, header: Header, normalize: bool) -> Given:
         lines = self.lines(header, self._number(header))
         self.require_rows(header, lines)
-        probability = self._probabilities(lines, normalize)
-        return self.described(header, lines, probability)
+        given = self.described(header, lines, self._probabilities(lines, normalize))
+        given.doubles = lines.ends[0].doubles if len(lines.ends) == 1 else None
+        return given
 
     def described(self, header: Header, lines: Lines, probability: Floats | Shares | Intervals) -> Given:
         """The model with these probabilities."""
@@ -503,7 +512,7 @@ class Reader:
                 faults.append(f"{self.path}, {self.place(c)}: {_sum_fault([float(one[c]) for one in sums])}")
         if faults:
             raise ModelError(all_told(faults, n_faults))
-        return lower.exact if lower is upper else Intervals(low, high)
+        return lower.shares if lower is upper else Intervals(low, high)
 
     # ----------------------------------------------------------------------------------------------------------- names
 
@@ -547,8 +556,7 @@ class Reader:
             found[name] = {}
             for part, columns in (("states", lines.state_rewards), ("choices", lines.choice_rewards)):
                 if r < len(columns) and (columns[r].above.any() or (columns[r].kind == 2).any()):
-                    shares = columns[r].exact
-                    found[name][part] = Amounts.of_shares(shares.numerator, shares.denominator)
+                    found[name][part] = Amounts(columns[r].doubles, columns[r].shares)
         return found
 
     def _variables(self, lines: Lines) -> tuple[dict[str, Floats], Sequence[str] | None, dict[str, str]]:

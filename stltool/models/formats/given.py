@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from stltool.errors import ModelError
 from stltool.models.costs import Amounts, Cost, Entries
+from stltool.models.formats.lines import Written
 from stltool.models.fractions import Shares, doubles_of, of_doubles, over_one
 from stltool.models.intervals import Intervals
 from stltool.models.loading import Loading
@@ -42,6 +43,7 @@ class Given:
     probability   (n,) doubles, exact numbers, or intervals
     action        (n_choices,) the number of each choice's action among `words`; −1: it has none
     initial       (n_states,) where runs may start
+    doubles       of exact numbers: the doubles nearest to them, if they are known
     costs         name → parts: amounts of states (n_states,), choices (n_choices,), transitions (n,)
     """
 
@@ -57,6 +59,7 @@ class Given:
     state_names: Sequence[str] | None = None
     costs: dict[str, dict[str, Amounts]] = field(default_factory=dict)
     notes: dict[str, str] = field(default_factory=dict)
+    doubles: Floats | None = None
 
 
 def model_of(given: Given, name: str, loading: Loading, place: Place | None = None) -> MDP:
@@ -91,7 +94,10 @@ def model_of(given: Given, name: str, loading: Loading, place: Place | None = No
 
             found, done = rescale((shares.numerator, shares.denominator), given.row_start, place or numbered)
             exact, notes["normalize"] = Shares(*found), str(done)
-        probability = doubles_of(exact.numerator, exact.denominator) if exact is not None else doubles
+        if given.doubles is not None and not loading.normalize:
+            probability = given.doubles
+        else:
+            probability = doubles_of(exact.numerator, exact.denominator) if exact is not None else doubles
     labels = {**given.labels, INIT: given.initial}
     return MDP(
         Stored(given.choice_start, action, given.row_start, given.target, probability, exact, intervals),
@@ -147,7 +153,7 @@ def _loop(given: Given, loading: Loading) -> bool:
     given.row_start = starts(np.insert(np.diff(given.row_start), choice, 1))
     given.action = np.insert(given.action, choice, -1)
     given.target = np.insert(given.target, entry, states.astype(np.int32))
-    one = given.probability
+    one, given.doubles = given.probability, None
     if isinstance(one, Intervals):
         given.probability = Intervals(np.insert(one.lower, entry, 1.0), np.insert(one.upper, entry, 1.0))
     elif isinstance(one, Shares):
@@ -159,7 +165,7 @@ def _loop(given: Given, loading: Loading) -> bool:
 
 def ordered(given: Given) -> None:
     """Put the entries of each row in the order of their successors, each once; what cannot happen is left out."""
-    possible = _possible(given.probability)
+    possible = given.doubles != 0 if given.doubles is not None else _possible(given.probability)
     if not possible.all():
         before = starts(possible)
         _keep(given, np.flatnonzero(possible), before[given.row_start])
@@ -186,6 +192,7 @@ def _possible(probability: Floats | Shares | Intervals) -> NDArray[np.bool_]:
 def _keep(given: Given, entries: I64, row_start: I64) -> None:
     given.target, given.row_start = given.target[entries], row_start
     given.probability = _picked(given.probability, entries)
+    given.doubles = given.doubles[entries] if given.doubles is not None else None
     for parts in given.costs.values():
         if "transitions" in parts:
             parts["transitions"] = parts["transitions"].at(entries)
@@ -194,6 +201,8 @@ def _keep(given: Given, entries: I64, row_start: I64) -> None:
 def _picked(probability: Floats | Shares | Intervals, entries: I64) -> Floats | Shares | Intervals:
     if isinstance(probability, Intervals):
         return Intervals(probability.lower[entries], probability.upper[entries])
+    if isinstance(probability, Written):
+        return probability.at(entries)
     if isinstance(probability, Shares):
         return Shares(probability.numerator[entries], probability.denominator)
     return probability[entries]
@@ -218,6 +227,7 @@ def _merge(given: Given, first: I64, row: I64) -> None:
             total[to] += shares[k] * amounts[k]
             weight[to] += shares[k]
         parts["transitions"] = Amounts.of_shares(*over_one(a / b for a, b in zip(total, weight, strict=True)))
+    given.doubles = None
     if isinstance(probability, Intervals):
         lower, upper = (np.add.reduceat(ends, first) for ends in (probability.lower, probability.upper))
         given.probability = Intervals(np.minimum(lower, 1), np.minimum(upper, 1))
