@@ -7,9 +7,11 @@ import math
 import re
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
+from stltool.errors import FileError
 from stltool.extras import require
 from stltool.files import require_folder, write_atomically
 from stltool.learning import Training
@@ -50,7 +52,12 @@ def write_tensorboard(training: Training, folder: str | Path) -> Path:
     for point in training.history:
         writer.write(_event(point).SerializeToString())
     run = _new_folder(Path(folder), f"{home.task_name}-{data['method']}", data, times[-1])
-    write_atomically(run / f"events.out.tfevents.{int(times[-1]):010d}.stltool", buffer.getvalue())
+    try:
+        write_atomically(run / f"events.out.tfevents.{int(times[-1]):010d}.stltool", buffer.getvalue())
+    except FileError:
+        with suppress(OSError):  # TensorBoard would list an empty folder as a run
+            run.rmdir()
+        raise
     return run
 
 

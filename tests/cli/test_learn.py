@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from stltool.files import alone_in
 from stltool.learning import LEARNERS
 from stltool.learning.settings import settings_of, shown_value
 from tests.conftest import PATROLLING, SMALL
@@ -40,3 +41,15 @@ def test_tensorboard_events_in_a_folder_of_each_run(stltool, tmp_path):
     assert (code, out) == (2, "")
     assert "cannot create the results folder" in err
     assert not (tmp_path / "q.npz").exists()
+
+
+def test_two_runs_into_one_folder_are_refused(stltool, tmp_path):
+    """As two sweeps are; another folder, and the same one later, are free."""
+    with alone_in(tmp_path / "out", "run"):
+        (tmp_path / "out" / "note.txt").write_text("here first")
+        code, _, err = stltool("run", PATROLLING, *SMALL, "-e", "2", "--rollouts", "10", "--out", tmp_path / "out")
+        assert code == 2
+        assert "another run is writing there; wait until it ends, or name another folder" in " ".join(err.split())
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["note.txt"]
+    code, _, err = stltool("run", PATROLLING, *SMALL, "-e", "2", "--rollouts", "10", "--out", tmp_path / "out")
+    assert (code, (tmp_path / "out" / "report.html").exists()) == (0, True), err
