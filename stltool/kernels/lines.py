@@ -222,7 +222,7 @@ def entries(
             if i < 0 or i == stop or data[i] != _COMMA:
                 return ODD, begin, line, row, begin
             top, _, _, i = decimal(data, i + 1, stop)
-            if i < 0 or i == stop or data[i] != _CLOSE:
+            if i < 0 or i == stop or data[i] != _CLOSE or token(data, i, stop) != i + 1:
                 return ODD, begin, line, row, begin
             i += 1
             value[row], upper[row] = first, top
@@ -285,7 +285,7 @@ def rows(
             return DONE, stop, line, row, stop
         begin, first_row = i, row
         state, i = index(data, i, stop)
-        if i < 0 or state >= limit:
+        if i < 0 or state >= limit or token(data, i, stop) != i:
             return ODD, begin, line, first_row, begin
         name = UNKNOWN
         i = blanks(data, i, stop)

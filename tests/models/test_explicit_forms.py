@@ -379,3 +379,49 @@ def test_prisms_own_files(tmp_path):
         assert model.costs["move"].transitions.values.sum() == 14
     for path in sorted(PRISM.glob("*/*.tra")):
         assert stl.load_model(path).n_states >= 6
+
+
+def damaged(text, rng):
+    """A text with bytes changed, cut out, doubled and put in."""
+    data = bytearray(text.encode())
+    for _ in range(rng.randint(1, 3)):
+        a = rng.randrange(len(data) + 1)
+        b = min(len(data), a + rng.randint(0, 12))
+        match rng.randrange(4):
+            case 0:
+                data[a : a + 1] = bytes([rng.randrange(256)])
+            case 1:
+                del data[a:b]
+            case 2:
+                data[a:a] = data[a:b]
+            case 3:
+                data[a:b] = rng.choice(PIECES)
+    return bytes(data)
+
+
+PIECES = [
+    b"#", b"\n", b"\r\n", b" ", b"\t", b"\0", b"\xff", b"-", b"/", b"/0", b":", b"[", b"]", b",", b"[0.5,1]", b"1e999",
+    b"1e-999", b"99999999999", b"-1", b"nan", b"0x1", b"1_0", b"\xc2\xa0", b"\x0b", b"\x1c", b"mdp", b"dtmc",
+    b'0="init"', b"#DECLARATION\ninit\n#END\n", b"# Transitions (CTMC)\n", b"()", b"(x)", b"0:(1)", b"true", b".", b"e",
+    b"0.33333333333333333333333",
+]  # fmt: skip
+
+
+@pytest.mark.soak
+def test_whatever_is_damaged_is_refused_or_read(tmp_path, monkeypatch):
+    """The readers' fuzzer in small (bench/fuzz_explicit.py), with both readers."""
+    rng, refused = random.Random(2), 0
+    for _ in range(many(400)):
+        files = random_files(rng)
+        path = write(tmp_path, **files)
+        ending = rng.choice(list(files))
+        (tmp_path / f"m.{ending}").write_bytes(damaged(files[ending], rng))
+        both = []
+        for large in (0, 1 << 60):
+            monkeypatch.setattr(lines, "LARGE", large)
+            monkeypatch.setattr(explicit, "LARGE", large)
+            both.append(content(path))
+        assert both[0] == both[1]
+        refused += isinstance(both[0], str)
+        assert not isinstance(both[0], str) or str(tmp_path) in both[0]
+    assert refused > many(400) / 3
