@@ -62,6 +62,7 @@ PARTS = {
     "parsing": Part("Reading formulas", "parsing"),
     "loading": Part("Model files: CPU seconds and memory, beside an older commit", "loading"),
     "formats": Part("Model files in UMB and DRN, beside umbi and Storm", "formats"),
+    "explicit": Part("PRISM's and Storm's explicit files, beside Storm's reader", "explicit"),
     "monitors": Part("Monitors", "monitors"),
     "logs": Part("Reading logs in CSV, beside pyarrow", "logs"),
     "borders": Part("Monitors: every sample on a comparison's border", "borders"),
