@@ -22,7 +22,8 @@ The path through the package, and a map in reading order:
     diagnosis/    why a trace satisfies a formula at a step, or violates it: causes, and reasons in sentences
     models/       a file, arrays or a Gymnasium environment → MDP; MDP → an environment to reset and step
     product.py    MDP × TaskAutomaton, never built as a matrix
-    policy.py     a table over (t?, s, q), saved and loaded without pickle
+    policy.py     a table over (t?, s, q), saved and loaded without pickle; written.py: as text that people edit
+    transfer.py   a policy on another model with the same names
     checking/     the exact probability of the best policy, or of a given one, with bounds; estimates from runs
     gate.py       whether task files keep what they expect
     recheck.py    re-checks certificates of those bounds; imports nothing from stltool

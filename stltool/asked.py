@@ -26,6 +26,7 @@ from stltool.display import Card, Displayed
 from stltool.errors import ArgumentError, PolicyError, near_misses
 from stltool.models.rows import spans
 from stltool.product import Product
+from stltool.reached import reached_by
 
 I64: TypeAlias = NDArray[np.int64]
 _SUM = 1e-6  # by which weights may miss 1, in single precision, say; they are then scaled
@@ -145,18 +146,7 @@ class Asked(Displayed):
             )
         if self._walked:
             return
-        Q, delta, rows = product.automaton.n_states, product.automaton.delta, model.rows
-        first = np.flatnonzero(model.initial)
-        codes = np.unique(first * Q + delta[product.letter[first], product.automaton.initial])
-        for t in range(product.horizon):
-            s, q = np.divmod(codes, Q)
-            open_ = product.automaton.verdicts(t)[q] == UNDECIDED
-            s, q = s[open_], q[open_]
-            taken = self.at(t, s, q)
-            s, q, taken = s[taken >= 0], q[taken >= 0], taken[taken >= 0]
-            lo, hi = (rows.row_start[model.choice_start[s] + taken + i] for i in (0, 1))
-            after = rows.target[spans(lo, hi)].astype(np.int64)
-            codes = np.unique(after * Q + delta[product.letter[after], np.repeat(q, hi - lo)])
+        reached_by(product, self, 2**60, 2**60)
         self._walked = True
 
     # ------------------------------------------------------------------------------------------------ asking

@@ -139,7 +139,7 @@ def rules_of(product: Product | JointProduct, form: Form) -> tuple[Rules, NDArra
     begin, end, ours = begin[acts], end[acts], ours[acts]
     values = number[begin] if form.deterministic else rows[number[begin]]
     found = _ordered(product, code[begin], step[begin], step[end], values, timeless)
-    return found, ours[np.lexsort((step[begin], code[begin]))]
+    return found, ours
 
 
 def _ordered(

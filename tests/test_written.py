@@ -112,6 +112,18 @@ def test_what_a_spreadsheet_makes_of_it_is_read(patrolling, best, text, tmp_path
     agree(patrolling, best, stl.load_policy(path, patrolling))
 
 
+def test_rules_hold_at_their_steps_only(patrolling, tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_text('from,to,state,action\n1,2,"(1,0)",N\n4,4,"(1,0)",E\n,0,"(1,0)",W\n6,,"(1,0)",S\n')
+    policy, names = stl.load_policy(path, patrolling), patrolling.model.action_names
+    s = patrolling.model.state_names.index("(1,0)")
+    found = [int(policy.at(t, s, 0)[0]) for t in range(patrolling.horizon)]
+    assert [names[i] if i >= 0 else "" for i in found] == ["W", "N", "N", "", "E", "", "S", "S"]
+    assert [int(policy.row(t)[s, 0]) for t in range(patrolling.horizon)] == found
+    assert [policy.form.alike(t) for t in range(4)] == [(0, 0), (1, 2), (1, 2), (3, 3)]
+    assert (policy.row(3) == -1).all()
+
+
 def test_a_missing_rule_is_told_where_it_is_needed(patrolling, text, tmp_path):
     path = tmp_path / "p.csv"
     path.write_text("\n".join(line for line in text.splitlines() if not line.startswith("0,")) + "\n")

@@ -48,6 +48,15 @@ def test_a_run_is_that_of_the_policy_and_its_verdict_that_of_the_trace(product, 
         assert runner.probability == runner.verdict
 
 
+def test_p_under_a_mixture_is_that_of_the_checker(patrolling):
+    weights = np.random.default_rng(0).random((*patrolling.shape, 9)) ** 4
+    best = stl.check(patrolling).policy.table
+    for mixture in (0.2, 0.5):
+        rows = mixture * weights / weights.sum(axis=-1, keepdims=True) + (1 - mixture) * np.eye(9)[best]
+        policy = stl.Policy(patrolling, rows)
+        assert stl.Runner(patrolling, policy).probability == pytest.approx(stl.check(patrolling, policy).probability)
+
+
 def test_shares_of_a_mixture_are_drawn(patrolling):
     weights = np.zeros((*patrolling.shape, 9))
     weights[..., 1], weights[..., 4] = 0.25, 0.75
