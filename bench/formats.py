@@ -113,13 +113,13 @@ def table(quick: bool = False, most: int = max(BRANCHES)) -> list[str]:
         for kind in KINDS:
             ending, packed = kind.split()[-1], kind.startswith("gzipped")
             small = Path(folder) / f"small{ending}"
-            write_model(1000, small, packed)
+            cell("write", 1000, small, packed)
             for n in BRANCHES:
                 if n > most:
                     continue
                 path = Path(folder) / f"m{ending}"
                 path.unlink(missing_ok=True)
-                write_model(n, path, packed)
+                cell("write", n, path, packed)
                 shown = []
                 for tool in TOOLS:
                     if tool == "umbi" and (kind != ".umb" or n > _MOST_OF_UMBI):
@@ -138,6 +138,10 @@ def table(quick: bool = False, most: int = max(BRANCHES)) -> list[str]:
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--cell"]:
         what, tool, kind = sys.argv[2:5]
+        if what == "write":  # in a process of its own, whose peak later ones do not inherit
+            write_model(int(tool), Path(kind), sys.argv[5] == "True")
+            print("null")
+            sys.exit()
         path, small = map(Path, sys.argv[5:7])
         if what == "compare":
             compared(tool, kind, path)
