@@ -1,7 +1,7 @@
 """Traces in MCAP files, as robots record them: a signal per field of a topic's messages; needs the package mcap.
 
-    /imu.acceleration.x, /wheels.speed.0     fields of messages in JSON; ROS 2 and Protobuf messages need, in addition,
-                                             mcap-ros2-support or mcap-protobuf-support
+    /imu.acceleration.x, /wheels.speed.0     fields of messages in JSON; those of ROS 2 and Protobuf are decoded by
+                                             mcap-ros2-support and mcap-protobuf-support, if they are installed
 
 Every message has the time at which it was logged; with `time="publish_time"`, at which it was published. It is an
 example of a reader by the interface for other packages (readers.py).
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from array import array
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +91,7 @@ def _fields(name: str, content: Any, depth: int) -> Iterator[tuple[str, Any]]:
     elif isinstance(content, Mapping):
         for key, value in content.items():
             yield from _fields(f"{name}.{key}", value, depth + 1)
-    elif isinstance(content, list | tuple | np.ndarray):
+    elif isinstance(content, Sequence | np.ndarray):  # Protobuf's repeated fields and ROS 2's arrays are no lists
         for i, value in enumerate(content):
             yield from _fields(f"{name}.{i}", value, depth + 1)
     elif hasattr(content, "DESCRIPTOR"):  # Protobuf

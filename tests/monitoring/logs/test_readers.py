@@ -124,6 +124,88 @@ def test_mcap(stltool, drive):  # noqa: F811
     assert "log_time, on steps of 0.1s (hold): 11 steps; the longest time without a sample is 0.25s, of /door" in out
 
 
+ROS = """std_msgs/Header header
+float64 speed
+float32[2] pair
+float64[] ranges
+bool ok
+string note
+uint8 mode
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+
+
+def test_messages_of_ros_2(tmp_path):
+    writer = pytest.importorskip("mcap_ros2.writer", reason="mcap-ros2-support is not installed")
+    path = tmp_path / "ros.mcap"
+    with path.open("wb") as file:
+        log = writer.Writer(file)
+        schema = log.register_msgdef("robot_msgs/Odometry", ROS)
+        for i in range(5):
+            header = {"stamp": {"sec": i, "nanosec": 7}, "frame_id": "map"}
+            message = {
+                "header": header, "speed": i / 10, "pair": [1, i], "ranges": [i / 4, 2.5], "ok": i < 2, "note": "",
+                "mode": i,
+            }  # fmt: skip
+            log.write_message("/odom", schema, message, 10**18 + i * 10**8, 10**18)
+        log.finish()
+    found = {name: values.tolist() for name, values in stl.load_trace(path, step="0.1s").items()}
+    assert found == {
+        "/odom.header.stamp.sec": [0, 1, 2, 3, 4], "/odom.header.stamp.nanosec": [7] * 5,
+        "/odom.speed": [0, 0.1, 0.2, 0.3, 0.4], "/odom.pair.0": [1] * 5, "/odom.pair.1": [0, 1, 2, 3, 4],
+        "/odom.ranges.0": [0, 0.25, 0.5, 0.75, 1], "/odom.ranges.1": [2.5] * 5,
+        "/odom.ok": [True, True, False, False, False], "/odom.mode": [0, 1, 2, 3, 4],
+    }  # fmt: skip
+
+
+def test_messages_of_protobuf(tmp_path):
+    """Nested, repeated and keyed fields, as a generated class has them."""
+    writer = pytest.importorskip("mcap_protobuf.writer", reason="mcap-protobuf-support is not installed")
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    field = descriptor_pb2.FieldDescriptorProto
+    described = descriptor_pb2.FileDescriptorProto(name="odometry.proto", package="robot", syntax="proto3")
+    pose = described.message_type.add(name="Pose")
+    odometry = described.message_type.add(name="Odometry")
+    entry = odometry.nested_type.add(name="HeatEntry")
+    entry.options.map_entry = True
+    one, many_, inner = field.LABEL_OPTIONAL, field.LABEL_REPEATED, field.TYPE_MESSAGE
+    for message, fields in (
+        (pose, [("x", field.TYPE_DOUBLE, one, ""), ("y", field.TYPE_DOUBLE, one, "")]),
+        (entry, [("key", field.TYPE_STRING, one, ""), ("value", field.TYPE_DOUBLE, one, "")]),
+        (odometry, [("ok", field.TYPE_BOOL, one, ""), ("pose", inner, one, ".robot.Pose"),
+                    ("wheels", field.TYPE_FLOAT, many_, ""), ("track", inner, many_, ".robot.Pose"),
+                    ("heat", inner, many_, ".robot.Odometry.HeatEntry")]),
+    ):  # fmt: skip
+        for number, (name, kind, label, of) in enumerate(fields, 1):
+            message.field.add(name=name, number=number, type=kind, label=label, type_name=of or None)
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(described)
+    made = message_factory.GetMessageClass(pool.FindMessageTypeByName("robot.Odometry"))
+    path = tmp_path / "protobuf.mcap"
+    with path.open("wb") as file:
+        log = writer.Writer(file)
+        for i in range(3):
+            content = made(ok=i < 2, wheels=[i, -i], heat={"motor": 20.5 + i})
+            content.pose.x = i
+            content.track.add(x=1, y=i)
+            log.write_message("/odom", content, log_time=10**18 + i * 10**8, publish_time=10**18)
+        log.finish()
+    found = {name: values.tolist() for name, values in stl.load_trace(path, step="0.1s").items()}
+    assert found == {
+        "/odom.ok": [True, True, False], "/odom.pose.x": [0, 1, 2], "/odom.pose.y": [0, 0, 0],
+        "/odom.wheels.0": [0, 1, 2], "/odom.wheels.1": [0, -1, -2], "/odom.track.0.x": [1, 1, 1],
+        "/odom.track.0.y": [0, 1, 2], "/odom.heat.motor": [20.5, 21.5, 22.5],
+    }  # fmt: skip
+
+
 def test_mcap_at_fault(drive, tmp_path, monkeypatch):
     with pytest.raises(NameLookupError, match="there is no field /odometry.sped; did you mean"):
         stl.load_trace(drive, ["/odometry.sped"], step="0.1s")
