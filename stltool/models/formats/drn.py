@@ -19,7 +19,7 @@ is checked: the numbers of states and choices, signs, sums, successors that occu
 for which every number is a probability. `.drn.gz` is what Storm reads under this extension, a compressed archive of one
 text; a compressed text is read, too.
 
-Source: https://www.stormchecker.org/documentation/background/drn.html, and what Storm 1.13 reads and writes.
+Source: https://www.stormchecker.org/documentation/background/drn.html, and what stormpy 2.0 reads and writes.
 """
 
 from __future__ import annotations
