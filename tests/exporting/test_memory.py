@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 import stltool as stl
+from stltool.exporting import memory
 from tests.conftest import FACTORY, ROOT
+from tests.exporting.products import factory
 
 
 def remembered(path, **params):
@@ -39,6 +41,21 @@ def test_values_have_meanings():
         "possible since 1 step: at_charger",
         "the task holds",
     )
+
+
+def test_updates_that_are_not_those_of_the_automaton_are_not_taken(monkeypatch):
+    """What is found is compared with the automaton; whatever is proposed, the program means the task."""
+    proposed = memory._update
+
+    def wrong(*given):
+        return np.where(proposed(*given) > 0, 0, proposed(*given)).astype(np.int32)
+
+    monkeypatch.setattr(memory, "_update", wrong)
+    product = factory("charging.stl", {"T": "5", "tau": "3"})
+    exported = stl.product_mdp(product)
+    assert [variable.name for variable in exported.remembered.variables] == ["memory"]
+    again = stl.build_product(exported.model, stl.parse("F[0,6] satisfied"))
+    assert stl.check(again, exact=True).fraction == stl.check(product, exact=True).fraction
 
 
 def test_parts_that_cannot_be_told_apart_are_one_number():

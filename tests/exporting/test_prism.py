@@ -34,6 +34,26 @@ def test_random_products_and_their_chains(product, clock):
         assert program.require_total()
 
 
+@pytest.mark.parametrize(
+    ("text", "encoding", "counted", "bound"),
+    [
+        ("G[0,3] F[0,1] a", "history", 0, 4),  # the rest is true
+        ("F[0,1] (a & F[0,1] b)", "history", 0, 2),  # the rest is false
+        ("a <-> F[2,2] b", "history", 0, None),  # no rest
+        ("G[0,3] F[0,1] a", "paper", 1, 4),  # no flag set: undecided at step 0, violated from step 1 on
+        ("F[0,2] a & G[2,4] !b", "exact", 2, 4),
+        ("(F[0,3] a) & (G[0,1] !b) | F[4,4] b", "exact", 4, None),  # some of the rest is true, some false
+    ],
+)
+def test_steps_are_counted_as_far_as_verdicts_depend_on_them(text, encoding, counted, bound):
+    rows, labels = [[[0.5, 0.3, 0.2]] * 3, [[0.1, 0.1, 0.8]] * 3], {"a": [1, 0, 0], "b": [0, 1, 0]}
+    product = stl.build_product(stl.MDP.from_arrays(rows, {}, labels=labels), stl.parse(text), encoding)
+    exported, _ = agree(product, None, clock=False)
+    assert (exported.clock.last, exported.clock.bound) == (counted, bound)
+    exported, _ = agree(product, None, clock=True)
+    assert (exported.clock.last, exported.clock.bound) == (product.horizon, None)
+
+
 def test_a_task_that_cannot_hold_has_a_property_all_the_same():
     """Formats without labels of no state, such as DRN, have no label "satisfied" then."""
     product = stl.build_product(stl.MDP.from_arrays([[[1]]], {}, labels={"A": [0]}), stl.parse("F[0,2] A"))
