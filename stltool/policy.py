@@ -291,7 +291,7 @@ class Policy(Displayed):
             tasks=tasks if len(tasks) > 1 else (),
         )
         home = _home_of(path, product, binding)
-        return cls(home, written.form_of(path, home, found))
+        return cls(home, written.form_of(path, home, found, product.definitions))
 
     @classmethod
     def load(cls, path: str | Path, product: Product) -> Policy:

@@ -484,10 +484,18 @@ class _Faults:
             raise PolicyError(all_told(self._told, self._count))
 
 
-def form_of(path: object, product: Product | JointProduct, written: Written) -> Rules:
-    """The rules of a file, over the product that its memory belongs to. PolicyError, with lines, for its faults."""
-    names, _ = memory_names(product, _defined(path, product, written.define))
-    found = _Found(product, names, written)
+def form_of(
+    path: object, product: Product | JointProduct, written: Written, definitions: Mapping[str, Formula]
+) -> Rules:
+    """The rules of a file, over the product that its memory belongs to. PolicyError, with lines, for its faults.
+
+    A file without definitions of its own may use these, those of the task, or none.
+    """
+    memory: dict[str, int] = {}
+    for define in (_defined(path, written.define, definitions),) if written.define else (definitions, {}):
+        for q, name in enumerate(memory_names(product, define)[0]):
+            memory.setdefault(name, q)
+    found = _Found(product, memory, written)
     faults = _Faults()
     for line in written.rules:
         fault = found.add(line)
@@ -500,9 +508,8 @@ def form_of(path: object, product: Product | JointProduct, written: Written) -> 
     return rules
 
 
-def _defined(path: object, product: Product | JointProduct, define: Mapping[str, str]) -> Mapping[str, Formula]:
+def _defined(path: object, define: Mapping[str, str], own: Mapping[str, Formula]) -> Mapping[str, Formula]:
     """The definitions by which a file calls what is remembered."""
-    own = _definitions(product)
     if define == {name: str(phi) for name, phi in own.items()}:
         return own
     from stltool.logic.parser import parse  # lark is slow to load
@@ -519,9 +526,9 @@ def _defined(path: object, product: Product | JointProduct, define: Mapping[str,
 class _Found:
     """The rules found so far, as indices."""
 
-    def __init__(self, product: Product | JointProduct, memory: Sequence[str], written: Written) -> None:
+    def __init__(self, product: Product | JointProduct, memory: Mapping[str, int], written: Written) -> None:
         self.product, self.written = product, written
-        self.states, self.memory = StateLookup(product.model), {name: q for q, name in enumerate(memory)}
+        self.states, self.memory = StateLookup(product.model), memory
         self.known: dict[str, int] = {}
         self.code: list[I64] = []
         self.steps: list[tuple[int, int]] = []
@@ -553,11 +560,12 @@ class _Found:
         value = self._value(s, line.weights)
         if isinstance(value, str):
             return value
-        q = [self.memory[words]] if words else range(len(self.memory))
+        n_memories = product.automaton.n_states
+        q = [self.memory[words]] if words else range(n_memories)
         if not words:
-            n = len(self.code) * len(self.memory)
+            n = len(self.code) * n_memories
             require_memory(32 * n, "rules that hold whatever is remembered", "name what is remembered")
-        self.code.append(s * product.automaton.n_states + np.array(q, dtype=np.int64))
+        self.code.append(s * n_memories + np.array(q, dtype=np.int64))
         self.timeless &= not line.first.strip() and not line.last.strip()
         self.steps.append(steps)
         self.values.append(value)
