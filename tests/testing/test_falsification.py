@@ -171,6 +171,21 @@ def test_an_exception_of_the_system_comes_with_the_inputs():
     assert "under the inputs {'a': 2." in raised.value.__notes__[0] or "{'a': 3.0}" in raised.value.__notes__[0]
 
 
+def test_what_a_system_returns_besides_is_used_if_it_can_be():
+    """Words, numbers, gaps, and a signal that is not always there, in all kinds of proposals."""
+    calls = []
+
+    def system(inputs):
+        calls.append(inputs)
+        x = 0.1 * np.cumsum(inputs["u"])
+        some = {"seldom": x} if len(calls) % 3 else {}
+        return {"x": x, "name": "tank", "count": 3, "gap": np.where(x > 0, x, np.nan), "huge": 1e200 * x, **some}
+
+    result = falsify(system, "G[0,50] (x < 5.2)", U, budget=24)
+    assert result.executions == 24
+    assert {"x"} <= set(result.trace) <= {"x", "seldom", "gap"}
+
+
 def test_a_missing_optimiser_names_its_extra(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "cma", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'stltool\[falsify\]'"):

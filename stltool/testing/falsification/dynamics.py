@@ -44,12 +44,15 @@ def by_dynamics(candidates: Candidates, x: F64, scores: Scores, rng: np.random.G
     every = -(-length // _STEPS)
     at = np.arange(0, length, every)
     traces = scores.traces(used)
-    model = Dynamics(
-        inputs.unit_samples(x[used], np.minimum(at, inputs.steps - 1)),
-        np.stack([traces[name][:, at] for name in names], axis=2),
-        x[used][:, inputs.dimension - len(inputs.numbers) :],
-        rng,
-    )
+    try:
+        model = Dynamics(
+            inputs.unit_samples(x[used], np.minimum(at, inputs.steps - 1)),
+            np.stack([traces[name][:, at] for name in names], axis=2),
+            x[used][:, inputs.dimension - len(inputs.numbers) :],
+            rng,
+        )
+    except np.linalg.LinAlgError:
+        return None
     position = np.minimum(np.arange(length) / every, len(at) - 1)
     left = np.minimum(position.astype(np.int64), len(at) - 2)
     share = (position - left)[None, :, None]
@@ -75,7 +78,7 @@ def by_dynamics(candidates: Candidates, x: F64, scores: Scores, rng: np.random.G
             children = candidates.varied(spliced)
             population = np.concatenate([parents, children])
             worth = np.concatenate([worth[best], predicted(children)])
-    except StlToolError:  # what is predicted gives some term no value
+    except StlToolError:  # what is predicted gives some term no value, or is not finite
         return None
     for i in np.argsort(worth, kind="stable").tolist():
         if np.abs(x - population[i]).max(axis=1).min() > 1e-3:

@@ -26,6 +26,8 @@ from stltool.testing.falsification.methods import Method, searcher
 System = Callable[[dict[str, Any]], Mapping[str, ArrayLike]]
 Progress = Callable[[int, int], None]
 
+_LARGEST = 1e100  # of signals that the formula does not name: their squares are finite
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Falsification(Displayed):
@@ -163,19 +165,23 @@ def executed(system: System, formula: Formula, inputs: Inputs, x: F64, needed: i
         error.add_note(f"raised by the system under the inputs {_plain(values)}")
         raise
     trace: dict[str, F64] = {}
+    needed_names = {**variables(formula), **label_names(formula)}
     for name, given in mapping(answer, "the system's signals", '{"x": array}').items():
         try:
             array = np.asarray(given, dtype=np.float64)
         except (TypeError, ValueError):
             array = np.empty(())
-        if array.ndim != 1 or len(array) < needed:
+        usable = array.ndim == 1 and len(array) >= needed
+        if name not in needed_names and not (usable and (np.abs(array[:needed]) < _LARGEST).all()):
+            continue  # the search can do without it
+        if not usable:
             shape = f"of shape {array.shape}" if array.ndim else f"{described(given)}"
             raise TraceError(
                 f"the system's signal {name} is {shape}; return at least {needed} samples, since the horizon of the "
                 f"formula is {needed - 1}"
             )
         trace[name] = array[:needed]
-    for name in (*variables(formula), *label_names(formula)):
+    for name in needed_names:
         if name not in trace and name in values:
             value = values[name]
             array = np.full(needed, value) if isinstance(value, float) else value

@@ -43,7 +43,9 @@ class Scores:
             self._values = np.append(self._values, self.of({name: row[None] for name, row in trace.items()}))
 
     def traces(self, rows: range | list[int]) -> dict[str, F64]:
-        return {name: np.stack([self._rows[i][name] for i in rows]) for name in self._rows[0]}
+        """Of the signals that every execution has."""
+        names = [name for name in self._rows[0] if all(name in row for row in self._rows)]
+        return {name: np.stack([self._rows[i][name] for i in rows]) for name in names}
 
     @property
     def values(self) -> F64:

@@ -18,8 +18,8 @@ _MOVED = 10  # coordinates that change, about
 _LATEST = 200  # points that the surface goes through
 
 
-def by_surface(candidates: Candidates, x: F64, scores: F64, turn: int) -> F64:
-    """The next point (dimension,), from points (n, dimension) and their scores (n,)."""
+def by_surface(candidates: Candidates, x: F64, scores: F64, turn: int) -> F64 | None:
+    """The next point (dimension,), from points (n, dimension) and their scores (n,); None if there is no surface."""
     from scipy.interpolate import RBFInterpolator
     from scipy.spatial.distance import cdist
 
@@ -28,9 +28,12 @@ def by_surface(candidates: Candidates, x: F64, scores: F64, turn: int) -> F64:
     dimension = x.shape[1]
     heights = np.minimum(scores[kept], np.median(scores[kept]))  # how high the heights are does not matter
     cubic = np.linalg.matrix_rank(x[kept] - x[kept[0]]) == dimension  # its linear part is determined
-    surface = RBFInterpolator(
-        x[kept], heights, kernel="cubic" if cubic else "linear", degree=1 if cubic else 0, smoothing=1e-8
-    )
+    try:
+        surface = RBFInterpolator(
+            x[kept], heights, kernel="cubic" if cubic else "linear", degree=1 if cubic else 0, smoothing=1e-8
+        )
+    except np.linalg.LinAlgError:
+        return None
     chance = min(1.0, _MOVED / dimension)
     parts = [candidates.uniform(_CANDIDATES // 10), candidates.pieces(_CANDIDATES // 10)]
     parent = candidates.drawn(x[order[:10]], _CANDIDATES // 2)
