@@ -325,7 +325,7 @@ class OnlineMonitor(Displayed):
         if traces.n_steps == 0:
             return _decisions([], [], [])
         whole_block = traces.block(slice(0, 1), slice(0, traces.n_steps), "open")
-        samples = np.empty((traces.n_steps, len(self._stream.names)))
+        samples = np.empty((len(self._stream.names), traces.n_steps)).T  # each signal's samples are together
         for i, name in enumerate(self._stream.names):
             samples[:, i] = whole_block.columns[name][0]
         if whole_block.wide:
@@ -349,7 +349,8 @@ class OnlineMonitor(Displayed):
         back = stream.depth - 1
         before = stream.kept()[-back:] if back else stream.kept()[:0]
         first, judged = n - min(h, n), n - len(before)
-        joined = np.concatenate([before, samples])
+        joined = np.empty((samples.shape[1], len(before) + len(samples))).T
+        joined[: len(before)], joined[len(before) :] = before, samples
         small = not wide and bool((np.abs(before) < WIDE).all())  # they need not be looked at again
         traces = replace(self._traces(joined, judged), small=small)
         found = judge(self._judged, traces, "error", True, self.wait)

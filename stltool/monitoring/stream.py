@@ -120,8 +120,8 @@ class Stream:
         """
         most = len(samples) + min(self._horizon + 1, int(self.N[k.TIME]))
         steps, verdicts, margins = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(len(samples))
-        which = np.array(self.given, dtype=np.int64)
-        count = k.advance_all(self.N, self.F, self.B, samples, given, which, steps, verdicts, margins)
+        which, rows = np.array(self.given, dtype=np.int64), np.ascontiguousarray(samples)
+        count = k.advance_all(self.N, self.F, self.B, rows, given, which, steps, verdicts, margins)
         return -1 - count if count < 0 else (steps[:count], verdicts[:count] == 1, margins)
 
     def larger(self) -> Stream:
