@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.display import StateNames, distinct
-from stltool.errors import ModelError, marked
+from stltool.errors import MOST_FAULTS, ModelError, marked
 from stltool.models.costs import Amounts, Cost
 from stltool.models.costs import Entries as CostEntries
 from stltool.models.formats.lines import (
@@ -47,7 +47,7 @@ from stltool.models.formats.lines import (
 )
 from stltool.models.fractions import Shares, doubles_of
 from stltool.models.intervals import Intervals
-from stltool.models.loading import Loading
+from stltool.models.loading import UNIFORM, Loading
 from stltool.models.mdp import MDP
 from stltool.models.normalize import HINT, MOST_MISSING, NOTHING, rescale
 from stltool.models.rows import Stored, starts
@@ -103,7 +103,7 @@ def load_explicit(path: str | Path, loading: Loading = Loading()) -> MDP:  # noq
     if table is not None and not read.entries.garbled:
         table.require_choices(faults)
     before = faults.count
-    labels, lab = _labels(path, read.n_states, faults)
+    labels, lab = _labels(path, read.n_states, loading.initial in (None, UNIFORM), faults)
     lab_told = faults.count > before
     names, signals = _variables(path, read.n_states, faults)
     both = sorted(set(signals) & set(labels))
@@ -399,7 +399,7 @@ class _Table:
 
     def _compare(self, new: NDArray[np.bool_], rising: NDArray[np.bool_]) -> None:
         """Tell values that are not probabilities, successors that repeat, and choices with two actions."""
-        wrong: list[tuple[int, str]] = []
+        wrong: list[tuple[int, str | int]] = []  # entry; the remedy, or the entry whose action it lacks
         top = self.upper if self.upper is not None else self.value
         bad = ~((self.value >= 0) & (self.value <= top) & (top <= 1))
         if bad.any():
@@ -413,29 +413,29 @@ class _Table:
             begin = np.flatnonzero(new)
             first = begin[np.cumsum(new) - 1]
             other = np.flatnonzero((self.word >= 0) & (self.word != self.word[first]))
-            wrong += [(k, f"\0{first[k]}") for k in other.tolist()]
+            wrong += [(k, int(first[k])) for k in other.tolist()]
         if not wrong:
             return
         entries = self.read.entries
         wrong.sort(key=lambda one: self._entry(one[0]))
-        lines = entries.lines_of(self._entry(k) for k, _ in wrong[:50])
-        for k, remedy in wrong:
+        told = [*(k for k, _ in wrong[:MOST_FAULTS]), *(to for _, to in wrong[:MOST_FAULTS] if isinstance(to, int))]
+        lines = entries.lines_of(map(self._entry, told))
+        for position, (k, remedy) in enumerate(wrong):
             place = (int(self.state[k]), int(self.number[k]))
             entries.faulty.add(place if not self.read.chain else place[:1])
             entries.n_faults += 1
-            if self._entry(k) not in lines:
+            if position >= MOST_FAULTS:
                 continue
             at, text = lines[self._entry(k)]
-            if not remedy:
+            if remedy == "":
                 words = words_of(text)
                 shown = words[len(entries.form.limits)] if not entries.form.by_row else f"{self.value[k]:.12g}"
                 remedy = f"{cut(shown)} is not a probability"
                 if self.value[k] > 1 and self.read.chain:
                     remedy += "; rates, those of a CTMC, are not read"
-            elif remedy.startswith("\0"):
-                first_entry = self._entry(int(remedy[1:]))
-                before = entries.lines_of([first_entry])[first_entry][0]
-                known = self.word[int(remedy[1:])]
+            elif isinstance(remedy, int):
+                before = lines[self._entry(remedy)][0]
+                known = self.word[remedy]
                 remedy = f"this choice has the action {self.words[known] if known >= 0 else '(none)'} in line {before}"
             entries.faults.append((at, cut(text), remedy))
 
@@ -469,13 +469,13 @@ class _Table:
             found[found != (np.maximum.reduceat(self.word, begin) if len(begin) else found)] = -1
         return found
 
-    def place(self, c: int) -> str:
-        """A choice as messages name it: with its first line, unless it was added."""
-        first, end = int(self.row_start[c]), int(self.row_start[c + 1])
-        entry = min(map(self._entry, range(first, end)))
-        lines = self.read.entries.lines_of([entry])
-        at = f"line {lines[entry][0]}: " if entry in lines else ""
-        return f"{at}state {self.state[c]}, choice {self.number[c]}"
+    def _named(self, c: int) -> str:
+        """A choice as messages name it."""
+        return f"state {self.state[c]}, choice {self.number[c]}"
+
+    def _first(self, c: int) -> int:
+        """The first entry of a choice in the file; −1 if it was added."""
+        return min(map(self._entry, range(int(self.row_start[c]), int(self.row_start[c + 1]))))
 
     def require_choices(self, faults: FileFaults) -> None:
         """Check that there are as many choices as the first line announces."""
@@ -498,13 +498,16 @@ class _Table:
         lower = np.add.reduceat(self.value, self.row_start[:-1])
         upper = np.add.reduceat(self.upper, self.row_start[:-1]) if self.upper is not None else lower
         most = float(MOST_MISSING) if loading.normalize else _TOLERANCE
-        wrong = (lower - 1 > _TOLERANCE) | (1 - upper > _TOLERANCE)
-        for c in np.flatnonzero(wrong).tolist():
+        wrong: list[tuple[int, str]] = []
+        for c in np.flatnonzero((lower - 1 > _TOLERANCE) | (1 - upper > _TOLERANCE)).tolist():
             place = (int(self.state[c]), int(self.number[c]))
-            if (place[:1] if self.read.chain else place) in entries.faulty:
-                continue
-            if said := _sum_fault(float(lower[c]), float(upper[c]), most):
-                faults.add(f"{path}, {self.place(c) if faults.count < 50 else ''}: {said}")
+            said = _sum_fault(float(lower[c]), float(upper[c]), most)
+            if said and (place[:1] if self.read.chain else place) not in entries.faulty:
+                wrong.append((c, said))
+        lines = entries.lines_of(self._first(c) for c, _ in wrong[:MOST_FAULTS])
+        for c, said in wrong[:MOST_FAULTS]:
+            faults.add(f"{path}, line {lines[self._first(c)][0]}: {self._named(c)}: {said}")
+        faults.count += max(len(wrong) - MOST_FAULTS, 0)
 
     def rows(self, loading: Loading, notes: dict[str, str]) -> Stored:
         """The rows as a model's source, without entries that cannot happen."""
@@ -523,7 +526,7 @@ class _Table:
             if loading.normalize:
                 notes["normalize"] = NOTHING.format("intervals")
         elif loading.normalize:
-            found, done = rescale((exact.numerator, exact.denominator), row_start, self.place)
+            found, done = rescale((exact.numerator, exact.denominator), row_start, self._named)
             shares, value, notes["normalize"] = Shares(*found), doubles_of(*found), str(done)
         return Stored(choice_start, self._actions(choice_start), row_start, target, value, shares, intervals)
 
@@ -598,26 +601,27 @@ def _sum_fault(lower: float, upper: float, most: float) -> str:
 # -------------------------------------------------------------------------------------------------------------- labels
 
 
-def _labels(path: Path, n_states: int, faults: FileFaults) -> tuple[dict[str, NDArray[np.bool_]], Path | None]:
-    """The labels, and their file; none without one."""
+def _labels(
+    path: Path, n_states: int, marks: bool, faults: FileFaults
+) -> tuple[dict[str, NDArray[np.bool_]], Path | None]:
+    """The labels, and their file; none without one. `marks`: whether initial states must be marked."""
     lab = _with(_stem(path), ".lab")
     if lab is None:
         return {}, None
     cursor = Cursor(File(lab, "label file"))
     number, header = cursor.take() or (1, "")
     if any(comment.startswith("#DECLARATION") for _, comment in cursor.comments):
-        return _storm_labels(lab, n_states, (number, header), cursor, faults), lab
+        return _storm_labels(lab, n_states, marks, (number, header), cursor, faults), lab
     found = _LABEL.findall(header)
     names = {int(key): name for key, name in found}
     require_memory(len(names) * n_states, f"{lab}: {len(names)} labels of {n_states} states", "leave some out")
-    labels = {name: np.zeros(n_states, dtype=np.bool_) for name in names.values()}
     if not names or _LABEL.sub("", header).strip():
         faults.line(lab, number, header, 'write 0="init" 1="deadlock" 2="done" …')
         return {}, lab
-    if len(labels) < len(found):
+    if len(set(names.values())) < len(found):
         faults.line(lab, number, header, "two labels have the same name or number; make them different")
         return {}, lab
-    if "init" not in labels:
+    if marks and "init" not in names.values():
         faults.line(lab, number, header, 'mark the state that runs start in: 0="init", and a line "state: 0"')
     form = f'write "state: number number …", states 0 … {n_states - 1}, numbers of the first line'
     rank = np.full(max(names) + 1 if max(names) < _MOST_LABELS else 0, -1, dtype=np.int64)
@@ -660,7 +664,7 @@ def _rest(cursor: Cursor, kernel: Callable[[int], tuple[int, int, int]]) -> Iter
 
 
 def _storm_labels(
-    lab: Path, n_states: int, first: tuple[int, str], cursor: Cursor, faults: FileFaults
+    lab: Path, n_states: int, marks: bool, first: tuple[int, str], cursor: Cursor, faults: FileFaults
 ) -> dict[str, NDArray[np.bool_]]:
     """Labels as Storm writes them: the names between #DECLARATION and #END, in one line or in several."""
     names: dict[str, NDArray[np.bool_]] = {}
@@ -676,7 +680,7 @@ def _storm_labels(
     if end is None:
         faults.add(f"{lab}: #END is missing; write it in a line of its own after the labels' names")
         return {}
-    if "init" not in names:
+    if marks and "init" not in names:
         faults.add(f'{lab}: there is no label init; declare it, and mark the state that runs start in: "0 init"')
     while line is not None and line[1]:
         number, text = line
@@ -831,9 +835,9 @@ def _rewards(
     place = _places(entries, table)
     lost = np.flatnonzero(place < 0)
     if lost.size:
-        for at, text in entries.lines_of(lost[:50].tolist()).values():
+        for at, text in entries.lines_of(lost[:MOST_FAULTS].tolist()).values():
             faults.line(file, at, text, "the model has no such transition")
-        faults.count += max(lost.size - 50, 0)
+        faults.count += max(lost.size - MOST_FAULTS, 0)
         return name, None
     amounts = _amounts(entries, place, len(table.target), "transition", faults)
     if amounts is None:
@@ -850,9 +854,9 @@ def _amounts(entries: Entries, place: I64, n: int, what: str, faults: FileFaults
     order = np.argsort(place, kind="stable")
     twice = order[1:][place[order[1:]] == place[order[:-1]]]
     if twice.size:
-        for at, text in entries.lines_of(twice[:50].tolist()).values():
+        for at, text in entries.lines_of(twice[:MOST_FAULTS].tolist()).values():
             faults.line(entries.file.path, at, text, f"this {what} appears twice; add the two rewards")
-        faults.count += max(twice.size - 50, 0)
+        faults.count += max(twice.size - MOST_FAULTS, 0)
         return None
     values, w, places = np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int8)
     values[place], w[place], places[place] = entries.value, entries.exact.w, entries.exact.places
