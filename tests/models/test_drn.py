@@ -171,6 +171,23 @@ def test_several_faults_are_told_at_once(tmp_path):
     assert str(caught.value).endswith("2 errors")
 
 
+def test_many_labels_are_measured_first(tmp_path, monkeypatch):
+    """Of which a file of n bytes may have √n for as many states."""
+    asked = []
+    monkeypatch.setattr(
+        "stltool.models.formats.drn.require_memory", lambda needed, what, _: asked.append((needed, what))
+    )
+    read(tmp_path, COIN)
+    assert (9.0, f"{tmp_path / 'm.drn'}: 3 labels of 3 states") in asked
+
+
+def test_rewards_of_zero_are_rewards(tmp_path):
+    text = COIN.replace("[0, 1/3]", "[0, 0]").replace("[1, 0]", "[0, 0]").replace("[0, 2e-1]", "[0, 0]")
+    model = read(tmp_path, text)
+    assert {name: list(cost.parts) for name, cost in model.costs.items()} == {"default": ["states"], "toll": ["states"]}
+    assert saved(model, tmp_path / "m.umb").digest() == model.digest()
+
+
 def test_states_without_actions_stay_where_they_are(tmp_path):
     text = COIN.replace("\t2 : 1\n", "").replace("@nr_choices\n4", "@nr_choices\n3")
     whole, model = read(tmp_path, COIN), read(tmp_path, text)

@@ -442,6 +442,27 @@ def test_branches_to_the_same_state_add_up(tmp_path):
     assert [read.costs["toll"].transitions.exact[k] for k in range(2)] == [3, 0]
 
 
+def test_rows_of_zeros(tmp_path):
+    """Also where the probabilities are intervals, and in the last row."""
+    for kind in ("fractions", "intervals"):
+        model = random_model(np.random.default_rng(6), kind)
+        stl.save_model(model, tmp_path / "m.umb")
+        size = 16
+        zero = bytes(size) if kind == "intervals" else bytes(8) + b"\1" + bytes(7)
+        first = int(model.row_start[-2])
+        edit = put("branch-to-probability.bin", size * first, zero * (int(model.row_start[-1]) - first))
+        with pytest.raises(stl.errors.ModelError, match="the probabilities sum to 0, not 1"):
+            stl.load_model(changed(tmp_path / "m.umb", files=edit))
+        (tmp_path / "m.umb").unlink()
+
+
+def test_many_variables_are_measured_first(tmp_path, monkeypatch):
+    variables = [{"name": f"b{k}", "type": {"type": "bool", "size": 1}} for k in range(64)]
+    monkeypatch.setattr("stltool.models.formats.umb._BYTES_A_VALUE", 10**12)
+    with pytest.raises(stl.errors.SizeError, match=r"m\.umb: 2 branches of 2 states would take .* of memory"):
+        chain_with(tmp_path / "m.umb", variables, [0, 0])
+
+
 def test_long_fractions(tmp_path):
     share = Fraction(10**60 + 1, 3 * 10**60)
     model = stl.MDP.from_arrays([[[share, 1 - share], [0, 1]]], {})

@@ -535,14 +535,21 @@ class Reader:
 
     def _labels(self, lines: Lines) -> dict[str, NDArray[np.bool_]]:
         texts, which = self._interned(lines.state_rest)
-        found: dict[str, NDArray[np.bool_]] = {}
+        order = np.argsort(which, kind="stable")
+        begin = np.searchsorted(which[order], np.arange(len(texts) + 1)).tolist()
+        marked: dict[str, list[I64]] = {}
         for k, text in enumerate(texts):
+            states = order[begin[k] : begin[k + 1]]
             if text.count('"') % 2:
-                s = int(np.flatnonzero(which == k)[0])
-                self.refuse(int(lines.state_at[s]), "a quotation mark of a label is not closed")
+                self.refuse(int(lines.state_at[states[0]]), "a quotation mark of a label is not closed")
             for quoted, plain in _LABELS.findall(text):
-                values = found.setdefault(quoted or plain, np.zeros(lines.n_states, dtype=np.bool_))
-                values |= which == k
+                marked.setdefault(quoted or plain, []).append(states)
+        n = lines.n_states
+        require_memory(float(n) * len(marked), f"{self.path}: {len(marked)} labels of {n} states", "use fewer labels")
+        found = {name: np.zeros(n, dtype=np.bool_) for name in marked}
+        for name, parts in marked.items():
+            for states in parts:
+                found[name][states] = True
         return found
 
     def _rewards(self, header: Header, lines: Lines) -> dict[str, dict[str, Amounts]]:
@@ -557,6 +564,8 @@ class Reader:
             for part, columns in (("states", lines.state_rewards), ("choices", lines.choice_rewards)):
                 if r < len(columns) and (columns[r].above.any() or (columns[r].kind == 2).any()):
                     found[name][part] = Amounts(columns[r].doubles, columns[r].shares)
+            if not found[name]:
+                found[name]["states"] = Amounts(np.zeros(lines.n_states), Shares(np.zeros(lines.n_states, np.int64), 1))
         return found
 
     def _variables(self, lines: Lines) -> tuple[dict[str, Floats], Sequence[str] | None, dict[str, str]]:

@@ -76,6 +76,12 @@ def model_of(given: Given, name: str, loading: Loading, place: Place | None = No
     if _loop(given, loading):
         place = None  # choices have other numbers now
     ordered(given)
+    empty = np.flatnonzero(np.diff(given.row_start) == 0)
+    if empty.size:
+        c = int(empty[0])
+        s = int(np.searchsorted(given.choice_start, c, side="right")) - 1
+        where = place(c) if place is not None else f"state {s}, choice {c - given.choice_start[s]}"
+        raise ModelError(f"{where}: the probabilities sum to 0, not 1")
     action, names = _actions(given)
     notes, exact, intervals = dict(given.notes), None, None
     if isinstance(given.probability, Intervals):

@@ -60,7 +60,7 @@ Floats: TypeAlias = NDArray[np.float64]
 
 WHAT = "UMB file"
 LONGEST_NAMES = 1 << 24  # characters of all names of states, up to which they are written
-_BYTES_A_BRANCH, _BYTES_A_STATE = 60, 60
+_BYTES_A_BRANCH, _BYTES_A_STATE, _BYTES_A_VALUE = 60, 60, 24
 
 
 def load_umb(path: Path, loading: Loading) -> MDP:
@@ -68,8 +68,11 @@ def load_umb(path: Path, loading: Loading) -> MDP:
     archive = Archive(path, WHAT)
     index = read_index(archive)
     require_numbered(max(index.n_states, index.n_choices), f"states or choices of {path}", "use a part of the model")
+    variables = sum(len(one) for one, _ in index.valuations.classes) if index.valuations is not None else 0
+    of_states = _BYTES_A_STATE + len(index.labels) + _BYTES_A_VALUE * (variables + len(index.rewards))
+    of_branches = _BYTES_A_BRANCH + _BYTES_A_VALUE * len(index.rewards)
     require_memory(
-        _BYTES_A_BRANCH * index.n_branches + _BYTES_A_STATE * (index.n_states + index.n_choices),
+        float(of_branches) * index.n_branches + float(of_states) * (index.n_states + index.n_choices),
         f"{path}: {index.n_branches} branches of {index.n_states} states",
         "use a part of the model",
     )
