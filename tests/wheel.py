@@ -60,6 +60,7 @@ EXTRAS = {
     "check examples/frozenlake/crossing.stl": "gymnasium",
     f"explain {FACTORY}patrolling.stl --policy out/patrolling/policy.npz": "trees",
     'monitor "F[0,5] x > 0" trace.parquet': "parquet",
+    "convert robot.prism robot.umb": "storm",
     "sweep examples/paper/small.toml --out none --cluster tcp://localhost:1": "cluster",
 }
 UNFILLED = re.compile(r"\b[A-Z]{4,}\b|\bFILE\b|\.\.\.|\|")
@@ -103,6 +104,7 @@ def main() -> None:
         folder = work / "elsewhere"
         shutil.copytree(ROOT / "examples", folder / "examples")
         (folder / "trace.parquet").touch()
+        (folder / "robot.prism").touch()
         (folder / "my_agent.py").write_text(AGENT)
 
         used = set()

@@ -125,7 +125,23 @@ def moved_policy(product: Product, file: Path, home: Product) -> Transferred:
     return transferred(product, policy)
 
 
-_FILES = {".txt", ".toml", ".csv", ".tsv", ".json", ".npz", ".parquet", ".policy", ".md", ".py", ".tra", ".prism"}
+_FILES = {
+    ".txt",
+    ".toml",
+    ".csv",
+    ".tsv",
+    ".json",
+    ".npz",
+    ".parquet",
+    ".policy",
+    ".md",
+    ".py",
+    ".tra",
+    ".umb",
+    ".drn",
+    ".prism",
+    ".jani",
+}
 
 
 def require_declared_there(step: str | None, unit: str | None) -> None:
