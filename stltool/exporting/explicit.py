@@ -190,8 +190,8 @@ class _Build:
         least = self.judged.form.alike(h - 1)[0] if self.judged is not None and h else 0
         self.clock = clock_of(automaton, least, whole)
         names, labels = Names(), Names(LABELS)
-        self.of_state = state_variables(self.model, names)
         names.keep([*self.model.signals, *self.model.labels, "satisfied", "violated"])
+        self.of_state = state_variables(self.model, names)
         self.first = np.flatnonzero(self.model.initial)
         self.memory = memory_of(automaton, self.clock, with_names(product.definitions), names)
         self.names = Vocabulary(
@@ -256,7 +256,8 @@ class _Build:
         step, s, m = self._split(codes)
         position = np.flatnonzero(self.verdict(step, m) == UNDECIDED)
         step, s, m = step[position], s[position], m[position]
-        rows = self.rows.rows.some(self.rows.at(s)) if len(s) else self._no_rows()
+        numbers = self.rows.at(s)  # which may compute more rows
+        rows = self.rows.rows.some(numbers)
         owner, number, weight = self._taken(rows, step, s, m)
         first, end = rows.row_start[number], rows.row_start[number + 1]
         entry = spans(first, end)
@@ -271,9 +272,6 @@ class _Build:
         choice = self.model.choice_start[s[owner]] + number - rows.choice_start[owner]
         row = np.searchsorted(of, np.arange(len(owner) + 1))
         return _Fan(position, owner, choice, row, rows, entry, child, weight)
-
-    def _no_rows(self) -> Rows:
-        return self.rows.rows.some(np.empty(0, dtype=np.int64))
 
     def _taken(self, rows: Rows, step: I64, s: I64, m: I64) -> tuple[I64, I64, NDArray[np.float64] | None]:
         """The choices that count: the state of each, its number in the rows, and its weight if they are mixed."""
@@ -473,7 +471,7 @@ def state_variables(model: MDP, names: Names) -> StateVariables:
     if integers:
         table = np.stack(list(integers.values()), axis=1)
         if len(np.unique(table, axis=0)) == model.n_states:
-            return StateVariables(tuple(map(names.of, integers)), table, "")
+            return StateVariables(tuple(map(names.same, integers)), table, "")
     layout = model.layout
     if layout is not None and min(layout.width, layout.height) > 0:
         columns = {"column": layout.column, "row": layout.row}

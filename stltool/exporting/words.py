@@ -39,6 +39,10 @@ class Names:
         """Give these names to nothing else."""
         self._used.update(names)
 
+    def same(self, name: str) -> str:
+        """A name that is kept already, itself if it is an identifier."""
+        return name if Names(self._reserved).of(name) == name else self.of(name)
+
     def of(self, text: str, longest: int = 60) -> str:
         """A name that resembles the text."""
         for sign, word in _WORDS.items():

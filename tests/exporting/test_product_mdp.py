@@ -42,6 +42,32 @@ def test_a_product_that_would_not_fit_is_refused_with_its_size():
     assert stl.product_mdp(product, clock=True, memory_limit=10_000_000).model.n_states == 122
 
 
+def test_rows_that_are_computed_on_demand(tmp_path):
+    """Of a large model only what is reached, and all of that."""
+    line = "." * 150
+    path = tmp_path / "floor.toml"
+    path.write_text(f'kind = "grid"\nmap = """\n{(line + chr(10)) * 150}S.A{line[3:]}\n"""\ncell = 1\nmoves = "king"\n'
+                    'success = "93/100"\nslip = "7/300"\n')  # fmt: skip
+    model = stl.load_model(path)
+    assert type(model.some_rows()).__name__ == "Demand"
+    product = stl.build_product(model, stl.parse("F[0,3] A"))
+    exported = stl.product_mdp(product, clock=True)
+    assert exported.model.n_states < 50
+    again = stl.build_product(exported.model, stl.parse("F[0,3] satisfied"))
+    assert stl.check(again, exact=True).fraction == stl.check(product, exact=True).fraction
+
+
+def test_variables_do_not_take_names_that_the_model_has():
+    """Signal C becomes C_, a keyword's other name, unless there is one: here a signal, a label and a variable meet."""
+    signals = {"C": [0, 1], "C_": [3, 4]}
+    model = stl.MDP.from_arrays([[[0.5, 0.5], [0, 1]]], signals, labels={"F_0_2_A": [0, 1], "A": [0, 1]})
+    exported = stl.product_mdp(stl.build_product(model, stl.parse("F[0,2] A")))
+    assert exported.of_state.names == ("C__2", "C_")
+    assert [variable.name for variable in exported.remembered.variables] == ["F_0_2_A_2"]
+    assert exported.model.signals["C"].tolist() == [0, 1]
+    assert exported.model.signals["C_"].tolist() == [3, 4]
+
+
 def test_what_has_no_product_is_refused():
     hidden = stl.MDP.black_box(1, 1, lambda rng: None, labels={"A": [1]})
     with pytest.raises(SettingsError, match="the probabilities of black box are unknown"):
