@@ -37,7 +37,7 @@ def shuffled(model, rng):
 
 
 @given(products(), st.integers(0, 2**32 - 1), st.booleans(), st.booleans())
-@settings(max_examples=many(100))
+@settings(max_examples=many(60))
 def test_a_policy_acts_there_by_names(product, seed, timed, mixed):
     """P there is that of a table that is translated state by state and action by action."""
     rng = np.random.default_rng(seed)

@@ -25,7 +25,7 @@ def agree(product, one, other):
 
 
 @given(products(), st.integers(0, 2**32 - 1), st.booleans(), st.booleans(), st.sampled_from(["csv", "json"]))
-@settings(max_examples=many(150))
+@settings(max_examples=many(60))
 def test_a_policy_survives_its_text_to_the_bit(tmp_path_factory, product, seed, timed, mixed, kind):
     policy = random_policy(product, np.random.default_rng(seed), timed, mixed)
     folder = tmp_path_factory.mktemp("policies")

@@ -14,7 +14,7 @@ from tests.conftest import many
 
 
 @given(products(), st.integers(0, 2**32 - 1), st.booleans(), st.booleans())
-@settings(max_examples=many(100))
+@settings(max_examples=many(60))
 def test_a_run_is_that_of_the_policy_and_its_verdict_that_of_the_trace(product, seed, timed, mixed):
     rng = np.random.default_rng(seed)
     policy = random_policy(product, rng, timed, mixed)

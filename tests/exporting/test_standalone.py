@@ -50,7 +50,7 @@ def acts_alike(product, policy, text):
 
 
 @given(products(), st.integers(0, 2**32 - 1), st.booleans(), st.booleans())
-@settings(max_examples=many(100))
+@settings(max_examples=many(60))
 def test_it_acts_as_the_policy_in_every_situation(product, seed, timed, mixed):
     policy = random_policy(product, np.random.default_rng(seed), timed, mixed)
     text = to_python(product, policy)
