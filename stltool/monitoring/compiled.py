@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.logic.formula import Constant, Label, Negate, Number, Term, Variable
+from stltool.logic.formula import Constant, Label
 from stltool.monitoring.comparisons import Predicate
 from stltool.monitoring.program import PAST, Program, Same
 
@@ -119,7 +119,7 @@ class Compiled:
         return True
 
     def _atom(self, i: int) -> tuple[list[int], tuple[float, float]]:
-        from stltool.monitoring.stream import COMPARATORS
+        from stltool.monitoring.stream import COMPARATORS, is_plain, number_of, side_of
 
         k, atom = self._kernel, self._program.instructions[i].atom
         nothing = [-1, 1, -1, 1]
@@ -130,10 +130,12 @@ class Compiled:
                 return [k.FIXED_ATOM, 0, *nothing], (np.inf, 1.0) if value else (-np.inf, 0.0)
             case Label(name):
                 return [k.LABEL_ATOM, 0, self._names[name], *nothing[1:]], (0.0, 0.0)
-            case Predicate() if _is_plain(atom):
-                left, right = _side(atom.node.left, self._names), _side(atom.node.right, self._names)
-                comparator = COMPARATORS[atom.node.op]
-                return [k.PLAIN_ATOM, comparator, *left[:2], *right[:2]], (left[2], right[2])
+            case Predicate(node=node) if is_plain(atom):
+                sides = [side_of(side, [*self._names]) for side in (node.left, node.right)]
+                return [k.PLAIN_ATOM, COMPARATORS[node.op], *sides[0], *sides[1]], (
+                    number_of(node.left),
+                    number_of(node.right),
+                )
             case Predicate():
                 number = len(self._names) + len(self._given)
                 self._given.append((number, atom))
@@ -147,26 +149,3 @@ def compilable(program: Program) -> bool:
     labels = program.labels.keys() & program.variables.keys()  # read as numbers there
     atoms = [now.atom for now in program.instructions]
     return not labels and all(bool(atom.names) for atom in atoms if isinstance(atom, Predicate))
-
-
-def _is_plain(atom: Predicate) -> bool:
-    return all(isinstance(_bare(side), Variable | Number) for side in (atom.node.left, atom.node.right))
-
-
-def _bare(term: Term) -> Term:
-    while isinstance(term, Negate):
-        term = term.arg
-    return term
-
-
-def _side(term: Term, names: dict[str, int], sign: int = 1) -> tuple[int, int, float]:
-    """The column of a plain term, or −1; its sign; its number."""
-    match term:
-        case Negate(arg):
-            return _side(arg, names, -sign)
-        case Variable(name):
-            return names[name], sign, 0.0
-        case Number(value):
-            return -1, sign, sign * float(value)
-        case _:
-            raise AssertionError(term)

@@ -180,10 +180,10 @@ class Call:
 
 def _is_inside(atom: Atom) -> bool:
     """Whether the kernel judges the atom by itself: a constant, a label, or a comparison of signals and numbers."""
-    return not isinstance(atom, Predicate) or (_is_plain(atom) and bool(atom.names)) or _fixed(atom) is not None
+    return not isinstance(atom, Predicate) or (is_plain(atom) and bool(atom.names)) or _fixed(atom) is not None
 
 
-def _is_plain(atom: Predicate) -> bool:
+def is_plain(atom: Predicate) -> bool:
     """Whether both sides are a signal or a number, perhaps negated."""
     for side in (atom.node.left, atom.node.right):
         while isinstance(side, Negate):
@@ -348,25 +348,25 @@ def _atom_row(atom: Atom, names: Sequence[str]) -> list[int]:
     if not _is_inside(atom):
         return [k.GIVEN_ATOM, *nothing]
     assert isinstance(atom, Predicate)
-    return [k.PLAIN, COMPARATORS[atom.node.op], *_side(atom.node.left, names), *_side(atom.node.right, names)]
+    return [k.PLAIN, COMPARATORS[atom.node.op], *side_of(atom.node.left, names), *side_of(atom.node.right, names)]
 
 
-def _side(term: Term, names: Sequence[str], sign: int = 1) -> tuple[int, int]:
+def side_of(term: Term, names: Sequence[str], sign: int = 1) -> tuple[int, int]:
     """The column of a plain term, −1 for a number, and its sign."""
     if isinstance(term, Negate):
-        return _side(term.arg, names, -sign)
+        return side_of(term.arg, names, -sign)
     return (names.index(term.name) if isinstance(term, Variable) else -1), sign
 
 
 def _numbers(atom: Atom) -> tuple[float, float]:
-    if not isinstance(atom, Predicate) or not _is_plain(atom):
+    if not isinstance(atom, Predicate) or not is_plain(atom):
         return 0.0, 0.0
-    return _number(atom.node.left), _number(atom.node.right)
+    return number_of(atom.node.left), number_of(atom.node.right)
 
 
-def _number(term: Term) -> float:
+def number_of(term: Term) -> float:
     if isinstance(term, Negate):
-        return -_number(term.arg)
+        return -number_of(term.arg)
     return float(term.value) if isinstance(term, Number) else 0.0
 
 
