@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from stltool.arguments import described, flag, whole
 from stltool.errors import ModelError, SettingsError, named, near_misses
 from stltool.models.fractions import Shares
+from stltool.numbers import NumberError, index, shown
 
 if TYPE_CHECKING:
     from stltool.models.mdp import MDP
@@ -65,10 +67,10 @@ class Loading:
         elif not len(states):
             raise ModelError("no initial state is marked; mark the one that runs start in" + _asking(None))
         else:
-            shown = [names[s] if names is not None else str(s) for s in states[:_NAMED].tolist()]
+            first = [names[s] if names is not None else str(s) for s in states[:_NAMED].tolist()]
             more = f"; and {len(states) - _NAMED} more" if len(states) > _NAMED else ""
             raise ModelError(
-                f"{len(states)} initial states are marked ({'; '.join(shown)}{more}), and the format has no "
+                f"{len(states)} initial states are marked ({'; '.join(first)}{more}), and the format has no "
                 f"probabilities for them{_asking(UNIFORM)}"
             )
         return weight
@@ -87,11 +89,12 @@ def _state(asked: str, n_states: int, names: Sequence[str] | None) -> int:
         for s in range(n_states):
             if names[s].replace(" ", "") == wanted:
                 return s
-    if asked.isascii() and asked.isdigit() and int(asked) < n_states:
-        return int(asked)
+    with suppress(NumberError):
+        if (number := index(asked)) < n_states:
+            return number
     known = [names[s] for s in range(n_states)] if names is not None and n_states <= _SEARCHED else []
     hint = f"; {near_misses(asked, known)}" if known else ""
-    raise ModelError(f"there is no initial state {asked!r}; states are 0 … {n_states - 1}{hint}")
+    raise ModelError(f"there is no initial state {shown(asked)}; states are 0 … {n_states - 1}{hint}")
 
 
 def started(model: MDP, loading: Loading) -> MDP:

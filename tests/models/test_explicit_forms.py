@@ -139,6 +139,8 @@ class TestForms:
             assert stl.check(stl.build_product(model, task), exact=True).fraction == share
         with pytest.raises(ModelError, match=r"there is no initial state 'x=3, y=1'; states are 0 … 2; .*x=1, y=1"):
             stl.load_model(path, initial="x=3, y=1")
+        with pytest.raises(ModelError, match=r"there is no initial state '9{40}…'; states are 0 … 2"):
+            stl.load_model(path, initial="9" * 5000)
         (tmp_path / "m.lab").write_text('0="goal"\n2: 0\n')  # nothing is marked, and nothing needs to be
         assert stl.load_model(path, initial=2).initial.tolist() == [0, 0, 1]
         with pytest.raises(ModelError, match='mark the state that runs start in: 0="init"'):
