@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import lzma
 import math
+import struct
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -17,13 +20,22 @@ from stltool.monitoring.logs.missing import filled
 from stltool.monitoring.logs.recording import SHORTER, Asked, Recording, chosen, faults
 from stltool.sizes import require_memory
 
+# what damage to an archive, to what is packed in it, and to the headers of arrays, which are texts of Python, raises
+_BROKEN = (
+    zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, RuntimeError, ValueError, TypeError,
+    LookupError, SyntaxError, tokenize.TokenError,
+)  # fmt: skip
+
 
 def read_npz(path: Path, asked: Asked) -> Recording:
     where = str(path)
     if not zipfile.is_zipfile(path):
         raise FileError(f"{path}: not an .npz file; write one with numpy.savez")
-    broken = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, RuntimeError)
-    with faults(where, "an .npz file", *broken), np.load(path, allow_pickle=False) as file:
+    with (
+        faults(where, "an .npz file", *_BROKEN),
+        path.open("rb") as archive,  # which numpy would leave open if the archive is damaged
+        np.load(archive, allow_pickle=False) as file,
+    ):
         heads = {name: _npy_header(file.zip, name) for name in file.files}
         column = time_column(where, file.files, asked.time, asked.timed)
         wanted = chosen(where, file.files, asked.names, "array")
