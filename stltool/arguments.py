@@ -18,10 +18,11 @@ from os import PathLike
 from pathlib import Path, PurePath
 from typing import Any, cast
 
-from stltool.errors import ArgumentError, SettingsError, named
+from stltool.errors import ArgumentError, FileError, SettingsError, named
 
 LARGEST = 2**63 - 1
 _LONGEST = 40  # characters of a value in a message
+_LONGEST_NAME, _LONGEST_PATH = 255, 4095  # bytes, of the usual file systems
 
 _WORDS = {"str": "text", "Iterable": "a list", "Mapping": "a mapping"}
 
@@ -145,7 +146,10 @@ def function(value: object, what: str) -> None:
 def path(value: object, what: str) -> Path:
     """The path given as a string or a path object; ArgumentError for anything else."""
     try:
-        if isinstance(value, str | PathLike) and b"\0" not in os.fsencode(value):
+        if isinstance(value, str | PathLike) and b"\0" not in (encoded := os.fsencode(value)):
+            longest = max(map(len, encoded.split(b"/")))
+            if longest > _LONGEST_NAME or len(encoded) > _LONGEST_PATH:
+                raise FileError(f"{os.fsdecode(value)[:_LONGEST]}...: this path is too long for any file")
             return Path(value)
     except UnicodeEncodeError:  # half a character
         pass

@@ -4,6 +4,7 @@ The readers of formulas, models and policies are fuzzed with coverage, too (benc
 """
 
 import gzip
+import zipfile
 
 import numpy as np
 import pytest
@@ -93,3 +94,20 @@ def test_mutated_files_are_read_or_refused(name, tmp_path):
             refused += 1
             assert name in str(error), data
     assert refused
+
+
+@pytest.mark.parametrize("load", [stl.load_task, stl.load_model, stl.load_trace])
+@pytest.mark.parametrize("name", ["a" * 300, "a/" * 3000, "loop"])
+def test_names_that_no_file_has(load, name, tmp_path):
+    (tmp_path / "loop.csv").symlink_to("loop.csv")
+    with pytest.raises(StlToolError):
+        load(tmp_path / f"{name}.csv")
+
+
+@pytest.mark.parametrize("header", ["{'shape': (3, }", "[" * 200, "{'descr': '<f8'}", "3", "é", "{'descr': [], 1: 2}"])
+def test_headers_of_arrays_that_are_no_headers(header, tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        text = f"{header}\n".encode()
+        archive.writestr("x.npy", b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text)
+    with pytest.raises(StlToolError, match="a.npz: cannot be read as an .npz file"):
+        stl.load_trace(tmp_path / "a.npz")

@@ -11,7 +11,7 @@ import typer
 from typer.models import OptionInfo, ParameterInfo
 
 from stltool import numbers
-from stltool.cli.roles import Parameter, Reads, Writes, require_apart
+from stltool.cli.roles import Parameter, Reads, Writes, itself, require_apart, require_inside
 from stltool.cli.words import Named, Spelled, spelling
 from stltool.errors import StlToolError, reworded
 from stltool.screen import say
@@ -54,11 +54,13 @@ class _App(typer.Typer):
             function.__annotations__ = whole
 
             @functools.wraps(function)
-            def command(quiet: bool, version: bool, **given: Any) -> Any:
+            def command(quiet: bool, version: bool, sandbox: bool = False, **given: Any) -> Any:
                 from stltool.log import LOG
 
                 LOG.quiet = quiet
                 try:
+                    if sandbox:
+                        require_inside(files, given)
                     require_apart(files, given)
                     for name, kind in groups.items():
                         given[name] = kind(**{field: given.pop(field) for field in kind._fields})
@@ -68,9 +70,10 @@ class _App(typer.Typer):
                     raise
 
             signature = inspect.signature(function)
+            others = {"sandbox": Sandbox} if any(_names_others(parameter) for parameter in files.values()) else {}
             common = [
                 inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
-                for name, kind in (("quiet", Quiet), ("version", Version))
+                for name, kind in ({**others, "quiet": Quiet, "version": Version}).items()
             ]
             given = [
                 inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hints[key])
@@ -78,12 +81,17 @@ class _App(typer.Typer):
                 for key, default in (groups[name]._field_defaults.items() if name in groups else [(name, one.default)])
             ]
             command.__signature__ = signature.replace(parameters=[*given, *common])  # type: ignore[attr-defined]
-            command.__annotations__ = {**hints, "quiet": Quiet, "version": Version}
+            command.__annotations__ = {**hints, **others, "quiet": Quiet, "version": Version}
             command.files = files  # type: ignore[attr-defined]  # for tests over all commands
             register(command)
             return function
 
         return registered
+
+
+def _names_others(parameter: Parameter) -> bool:
+    """Whether the files that it reads may name others."""
+    return any(isinstance(role, Reads) and role.files is not itself for role in parameter.roles)
 
 
 def _shown(name: str, declared: ParameterInfo) -> str:
@@ -125,6 +133,10 @@ def _version(asked: bool) -> None:
 _HELP = {"help_option_names": ["-h", "--help"]}
 Version = Annotated[
     bool, typer.Option("--version", help="Show the version and exit.", callback=_version, is_eager=True)
+]
+Sandbox = Annotated[
+    bool,
+    typer.Option("--sandbox", help="for files of strangers: read nothing outside their folders, run no programs"),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="no progress on stderr; warnings and errors only")]
 

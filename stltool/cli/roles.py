@@ -18,7 +18,7 @@ Given = Mapping[str, Any]
 """The command's arguments, by parameter."""
 
 
-def _itself(path: Path) -> Iterable[Path]:
+def itself(path: Path) -> Iterable[Path]:
     return [path]
 
 
@@ -27,7 +27,7 @@ class Reads:
     """The parameter names a file that is read, the command's `what`; `files` yields all files read for it."""
 
     what: str
-    files: Callable[[Path], Iterable[Path]] = _itself
+    files: Callable[[Path], Iterable[Path]] = itself
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Writes:
     `default` gives the path if the option is not given; None if nothing is written then.
     """
 
-    files: Callable[[Path], Iterable[Path]] = _itself
+    files: Callable[[Path], Iterable[Path]] = itself
     default: Callable[[Given], Path | None] = lambda given: None
 
 
@@ -66,6 +66,39 @@ def require_apart(parameters: Mapping[str, Parameter], given: Given) -> None:
                 raise SettingsError(f"{both} write {path}; name a file for each")
 
 
+def require_inside(parameters: Mapping[str, Parameter], given: Given) -> None:
+    """SettingsError if a file that is given names one outside its own folder, or an environment, which is a program.
+
+    For files of strangers. Links are followed, those of the given files too.
+    """
+    for shown, role, source, file in _reads(parameters, given):
+        replaced = role.files is task_files and given.get("model") is not None  # the task's own model is not read
+        if not file.exists() or (replaced and file != source):
+            continue
+        folder = source.parent.resolve()
+        if not _resolved(file).is_relative_to(folder):
+            by = f"{file} is a link that leads" if file == source else f"{source} names {file}, which is"
+            raise SettingsError(f"--sandbox: {by} outside the folder of {shown}; give it a copy in that folder")
+        if _runs_code(file):
+            raise SettingsError(f"--sandbox: {file} names a Gymnasium environment, which is a program; it is not run")
+
+
+def _resolved(path: Path) -> Path:
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError):  # a link to itself
+        return path.absolute()
+
+
+def _runs_code(path: Path) -> bool:
+    if path.suffix.lower() != ".toml" or not path.is_file():
+        return False
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8")).get("kind") == "gymnasium"
+    except (OSError, ValueError, RecursionError):
+        return False
+
+
 def _written(parameters: Mapping[str, Parameter], given: Given) -> Iterable[tuple[str, Path]]:
     for name, parameter in parameters.items():
         for role in parameter.roles:
@@ -75,12 +108,17 @@ def _written(parameters: Mapping[str, Parameter], given: Given) -> Iterable[tupl
 
 
 def _read(parameters: Mapping[str, Parameter], given: Given) -> Iterable[tuple[str, Path]]:
+    for shown, role, path, file in _reads(parameters, given):
+        yield f"the {role.what}" if file == path else f"a file that {shown} needs", file
+
+
+def _reads(parameters: Mapping[str, Parameter], given: Given) -> Iterable[tuple[str, Reads, Path, Path]]:
+    """Each parameter that is read, its role, the path given, and every file that is read for it."""
     for name, parameter in parameters.items():
         for role in parameter.roles:
             if isinstance(role, Reads):
                 for path in _paths(given.get(name)):
-                    for file in role.files(path):
-                        yield f"the {role.what}" if file == path else f"a file that {parameter.shown} needs", file
+                    yield from ((parameter.shown, role, path, file) for file in role.files(path))
 
 
 def _paths(value: Any) -> list[Path]:
@@ -113,10 +151,10 @@ def model_files(path: Path) -> Iterable[Path]:
 
 def task_files(path: Path) -> Iterable[Path]:
     """A task file and the files of its model; only the path itself if it cannot be read as a task file."""
-    import stltool as stl
+    from stltool.logic.parser import survey_task
 
     try:
-        model = stl.load_task(path, unbounded=True).model if path.is_file() else None
+        model = survey_task(path).model if path.is_file() else None
     except (StlToolError, OSError, ValueError):
         model = None
     return [path, *(model_files(model) if model is not None else ())]

@@ -243,3 +243,45 @@ def test_every_file_that_a_command_writes_is_known_before_and_may_be_written_aga
     assert {path for path in declared if path not in written and path.name != "report.html"} == set()
     if name != "new":
         assert stltool(name, *given)[0] == 0
+
+
+@pytest.mark.parametrize("name", sorted(
+    name for name in COMMANDS if "task" in COMMANDS[name].files and name not in ("monitor", "fmt", "new")
+))  # fmt: skip
+def test_in_a_sandbox_nothing_outside_the_folder_is_read(stltool, folder, name):
+    inner = folder / "inner"
+    inner.mkdir()
+    text = (folder / "patrolling.stl").read_text()
+    (inner / "patrolling.stl").write_text(text.replace('model "', 'model "../'))
+    given = [str(inner / one) if one == "patrolling.stl" else str(one) for one in arguments(name)]
+    if "--model" in given:
+        at = given.index("--model")
+        del given[at : at + 2]
+    before = contents(folder)
+    code, out, err = stltool(*given, "--sandbox")
+    assert (code, out) == (2, "")
+    assert "--sandbox: " in err
+    assert "floor-5x5.toml, which is outside the folder of TASK" in err
+    assert contents(folder) == before
+
+
+def test_a_sandbox_follows_links_and_runs_no_program(stltool, folder):
+    (folder / "far").mkdir()
+    shutil.move("floor-5x5.toml", "far")
+    os.symlink("far/floor-5x5.toml", "floor-5x5.toml")
+    small = ("-p", "T=5", "-p", "tau=5", "--sandbox")
+    assert stltool("check", "patrolling.stl", *small)[0] == 0  # a link within
+    os.unlink("floor-5x5.toml")
+    os.symlink(shutil.move("far/floor-5x5.toml", folder.parent), "floor-5x5.toml")
+    assert "floor-5x5.toml, which is outside the folder of TASK" in stltool("check", "patrolling.stl", *small)[2]
+    assert stltool("check", "patrolling.stl", "--model", folder.parent / "floor-5x5.toml", *small)[0] == 0
+    os.symlink(shutil.move("patrolling.stl", folder.parent), "patrolling.stl")
+    assert (
+        "patrolling.stl is a link that leads outside the folder of TASK"
+        in stltool("check", "patrolling.stl", *small)[2]
+    )
+    (folder / "lake.toml").write_text('kind = "gymnasium"\nid = "FrozenLake-v1"\n')
+    (folder / "lake.stl").write_text('model "lake.toml"\nt := F[0,3] goal\n')
+    code, out, err = stltool("check", "lake.stl", "--sandbox")
+    assert (code, out) == (2, "")
+    assert "lake.toml names a Gymnasium environment, which is a program; it is not run" in err
