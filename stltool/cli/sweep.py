@@ -57,7 +57,7 @@ def sweep(
     from stltool.learning.sweep import finished_runs
     from stltool.reporting import sweep_data, write_sweep
     from stltool.reporting.sweeps import failure_text, failures_data, require_sweep, result_rows
-    from stltool.reporting.terminal import error, print_facts, print_json, print_table, sweep_bar
+    from stltool.reporting.terminal import error, print_facts, print_json, print_table, sweep_bar, warn
 
     if workers is not None and cluster is not None:
         raise SettingsError("--workers and --cluster: a cluster brings its own workers; give only one of the two")
@@ -75,6 +75,8 @@ def sweep(
         kept = len(finished_runs(part, folder).runs)
         error(f"interrupted; {kept} of {len(part.runs())} runs are finished and kept; continue with\n{this_command()}")
         raise typer.Exit(130) from None
+    for place in result.damaged:
+        warn(f"{place} was damaged; the run was repeated")
     # the report covers everything of the sweep in the folder, whatever part was requested this time
     shown = whole.select(seeds=sorted({*whole.seeds, *part.seeds}))
     known = finished_runs(shown, folder)

@@ -18,8 +18,9 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import metadata
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -220,12 +221,16 @@ class Sweep(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SweepResult(Displayed):
-    """The finished runs of a sweep, in order, and the failed ones; `skipped` runs were finished earlier."""
+    """The finished runs of a sweep, in order, and the failed ones; `skipped` runs were finished earlier.
+
+    damaged    files of runs that were changed since, or cut: such a run counts as not done
+    """
 
     sweep: Sweep
     runs: list[RunResult]
     failures: list[Failure]
     skipped: int
+    damaged: list[str] = field(default_factory=list)
 
     def _card(self) -> Card:
         ends: dict[tuple[str, str], list[float]] = {}
@@ -268,7 +273,7 @@ def run_sweep(
     require_main_process()
     require_folder(folder)
     with _locked(folder):
-        finished, waiting = _plan(sweep, folder)
+        finished, waiting, damaged = _plan(sweep, folder)
         for place in (place for run in waiting for place in _place(folder, run)):
             require_own(place, _RUN, is_data)
         failures: list[Failure] = []
@@ -290,13 +295,13 @@ def run_sweep(
                     progress(SweepProgress(done, len(waiting), steps, pace.share))
     order = {run.name: i for i, run in enumerate(sweep.runs())}
     failures.sort(key=lambda failure: order[f"{failure.scenario} {failure.method} seed {failure.seed}"])
-    return SweepResult(sweep, [finished[name] for name in order if name in finished], failures, skipped)
+    return SweepResult(sweep, [finished[name] for name in order if name in finished], failures, skipped, damaged)
 
 
 def finished_runs(sweep: Sweep, folder: str | Path) -> SweepResult:
     """The runs of the sweep in `folder`; nothing is run."""
-    finished, _ = _plan(sweep, Path(folder))
-    return SweepResult(sweep, list(finished.values()), [], len(finished))
+    finished, _, damaged = _plan(sweep, Path(folder))
+    return SweepResult(sweep, list(finished.values()), [], len(finished), damaged)
 
 
 def estimated_seconds(sweep: Sweep, folder: str | Path) -> dict[tuple[str, str], float]:
@@ -304,7 +309,7 @@ def estimated_seconds(sweep: Sweep, folder: str | Path) -> dict[tuple[str, str],
 
     Three short runs measure a start, an episode and an evaluation.
     """
-    _, waiting = _plan(sweep, Path(folder))
+    _, waiting, _ = _plan(sweep, Path(folder))
     _warm_up(waiting)
     seconds = {}
     for run in {(run.scenario, run.method): run for run in waiting}.values():
@@ -412,40 +417,73 @@ def _store(folder: Path, run: Run, result: RunResult) -> None:
     place, clock = _place(folder, run)
     times = {"format": FORMAT, "key": run.key, "seconds": result.seconds}
     write_result(clock, json.dumps(times) + "\n", _RUN, is_data)
-    content = {"format": FORMAT, "key": run.key, **dataclasses.asdict(result)}
-    del content["seconds"]
+    found = dataclasses.asdict(result)
+    del found["seconds"]
+    content = {"format": FORMAT, "key": run.key, "digest": _digest(found), **found}
     # last: its existence marks the run as finished
     write_result(place, json.dumps(content, indent=1) + "\n", _RUN, is_data)
 
 
-def _plan(sweep: Sweep, folder: Path) -> tuple[dict[str, RunResult], list[Run]]:
+def _digest(found: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()
+
+
+def _plan(sweep: Sweep, folder: Path) -> tuple[dict[str, RunResult], list[Run], list[str]]:
     """The finished runs, and those to be run: seed by seed, the longest first within each seed, so that every part has
-    early results and no long run is left for the end.
+    early results and no long run is left for the end. Also the files of runs that are damaged.
     """
-    finished, waiting = {}, []
+    finished, waiting, damaged = {}, [], []
     for run in sweep.runs():
-        found = _stored(folder, run)
+        try:
+            found = _stored(folder, run)
+        except _Damaged as error:
+            found = None
+            damaged.append(str(error))
         if found is not None:
             finished[run.name] = found
         else:
             waiting.append(run)
     turn = {seed: i for i, seed in enumerate(sweep.seeds)}
     waiting.sort(key=lambda run: (turn[run.seed], -run.work))
-    return finished, waiting
+    return finished, waiting, damaged
+
+
+class _Damaged(Exception):
+    """A stored run that was not written so; the file."""
 
 
 def _stored(folder: Path, run: Run) -> RunResult | None:
     """The finished run, None if there is none, or one with another key."""
     place, clock = _place(folder, run)
-    key = run.key
+    if not place.exists() or not clock.exists():
+        return None  # never finished
     try:
         content, timed = (json.loads(path.read_text(encoding="utf-8")) for path in (place, clock))
-        if content.pop("key") != key or timed["key"] != key:
-            return None
-        del content["format"]
-        return RunResult(**content, seconds=float(timed["seconds"]))
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
-        return None  # missing, or not a file of ours: run again
+        if content.pop("key") != run.key or timed["key"] != run.key or content.pop("format") != FORMAT:
+            return None  # of other settings, or of another version
+        digest = content.pop("digest")
+        found = RunResult(**content, seconds=timed["seconds"])
+        if digest != _digest(content) or not _is_of(run, found):
+            raise _Damaged(str(place))
+        return found
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        raise _Damaged(str(place)) from None
+
+
+def _is_of(run: Run, found: RunResult) -> bool:
+    """Whether a result is one that the run can have."""
+    counts = (found.episode, found.steps)
+    return (
+        (found.scenario, found.method, found.seed) == (run.scenario, run.method, run.seed)
+        and type(found.policy) is str
+        and type(found.seconds) is float
+        and 0 <= found.seconds < float("inf")
+        and 0 < len(found.episode) == len(found.steps) == len(found.probability)
+        and all(type(n) is int and n >= 0 for count in counts for n in count)
+        and all(a < b for a, b in pairwise(found.episode))
+        and all(a <= b for a, b in pairwise(found.steps))
+        and all(type(p) is float and 0 <= p <= 1 for p in found.probability)
+    )
 
 
 def _locked(folder: Path) -> Any:

@@ -10,6 +10,7 @@ from filelock import FileLock
 import stltool as stl
 from stltool.errors import FileError, NameLookupError, SettingsError, StlToolError
 from stltool.learning import Budget
+from stltool.learning import sweep as stored
 from stltool.learning.sweep import Method, estimated_seconds, finished_runs
 from tests.conftest import FACTORY, ROOT
 from tests.learning.test_learning import Alternating
@@ -376,3 +377,30 @@ def test_a_missing_name_in_a_model_is_found_by_products(write, tmp_path):
     sweep = stl.load_sweep(write(TINY + '[[scenario]]\nid = "x"\ntask = "t.stl"\n'))
     with pytest.raises(NameLookupError, match="AA"):
         _ = sweep.scenarios[2].product
+
+
+@pytest.mark.parametrize("change", [
+    {"probability": lambda p: [7.5] * len(p)}, {"probability": lambda p: ["<b>"] * len(p)},
+    {"probability": lambda p: p[1:]}, {"steps": lambda steps: steps[::-1]}, {"seed": lambda seed: seed + 1},
+    {"episode": lambda e: [-1, *e[1:]]}, {"episode": lambda e: e[0]}, {"policy": lambda digest: 3},
+    {"extra": lambda _: 1},
+    {"steps": lambda steps: [True] * len(steps)}, {"probability": lambda p: [float("nan")] * len(p)},
+])  # fmt: skip
+@pytest.mark.parametrize("signed", [False, True])
+def test_a_run_that_cannot_be_is_told_and_run_again(write, tmp_path, change, signed):
+    """Whether or not whoever changed it changed the digest, too."""
+    out, sweep = tmp_path / "out", stl.load_sweep(write()).select(seeds=[0])
+    stl.run_sweep(sweep, out, workers=1)
+    whole = files(out)
+    place = out / "runs" / "C" / "replay" / "seed-0.json"
+    content = json.loads(place.read_text())
+    for name, changed in change.items():
+        content[name] = changed(content.get(name))
+    if signed:
+        found = {name: value for name, value in content.items() if name not in ("format", "key", "digest")}
+        content["digest"] = stored._digest(found)
+    place.write_text(json.dumps(content))
+    result = stl.run_sweep(sweep, out, workers=1)
+    assert result.damaged == [str(place)]
+    assert result.skipped == len(sweep.runs()) - 1
+    assert files(out) == whole
