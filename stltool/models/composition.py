@@ -100,7 +100,7 @@ def _product(members: Mapping[str, MDP], name: str) -> MDP:
         )
     columns = sum(8 * len(model.signals) + len(model.labels) for model in models)
     require_memory(
-        n_states * (columns + 64) + 150 * n_actions * len(models),
+        n_states * (columns + 64 + 8 * len(models)) + 150 * n_actions * len(models),
         f"{n_states} states ({shown}) with {n_actions} actions", _SMALLER,
     )  # fmt: skip
     joint = Joint([model.source for model in models], list(members), [model.n_actions for model in models])
