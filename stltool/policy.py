@@ -41,7 +41,6 @@ from stltool.errors import FileError, InexactEncodingWarning, PolicyError, StlTo
 from stltool.files import (
     atomic_file,
     begins,
-    is_data,
     read_text,
     require_folder,
     require_own,
@@ -439,7 +438,11 @@ def require_policy_file(path: str | Path) -> None:
 
 def _is_policy(path: Path) -> bool:
     """Whether a file is a policy of ours, of this version or another."""
-    if is_layered(path) or is_data(path) or begins("# format", written.FORMAT)(path):
+    if (
+        is_layered(path)
+        or begins("# format", written.FORMAT)(path)
+        or begins(f'{{"format": "{written.FORMAT}"', "")(path)
+    ):
         return True
     try:
         with open_arrays(path, "policy file") as archive:

@@ -310,9 +310,10 @@ def test_a_black_box_has_rules_wherever_the_policy_acts(floor5, tmp_path):
 def test_text_replaces_text_of_ours_only(best, tmp_path):
     for name in ("p.csv", "p.json"):
         path = tmp_path / name
-        path.write_text("a,b\n1,2\n")
-        with pytest.raises(FileError, match="does not contain a policy that stltool wrote"):
-            best.save(path)
+        for other in ("a,b\n1,2\n", '{"format": "stltool-report-1"}\n'):  # of another tool, and another file of ours
+            path.write_text(other)
+            with pytest.raises(FileError, match="does not contain a policy that stltool wrote"):
+                best.save(path)
         path.unlink()
         best.save(path)
         best.save(path)
