@@ -73,11 +73,11 @@ def exact(data: U8, i: int, end: int) -> tuple[int, np.int64, np.int64, int]:
         digit = np.int64(data[i]) - _ZERO
         if 0 <= digit <= 9:
             digits += 1
-            w = 10 * w + digit
-            if w > 0:
+            if w > 0 or digit > 0:
                 significant += 1
-            if significant > _DIGITS:
+            if significant > _DIGITS:  # before w could overflow
                 return TEXT, np.int64(begin), np.int64(end), end
+            w = 10 * w + digit
             q -= point
         elif data[i] == _POINT and not point:
             point = True
@@ -92,11 +92,11 @@ def exact(data: U8, i: int, end: int) -> tuple[int, np.int64, np.int64, int]:
         i += 1
         below, first, long = np.int64(0), i, 0
         while i < end and 0 <= np.int64(data[i]) - _ZERO <= 9:
-            below = 10 * below + np.int64(data[i]) - _ZERO
-            if below > 0:
+            if below > 0 or data[i] > _ZERO:
                 long += 1
             if long > _DIGITS:
                 return TEXT, np.int64(begin), np.int64(end), end
+            below = 10 * below + np.int64(data[i]) - _ZERO
             i += 1
         if i == first or below == 0:
             return TEXT, np.int64(begin), np.int64(end), end

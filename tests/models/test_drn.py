@@ -5,7 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 import stltool as stl
@@ -110,12 +110,14 @@ def test_a_compressed_text_and_other_ends_of_lines(tmp_path, packed):
     assert read(tmp_path, packed, "m.drn.gz").digest() == read(tmp_path, COIN).digest()
 
 
-@given(
-    st.from_regex(
-        r"[+-]?([0-9]{1,20}(\.[0-9]{0,20})?|\.[0-9]{1,20})([eE][+-]?[0-9]{1,2})?|-?[0-9]{1,18}/[1-9][0-9]{0,18}",
-        fullmatch=True,
-    )
-)
+NUMBERS = r"[+-]?([0-9]{1,20}(\.[0-9]{0,20})?|\.[0-9]{1,20})([eE][+-]?[0-9]{1,2})?|-?[0-9]{1,20}/[1-9][0-9]{0,19}"
+
+
+@given(st.from_regex(NUMBERS, fullmatch=True))
+@example("9300000000000000000")  # which overflow 64 bits, with as many digits as others that do not
+@example("-0.9300000000000000000")
+@example("1/9300000000000000000")
+@example("9300000000000000000/7")
 def test_numbers_are_read_exactly(text):
     data = np.frombuffer(text.encode(), dtype=np.uint8)
     kind, above, below, behind = kernels.exact(data, 0, len(data))
