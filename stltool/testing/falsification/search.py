@@ -23,7 +23,9 @@ from stltool.testing.falsification.score import Scores
 from stltool.testing.falsification.surface import by_surface
 
 _START = ("pieces", "uniform", "pieces", "uniform")
-_CYCLE = ("dynamics", "surface", "pieces", "dynamics", "surface", "vary", "dynamics", "uniform")
+_CYCLE = (
+    "surface", "dynamics", "surface", "vary", "surface", "dynamics", "surface", "vary", "surface", "pieces", "uniform"
+)  # fmt: skip
 _FLAT = ("uniform", "uniform", "uniform", "pieces", "uniform", "uniform")
 _FLAT_FROM = 6  # executions
 

@@ -1,7 +1,9 @@
 """The next point by a response surface of the scores: an interpolation by radial basis functions [Regis13].
 
 Candidates vary the best points so far. Of them that one is next whose predicted score and whose distance from all
-points tried are best together, with weights that go in turn from the distance to the score.
+points tried are best together, with weights that go in turn from the distance to the score. Every second time the
+surface is a local one, through the points nearest to the best, and candidates vary that point alone: where a score has
+edges, what is far away says nothing of what is near.
 """
 
 from __future__ import annotations
@@ -17,9 +19,40 @@ _SPREADS = (0.3, 0.1, 0.03)
 _MOVED = 10  # coordinates that change, about
 _LATEST = 200  # points that the surface goes through
 
+_NEAR = 200  # candidates that vary the best point by runs
+_CLOSE = 60  # and by single coordinates, for each of
+_CLOSE_SPREADS = (0.2, 0.06, 0.02)
+_LEAST_APART = 1e-4
+_BOLD = 0.3  # standard deviations of the scores that are worth one median distance
+
 
 def by_surface(candidates: Candidates, x: F64, scores: F64, turn: int) -> F64 | None:
     """The next point (dimension,), from points (n, dimension) and their scores (n,); None if there is no surface."""
+    try:
+        return _anywhere(candidates, x, scores, turn // 2) if turn % 2 == 0 else _nearby(candidates, x, scores)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _nearby(candidates: Candidates, x: F64, scores: F64) -> F64:
+    from scipy.interpolate import RBFInterpolator
+    from scipy.spatial.distance import cdist
+
+    dimension, best = x.shape[1], x[int(np.argmin(scores))]
+    near = np.argsort(np.linalg.norm(x - best, axis=1), kind="stable")[: max(2 * dimension, 20)]
+    surface = RBFInterpolator(x[near], scores[near], kernel="linear", degree=0, smoothing=1e-8)
+    close = np.repeat(best[None], _CLOSE, axis=0)
+    parts = [candidates.nearby(close, s, n / dimension) for s in _CLOSE_SPREADS for n in (1, min(4, dimension))]
+    new = np.concatenate([*parts, candidates.varied(np.repeat(best[None], _NEAR, axis=0))])
+    distance = cdist(new, x[near]).min(axis=1)
+    bold = _BOLD * scores[near].std() / max(float(np.median(distance)), _LEAST_APART)
+    merit = surface(new) - bold * distance
+    merit[distance < _LEAST_APART] = np.inf
+    found: F64 = new[int(np.argmin(merit))]
+    return found
+
+
+def _anywhere(candidates: Candidates, x: F64, scores: F64, turn: int) -> F64:
     from scipy.interpolate import RBFInterpolator
     from scipy.spatial.distance import cdist
 
@@ -28,12 +61,9 @@ def by_surface(candidates: Candidates, x: F64, scores: F64, turn: int) -> F64 | 
     dimension = x.shape[1]
     heights = np.minimum(scores[kept], np.median(scores[kept]))  # how high the heights are does not matter
     cubic = np.linalg.matrix_rank(x[kept] - x[kept[0]]) == dimension  # its linear part is determined
-    try:
-        surface = RBFInterpolator(
-            x[kept], heights, kernel="cubic" if cubic else "linear", degree=1 if cubic else 0, smoothing=1e-8
-        )
-    except np.linalg.LinAlgError:
-        return None
+    surface = RBFInterpolator(
+        x[kept], heights, kernel="cubic" if cubic else "linear", degree=1 if cubic else 0, smoothing=1e-8
+    )
     chance = min(1.0, _MOVED / dimension)
     parts = [candidates.uniform(_CANDIDATES // 10), candidates.pieces(_CANDIDATES // 10)]
     parent = candidates.drawn(x[order[:10]], _CANDIDATES // 2)
