@@ -31,7 +31,7 @@ The path through the package, and a map in reading order:
     exporting/    a product as an MDP of its own, for PRISM, Storm and other tools
     reporting/    results → JSON, HTML, terminal
     cli/          the same from the command line
-    kernels/      numba loops; testing/  strategies and assertions for users' own tests
+    kernels/      numba loops; testing/  strategies and assertions for users' own tests; pytest_plugin.py  for pytest
 
 "The paper" is [Wang24]: S. Wang, Xunyuan Yin, S. Li and Xiang Yin, Tractable Reinforcement Learning for Signal Temporal
 Logic Tasks With Counterfactual Experience Replay, IEEE Control Systems Letters 8, 2024, DOI 10.1109/LCSYS.2024.3397844.

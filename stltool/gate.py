@@ -162,7 +162,7 @@ def verify(
     memory_limit = require_limit(memory_limit) if memory_limit is not None else None
     folder = path_of(certificates, "verify's certificates") if certificates is not None else None
     told = _staged(stage) if stage is not None else lambda title: nullcontext()
-    gate = _Gate(dict(params or {}), loading, seconds, memory_limit, told, reading)
+    gate = Gate(dict(params or {}), loading, seconds, memory_limit, told, reading)
     tasks = gate.read(paths)
     if folder is not None:
         require_folder(folder)
@@ -219,13 +219,18 @@ class _Asked:
 
 
 @dataclass
-class _Gate:
-    params: dict[str, ParamValue]
-    loading: Loading
-    exact_seconds: float
-    memory_limit: int | None
-    stage: Stage
-    reading: Reading
+class Gate:
+    """Judges the expectations of task files one by one: `read`, then `judge`. What they share is computed once.
+
+    The fields up to `reading` are the settings of `verify`.
+    """
+
+    params: dict[str, ParamValue] = field(default_factory=dict)
+    loading: Loading = field(default_factory=Loading)
+    exact_seconds: float = EXACT_SECONDS
+    memory_limit: int | None = None
+    stage: Stage = lambda title: nullcontext()
+    reading: Reading = field(default_factory=Reading)
     loaded: dict[Path, MDP] = field(default_factory=dict)
     models: dict[tuple[Path, frozenset[str]], MDP] = field(default_factory=dict)  # with values of these parameters
     products: dict[tuple[int, Formula], Product] = field(default_factory=dict)
@@ -327,6 +332,7 @@ class _Gate:
     # ------------------------------------------------------------------------------------------------------- judging
 
     def judge(self, task: Task, expectation: Expectation) -> Verified:
+        """The verdict on an expectation of a task that `read` returned."""
         start = perf_counter()
         path = task.path
         assert path is not None  # it was read from a file

@@ -29,7 +29,7 @@ def test_imports_point_one_way():
     wrong, seen = [], 0
     for path, source in sources().items():
         room = path.parts[0].removesuffix(".py")
-        if room in ("__init__", "testing"):
+        if room in ("__init__", "testing", "pytest_plugin"):
             continue
         for target in imports(source):
             seen += 1
@@ -65,6 +65,16 @@ def test_importing_the_package_stays_light():
     code = f"import sys, stltool; print({heavy} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout == "set()\n"
+
+
+def test_pytest_s_plugin_loads_nothing_of_the_package():
+    """pytest loads it in every run of everybody who has stltool installed."""
+    code = (
+        "import sys, pytest; before = set(sys.modules); import stltool.pytest_plugin; print(set(sys.modules) - before)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = {name for name in ast.literal_eval(done.stdout) if name.startswith(("stltool.", "numpy", "hypothesis"))}
+    assert loaded == {"stltool.pytest_plugin"}
 
 
 def test_every_public_name_is_spelled_once():

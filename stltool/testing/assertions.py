@@ -40,11 +40,11 @@ class StlAssertionError(AssertionError):
 
 
 class TraceViolation(StlAssertionError):
-    """A trace violates a formula: `diagnosis` says why."""
+    """A trace violates a formula: `diagnosis` says why; `signals` is the trace."""
 
-    def __init__(self, message: str, diagnosis: Diagnosis) -> None:
+    def __init__(self, message: str, diagnosis: Diagnosis, signals: Mapping[str, ArrayLike]) -> None:
         super().__init__(message)
-        self.diagnosis = diagnosis
+        self.diagnosis, self.signals = diagnosis, signals
 
 
 class ProbabilityViolation(StlAssertionError):
@@ -82,7 +82,7 @@ def assert_trace(phi: Formula | Task, signals: Mapping[str, ArrayLike], t: int =
     lines += [f"  {line}" for line in str(found).splitlines()]
     if picture := timeline(found, signals):
         lines += ["", *(f"  {line}".rstrip() for line in picture)]
-    raise TraceViolation("\n".join(lines), found)
+    raise TraceViolation("\n".join(lines), found, signals)
 
 
 def _by_how_much(phi: Formula | Task, signals: Mapping[str, ArrayLike], end: End, t: int) -> str:

@@ -111,6 +111,11 @@ class Recorder(Displayed):
         )
 
     @property
+    def closed(self) -> bool:
+        """Whether the recording has ended."""
+        return self._closed
+
+    @property
     def n_steps(self) -> int:
         return len(next(iter(self._columns.values()), ()))
 

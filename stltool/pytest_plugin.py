@@ -1,0 +1,317 @@
+"""pytest plugin: task files as tests, fixtures that judge what tests record, pages of failures (docs/testing.md).
+
+pytest loads this module in every run where stltool is installed, so it imports nothing of stltool until a test needs
+it.
+PYTEST_DONT_REWRITE
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import sys
+from collections.abc import Callable, Generator, Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from stltool.checking import CheckResult
+    from stltool.gate import Gate, Verified
+    from stltool.logic.expectation import Expectation
+    from stltool.logic.formula import Formula
+    from stltool.logic.task import Task
+    from stltool.testing import Recorder
+
+_LONGEST_NAME = 120
+_FACET = re.compile(rb"^\s*facet\s", re.MULTILINE)
+_BINARY = re.compile(rb"[\x00-\x08\x0e-\x1f]")
+_EXPECT = re.compile(rb"\bexpect\b")
+_PAGE = "stl_report"  # the user property that holds a page's path
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("stltool", "signal temporal logic (stltool)")
+    group.addoption(
+        "--stl-report", metavar="FOLDER", help="write a page about each failure of an expectation, a trace or a bound"
+    )
+    parser.addini("stl_files", "collect .stl files with expect lines as tests", type="bool", default=False)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line(
+        "markers",
+        "stl(formula, **options): the formula of stl_monitor(), and options of its Recorder; tests from .stl files "
+        "have this marker, too",
+    )
+    folder = config.getoption("stl_report")
+    if folder is None:
+        return
+    from stltool.errors import FileError
+    from stltool.files import require_folder
+
+    absolute = config.invocation_params.dir / folder
+    try:
+        require_folder(absolute)
+    except FileError as error:
+        raise pytest.UsageError(f"--stl-report {folder}: {error}") from None
+    config.option.stl_report = str(absolute)  # what xdist hands to its workers
+
+
+# ------------------------------------------------------------------------------------------------------- task files
+
+
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> StlFile | None:
+    if file_path.suffix.lower() == ".stl" and parent.config.getini("stl_files") and _has_expectations(file_path):
+        return StlFile.from_parent(parent, path=file_path)
+    return None
+
+
+def _has_expectations(path: Path) -> bool:
+    """Whether this is a task file with expectations; what else has the suffix are 3-D meshes, binary or as text."""
+    from stltool.logic.syntax import LONGEST_TEXT
+
+    try:
+        if path.stat().st_size > LONGEST_TEXT:
+            return False
+        data = path.read_bytes()
+    except OSError:
+        return False
+    task = b":=" in data and _EXPECT.search(data) is not None
+    return task and not _BINARY.search(data) and not _FACET.search(data)
+
+
+class ExpectationFailed(AssertionError):
+    """An expectation does not hold, is undecided, or cannot be judged; the message is the whole explanation."""
+
+    def __init__(self, message: str, verified: Verified) -> None:
+        super().__init__(message)
+        self.verified = verified
+
+
+class StlFile(pytest.File):
+    """A task file. Its models are read, and its products built, once for all its tests of one process."""
+
+    _read: tuple[Gate, Task] | Exception | None = None
+
+    def collect(self) -> Iterable[pytest.Item]:
+        from stltool.errors import StlToolError
+        from stltool.logic.parser import survey_task
+
+        try:
+            found = survey_task(self.path)
+        except StlToolError as error:
+            raise self.CollectError(str(error)) from None
+        if found.faults:
+            raise self.CollectError("\n\n".join(found.faults))
+        seen: set[str] = set()
+        for number, expectation in enumerate(found.expectations):
+            asked = expectation.written.removeprefix("expect ")
+            if len(asked) > _LONGEST_NAME or asked in seen:
+                asked = f"{asked[:_LONGEST_NAME]}, line {_line(expectation)}"
+            seen.add(asked)
+            yield StlItem.from_parent(self, name=f"expect[{asked}]", number=number, line=_line(expectation))
+
+    def read(self) -> tuple[Gate, Task]:
+        """What judges, and the task; raises StlToolError with all faults of the file, also the second time."""
+        if self._read is None:
+            from stltool.errors import StlToolError
+            from stltool.gate import Gate
+
+            gate = Gate()
+            try:
+                (task,) = gate.read([self.path])
+                self._read = gate, task
+            except StlToolError as error:
+                self._read = error
+        if isinstance(self._read, Exception):
+            raise self._read
+        return self._read
+
+    def teardown(self) -> None:
+        self._read = None  # models and products are large
+
+
+class StlItem(pytest.Item):
+    """One `expect` line."""
+
+    def __init__(self, *, number: int, line: int, **more: Any) -> None:
+        super().__init__(**more)
+        self.number, self.line = number, line
+        self.add_marker("stl")
+
+    def runtest(self) -> None:
+        assert isinstance(self.parent, StlFile)
+        gate, task = self.parent.read()
+        verified = gate.judge(task, task.expectations[self.number])
+        if verified.verdict != "holds":
+            raise ExpectationFailed(_told(verified, self.location[0]), verified)
+
+    def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
+        from stltool.errors import StlToolError
+
+        if isinstance(excinfo.value, (ExpectationFailed, StlToolError)):
+            return str(excinfo.value)
+        return super().repr_failure(excinfo, style)
+
+    def reportinfo(self) -> tuple[Path, int, str]:
+        return self.path, self.line - 1, self.name
+
+
+def _line(expectation: Expectation) -> int:
+    return expectation.span.line if expectation.span is not None else 1
+
+
+def _told(verified: Verified, file: str) -> str:
+    """What `stltool verify` shows of it."""
+    from stltool.gate import Verification
+    from stltool.reporting import verification_data
+    from stltool.reporting.verification import asked_text, enclosure_text, explained, found_text
+
+    (row,) = verification_data(Verification((verified.path,), (verified,)))["expectations"]
+    lines = [f"{file}:{row['line']}: expect {asked_text(row)}"]
+    found = ", ".join(filter(None, [found_text(row), enclosure_text(row)]))
+    lines.append(f"  {row['verdict']}{': ' if found else ''}{found}")
+    lines += [f"  {line}".rstrip() for line in (explained(row) or "").splitlines()]
+    return "\n".join(lines)
+
+
+# --------------------------------------------------------------------------------------------------------- fixtures
+
+_RECORDERS = pytest.StashKey["list[Recorder]"]()
+
+
+@pytest.fixture
+def stl_monitor(request: pytest.FixtureRequest) -> Callable[..., Recorder]:
+    """stl_monitor(formula, **options): a Recorder, judged at the latest when the test function returns.
+
+    Without a formula, that of the test's marker: @pytest.mark.stl("G[0,9] x < 5", end="cut"). Options are those of
+    stltool.testing.Recorder.
+    """
+    from stltool.errors import SettingsError
+    from stltool.testing import Recorder
+
+    recorders = request.node.stash.setdefault(_RECORDERS, [])
+    marker = request.node.get_closest_marker("stl")
+
+    def monitored(phi: Formula | Task | str | None = None, *given: Any, **options: Any) -> Recorder:
+        if phi is None:
+            if marker is None or not marker.args:
+                raise SettingsError(
+                    "stl_monitor() has no formula; give one, stl_monitor('G[0,9] x < 5'), or mark the test with "
+                    "@pytest.mark.stl('G[0,9] x < 5')"
+                )
+            phi, options = marker.args[0], {**marker.kwargs, **options}
+        recorder = Recorder(phi, *given, **options)
+        recorders.append(recorder)
+        return recorder
+
+    return monitored
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Generator[None, object, object]:
+    result = yield
+    for recorder in pyfuncitem.stash.get(_RECORDERS, ()):
+        if not recorder.closed:
+            _judge(recorder)
+    return result
+
+
+def _judge(recorder: Recorder) -> None:
+    """Close it. No line of the test is at fault, so the report has the explanation alone."""
+    from stltool.errors import StlToolError
+
+    try:
+        recorder.close()
+    except (AssertionError, StlToolError) as error:
+        raise pytest.fail.Exception(str(error), pytrace=False) from error
+
+
+@pytest.fixture
+def stl_report(request: pytest.FixtureRequest) -> Callable[..., Path]:
+    """stl_report(results, **options): writes the page of one or several checks, as stl.report does; returns its path.
+
+    The page is in the folder of --stl-report, otherwise in the test's temporary folder. `name` is its file name.
+    """
+    import stltool as stl
+
+    folder = request.config.getoption("stl_report")
+    home = _home(folder, request.node.nodeid) if folder is not None else request.getfixturevalue("tmp_path")
+
+    def reported(results: CheckResult | list[CheckResult], *, name: str = "checks", **options: Any) -> Path:
+        path: Path = home / f"{name}.html"
+        stl.report(results, path=path, **options)
+        request.node.user_properties.append((_PAGE, str(path)))
+        return path
+
+    return reported
+
+
+# ------------------------------------------------------------------------------------------------- pages of failures
+
+
+def _home(folder: str, nodeid: str) -> Path:
+    """A test's own folder: its name, readable, and what tells it apart from others that read alike."""
+    readable = re.sub(r"[^A-Za-z0-9_.]+", "-", nodeid).strip("-.")[:80]
+    return Path(folder, f"{readable}-{hashlib.sha256(nodeid.encode()).hexdigest()[:6]}")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    folder = item.config.getoption("stl_report")
+    failure: str | None = None
+    if folder is not None and call.when == "call":
+        path = _home(folder, item.nodeid) / "report.html"
+        try:
+            if call.excinfo is not None and _written(call.excinfo.value, path):
+                item.user_properties.append((_PAGE, str(path)))
+            else:
+                _remove_older(path)
+        except Exception as error:  # a page must not hide why a test failed
+            failure = f"the page {path} is not written: {error}"
+    report = yield
+    if failure is not None:
+        report.sections.append(("stltool", failure))
+    return report
+
+
+def _written(failure: BaseException, path: Path) -> bool:
+    """Whether there is something to write about this failure, which then is written."""
+    if isinstance(failure, pytest.fail.Exception) and failure.__cause__ is not None:
+        failure = failure.__cause__
+    if isinstance(failure, ExpectationFailed):
+        from stltool.testing.pages import write_expectation_page
+
+        write_expectation_page(failure.verified, path)
+        return True
+    if isinstance(failure, AssertionError) and "stltool.testing" in sys.modules:
+        from stltool.testing.pages import write_failure_page
+
+        return write_failure_page(failure, path)
+    return False
+
+
+def _remove_older(page: Path) -> None:
+    """The page of an earlier run in which this test failed."""
+    for file in (page, page.with_suffix(".json")):
+        file.unlink(missing_ok=True)
+    if page.parent.is_dir() and not any(page.parent.iterdir()):
+        page.parent.rmdir()
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    pages = list(dict.fromkeys(_pages(terminalreporter.stats)))
+    if pages:
+        terminalreporter.section("stltool: pages")
+        for page in pages:
+            terminalreporter.line(page)
+
+
+def _pages(stats: dict[str, list[Any]]) -> Iterator[str]:
+    for reports in stats.values():
+        for report in reports:
+            yield from (value for name, value in getattr(report, "user_properties", ()) if name == _PAGE)

@@ -1,0 +1,236 @@
+"""The plugin for pytest, in runs within a test: what is collected, what failures say, which pages there are."""
+
+import json
+import re
+import struct
+import subprocess
+import sys
+import tomllib
+
+import pytest
+
+import stltool as stl
+from stltool.testing import Recorder, assert_probability
+from stltool.testing.pages import write_failure_page
+from tests.conftest import ROOT
+
+pytest_plugins = ["pytester"]
+
+PLUGIN = "stltool.pytest_plugin"
+TASK = """model "two.tra"
+reached := F[0,2] there
+expect Pmax(reached) >= 0.99  # exactly
+expect Pmax(reached) >= 0.995
+expect holds(G[0,2] level > 0, trace "log.csv")
+expect Pmax(reached) >= 0.99
+"""
+FILES = {
+    "gate.stl": TASK,
+    "two.tra": "2 2 3\n0 0 0 0.1\n0 0 1 0.9\n1 0 1 1\n",
+    "two.lab": '0="init" 1="there"\n0: 0\n1: 1\n',
+    "log.csv": "level\n1\n0.5\n-0.25\n",
+}
+TESTS = """
+import pytest
+
+@pytest.mark.stl("G[0,3] level < 5")
+def test_early(stl_monitor):
+    record = stl_monitor()
+    for step in range(4):
+        record(level=3 * step)
+        assert step < 2, "the violation is raised at once"
+
+@pytest.mark.stl("F[0,3] level > 5", online=False)
+def test_late(stl_monitor):
+    record = stl_monitor()
+    for step in range(4):
+        record(level=step)
+
+def test_kept(stl_monitor):
+    record, other = stl_monitor("F[0,1] level > 5"), stl_monitor("G[0,1] level > 5", end="cut")
+    record(level=6)
+    other(level=6)
+
+def test_own_failure_counts(stl_monitor):
+    stl_monitor("F[0,3] level > 5")(level=1)
+    raise RuntimeError("of the test")
+
+def test_nothing_recorded(stl_monitor):
+    stl_monitor("F[0,3] level > 5")
+
+def test_no_formula(stl_monitor):
+    stl_monitor()
+"""
+PAGES = """
+import stltool as stl
+from stltool.testing import assert_probability
+
+PRODUCT = stl.build_product(stl.load_model("two.tra"), stl.parse("F[0,2] there"))
+
+def test_bound():
+    assert_probability(PRODUCT, at_least=0.995)
+
+def test_shown(stl_report):
+    assert stl_report(stl.check(PRODUCT), name="best").is_file()
+"""
+
+
+@pytest.fixture(scope="module")
+def loaded(tmp_path_factory):
+    """All modules that tests and pages need: what a run within a test imports is dropped after it."""
+    folder = tmp_path_factory.mktemp("loaded")
+    model = stl.MDP.from_arrays([[[0.5, 0.5], [0, 1]]], {}, labels={"there": [0, 1]})
+    with pytest.raises(AssertionError) as failure:
+        assert_probability(stl.build_product(model, stl.parse("F[0,2] there")), at_least=0.9)
+    assert write_failure_page(failure.value, folder / "bound.html")
+    with pytest.raises(AssertionError) as failure:
+        Recorder("G[0,1] x > 0")(x=0)
+    assert write_failure_page(failure.value, folder / "trace.html")
+
+
+@pytest.fixture
+def project(pytester, loaded):
+    """A project whose ini file asks for task files."""
+    pytester.makeini("[pytest]\nstl_files = true\naddopts = --strict-markers\nfilterwarnings = error\n")
+    for name, text in FILES.items():
+        (pytester.path / name).write_text(text, encoding="utf-8")
+    return pytester
+
+
+def run(pytester, *options):
+    return pytester.runpytest_inprocess("-p", PLUGIN, "-p", "no:cacheprovider", *options)
+
+
+def test_every_expectation_is_a_test(project):
+    (project.path / "sub").mkdir()
+    (project.path / "sub" / "test_plain.py").write_text("def test_plain(): pass\n")
+    done = run(project, "-v", "gate.stl", "sub")
+    done.assert_outcomes(passed=3, failed=2)
+    done.stdout.fnmatch_lines_random([
+        "gate.stl::expect[[]Pmax(reached) >= 0.99[]] PASSED*",
+        "gate.stl::expect[[]Pmax(reached) >= 0.995[]] FAILED*",
+        "gate.stl::expect[[]Pmax(reached) >= 0.99, line 6[]] PASSED*",
+        "gate.stl:4: expect Pmax(reached) >= 0.995",
+        "  does not hold: P = 0.99*",
+        'gate.stl:5: expect holds(G[[]0,2[]] (level > 0), trace "log.csv")',
+        "  does not hold: robustness -0.25",
+        "  G[[]0,2[]] (level > 0) fails at step 0: level > 0 fails at step 2 with level = -0.25*",
+    ])  # fmt: skip
+    assert "Traceback" not in done.stdout.str()
+    assert "pytest_plugin.py" not in done.stdout.str()
+
+
+def test_a_test_is_chosen_by_its_name_or_by_the_marker(project):
+    project.makepyfile("def test_plain(): pass")
+    run(project, "gate.stl::expect[Pmax(reached) >= 0.99]").assert_outcomes(passed=1)
+    run(project, "-m", "stl", "-k", "line or plain").assert_outcomes(passed=1, deselected=4)
+
+
+def test_files_are_collected_where_the_ini_file_asks_for_it(project):
+    project.makepyfile("def test_plain(): pass")
+    run(project, "-o", "stl_files=false").assert_outcomes(passed=1)
+
+
+def mesh():
+    """A binary mesh of one triangle, with the two words in its free header."""
+    return b"x := 1; expect".ljust(80, b"\0") + struct.pack("<I12fH", 1, *[0.0] * 12, 0)
+
+
+OTHERS = {
+    "a binary mesh": mesh(),
+    "one without zero bytes": b"x := 1; expect".ljust(80) + b"\x01" * 54 + b"\xff",
+    "a mesh as text": b"solid expect := part\n  facet normal 0 0 1\n outer loop\n endloop\n endfacet\nendsolid",
+    "a task without expectations": b"reached := F[0,2] there\n",
+    "a comment": b"# what we expect\nreached := F[0,2] there\n",
+    "expectations without definitions": b'expect holds(G[0,2] level > 0, trace "log.csv")\n',
+    "nothing": b"",
+}
+
+
+@pytest.mark.parametrize("content", OTHERS.values(), ids=OTHERS)
+def test_what_has_no_expectations_is_passed_over_in_silence(project, content):
+    (project.path / "gate.stl").unlink()
+    (project.path / "Part.STL").write_bytes(content)
+    done = run(project)
+    assert done.ret == pytest.ExitCode.NO_TESTS_COLLECTED
+    assert "Part" not in done.stdout.str() + done.stderr.str()
+
+
+def test_a_file_that_cannot_be_read_is_an_error_of_its_own(project):
+    (project.path / "bad.stl").write_text("a := F[0,2] (x >\nb := G[0,2 x > 0\nexpect Pmax(a) >= 0.5\n")
+    done = run(project)
+    done.assert_outcomes(errors=1)
+    done.stdout.fnmatch_lines(["*bad.stl, line 1*", "*bad.stl, line 2*"])
+    assert "Traceback" not in done.stdout.str()
+
+
+def test_a_missing_model_fails_each_expectation_with_the_reason(project):
+    (project.path / "two.tra").unlink()
+    done = run(project, "-k", "995 or holds")
+    done.assert_outcomes(failed=2, deselected=2)
+    done.stdout.fnmatch_lines(["*two.tra*"])
+    assert "Traceback" not in done.stdout.str()
+
+
+def test_stl_monitor_judges_what_a_test_records(project):
+    project.makepyfile(TESTS)
+    done = run(project, "test_stl_monitor_judges_what_a_test_records.py")
+    done.assert_outcomes(passed=1, failed=5)
+    text = done.stdout.str()
+    assert "G[0,3] (level < 5) fails at step 0: level < 5 fails at step 2 with level = 6" in text
+    assert "AssertionError: the violation is raised at once" not in text
+    assert "level > 5 fails throughout steps 0 … 3 with level = 0, 1, 2, 3" in text
+    assert "RuntimeError: of the test" in text
+    assert "nothing was recorded; record at least one sample" in text
+    assert "stl_monitor() has no formula; give one" in text
+    assert "hidden" not in text
+
+
+def test_failures_have_pages(project):
+    project.makepyfile(TESTS + PAGES)
+    done = run(project, "--stl-report", "out", "-k", "995 or holds or early or late or bound or shown or own")
+    done.assert_outcomes(passed=1, failed=6, deselected=5)
+    pages = sorted((project.path / "out").glob("*/*.html"))
+    done.stdout.fnmatch_lines_random([str(page) for page in pages])
+    formats = [json.loads(page.with_suffix(".json").read_text())["format"].split("/")[0] for page in pages]
+    assert len(pages) == 6  # none of a failure that is the test's own
+    assert len(set(formats)) == 3
+
+    (project.path / "log.csv").write_text("level\n1\n0.5\n0.25\n")
+    run(project, "--stl-report", "out", "-k", "holds").assert_outcomes(passed=1, deselected=11)
+    left = sorted((project.path / "out").glob("*/*.html"))
+    assert [page for page in pages if page not in left] == [page for page in pages if "holds" in str(page)]
+    assert not [folder for folder in (project.path / "out").iterdir() if not any(folder.iterdir())]
+
+
+def test_a_folder_for_pages_that_cannot_be_is_refused_at_the_start(project):
+    done = run(project, "--stl-report", "log.csv")
+    assert done.ret == pytest.ExitCode.USAGE_ERROR
+    done.stderr.fnmatch_lines(["*--stl-report log.csv: *is not a writable directory; name another"])
+
+
+def test_tests_are_shared_among_processes(project):
+    """With xdist: every expectation once, and the pages in one folder, all of them listed."""
+    (project.path / "more.stl").write_text(
+        'a := level > 0\nexpect holds(a, trace "log.csv")\nexpect holds(!a, trace "log.csv")'
+    )
+    command = [sys.executable, "-m", "pytest", "-p", PLUGIN, "-n", "2", "-k", "holds", "--stl-report", "out"]
+    done = subprocess.run(command, cwd=project.path, capture_output=True, text=True)
+    assert "2 failed, 1 passed" in done.stdout
+    pages = list((project.path / "out").glob("*/report.html"))
+    assert len(pages) == 2
+    assert all(str(page) in done.stdout for page in pages)
+
+
+def test_pytest_finds_it_by_its_entry_point():
+    points = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]["pytest11"]
+    assert points == {PLUGIN: PLUGIN}  # one name, or `-p` would load it a second time
+
+
+def test_the_example_of_the_page_passes_and_would_fail(pytester, loaded):
+    page = (ROOT / "docs" / "testing.md").read_text(encoding="utf-8")
+    (block,) = [one for one in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL) if "stl_monitor" in one]
+    pytester.makepyfile(test_page=block, test_late=block.replace("step >= 9", "step >= 12"))
+    done = run(pytester, "--strict-markers")
+    done.assert_outcomes(passed=1, failed=1)
+    assert "level > 3 fails throughout steps 7 … 11 with level = 0" in done.stdout.str()
