@@ -99,6 +99,9 @@ class World:
         self.joint = stl.build_joint_product(self.model, {"one": self.formula, "two": stl.parse("F[0,2] B")})
         self.result = stl.check(self.product)
         self.policy = self.result.policy
+        self.shield = stl.shield(self.product, 0)
+        q = self.product.enter(0, self.product.automaton.initial)
+        self.first = {"t": 0, "s": 0, "q": q}
         self.training = stl.learn(self.product, "naive", episodes=2)
         self.blurred = stl.MDP.from_intervals(
             [[[0.5, 0.2], [0.3, 0.3]]], [[[0.8, 0.5], [0.7, 0.7]]], {}, labels={"A": [1, 0]}
@@ -224,6 +227,14 @@ CALLS = {
     "likely_runs": lambda w: {"product": w.product},
     "sensitivity": lambda w: {"product": w.product},
     "Sensitivity.ranked": lambda w: {"self": stl.sensitivity(w.product)},
+    "shield": lambda w: {"product": w.product, "at_least": 0.5},
+    "Shield.allows": lambda w: {"self": w.shield, **w.first},
+    "Shield.spend": lambda w: {"self": w.shield, **w.first, "choice": 0},
+    "Shield.best": lambda w: {"self": w.shield, **w.first},
+    "Shield.allowance": lambda w: {"self": w.shield, "spent": 0},
+    "Shield.require_for": lambda w: {"self": w.shield, "product": w.product},
+    "Shield.save": lambda w: {"self": w.shield, "path": "shield.npz"},
+    "Shield.load": lambda w: {"path": "mask.npz", "product": w.product},
     "stationary": lambda w: {"product": w.product},
     "surrogate_optimum": lambda w: {"product": w.product, "gamma": 0.5},
     "tradeoff": lambda w: {"joint": w.joint, "objective": "one"},
@@ -341,6 +352,7 @@ OWN = {
     "Policy": {"product": {"Product", "JointProduct"}},
     "Policy.from_function": {"function": {"function", "class"}, "batched": {"True"}, "mixed": {"None", "True"}},
     "Sensitivity.ranked": {"count": {"None", "int"}},
+    "shield": {"levels": {"int"}},
     "tradeoff": {"at_least": MAPPING},
     "report": {"product": {"None", "Product"}},
     "learn": {
@@ -384,6 +396,7 @@ def folder(world, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_inputs(Path(), world.text)
     world.policy.save("policy.npz")
+    world.shield.save("mask.npz")
     stl.write_certificate(world.result, "certificate.jsonl")
 
 

@@ -75,6 +75,7 @@ CELLS = {
     "SequentialTest": ("stl.sprt(product, at_least=0.9, most_runs=500)", "P >= 0.9"),
     "LikelyRuns": ("stl.likely_runs(product)", "violating run"),
     "Sensitivity": ("stl.sensitivity(product)", "states that move P most"),
+    "Shield": ("stl.shield(product, 0.5)", "under every policy"),
     "StationaryResult": ("stl.stationary(product)", "proved to be the best"),
     "SurrogateResult": (
         "stl.surrogate_optimum(stl.build_product(model, stl.parse('F[0,3] A')), gamma=0.9)",

@@ -10,6 +10,7 @@ from stltool.checking.robust import robust_check
 from stltool.checking.runner import Runner
 from stltool.checking.sampling import Run, sample_run
 from stltool.checking.sensitivity import Sensitivity, sensitivity
+from stltool.checking.shield import Shield, shield
 from stltool.checking.stationary import StationaryResult, stationary
 from stltool.checking.statistical import Estimate, SequentialTest, estimate, estimate_from, sprt, sprt_from
 from stltool.checking.surrogate import SurrogateResult, surrogate_optimum
@@ -17,8 +18,8 @@ from stltool.checking.tradeoff import Tradeoff, tradeoff
 
 __all__ = [
     "CheckResult", "Estimate", "Front", "LikelyRun", "LikelyRuns", "Node", "ParametricResult", "PolicyTree", "Run",
-    "Runner", "Sensitivity", "SequentialTest", "StationaryResult", "SurrogateResult", "Tradeoff", "certify", "check",
-    "estimate", "estimate_from", "likely_runs", "parametric", "pareto", "policy_tree", "require_certificate_of",
-    "robust_check", "sample_run", "sensitivity", "sprt", "sprt_from", "stationary", "surrogate_optimum", "tradeoff",
-    "write_certificate",
+    "Runner", "Sensitivity", "SequentialTest", "Shield", "StationaryResult", "SurrogateResult", "Tradeoff", "certify",
+    "check", "estimate", "estimate_from", "likely_runs", "parametric", "pareto", "policy_tree",
+    "require_certificate_of", "robust_check", "sample_run", "sensitivity", "shield", "sprt", "sprt_from", "stationary",
+    "surrogate_optimum", "tradeoff", "write_certificate",
 ]  # fmt: skip
