@@ -11,6 +11,7 @@ import hashlib
 import re
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,11 +24,13 @@ if TYPE_CHECKING:
     from stltool.logic.formula import Formula
     from stltool.logic.task import Task
     from stltool.testing import Recorder
+    from stltool.testing.coverage import CoverageReport
 
 _LONGEST_NAME = 120
 _FACET = re.compile(rb"^\s*facet\s", re.MULTILINE)
 _BINARY = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 _EXPECT = re.compile(rb"\bexpect\b")
+_COVERAGE: pytest.StashKey[CoverageReport] = pytest.StashKey()
 _PAGE = "stl_report"  # the user property that holds a page's path
 
 
@@ -35,6 +38,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("stltool", "signal temporal logic (stltool)")
     group.addoption(
         "--stl-report", metavar="FOLDER", help="write a page about each failure of an expectation, a trace or a bound"
+    )
+    group.addoption(
+        "--stl-coverage",
+        action="store_true",
+        help="report how often premises held and parts of formulas mattered on the traces that tests judged",
     )
     parser.addini("stl_files", "collect .stl files with expect lines as tests", type="bool", default=False)
 
@@ -45,6 +53,12 @@ def pytest_configure(config: pytest.Config) -> None:
         "stl(formula, **options): the formula of stl_monitor(), and options of its Recorder; tests from .stl files "
         "have this marker, too",
     )
+    if config.getoption("stl_coverage"):
+        from stltool.testing import collect_coverage
+
+        stack = ExitStack()
+        config.stash[_COVERAGE] = stack.enter_context(collect_coverage())
+        config.add_cleanup(stack.close)
     folder = config.getoption("stl_report")
     if folder is None:
         return
@@ -179,7 +193,7 @@ def _told(verified: Verified, file: str) -> str:
 
 # --------------------------------------------------------------------------------------------------------- fixtures
 
-_RECORDERS = pytest.StashKey["list[Recorder]"]()
+_RECORDERS: pytest.StashKey[list[Recorder]] = pytest.StashKey()
 
 
 @pytest.fixture
@@ -303,15 +317,35 @@ def _remove_older(page: Path) -> None:
         page.parent.rmdir()
 
 
-def pytest_terminal_summary(terminalreporter: Any) -> None:
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
     pages = list(dict.fromkeys(_pages(terminalreporter.stats)))
     if pages:
         terminalreporter.section("stltool: pages")
         for page in pages:
             terminalreporter.line(page)
+    coverage = config.stash.get(_COVERAGE, None)
+    if coverage is not None:
+        terminalreporter.section("stltool: coverage of formulas")
+        terminalreporter.line(coverage.report() or "no test judged a trace by an assertion or a recorder of stltool")
 
 
 def _pages(stats: dict[str, list[Any]]) -> Iterator[str]:
     for reports in stats.values():
         for report in reports:
             yield from (value for name, value in getattr(report, "user_properties", ()) if name == _PAGE)
+
+
+# ------------------------------------------------------------------------------------------------ coverage with xdist
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    coverage = session.config.stash.get(_COVERAGE, None)
+    if coverage is not None and hasattr(session.config, "workeroutput"):  # a worker's
+        session.config.workeroutput["stl_coverage"] = {text: one.counts() for text, one in coverage.items()}
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    coverage = node.config.stash.get(_COVERAGE, None)
+    if coverage is not None:
+        coverage.merge(getattr(node, "workeroutput", {}).get("stl_coverage", {}))  # a worker that crashed has none

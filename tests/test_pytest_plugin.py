@@ -75,6 +75,30 @@ def test_shown(stl_report):
 """
 
 
+COVERED = """
+from stltool.testing import assert_trace
+import stltool as stl
+
+PHI = stl.parse("G[0,2] (request -> level > 3)")
+
+def test_asked():
+    assert_trace(PHI, {"request": [True, False, False], "level": [4, 0, 0]})
+
+def test_idle(stl_monitor):
+    record = stl_monitor(PHI)
+    for step in range(3):
+        record(request=False, level=0)
+"""
+COVERAGE = """\
+G[0,2] (request -> level > 3)
+  2 traces: 2 passed, 1 of them vacuously (a premise held nowhere)
+  part                     held   failed     open  mattered
+  request -> level > 3        6        0        0         2
+  request (premise)           1        5        0         2
+  level > 3                   1        5        0         1
+"""
+
+
 @pytest.fixture(scope="module")
 def loaded(tmp_path_factory):
     """All modules that tests and pages need: what a run within a test imports is dropped after it."""
@@ -210,13 +234,15 @@ def test_a_folder_for_pages_that_cannot_be_is_refused_at_the_start(project):
 
 
 def test_tests_are_shared_among_processes(project):
-    """With xdist: every expectation once, and the pages in one folder, all of them listed."""
+    """With xdist: every expectation once, the pages in one folder and all listed, and one report on coverage."""
+    project.makepyfile(test_covered=COVERED)
     (project.path / "more.stl").write_text(
         'a := level > 0\nexpect holds(a, trace "log.csv")\nexpect holds(!a, trace "log.csv")'
     )
-    command = [sys.executable, "-m", "pytest", "-p", PLUGIN, "-n", "2", "-k", "holds", "--stl-report", "out"]
-    done = subprocess.run(command, cwd=project.path, capture_output=True, text=True)
-    assert "2 failed, 1 passed" in done.stdout
+    command = [sys.executable, "-m", "pytest", "-p", PLUGIN, "-n", "2", "-k", "holds or covered", "--stl-report", "out"]
+    done = subprocess.run([*command, "--stl-coverage"], cwd=project.path, capture_output=True, text=True)
+    assert COVERAGE in done.stdout
+    assert "2 failed, 3 passed" in done.stdout
     pages = list((project.path / "out").glob("*/report.html"))
     assert len(pages) == 2
     assert all(str(page) in done.stdout for page in pages)
@@ -234,3 +260,13 @@ def test_the_example_of_the_page_passes_and_would_fail(pytester, loaded):
     done = run(pytester, "--strict-markers")
     done.assert_outcomes(passed=1, failed=1)
     assert "level > 3 fails throughout steps 7 … 11 with level = 0" in done.stdout.str()
+
+
+def test_coverage_of_formulas_is_reported_at_the_end(pytester, loaded):
+    pytester.makepyfile(COVERED)
+    assert "coverage of formulas" not in run(pytester).stdout.str()
+    assert COVERAGE in run(pytester, "--stl-coverage").stdout.str()
+    told = run(pytester, "--stl-coverage", "-k", "idle").stdout.str()
+    assert "the premise request held at no step" in told
+    assert "level > 3 mattered in no trace" in told
+    assert "no test judged a trace" in run(pytester, "--stl-coverage", "-k", "nothing").stdout.str()

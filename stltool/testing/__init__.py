@@ -7,6 +7,7 @@ constructive, regions    how traces with a verdict are built: the automaton, and
 recorder      running programs as traces that are judged, also Gymnasium's environments (environments)
 machines      rule-based machines of Hypothesis with a formula as invariant
 sampled       tests of probabilities of randomised programs, on as few runs as possible
+coverage      how much the traces that were judged say about a formula
 falsification inputs under which a system violates a formula
 """
 
@@ -21,6 +22,7 @@ from stltool.testing.assertions import (
     assert_refines,
     assert_trace,
 )
+from stltool.testing.coverage import Coverage, CoverageGap, PartCoverage, assert_covered, collect_coverage
 from stltool.testing.falsification import Falsification, Replay, Signal, falsify, input_signals, replay, steer
 from stltool.testing.formulas import flag_formulas, formulas, predicates
 from stltool.testing.machines import StlStateMachine
@@ -32,8 +34,11 @@ from stltool.testing.trace import Trace
 from stltool.testing.traces import satisfying_traces, traces, violating_traces
 
 __all__ = [
+    "Coverage",
+    "CoverageGap",
     "Falsification",
     "FormulasDiffer",
+    "PartCoverage",
     "ProbabilityViolation",
     "Recorder",
     "Replay",
@@ -44,11 +49,13 @@ __all__ = [
     "StlStateMachine",
     "Trace",
     "TraceViolation",
+    "assert_covered",
     "assert_equivalent",
     "assert_probability",
     "assert_probability_sampled",
     "assert_refines",
     "assert_trace",
+    "collect_coverage",
     "expectations",
     "falsify",
     "flag_formulas",

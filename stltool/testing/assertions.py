@@ -27,6 +27,7 @@ from stltool.policy import Policy
 from stltool.product import Product
 from stltool.reporting.runs import likely_data, trace_text, verdict_text
 from stltool.testing.constructive import Constructor, NoTraceError
+from stltool.testing.judged import tell
 from stltool.testing.ranges import Limits, ranges_of
 from stltool.testing.timeline import timeline
 from stltool.testing.trace import Trace
@@ -75,6 +76,7 @@ def assert_trace(phi: Formula | Task, signals: Mapping[str, ArrayLike], t: int =
     t = whole(t, "assert_trace's step t", least=0)
     result = monitor(phi, signals, end, "boolean", at=t)
     assert result.verdicts is not None  # asked for
+    tell(phi, signals, t, end)
     if result.verdicts.size and bool(result.verdicts.all()):
         return
     found = diagnose(phi, signals, t, end=end)

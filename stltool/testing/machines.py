@@ -12,6 +12,7 @@ from stltool.errors import SettingsError
 from stltool.logic.formula import Formula
 from stltool.logic.task import Task
 from stltool.monitoring import monitor
+from stltool.testing.judged import tell
 from stltool.testing.recorder import Recorder
 
 _FARTHEST = 1e9  # Hypothesis' targets are finite
@@ -52,6 +53,8 @@ class StlStateMachine(RuleBasedStateMachine):
         self.record(self.observe())
 
     def teardown(self) -> None:
+        if self.record.n_steps and self.record.verdict is not False:  # a violation has been told
+            tell(self.record.phi, self.record.trace, 0, "cut" if self.record.verdict is None else "hold")
         if type(self).steer and self.record.n_steps and self.record.verdict is None:
             found = monitor(self.record.phi, self.record.trace, "cut", "robustness", at=0).robustness
             assert found is not None  # asked for

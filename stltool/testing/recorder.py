@@ -34,6 +34,7 @@ from stltool.logic.task import Task
 from stltool.monitoring import OnlineMonitor, monitor
 from stltool.monitoring.samples import End
 from stltool.testing.assertions import assert_trace
+from stltool.testing.judged import tell
 
 if TYPE_CHECKING:
     from stltool.testing.environments import RecordedEnv
@@ -170,6 +171,7 @@ class Recorder(Displayed):
         """End the recording, and judge what is open; returns the verdict, or raises TraceViolation."""
         __tracebackhide__ = True
         self._closed = True
+        end: End = self.end if self.verdict is None else "hold"  # what is certain is so on every continuation
         if self.verdict is None:
             if not self._columns:
                 raise TraceError("nothing was recorded; record at least one sample")
@@ -178,6 +180,7 @@ class Recorder(Displayed):
             self.verdict, self.decided_at = bool(found[0]), self.n_steps
         if not self.verdict:
             self._raise_violation("hold" if self._watch is not None and self._watch.violated else self.end)
+        tell(self.phi, self.trace, 0, end)
         return self.verdict
 
     # --------------------------------------------------------------------------------------------------- blocks

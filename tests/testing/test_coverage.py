@@ -1,0 +1,148 @@
+"""Coverage of formulas: premises, windows, parts that mattered, and who is counted."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import rule
+
+import stltool as stl
+from stltool.errors import StlToolError
+from stltool.logic.formula import Constant, children, with_children
+from stltool.testing import (
+    Coverage,
+    CoverageGap,
+    Recorder,
+    StlStateMachine,
+    assert_covered,
+    assert_trace,
+    collect_coverage,
+    formulas,
+    traces,
+)
+
+ANSWERS = stl.parse("G[0,3] (request -> F[0,2] (level > 3))")
+
+
+def trace(request, level):
+    return {"request": [c == "r" for c in request], "level": [int(c) for c in level]}
+
+
+def of(coverage):
+    return {part.text: (part.held, part.failed, part.open, part.mattered) for part in coverage.parts}
+
+
+def test_premises_windows_and_parts_are_counted():
+    coverage = Coverage(ANSWERS)
+    assert coverage.add(trace("......", "000000")) == ["request"]  # nothing was asked
+    assert coverage.add(trace(".r....", "000500")) == []  # answered at step 3
+    assert coverage.add(trace("..r...", "000000")) == []  # violated
+    assert (coverage.traces, coverage.passed, coverage.vacuous) == (3, 2, 1)
+    implication, request, answered, level = (of(coverage)[part.text] for part in coverage.parts)
+    # by hand: steps 0 … 3 of each trace; the answer at 3 is in the windows of steps 1, 2 and 3
+    assert implication == (11, 1, 0, 3)
+    assert request == (2, 10, 0, 3)  # with `true` for it, the first trace would be violated
+    assert answered == (3, 9, 0, 2)
+    assert level == (1, 17, 0, 2)
+    assert "3 traces: 2 passed, 1 of them vacuously (a premise" in coverage.report()
+
+
+def test_windows_that_do_not_close_are_open():
+    coverage = Coverage(stl.parse("a | F[0,4] b"))
+    short = {"a": [True, False], "b": [False, False]}
+    with pytest.raises(StlToolError, match="needs 5"):
+        coverage.add(short)
+    assert coverage.traces == 0
+    assert of(coverage)["F[0,4] b"] == (0, 0, 0, 0)
+    coverage.add(short, end="cut")
+    assert of(coverage) == {"a": (1, 0, 0, 1), "F[0,4] b": (0, 1, 0, 0), "b": (0, 2, 3, 0)}
+
+
+def test_what_is_not_covered_is_told():
+    coverage = Coverage(ANSWERS)
+    coverage.add(trace("......", "000000"))
+    with pytest.raises(CoverageGap) as gap:
+        assert_covered(coverage)
+    assert "the premise request held at no step" in str(gap.value)
+    assert "level > 3 mattered in no trace" in str(gap.value)
+    coverage.add(trace(".r....", "000500"))
+    assert_covered(coverage)
+    with pytest.raises(CoverageGap, match="the premise request held at 1 step"):
+        assert_covered(coverage, at_least=2)
+
+
+def parts(phi, path=()):
+    for i, child in enumerate(children(phi)):
+        yield (*path, i), child
+        yield from parts(child, (*path, i))
+
+
+def replaced(phi, path, new):
+    if not path:
+        return new
+    below = list(children(phi))
+    below[path[0]] = replaced(below[path[0]], path[1:], new)
+    return with_children(phi, tuple(below))
+
+
+@settings(deadline=None, max_examples=25)
+@given(formulas(longest=2, max_leaves=4, past=True), traces(24, labels=["a", "b", "c"]))
+def test_a_part_matters_if_a_constant_changes_the_verdict_by_the_reference_semantics(phi, trace):
+    coverage = Coverage(phi)
+    coverage.add(trace)
+    found = [(path, part) for path, part in parts(phi) if not isinstance(part, Constant)]
+    assert [counts.text for counts in coverage.parts] == [str(part) for _, part in found]
+    for (path, _), counts in zip(found, coverage.parts, strict=True):
+        verdicts = {stl.satisfies(replaced(phi, path, Constant(value)), trace) for value in (False, True)}
+        assert counts.mattered == (verdicts != {stl.satisfies(phi, trace)})
+
+
+def test_assertions_recorders_and_machines_are_counted():
+    class Machine(StlStateMachine):
+        formula, steer = "G (a -> F[0,1] b)", False
+
+        @rule()
+        def wait(self):
+            """Nothing happens."""
+
+        def observe(self):
+            return {"a": True, "b": True}
+
+    with collect_coverage() as found:
+        assert_trace(ANSWERS, trace(".r....", "000500"))
+        with pytest.raises(AssertionError):
+            assert_trace(ANSWERS, trace(".r....", "000000"))
+        with Recorder("F[0,9] x > 3", stop=True) as record:  # certain after two of ten samples
+            record(x=1)
+            record(x=5)
+        with pytest.raises(AssertionError), Recorder("G[0,9] x < 3") as record:
+            record(x=5)
+        machine = Machine()
+        machine._specification()
+        machine.teardown()
+    assert_trace(stl.parse("x > 0"), {"x": [1.0]})  # nobody collects any more
+    counted = {text: (coverage.traces, coverage.passed) for text, coverage in found.items()}
+    assert counted == {
+        str(ANSWERS): (2, 1), "F[0,9] (x > 3)": (1, 1), "G[0,9] (x < 3)": (1, 0), "G[0,inf) (a -> (F[0,1] b))": (1, 1),
+    }  # fmt: skip
+
+
+def test_counts_of_several_processes_are_added():
+    one, other = Coverage(ANSWERS), Coverage(ANSWERS)
+    for coverage in (one, other):
+        coverage.add(trace(".r....", "000500"))
+    one.merge(other.counts())
+    assert one.counts() == [[2 * count for count in row] for row in other.counts()]
+
+
+def test_vacuous_passes_are_events_of_hypothesis(monkeypatch):
+    told = []
+    monkeypatch.setattr("stltool.testing.coverage.event", told.append)
+
+    @settings(max_examples=3, deadline=None, database=None)
+    @given(st.just(trace("......", "000000")))
+    def vacuous(trace):
+        assert_trace(ANSWERS, trace)
+
+    with collect_coverage():
+        vacuous()
+    assert set(told) == {"G[0,3] (request -> (F[0,2] (level > 3))) passes vacuously: request never holds"}
