@@ -447,3 +447,35 @@ def least_cause(phi, trace: dict, t: int, end: str, values: dict) -> tuple[dict,
         less = kept | {name: [other for other in kept[name] if other != step]}
         kept = less if forces(less) else kept
     return kept, forces
+
+
+def robustness_shares(product: stl.Product, policy: stl.Policy, phi) -> dict[float, Fraction]:
+    """P(ρ = value) under a deterministic policy over `product`, by walking all histories of φ."""
+    model, length = product.model, stl.horizon(phi) + 1
+    shares: dict[float, Fraction] = {}
+
+    def walk(history: tuple[int, ...], q: int, p: Fraction) -> None:
+        if len(history) == length:
+            value = stl.robustness(phi, trace_of(model, history))
+            shares[value] = shares.get(value, Fraction(0)) + p
+            return
+        choice = policy.row(len(history) - 1)[history[-1], q]
+        for s2, p2 in choices(model, history[-1])[choice]:
+            walk((*history, s2), product.enter(s2, q), p * p2)
+
+    for s, p in initial(model):
+        walk((s,), product.enter(s, product.automaton.initial), p)
+    return shares
+
+
+def robustness_optimum(model: stl.MDP, phi, worth, maximize: bool = True) -> Fraction:
+    """The greatest (least) mean of worth(ρ) over all history-dependent policies, by walking all histories."""
+    best = max if maximize else min
+    length = stl.horizon(phi) + 1
+
+    def value(history: tuple[int, ...]) -> Fraction:
+        if len(history) == length:
+            return Fraction(worth(stl.robustness(phi, trace_of(model, history))))
+        return best(sum(p * value((*history, s2)) for s2, p in row) for row in choices(model, history[-1]))
+
+    return sum((p * value((s,)) for s, p in initial(model)), Fraction(0))

@@ -20,8 +20,9 @@ from stltool.learning.settings import settings_of
 RESULTS = {
     "CheckResult", "Decisions", "Diagnosis", "Estimate", "Fragment", "Front", "Gap", "Guarantee",
     "JointProduct", "LikelyRuns", "MDP", "Meaning", "MonitorResult", "ParametricResult", "PolicyTree",
-    "Product", "ProductMDP", "Run", "Sensitivity", "SequentialTest", "SmoothRobustness", "StationaryResult",
-    "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton", "Tradeoff",
+    "RobustnessDistribution", "Product", "ProductMDP", "Run", "Sensitivity", "SequentialTest", "SmoothRobustness",
+    "StationaryResult", "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult", "Task",
+    "TaskAutomaton", "Tradeoff",
     "Training", "Decision", "MarkovTest", "Verification", "Verified", "Recording",
 }  # fmt: skip
 
@@ -215,6 +216,13 @@ CALLS = {
     "ParametricResult.at_least": lambda w: {"self": stl.parametric(w.family), "bound": 0.5},
     "ParametricResult.at_most": lambda w: {"self": stl.parametric(w.family), "bound": 0.5},
     "ParametricResult.points": lambda w: {"self": stl.parametric(w.family)},
+    "robustness_distribution": lambda w: {"model": w.model, "task": w.formula},
+    "RobustnessDistribution.at": lambda w: {"self": stl.robustness_distribution(w.model, w.formula), "margin": 0.5},
+    "RobustnessDistribution.largest": lambda w: {
+        "self": stl.robustness_distribution(w.model, w.formula),
+        "at_least": 0.5,
+    },
+    "largest_margin": lambda w: {"model": w.model, "task": w.formula, "at_least": 0.5},
     "policy_tree": lambda w: {"product": w.product},
     "Runner": lambda w: {"product": w.product, "policy": w.policy},
     "Runner.act": lambda w: {"self": stl.Runner(w.product), "state": 0},
@@ -288,7 +296,10 @@ TAKES = {
     **dict.fromkeys(("source", "command", "step", "unit"), TEXT),
     **dict.fromkeys(("labels", "costs", "params", "budget", "over", "parameters", "constants"), MAPPING),
     "tol": NUMBERS,
+    "margin": NUMBERS,
+    "margins": {"None", "array", *LISTS},
     "most_pieces": {"int"},
+    "most_values": {"int"},
     "most_leaves": {"int"},
     "price": NUMBERS,
     **dict.fromkeys(("names", "action_names", "state_names"), NAMES),

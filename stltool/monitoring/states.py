@@ -12,7 +12,7 @@ from stltool.errors import FragmentError, NameLookupError, TraceError
 from stltool.logic.formula import Formula, formula_of, is_temporal, label_names, variables
 from stltool.logic.names import near_names
 from stltool.logic.parser import parse
-from stltool.logic.semantics import satisfies
+from stltool.logic.semantics import robustness, satisfies
 from stltool.monitoring.blocks import Block, Machine
 from stltool.monitoring.program import compile_formula
 
@@ -43,6 +43,25 @@ def truth(psi: Formula, signals: Mapping[str, Reals], labels: Mapping[str, Boole
         except TraceError as error:
             raise TraceError(f"state {s}: {error}") from None
     return holds > 0
+
+
+def margins(psi: Formula, signals: Mapping[str, Reals], labels: Mapping[str, Booleans], n: int) -> Reals:
+    """The robustness of a formula without temporal operators at each of n states, (n,); arguments as of `truth`.
+
+    Exact, then rounded to double: by the slow semantics, once for each combination of values. Raises TraceError if it
+    does not exist at a state.
+    """
+    columns = {name: labels[name] for name in label_names(psi)} | {name: signals[name] for name in variables(psi)}
+    table = np.array([np.broadcast_to(column, n) for column in columns.values()], dtype=np.float64).reshape(-1, n)
+    _, first, which = np.unique(table, axis=1, return_index=True, return_inverse=True)
+    found = np.empty(len(first))
+    for number, s in enumerate(first.tolist()):
+        try:
+            found[number] = robustness(psi, {name: column[s : s + 1] for name, column in columns.items()})
+        except TraceError as error:
+            raise TraceError(f"state {s}: {error}") from None
+    values: Reals = found[which.ravel()]
+    return values
 
 
 def label_of(

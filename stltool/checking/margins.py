@@ -1,0 +1,308 @@
+"""`robustness_distribution`: by how much a task holds. P(ρ ≥ r) for every margin r that runs can have.
+
+ρ(Φ) ≥ r is itself a task (logic/margins.py), whose predicates are read from the margins of the model's states. There
+are finitely many, so ρ takes finitely many values, and between two of them P(ρ ≥ r) does not change. One automaton
+serves all r; only the letters of states depend on r, and values with equal letters share one check. Each is an ordinary
+check, with its enclosure. A policy is evaluated on the join of that automaton with its own.
+
+The mean follows from the distribution, with values r_0 < … < r_n, where ρ is finite:
+
+    E[ρ] = r_0 + Σ_{j ≥ 1} (r_j − r_{j−1}) · P(ρ ≥ r_j)
+
+Over all policies, different thresholds have different best policies, so the sum of maxima is an upper bound on
+max E[ρ]; the policy that is best for r_j alone has a mean of at least r_0 + (r_j − r_0) · max P(ρ ≥ r_j). Minimum:
+likewise.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.arguments import flag, function, real, require, whole
+from stltool.automata import compile_automaton
+from stltool.automata.compile import atoms_of
+from stltool.checking.check import CheckResult, check
+from stltool.checking.induction import Progress
+from stltool.choices import Through
+from stltool.display import Card, Displayed, probability_text
+from stltool.errors import FragmentError, PolicyError, SettingsError, SizeError, named
+from stltool.logic.formula import Formula, bounded_formula_of
+from stltool.logic.margins import thresholded
+from stltool.logic.shifts import has_delays
+from stltool.logic.task import Task
+from stltool.models import MDP
+from stltool.monitoring.states import margins, truth
+from stltool.numbers import round_down, round_up
+from stltool.policy import Policy
+from stltool.product import Product, joined, require_names
+
+Floats: TypeAlias = NDArray[np.float64]
+
+_SHOWN = 10  # rows in a notebook
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RobustnessDistribution(Displayed):
+    """How the robustness ρ of a task is distributed.
+
+    values    (n,) margins, ascending: all that ρ may have, +inf only if it may; or those that were asked for
+    lower     (n,) bounds on P(ρ ≥ value), for each value's own best policy unless a policy was given
+    upper     (n,)
+    mean      (lower, upper) bounds on E[ρ], of the optimum on its greatest (least) over all policies; None if ρ may
+              be infinite (under some policy), as where labels decide, or if margins were asked for
+    question  "maximum" | "minimum" (over all policies) | "policy"
+    """
+
+    task_name: str
+    formula: Formula
+    model: MDP
+    horizon: int
+    question: Literal["maximum", "minimum", "policy"]
+    values: Floats
+    lower: Floats
+    upper: Floats
+    mean: tuple[float, float] | None
+    complete: bool
+    policy: Policy | None
+    seconds: float
+
+    @property
+    def survival(self) -> tuple[Floats, Floats]:
+        """(lower, upper) bounds on P(ρ ≥ value)."""
+        return self.lower, self.upper
+
+    def at(self, margin: float) -> tuple[float, float]:
+        """(lower, upper) bounds on P(ρ ≥ margin). Raises SettingsError if another margin was asked for."""
+        asked = float(real(margin, "at's margin", "0.1"))
+        place = int(np.searchsorted(self.values, asked))
+        if not self.complete and (place == len(self.values) or self.values[place] != asked):
+            raise SettingsError(f"the margin {asked:g} was not asked for; leave margins out, or add it")
+        return (float(self.lower[place]), float(self.upper[place])) if place < len(self.values) else (0.0, 0.0)
+
+    def largest(self, at_least: float) -> float:
+        """The largest of the values whose probability is proved to be at least `at_least`; −inf if there is none."""
+        bound = _probability(at_least, "largest's at_least")
+        places = np.flatnonzero(self.lower >= bound)
+        return float(self.values[places[-1]]) if len(places) else -math.inf
+
+    def steps(self) -> list[tuple[float, float, float]]:
+        """(value, lower, upper) of the values after which the probability changes."""
+        rows = list(zip(self.values.tolist(), self.lower.tolist(), self.upper.tolist(), strict=True))
+        return [row for row, after in itertools.zip_longest(rows, rows[1:]) if after is None or row[1:] != after[1:]]
+
+    def _card(self) -> Card:
+        asked = {"maximum": "the maximum", "minimum": "the minimum", "policy": "of the policy"}[self.question]
+        steps = self.steps()
+        rows = [(f"{r:g}", probability_text(low), probability_text(high)) for r, low, high in steps[:_SHOWN]]
+        return Card(
+            f"RobustnessDistribution: P(robustness >= r), {asked}, {len(self.values)} values",
+            [
+                {"mean": "between {:.6g} and {:.6g}".format(*self.mean) if self.mean is not None else None,
+                 "more": len(steps) - _SHOWN if len(steps) > _SHOWN else None},
+                {"task": f"{self.task_name} := {self.formula}", "model": self.model.name},
+            ],
+            (("r", "P at least", "P at most"), rows),
+        )  # fmt: skip
+
+
+def robustness_distribution(
+    model: MDP,
+    task: Formula | Task,
+    policy: Policy | None = None,
+    *,
+    margins: Sequence[float] | None = None,
+    maximize: bool = True,
+    most_values: int = 1000,
+    memory_limit: int | None = None,
+    progress: Progress | None = None,
+) -> RobustnessDistribution:
+    """P(ρ ≥ r) for every margin r: under `policy`, or the maximum (minimum) over all policies for each r by itself.
+
+    `policy` may be for this task, or any other on the same model whose horizon is not shorter. `margins`: only these r.
+    `most_values` limits how many values are computed. Raises FragmentError for comparisons of several steps, SizeError
+    if ρ may have too many values, PolicyError if the policy does not fit, and what `build_product` and `check` raise.
+    """
+    start = time.perf_counter()
+    flag(maximize, "robustness_distribution's maximize")
+    function(progress, "robustness_distribution's progress")
+    most = whole(most_values, "robustness_distribution's most_values", 1)
+    asked = _Thresholds(model, task, policy, maximize, memory_limit)
+    if margins is not None:
+        require(margins, (list, tuple, np.ndarray), "robustness_distribution's margins", "give a list, such as [0.1]")
+        if len(margins) == 0:
+            raise SettingsError("robustness_distribution's margins are empty; give one or more, or leave them out")
+        values = np.unique([float(real(r, "one of the margins", "0.1")) for r in margins])
+    else:
+        values = np.append(asked.values, np.inf)
+    if len(values) > most:
+        raise SizeError(
+            f"the robustness of {asked.name} may have {len(values)} values, more than {most}; ask for one of them: "
+            f"{named('margin', 'margins=[0.1]')}{named('most_values', ', or raise most_values')}"
+        )
+    products = asked.products(values)
+    results: dict[bytes, CheckResult] = {}
+    for number, product in enumerate(products):
+        key = product.letter.tobytes()
+        if key not in results:
+            results[key] = asked.check(product)
+        if progress is not None:
+            progress(number + 1, len(products))
+    found = [results[product.letter.tobytes()] for product in products]
+    lower, upper = np.array([each.lower for each in found]), np.array([each.upper for each in found])
+    mean = None
+    if margins is None:
+        finite = len(values) > 1 and upper[-1] == 0 and lower[0] == 1
+        if finite and policy is None:  # whatever the policy
+            finite = asked.check(products[0], not maximize).lower == 1 and asked.check(products[-1], True).upper == 0
+        if finite:
+            mean = _mean(values[:-1].tolist(), lower.tolist(), upper.tolist(), found[0].question)
+        if upper[-1] == 0:
+            values, lower, upper = values[:-1], lower[:-1], upper[:-1]
+    return RobustnessDistribution(
+        asked.name, asked.formula, model, products[0].horizon, found[0].question, values, lower, upper, mean,
+        margins is None, policy, time.perf_counter() - start,
+    )  # fmt: skip
+
+
+def largest_margin(
+    model: MDP,
+    task: Formula | Task,
+    at_least: float,
+    policy: Policy | None = None,
+    *,
+    memory_limit: int | None = None,
+) -> tuple[float, CheckResult | None]:
+    """The largest margin r for which P(ρ ≥ r) ≥ `at_least` is proved, of `policy` or of the best policy for that r.
+
+    Returns it with the check of ρ ≥ r, whose `policy` attains it; (−inf, None) if there is none. By bisection over the
+    values that ρ may have, since P(ρ ≥ r) falls in r. Raises as `robustness_distribution`, and SettingsError unless
+    0 < `at_least` ≤ 1.
+    """
+    bound = _probability(at_least, "largest_margin's at_least")
+    asked = _Thresholds(model, task, policy, True, memory_limit)
+    values = np.append(asked.values, np.inf)
+    best: tuple[float, CheckResult | None] = (-math.inf, None)
+    first, last = 0, len(values)  # the answer is values[first - 1]
+    while first < last:
+        middle = (first + last) // 2
+        [product] = asked.products(values[middle : middle + 1])
+        found = asked.check(product, keep_policy=True)
+        if found.lower >= bound:
+            best, first = (float(values[middle]), found), middle + 1
+        else:
+            last = middle
+    return best
+
+
+def _mean(values: list[float], lower: list[float], upper: list[float], question: str) -> tuple[float, float]:
+    """Bounds on E[ρ], from bounds on P(ρ ≥ value) of all finite values (longer lists are cut)."""
+    r = [Fraction(value) for value in values]
+    below, above = ([Fraction(p) for p in bounds[: len(r)]] for bounds in (lower, upper))
+    gaps = [b - a for a, b in itertools.pairwise(r)]
+    least = r[0] + sum((gap * p for gap, p in zip(gaps, below[1:], strict=True)), Fraction(0))
+    most = r[0] + sum((gap * p for gap, p in zip(gaps, above[1:], strict=True)), Fraction(0))
+    if question == "maximum":  # of one value's best policy: ρ ≥ that value, or else ρ ≥ r_0
+        least = max(r[0] + (value - r[0]) * p for value, p in zip(r, below, strict=True))
+    elif question == "minimum":  # ρ is below that value, so at most the one before it, or else at most the last
+        most = min([r[-1], *(a + (r[-1] - a) * p for a, p in zip(r, above[1:], strict=False))])
+    return round_down(least), round_up(most)
+
+
+def _probability(given: float, what: str) -> float:
+    bound = float(real(given, what, "0.95"))
+    if not 0 < bound <= 1:
+        raise SettingsError(f"{what} is {bound:g}; give a probability above 0, such as 0.95")
+    return bound
+
+
+class _Thresholds:
+    """A task's products for ρ ≥ r, whatever r: one structure over labels whose truth in a state depends on r."""
+
+    def __init__(
+        self, model: MDP, task: Formula | Task, policy: Policy | None, maximize: bool, memory_limit: int | None
+    ) -> None:
+        require(model, MDP, "robustness_distribution's model")
+        self.formula = bounded_formula_of(task, "robustness_distribution's task")
+        require(policy, Policy, "robustness_distribution's policy", optional=True)
+        if model.sensing is not None:
+            raise SettingsError(
+                f"{model.name} is a black box with real signals, so its margins are not known beforehand; monitor "
+                "traces of it instead"
+            )
+        model.require_points()
+        self.name = task.name if isinstance(task, Task) else "formula"
+        self._task = task if isinstance(task, Task) else None
+        require_names(model, self.formula, self._task, ())
+        if has_delays(self.formula):
+            raise FragmentError(
+                f"{self.name} compares several steps, such as x[t+1] - x[t] > 0; its distribution of robustness is not "
+                "supported; record the difference as a signal of the model"
+            )
+        self._model, self._policy = model, policy
+        self._maximize, self._memory_limit = maximize, memory_limit
+        rewritten = thresholded(self.formula)
+        self._formula, self._labels = rewritten.formula, rewritten.labels
+        self._atoms = atoms_of(self._formula)
+        read = {psi: margins(psi, model.signals, model.labels, model.n_states) for psi, _ in self._labels.values()}
+        self._margins = {name: read[psi] for name, (psi, _) in self._labels.items()}
+        signed = [self._margins[name] * (1 if positive else -1) for name, (_, positive) in self._labels.items()]
+        every = np.unique(np.concatenate([np.empty(0), *signed])) + 0.0  # no -0.0
+        self.values: Floats = every[np.isfinite(every)]
+        self._fits()
+
+    def _fits(self) -> None:
+        """PolicyError unless the policy is for the model and as many steps."""
+        if self._policy is None:
+            return
+        model = self._policy.home.model
+        if model is not self._model and self._policy.binding.model_digest != self._model.nominal().digest():
+            raise PolicyError(
+                f"the policy is for the model {model.name}, not for {self._model.name}; give one for this model"
+            )
+
+    def _truth(self, r: float) -> NDArray[np.bool_]:
+        """(n_states, n_atoms): the truth of the structure's atoms in every state."""
+        n = self._model.n_states
+        known = {
+            name: self._margins[name] >= r if positive else self._margins[name] > -r
+            for name, (_, positive) in self._labels.items()
+        }
+        columns = [truth(psi, {}, known, n) for psi in self._atoms]
+        return np.stack(columns, axis=1) if columns else np.empty((n, 0), dtype=np.bool_)
+
+    def products(self, values: Floats) -> list[Product]:
+        """The products for ρ ≥ r, for each r; they share one automaton."""
+        truths = [self._truth(r) for r in values.tolist()]
+        distinct = [np.unique(rows, axis=0, return_inverse=True) for rows in truths]
+        valuations, which = np.unique(np.concatenate([rows for rows, _ in distinct]), axis=0, return_inverse=True)
+        automaton = compile_automaton(self._formula, "exact", valuations, self._memory_limit)
+        ends = np.cumsum([len(rows) for rows, _ in distinct])[:-1]
+        letters = np.split(automaton.letter_of[which.ravel()], ends)
+        return [
+            Product(self._model, automaton, own[inverse.ravel()].astype(np.int32), f"robustness({self.name}) >= {r:g}")
+            for r, own, (_, inverse) in zip(values.tolist(), letters, distinct, strict=True)
+        ]
+
+    def check(self, product: Product, maximize: bool | None = None, keep_policy: bool = False) -> CheckResult:
+        """The check of ρ ≥ r: of the policy, or over all policies."""
+        better = self._maximize if maximize is None else maximize
+        if self._policy is None:
+            return check(product, maximize=better, keep_policy=keep_policy, memory_limit=self._memory_limit)
+        home = self._policy.home
+        if not self._policy.stationary and home.horizon < product.horizon:
+            raise PolicyError(
+                f"the policy ends after {home.horizon} steps, the task after {product.horizon}; give a policy for as "
+                "many steps"
+            )
+        both, memory = joined(product, home)
+        judged = check(both, Policy(both, Through(self._policy.form, memory)), memory_limit=self._memory_limit)
+        return replace(judged, policy=self._policy)

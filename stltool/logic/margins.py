@@ -1,0 +1,87 @@
+"""Questions about robustness as questions about truth: ρ(Φ) ≥ r is a formula whose predicates are those of margins.
+
+With ge(φ, r) for ρ(φ) ≥ r and gt(φ, r) for ρ(φ) > r, and a predicate's margin m:
+
+    ge(h, r) = (m ≥ r)                 gt(h, r) = (m > r)
+    ge(¬φ, r) = ¬gt(φ, −r)             gt(¬φ, r) = ¬ge(φ, −r)
+    ge(φ → ψ, r) = ¬gt(φ, −r) ∨ ge(ψ, r)
+    ge(φ ↔ ψ, r) = (¬gt(φ, −r) ∨ ge(ψ, r)) ∧ (ge(φ, r) ∨ ¬gt(ψ, −r))
+    ge(rise φ, r) = ge(φ, r) ∧ ¬prev gt(φ, −r)
+
+and ∧ ∨ F G U and their relatives operand by operand, since min and max commute with ≥ r. So the predicates that stand
+under an even number of negations ask m ≥ r, the others m > −r: the structure does not depend on r.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from stltool.logic.formula import (
+    And,
+    Comparison,
+    Constant,
+    Formula,
+    Iff,
+    Implies,
+    Interval,
+    Label,
+    Not,
+    Once,
+    Or,
+    Rise,
+    children,
+    fitting,
+    with_children,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Thresholded:
+    """`formula`: ρ ≥ r over labels; each stands for (predicate, True): margin ≥ r, or (predicate, False): margin > −r.
+
+    Constants have margin ±∞ and stay, for r = +∞ too.
+    """
+
+    formula: Formula
+    labels: Mapping[str, tuple[Comparison | Label, bool]]
+
+
+def thresholded(phi: Formula) -> Thresholded:
+    """ρ(φ) ≥ r, for whatever r > −∞. Raises StlSyntaxError if ↔ makes the formula too large."""
+    names: dict[tuple[Comparison | Label, bool], str] = {}
+    known: dict[tuple[int, bool], Formula] = {}
+
+    def rewritten(psi: Formula, positive: bool) -> Formula:
+        found = known.get((id(psi), positive))
+        if found is None:
+            found = known[id(psi), positive] = fitting(node(psi, positive))
+        return found
+
+    def node(psi: Formula, positive: bool) -> Formula:
+        match psi:
+            case Constant():
+                return psi
+            case Comparison() | Label():
+                asks = f"margin({psi}) {'>= r' if positive else '> -r'}"
+                return Label(names.setdefault((psi, positive), asks), span=psi.span)
+            case Not(arg):
+                return Not(rewritten(arg, not positive), span=psi.span)
+            case Implies(left, right):
+                return Or((Not(rewritten(left, not positive)), rewritten(right, positive)), span=psi.span)
+            case Iff(left, right):
+                return And(
+                    (
+                        Or((Not(rewritten(left, not positive)), rewritten(right, positive))),
+                        Or((rewritten(left, positive), Not(rewritten(right, not positive)))),
+                    ),
+                    span=psi.span,
+                )
+            case Rise(arg):
+                before = Once(Interval(1, 1), rewritten(arg, not positive))
+                return And((rewritten(arg, positive), Not(before)), span=psi.span)
+            case _:
+                return with_children(psi, tuple(rewritten(child, positive) for child in children(psi)))
+
+    formula = rewritten(phi, True)
+    return Thresholded(formula, {name: key for key, name in names.items()})
