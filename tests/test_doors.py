@@ -21,7 +21,7 @@ RESULTS = {
     "CheckResult", "Decisions", "Diagnosis", "Estimate", "Fragment", "Front", "Gap", "Guarantee",
     "JointProduct", "LikelyRuns", "MDP", "Meaning", "MonitorResult", "ParametricResult", "PolicyTree",
     "RobustnessDistribution", "Product", "ProductMDP", "Run", "Sensitivity", "SequentialTest", "SmoothRobustness",
-    "StationaryResult", "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult", "Task",
+    "StationaryResult", "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult", "Shield", "Task",
     "TaskAutomaton", "Tradeoff",
     "Training", "Decision", "MarkovTest", "Verification", "Verified", "Recording",
 }  # fmt: skip
