@@ -122,7 +122,7 @@ class World:
             "Product": self.product, "JointProduct": self.joint, "Policy": self.policy, "Training": self.training,
             "Counts": self.training.counts, "Learner": stl.Naive(), "Sweep": self.sweep,
             "TaskAutomaton": self.product.automaton, "CheckResult": self.result,
-            "Estimate": stl.estimate(self.product, runs=5),
+            "Estimate": stl.estimate(self.product, runs=5), "Shield": self.shield,
             "MonitorResult": stl.monitor(self.formula, {"A": [1, 0, 1]}),
         }  # fmt: skip
 
@@ -343,7 +343,8 @@ OWN = {
     "from_gymnasium": {
         "table": {"True"}, "signals": MAPPING, "name": TEXT, "cells": {"None"}, "n_cells": {"None"},
     },
-    "to_gymnasium": {"model": {"MDP", "Product"}, "counterfactuals": {"int"}},
+    "to_gymnasium": {"model": {"MDP", "Product"}, "counterfactuals": {"int"}, "shield": {"None"}},
+    "Runner": {"shield": {"None", "Shield"}},
     "MDP.black_box": {
         "actions": {"int", *LISTS},
         "available": {"None", "array", "list"},

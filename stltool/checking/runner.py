@@ -19,12 +19,13 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.arguments import described, whole
+from stltool.arguments import described, require, whole
 from stltool.automata import TRUE, UNDECIDED
 from stltool.checking.check import or_optimal
 from stltool.checking.rollouts import choice
+from stltool.checking.shield import Shield
 from stltool.display import Card, Displayed, counted
-from stltool.errors import ArgumentError, NameLookupError, SizeError, near_misses
+from stltool.errors import ArgumentError, NameLookupError, SettingsError, SizeError, near_misses
 from stltool.logic.printer import with_names
 from stltool.models.names import StateLookup
 from stltool.models.rows import spans
@@ -45,14 +46,22 @@ _SHOWN = 5  # states in a message
 class Runner(Displayed):
     """A policy (default: the optimal one) that is told states one after another, and says what to do.
 
-    seed   of the random choices of a policy that mixes actions; runs after `reset` draw new ones
+    shield  one for this product: where it refuses the policy's action, the best one is taken, and `replaced` is True.
+            P from the start is then at least what the shield promises, whatever the policy
+    seed    of the random choices of a policy that mixes actions; runs after `reset` draw new ones
 
     Raises what `check` and `Policy.on` raise for a policy that does not belong to the product.
     """
 
-    def __init__(self, product: Product, policy: Policy | None = None, *, seed: int = 0) -> None:
+    def __init__(
+        self, product: Product, policy: Policy | None = None, *, shield: Shield | None = None, seed: int = 0
+    ) -> None:
+        require(shield, Shield, "Runner's shield", "make one: stl.shield(product, at_least=0.95)", optional=True)
         given = or_optimal("Runner", product, policy)
         self._rng = generator(require_seed(seed), Purpose.SAMPLE_RUN)
+        if shield is not None:
+            shield.require_for(product)
+        self._shield = shield
         self.product, self.policy = given.on(product)
         self._states = StateLookup(product.model)
         self._values = _Values(self.product, self.policy)
@@ -73,6 +82,9 @@ class Runner(Displayed):
     def reset(self) -> None:
         """Begin another run: the next state is that of step 0."""
         self._step, self._s, self._q = -1, -1, self.product.automaton.initial
+        self._spent, self._replaced = 0, False
+        if self._shield is not None:
+            self._guard = self._shield.product.automaton.initial  # the policy may remember runs by another automaton
 
     def act(self, state: str | int | Mapping[str, float | bool]) -> str | None:
         """What to do in this state, the next of the run: an action's name, or None once the task is decided.
@@ -90,12 +102,33 @@ class Runner(Displayed):
         if self._open(t, q):
             model = self.product.model
             action = model.action_names[model.choice_action[model.choice_start[s] + self._pick(t, s, q)]]
+        else:
+            self._replaced = False
         self._step, self._s, self._q = t, s, q
         return action
 
     def _pick(self, t: int, s: int, q: int) -> int:
         """The choice taken in (t, s, q), by its number within the state: the one place that decides."""
-        return choice(self.product, self.policy, s, q, t, self._rng)
+        taken = choice(self.product, self.policy, s, q, t, self._rng)
+        if self._shield is None:
+            return taken
+        guard = self._shield.product.enter(s, self._guard)
+        replaced = not self._shield.allows(t, s, guard, self._spent)[taken]
+        if replaced:
+            taken = self._shield.best(t, s, guard)
+        self._spent = self._shield.spend(t, s, guard, taken, self._spent)
+        self._guard, self._replaced = guard, replaced
+        return taken
+
+    @property
+    def replaced(self) -> bool:
+        """Whether the shield has replaced the last action by the best one."""
+        return self._replaced
+
+    @property
+    def allowance(self) -> float:
+        """What the run has left to spend, from 1 to 0; 0 without a shield that counts it."""
+        return self._shield.allowance(self._spent) if self._shield is not None else 0.0
 
     @property
     def step(self) -> int | None:
@@ -136,8 +169,12 @@ class Runner(Displayed):
 
         In doubles; `check` encloses P of all runs. Computed when first asked for. Raises SettingsError for models
         without known probabilities, SizeError if runs can come to too many situations; NaN if they come to one where
-        the policy defines no action.
+        the policy defines no action; with a shield, SettingsError too.
         """
+        if self._shield is not None and self.verdict is None:
+            raise SettingsError(
+                "with a shield, P is not that of the policy; shield.least encloses what it is at least, from the start"
+            )
         self.product.model.require_points()
         if self._step < 0:
             return self._values.first()

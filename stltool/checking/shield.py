@@ -187,10 +187,10 @@ class Shield(Displayed):
         return name
 
     def require_for(self, product: Product) -> None:
-        """PolicyError unless the shield is for this product's task and model."""
+        """PolicyError unless the shield is for this product's task, model and encoding."""
         require(product, Product, "the shield's product")
         if product is not self.product:
-            Binding.of(self.product).require(product, "the shield")
+            _require_for(Binding.of(self.product), product, "the shield")
 
     def save(self, path: str | Path) -> None:
         """Write the shield atomically as .npz: a header, and the arrays of `layers` one after another."""
@@ -235,12 +235,7 @@ class Shield(Displayed):
             raise
         except Exception:  # a damaged archive fails in many ways, all caused by the file
             raise _not_a_shield(path) from None
-        binding.require(product, f"{path}: the shield")
-        if binding.automaton_digest != product.automaton.digest():
-            raise PolicyError(
-                f"{path}: the shield remembers runs by the encoding {binding.encoding}, and the product by "
-                f"{product.automaton.encoding}; build the product with the shield's encoding, or make the shield again"
-            )
+        _require_for(binding, product, f"{path}: the shield")
         unfolded = _Unfolded(product)
         try:
             costs = _read_costs(path, unfolded, levels)
@@ -313,6 +308,15 @@ def _is_shield(path: Path) -> bool:
         return bool(found.rpartition("-")[0] == FORMAT.rpartition("-")[0])
     except Exception:  # other files, and damaged ones, fail in many ways
         return False
+
+
+def _require_for(binding: Binding, product: Product, what: str) -> None:
+    binding.require(product, what)
+    if binding.automaton_digest != product.automaton.digest():
+        raise PolicyError(
+            f"{what} remembers runs by the encoding {binding.encoding}, and the product by "
+            f"{product.automaton.encoding}; build the product with the shield's encoding, or make the shield again"
+        )
 
 
 def _not_a_shield(path: Path) -> PolicyError:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from stltool.arguments import one_of, require, whole
+from stltool.checking.shield import Shield
 from stltool.errors import SettingsError
 from stltool.models import MDP
 from stltool.models.gymnasium import require_gymnasium
@@ -35,6 +36,8 @@ def to_gymnasium(
     *,
     reward: Literal["exact", "surrogate"] = "exact",
     counterfactuals: int = 0,
+    shield: Shield | None = None,
+    refused: Literal["replace", "error"] = "replace",
 ) -> ProductEnv: ...
 def to_gymnasium(
     model: MDP | Product,
@@ -42,6 +45,8 @@ def to_gymnasium(
     *,
     reward: Literal["exact", "surrogate"] = "exact",
     counterfactuals: int = 0,
+    shield: Shield | None = None,
+    refused: Literal["replace", "error"] = "replace",
 ) -> Any:
     """A model or a product as a `gymnasium.Env`; its actions are Discrete(A), numbered as in the model.
 
@@ -55,25 +60,42 @@ def to_gymnasium(
                      its mean P. "surrogate": that of [Wang24], at every step until the horizon; it needs a product with
                      encoding="paper"
     counterfactuals  so many transitions, as they would have been with another memory at another step, are in
-                     `info["crm-experience"]` after each step, behind the real one (`ProductEnv.counterfactuals`)
+                     `info["crm-experience"]` after each step, behind the real one (`ProductEnv.counterfactuals`);
+                     not with a shield
+    shield           one for this product (`stl.shield`): only what it allows is taken, so that P of whatever is learned
+                     is at least what it promises. With the rule "ratio", observations have `allowance` Box(0, 1, (1,)),
+                     what is left to spend
+    refused          what becomes of other actions: "replace" takes the best one, and `info["replaced"]` is True;
+                     "error" raises ModelError
 
     Seeded by `reset(seed=…)`. `info["action_mask"]` (A,) int8 and `action_masks()` (A,) bool mark the actions that are
-    available in the current state; any other raises ModelError, or with `unavailable="stay"` leaves the state
-    unchanged, which is a move that the model does not have. Black boxes work, too; a model with intervals raises
-    SettingsError.
+    available in the current state, and allowed by the shield if there is one. Without a shield, an action that is not
+    available raises ModelError, or with `unavailable="stay"` leaves the state unchanged, which is a move that the model
+    does not have; with a shield it is refused. Black boxes work, too, but without shields; a model with intervals
+    raises SettingsError.
     """
     joint = isinstance(model, JointProduct)
     require(model, (MDP, Product), "to_gymnasium's model", _ONE_TASK if joint else None)
     one_of(unavailable, "unavailable", ("error", "stay"))
     one_of(reward, "reward", ("exact", "surrogate"))
+    one_of(refused, "refused", ("replace", "error"))
     counterfactuals = whole(counterfactuals, "counterfactuals", 0)
+    require(shield, Shield, "to_gymnasium's shield", "make one: stl.shield(product, at_least=0.95)", optional=True)
     require_gymnasium()
     if isinstance(model, MDP):
-        if reward != "exact" or counterfactuals:
-            raise SettingsError("rewards and counterfactuals are those of a task; give a product of model and task")
+        if reward != "exact" or counterfactuals or shield is not None:
+            raise SettingsError(
+                "rewards, counterfactuals and shields are those of a task; give a product of model and task"
+            )
         from stltool.envs.model import MDPEnv
 
         return MDPEnv(model, unavailable)
     from stltool.envs.product import ProductEnv
 
-    return ProductEnv(model, unavailable, reward, counterfactuals)
+    if shield is not None:
+        if counterfactuals:
+            raise SettingsError(
+                "counterfactual transitions are of runs without a shield; leave counterfactuals out, or shield"
+            )
+        shield.require_for(model)
+    return ProductEnv(model, unavailable, reward, counterfactuals, shield, refused)

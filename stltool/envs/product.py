@@ -23,6 +23,7 @@ from stltool.arguments import whole
 from stltool.automata import TRUE, UNDECIDED
 from stltool.automata.flags import surrogate_reward
 from stltool.automata.reach import open_pairs
+from stltool.checking.shield import Shield
 from stltool.envs.model import Moves
 from stltool.errors import ModelError, SettingsError
 from stltool.logic.fragment import check_fragment
@@ -61,8 +62,8 @@ class ProductEnv(gymnasium.Env[Observation, int]):
     """See `to_gymnasium`.
 
     `info` contains the name of the model's state, the mask (A,) int8 of available actions, what is remembered in words
-    (`memory`), with counterfactuals "crm-experience", and once the episode has ended `is_success`, whether the task is
-    satisfied.
+    (`memory`), with counterfactuals "crm-experience", with a shield whether it `replaced` the action, and once the
+    episode has ended `is_success`, whether the task is satisfied.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - the base class declares it so
@@ -73,22 +74,25 @@ class ProductEnv(gymnasium.Env[Observation, int]):
         unavailable: Literal["error", "stay"] = "error",
         reward: Literal["exact", "surrogate"] = "exact",
         counterfactuals: int = 0,
+        shield: Shield | None = None,
+        refused: Literal["replace", "error"] = "replace",
     ) -> None:
-        self.product, self.reward = product, reward
+        self.product, self.reward, self._shield, self._refused = product, reward, shield, refused
         S, Q = product.shape
         sensing = product.model.sensing
         own: Any = sensing.space if sensing is not None else None
         self._real = getattr(own, "dtype", None) is not None  # one array; others are shown by their cells
         here: dict[str, Any] = {"observation": own} if self._real else {"state": spaces.Discrete(S)}
+        left = {"allowance": spaces.Box(0.0, 1.0, (1,), np.float32)} if shield is not None and shield.levels else {}
         self.observation_space: Any = spaces.Dict(
-            {**here, "memory": spaces.Discrete(Q), "to_go": spaces.Discrete(product.horizon + 1)}
+            {**here, "memory": spaces.Discrete(Q), "to_go": spaces.Discrete(product.horizon + 1), **left}
         )
         self._moves = Moves(product.model, unavailable, product.horizon)
         self.action_space: Any = self._moves.actions
         self._automaton, self._letter = product.automaton, product.letter
         self._surrogate = _surrogate_of(product) if reward == "surrogate" else None
         self._k = counterfactuals
-        self._q, self._t, self._over = product.automaton.initial, 0, True
+        self._q, self._t, self._over, self._spent = product.automaton.initial, 0, True, 0
 
     # ---------------------------------------------------------------------------------------------- episodes
 
@@ -98,6 +102,7 @@ class ProductEnv(gymnasium.Env[Observation, int]):
         super().reset(seed=seed)
         self._moves.reset(self.np_random, begin=seed is not None)
         self._q, self._t, self._over = self.product.enter(self._moves.state, self._automaton.initial), 0, False
+        self._spent = 0
         return self._observed(), self._info()
 
     def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -107,13 +112,15 @@ class ProductEnv(gymnasium.Env[Observation, int]):
             raise ModelError("step was called after the end of an episode; call reset() first")
         if self._ends(self._t, self._q):
             self._over = True
-            return self._observed(), self._rewarded(self._t, self._q), True, False, self._info()
+            return self._observed(), self._rewarded(self._t, self._q), True, False, self._info(False)
         t, s, q, before = self._t, self._moves.state, self._q, self._observed()
+        taken = self._shielded(int(action)) if self._shield is not None else int(action)
+        replaced, action = taken != action, taken
         self._moves.step(action)
         self._t, self._q = t + 1, self.product.enter(self._moves.state, q)
         self._over = self._ends(self._t, self._q)
         after, reward = self._observed(), self._rewarded(self._t, self._q)
-        info = self._info()
+        info = self._info(replaced)
         if self._k:
             real = (before, int(action), reward, after, self._over)
             seen = (before["observation"], after["observation"]) if self._real else None
@@ -122,12 +129,39 @@ class ProductEnv(gymnasium.Env[Observation, int]):
         return after, reward, self._over, False, info
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """(A,): the actions that are available in the current state, under the name that sb3-contrib looks for."""
-        return self._moves.mask
+        """(A,): the actions that are available in the current state, and allowed by the shield, if there is one; under
+        the name that sb3-contrib looks for."""
+        mask = self._moves.mask
+        if self._shield is not None:
+            s, model = self._moves.state, self.product.model
+            number = model.choice_action[model.choice_start[s] : model.choice_start[s + 1]]
+            mask[number] = self._shield.allows(self._t, s, self._q, self._spent)
+        return mask
+
+    def _shielded(self, action: int) -> int:
+        """The action, or the best one if the shield refuses it; what it costs is spent."""
+        assert self._shield is not None
+        t, s, q, model = self._t, self._moves.state, self._q, self.product.model
+        actions = model.choice_action[model.choice_start[s] : model.choice_start[s + 1]]
+        if not self.action_masks()[action]:
+            if self._refused == "error":
+                names = [model.action_names[a] for a in np.flatnonzero(self.action_masks())]
+                raise ModelError(
+                    f"action {model.action_names[action]} is refused by the shield in state {model.state_name(s)} at "
+                    f"step {t}, which allows {', '.join(names)}; follow info['action_mask'], or make the environment "
+                    "with refused='replace'"
+                )
+            action = int(actions[self._shield.best(t, s, q)])
+        choice = int(np.flatnonzero(actions == action)[0])
+        self._spent = self._shield.spend(t, s, q, choice, self._spent)
+        return action
 
     def _observed(self) -> Observation:
         here = self._moves.observed if self._real else self._moves.state
-        return self.observation(self._t, here, self._q)
+        observed = self.observation(self._t, here, self._q)
+        if self._shield is not None and self._shield.levels:
+            observed["allowance"] = np.array([self._shield.allowance(self._spent)], dtype=np.float32)
+        return observed
 
     def observation(self, t: int, s: Any, q: int) -> Observation:
         """What is observed in model state s and automaton state q after step t; for a `Situation` of
@@ -140,8 +174,12 @@ class ProductEnv(gymnasium.Env[Observation, int]):
     def _dtype(self) -> Any:
         return self.observation_space["observation"].dtype
 
-    def _info(self) -> dict[str, Any]:
+    def _info(self, replaced: bool | None = None) -> dict[str, Any]:
         info = {**self._moves.info(), "memory": self._automaton.describe(self._q)}
+        if self._shield is not None:
+            info["action_mask"] = self.action_masks().astype(np.int8)
+            if replaced is not None:
+                info["replaced"] = replaced
         if self._over:
             info["is_success"] = bool(self._automaton.verdicts(self._t)[self._q] == TRUE)
         return info

@@ -183,3 +183,41 @@ def test_too_many_situations_leave_act_at_work(patrolling, monkeypatch):
     assert runner.act("(1,0)") == "NE"
     with pytest.raises(SizeError, match="act and verdict work without it"):
         runner.probability  # noqa: B018
+
+
+@pytest.mark.parametrize("rule", ["static", "ratio"])
+def test_a_shield_is_obeyed_whatever_the_policy(patrolling, rule):
+    """The worst policy, replaced where it is refused: every action is allowed, and the promise is kept."""
+    promise = 0.9 * stl.check(patrolling).probability
+    shield = stl.shield(patrolling, promise, rule, levels=16)
+    worst = stl.check(patrolling, maximize=False).policy
+    runner, model, rng = stl.Runner(patrolling, worst, shield=shield), patrolling.model, np.random.default_rng(1)
+    satisfied, replaced, runs = 0, 0, 150
+    for _ in range(runs):
+        runner.reset()
+        s, q, spent = int(rng.choice(model.n_states, p=model.initial)), patrolling.automaton.initial, 0
+        while (action := runner.act(s)) is not None:
+            t, q = runner.step, patrolling.enter(s, q)
+            names = [model.action_names[a] for a in model.choice_action[model.choice_start[s] :][: len(runner.actions)]]
+            spent = shield.spend(t, s, q, names.index(action), spent)  # refused actions raise
+            assert runner.allowance == shield.allowance(spent)
+            replaced += runner.replaced
+            c = model.choice_start[s] + names.index(action)
+            entries = slice(model.row_start[c], model.row_start[c + 1])
+            s = int(rng.choice(model.target[entries], p=model.probability[entries]))
+        assert not runner.replaced
+        satisfied += runner.verdict
+    assert replaced > 0
+    assert satisfied / runs >= promise - 0.15  # more than three standard deviations
+
+
+def test_a_shield_belongs_to_the_product(patrolling):
+    other = stl.build_product(patrolling.model, stl.parse("F[0,5] A"))
+    with pytest.raises(PolicyError, match="the shield is for the task"):
+        stl.Runner(patrolling, shield=stl.shield(other, 0.1))
+    runner = stl.Runner(patrolling, shield=stl.shield(patrolling, 0.1))
+    with pytest.raises(SettingsError, match="with a shield, P is not that of the policy"):
+        _ = runner.probability
+    flags = stl.build_product(patrolling.model, patrolling.formula, "paper")
+    with pytest.raises(PolicyError, match="build the product with the shield's encoding"):
+        stl.Runner(flags, shield=stl.shield(patrolling, 0.1))

@@ -285,3 +285,46 @@ def test_wrappers_of_gymnasium_work(patrolling):
     while not over:
         _, _, over, _, info = env.step(0)
     assert info["episode"]["r"] == info["is_success"]
+
+
+@pytest.mark.parametrize("rule", ["static", "ratio"])
+def test_whatever_an_agent_does_under_a_shield_the_promise_is_kept(patrolling, rule):
+    best = stl.check(patrolling).probability
+    shield = stl.shield(patrolling, 0.8 * best, rule, levels=16)
+    env = stl.to_gymnasium(patrolling, shield=shield)
+    check_env(env)
+    rng, total, runs, replaced = np.random.default_rng(0), 0.0, 150, 0
+    for run in range(runs):
+        observation, info = env.reset(seed=0 if not run else None)
+        assert "replaced" not in info
+        over = False
+        while not over:
+            assert ("allowance" in observation) == (rule == "ratio")
+            mask = env.action_masks()
+            assert mask.tolist() == info["action_mask"].tolist()
+            action = int(rng.integers(env.action_space.n))
+            observation, reward, over, _, info = env.step(action)
+            assert env.observation_space.contains(observation)
+            assert info["replaced"] == (not mask[action])
+            replaced += info["replaced"]
+        total += reward
+    assert replaced > 0
+    assert total / runs >= shield.at_least - 0.15  # more than three standard deviations
+
+
+def test_a_shield_may_refuse_instead(patrolling):
+    shield = stl.shield(patrolling, 0.9 * stl.check(patrolling).probability)
+    env = stl.to_gymnasium(patrolling, shield=shield, refused="error")
+    env.reset(seed=1)
+    over = False
+    while env.action_masks().all():
+        over = env.step(0)[2]
+        if over:
+            env.reset()
+    refused = int(np.flatnonzero(~env.action_masks())[0])
+    with pytest.raises(ModelError, match="is refused by the shield in state .*, which allows"):
+        env.step(refused)
+    with pytest.raises(SettingsError, match="leave counterfactuals out, or shield"):
+        stl.to_gymnasium(patrolling, shield=shield, counterfactuals=2)
+    with pytest.raises(SettingsError, match="shields are those of a task"):
+        stl.to_gymnasium(patrolling.model, shield=shield)
