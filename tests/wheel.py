@@ -2,7 +2,8 @@
 
 The wheel goes, without extras, into a fresh environment in a temporary folder. From another folder, which has a copy of
 examples/, every command of README's table is run there as it stands, its placeholders filled in, with each of its
-programs; and what needs an extra says so. A row that names something new fails until it is told here what to fill in.
+programs; what needs an extra says so; and docs/from-assert.md is gone through. A row that names something new fails
+until it is told here what to fill in.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from pathlib import Path
 from readme_renderer import markdown
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
 MOST_MEGABYTES = 600
 FACTORY = "examples/factory/"
 # the text of a row → what is filled in, longest first; later rows use what earlier ones write
@@ -119,7 +121,25 @@ def main() -> None:
             call(scripts, folder, f"stltool {command}", code=2, says=f"pip install 'stltool[{extra}]'")
         for code in [*re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL), "import stltool.testing"]:
             subprocess.run([python, "-c", code], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+        follow_the_guide(python, work / "guide")
     print(f"wheel: {len(used)} commands of README and its programs work from another folder, without extras")
+
+
+def follow_the_guide(python: Path, folder: Path) -> None:
+    """docs/from-assert.md, as somebody goes through it who has installed stltool and pytest."""
+    from tests.guide import steps
+
+    subprocess.run([python, "-m", "pip", "--disable-pip-version-check", "--quiet", "install", "pytest"], check=True)
+    folder.mkdir()
+    for name, content, options, shown in steps():
+        if name:
+            (folder / name).write_text(content, encoding="utf-8")
+            continue
+        command = [python, "-m", "pytest", *shlex.split(options)]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+        missing = [line for line in shown.splitlines() if line not in done.stdout]
+        assert not missing, f"the guide shows {missing}, but pytest printed\n{done.stdout}{done.stderr}"
+        print(f"wheel: pytest{options}, as the guide shows it")
 
 
 def shown_on_an_index(wheel: Path) -> str:
