@@ -58,6 +58,7 @@ from .policy import Policy as Policy, load_policy as load_policy
 from .checking import (
     CheckResult as CheckResult,
     Estimate as Estimate,
+    ExpectedCost as ExpectedCost,
     Front as Front,
     LikelyRuns as LikelyRuns,
     ParametricResult as ParametricResult,
@@ -75,6 +76,7 @@ from .checking import (
     check as check,
     estimate as estimate,
     largest_margin as largest_margin,
+    expected_cost as expected_cost,
     likely_runs as likely_runs,
     parametric as parametric,
     pareto as pareto,

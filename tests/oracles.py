@@ -184,6 +184,38 @@ def policy_value(product: stl.Product, policy: stl.Policy) -> Fraction:
     return sum((p * value((s,), product.enter(s, start)) for s, p in initial(model)), Fraction(0))
 
 
+def expected_cost(product, cost, policy=None, maximize=False, until="verdict") -> Fraction:
+    """The expected sum of `cost(s, c, k)`, for state s, choice c and entry k of the rows, by walking all histories.
+
+    A history's verdict is decided where the automaton decides it: that it does so as early as it can is no matter of
+    costs.
+    """
+    model, automaton, best = product.model, product.automaton, max if maximize else min
+    exact = model.exact()
+
+    def value(s: int, q: int, t: int) -> Fraction:
+        if t == product.horizon or (until == "verdict" and automaton.verdicts(t)[q] >= 0):
+            return Fraction(0)
+        options = []
+        for c in range(model.choice_start[s], model.choice_start[s + 1]):
+            total = Fraction(0)
+            for k in range(model.row_start[c], model.row_start[c + 1]):
+                s2 = int(model.target[k])
+                p = Fraction(int(exact.numerator[k]), exact.denominator)
+                total += p * (cost(s, c, k) + value(s2, product.enter(s2, q), t + 1))
+            options.append(total)
+        if policy is None:
+            return best(options)
+        entry = policy.row(t)[s, q]
+        if policy.deterministic:
+            return options[entry]
+        weights = [Fraction(float(w)) for w in entry[: len(options)]]
+        return sum((w * o for w, o in zip(weights, options, strict=True)), Fraction(0)) / sum(weights)
+
+    start = automaton.initial
+    return sum((p * value(s, product.enter(s, start), 0) for s, p in initial(model)), Fraction(0))
+
+
 def layered_value(product: stl.Product, policy: stl.Policy | None = None, maximize: bool = True) -> Fraction:
     """Backward induction on the product, a Fraction a state, as docs/semantics.md §3 writes it."""
     model, automaton = product.model, product.automaton

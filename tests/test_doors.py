@@ -18,7 +18,7 @@ from stltool.learning.settings import settings_of
 
 # classes whose objects functions make, so that their constructors are no doors
 RESULTS = {
-    "CheckResult", "Decisions", "Diagnosis", "Estimate", "Fragment", "Front", "Gap", "Guarantee",
+    "CheckResult", "Decisions", "Diagnosis", "Estimate", "ExpectedCost", "Fragment", "Front", "Gap", "Guarantee",
     "JointProduct", "LikelyRuns", "MDP", "Meaning", "MonitorResult", "ParametricResult", "PolicyTree",
     "RobustnessDistribution", "Product", "ProductMDP", "Run", "Sensitivity", "SequentialTest", "SmoothRobustness",
     "StationaryResult", "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult", "Shield", "Task",
@@ -210,6 +210,7 @@ CALLS = {
     "check": lambda w: {"product": w.product},
     "CheckResult.at_least": lambda w: {"self": w.result, "bound": 0.5},
     "CheckResult.at_most": lambda w: {"self": w.result, "bound": 0.5},
+    "expected_cost": lambda w: {"product": w.product, "cost": "x"},
     "robust_check": lambda w: {"product": stl.build_product(w.blurred, w.formula)},
     "parametric": lambda w: {"product": w.family},
     "ParametricResult.at": lambda w: {"self": stl.parametric(w.family), "p": 0.5},
@@ -334,6 +335,7 @@ OWN = {
     "ambiguities": {"task": {"Task"}},
     "conventions": {"task": {"Task"}},
     "explain": {"model": {"MDP", "None"}},
+    "expected_cost": {"cost": {"text"}, "until": {"text"}},
     "export": {"product": {"Product", "TaskAutomaton"}, "to": TEXT},
     "monitor": {"at": {"None", "int"}},
     "load_model": {"initial": {"None", "int", "text"}},

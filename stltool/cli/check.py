@@ -11,6 +11,7 @@ from typing import Annotated, cast
 import typer
 
 from stltool.cli.app import app
+from stltool.cli.cost import check_cost
 from stltool.cli.options import (
     READ,
     AsJson,
@@ -137,6 +138,18 @@ def check(
             help="P as a function of a model's parameter (a grid's: success), enclosed on the whole range",
         ),
     ] = None,
+    cost: Annotated[
+        str | None,
+        typer.Option(
+            "--cost",
+            metavar="NAME",
+            help="expected sums of a cost, signal or label of the model: least, greatest, and the policy's",
+        ),
+    ] = None,
+    until: Annotated[
+        str | None,
+        typer.Option("--until", help="with --cost, pay until the verdict is decided (default) or the horizon"),
+    ] = None,
     report: ReportFolder = None,
     model: Model = None,
     reading: ModelReading = READ,
@@ -176,6 +189,21 @@ def check(
         raise SettingsError("--transfer judges a policy file on another model; add --policy FILE")
     if policy_model is not None and not transfer:
         raise SettingsError("--policy-model is for a policy of another model; add --transfer, or leave it out")
+    if cost is not None:
+        for forbidden, option in (
+            (vary is not None, "--vary"), (minimize, "--minimize"),
+            (at_least is not None, "--at-least"), (at_most is not None, "--at-most"),
+            (clockless, "--stationary and --memoryless"), (exact, "--exact"), (nature is not None, "--nature"),
+            (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
+            (cluster is not None, "--cluster"), (report is not None, "--report"), (transfer, "--transfer"),
+        ):  # fmt: skip
+            if forbidden:
+                raise SettingsError(f"{option} is for the probability of the task; leave it or --cost out")
+        product = load_product(task, model, param, name, encoding, reading=reading)
+        check_cost(product, given_policy(product, policy, policy_function), cost, until or "verdict", as_json)
+        return
+    if until is not None:
+        raise SettingsError("--until says how long a cost is paid; add --cost NAME, or leave it out")
     if vary is not None:
         for forbidden, option in (
             (clockless, "--stationary and --memoryless"), (exact, "--exact"), (nature is not None, "--nature"),

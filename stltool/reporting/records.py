@@ -269,6 +269,30 @@ ParametricRecord = TypedDict(
 """P as a function of a parameter of the model, enclosed on its whole range."""
 
 
+class CostRecord(TypedDict):
+    """An expected cost, enclosed: the least or the greatest over all policies, or a policy's."""
+
+    question: Question
+    value: float
+    lower: float
+    upper: float
+    seconds: float
+
+
+class CostsOutput(TypedDict):
+    """What `stltool check --cost --json` prints."""
+
+    task: str
+    formula: str
+    model: str
+    model_digest: str
+    horizon: int
+    encoding: str
+    cost: str
+    until: Literal["verdict", "horizon"]
+    expected: list[CostRecord]
+
+
 class EstimateRecord(TypedDict):
     """How many sampled runs satisfied the task, and bounds on P that hold with this confidence."""
 
@@ -1139,6 +1163,7 @@ FORMATS = {
 
 OUTPUTS = {
     "check": CheckOutput,
+    "check --cost": CostsOutput,
     "check --vary": ParametricRecord,
     "estimate": EstimateOutput,
     "estimate --at-least": SequentialOutput,

@@ -29,6 +29,8 @@ MORE = {
          "--transfer"],
         ["check", "uncertain.stl", "-p", "T=3", "-p", "tau=8"],
     ],
+    "check --cost": [["check", "patrolling.stl", *SMALL, "--cost", "x", "--policy", "policy.npz"],
+                     ["check", "patrolling.stl", *SMALL, "--cost", "A", "--until", "horizon"]],
     "check --vary": [["check", "patrolling.stl", *SMALL, "--model", "floor-5x5-p.toml", "--vary", "p=0.8:0.9",
                       "--at-least", "0.1"]],
     "estimate --at-least": [["estimate", "patrolling.stl", *SMALL, "--at-least", "0.2"],

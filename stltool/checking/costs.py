@@ -1,0 +1,279 @@
+"""Expected costs: E Σ g(s_t, c_t, s_{t+1}) until the verdict is decided or until the horizon, by backward induction.
+
+    V_t(s,q) = 0                                                              once the sum ends
+             = opt_c g(s) + g(c) + Σ_s' P(s'|c) (g(s,c,s') + V_{t+1}(s', δ(L(s'),q)))      otherwise
+
+The sum ends where the verdict is decided, or only after h steps (`until`). Its optimum over all policies is reached by
+a deterministic policy of (t, s, q) [Puterman94, ch. 4].
+
+**Enclosure.** With G ≥ |g| and n roundings along every path, the computed value of each policy misses its exact one by
+at most γ_n·h·G, whatever the signs, and so does the optimum, for rounding is monotone: the computed optimum is that of
+the computed values [Higham02, §3.1]. Where no step costs less than 0, the error is also at most γ_n times the value
+(bounds.py). Rows that do not sum to 1 add their defects times h·G.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any, Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stltool.arguments import described, flag, function, one_of
+from stltool.automata import FALSE, TRUE, UNDECIDED
+from stltool.checking.bounds import around, can_underflow, compounded, defect, roundings, row_defect
+from stltool.checking.check import undefined
+from stltool.checking.induction import (
+    EVERYTHING,
+    Arithmetic,
+    Budget,
+    Edges,
+    Engine,
+    Following,
+    Game,
+    Progress,
+    Silent,
+    Single,
+    Values,
+    layers_of,
+    solve,
+)
+from stltool.checking.induction.arithmetic import row_sums
+from stltool.display import Card, Displayed
+from stltool.errors import ArgumentError, NameLookupError, PolicyError, SettingsError
+from stltool.logic.names import near_names
+from stltool.models import MDP
+from stltool.models.costs import Cost
+from stltool.models.rows import Rows, least_positive
+from stltool.numbers import round_down, round_up
+from stltool.policy import Policy, require_door
+from stltool.product import Product
+
+Until: TypeAlias = Literal["verdict", "horizon"]
+CostFunction: TypeAlias = Callable[[str, str], float]
+_LARGEST = 1e100  # over the horizon
+_U, _UNDERFLOW = Fraction(1, 2**53), Fraction(1, 2**1073)
+_SUMMED = 1 + Fraction(1, 2**50)  # the largest cost of a step is a sum of doubles, itself rounded
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExpectedCost(Displayed):
+    """An expected cost: lower ≤ exact value ≤ upper, rounding included, for the model as given.
+
+    cost      its name, or that of the function
+    question  "minimum" | "maximum" (over all policies) | "policy"
+    until     "verdict": the sum ends when the task's verdict is decided; "horizon": after `product.horizon` steps
+    policy    the policy that attains the value, or the given one
+    seconds   wall time
+    """
+
+    product: Product
+    cost: str
+    question: Literal["minimum", "maximum", "policy"]
+    until: Until
+    value: float
+    lower: float
+    upper: float
+    policy: Policy
+    seconds: float
+
+    def _card(self) -> Card:
+        asked = "of the policy" if self.question == "policy" else f"{self.question} over all policies"
+        ends = "until the verdict" if self.until == "verdict" else f"over {self.product.horizon} steps"
+        return Card(
+            f"ExpectedCost: E[{self.cost}] = {self.value!r}, {asked}, {ends}",
+            [
+                {"bounds": f"[{self.lower!r}, {self.upper!r}]"},
+                {"task": f"{self.product.task_name} := {self.product.formula}", "model": self.product.model.name},
+            ],
+        )
+
+
+def expected_cost(
+    product: Product,
+    cost: str | CostFunction,
+    policy: Policy | None = None,
+    *,
+    maximize: bool = False,
+    until: Until = "verdict",
+    engine: Engine = "auto",
+    memory_limit: int | None = None,
+    progress: Progress | None = None,
+) -> ExpectedCost:
+    """The expected sum of a cost along a run: under `policy`, or the least (greatest) over all policies.
+
+    `cost` is the name of a cost of the model, of a signal or of a label (1 where it holds), or a function of a state's
+    and an action's name; its numbers may be negative. A step is paid when its action is taken: the state in which the
+    sum ends costs nothing. `until="verdict"` stops paying when the verdict is decided, so a policy may pay less by
+    deciding the task sooner, for or against; `until="horizon"` pays for all `product.horizon` steps.
+    After the verdict, a policy of `check` takes the first action of every state.
+
+    Raises NameLookupError for a cost that the model does not have; PolicyError if the policy belongs to another task or
+    model, or defines no action where it is needed (after the verdict too, until the horizon); SizeError before
+    allocating more memory than is available.
+    """
+    began = time.perf_counter()
+    require_door("expected_cost", product, policy)
+    flag(maximize, "expected_cost's maximize")
+    one_of(until, "until", get_args(Until))
+    one_of(engine, "engine", get_args(Engine))
+    function(progress, "expected_cost's progress")
+    product.model.require_points()
+    judge, judged = policy.on(product) if policy is not None else (product, None)
+    paid = _Paid.of(judge.model, cost)
+    most = Fraction(paid.largest) * judge.horizon
+    if most > _LARGEST:
+        raise SettingsError(f"cost {paid.name} is up to {paid.largest:g} per step; scale it to numbers below 1e90")
+    game = replace(Game.of(judge), rows=judge.model.rows, kept={})  # its edges are numbered as in the model
+    if until == "horizon":
+        game = replace(game, automaton=_ToTheEnd(game.automaton))
+    allowed = EVERYTHING if judged is None else Following(judged.form)
+    keep = judge.model.unsigned_choice_type if judged is None else None
+    budget = Budget(f"the expected cost over {judge.n_states} product states", memory_limit, progress)
+    try:
+        layers = layers_of(game, TRUE, allowed, engine=engine, live=False, sure=False, keep=keep, budget=budget)
+        found = solve(layers, _Sums(paid), maximize, keep)
+    except Silent:
+        assert judged is not None
+        if until == "verdict":
+            raise undefined(judge, judged) from None
+        raise PolicyError(
+            "the policy defines no action in some pair that it reaches before the horizon, perhaps where the verdict "
+            "is decided already; use until='verdict', or give it actions there"
+        ) from None
+    value = math.fsum(judge.model.initial[game.first] * found.entry)
+    mixtures = judged.form.mixtures() if judged is not None and not judged.deterministic else None
+    lower, upper = _enclosure(judge, layers.kinds, paid, value, most, mixtures)
+    if found.choices is not None:
+        policy = Policy(product, found.choices)
+    assert policy is not None  # given, or found
+    question: Literal["minimum", "maximum", "policy"]
+    question = "policy" if judged is not None else "maximum" if maximize else "minimum"
+    return ExpectedCost(product, paid.name, question, until, value, lower, upper, policy, time.perf_counter() - began)
+
+
+@dataclass(frozen=True, eq=False)
+class _Paid:
+    """What a step costs, in doubles: before (C,) by choice, along (E,) by entry of the model's rows, or None."""
+
+    name: str
+    before: NDArray[np.float64]
+    along: NDArray[np.float64] | None
+
+    @classmethod
+    def of(cls, model: MDP, cost: str | CostFunction) -> _Paid:
+        owner = np.repeat(np.arange(model.n_states), np.diff(model.choice_start))
+        if not isinstance(cost, str):
+            return cls(getattr(cost, "__name__", "cost"), _asked(model, cost, owner), None)
+        columns = {**model.signals, **model.labels}
+        if cost in model.costs:
+            if cost in columns:
+                raise SettingsError(f"{cost} is a cost of the model and a signal or label; rename one of them")
+            return cls(cost, *_parts(model.costs[cost], owner))
+        if cost not in columns:
+            raise NameLookupError(
+                f"the model has no cost, signal or label {cost}; {near_names(cost, [*model.costs, *columns])}"
+            )
+        return cls(cost, columns[cost].astype(np.float64)[owner], None)
+
+    @property
+    def largest(self) -> float:
+        """The most that a step can cost, in size."""
+        return sum(float(np.abs(part).max(initial=0.0)) for part in self.arrays)
+
+    @property
+    def arrays(self) -> list[NDArray[np.float64]]:
+        return [self.before] if self.along is None else [self.before, self.along]
+
+    @property
+    def nowhere_negative(self) -> bool:
+        return all(bool((part >= 0).all()) for part in self.arrays)
+
+
+def _parts(cost: Cost, owner: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    before = np.zeros(len(owner))
+    if cost.states is not None:
+        before = before + cost.states.values[owner]
+    if cost.choices is not None:
+        before = before + cost.choices.values
+    return before, None if cost.transitions is None else cost.transitions.values
+
+
+def _asked(model: MDP, cost: Any, owner: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(C,) the answers of a function. ArgumentError unless it is one, and answers with finite numbers."""
+    what = "a cost's name, or a function of a state's and an action's name"
+    if not callable(cost):
+        raise ArgumentError(f"expected_cost's cost is {described(cost)}, not {what}; write, for example, 'energy'")
+    answers = np.empty(len(owner))
+    for c, (s, a) in enumerate(zip(owner.tolist(), model.choice_action.tolist(), strict=True)):
+        state, action = model.state_name(s), model.action_names[a]
+        answer = cost(state, action)
+        try:
+            answers[c] = float(answer)
+        except (TypeError, ValueError, OverflowError):
+            answers[c] = math.nan
+        if not math.isfinite(answers[c]):
+            raise ArgumentError(
+                f"expected_cost's cost returned {described(answer)} for state {state}, action {action}; return a "
+                "finite number"
+            )
+    return answers
+
+
+class _ToTheEnd:
+    """A task's automaton whose states stay undecided before the horizon, so that every run goes on until then."""
+
+    def __init__(self, automaton: Any) -> None:
+        self._automaton: Single = automaton
+        self.horizon, self.n_states = automaton.horizon, automaton.n_states
+        self.enter, self.moves, self.keeps_numbers = automaton.enter, automaton.moves, automaton.keeps_numbers
+
+    def verdicts(self, t: int) -> NDArray[np.int8]:
+        return np.full(self.n_states, UNDECIDED if t < self.horizon else FALSE, dtype=np.int8)
+
+    def alike(self, t: int) -> tuple[int, int]:
+        return (0, self.horizon - 1) if t < self.horizon else (t, t)
+
+
+class _Sums(Arithmetic):
+    """The expected cost to come, in doubles."""
+
+    def __init__(self, paid: _Paid) -> None:
+        self._paid = paid
+
+    def ends(self, t: int) -> tuple[float, float]:
+        return 0.0, 0.0
+
+    def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
+        to_come = ahead[edges.child]
+        if self._paid.along is not None:
+            to_come = to_come + self._paid.along[edges.entry]
+        return self._paid.before[edges.choice] + row_sums(self.rows.probability[edges.entry] * to_come, edges.start)
+
+
+def _enclosure(
+    product: Product, kinds: Rows, paid: _Paid, value: float, most: Fraction, mixtures: NDArray[np.float64] | None
+) -> tuple[float, float]:
+    if not paid.largest:
+        return 0.0, 0.0
+    h, initial = product.horizon, product.model.initial
+    mixed, weight_defect, least = 0, Fraction(0), min(kinds.least, least_positive(initial))
+    if mixtures is not None:
+        mixed, weight_defect = mixtures.shape[1], defect(mixtures.tolist())
+        least = min(least, least_positive(mixtures))
+    missing = h * (row_defect(kinds) + weight_defect) + product.model.initial_defect
+    missing = most * compounded(missing, missing)
+    # a sweep also adds two costs, each of them read, one of them a sum of two
+    n_roundings = roundings(h, kinds.longest + 5, mixed)
+    underflow = can_underflow((2 if mixed else 1) * h + 2, min(least, *(least_positive(abs(p)) for p in paid.arrays)))
+    if paid.nowhere_negative:
+        lower, upper = around(value, n_roundings, missing, underflow)
+        return round_down(max(lower, Fraction(0))), round_up(max(upper, Fraction(0)))
+    gamma = n_roundings * _U / (1 - n_roundings * _U) if 2 * n_roundings * _U < 1 else Fraction(2**60)
+    error = gamma * _SUMMED * (most + missing) + missing + n_roundings * _UNDERFLOW
+    return round_down(Fraction(value) - error), round_up(Fraction(value) + error)
