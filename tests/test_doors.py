@@ -18,12 +18,12 @@ from stltool.learning.settings import settings_of
 
 # classes whose objects functions make, so that their constructors are no doors
 RESULTS = {
-    "CheckResult", "Decisions", "Diagnosis", "Estimate", "ExpectedCost", "Fragment", "Front", "Gap", "Guarantee",
-    "JointProduct", "LikelyRuns", "MDP", "Meaning", "MonitorResult", "ParametricResult", "PolicyTree",
-    "RobustnessDistribution", "Product", "ProductMDP", "Run", "Sensitivity", "SequentialTest", "SmoothRobustness",
-    "StationaryResult", "StlToolError", "Learner", "SurrogateResult", "Sweep", "SweepResult", "Shield", "Task",
-    "TaskAutomaton", "Tradeoff",
-    "Training", "Decision", "MarkovTest", "Verification", "Verified", "Recording",
+    "CheckResult", "Decision", "Decisions", "Diagnosis", "Estimate", "ExpectedCost", "Fragment", "Front", "Frontier",
+    "Gap", "Guarantee", "JointProduct", "Learner", "LikelyRuns", "MDP", "MarkovTest", "Meaning", "MonitorResult",
+    "ParametricResult", "PolicyTree", "Product", "ProductMDP", "Recording", "RobustnessDistribution", "Run",
+    "Sensitivity", "SequentialTest", "Shield", "SmoothRobustness", "StationaryResult", "StlToolError",
+    "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton", "Tradeoff", "Training", "Verification",
+    "Verified",
 }  # fmt: skip
 
 # called from within, or in inner loops with indices of their own
@@ -210,6 +210,12 @@ CALLS = {
     "check": lambda w: {"product": w.product},
     "CheckResult.at_least": lambda w: {"self": w.result, "bound": 0.5},
     "CheckResult.at_most": lambda w: {"self": w.result, "bound": 0.5},
+    "frontier": lambda w: {
+        "model": w.model,
+        "task": stl.parse_task("param n = 1\nr := F[0,n] A"),
+        "at_least": 0.5,
+        "parameters": {"n": [1, 2]},
+    },
     "expected_cost": lambda w: {"product": w.product, "cost": "x"},
     "robust_check": lambda w: {"product": stl.build_product(w.blurred, w.formula)},
     "parametric": lambda w: {"product": w.family},
@@ -335,6 +341,7 @@ OWN = {
     "ambiguities": {"task": {"Task"}},
     "conventions": {"task": {"Task"}},
     "explain": {"model": {"MDP", "None"}},
+    "frontier": {"task": {"Task"}, "at_least": {*NUMBERS, "text"}, "parameters": {"dict"}},
     "expected_cost": {"cost": {"text"}, "until": {"text"}},
     "export": {"product": {"Product", "TaskAutomaton"}, "to": TEXT},
     "monitor": {"at": {"None", "int"}},

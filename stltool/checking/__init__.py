@@ -3,6 +3,7 @@
 from stltool.checking.certificate import certify, require_certificate_of, write_certificate
 from stltool.checking.check import CheckResult, check
 from stltool.checking.costs import ExpectedCost, expected_cost
+from stltool.checking.frontier import Frontier, frontier
 from stltool.checking.likely import LikelyRun, LikelyRuns, likely_runs
 from stltool.checking.margins import RobustnessDistribution, largest_margin, robustness_distribution
 from stltool.checking.parametric import ParametricResult, parametric
@@ -19,10 +20,10 @@ from stltool.checking.surrogate import SurrogateResult, surrogate_optimum
 from stltool.checking.tradeoff import Tradeoff, tradeoff
 
 __all__ = [
-    "CheckResult", "Estimate", "ExpectedCost", "Front", "LikelyRun", "LikelyRuns", "Node", "ParametricResult",
-    "PolicyTree", "RobustnessDistribution", "Run", "Runner", "Sensitivity", "SequentialTest", "Shield",
-    "StationaryResult", "SurrogateResult", "Tradeoff", "certify", "check", "estimate", "estimate_from", "expected_cost",
-    "largest_margin", "likely_runs", "parametric", "pareto", "policy_tree", "require_certificate_of", "robust_check",
-    "robustness_distribution", "sample_run", "sensitivity", "shield", "sprt", "sprt_from", "stationary",
-    "surrogate_optimum", "tradeoff", "write_certificate",
+    "CheckResult", "Estimate", "ExpectedCost", "Front", "Frontier", "LikelyRun", "LikelyRuns", "Node",
+    "ParametricResult", "PolicyTree", "RobustnessDistribution", "Run", "Runner", "Sensitivity", "SequentialTest",
+    "Shield", "StationaryResult", "SurrogateResult", "Tradeoff", "certify", "check", "estimate", "estimate_from",
+    "expected_cost", "frontier", "largest_margin", "likely_runs", "parametric", "pareto", "policy_tree",
+    "require_certificate_of", "robust_check", "robustness_distribution", "sample_run", "sensitivity", "shield", "sprt",
+    "sprt_from", "stationary", "surrogate_optimum", "tradeoff", "write_certificate",
 ]  # fmt: skip

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, cast, get_args
 
 from stltool.arguments import one_of
 from stltool.numbers import bound_texts, within_text
+from stltool.screen import say
 
 if TYPE_CHECKING:
     from stltool.checking.costs import Until
@@ -42,4 +43,5 @@ def check_cost(product: Product, policy: Policy | None, cost: str, until: str, a
             f"E[{cost}]": within_text(one.value, one.lower, one.upper), "lower_bound": lower, "upper_bound": upper,
             "of": "the policy" if one.question == "policy" else f"{one.question} over all policies",
         })  # fmt: skip
+    say()
     print_table(rows)

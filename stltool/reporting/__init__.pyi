@@ -13,6 +13,7 @@ from .data import (
     transfer_data,
 )
 from .explanation import explain
+from .frontiers import frontier_data
 from .guarantees import guarantee_data, guarantee_rows, looser_note, refused_data
 from .monitoring import monitor_data, write_monitor_picture
 from .page import load_report, render, report, require_report, write_report
@@ -26,9 +27,10 @@ from .verification import junit_text, markdown_text, verification_data
 
 __all__ = [
     "check_data", "costs_data", "encoding_data", "encoding_rows", "estimate_data", "estimate_report", "explain",
-    "front_data", "front_report", "guarantee_data", "guarantee_rows", "junit_text", "likely_data", "load_report",
-    "looser_note", "markdown_text", "markov_data", "monitor_data", "monitor_report", "parametric_data", "product_data",
-    "refused_data", "render", "report", "report_data", "require_report", "sensitivity_data", "stationary_data",
-    "surrogate_data", "surrogate_rows", "sweep_data", "tradeoff_data", "training_data", "transfer_data",
-    "verification_data", "write_front_picture", "write_history", "write_monitor_picture", "write_report", "write_sweep",
+    "front_data", "front_report", "frontier_data", "guarantee_data", "guarantee_rows", "junit_text", "likely_data",
+    "load_report", "looser_note", "markdown_text", "markov_data", "monitor_data", "monitor_report", "parametric_data",
+    "product_data", "refused_data", "render", "report", "report_data", "require_report", "sensitivity_data",
+    "stationary_data", "surrogate_data", "surrogate_rows", "sweep_data", "tradeoff_data", "training_data",
+    "transfer_data", "verification_data", "write_front_picture", "write_history", "write_monitor_picture",
+    "write_report", "write_sweep",
 ]  # fmt: skip

@@ -293,6 +293,48 @@ class CostsOutput(TypedDict):
     expected: list[CostRecord]
 
 
+class ParamRecord(TypedDict):
+    """A task's param and the values asked about; direction 1: larger is weaker, -1: larger is stronger, 0: neither."""
+
+    name: str
+    values: list[str]
+    direction: Literal[-1, 0, 1]
+
+
+class ProbeRecord(TypedDict):
+    """P, enclosed, at values of the params; whether it reaches the bound (null: undecided)."""
+
+    values: list[str]
+    P: float
+    lower: float
+    upper: float
+    holds: bool | None
+
+
+class FrontierStep(TypedDict):
+    """The tightest value of the last param for values of the others; null if none reaches the bound."""
+
+    others: list[str]
+    tightest: str | None
+    probe: ProbeRecord
+
+
+class FrontierOutput(TypedDict):
+    """What `stltool frontier --json` prints."""
+
+    task: str
+    formula: str
+    model: str
+    model_digest: str
+    question: Question
+    bound: float
+    params: list[ParamRecord]
+    method: Literal["bisection", "staircase", "scan"]
+    steps: list[FrontierStep]
+    probes: list[ProbeRecord]
+    seconds: float
+
+
 class EstimateRecord(TypedDict):
     """How many sampled runs satisfied the task, and bounds on P that hold with this confidence."""
 
@@ -1169,6 +1211,7 @@ OUTPUTS = {
     "estimate --at-least": SequentialOutput,
     "explain --policy": TreeOutput,
     "explain": ExplainOutput,
+    "frontier": FrontierOutput,
     "learn": TrainingOutput,
     "monitor": MonitorRecord,
     "monitor --follow": FollowedRecord,

@@ -505,6 +505,7 @@ def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
         lambda: stl.tradeoff(joint, "one"),
         lambda: stl.surrogate_optimum(product),
         lambda: stl.expected_cost(product, "x"),
+        lambda: stl.frontier(product.model, stl.parse_task("param n = 1\nr := F[0,n] A"), 0.5, {"n": [1]}),
         lambda: stl.stationary(product),
         lambda: stl.to_gymnasium(product.model),
     ):
@@ -532,7 +533,7 @@ def test_every_public_function_on_products_knows_of_intervals():
     """A function that is new here must answer for intervals or refuse them, with a line in the test above."""
     refusing = {"check", "learn", "sample_run", "likely_runs", "sensitivity", "estimate", "sprt", "pareto", "tradeoff",
                 "surrogate_optimum", "to_gymnasium", "stationary", "parametric", "policy_tree",
-                "expected_cost"}  # fmt: skip
+                "expected_cost", "frontier"}  # fmt: skip
     fit = {"robust_check", "build_product", "build_joint_product", "guarantee", "explain", "report", "optimality_gap"}
     found = {name: getattr(stl, name) for name in stl.__all__ if inspect.isfunction(getattr(stl, name))}
     models = {"product", "model", "joint"}

@@ -36,6 +36,7 @@ MORE = {
     "estimate --at-least": [["estimate", "patrolling.stl", *SMALL, "--at-least", "0.2"],
                             ["estimate", "patrolling.stl", *SMALL, "--at-least", "1e-9", "--indifference", "1e-10",
                              "--most-runs", "10"]],
+    "frontier": [["frontier", "patrolling.stl", "--at-least", "0.99", "--vary", "T=1:3", "--vary", "tau=5,8"]],
     "explain --policy": [["explain", "patrolling.stl", *SMALL, "--policy", "policy.npz", "--most-leaves", "3"]],
     "explain": [["explain", "charging.stl", "--encoding", "paper"], ["explain", "always a"], ["explain", "timed.stl"],
                 ["explain", "G[0,3] (F[0,2] (a & b) & F[0,4] a)", "--encoding", "paper"],
