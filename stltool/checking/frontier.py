@@ -141,7 +141,7 @@ class Frontier(Displayed):
                 move = "grow" if size[1] > size[0] else "shrink"
                 at = f", at {first[0].name} = {quantity_text(own[0])}," if first else ""
                 told["as written"] = (
-                    f"{last.name} = {quantity_text(own[-1])}{at} {verb} {move} to {quantity_text(step.tightest)}"  # type: ignore[arg-type]  # checked above
+                    f"{last.name} = {quantity_text(own[-1])}{at} {verb} {move} to {quantity_text(step.tightest)}"
                 )
         return told
 
@@ -260,7 +260,7 @@ def _tasks(task: Task, given: Mapping[str, Values]) -> dict[Values, Task]:
     if combinations > _MOST_TASKS:
         raise SettingsError(f"{combinations} combinations of values are more than {_MOST_TASKS}; give fewer")
     return {
-        values: task.with_params(**dict(zip(given, values, strict=True)))  # type: ignore[arg-type]  # exact values
+        values: task.with_params(**dict(zip(given, values, strict=True)))
         for values in itertools.product(*given.values())
     }
 
