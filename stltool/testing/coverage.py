@@ -26,6 +26,7 @@ from stltool.logic.formula import (
     Formula,
     Historically,
     Implies,
+    Interval,
     Once,
     Release,
     Rise,
@@ -99,16 +100,18 @@ class Coverage(Displayed):
         """
         t = whole(t, "add's step t", least=0)
         end = end if end is not None else "error" if is_bounded(self.formula) else "cut"
-        verdict = _verdict(self.formula, signals, t, end)
-        n_steps = len(np.asarray(next(iter(signals.values()))))
+        found = monitor(self.formula, signals, end, "boolean", at=t)
+        assert found.verdicts is not None  # asked for
+        verdict, n_steps = bool(found.verdicts[0]), found.n_steps
         empty = []
         for (path, part, first, last, premise), counts in zip(self._found, self.parts, strict=True):
-            low, high = t + first, n_steps - 1 if last is None else t + last
-            decided = _decided(part, signals, end)[max(low, 0) : high + 1]
+            low = max(t + first, 0)
+            high = max(n_steps - 1 if last is None else t + last, low - 1)
+            decided = _decided(part, signals, end)[low : high + 1]
             held = int(decided.sum())
             counts.held += held
             counts.failed += len(decided) - held
-            counts.open += max(high - max(low, 0) + 1 - len(decided), 0)
+            counts.open += high + 1 - low - len(decided)
             if premise and not held:
                 empty.append(counts.text)
             counts.mattered += _matters(self.formula, path, signals, t, end, verdict)
@@ -232,18 +235,32 @@ def _occurrences(phi: Formula) -> Iterator[tuple[_Path, Formula, int, int | None
 
 
 def _looked_at(node: Formula, operand: int, first: int, last: int | None) -> tuple[int, int | None]:
+    """The steps at which an operand is looked at, of an operator that is looked at from `first` to `last`."""
     match node:
-        case Eventually(interval, _) | Always(interval, _) | Until(interval, _, _) | Release(interval, _, _):
-            early = interval.a if isinstance(node, Eventually | Always) or operand == 1 else 0
-            return first + early, None if last is None or interval.b is None else last + interval.b
-        case Once(interval, _) | Historically(interval, _) | Since(interval, _, _) | Trigger(interval, _, _):
-            late = interval.a if isinstance(node, Once | Historically) or operand == 1 else 0
-            low = first - interval.b if interval.b is not None else -(10**9)  # steps before the trace do not count
-            return low, None if last is None else last - late
+        case Eventually(interval, _) | Always(interval, _):
+            return first + interval.a, _sum(last, interval.b)
+        case Until(interval, _, _) | Release(interval, _, _):
+            return (first + interval.a, _sum(last, interval.b)) if operand else (first, _sum(last, interval.b, -1))
+        case Once(interval, _) | Historically(interval, _):
+            return first - _back(interval), _sum(last, -interval.a)
+        case Since(interval, _, _) | Trigger(interval, _, _):
+            return (
+                (first - _back(interval), _sum(last, -interval.a)) if operand else (first - _back(interval) + 1, last)
+            )
         case Rise():
             return first - 1, last
         case _:
             return first, last
+
+
+def _sum(*steps: int | None) -> int | None:
+    """None is the end of the trace."""
+    known = [step for step in steps if step is not None]
+    return sum(known) if len(known) == len(steps) else None
+
+
+def _back(interval: Interval) -> int:
+    return interval.b if interval.b is not None else 10**9  # steps before the trace do not count
 
 
 def _with(phi: Formula, path: _Path, part: Formula) -> Formula:

@@ -57,6 +57,30 @@ def test_windows_that_do_not_close_are_open():
     assert of(coverage) == {"a": (1, 0, 0, 1), "F[0,4] b": (0, 1, 0, 0), "b": (0, 2, 3, 0)}
 
 
+@pytest.mark.parametrize(
+    ("text", "steps"),
+    [
+        ("F[1,2] a", {"a": "34"}), ("G a", {"a": "2345"}), ("a U[1,2] b", {"a": "23", "b": "34"}),
+        ("a release[0,2] b", {"a": "23", "b": "234"}), ("once[1,2] a", {"a": "01"}), ("historically a", {"a": "012"}),
+        ("a since[1,2] b", {"a": "12", "b": "01"}), ("a trigger b", {"a": "012", "b": "012"}),
+        ("rise a", {"a": "12"}), ("a & !b", {"a": "2", "b": "2"}), ("a | once[3,4] b", {"a": "2", "b": ""}),
+        ("a U[0,0] b", {"a": "", "b": "2"}),
+        ("F[1,2] once[0,1] a", {"a": "234"}), ("G[0,1] (a -> F[1,1] b)", {"a": "23", "b": "34"}),
+    ],
+)  # fmt: skip
+def test_steps_are_those_that_the_formula_looks_at(text, steps):
+    """At step 2 of six, by hand: at just these steps a signal is true, and so it held everywhere, or else nowhere."""
+    phi = stl.parse(text, unbounded=True)
+    for inside in (True, False):
+        coverage = Coverage(phi)
+        coverage.add(
+            {name: [(str(t) in steps.get(name, "")) == inside for t in range(6)] for name in "ab"}, 2, end="cut"
+        )
+        counts = {part.text: (part.held, part.failed) for part in coverage.parts if part.text in steps}
+        n = {name: len(at) for name, at in steps.items()}
+        assert counts == {name: (n[name], 0) if inside else (0, n[name]) for name in steps}
+
+
 def test_what_is_not_covered_is_told():
     coverage = Coverage(ANSWERS)
     coverage.add(trace("......", "000000"))
@@ -84,7 +108,6 @@ def replaced(phi, path, new):
     return with_children(phi, tuple(below))
 
 
-@settings(deadline=None, max_examples=25)
 @given(formulas(longest=2, max_leaves=4, past=True), traces(24, labels=["a", "b", "c"]))
 def test_a_part_matters_if_a_constant_changes_the_verdict_by_the_reference_semantics(phi, trace):
     coverage = Coverage(phi)
