@@ -228,13 +228,13 @@ def stl_monitor(request: pytest.FixtureRequest) -> Callable[..., Recorder]:
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Generator[None, object, object]:
     result = yield
     for recorder in pyfuncitem.stash.get(_RECORDERS, ()):
-        if not recorder.closed:
+        if not recorder.closed or recorder.verdict is False:  # a program may have caught what was raised
             _judge(recorder)
     return result
 
 
 def _judge(recorder: Recorder) -> None:
-    """Close it. No line of the test is at fault, so the report has the explanation alone."""
+    """Close it. No line of the test is shown, since none of them raises: the report has the explanation alone."""
     from stltool.errors import StlToolError
 
     try:

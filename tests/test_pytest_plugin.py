@@ -55,6 +55,12 @@ def test_own_failure_counts(stl_monitor):
     stl_monitor("F[0,3] level > 5")(level=1)
     raise RuntimeError("of the test")
 
+def test_caught(stl_monitor):
+    try:
+        stl_monitor("G[0,3] level < 7")(level=8)
+    except AssertionError:
+        pass
+
 def test_nothing_recorded(stl_monitor):
     stl_monitor("F[0,3] level > 5")
 
@@ -199,12 +205,13 @@ def test_a_missing_model_fails_each_expectation_with_the_reason(project):
 def test_stl_monitor_judges_what_a_test_records(project):
     project.makepyfile(TESTS)
     done = run(project, "test_stl_monitor_judges_what_a_test_records.py")
-    done.assert_outcomes(passed=1, failed=5)
+    done.assert_outcomes(passed=1, failed=6)
     text = done.stdout.str()
     assert "G[0,3] (level < 5) fails at step 0: level < 5 fails at step 2 with level = 6" in text
     assert "AssertionError: the violation is raised at once" not in text
     assert "level > 5 fails throughout steps 0 … 3 with level = 0, 1, 2, 3" in text
     assert "RuntimeError: of the test" in text
+    assert "level < 7 fails at step 0 with level = 8" in text
     assert "nothing was recorded; record at least one sample" in text
     assert "stl_monitor() has no formula; give one" in text
     assert "hidden" not in text
@@ -213,7 +220,7 @@ def test_stl_monitor_judges_what_a_test_records(project):
 def test_failures_have_pages(project):
     project.makepyfile(TESTS + PAGES)
     done = run(project, "--stl-report", "out", "-k", "995 or holds or early or late or bound or shown or own")
-    done.assert_outcomes(passed=1, failed=6, deselected=5)
+    done.assert_outcomes(passed=1, failed=6, deselected=6)
     pages = sorted((project.path / "out").glob("*/*.html"))
     done.stdout.fnmatch_lines_random([str(page) for page in pages])
     formats = [json.loads(page.with_suffix(".json").read_text())["format"].split("/")[0] for page in pages]
@@ -221,7 +228,7 @@ def test_failures_have_pages(project):
     assert len(set(formats)) == 3
 
     (project.path / "log.csv").write_text("level\n1\n0.5\n0.25\n")
-    run(project, "--stl-report", "out", "-k", "holds").assert_outcomes(passed=1, deselected=11)
+    run(project, "--stl-report", "out", "-k", "holds").assert_outcomes(passed=1, deselected=12)
     left = sorted((project.path / "out").glob("*/*.html"))
     assert [page for page in pages if page not in left] == [page for page in pages if "holds" in str(page)]
     assert not [folder for folder in (project.path / "out").iterdir() if not any(folder.iterdir())]
