@@ -148,6 +148,12 @@ def test_what_needs_probabilities_refuses_black_boxes(known, unknown, tmp_path):
         lambda: stl.stationary(unknown),
         lambda: stl.parametric(unknown),
         lambda: stl.expected_cost(unknown, "x"),
+        lambda: stl.robustness_distribution(unknown.model, unknown.formula),
+        lambda: stl.largest_margin(unknown.model, unknown.formula, 0.5),
+        lambda: stl.shield(unknown, at_least=0.5),
+        lambda: stl.save_model(unknown.model, tmp_path / "saved.umb"),
+        lambda: stl.product_mdp(unknown),
+        lambda: stl.export(unknown, tmp_path / "product.prism"),
         lambda: stl.frontier(unknown.model, stl.parse_task("param n = 1\nr := F[0,n] B"), 0.5, {"n": [1]}),
         lambda: stl.surrogate_optimum(stl.build_product(model, stl.parse("F[0,3] F[0,2] A"), encoding="paper")),
         lambda: require_certificate_of(tmp_path / "proof.jsonl", unknown),
@@ -163,7 +169,8 @@ def test_what_needs_probabilities_refuses_black_boxes(known, unknown, tmp_path):
 def test_every_public_function_on_products_knows_of_black_boxes():
     """A function that is new here must answer for black boxes or refuse them, with a line in the tests above."""
     refusing = {"check", "robust_check", "likely_runs", "sensitivity", "pareto", "tradeoff", "surrogate_optimum",
-                "stationary", "parametric", "policy_tree", "expected_cost", "frontier"}  # fmt: skip
+                "stationary", "parametric", "policy_tree", "expected_cost", "frontier", "robustness_distribution",
+                "largest_margin", "shield", "save_model", "product_mdp", "export"}  # fmt: skip
     fit = {"learn", "guarantee", "estimate", "sprt", "sample_run", "build_product", "build_joint_product",
            "to_gymnasium", "explain", "report", "optimality_gap"}  # fmt: skip
     found = {name: getattr(stl, name) for name in stl.__all__ if inspect.isfunction(getattr(stl, name))}

@@ -506,6 +506,9 @@ def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
         lambda: stl.surrogate_optimum(product),
         lambda: stl.expected_cost(product, "x"),
         lambda: stl.frontier(product.model, stl.parse_task("param n = 1\nr := F[0,n] A"), 0.5, {"n": [1]}),
+        lambda: stl.robustness_distribution(product.model, stl.parse("F[0,3] x > 0.5")),
+        lambda: stl.largest_margin(product.model, stl.parse("F[0,3] x > 0.5"), 0.5),
+        lambda: stl.shield(product, at_least=0.5),
         lambda: stl.stationary(product),
         lambda: stl.to_gymnasium(product.model),
     ):
@@ -533,8 +536,9 @@ def test_every_public_function_on_products_knows_of_intervals():
     """A function that is new here must answer for intervals or refuse them, with a line in the test above."""
     refusing = {"check", "learn", "sample_run", "likely_runs", "sensitivity", "estimate", "sprt", "pareto", "tradeoff",
                 "surrogate_optimum", "to_gymnasium", "stationary", "parametric", "policy_tree",
-                "expected_cost", "frontier"}  # fmt: skip
-    fit = {"robust_check", "build_product", "build_joint_product", "guarantee", "explain", "report", "optimality_gap"}
+                "expected_cost", "frontier", "robustness_distribution", "largest_margin", "shield"}  # fmt: skip
+    fit = {"robust_check", "build_product", "build_joint_product", "guarantee", "explain", "report", "optimality_gap",
+           "save_model", "product_mdp", "export"}  # fmt: skip
     found = {name: getattr(stl, name) for name in stl.__all__ if inspect.isfunction(getattr(stl, name))}
     models = {"product", "model", "joint"}
     asks = {name for name, ask in found.items() if models & set(inspect.signature(ask).parameters)}
