@@ -40,6 +40,8 @@ PURPOSES = {
 
 _MODULES = {
     "lazy-loader": "lazy_loader",
+    "mcap-protobuf-support": "mcap_protobuf",
+    "mcap-ros2-support": "mcap_ros2",
     "scikit-learn": "sklearn",
 }  # package → what is imported, where the names differ
 

@@ -47,7 +47,7 @@ def small(seed):
     return stl.build_product(model, stl.parse(texts[seed % 4]))
 
 
-@given(products(max_states=3, longest=1), st.sampled_from(["automaton", "none"]), st.booleans())
+@given(products(states=3, longest=1), st.sampled_from(["automaton", "none"]), st.booleans())
 @settings(max_examples=many(60))
 def test_what_is_proved_is_the_best_of_all(product, memory, maximize):
     best = (max if maximize else min)(enumerated(product, memory))
@@ -63,7 +63,7 @@ def test_what_is_proved_is_the_best_of_all(product, memory, maximize):
         assert (result.policy.row(0) == result.policy.row(0)[:, :1]).all()
 
 
-@given(products(max_states=3, longest=1), st.sampled_from(["automaton", "none"]), st.booleans(), st.integers(0, 3))
+@given(products(states=3, longest=1), st.sampled_from(["automaton", "none"]), st.booleans(), st.integers(0, 3))
 @settings(max_examples=many(60))
 def test_a_search_that_stops_early_is_still_right(product, memory, maximize, most):
     """Its bound holds, what it found is below that, and it does not claim more."""
@@ -106,7 +106,7 @@ def test_what_a_switch_gains_is_the_derivative(seed, maximize):
             assert gain[s * product.shape[1] + q, c] == pytest.approx(slope, abs=1e-4)
 
 
-@given(products(max_states=3, longest=1))
+@given(products(states=3, longest=1))
 @settings(max_examples=many(20))
 def test_engines_find_the_same(product):
     one, other = (stl.stationary(product, engine=engine) for engine in ("nodes", "words"))

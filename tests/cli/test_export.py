@@ -86,8 +86,8 @@ def test_the_chain_of_a_policy(stltool, tmp_path, monkeypatch):
     assert program.kind == "dtmc"
     exported = stl.product_mdp(product, stl.load_policy("best.npz", product))
     assert program.value(exported.questions["policy"]) == stl.check(product, exact=True).fraction
-    (tmp_path / "my_agent.py").write_text("def act(here):\n    return here.actions[0]\n")
-    code, out, _ = stltool("export", PATROLLING, *SMALL, "--policy-function", "my_agent:act", "--to", "prism")
+    (tmp_path / "an_agent.py").write_text("def act(here):\n    return here.actions[0]\n")
+    code, out, _ = stltool("export", PATROLLING, *SMALL, "--policy-function", "an_agent:act", "--to", "prism")
     assert (code, Program(out).kind) == (0, "dtmc")
 
 

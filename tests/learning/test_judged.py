@@ -34,7 +34,7 @@ def counted_model(product, counts, caution, first):
     return stl.MDP.from_arrays(rows, {}, initial=initial, action_names=list(model.action_names))
 
 
-@given(products(max_states=4), st.integers(0, 2**32 - 1), st.sampled_from([0.1, 2.0]))
+@given(products(states=4), st.integers(0, 2**32 - 1), st.sampled_from([0.1, 2.0]))
 @settings(max_examples=many(40))
 def test_the_value_by_the_data_is_the_checkers_on_the_counts(product, seed, caution):
     if product.horizon == 0:

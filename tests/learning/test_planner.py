@@ -105,7 +105,7 @@ def required(product, counts, outside, since, optimistic):
 
 
 @given(
-    products(max_states=4), st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.3, 2.0]), st.integers(0, 1), st.data()
+    products(states=4), st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.3, 2.0]), st.integers(0, 1), st.data()
 )
 @settings(max_examples=many(50))
 def test_plans_are_those_of_all_pairs(product, seed, optimism, share, data):
@@ -127,7 +127,7 @@ def test_more_memory_than_a_word_holds(optimistic):
     required(product, counts, outside, product.horizon - 12, optimistic)
 
 
-@given(products(max_states=4))
+@given(products(states=4))
 @settings(max_examples=many(40))
 def test_wherever_a_run_can_be_is_planned_for(product):
     """F_t has whatever a run reaches."""
