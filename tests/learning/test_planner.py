@@ -104,9 +104,7 @@ def required(product, counts, outside, since, optimistic):
         reached = {(y, product.enter(y, m)) for x, m in reached for y in after.get(x, ())}
 
 
-@given(
-    products(states=4), st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.3, 2.0]), st.integers(0, 1), st.data()
-)
+@given(products(states=4), st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.3, 2.0]), st.integers(0, 1), st.data())
 @settings(max_examples=many(50))
 def test_plans_are_those_of_all_pairs(product, seed, optimism, share, data):
     if product.horizon == 0:

@@ -770,8 +770,12 @@ def _text(value: float, truth: bool) -> str:
 
 def _repeat(values: Floats) -> bool:
     """Whether two states may have the same values of all variables; if so, their names are compared."""
-    weights = np.random.default_rng(0).random(len(values))
-    mixed = np.sort(weights @ values)
+    mixed = np.zeros(values.shape[1])
+    for weight, row in zip(np.random.default_rng(0).random(len(values)), values, strict=True):
+        mixed += (
+            weight * row
+        )  # state by state, so that equal values give equal sums, as in products of BLAS they need not
+    mixed.sort()
     return bool((mixed[1:] == mixed[:-1]).any())
 
 
