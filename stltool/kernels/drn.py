@@ -43,6 +43,13 @@ def _line_end(data: U8, i: int, stop: int) -> int:
 
 
 @kernel
+def _word_end(data: U8, i: int, end: int) -> int:
+    while i < end and data[i] != _SPACE and data[i] != _TAB and data[i] != _CR:
+        i += 1
+    return i
+
+
+@kernel
 def _trimmed(data: U8, i: int, end: int) -> int:
     """The end of a text without the spaces behind it."""
     while end > i and (data[end - 1] == _SPACE or data[end - 1] == _TAB or data[end - 1] == _CR):
@@ -131,7 +138,7 @@ def count_lines(data: U8, start: int, stop: int) -> tuple[int, int, int, int, bo
                 n_states += state
                 n_choices += not state
                 acting = not state
-                j = i
+                j = i if state else _word_end(data, _skip(data, i + 6, end), end)
                 while j < end and data[j] != _OPEN and data[j] != 34:
                     j += 1
                 if j < end and data[j] == _OPEN:
@@ -244,8 +251,7 @@ def read_lines(
             choice_at[c] = i
             j = _skip(data, i + 6, end)
             first = j
-            while j < end and data[j] != _SPACE and data[j] != _TAB and data[j] != _CR:
-                j += 1
+            j = _word_end(data, j, end)
             action[c, 0], action[c, 1] = first, j
             j = _rewards(data, _skip(data, j, end), end, c, *choice_rewards)
             if j < 0 or _skip(data, j, end) < end:

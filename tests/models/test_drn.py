@@ -190,6 +190,17 @@ def test_rewards_of_zero_are_rewards(tmp_path):
     assert saved(model, tmp_path / "m.umb").digest() == model.digest()
 
 
+def test_brackets_and_quotes_in_names_of_actions_are_not_rewards(tmp_path):
+    """Nor do they hide any: a name ends with a space."""
+    names = ("[x]", 'say"hi"')
+    model = stl.MDP.from_arrays([[[1, 0], [0, 1]], [[0, 1], [0, 0]]], {}, labels={"g": [0, 1]}, action_names=names)
+    again = saved(model, tmp_path / "m.drn")
+    assert (again.action_names, again.costs) == (names, {})
+    head = "@type: MDP\n@parameters\n\n@reward_models\ntoll\n@nr_states\n1\n@nr_choices\n2\n@model\n"
+    paid = read(tmp_path, f'{head}state 0 init\n\taction say"hi" [2]\n\t\t0 : 1\n\taction a[x,y] [3]\n\t\t0 : 1\n')
+    assert paid.costs["toll"].choices.values.tolist() == [2, 3]
+
+
 def test_states_without_actions_stay_where_they_are(tmp_path):
     text = COIN.replace("\t2 : 1\n", "").replace("@nr_choices\n4", "@nr_choices\n3")
     whole, model = read(tmp_path, COIN), read(tmp_path, text)

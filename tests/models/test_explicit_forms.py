@@ -92,9 +92,22 @@ class TestForms:
     def test_rows_and_lines_of_rewards_fit_each_other(self, tmp_path):
         tra = "1 2 2\n0 3 0 1 a\n0 7 0 1 b\n"  # choices 3 and 7 are the first and the second row
         model = stl.load_model(write(tmp_path, tra=tra, trew="1 2 2\n0 1:0\n0 2:0\n"))
-        assert numbers(model.costs["reward"].transitions) == [1, 2]
+        assert numbers(model.costs["reward"].choices) == [1, 2]
         model = stl.load_model(write(tmp_path, tra=tra, trew="1 2 2\n0 7 0 2\n0 3 0 1\n"))
-        assert numbers(model.costs["reward"].transitions) == [1, 2]
+        assert numbers(model.costs["reward"].choices) == [1, 2]
+
+    def test_rewards_that_are_the_same_along_a_choice_are_its_own(self, tmp_path):
+        """As PRISM writes rewards of actions: once for each transition."""
+        tra = "2 3 5\n0 0 0 1/3 a\n0 0 1 2/3 a\n0 1 1 1 b\n1 0 0 1/2\n1 0 1 1/2\n"
+        header = "2 3 3\n0 0 0 1/3\n0 0 1 "
+        cost = stl.load_model(write(tmp_path, tra=tra, trew=f"{header}1/3\n0 1 1 4\n")).costs["reward"]
+        assert (list(cost.parts), numbers(cost.choices)) == (["choices"], [Fraction(1, 3), 4, 0])
+        cost = stl.load_model(write(tmp_path, tra=tra, trew=f"{header}0.3333333333333333333\n0 1 1 4\n")).costs[
+            "reward"
+        ]
+        assert list(cost.parts) == ["transitions"]  # the same double, another number
+        cost = stl.load_model(write(tmp_path, tra=tra, trew="2 3 1\n1 0 1 2\n")).costs["reward"]
+        assert (list(cost.parts), numbers(cost.transitions)) == (["transitions"], [0, 0, 0, 0, 2])
 
     def test_actions_in_chains(self, tmp_path):
         tra = "# Transitions (DTMC)\n3 6\n0 1 1/2 go\n0 2 1/2 go\n1 1 1/4 go\n1 1 1/2 stay\n1 2 1/4 go\n2 2 1\n"
@@ -165,7 +178,7 @@ class TestForms:
         assert numbers(model.costs["reward"].transitions) == [0, 4, 0, 0, 0]
         (tmp_path / "m.lab").unlink()
         chain = stl.load_model(write(tmp_path, tra="dtmc\n\n0 1 1\n1 1 1\n", trew="0 1 2\n", srew=""))
-        assert (chain.n_states, numbers(chain.costs["reward"].transitions)) == (2, [2, 0])
+        assert (chain.n_states, numbers(chain.costs["reward"].choices)) == (2, [2, 0])
 
     def test_rewards_are_costs_by_name(self, tmp_path):
         files = {
@@ -327,7 +340,7 @@ def content(path):
     exact = None if model.uncertain else (model.exact().numerator.tolist(), model.exact().denominator)
     return (
         model.digest(), exact, [model.state_name(s) for s in range(model.n_states)], model.action_names, model.notes,
-        {name: numbers(cost.transitions) for name, cost in model.costs.items()},
+        {(name, of): numbers(part) for name, cost in model.costs.items() for of, part in cost.parts.items()},
     )  # fmt: skip
 
 

@@ -45,6 +45,18 @@ def test_a_program_becomes_a_model(tmp_path):
     assert mine.fraction == Fraction(str(value)) > 0
 
 
+def test_labels_that_hold_nowhere_are_labels(tmp_path):
+    text = PROGRAM.replace("endmodule\n", 'endmodule\nlabel "lost" = x > N;\n')
+    for constants in ({"N": 1, "p": "1/3"}, {"N": 1}):  # a model, a family
+        model = stl.load_model(written(tmp_path, text), constants=constants)
+        assert model.labels["lost"].tolist() == [False] * model.n_states
+        assert model.labels["there"].any()
+    product = stl.build_product(
+        stl.load_model(tmp_path / "robot.prism", constants={"N": 1, "p": 1}), stl.parse("F[0,2] lost")
+    )
+    assert stl.check(product, exact=True).fraction == 0
+
+
 def test_constants_of_probabilities_may_stay_open(tmp_path):
     model = stl.load_model(written(tmp_path), constants={"N": 1})
     assert [(one.name, one.domain) for one in model.parameters] == [("p", "[0, 1]")]

@@ -27,7 +27,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -84,13 +84,22 @@ def load_drn(path: Path, loading: Loading) -> MDP:
     return drn_model(path, data, name_of(path), loading)
 
 
-def drn_model(path: Path, data: Data, name: str, loading: Loading, variables: Sequence[str] | None = None) -> MDP:
+def drn_model(
+    path: Path,
+    data: Data,
+    name: str,
+    loading: Loading,
+    variables: Sequence[str] | None = None,
+    labels: Collection[str] = (),
+) -> MDP:
     """The model of a DRN text; `path` is named in messages.
 
     variables  the names of all variables, if they are known
+    labels     names of labels; a text has no word of those that hold nowhere
     """
     reader = Reader(path, data, variables)
     header = _header(reader)
+    header.labels += labels
     try:
         if header.parameters:
             return family_of(reader, header, name, loading)

@@ -786,17 +786,21 @@ def _costs(path: Path, read: _Read, table: _Table | None, faults: FileFaults) ->
     """Reward structures by name: as the files call them; those without a name are called reward, reward2, …"""
     costs: dict[str, Cost] = {}
     for number, files in _reward_files(path):
-        name, parts = "", dict[str, Amounts | None]()
+        name, parts = "", dict[str, Amounts]()
         for ending, part in ((".srew", "states"), (".trew", "transitions")):
             if ending in files:
-                called, parts[part] = _rewards(files[ending], read, table, part, faults)
+                called, amounts = _rewards(files[ending], read, table, part, faults)
                 name = name or called
+                if amounts is not None:
+                    parts["choices" if part == "transitions" and not isinstance(amounts, CostEntries) else part] = (
+                        amounts
+                    )
         name = name or f"reward{number}"
         while name in costs:
             name += f"#{number}" if number else "#"
         along = parts.get("transitions")
         assert along is None or isinstance(along, CostEntries)
-        costs[name] = Cost(states=parts.get("states"), transitions=along)
+        costs[name] = Cost(parts.get("states"), parts.get("choices"), along)
     return costs
 
 
@@ -850,7 +854,22 @@ def _rewards(
     kept, row_start, target = top != 0, table.row_start, table.target
     if not kept.all():
         amounts, row_start, target = amounts.at(kept), starts(kept)[row_start], target[kept]
+    of_choices = _of_choices(amounts, row_start)
+    if of_choices is not None:
+        return name, of_choices
     return name, CostEntries(amounts.values, amounts.given, row_start=row_start, target=target)
+
+
+def _of_choices(amounts: Amounts, row_start: I64) -> Amounts | None:
+    """One number for each choice, as PRISM repeats rewards of actions along all transitions; None if they differ."""
+    width = np.diff(row_start)
+    if not width.all():
+        return None
+    first = np.repeat(row_start[:-1], width)
+    if (amounts.values != amounts.values[first]).any():  # exact numbers take longer
+        return None
+    numerator = amounts.exact.numerator
+    return amounts.at(row_start[:-1]) if (numerator == numerator[first]).all() else None
 
 
 def _amounts(entries: Entries, place: I64, n: int, what: str, faults: FileFaults) -> Amounts | None:

@@ -59,8 +59,9 @@ def load_language(path: Path, loading: Loading, constants: Mapping[str, Any] | N
             built = stormpy.build_model[number](program, options=stormpy.BuilderOptions(build_full=True))
             stormpy.io.export_to_drn(built, str(text))
             names = [variable.name for variable in built.state_valuations.get_all_variables()]
+            labels = sorted(built.labeling.get_labels())
             content = text.read_bytes()
-    return drn_model(path, content, path.stem, loading, names)
+    return drn_model(path, content, path.stem, loading, names, labels)
 
 
 def constants_of(path: Path) -> list[str]:
