@@ -42,7 +42,7 @@ from stltool.checking.induction.arithmetic import row_sums
 from stltool.checking.weighted import Figure
 from stltool.display import Card, Displayed, probability_text
 from stltool.errors import FileError, InfeasibleError, PolicyError, SettingsError
-from stltool.files import require_own, require_replaceable, require_result, write_atomically
+from stltool.files import require_result, write_atomically
 from stltool.numbers import bound_texts, number_text
 from stltool.policy import Binding
 from stltool.product import Product
@@ -293,11 +293,9 @@ def shield(
 def require_shield_file(path: str | Path) -> Path:
     """The path where a shield may be written; an error, before the work, if it could not be."""
     path = Path(path)
-    require_replaceable(path)
+    require_result(path, "shield", _is_shield)
     if path.suffix.lower() != ".npz":
         raise PolicyError(f"{path}: shields are saved as .npz; use this extension")
-    require_own(path, "shield", _is_shield)
-    require_result(path, "shield", _is_shield)
     return path
 
 

@@ -22,7 +22,7 @@ from .parametrics import parametric_data
 from .runs import likely_data, sensitivity_data
 from .story import encoding_data, encoding_rows, surrogate_data, surrogate_rows
 from .sweeps import sweep_data, write_sweep
-from .tradeoffs import front_data, tradeoff_data, write_front_picture
+from .tradeoffs import front_data, shield_data, tradeoff_data, write_front_picture
 from .verification import junit_text, markdown_text, verification_data
 
 __all__ = [
@@ -30,7 +30,7 @@ __all__ = [
     "front_data", "front_report", "frontier_data", "guarantee_data", "guarantee_rows", "junit_text", "likely_data",
     "load_report", "looser_note", "markdown_text", "markov_data", "monitor_data", "monitor_report", "parametric_data",
     "product_data", "refused_data", "render", "report", "report_data", "require_report", "sensitivity_data",
-    "stationary_data", "surrogate_data", "surrogate_rows", "sweep_data", "tradeoff_data", "training_data",
-    "transfer_data", "verification_data", "write_front_picture", "write_history", "write_monitor_picture",
-    "write_report", "write_sweep",
+    "shield_data", "stationary_data", "surrogate_data", "surrogate_rows", "sweep_data", "tradeoff_data",
+    "training_data", "transfer_data", "verification_data", "write_front_picture", "write_history",
+    "write_monitor_picture", "write_report", "write_sweep",
 ]  # fmt: skip

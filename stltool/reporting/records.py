@@ -910,6 +910,17 @@ class TradeoffRecord(JointRecord):
     seconds: float
 
 
+class ShieldRecord(ProductRecord):
+    """A shield: the promise, the least P of all policies that obey, P of the even choice, how much is allowed."""
+
+    at_least: float
+    rule: str
+    levels: int
+    least: FigureRecord
+    uniform: float
+    share: float
+
+
 class CornerRecord(TypedDict):
     """A corner of a front: the probabilities of a policy, and the weights for which it is optimal."""
 
@@ -1218,6 +1229,7 @@ OUTPUTS = {
     "pareto": FrontRecord,
     "play": PlayOutput,
     "run": ReportRecord,
+    "shield": ShieldRecord,
     "surrogate": SurrogateOutput,
     "sweep": SweepRecord,
     "tradeoff": TradeoffRecord,

@@ -1,16 +1,17 @@
-"""Trade-offs and fronts as plain data, and a front as a picture: .svg or .png, by the file extension."""
+"""Trade-offs, fronts and shields as plain data, and a front as a picture: .svg or .png, by the file extension."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from stltool.checking import Front, Tradeoff
+from stltool.checking import Front, Shield, Tradeoff
 from stltool.checking.weighted import Figure
 from stltool.errors import SettingsError
 from stltool.files import require_result, write_result
 from stltool.product import JointProduct
-from stltool.reporting.records import FigureRecord, FrontRecord, JointRecord, TradeoffRecord
+from stltool.reporting.data import product_data
+from stltool.reporting.records import FigureRecord, FrontRecord, JointRecord, ShieldRecord, TradeoffRecord
 
 _PICTURES = (".svg", ".png")
 
@@ -69,6 +70,19 @@ def front_data(front: Front) -> FrontRecord:
         "inductions": front.inductions,
         "status": front.status,
         "seconds": front.seconds,
+    }
+
+
+def shield_data(shield: Shield) -> ShieldRecord:
+    """A shield, without its mask."""
+    return {
+        **product_data(shield.product),
+        "at_least": float(shield.at_least),
+        "rule": shield.rule,
+        "levels": shield.levels,
+        "least": _figure(shield.least),
+        "uniform": shield.uniform,
+        "share": shield.share,
     }
 
 

@@ -40,6 +40,7 @@ CASES = {
     "tradeoff": ["tradeoff.stl", *SMALL, "--objective", "charging", "--budget", "C<=2"],
     "pareto": ["tradeoff.stl", *SMALL, "--tasks", "charging,patrolling"],
     "frontier": ["patrolling.stl", "-p", "T=3", "--at-least", "0.9", "--vary", "tau=5:8"],
+    "shield": ["patrolling.stl", *SMALL, "--at-least", "0.5", "--out", "mask.npz"],
     "certify": ["certificate.jsonl", "patrolling.stl", *SMALL],
     "estimate": ["patrolling.stl", *SMALL, "--policy", "policy.npz", "--runs", "100"],
     "learn": ["patrolling.stl", *SMALL, "--episodes", "20", "--out", "learned.npz"],
