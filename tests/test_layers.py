@@ -10,8 +10,8 @@ from tests.sources import sources
 # each room may import itself and the rooms before it; kernels import nothing, nobody imports testing
 ORDER = ["errors", "streams", "screen", "log", "arguments", "numbers", "display", "extras", "source", "files",
          "grammar", "arrays", "sizes", "cluster", "choices", "layered", "randomness", "logic", "automata", "monitoring",
-         "diagnosis", "models", "product", "anatomy", "reached", "asked", "written", "policy", "transfer", "envs",
-         "recheck", "checking", "gate", "learning", "exporting", "reporting", "starters", "doctor", "cli",
+         "diagnosis", "models", "product", "anatomy", "reached", "asked", "written", "policy", "transfer",
+         "recheck", "checking", "envs", "gate", "learning", "exporting", "reporting", "starters", "doctor", "cli",
          "__main__"]  # fmt: skip
 FORBIDDEN = {("automata", "models"), ("models", "automata"), ("models", "logic"), ("checking", "learning")}
 

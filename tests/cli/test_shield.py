@@ -3,7 +3,7 @@
 import pytest
 
 import stltool as stl
-from tests.conftest import PATROLLING, SMALL
+from tests.conftest import FACTORY, PATROLLING, SMALL
 
 
 def test_the_mask_that_is_written_keeps_what_is_printed(stltool, tmp_path):
@@ -11,7 +11,7 @@ def test_the_mask_that_is_written_keeps_what_is_printed(stltool, tmp_path):
     code, out, err = stltool("shield", PATROLLING, *SMALL, "--at-least", "1/2", "--rule", "ratio", "--out", mask)
     assert (code, err) == (0, "")
     assert "P >= 1/2" in out
-    model, task = stl.load_model(PATROLLING.parent / "floor-5x5.toml"), stl.load_task(PATROLLING, {"T": 3, "tau": 8})
+    model, task = stl.load_model(FACTORY / "floor-5x5.toml"), stl.load_task(PATROLLING, {"T": 5, "tau": 5})
     shield = stl.Shield.load(mask, stl.build_product(model, task))
     assert (shield.at_least, shield.rule, shield.levels) == (0.5, "ratio", 64)
     (row,) = (line for line in out.splitlines() if line.startswith("the worst that obeys"))
