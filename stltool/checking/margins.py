@@ -88,16 +88,17 @@ class RobustnessDistribution(Displayed):
             raise SettingsError(f"the margin {asked:g} was not asked for; leave margins out, or add it")
         return (float(self.lower[place]), float(self.upper[place])) if place < len(self.values) else (0.0, 0.0)
 
-    def largest(self, at_least: float) -> float:
+    def largest(self, at_least: float | Fraction) -> float:
         """The largest of the values whose probability is proved to be at least `at_least`; −inf if there is none."""
         bound = _probability(at_least, "largest's at_least")
-        places = np.flatnonzero(self.lower >= bound)
-        return float(self.values[places[-1]]) if len(places) else -math.inf
+        kept = [r for r, lower in zip(self.values.tolist(), self.lower.tolist(), strict=True) if lower >= bound]
+        return max(kept, default=-math.inf)
 
     def steps(self) -> list[tuple[float, float, float]]:
-        """(value, lower, upper) of the values after which the probability changes."""
+        """(value, lower, upper) of the values after which the probability changes; the last that is not 0 ends them."""
         rows = list(zip(self.values.tolist(), self.lower.tolist(), self.upper.tolist(), strict=True))
-        return [row for row, after in itertools.zip_longest(rows, rows[1:]) if after is None or row[1:] != after[1:]]
+        last = [row for row, after in itertools.zip_longest(rows, rows[1:]) if after is None or row[1:] != after[1:]]
+        return [row for row in last if row[2] > 0] or last
 
     def _card(self) -> Card:
         asked = {"maximum": "the maximum", "minimum": "the minimum", "policy": "of the policy"}[self.question]
@@ -135,12 +136,12 @@ def robustness_distribution(
     flag(maximize, "robustness_distribution's maximize")
     function(progress, "robustness_distribution's progress")
     most = whole(most_values, "robustness_distribution's most_values", 1)
-    asked = _Thresholds(model, task, policy, maximize, memory_limit)
+    asked = _Thresholds("robustness_distribution", model, task, policy, maximize, memory_limit)
     if margins is not None:
         require(margins, (list, tuple, np.ndarray), "robustness_distribution's margins", "give a list, such as [0.1]")
         if len(margins) == 0:
             raise SettingsError("robustness_distribution's margins are empty; give one or more, or leave them out")
-        values = np.unique([float(real(r, "one of the margins", "0.1")) for r in margins])
+        values = np.unique([math.inf if r == math.inf else float(real(r, "one of the margins")) for r in margins])
     else:
         values = np.append(asked.values, np.inf)
     if len(values) > most:
@@ -176,19 +177,21 @@ def robustness_distribution(
 def largest_margin(
     model: MDP,
     task: Formula | Task,
-    at_least: float,
+    at_least: float | Fraction,
     policy: Policy | None = None,
     *,
+    maximize: bool = True,
     memory_limit: int | None = None,
 ) -> tuple[float, CheckResult | None]:
     """The largest margin r for which P(ρ ≥ r) ≥ `at_least` is proved, of `policy` or of the best policy for that r.
 
-    Returns it with the check of ρ ≥ r, whose `policy` attains it; (−inf, None) if there is none. By bisection over the
-    values that ρ may have, since P(ρ ≥ r) falls in r. Raises as `robustness_distribution`, and SettingsError unless
-    0 < `at_least` ≤ 1.
+    `maximize=False` asks for the largest that every policy keeps. Returns it with the check of ρ ≥ r, whose `policy`
+    attains it; (−inf, None) if there is none. By bisection over the values that ρ may have, since P(ρ ≥ r) falls in r.
+    Raises as `robustness_distribution`, and SettingsError unless 0 < `at_least` ≤ 1.
     """
     bound = _probability(at_least, "largest_margin's at_least")
-    asked = _Thresholds(model, task, policy, True, memory_limit)
+    flag(maximize, "largest_margin's maximize")
+    asked = _Thresholds("largest_margin", model, task, policy, maximize, memory_limit)
     values = np.append(asked.values, np.inf)
     best: tuple[float, CheckResult | None] = (-math.inf, None)
     first, last = 0, len(values)  # the answer is values[first - 1]
@@ -217,10 +220,10 @@ def _mean(values: list[float], lower: list[float], upper: list[float], question:
     return round_down(least), round_up(most)
 
 
-def _probability(given: float, what: str) -> float:
-    bound = float(real(given, what, "0.95"))
+def _probability(given: float | Fraction, what: str) -> float | Fraction:
+    bound = real(given, what, "0.95")
     if not 0 < bound <= 1:
-        raise SettingsError(f"{what} is {bound:g}; give a probability above 0, such as 0.95")
+        raise SettingsError(f"{what} is {float(bound):g}; give a probability above 0 and at most 1, such as 0.95")
     return bound
 
 
@@ -228,11 +231,17 @@ class _Thresholds:
     """A task's products for ρ ≥ r, whatever r: one structure over labels whose truth in a state depends on r."""
 
     def __init__(
-        self, model: MDP, task: Formula | Task, policy: Policy | None, maximize: bool, memory_limit: int | None
+        self,
+        caller: str,
+        model: MDP,
+        task: Formula | Task,
+        policy: Policy | None,
+        maximize: bool,
+        memory_limit: int | None,
     ) -> None:
-        require(model, MDP, "robustness_distribution's model")
-        self.formula = bounded_formula_of(task, "robustness_distribution's task")
-        require(policy, Policy, "robustness_distribution's policy", optional=True)
+        require(model, MDP, f"{caller}'s model")
+        self.formula = bounded_formula_of(task, f"{caller}'s task")
+        require(policy, Policy, f"{caller}'s policy", optional=True)
         if model.sensing is not None:
             raise SettingsError(
                 f"{model.name} is a black box with real signals, so its margins are not known beforehand; monitor "

@@ -12,6 +12,7 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.cost import check_cost
+from stltool.cli.margins import check_margins, read_margin
 from stltool.cli.options import (
     READ,
     AsJson,
@@ -28,10 +29,12 @@ from stltool.cli.options import (
 )
 from stltool.cli.roles import Reads, Writes, model_files
 from stltool.cli.steps import (
+    bind,
     given_policy,
     judge_by,
     load_policy_product,
     load_product,
+    load_with_model,
     make_product,
     moved_policy,
     nature_text,
@@ -150,6 +153,16 @@ def check(
         str | None,
         typer.Option("--until", help="with --cost, pay until the verdict is decided (default) or the horizon"),
     ] = None,
+    robustness: Annotated[
+        bool,
+        typer.Option(
+            "--robustness",
+            help="P(robustness >= r) for every margin r; with --at-least P: the largest r whose probability is that",
+        ),
+    ] = False,
+    margin: Annotated[
+        str | None, typer.Option("--margin", metavar="R", help="with --robustness: this r alone; bounds are on its P")
+    ] = None,
     report: ReportFolder = None,
     model: Model = None,
     reading: ModelReading = READ,
@@ -209,12 +222,32 @@ def check(
             (clockless, "--stationary and --memoryless"), (exact, "--exact"), (nature is not None, "--nature"),
             (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
             (cluster is not None, "--cluster"), (report is not None, "--report"), (transfer, "--transfer"),
+            (robustness, "--robustness"),
         ):  # fmt: skip
             if forbidden:
                 raise SettingsError(f"{option} is for one value of the parameter; leave it or --vary out")
         product = load_product(task, model, param, name, encoding, reading=reading)
         chosen = given_policy(product, policy, policy_function)
         if not check_range(product, chosen, vary, not minimize, bounds, as_json):
+            raise typer.Exit(1)
+        return
+    if margin is not None and not robustness:
+        raise SettingsError(f"--margin {margin} is a margin of robustness; add --robustness, or leave it out")
+    if robustness:
+        for forbidden, option in (
+            (clockless, "--stationary and --memoryless"), (exact, "--exact"), (transfer, "--transfer"),
+            (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
+            (cluster is not None, "--cluster"), (report is not None, "--report"), (encoding != "exact", "--encoding"),
+            (nature not in (None, "nominal"), "--nature"),
+            (margin is None and at_most is not None, "without --margin, --at-most"),
+        ):  # fmt: skip
+            if forbidden:
+                raise SettingsError(f"{option} is not supported with --robustness; leave one of them out")
+        r = read_margin(margin) if margin is not None else None
+        (loaded,), world = load_with_model(task, model, param, [name], reading)
+        world = world.nominal() if nature == "nominal" else world
+        chosen = given_policy(bind(loaded, world, encoding), policy, policy_function) if given is not None else None
+        if not check_margins(loaded, world, chosen, r, not minimize, bounds, as_json):
             raise typer.Exit(1)
         return
     if clockless and (given is not None or (stationary and memoryless)):

@@ -64,7 +64,7 @@ def monitor_data(
         "least_robustness_at": total["least_robustness_at"],
         "least_robustness_time": total["least_robustness_time"],
         "verdicts": verdicts.tolist() if batch else verdicts[0].tolist(),
-        "robustness": [_jsonable(row) for row in robustness] if batch else list(_jsonable(robustness[0])),
+        "robustness": [jsonable(row) for row in robustness] if batch else list(jsonable(robustness[0])),
     }
     if batch:
         data["violating_traces"] = sum(not figures["holds"] for figures in each)
@@ -138,7 +138,7 @@ def _figures(
         "violations": len(violations),
         "first_violation": first,
         "first_violation_time": _time(first, ticks),
-        "least_robustness": _jsonable(robustness[least : least + 1])[0],
+        "least_robustness": jsonable(robustness[least : least + 1])[0],
         "least_robustness_at": start + least,
         "least_robustness_time": _time(start + least, ticks),
     }
@@ -163,7 +163,7 @@ def _totals(each: list[TraceRecord], ticks: Ticks | None) -> TraceRecord:
     }
 
 
-def _jsonable(values: NDArray[np.float64]) -> list[Robustness]:
+def jsonable(values: NDArray[np.float64]) -> list[Robustness]:
     """JSON has no infinity: "inf" and "-inf" stand for it."""
     if np.isfinite(values).all():
         return values.tolist()  # type: ignore[no-any-return]

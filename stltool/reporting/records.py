@@ -335,6 +335,26 @@ class FrontierOutput(TypedDict):
     seconds: float
 
 
+class RobustnessRecord(TypedDict):
+    """By how much a task holds: bounds on P(robustness >= value), for each value by itself, and on the mean."""
+
+    task: str
+    formula: str
+    model: str
+    model_digest: str
+    horizon: int
+    question: Question
+    values: list[Robustness]
+    lower: list[float]
+    upper: list[float]
+    mean: list[float] | None
+    seconds: float
+    at_least: NotRequired[float]
+    at_most: NotRequired[float]
+    holds: NotRequired[bool]
+    decided: NotRequired[bool]
+
+
 class EstimateRecord(TypedDict):
     """How many sampled runs satisfied the task, and bounds on P that hold with this confidence."""
 
@@ -1217,6 +1237,7 @@ FORMATS = {
 OUTPUTS = {
     "check": CheckOutput,
     "check --cost": CostsOutput,
+    "check --robustness": RobustnessRecord,
     "check --vary": ParametricRecord,
     "estimate": EstimateOutput,
     "estimate --at-least": SequentialOutput,

@@ -125,11 +125,13 @@ def test_the_policy_that_is_best_for_p_may_have_a_small_margin():
     best = stl.check(stl.build_product(model, task)).policy
     phi = stl.parse(str(task.formula).replace("A", "(x > 0.6 & y < 0.4)"))
     optimum = stl.robustness_distribution(model, phi)
+    kept = stl.robustness_distribution(model, phi, maximize=False)  # by every policy
     own = stl.robustness_distribution(model, phi, best)  # a policy of another task on the same model
     assert (own.upper <= optimum.upper + 1e-12).all()
     assert own.at(1e-9)[0] == pytest.approx(optimum.at(1e-9)[0], abs=1e-12)  # of ρ > 0 it is the best
     for bound in (0.1, 0.7, 0.9, 1):
         margin, found = stl.largest_margin(model, phi, bound)
+        assert stl.largest_margin(model, phi, bound, maximize=False)[0] == kept.largest(bound)
         assert margin == optimum.largest(bound)
         assert found.lower == optimum.at(margin)[0] >= bound
         own_margin, _ = stl.largest_margin(model, phi, bound, best)
