@@ -209,6 +209,7 @@ def check(
             (clockless, "--stationary and --memoryless"), (exact, "--exact"), (nature is not None, "--nature"),
             (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
             (cluster is not None, "--cluster"), (report is not None, "--report"), (transfer, "--transfer"),
+            (robustness, "--robustness"),
         ):  # fmt: skip
             if forbidden:
                 raise SettingsError(f"{option} is for the probability of the task; leave it or --cost out")
