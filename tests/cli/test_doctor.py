@@ -66,10 +66,10 @@ def broken(monkeypatch, *, missing=(), old=(), failing=()):
             raise metadata.PackageNotFoundError(name)
         return "0.0.1" if name in old else version(name)
 
-    def imported(name):
+    def imported(name, package=None):
         if name in failing:
             raise ImportError("libsomething.so: cannot open\nshared object")
-        return load(name)
+        return load(name, package)
 
     monkeypatch.setattr(doctor.metadata, "version", of)
     monkeypatch.setattr(doctor.importlib, "import_module", imported)
