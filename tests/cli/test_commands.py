@@ -480,7 +480,7 @@ def test_other_bad_input_ends_with_code_2(stltool, tmp_path):
             ["run", PATROLLING, "-m", "cfer", "--set", "memory=99999999999999"],
             "a replay memory of 99999999999999 transitions",
         ),
-        (["learn", PATROLLING, *SMALL, "-e", "1", "--out", tmp_path / "q.csv"], "policies are saved as .npz"),
+        (["learn", PATROLLING, *SMALL, "-e", "1", "--out", tmp_path / "q.txt"], "policies are saved as .npz"),
         (["learn", PATROLLING, *SMALL, "-e", "1", "--out", tmp_path], "not a regular file"),
         (["report", no_model], "not the JSON file of a report"),
         (["check"], "Missing argument"),

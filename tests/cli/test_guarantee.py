@@ -99,7 +99,7 @@ def test_a_tie_that_the_data_contradict_is_refused(run, monkeypatch):
     probability[a:b] = worse.probability[a:b]
     strange = model.with_rows(probability=probability, exact=None)
     object.__setattr__(strange.source, "_family", model.family.source)  # it claims to be tied
-    monkeypatch.setattr("stltool.load_model", lambda *given: strange)
+    monkeypatch.setattr("stltool.load_model", lambda *given, **reading: strange)
     code, text, err = run("--rollouts", "100", "--method", "cfer", "-e", "600")
     assert code == 0
     assert "warning: the data contradict the assumption that the same success holds in every row" in err

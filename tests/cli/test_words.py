@@ -47,6 +47,7 @@ def options(name):
 TABLE = [(name, option, value) for name in COMMANDS for option, values, _ in options(name) for value in values]
 ARGUMENTS = {parameter for name in COMMANDS for _, _, parameter in options(name)} | {"runs", "keep_policy", "resume"}
 ARGUMENTS -= {"step", "unit"}  # words of task files, too: "write step = 0.1s there"
+ARGUMENTS -= {"cost"}  # a word of English, too: "a cost is paid"
 
 
 @pytest.fixture(scope="module")
