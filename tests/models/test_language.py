@@ -57,6 +57,43 @@ def test_labels_that_hold_nowhere_are_labels(tmp_path):
     assert stl.check(product, exact=True).fraction == 0
 
 
+@pytest.mark.parametrize("as_jani", [False, True])
+@pytest.mark.parametrize("value", [5, -1])
+def test_values_out_of_bounds_are_refused(tmp_path, as_jani, value):
+    """Storm, if not asked to check, goes to x = 1 instead of 5."""
+    text = f"dtmc module m\n x: [0..1] init 0;\n [] x=0 -> 1/2 : (x'={value}) + 1/2 : true;\nendmodule\n"
+    path = written(tmp_path, text)
+    if as_jani:
+        path = written(tmp_path, str(stormpy.parse_prism_program(str(path)).to_jani([])[0]), "robot.jani")
+    with pytest.raises(stl.errors.ModelError, match=rf"{path.name}: .*out-of-bounds value \({value}\)"):
+        stl.load_model(path)
+
+
+def test_rounded_sums_are_rescaled_on_request(tmp_path):
+    path = written(
+        tmp_path, "dtmc module m\n x: [0..1] init 0;\n [] true -> 0.333333 : (x'=1) + 0.666666 : true;\nendmodule\n"
+    )
+    with pytest.raises(
+        stl.errors.ModelError,
+        match="robot.prism, as Storm builds it: state 0, choice 0: .*sum to 0.999999, not 1; rows that miss 1",
+    ):
+        stl.load_model(path)
+    assert "rescaled 2 of 2" in stl.load_model(path, normalize=True).notes["normalize"]
+
+
+def test_labels_and_rewards_of_jani_are_no_signals(tmp_path):
+    """Files that Storm made from programs have a transient variable for each."""
+    program = written(tmp_path, PROGRAM.replace("const int N;\nconst double p;", "const int N=1;\nconst double p=1/3;"))
+    text = str(stormpy.parse_prism_program(str(program)).to_jani([])[0])
+    model, read = stl.load_model(program), stl.load_model(written(tmp_path, text, "robot.jani"))
+    assert not {"there", "energy"} & set(read.signals)
+    assert "there" in read.labels
+    assert set(read.costs) == {"energy"}
+    phi = stl.parse("F[0,4] there")
+    values = [stl.check(stl.build_product(one, phi), exact=True).fraction for one in (model, read)]
+    assert values[0] == values[1] > 0
+
+
 def test_constants_of_probabilities_may_stay_open(tmp_path):
     model = stl.load_model(written(tmp_path), constants={"N": 1})
     assert [(one.name, one.domain) for one in model.parameters] == [("p", "[0, 1]")]

@@ -91,13 +91,15 @@ def drn_model(
     loading: Loading,
     variables: Sequence[str] | None = None,
     labels: Collection[str] = (),
+    left_out: Collection[str] = (),
 ) -> MDP:
     """The model of a DRN text; `path` is named in messages.
 
     variables  the names of all variables, if they are known
     labels     names of labels; a text has no word of those that hold nowhere
+    left_out   variables that do not become signals
     """
-    reader = Reader(path, data, variables)
+    reader = Reader(path, data, variables, left_out)
     header = _header(reader)
     header.labels += labels
     try:
@@ -330,8 +332,10 @@ class Lines:
 class Reader:
     """Reads one file; every fault has its line."""
 
-    def __init__(self, path: Path, data: Data, variables: Sequence[str] | None = None) -> None:
-        self.path, self.data, self.known = path, data, variables
+    def __init__(
+        self, path: Path, data: Data, variables: Sequence[str] | None = None, left_out: Collection[str] = ()
+    ) -> None:
+        self.path, self.data, self.known, self.left_out = path, data, variables, left_out
         self.bytes = np.frombuffer(data, dtype=np.uint8)
         self._lines: Lines | None = None
 
@@ -603,6 +607,7 @@ class Reader:
             notes["signal"] = (
                 f"{n - len(signals)} Boolean variables are true in every state; Storm does not write the names of such"
             )
+        signals = {name: signal for name, signal in signals.items() if name not in self.left_out}
         names = Valuation(signals, list(signals), {text for text, truth in zip(texts, truths, strict=True) if truth})
         return signals, StateNames(lines.n_states, names), notes
 

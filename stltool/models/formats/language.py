@@ -7,6 +7,7 @@ leaves open are given values; those that only probabilities depend on may stay o
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -28,6 +29,7 @@ _INSTEAD = (
     "export the model with PRISM (prism {name} -exportmodel model.umb) or with Storm "
     "(storm {option} {name} --exportbuild model.drn), and give that file"
 )
+_BEYOND = "out_of_bounds"  # Storm's name of the state behind values that variables cannot have
 
 
 def load_language(path: Path, loading: Loading, constants: Mapping[str, Any] | None = None) -> MDP:
@@ -56,12 +58,46 @@ def load_language(path: Path, loading: Loading, constants: Mapping[str, Any] | N
         number = stormpy.RationalFunction if missing else stormpy.Rational
         with tempfile.TemporaryDirectory() as folder:
             text = Path(folder) / "model.drn"
-            built = stormpy.build_model[number](program, options=stormpy.BuilderOptions(build_full=True))
+            built = _built(stormpy, path, program, number)
             stormpy.io.export_to_drn(built, str(text))
             names = [variable.name for variable in built.state_valuations.get_all_variables()]
             labels = sorted(built.labeling.get_labels())
+            told = _told(program, built)
             content = text.read_bytes()
-    return drn_model(path, content, path.stem, loading, names, labels)
+    try:
+        return drn_model(path, content, path.stem, loading, names, labels, told)
+    except ModelError as error:  # its lines are those of a text that nobody has
+        raise ModelError(
+            re.sub(rf"(?m)^({re.escape(str(path))}), line \d+", r"\1, as Storm builds it", str(error))
+        ) from None
+
+
+def _built(stormpy: Any, path: Path, program: Any, number: Any) -> Any:
+    """Storm's model of a program, if variables only get values that they may have.
+
+    Of others Storm keeps the last bits, unless it is asked to check them. Then it refuses sums that miss 1, too, which
+    the reader of its model judges: so these are built again, without checks. In JANI it can tell only by them.
+    """
+    checked, extended = stormpy.BuilderOptions(build_full=True), stormpy.BuilderOptions(build_full=True)
+    checked.set_exploration_checks(True)
+    extended.set_add_out_of_bounds_state(True)
+    try:
+        return stormpy.build_model[number](program, options=checked)
+    except (RuntimeError, stormpy.exceptions.StormError):
+        if path.suffix.lower() == JANI:
+            raise
+        labeling = stormpy.build_model[number](program, options=extended).labeling
+        if _BEYOND in labeling.get_labels() and any(labeling.get_states(_BEYOND)):
+            raise
+        return stormpy.build_model[number](program, options=stormpy.BuilderOptions(build_full=True))
+
+
+def _told(program: Any, built: Any) -> set[str]:
+    """The transient variables of a JANI model that are labels and rewards already."""
+    if not hasattr(program, "global_variables") or not hasattr(program, "automata"):
+        return set()
+    found = {variable.name for variable in program.global_variables if variable.is_transient}
+    return found & {*built.labeling.get_labels(), *built.reward_models}
 
 
 def constants_of(path: Path) -> list[str]:
