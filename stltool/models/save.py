@@ -32,6 +32,7 @@ def save_model(model: MDP, path: str | Path) -> None:
     `.umb` is the unified Markov binary format (formats/umb.py), `.drn` and `.drn.gz` Storm's text format
     (formats/drn.py), `.tra` and `.tra.gz` PRISM's explicit files (formats/explicit.py). Exact probabilities are written
     exactly. What a format cannot represent is refused: several initial states, parameters without values, black boxes.
+    Left out are names of states in `.tra`, and in `.drn` signals whose names are no identifiers (with dots or without).
     Raises SettingsError and ModelError with the reason, FileError if a file cannot be written.
     """
     require(model, MDP, "save_model's model", "make models by stl.MDP.from_arrays(...) or stl.load_model(...)")
