@@ -45,8 +45,8 @@ docs: .venv/installed-dev
 	$(BIN)/python docs/generated.py --site out/docs
 	$(BIN)/zensical build --strict --config-file out/docs/zensical.yml
 
-# ten minutes; WHAT=policies, models (in TOML) or formats (of other tools) for the readers of these, FUZZ=-max_total_time=60
-# for another time, and libFuzzer's other options
+# ten minutes; WHAT=policies, models (in TOML), formats (of other tools), explicit (.tra) or results (logs, reports,
+# certificates, checkpoints) for the readers of these, FUZZ=-max_total_time=60 for another time, and libFuzzer's options
 FUZZ ?= -max_total_time=600
 WHAT ?= formulas
 fuzz: .venv/installed-dev

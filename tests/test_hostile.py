@@ -1,6 +1,6 @@
 """Mutated files of every format: each is read rightly or refused with its name, whatever its bytes.
 
-The readers of formulas, models and policies are fuzzed with coverage, too (bench/fuzz_*.py).
+They are fuzzed with coverage, too (bench/fuzz_*.py).
 """
 
 import gzip
