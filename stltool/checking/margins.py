@@ -141,7 +141,9 @@ def robustness_distribution(
         require(margins, (list, tuple, np.ndarray), "robustness_distribution's margins", "give a list, such as [0.1]")
         if len(margins) == 0:
             raise SettingsError("robustness_distribution's margins are empty; give one or more, or leave them out")
-        values = np.unique([math.inf if r == math.inf else float(real(r, "one of the margins")) for r in margins])
+        endless = [isinstance(r, float) and r == math.inf for r in margins]
+        given = [math.inf if e else float(real(r, "one of the margins")) for e, r in zip(endless, margins, strict=True)]
+        values = np.unique(given)
     else:
         values = np.append(asked.values, np.inf)
     if len(values) > most:

@@ -138,7 +138,7 @@ START = 'kind = "gymnasium"\nid = "FrozenLake-v1"\n'
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ('kind = "gym"', r'lake.toml, line 1: kind is .gym.; write kind = "grid" or kind = "gymnasium"'),
+        ('kind = "gym"', r'lake.toml, line 1: kind is .gym.; write kind = "grid", "gymnasium" or'),
         ('x = 1\nkind = ["grid"]', "lake.toml, line 2: kind is"),
         ("map = 'S'", r"lake.toml: kind is None; write kind ="),
         ('kind = "gymnasium"', "lake.toml: id is None; write the name of an environment"),
