@@ -96,8 +96,10 @@ def test_every_single_trace_is_judged_right(phi):
         return
     everything = every_trace(stl.horizon(phi) + 1)
     expected = truth_of_all(phi, everything)
+    histories = stl.compile_automaton(phi).n_letters ** (stl.horizon(phi) + 1)
     for encoding in EXACT:
-        assert (judge_all(stl.compile_automaton(phi, encoding), everything) == expected).all()
+        if encoding != "history" or histories < 100_000:  # otherwise it has millions of states
+            assert (judge_all(stl.compile_automaton(phi, encoding), everything) == expected).all()
 
 
 @pytest.mark.parametrize(
