@@ -49,8 +49,7 @@ docs: .venv/installed-dev
 # certificates, checkpoints) for the readers of these, FUZZ=-max_total_time=60 for another time, and libFuzzer's options
 FUZZ ?= -max_total_time=600
 WHAT ?= formulas
-fuzz: .venv/installed-dev
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[fuzz]'
+fuzz: .venv/installed-fuzz
 	mkdir -p out/fuzz/$(WHAT)
 	cd out/fuzz/$(WHAT) && ../../../$(BIN)/python ../../../bench/fuzz_$(WHAT).py -max_len=400 $(FUZZ) .
 
@@ -69,6 +68,10 @@ clean:
 
 .venv/installed: pyproject.toml .venv/python
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable .
+	touch $@
+
+.venv/installed-fuzz: pyproject.toml .venv/installed-dev
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[fuzz]'
 	touch $@
 
 .venv/installed-dev: pyproject.toml .venv/python
