@@ -111,3 +111,12 @@ def test_headers_of_arrays_that_are_no_headers(header, tmp_path):
         archive.writestr("x.npy", b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text)
     with pytest.raises(StlToolError, match="a.npz: cannot be read as an .npz file"):
         stl.load_trace(tmp_path / "a.npz")
+
+
+def test_names_of_columns_that_are_not_utf8(tmp_path):
+    arrow = pytest.importorskip("pyarrow")
+    path = tmp_path / "a.parquet"
+    pytest.importorskip("pyarrow.parquet").write_table(arrow.table({"abc": [1.0, 2.0]}), path)
+    path.write_bytes(path.read_bytes().replace(b"abc", b"\xff\xfe\xfd"))
+    with pytest.raises(StlToolError, match=r"a\.parquet: cannot be read as a Parquet file"):
+        stl.load_trace(path)

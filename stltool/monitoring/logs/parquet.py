@@ -26,7 +26,7 @@ def read_parquet(path: Path, asked: Asked) -> Recording:
     from pyarrow import parquet
 
     where = str(path)
-    with faults(where, "a Parquet file", pa.ArrowException), parquet.ParquetFile(path) as file:
+    with faults(where, "a Parquet file", pa.ArrowException, UnicodeDecodeError), parquet.ParquetFile(path) as file:
         schema, rows = file.schema_arrow, file.metadata.num_rows
         column = time_column(where, schema.names, asked.time, asked.timed)
         wanted = chosen(where, schema.names, asked.names, "column")
