@@ -1,8 +1,7 @@
-"""Whatever is printed goes through here: control characters of names, files and messages are shown, never obeyed."""
+"""Consoles for text that is laid out; plain text goes through `say` (streams.py)."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
 from typing import Any
 
@@ -21,8 +20,3 @@ class Screen(Console):
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(escaped(segment.text), segment.style)
-
-
-def say(text: str = "", end: str = "\n", error: bool = False, flush: bool = False) -> None:
-    """Print a text on stdout or stderr."""
-    print(escaped(text), end=end, file=sys.stderr if error else sys.stdout, flush=flush)

@@ -1,5 +1,8 @@
 """The standard streams as the command line needs them, whatever they are connected to.
 
+Whatever is printed goes through `say`, or a Screen (screen.py): control characters of names, files and messages are
+shown, never obeyed.
+
 If a stream's encoding lacks a character (a redirect on Windows, `PYTHONIOENCODING=ascii`), a readable substitute is
 printed: tau, x, ->, <=. If the reader has stopped (`| head`), the rest is dropped, and the exit code is unchanged.
 """
@@ -60,6 +63,11 @@ def printable(text: str) -> str:
     """The text as stdout will show it, so that columns can be measured."""
     encoding = sys.stdout.encoding or "utf-8"
     return escaped(text).encode(encoding, errors="stltool").decode(encoding)
+
+
+def say(text: str = "", end: str = "\n", error: bool = False, flush: bool = False) -> None:
+    """Print a text on stdout or stderr."""
+    print(escaped(text), end=end, file=sys.stderr if error else sys.stdout, flush=flush)
 
 
 class _Outlet(io.FileIO):

@@ -14,7 +14,7 @@ from stltool import numbers
 from stltool.cli.roles import Parameter, Reads, Writes, itself, require_apart, require_inside
 from stltool.cli.words import Named, Spelled, spelling
 from stltool.errors import StlToolError, reworded
-from stltool.screen import say
+from stltool.streams import say
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _Number = TypeVar("_Number", int, float)

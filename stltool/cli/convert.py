@@ -10,7 +10,7 @@ import typer
 from stltool.cli.app import app
 from stltool.cli.options import READ, AsJson, ModelReading, Params
 from stltool.cli.roles import Reads, Writes, model_files, written_model
-from stltool.screen import say
+from stltool.streams import say
 
 
 @app.command("stltool convert model.tra model.umb")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, cast, get_args
 
 from stltool.arguments import one_of
 from stltool.numbers import bound_texts, within_text
-from stltool.screen import say
+from stltool.streams import say
 
 if TYPE_CHECKING:
     from stltool.checking.costs import Until

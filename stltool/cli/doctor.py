@@ -6,7 +6,7 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.options import AsJson
-from stltool.screen import say
+from stltool.streams import say
 
 
 @app.command("stltool doctor")

@@ -35,7 +35,7 @@ from stltool.cli.steps import (
     warnings_shown,
 )
 from stltool.errors import SettingsError
-from stltool.screen import say
+from stltool.streams import say
 
 if TYPE_CHECKING:
     from stltool.product import Product

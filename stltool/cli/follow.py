@@ -13,7 +13,7 @@ import typer
 
 from stltool.display import counted
 from stltool.errors import SettingsError
-from stltool.screen import say
+from stltool.streams import say
 
 if TYPE_CHECKING:
     from stltool.logic.task import Task

@@ -13,7 +13,7 @@ from stltool.cli.steps import load_with_model, read_probability
 from stltool.errors import SettingsError
 from stltool.logic.quantities import quantity
 from stltool.numbers import bound_texts, number_text, within_text
-from stltool.screen import say
+from stltool.streams import say
 
 _MOST = 20_000  # values of a range
 

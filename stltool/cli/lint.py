@@ -11,7 +11,7 @@ from stltool.cli.app import app
 from stltool.cli.options import AsJson
 from stltool.cli.roles import Reads
 from stltool.errors import StlToolError
-from stltool.screen import say
+from stltool.streams import say
 
 
 @app.command("stltool lint patrolling.stl")

@@ -27,7 +27,7 @@ from stltool.cli.options import (
 from stltool.cli.roles import Reads, Writes
 from stltool.cli.steps import load_task_or_formula, this_command
 from stltool.errors import SettingsError, StlToolError
-from stltool.screen import say
+from stltool.streams import say
 
 if TYPE_CHECKING:
     from stltool.logic.task import Task

@@ -12,8 +12,8 @@ import typer
 from stltool.cli.app import app
 from stltool.cli.options import AsJson
 from stltool.cli.roles import Writes
-from stltool.screen import say
 from stltool.starters import EXAMPLES, KINDS, example, starter
+from stltool.streams import say
 
 
 @app.command("stltool new shift --kind grid")

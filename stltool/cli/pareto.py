@@ -13,7 +13,7 @@ from stltool.cli.roles import Writes
 from stltool.cli.steps import make_joint_product, this_command
 from stltool.errors import SettingsError
 from stltool.numbers import most_text
-from stltool.screen import say
+from stltool.streams import say
 
 
 @app.command("stltool pareto tradeoff.stl --tasks charging,patrolling --plot front.svg")

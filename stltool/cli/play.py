@@ -27,7 +27,7 @@ from stltool.cli.options import (
 )
 from stltool.cli.steps import given_policy, make_product, require_one_policy
 from stltool.errors import SettingsError
-from stltool.screen import say
+from stltool.streams import say
 
 
 @app.command("stltool play patrolling.stl --policy policy.npz")

@@ -24,7 +24,7 @@ from stltool.arguments import described
 from stltool.cli.options import READ, ModelReading
 from stltool.errors import InexactEncodingWarning, PolicyError, SettingsError, near_misses
 from stltool.numbers import NumberError, read
-from stltool.screen import say
+from stltool.streams import say
 
 if TYPE_CHECKING:
     from stltool.automata import TaskAutomaton

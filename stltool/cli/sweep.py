@@ -13,7 +13,7 @@ from stltool.cli.roles import Reads, Writes, sweep_files, sweep_folder, within
 from stltool.cli.steps import this_command
 from stltool.errors import SettingsError
 from stltool.numbers import NumberError, whole
-from stltool.screen import say
+from stltool.streams import say
 
 _RESULTS = ("report.html", "report.json", "table.csv", "curves.csv", "figure.svg", "figure.png")
 

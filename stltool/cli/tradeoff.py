@@ -15,7 +15,7 @@ from stltool.cli.steps import make_joint_product
 from stltool.cli.words import Named
 from stltool.errors import SettingsError
 from stltool.numbers import NumberError, bound_texts, ceiling_text, number_text, read, within_text
-from stltool.screen import say
+from stltool.streams import say
 
 
 @app.command('stltool tradeoff tradeoff.stl --objective charging --require "patrolling>=0.9" --budget "C<=3"')

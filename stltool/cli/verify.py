@@ -13,7 +13,7 @@ from stltool.cli.app import app
 from stltool.cli.options import READ, AsJson, Decimal, Missing, ModelReading, Params, Resample, TimeOf, Tolerance
 from stltool.cli.roles import Reads, Writes, expectation_files, within
 from stltool.cli.steps import read_params, this_command
-from stltool.screen import say
+from stltool.streams import say
 
 _NO_CERTIFICATE = "none: no expectation has a probability that a certificate can prove; intervals and traces have none"
 

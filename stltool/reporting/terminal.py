@@ -19,8 +19,8 @@ from stltool.log import LOG, Stage
 from stltool.numbers import bound_texts, difference_text, probability_text, within_text
 from stltool.reporting.runs import trace_text, verdict_text
 from stltool.reporting.words import run_sentences, sensitivity_sentences
-from stltool.screen import Screen, say
-from stltool.streams import escaped, printable
+from stltool.screen import Screen
+from stltool.streams import escaped, printable, say
 
 if TYPE_CHECKING:
     from stltool.learning.sweep import SweepProgress

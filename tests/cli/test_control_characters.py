@@ -11,8 +11,8 @@ from rich.text import Text
 
 import stltool as stl
 from stltool.errors import ModelError, StlSyntaxError, TraceError
-from stltool.screen import Screen, say
-from stltool.streams import control_character, escaped
+from stltool.screen import Screen
+from stltool.streams import control_character, escaped, say
 from tests.sources import sources
 
 OBEYED = "\x1b]0;title\x07\x1b[31m\x9b\u202e"  # retitles, rings, recolours, and turns letters around
