@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterable
 from contextlib import nullcontext
 from fractions import Fraction
 from pathlib import Path
@@ -202,31 +203,25 @@ def check(
         raise SettingsError("--transfer judges a policy file on another model; add --policy FILE")
     if policy_model is not None and not transfer:
         raise SettingsError("--policy-model is for a policy of another model; add --transfer, or leave it out")
+    of_p = [
+        (clockless, "--stationary and --memoryless"), (exact, "--exact"), (nature is not None, "--nature"),
+        (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
+        (cluster is not None, "--cluster"), (report is not None, "--report"), (transfer, "--transfer"),
+        (robustness, "--robustness"),
+    ]  # fmt: skip
     if cost is not None:
-        for forbidden, option in (
+        of_one = [
             (vary is not None, "--vary"), (minimize, "--minimize"),
             (at_least is not None, "--at-least"), (at_most is not None, "--at-most"),
-            (clockless, "--stationary and --memoryless"), (exact, "--exact"), (nature is not None, "--nature"),
-            (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
-            (cluster is not None, "--cluster"), (report is not None, "--report"), (transfer, "--transfer"),
-            (robustness, "--robustness"),
-        ):  # fmt: skip
-            if forbidden:
-                raise SettingsError(f"{option} is for the probability of the task; leave it or --cost out")
+        ]  # fmt: skip
+        _require_none([*of_one, *of_p], "is for the probability of the task; leave it or --cost out")
         product = load_product(task, model, param, name, encoding, reading=reading)
         check_cost(product, given_policy(product, policy, policy_function), cost, until or "verdict", as_json)
         return
     if until is not None:
         raise SettingsError("--until says how long a cost is paid; add --cost NAME, or leave it out")
     if vary is not None:
-        for forbidden, option in (
-            (clockless, "--stationary and --memoryless"), (exact, "--exact"), (nature is not None, "--nature"),
-            (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
-            (cluster is not None, "--cluster"), (report is not None, "--report"), (transfer, "--transfer"),
-            (robustness, "--robustness"),
-        ):  # fmt: skip
-            if forbidden:
-                raise SettingsError(f"{option} is for one value of the parameter; leave it or --vary out")
+        _require_none(of_p, "is for one value of the parameter; leave it or --vary out")
         product = load_product(task, model, param, name, encoding, reading=reading)
         chosen = given_policy(product, policy, policy_function)
         if not check_range(product, chosen, vary, not minimize, bounds, as_json):
@@ -235,15 +230,14 @@ def check(
     if margin is not None and not robustness:
         raise SettingsError(f"--margin {margin} is a margin of robustness; add --robustness, or leave it out")
     if robustness:
-        for forbidden, option in (
+        beside = [
             (clockless, "--stationary and --memoryless"), (exact, "--exact"), (transfer, "--transfer"),
             (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
             (cluster is not None, "--cluster"), (report is not None, "--report"), (encoding != "exact", "--encoding"),
             (nature not in (None, "nominal"), "--nature"),
             (margin is None and at_most is not None, "without --margin, --at-most"),
-        ):  # fmt: skip
-            if forbidden:
-                raise SettingsError(f"{option} is not supported with --robustness; leave one of them out")
+        ]  # fmt: skip
+        _require_none(beside, "is not supported with --robustness; leave one of them out")
         r = read_margin(margin) if margin is not None else None
         (loaded,), world = load_with_model(task, model, param, [name], reading)
         world = world.nominal() if nature == "nominal" else world
@@ -383,3 +377,10 @@ def check(
             print_facts({"report": report / "report.html"})
     if verdicts and not data["holds"]:
         raise typer.Exit(1)
+
+
+def _require_none(options: Iterable[tuple[bool, str]], advice: str) -> None:
+    """SettingsError for the first of the options that is given."""
+    for given, option in options:
+        if given:
+            raise SettingsError(f"{option} {advice}")
