@@ -13,6 +13,7 @@ import tempfile
 from pathlib import Path
 
 import atheris
+from mutations import mutated
 
 with atheris.instrument_imports(include=["stltool"]):
     import stltool as stl
@@ -47,20 +48,6 @@ for name in KINDS:
     (FOLDER / f"m{name}").write_bytes(SEEDS[name])
 
 
-def mutated(provider: atheris.FuzzedDataProvider, seed: bytes) -> bytes:
-    """A seed with pieces cut out, replaced and put in."""
-    found = bytearray(seed)
-    for _ in range(provider.ConsumeIntInRange(1, 6)):
-        at = provider.ConsumeIntInRange(0, len(found))
-        cut = provider.ConsumeIntInRange(0, 30)
-        if provider.ConsumeBool():
-            piece = WORDS[provider.ConsumeIntInRange(0, len(WORDS) - 1)]
-        else:
-            piece = provider.ConsumeBytes(8)
-        found[at : at + cut] = piece
-    return bytes(found)
-
-
 def archive_of(provider: atheris.FuzzedDataProvider) -> bytes:
     """The UMB seed with one of its files mutated or left out, so that mutations get past the container."""
     out = io.BytesIO()
@@ -73,7 +60,7 @@ def archive_of(provider: atheris.FuzzedDataProvider) -> bytes:
             if number == chosen:
                 if left_out and number:
                     continue
-                content = mutated(provider, content)
+                content = mutated(provider, WORDS, content)
                 member.size = len(content)
             tar.addfile(member, io.BytesIO(content))
     return out.getvalue()
@@ -82,7 +69,9 @@ def archive_of(provider: atheris.FuzzedDataProvider) -> bytes:
 def one_input(data: bytes) -> None:
     provider = atheris.FuzzedDataProvider(data)
     kind = KINDS[provider.ConsumeIntInRange(0, len(KINDS) - 1)]
-    content = archive_of(provider) if kind == ".umb" and provider.ConsumeBool() else mutated(provider, SEEDS[kind])
+    content = (
+        archive_of(provider) if kind == ".umb" and provider.ConsumeBool() else mutated(provider, WORDS, SEEDS[kind])
+    )
     path = FOLDER / f"m{kind}"
     path.write_bytes(content)
     try:

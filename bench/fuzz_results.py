@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import atheris
+from mutations import mutated
 
 with atheris.instrument_imports(include=["stltool"]):
     import numpy as np
@@ -68,20 +69,6 @@ KINDS = tuple(READERS)
 SEEDS = seeds()
 
 
-def mutated(provider: atheris.FuzzedDataProvider, seed: bytes) -> bytes:
-    """A seed with pieces cut out, replaced and put in."""
-    found = bytearray(seed)
-    for _ in range(provider.ConsumeIntInRange(1, 6)):
-        at = provider.ConsumeIntInRange(0, len(found))
-        cut = provider.ConsumeIntInRange(0, 30)
-        if provider.ConsumeBool():
-            piece = WORDS[provider.ConsumeIntInRange(0, len(WORDS) - 1)]
-        else:
-            piece = provider.ConsumeBytes(8)
-        found[at : at + cut] = piece
-    return bytes(found)
-
-
 def repacked(provider: atheris.FuzzedDataProvider, kind: str) -> bytes:
     """An archive of which one member is mutated, with checksums that are right."""
     path = FOLDER / "again.zip"
@@ -90,7 +77,7 @@ def repacked(provider: atheris.FuzzedDataProvider, kind: str) -> bytes:
         chosen = names[provider.ConsumeIntInRange(0, len(names) - 1)]
         for name in names:
             content = archive.read(name)
-            again.writestr(name, mutated(provider, content) if name == chosen else content)
+            again.writestr(name, mutated(provider, WORDS, content) if name == chosen else content)
     return path.read_bytes()
 
 
@@ -98,7 +85,7 @@ def one_input(data: bytes) -> None:
     provider = atheris.FuzzedDataProvider(data)
     kind = KINDS[provider.ConsumeIntInRange(0, len(KINDS) - 1)]
     packed = zipfile.is_zipfile(FOLDER / f"seed.{kind}") and provider.ConsumeBool()
-    content = repacked(provider, kind) if packed else mutated(provider, SEEDS[kind])
+    content = repacked(provider, kind) if packed else mutated(provider, WORDS, SEEDS[kind])
     path = FOLDER / f"f.{kind}"
     path.write_bytes(content)
     try:
