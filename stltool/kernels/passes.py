@@ -62,6 +62,21 @@ def _fold(left: Values, right: Values, out: Values, greatest: bool) -> None:
 
 
 @kernel
+def _fold_four(a: Values, b: Values, c: Values, d: Values, out: Values, greatest: bool) -> None:
+    """All of one length; `out` is another array."""
+    if greatest:
+        for i in range(len(out)):
+            x = a[i] if a[i] > b[i] else b[i]
+            y = c[i] if c[i] > d[i] else d[i]
+            out[i] = x if x > y else y
+    else:
+        for i in range(len(out)):
+            x = a[i] if a[i] < b[i] else b[i]
+            y = c[i] if c[i] < d[i] else d[i]
+            out[i] = x if x < y else y
+
+
+@kernel
 def _negate(x: Values, out: Values, truth: bool) -> None:
     for i in range(len(out)):
         out[i] = 1 - x[i] if truth else 0 - x[i]  # 0, not −0, for 0
@@ -179,19 +194,26 @@ def _atom(
 
 @kernel
 def _window(x: Values, width: int, greatest: bool, out: Values, one: Values, other: Values) -> None:
-    """out[t] = max (or min) of x[t … t+width−1], doubled; x has width − 1 values more than `out`."""
+    """out[t] = max (or min) of x[t … t+width−1]; x has width − 1 values more than `out`.
+
+    A pass joins up to four windows, which may overlap.
+    """
     count, span = len(out) + width - 1, 1
     if width == 1:
         for i in range(len(out)):
             out[i] = x[i]
     known = x[:count]
     while span < width:
-        step = min(span, width - span)
-        count -= step
-        span += step
-        target = out if span == width else one[:count]
-        _fold(known[:count], known[step : step + count], target, greatest)
-        known = target
+        wider = min(4 * span, width)
+        last = wider - span
+        count -= last
+        target = out if wider == width else one[:count]
+        if wider <= 2 * span:
+            _fold(known[:count], known[last : last + count], target, greatest)
+        else:
+            second, third = known[span : span + count], known[min(2 * span, last) : min(2 * span, last) + count]
+            _fold_four(known[:count], second, third, known[last : last + count], target, greatest)
+        known, span = target, wider
         one, other = other, one
 
 
@@ -243,8 +265,11 @@ def _fill(x: Values, rows: int, stride: int, steps: int, hold: bool, neutral: An
 def run(
     program: I64, numbers: F64, columns: I64, rows: int, steps: int, padding: int, hold: bool, truth: bool,
     least: Any, greatest: Any, scratch: Values, sides: F64, size: int, decided: int, out: Values, at: int, wide: int,
-) -> None:  # fmt: skip
+    above: Values,
+) -> int:  # fmt: skip
     """Write the decided steps of all rows to `out`, from `at` on, where one row is `wide` values after the other.
+
+    Also whether they are above 0 to `above`, unless it is empty. Returns how many are 0, as far as that was looked at.
 
     `padding` is −1 for open rows, which touch. `scratch` has `size` values for each register, and SPARE more; `sides`
     two. As many rows are computed together as have room there; a longer one, which is open, in parts.
@@ -258,6 +283,7 @@ def run(
     group, tile = (1, size - horizon) if parts else (size // stride, decided)
     one, other = scratch[spare : spare + size], scratch[spare + size : spare + 2 * size]
     third, fourth = scratch[spare + 2 * size : spare + 3 * size], scratch[spare + 3 * size :]
+    zeros = 0
     for row in range(0, rows, group):
         together = min(group, rows - row)
         for first in range(0, decided, tile):
@@ -304,6 +330,22 @@ def run(
                         _window(x[a:], b - a + 1, some, value[: count - b], one, other)
             for r in range(together):
                 result = scratch[last[1] * size + r * stride : last[1] * size + r * stride + m]
-                target = out[at + (row + r) * wide + first : at + (row + r) * wide + first + m]
+                begin = at + (row + r) * wide + first
+                target = out[begin : begin + m]
                 for i in range(m):
                     target[i] = result[i]
+                if len(above) > 0:
+                    signs = above[begin : begin + m]
+                    for i in range(m):
+                        signs[i] = result[i] > 0
+                        zeros += result[i] == 0
+    return zeros
+
+
+@kernel
+def within(x: F64, limit: float) -> bool:
+    """Whether all samples lie between −limit and limit."""
+    beyond = 0
+    for i in range(len(x)):
+        beyond += not abs(x[i]) < limit
+    return beyond == 0

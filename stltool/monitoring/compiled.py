@@ -34,6 +34,15 @@ def worthwhile(samples: int) -> bool:
     return "numba" in sys.modules or _seen > _MANY
 
 
+def within(samples: Array, limit: float) -> bool:
+    """Whether doubles, which lie together, are all between −limit and limit: no NaN, either."""
+    if "numba" in sys.modules:
+        from stltool.kernels import passes
+
+        return bool(passes.within(samples.reshape(-1), limit))
+    return not samples.size or bool(-limit < samples.min() <= samples.max() < limit)
+
+
 def compiled(program: Program) -> Compiled:
     """The tables of a program; those of the last few are kept."""
     return _compiled(Same(program))
@@ -75,10 +84,13 @@ class Compiled:
         self._registers = registers
         self._columns = len(self._names) + len(self._given)
 
-    def run(self, block: Block, truth: bool, out: Array, row: int, first: int) -> bool:
+    def run(
+        self, block: Block, truth: bool, out: Array, row: int, first: int, above: Array | None = None
+    ) -> int | None:
         """Write truth, or margins, of a block's decided steps to `out` (n_traces, n_decided), from a row and step on.
 
-        Returns False, with nothing written, if a comparison has no value, or no margin.
+        Also whether margins are above 0 to `above`, which is like `out`; returns then how many are 0. None, with
+        nothing written, if a comparison has no value, or no margin.
         """
         k, steps = self._kernel, block.steps
         open_ = block.end == "open"
@@ -98,25 +110,26 @@ class Compiled:
             with np.errstate(all="ignore"):
                 unknown, far = predicate.judge(block.columns, verdicts, margins, block.wide)
             if unknown is not None or far:
-                return False
+                return None
             assert number == len(kept)
             kept.append(values)
         for number, values in enumerate(kept):
-            columns[number] = values.ctypes.data, values.strides[0] if values.ndim == 2 else 0
+            columns[number] = values.__array_interface__["data"][0], values.strides[0] if values.ndim == 2 else 0
         tile, stride = 4 * k.TILE if truth else k.TILE, steps + max(padding, 0)
         if open_ and stride > 2 * tile:  # in parts, which reach into the next one
             size = min(max(tile, 4 * (steps - decided)), decided) + steps - decided
         else:
             size = stride * max(1, min(tile // stride, block.rows))
         values = out.view(np.uint8) if truth else out
+        signs = (above if above is not None else np.empty(0, np.bool_)).view(np.uint8)
         scratch = np.empty((self._registers + k.SPARE) * size, values.dtype)
         least, greatest = (0, 1) if truth else (-np.inf, np.inf)
-        k.run(
+        zeros: int = k.run(
             rows.ravel(), self._numbers, columns.ravel(), block.rows, steps, padding, block.end == "hold", truth, least,
             greatest, scratch, np.empty(2 * size), size, decided, values.reshape(-1), row * out.shape[1] + first,
-            out.shape[1],
+            out.shape[1], signs.reshape(-1),
         )  # fmt: skip
-        return True
+        return zeros
 
     def _atom(self, i: int) -> tuple[list[int], tuple[float, float]]:
         from stltool.monitoring.stream import COMPARATORS, is_plain, number_of, side_of

@@ -214,7 +214,7 @@ def judge(formula: Formula, traces: Traces, end: End, truth: bool, margins: bool
     if compilable(traces.program) and worthwhile(traces.n_traces * traces.n_steps):
         quick, samples = compiled(traces.program), SAMPLES
     for block, rows, first in traces.blocks(end, samples):
-        if quick is not None and not machine.gaps and _judge_quickly(quick, block, outs, truth, margins, rows, first):
+        if quick is not None and not machine.gaps and judge_quickly(quick, block, outs, truth, margins, rows, first):
             continue
         for out, found in zip(outs, machine.run(block), strict=True):
             if machine.gaps:
@@ -223,18 +223,17 @@ def judge(formula: Formula, traces: Traces, end: End, truth: bool, margins: bool
     return outs
 
 
-def _judge_quickly(
+def judge_quickly(
     quick: Compiled, block: Block, outs: list[NDArray[Any]], truth: bool, margins: bool, rows: slice, first: int
 ) -> bool:
     """Whether the kernel has judged a block; otherwise, what it has written is to be written again."""
-    if block.wide or (margins and not quick.run(block, False, outs[-1], rows.start, first)):
+    if block.wide:
         return False
-    if truth and margins:
-        found = outs[-1][rows, first : first + block.steps]
-        if found.all():  # the sign of a margin that is not 0 is the truth
-            np.greater(found, 0.0, out=outs[0][rows, first : first + block.steps])
-            return True
-    return not truth or quick.run(block, True, outs[0], rows.start, first)
+    if margins:
+        zeros = quick.run(block, False, outs[-1], rows.start, first, outs[0] if truth else None)
+        if zeros is None or not truth or zeros == 0:  # the sign of a margin that is not 0 is the truth
+            return zeros is not None
+    return quick.run(block, True, outs[0], rows.start, first) is not None
 
 
 def prepare(

@@ -26,12 +26,14 @@ from stltool.logic.formula import Composable, Constant, Formula, bounded_formula
 from stltool.logic.names import near_names
 from stltool.logic.rewrite import negation_normal_form
 from stltool.logic.task import Task
+from stltool.monitoring.blocks import Block
 from stltool.monitoring.comparisons import Predicate
+from stltool.monitoring.compiled import compilable, compiled
 from stltool.monitoring.decisions import Decision, Decisions, new
 from stltool.monitoring.early import Early, engine_of
 from stltool.monitoring.intervals import MOST_SHARED, Enclosure, positive
 from stltool.monitoring.lookback import FALSE, TRUE, Network, Value, judge_of
-from stltool.monitoring.offline import judge
+from stltool.monitoring.offline import judge, judge_quickly
 from stltool.monitoring.program import compile_delayed, compile_formula
 from stltool.monitoring.samples import WHOLE, WIDE, Earlier, Traces, read_traces
 
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     from stltool.monitoring.stream import Stream
 
 _BULK = 4  # horizons: longer blocks are judged as a whole, and only their last horizon runs sample by sample
+_PART = 1 << 14  # samples of such a block that are judged together
 
 
 class OnlineMonitor(Displayed):
@@ -79,7 +82,9 @@ class OnlineMonitor(Displayed):
         engine = engine_of(self._judged, self._delays)
         self.early = engine.early
         self._stream = Stream(self._program, engine, self.horizon, self.wait)
+        self._compilable = compilable(self._program)
         self._enclosure: Enclosure | None = None
+        self._room: NDArray[np.float64] | None = None  # for parts of long blocks: (n, n_names)
         self._bind()
 
     def _bind(self) -> None:
@@ -106,7 +111,8 @@ class OnlineMonitor(Displayed):
             self.feed = cast(Any, compiled)  # type: ignore[method-assign]
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("_call", "_predicates", "feed")}
+        made = ("_call", "_predicates", "feed")
+        return {name: value for name, value in self.__dict__.items() if name not in made} | {"_room": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -125,7 +131,7 @@ class OnlineMonitor(Displayed):
 
     @property
     def nbytes(self) -> int:
-        """Memory: bounded by the horizon, and by the samples so far."""
+        """Memory of what is kept: bounded by the horizon, and by the samples so far."""
         return self._stream.N.nbytes + self._stream.F.nbytes + self._stream.B.nbytes
 
     def feed(self, sample: Mapping[str, Any]) -> list[Decision] | Decisions:
@@ -255,8 +261,9 @@ class OnlineMonitor(Displayed):
             self._take(stream)
 
     def _take(self, stream: Stream) -> None:
-        self._stream = stream
-        self._call.bind(stream)
+        if stream is not self._stream:
+            self._stream = stream
+            self._call.bind(stream)
 
     def _read(self, sample: Mapping[str, Any]) -> dict[str, float]:
         values: dict[str, float] = {}
@@ -324,15 +331,11 @@ class OnlineMonitor(Displayed):
             raise TraceError(f"feed's block has shape {(traces.n_traces, traces.n_steps)}; feed one trace, (n_steps,)")
         if traces.n_steps == 0:
             return _decisions([], [], [])
-        whole_block = traces.block(slice(0, 1), slice(0, traces.n_steps), "open")
-        samples = np.empty((len(self._stream.names), traces.n_steps)).T  # each signal's samples are together
-        for i, name in enumerate(self._stream.names):
-            samples[:, i] = whole_block.columns[name][0]
-        if whole_block.wide:
-            self._refuse_margins(samples)
-        given = self._outside(self._stream, samples, n)  # raises for samples without a margin
         if traces.n_steps >= _BULK * self._stream.depth:
-            return self._judge(samples, whole_block.wide)
+            return self._judge(traces)
+        samples = np.empty((len(self._stream.names), traces.n_steps)).T  # each signal's samples are together
+        self._check(traces, slice(0, traces.n_steps), samples)
+        given = self._outside(self._stream, samples, n)
         self._grow(len(samples))
         read = self._stream.read(samples, given)
         assert not isinstance(read, int)
@@ -343,36 +346,66 @@ class OnlineMonitor(Displayed):
         robustness = np.where(known, margins[np.where(known, final, 0)], np.nan)
         return Decisions(steps, verdicts[order], robustness)
 
-    def _judge(self, samples: NDArray[np.float64], wide: bool) -> Decisions:
+    def _check(self, traces: Traces, part: slice, out: NDArray[np.float64]) -> bool:
+        """Write a part of a block to `out` (n, n_names), checked; whether it is `wide`."""
+        checked = traces.block(slice(0, 1), part, "open")
+        for i, name in enumerate(self._stream.names):
+            out[:, i] = checked.columns[name][0]
+        if checked.wide:
+            self._refuse_margins(out, traces.first_step + part.start)
+        return checked.wide
+
+    def _judge(self, traces: Traces) -> Decisions:
         """A block that is much longer than the horizon: its settled steps at once, the open ones from new arrays."""
-        stream, n, h = self._stream, self.n_steps, self.horizon
-        back = stream.depth - 1
-        before = stream.kept()[-back:] if back else stream.kept()[:0]
-        first, judged = n - min(h, n), n - len(before)
-        joined = np.empty((samples.shape[1], len(before) + len(samples))).T
-        joined[: len(before)], joined[len(before) :] = before, samples
-        small = not wide and bool((np.abs(before) < WIDE).all())  # they need not be looked at again
-        traces = replace(self._traces(joined, judged), small=small)
-        found = judge(self._judged, traces, "error", True, self.wait)
-        truth, margins = found[0][:, first - judged :], found[-1][:, first - judged :]
+        stream, n, h, size = self._stream, self.n_steps, self.horizon, traces.n_steps
+        first = n - min(h, n)
+        settled = n + size - h - first
+        truth = np.empty(settled + (0 if self.wait else h), np.bool_)  # then the verdicts that are told early
+        margins = np.empty(settled if self.wait else 0)
+        outs = [truth.reshape(1, -1), margins.reshape(1, -1)][: 1 + self.wait]
+        # in parts that stay in the cache, each after the samples before it that its steps depend on
+        back, width = stream.depth - 1, max(_PART, _BULK * stream.depth)
+        if self._room is None or len(self._room) < back + min(width, size):
+            self._room = np.empty((len(stream.names), back + min(width, size))).T  # each signal's samples are together
+        room = self._room
+        joined = stream.kept()[-back:] if back else stream.kept()[:0]
+        held, at, wide = len(joined), 0, bool((np.abs(joined) >= WIDE).any())
+        for start in range(0, size, width):
+            end = min(start + width, size)
+            room[:held], joined = joined[len(joined) - held :].copy(), room[: held + end - start]
+            wide |= self._check(traces, slice(start, end), joined[held:])
+            if stream.given:
+                self._outside(stream, joined[held:], n + start)  # raises for samples without a margin
+            self._judge_part(joined, n + start - held, wide, outs, at, n + end - h - first)
+            held, at = min(back, len(joined)), n + end - h - first
+        new = stream.undecided(first) - first
         last = joined[-stream.depth :]
-        end = n + len(samples)
-        fresh = stream.afresh(end - len(last))
-        read = fresh.read(last, self._outside(fresh, last, end - len(last)))
+        self._take(stream.afresh(n + size - len(last)))
+        read = self._stream.read(last, self._outside(self._stream, last, n + size - len(last)))
         assert not isinstance(read, int)
-        steps, verdicts = np.arange(first, first + truth.shape[1]), truth[0]
-        robustness = margins[0]
-        if not self.wait:
-            robustness = np.full(len(steps), np.nan)
-            news = np.array([t >= n or stream.verdict(t) is None for t in range(first, n)], np.bool_)
-            keep = np.concatenate([news, np.ones(len(steps) - len(news), np.bool_)])
-            early = read[0] > steps[-1]
-            order = np.argsort(read[0][early])
-            steps = np.concatenate([steps[keep], read[0][early][order]])
-            verdicts = np.concatenate([verdicts[keep], read[1][early][order]])
-            robustness = np.concatenate([robustness[keep], np.full(len(order), np.nan)])
-        self._take(fresh)
-        return Decisions(steps, verdicts, robustness)
+        steps = np.arange(first, first + len(truth))
+        if self.wait:
+            return Decisions(steps, truth, margins)
+        early = read[0] > steps[settled - 1]
+        order = np.argsort(read[0][early])
+        begin, end = n - first - len(new), settled + len(order)
+        steps[settled:end], truth[settled:end] = read[0][early][order], read[1][early][order]
+        steps[begin : n - first], truth[begin : n - first] = first + new, truth[new]
+        return Decisions(steps[begin:end], truth[begin:end], np.broadcast_to(np.nan, end - begin))
+
+    def _judge_part(
+        self, samples: NDArray[np.float64], first_step: int, wide: bool, outs: list[NDArray[Any]], at: int, end: int
+    ) -> None:
+        """Write truth, and margins if waited for, of the last steps that samples decide to places at … end − 1."""
+        if self._compilable:
+            columns = {name: samples[:, i] for i, name in enumerate(self._stream.names)}
+            columns |= {name: columns[name] != 0 for name in self._program.labels}
+            block = Block(columns, 1, len(samples), "open", wide)
+            if judge_quickly(compiled(self._program), block, outs, True, self.wait, slice(0, 1), at):
+                return
+        traces = replace(self._traces(samples, first_step), small=not wide)
+        for out, found in zip(outs, judge(self._judged, traces, "error", True, self.wait), strict=True):
+            out[0, at:end] = found[0, at - end :]
 
     def _traces(self, samples: NDArray[np.float64], first_step: int) -> Traces:
         arrays = {name: samples[:, i].reshape(1, -1) for i, name in enumerate(self._stream.names)}
@@ -381,6 +414,8 @@ class OnlineMonitor(Displayed):
     def _outside(self, stream: Stream, samples: NDArray[np.float64], first_step: int) -> NDArray[np.float64]:
         """Margins and truths of the atoms that the kernel does not judge, (n, n_given, 2)."""
         found = np.empty((len(samples), len(stream.given), 2))
+        if not stream.given:
+            return found
         columns = {name: samples[:, i].reshape(1, -1) for i, name in enumerate(stream.names)}
         truth, margin = np.empty((1, len(samples)), np.bool_), np.empty((1, len(samples)))
         for j, i in enumerate(stream.given):
@@ -393,7 +428,7 @@ class OnlineMonitor(Displayed):
             found[:, j, 0], found[:, j, 1] = margin[0], truth[0]
         return found
 
-    def _refuse_margins(self, samples: NDArray[np.float64]) -> None:
+    def _refuse_margins(self, samples: NDArray[np.float64], first_step: int) -> None:
         """TraceError if the margin of a comparison is beyond the range of doubles."""
         columns = {name: samples[:, i].reshape(1, -1) for i, name in enumerate(self._stream.names)}
         margin = np.empty((1, len(samples)))
@@ -402,7 +437,7 @@ class OnlineMonitor(Displayed):
                 with np.errstate(all="ignore"):
                     predicate.judge(columns, None, margin, True)
                 for step in np.flatnonzero(np.isnan(margin[0]))[:1].tolist():
-                    self._raise(predicate, samples, step, self.n_steps)
+                    self._raise(predicate, samples, step, first_step)
 
     def _raise(self, predicate: Predicate, samples: NDArray[np.float64], step: int, first_step: int) -> None:
         sample = dict(zip(self._stream.names, samples[step].tolist(), strict=True))

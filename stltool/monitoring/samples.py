@@ -19,6 +19,7 @@ from stltool.logic.formula import label_names, variables
 from stltool.logic.names import near_names
 from stltool.logic.shifts import Delayed
 from stltool.monitoring.blocks import Block, BlockEnd
+from stltool.monitoring.compiled import within
 from stltool.monitoring.program import Program
 from stltool.sizes import require_memory
 
@@ -128,10 +129,7 @@ class Traces:
                 columns[name] = self._label(name, given, rows, steps)
             if name in self.program.variables:  # a name that is both is read as reals
                 columns[name] = column = self._variable(name, given, rows, steps)
-                if (
-                    not self.small
-                    and not -WIDE < np.minimum.reduce(column, axis=None) <= np.maximum.reduce(column, axis=None) < WIDE
-                ):
+                if not self.small and not within(column, WIDE):
                     self._refuse(name, ~np.isfinite(column), rows, steps, "monitors judge finite samples")
                     wide = True
         return Block(columns, rows.stop - rows.start, steps.stop - steps.start, end, wide)

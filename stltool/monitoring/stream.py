@@ -112,6 +112,13 @@ class Stream:
         found = int(N[N[k.VERDICT] + (step - N[k.BASE]) % N[k.N_VERDICTS]])
         return None if found == 0 else found == 2
 
+    def undecided(self, first: int) -> Ints:
+        """The steps without a verdict, from one of the last `depth` ones on."""
+        N = self.N
+        steps = np.arange(first, self.n_steps)
+        open_: Ints = steps[N[N[k.VERDICT] + (steps - N[k.BASE]) % N[k.N_VERDICTS]] == 0]
+        return open_
+
     def read(self, samples: Floats, given: Floats) -> tuple[Ints, NDArray[np.bool_], Floats] | int:
         """Read samples (n, n_names), with margins and truths (n, n_given, 2) of the atoms `given`.
 
@@ -130,16 +137,20 @@ class Stream:
         return Stream(self._program, self._engine, self._horizon, self._waits, int(self.N[k.BASE]), room)
 
     def afresh(self, start: int) -> Stream:
-        """Empty arrays for samples from a step on, with all the room that there can be."""
+        """Empty arrays for samples from a step on, with all the room that there can be: these ones if they have it."""
         if self._empty is None:
             made = Stream(self._program, self._engine, self._horizon, self._waits, 0, self.depth)
             self._empty = made.N, made.F, made.B
-        other = Stream.__new__(Stream)
-        other.__dict__.update(self.__getstate__())
         N, F, B = self._empty
-        other.N, other.F, other.B = N.copy(), F.copy(), B.copy()
+        if self.room == BEYOND:
+            other = self
+            self.N[:], self.F[:], self.B[:] = N, F, B
+        else:
+            other = Stream.__new__(Stream)
+            other.__dict__.update(self.__getstate__())
+            other.N, other.F, other.B = N.copy(), F.copy(), B.copy()
+            other._bind()
         other.N[k.BASE] = start
-        other._bind()
         return other
 
 

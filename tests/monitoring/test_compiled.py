@@ -31,7 +31,7 @@ def judged(monkeypatch, quickly, *arguments):
 
     with monkeypatch.context() as patch:
         patch.setattr(offline, "worthwhile", lambda samples: quickly)
-        patch.setattr(offline, "_judge_quickly", judge)
+        patch.setattr(offline, "judge_quickly", judge)
         try:
             found = stl.monitor(*arguments)
         except stl.StlToolError as error:
@@ -39,7 +39,7 @@ def judged(monkeypatch, quickly, *arguments):
     return [None if one is None else (one.shape, one.tobytes()) for one in (found.verdicts, found.robustness)], used
 
 
-_judge_quickly = offline._judge_quickly
+_judge_quickly = offline.judge_quickly
 
 
 @given(
