@@ -55,7 +55,7 @@ def check(n: int, tau: int, policy: str, every: float, resume: bool) -> None:
     assert found.values is not None
     result = {
         "states": product.n_states, "horizon": product.horizon, "lower": found.lower, "upper": found.upper,
-        "least": float(found.values.min()), "greatest": float(found.values.max()), "policy": os.path.getsize(policy),
+        "least": found.values.least.value, "greatest": found.values.greatest.value, "policy": os.path.getsize(policy),
     }  # fmt: skip
     print(json.dumps({"result": result, **spent(resource.RUSAGE_SELF)}), flush=True)
 

@@ -70,6 +70,7 @@ from .checking import (
     Sensitivity as Sensitivity,
     SequentialTest as SequentialTest,
     Shield as Shield,
+    StateValues as StateValues,
     StationaryResult as StationaryResult,
     SurrogateResult as SurrogateResult,
     Tradeoff as Tradeoff,

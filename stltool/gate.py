@@ -124,7 +124,7 @@ def verify(
     *,
     params: Mapping[str, ParamValue] | None = None,
     normalize: bool = False,
-    initial: str | int | None = None,
+    initial: str | int | Sequence[str | int] | None = None,
     deadlocks: Deadlocks = "loop",
     certificates: str | Path | None = None,
     exact_seconds: float = EXACT_SECONDS,
@@ -320,7 +320,7 @@ class Gate:
         place = path.resolve()
         if place not in self.loaded:
             with self.stage(f"reading {path}"):
-                self.loaded[place] = load_model(path, **vars(self.loading))
+                self.loaded[place] = load_model(path, **{**vars(self.loading), "initial": self.loading.initial or None})
         model = self.loaded[place]
         others = self.params.keys() - set(declared)
         names = frozenset(others.intersection(_parameters(model)) if others else ())

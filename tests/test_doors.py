@@ -21,7 +21,7 @@ RESULTS = {
     "CheckResult", "Decision", "Decisions", "Diagnosis", "Estimate", "ExpectedCost", "Fragment", "Front", "Frontier",
     "Gap", "Guarantee", "JointProduct", "Learner", "LikelyRuns", "MDP", "MarkovTest", "Meaning", "MonitorResult",
     "ParametricResult", "PolicyTree", "Product", "ProductMDP", "Recording", "RobustnessDistribution", "Run",
-    "Sensitivity", "SequentialTest", "Shield", "SmoothRobustness", "StationaryResult", "StlToolError",
+    "StateValues", "Sensitivity", "SequentialTest", "Shield", "SmoothRobustness", "StationaryResult", "StlToolError",
     "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton", "Tradeoff", "Training", "Verification",
     "Verified",
 }  # fmt: skip
@@ -210,6 +210,8 @@ CALLS = {
     "check": lambda w: {"product": w.product},
     "CheckResult.at_least": lambda w: {"self": w.result, "bound": 0.5},
     "CheckResult.at_most": lambda w: {"self": w.result, "bound": 0.5},
+    "StateValues.at_least": lambda w: {"self": stl.check(w.product, values="all").values, "bound": 0.5},
+    "StateValues.at_most": lambda w: {"self": stl.check(w.product, values="all").values, "bound": 0.5},
     "frontier": lambda w: {
         "model": w.model,
         "task": stl.parse_task("param n = 1\nr := F[0,n] A"),

@@ -69,6 +69,7 @@ CELLS = {
     "ProductMDP": ("stl.product_mdp(product)", "maximum: Pmax=? [ F"),
     "Policy": ("best.policy", "time-dependent, deterministic"),
     "CheckResult": ("best", "P = "),
+    "StateValues": ("stl.check(product, values='all').values", "P from each of 3 states"),
     "Run": ("stl.sample_run(product, seed=3)", "seed: 3"),
     "Runner": ("stl.Runner(product)", "before the first state, undecided"),
     "Frontier": ("stl.frontier(model, stl.parse_task('param n = 1\\nr := F[0,n] A'), 0.5, {'n': [1, 2]})", "bisection"),

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -46,6 +46,7 @@ from stltool.checking.induction import (
     stopped_in,
 )
 from stltool.checking.rational import exact_probability, require_exact
+from stltool.checking.values import StateValues, of_doubles, of_fractions, of_units
 from stltool.choices import Form, Table
 from stltool.cluster import connected
 from stltool.display import NATURES, Card, Displayed
@@ -60,6 +61,8 @@ from stltool.sizes import UnsignedType, seconds_of
 from stltool.transfer import transferred
 
 Floats: TypeAlias = NDArray[np.float64]
+
+ValuesOf: TypeAlias = Literal["initial", "all"]
 
 _LONG = 10**30  # larger denominators are left out of a short description
 _NAMED = 3  # pairs without an action, in a message
@@ -80,7 +83,7 @@ class CheckResult(Displayed):
     engine        what computed: "nodes" (pairs in numpy), "words" (sets as bits), "tiles" (these, eight numbers at a
                   time), "cluster" (tiles, by the workers of a cluster)
     sweeps        backward steps that were computed; those left out are bit for bit equal to others
-    values        (n_states,) the value of starting in each state, if asked for
+    values        P from each initial state, or from every state, if asked for (checking/values.py)
     transfer      of a policy of another model: how the models differ
     status        "complete": nothing was truncated
     seconds       wall time
@@ -100,7 +103,7 @@ class CheckResult(Displayed):
     nature: Literal["against", "with"] | None = None
     certain: bool = False
     engine: str = ""
-    values: Floats | None = None
+    values: StateValues | None = None
     transfer: ModelDifferences | None = None
 
     @property
@@ -156,7 +159,7 @@ def check(
     policy_file: str | Path | None = None,
     resume: bool = False,
     save_every: float = 300.0,
-    values: Literal["all"] | None = None,
+    values: ValuesOf | None = None,
     engine: Engine = "auto",
     threads: int | None = None,
     cluster: str | None = None,
@@ -168,13 +171,14 @@ def check(
     """The probability that the task holds: under `policy`, or the maximum (minimum) over all policies.
 
     `exact=True` adds the exact fraction. `arithmetic="auto"` takes whichever of fixed point and doubles has the
-    narrower enclosure. `keep_policy=False` does not return the optimal policy. `values="all"` adds the value of
-    starting in each model state. `policy_file` (suffix .policy) receives the optimal policy while it is computed, so
-    that it need not fit into memory; every `save_every` seconds, and on Ctrl-C, the state of the computation is saved
-    next to it, and `resume=True` continues from there, with bit-for-bit the same result. `engine` and `threads`
-    (default: all cores) change no bit of the result; nor does `cluster`, the address of a dask scheduler whose workers
-    compute instead (docs/large.md). `time_limit` is for exact answers: the seconds that one may take, by estimate.
-    `transfer=True` takes a policy of another model with the same state and action names (stltool/transfer.py); the
+    narrower enclosure. `keep_policy=False` does not return the optimal policy. `values="initial"` adds P from each
+    initial state, with its enclosure; `values="all"` from every model state. `policy_file` (suffix .policy) receives
+    the optimal policy while it is computed, so that it need not fit into memory; every `save_every` seconds, and on
+    Ctrl-C, the state of the computation is saved next to it, and `resume=True` continues from there, with bit-for-bit
+    the same result. `engine` and `threads` (default: all cores) change no bit of the result; nor does `cluster`, the
+    address of a dask scheduler whose workers compute instead (docs/large.md). `time_limit` is for exact answers: the
+    seconds that one may take, by estimate. `transfer=True` takes a policy of another model with the same state and
+    action names (stltool/transfer.py); the
     result's `transfer` says how the models differ, its `policy` is the policy as it acts here.
 
     Raises PolicyError if the policy belongs to another task or model, or defines no action in a state it reaches;
@@ -189,7 +193,7 @@ def check(
     one_of(arithmetic, "arithmetic", ("auto", "double", "fixed"))
     threads = whole(threads, "check's threads", 1) if threads is not None else None
     if values is not None:
-        one_of(values, "values", ("all",))
+        one_of(values, "values", get_args(ValuesOf))
     function(progress, "check's progress")
     product.model.require_points()
     resume = flag(resume, "check's resume")
@@ -212,15 +216,15 @@ def check(
     judge, judged = policy.on(product) if policy is not None else (product, None)
     keep = product.model.unsigned_choice_type if policy is None and keep_policy else None
     budget = Budget(f"checking {product.n_states} product states", memory_limit, progress)
-    asked = _Question(judge, judged, maximize, keep, values is not None, engine, threads, budget)
+    asked = _Question(judge, judged, maximize, keep, values == "all", engine, threads, budget)
     asked.cluster = cluster
     if path is not None:
         asked.goes_to(path, every, resume, "exact" if exact else arithmetic)
-    fraction = None
+    fraction, fractions = None, None
     used: Literal["double", "fixed", "rational"]
     try:
         if exact:
-            fraction, found = exact_probability(
+            fraction, found, fractions = exact_probability(
                 asked.layers, judge.model, maximize, keep, memory_limit=memory_limit, time_limit=limit,
                 recorder=asked.recorder("exact"),
             )  # fmt: skip
@@ -229,13 +233,13 @@ def check(
             value, lower, upper, used, found = asked.enclosed(arithmetic)
     except Silent:
         assert judged is not None
-        raise undefined(judge, judged) from None
+        raise undefined(judge, judged, everywhere=values == "all") from None
     if found.choices is not None:
         policy = Policy(product, found.choices)
     return CheckResult(
         product, question, value, lower, upper, policy, found.swept, time.perf_counter() - start,
         fraction=fraction, arithmetic=used, certain=asked.certain(found), engine=found.engine,
-        values=asked.of_states(found) if values is not None else None,
+        values=asked.of_states(found, used, fractions) if values is not None else None,
         transfer=moved.differences if moved is not None else None,
     )  # fmt: skip
 
@@ -334,7 +338,7 @@ class _Question:
             fixed = scale.enclose(self.product.model, self.product.horizon, found.entry[self._starts()])
             # doubles keep more digits of a small probability
             if arithmetic == "fixed" or self.certain(found) or fixed[2] - fixed[1] <= _SHARP * fixed[2]:
-                return *self._surely(found, fixed), "fixed", self._unscaled(found, scale.one)
+                return *self._surely(found, fixed), "fixed", found
         elif arithmetic == "fixed":
             raise SettingsError(
                 "fixed point needs probabilities with a small common denominator, and a deterministic policy; "
@@ -349,9 +353,17 @@ class _Question:
         values = found.entry[starts] != 0
         return bool(found.certain[starts].all() and (values.all() or not values.any()))
 
-    def of_states(self, found: Solution) -> Floats:
-        """(n_states,) if runs may start in every state."""
-        return found.entry.astype(np.float64)
+    def of_states(self, found: Solution, used: str, fractions: Sequence[Fraction] | None) -> StateValues:
+        """P from each of the states that runs may start in, from a solution in this arithmetic."""
+        states, model = self._made[0].first, self.product.model
+        if fractions is not None:
+            return StateValues(model, states, *of_fractions(fractions), tuple(fractions))
+        if used == "fixed":
+            scale = fixed_point(model, self._kinds)
+            assert scale is not None
+            return StateValues(model, states, *of_units(found.entry, found.certain, scale, self.product.horizon))
+        errors = double_errors(self.product, self._kinds, self._mixtures(), started=False)
+        return StateValues(model, states, *of_doubles(found.entry, found.certain, *errors))
 
     def goes_to(self, path: Path, every: float, resume: bool, arithmetic: str) -> None:
         """Write the policy to this file; a resumed run continues in the arithmetic that it was using."""
@@ -381,10 +393,6 @@ class _Question:
         value = float(found.entry[self._starts()[0]] != 0)
         return value, value, value
 
-    @staticmethod
-    def _unscaled(found: Solution, one: int) -> Solution:
-        return replace(found, entry=np.array([float(Fraction(int(u), one)) for u in found.entry.tolist()]))
-
     def _narrower(self, scale: FixedPoint) -> bool:
         h = self.product.horizon
         return scale.roundings(h) / scale.one < roundings(h, self._kinds.longest) * 2.0**-52
@@ -392,28 +400,38 @@ class _Question:
     def _in_doubles(self, found: Solution) -> tuple[float, float, float]:
         model = self.product.model
         value = math.fsum(model.initial[np.flatnonzero(model.initial)] * found.entry[self._starts()])
+        return min(max(value, 0.0), 1.0), *double_bounds(self.product, self._kinds, value, self._mixtures())
+
+    def _mixtures(self) -> Floats | None:
         mixed = self.policy is not None and not self.policy.deterministic
-        mixtures = self.policy.form.mixtures() if self.policy is not None and mixed else None
-        return min(max(value, 0.0), 1.0), *double_bounds(self.product, self._kinds, value, mixtures)
+        return self.policy.form.mixtures() if self.policy is not None and mixed else None
 
 
 def double_bounds(product: Product, kinds: Rows, value: float, mixtures: Floats | None = None) -> tuple[float, float]:
     """The enclosure of an induction's value in doubles, over rows of these kinds; `mixtures` (k, C): the policy's
     weights."""
+    return enclose(value, *double_errors(product, kinds, mixtures))
+
+
+def double_errors(
+    product: Product, kinds: Rows, mixtures: Floats | None, started: bool = True
+) -> tuple[int, Fraction, bool]:
+    """The arguments of `bounds.enclose`; unless `started`, without what the initial distribution adds."""
     h, initial = product.horizon, product.model.initial
     mixed, weight_defect, smallest = 0, Fraction(0), min(kinds.least, least_positive(initial))
     if mixtures is not None:
         mixed, weight_defect = mixtures.shape[1], defect(mixtures.tolist())
         smallest = min(smallest, least_positive(mixtures))
-    missing = h * (row_defect(kinds) + weight_defect) + product.model.initial_defect
+    missing = h * (row_defect(kinds) + weight_defect) + (product.model.initial_defect if started else 0)
     missing = compounded(missing, missing)
     underflow = can_underflow((2 if mixed else 1) * h + 1, smallest)
-    return enclose(value, roundings(h, kinds.longest, mixed), missing, underflow)
+    return roundings(h, kinds.longest, mixed), missing, underflow
 
 
-def undefined(product: Product, policy: Policy) -> PolicyError:
-    """The pairs without an action: those that are reachable, then how many are not."""
-    places = silent_places(product, policy)
+def undefined(product: Product, policy: Policy, everywhere: bool = False) -> PolicyError:
+    """The pairs without an action: those that are reachable, then how many are not; with `everywhere`, from any
+    state."""
+    places = silent_places(product, policy, everywhere)
     form = policy.form
     others = 0
     if isinstance(form, Table):
@@ -428,10 +446,10 @@ def undefined(product: Product, policy: Policy) -> PolicyError:
     )
 
 
-def silent_places(product: Product, policy: Policy) -> dict[tuple[int, int], int]:
+def silent_places(product: Product, policy: Policy, everywhere: bool = False) -> dict[tuple[int, int], int]:
     """The pairs (s, q) that a policy reaches without defining an action, with the first step at which it does."""
     lenient = _Lenient(policy.form)
-    layers = layers_of(Game.of(product), TRUE, lenient, engine="nodes")
+    layers = layers_of(Game.of(product, everywhere), TRUE, lenient, engine="nodes")
     for first, _, codes in layers.reached:
         s, q = np.divmod(codes, product.automaton.n_states)
         lenient.choices(layers.asked, first, s, q)  # also for the last layer

@@ -40,8 +40,9 @@ def exact_probability(
     memory_limit: int | None = None,
     time_limit: float | None = None,
     recorder: Recorder | None = None,
-) -> tuple[Fraction, Solution]:
-    """P as a fraction, over the layers of a question (checking/check.py), and the solution it comes from.
+) -> tuple[Fraction, Solution, list[Fraction]]:
+    """P as a fraction, over the layers of a question (checking/check.py), the solution it comes from, and the value of
+    each of the game's first states.
 
     Raises ModelError if the model's rows do not sum to 1 exactly, SizeError before it needs more than is available.
     """
@@ -50,11 +51,10 @@ def exact_probability(
         layers, maximize, in_digits=in_digits, memory_limit=memory_limit, time_limit=time_limit
     )
     found = solve(layers, arithmetic, maximize, keep, recorder)
-    entries = [arithmetic.number(value) for value in found.entry]
+    entries = [Fraction(arithmetic.number(value), arithmetic.one) for value in found.entry]
     shares = (model.initial_share(s) for s in layers.game.first.tolist())
     total = sum((share * value for share, value in zip(shares, entries, strict=True)), Fraction(0))
-    values = np.array([float(Fraction(value, arithmetic.one)) for value in entries])
-    return total / arithmetic.one, replace(found, entry=values)
+    return total, replace(found, entry=np.array([float(value) for value in entries])), entries
 
 
 def exact_arithmetic(

@@ -45,7 +45,7 @@ import numpy as np
 from stltool.arguments import flag, function, one_of, whole
 from stltool.automata import FALSE, TRUE
 from stltool.checking.bounds import compounded, defect, enclose
-from stltool.checking.check import CheckResult, undefined
+from stltool.checking.check import CheckResult, ValuesOf, undefined
 from stltool.checking.induction import (
     EVERYTHING,
     Arithmetic,
@@ -60,6 +60,7 @@ from stltool.checking.induction import (
     solve,
 )
 from stltool.checking.induction import Nature as NaturesChoice
+from stltool.checking.values import StateValues, of_doubles
 from stltool.errors import SettingsError, named
 from stltool.models.rows import Rows
 from stltool.policy import Policy, require_door
@@ -78,6 +79,7 @@ def robust_check(
     maximize: bool = True,
     nature: Nature = "against",
     keep_policy: bool = True,
+    values: ValuesOf | None = None,
     engine: Engine = "auto",
     threads: int | None = None,
     memory_limit: int | None = None,
@@ -89,7 +91,9 @@ def robust_check(
                        False, "against": min–max                                     False, "with": min–min
     policy             None: the optimum over all policies. Given: its least probability if nature opposes a maximum or
                        supports a minimum, else its greatest; nature knows which choice a mixture has taken
-    keep_policy        False: do not return the optimal policy; `engine` and `threads` as in `check`
+    keep_policy        False: do not return the optimal policy
+    values             "initial": also P from each initial state; "all": from every state
+    engine, threads    as in `check`
 
     Raises SettingsError for a model without intervals, PolicyError if the policy belongs to another task or model or
     defines no action in a state that it may reach, SizeError before allocating more memory than is available.
@@ -100,6 +104,8 @@ def robust_check(
     flag(keep_policy, "robust_check's keep_policy")
     one_of(nature, "nature", get_args(Nature))
     one_of(engine, "engine", get_args(Engine))
+    if values is not None:
+        one_of(values, "values", get_args(ValuesOf))
     threads = whole(threads, "robust_check's threads", 1) if threads is not None else None
     function(progress, "robust_check's progress")
     if not product.model.uncertain:
@@ -119,17 +125,18 @@ def robust_check(
         arithmetic = Tied(first, last, minimal=minimal, maximize=maximize)
     allowed = EVERYTHING if judged is None else Following(judged.form)
     budget = Budget(f"checking {product.n_states} product states", memory_limit, progress)
+    game, goal = Game.of(judge, values == "all"), TRUE if maximize else FALSE
     try:
-        goal = TRUE if maximize else FALSE
-        layers = layers_of(Game.of(judge), goal, allowed, engine=engine, keep=keep, threads=threads, budget=budget)
+        layers = layers_of(game, goal, allowed, engine=engine, keep=keep, threads=threads, budget=budget)
         longest = layers.kinds.longest
         if longest > _LONGEST_ROW:
             raise SettingsError(f"a row has {longest} entries; robust checks support up to {_LONGEST_ROW}")
         found = solve(layers, arithmetic, maximize, keep)
     except Silent:
         assert judged is not None
-        raise undefined(judge, judged) from None
-    value = math.fsum(product.model.initial[np.flatnonzero(product.model.initial)] * found.entry)
+        raise undefined(judge, judged, everywhere=values == "all") from None
+    starts = np.searchsorted(game.first, np.flatnonzero(product.model.initial))
+    value = math.fsum(product.model.initial[game.first[starts]] * found.entry[starts])
     weight_defect, mixed = Fraction(0), 0
     if judged is not None and not judged.deterministic:
         weights = judged.form.mixtures()
@@ -140,15 +147,19 @@ def robust_check(
     slack = compounded(product.horizon * a_sweep + initial_defect, growth)
     lower, upper = enclose(value, 3, slack, underflow=False)  # the initial sum; the slack of a sweep is larger
     value = min(max(value, 0.0), 1.0)
-    certain = bool(found.certain.all()) and value in (0.0, 1.0)
+    certain = bool(found.certain[starts].all()) and value in (0.0, 1.0)
     if certain:  # whatever nature does, without any rounding
         lower = upper = value
     if found.choices is not None:
         policy = Policy(product, found.choices)
+    each = None
+    if values is not None:
+        slack = compounded(product.horizon * a_sweep, product.horizon * weight_defect)
+        each = StateValues(product.model, game.first, *of_doubles(found.entry, found.certain, 0, slack, False))
     seconds = time.perf_counter() - start
     return CheckResult(
         product, question, value, lower, upper, policy, found.swept, seconds, nature=nature, certain=certain,
-        engine=found.engine,
+        engine=found.engine, values=each,
     )  # fmt: skip
 
 

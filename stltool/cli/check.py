@@ -164,6 +164,15 @@ def check(
     margin: Annotated[
         str | None, typer.Option("--margin", metavar="R", help="with --robustness: this r alone; bounds are on its P")
     ] = None,
+    values: Annotated[
+        str | None,
+        typer.Option(
+            "--values",
+            metavar="initial|all",
+            help="also P from each initial state, or from every state of the model; bounds are then on each of these",
+            autocompletion=lambda: ["initial", "all"],
+        ),
+    ] = None,
     report: ReportFolder = None,
     model: Model = None,
     reading: ModelReading = READ,
@@ -187,7 +196,13 @@ def check(
         write_report,
     )
     from stltool.reporting.records import CheckOutput, Nature, ProvedRecord
-    from stltool.reporting.terminal import print_checks, print_facts, print_json, progress_bar
+    from stltool.reporting.terminal import (
+        print_checks,
+        print_facts,
+        print_json,
+        print_state_values,
+        progress_bar,
+    )
 
     bounds: list[tuple[str, str, Fraction]] = [
         (option, text, read_probability(text, option))
@@ -207,7 +222,7 @@ def check(
         (clockless, "--stationary and --memoryless"), (exact, "--exact"), (nature is not None, "--nature"),
         (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
         (cluster is not None, "--cluster"), (report is not None, "--report"), (transfer, "--transfer"),
-        (robustness, "--robustness"),
+        (robustness, "--robustness"), (values is not None, "--values"),
     ]  # fmt: skip
     if cost is not None:
         of_one = [
@@ -234,7 +249,7 @@ def check(
             (clockless, "--stationary and --memoryless"), (exact, "--exact"), (transfer, "--transfer"),
             (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
             (cluster is not None, "--cluster"), (report is not None, "--report"), (encoding != "exact", "--encoding"),
-            (nature not in (None, "nominal"), "--nature"),
+            (nature not in (None, "nominal"), "--nature"), (values is not None, "--values"),
             (margin is None and at_most is not None, "without --margin, --at-most"),
         ]  # fmt: skip
         _require_none(beside, "is not supported with --robustness; leave one of them out")
@@ -291,6 +306,7 @@ def check(
     if clockless and cluster is not None:
         raise SettingsError("--cluster is for the optimum and for given policies; leave it or the other option out")
     where = {"cluster": cluster} if cluster is not None else {}
+    each = {"values": values} if values is not None else {}
     keep = save_policy is not None or (report is not None and cluster is None)  # workers keep none
     found = None
     if clockless:
@@ -304,9 +320,11 @@ def check(
         resumable(state, "the first state was saved") if streamed else nullcontext(),
         progress_bar("checking", quiet=as_json) as bar,
     ):
-        asked = fraction if chosen is None else {}
+        asked = fraction | each if chosen is None else {}
         optimum = judge(product, maximize=not minimize, keep_policy=keep, progress=bar, **asked, **to_file, **where)
-        result = optimum if chosen is None else judge(product, chosen, maximize=not minimize, **fraction, **where)
+        result = (
+            optimum if chosen is None else judge(product, chosen, maximize=not minimize, **fraction, **where, **each)
+        )
     kept = found.policy if found is not None else optimum.policy
     if save_policy is not None and kept is not None and not streamed:
         kept.save(save_policy)
@@ -322,8 +340,12 @@ def check(
         data["stationary"] = stationary_data(found)
     verdicts = []
     for option, text, bound in bounds:
-        holds = result.at_least(bound) if option == "--at-least" else result.at_most(bound)
-        verdicts.append((f"P {'>=' if option == '--at-least' else '<='} {text}", holds))
+        judged = result.values if result.values is not None else result
+        holds = judged.at_least(bound) if option == "--at-least" else judged.at_most(bound)
+        everywhere = (
+            "" if values is None else " from every initial state" if values == "initial" else " from every state"
+        )
+        verdicts.append((f"P {'>=' if option == '--at-least' else '<='} {text}{everywhere}", holds))
         data["at_least" if option == "--at-least" else "at_most"] = float(bound)
     if verdicts:
         data["holds"] = all(holds is True for _, holds in verdicts)
@@ -354,6 +376,8 @@ def check(
         if uncertain:
             print_facts({"nature": nature_text(nature or "against", product.model)})
         print_checks([check_data(optimum), data] if chosen is not None else [data])
+        if result.values is not None:
+            print_state_values(result.values)
         if moved is not None:
             print_facts({"policy's model": "; ".join(moved.differences.told) or "differs in nothing"})
         if found is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
@@ -33,11 +33,11 @@ class ModelReading(NamedTuple):
         ),
     ] = False
     initial: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
             "--initial",
             metavar="STATE|uniform",
-            help="where runs start: a state's name or number, or uniform over the file's initial states",
+            help="where runs start: a state's name or number, repeatable; or uniform over the file's initial states",
         ),
     ] = None
     deadlocks: Annotated[
@@ -49,6 +49,10 @@ class ModelReading(NamedTuple):
             autocompletion=lambda: ["loop", "error"],
         ),
     ] = "loop"
+
+    def arguments(self) -> dict[str, Any]:
+        """As `load_model` and `verify` take them."""
+        return {**self._asdict(), "initial": self.initial or None}
 
 
 READ = ModelReading()

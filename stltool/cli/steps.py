@@ -272,7 +272,7 @@ def task_model(
     if path is None:
         remedy = 'add a line such as model "floor.toml", or give --model FILE'
         raise SettingsError(f"{task.path}: the task file names no model; {remedy}")
-    loaded = stl.load_model(path, **reading._asdict(), constants=constants)
+    loaded = stl.load_model(path, **reading.arguments(), constants=constants)
     for key in ("normalize", "cells", "deadlocks"):
         if key in loaded.notes:
             note(f"{path}: {loaded.notes[key]}")
@@ -288,11 +288,11 @@ def converted_model(path: Path, param: list[str] | None, reading: ModelReading) 
     values = read_params(param)
     names = constants_of(path) if values else []
     loaded = stl.load_model(
-        path, **reading._asdict(), constants={name: values.pop(name) for name in names if name in values}
+        path, **reading.arguments(), constants={name: values.pop(name) for name in names if name in values}
     )
     for said in loaded.notes.values():
         note(f"{path}: {said}")
-    if reading.initial is not None and "init" in loaded.labels:  # which says where runs start in the other file, too
+    if reading.initial and "init" in loaded.labels:  # which says where runs start in the other file, too
         loaded = replace(loaded, labels={**loaded.labels, "init": loaded.initial > 0})
     return loaded.at(**values) if values else loaded
 

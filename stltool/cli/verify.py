@@ -83,7 +83,7 @@ def verify(
     found = stl.verify(
         files,
         params=read_params(param),
-        **reading._asdict(),
+        **reading.arguments(),
         certificates=certificates,
         exact_seconds=exact_seconds,
         stage=partial(progress_bar, quiet=as_json, patience=2.0),

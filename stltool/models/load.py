@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ def load_model(
     path: str | Path,
     normalize: bool = False,
     *,
-    initial: str | int | None = None,
+    initial: str | int | Sequence[str | int] | None = None,
     deadlocks: Deadlocks = "loop",
     constants: Mapping[str, Exactable | bool] | None = None,
 ) -> MDP:
@@ -48,8 +48,8 @@ def load_model(
 
     normalize  rescale probabilities that miss a sum of 1 by at most 1/1000, as `MDP.from_arrays` does; so does the key
                `normalize = true` of a TOML file
-    initial    where runs start: the name or the number of a state, or "uniform": in each of the file's initial states
-               with the same probability, for formats that mark several without probabilities
+    initial    where runs start: the name or the number of a state; a list of them: in each with the same probability;
+               or "uniform": so in the file's initial states, for formats that mark several without probabilities
     deadlocks  states without transitions stay where they are ("loop", as in PRISM; `notes` names them), or are refused
                ("error")
     constants  name → value of constants that a program leaves open
@@ -96,7 +96,7 @@ def _load_toml(path: Path, loading: Loading, opened: _Opened) -> MDP:
         faults.refuse()
         if kind == "composition":
             inside = _Opened((*opened.within, path.resolve()), opened.known)
-            inner = replace(loading, initial=None)
+            inner = replace(loading, initial=())
             return composition_from_table(
                 table, path, lambda file, fix: _member(file, replace(inner, normalize=fix), inside), loading.normalize
             )

@@ -30,38 +30,51 @@ class Loading:
     """How a model file is read.
 
     normalize  rescale rows that miss 1 by rounding (models/normalize.py)
-    initial    where runs start: the name or the number of a state, or "uniform": in each of the initial states of the
-               file with the same probability; None: as the file says
+    initial    where runs start, in each with the same probability: the names or numbers of states, or ("uniform",): the
+               initial states of the file; empty: as the file says
     deadlocks  states without transitions: "loop" lets them stay, as PRISM and Storm do; "error" refuses them
     """
 
     normalize: bool = False
-    initial: str | None = None
+    initial: tuple[str, ...] = ()
     deadlocks: Deadlocks = "loop"
 
     @classmethod
     def of(cls, normalize: object, initial: object, deadlocks: object) -> Loading:
         """From the arguments of a public function."""
-        if isinstance(initial, int | np.integer) and not isinstance(initial, bool):
-            initial = str(whole(initial, "initial", 0))
-        if initial is not None and not isinstance(initial, str):
-            raise SettingsError(
-                f"{named('initial')} is {described(initial)}; give a state's name or number, or {UNIFORM!r}"
-            )
+        several = list(initial) if isinstance(initial, list | tuple | np.ndarray) else [initial]
+        if not several:
+            raise SettingsError(f"{named('initial')} names no state; give one, or leave it out")
+        several = [] if initial is None else several
+        for i, one in enumerate(several):
+            if isinstance(one, int | np.integer) and not isinstance(one, bool):
+                several[i] = str(whole(one, "initial", 0))
+            elif not isinstance(one, str):
+                raise SettingsError(
+                    f"{named('initial')} is {described(one)}; give a state's name or number, a list of them, or "
+                    f"{UNIFORM!r}"
+                )
+        if UNIFORM in several and len(several) > 1:
+            raise SettingsError(f"{named('initial')} names states and {UNIFORM!r}, which are all of them; give one")
         if not isinstance(deadlocks, str) or deadlocks not in get_args(Deadlocks):
             raise SettingsError(
                 f"{named('deadlocks')} is {described(deadlocks)}; give {' or '.join(get_args(Deadlocks))}"
             )
-        return cls(flag(normalize, "normalize"), initial, deadlocks)  # type: ignore[arg-type]
+        return cls(flag(normalize, "normalize"), tuple(several), deadlocks)  # type: ignore[arg-type]
+
+    @property
+    def marked(self) -> bool:
+        """Whether the file has to mark initial states."""
+        return self.initial in ((), (UNIFORM,))
 
     def starts(self, marked: NDArray[np.bool_], names: Sequence[str] | None) -> NDArray[np.int64]:
         """(n_states,) the weights of the initial states, of those that a file marks. ModelError if that is open."""
         weight = np.zeros(len(marked), dtype=np.int64)
         states = np.flatnonzero(marked)
-        if self.initial == UNIFORM and len(states):
+        if self.initial == (UNIFORM,) and len(states):
             weight[states] = 1
-        elif self.initial is not None and self.initial != UNIFORM:
-            weight[_state(self.initial, len(marked), names)] = 1
+        elif not self.marked:
+            weight[[_state(one, len(marked), names) for one in self.initial]] = 1
         elif len(states) == 1:
             weight[states] = 1
         elif not len(states):
@@ -99,7 +112,7 @@ def _state(asked: str, n_states: int, names: Sequence[str] | None) -> int:
 
 def started(model: MDP, loading: Loading) -> MDP:
     """The model with the initial states that are asked for."""
-    if loading.initial is None:
+    if not loading.initial:
         return model
     if model.blackbox is not None:
         raise SettingsError(f"{named('initial')}: {model.name} is a black box, which starts where its environment does")

@@ -121,8 +121,8 @@ def disagreement_data(found: Disagreement) -> DisagreementRecord:
 def check_data(result: CheckResult, optimum: CheckResult | None = None) -> CheckRecord:
     """One check, flat; `optimum` is the best over all policies, for the gap (default: the result itself)."""
     best = optimum if optimum is not None else result
-    return {
-        **product_data(result.product),
+    data: CheckRecord = {
+        **product_data(result.product),  # type: ignore[typeddict-item]  # the values are added below
         "question": result.question,
         "nature": result.nature,
         "policy": result.policy.kind if result.policy is not None else None,
@@ -141,6 +141,18 @@ def check_data(result: CheckResult, optimum: CheckResult | None = None) -> Check
         "sweeps": result.sweeps,
         "seconds": result.seconds,
     }
+    if result.values is not None:
+        data["values"] = [
+            {
+                "state": each.name,
+                "probability": each.value,
+                "lower": each.lower,
+                "upper": each.upper,
+                "exact": fraction_text(each.fraction) if each.fraction is not None else None,
+            }
+            for each in result.values
+        ]
+    return data
 
 
 def transfer_data(found: ModelDifferences) -> TransferRecord:

@@ -143,8 +143,19 @@ class ExplainOutput(TextRecord, total=False):
 # ------------------------------------------------------------------------------------------------------------ checks
 
 
+class StateValueRecord(TypedDict):
+    """P if runs start in a state, enclosed; as a fraction if that was asked for."""
+
+    state: str
+    probability: float
+    lower: float
+    upper: float
+    exact: str | None
+
+
 class CheckRecord(ProductRecord):
-    """The probability of a task, enclosed: lower <= P <= upper; `optimum` is the best over all policies."""
+    """The probability of a task, enclosed: lower <= P <= upper; `optimum` is the best over all policies; `values`, if
+    asked for, are P from each initial state, or from every state."""
 
     question: Question
     nature: Nature | None
@@ -163,6 +174,7 @@ class CheckRecord(ProductRecord):
     engine: str
     sweeps: int
     seconds: float
+    values: NotRequired[list[StateValueRecord]]
 
 
 class CandidateRecord(TypedDict):

@@ -16,16 +16,18 @@ from rich.text import Text
 from stltool.display import NATURES
 from stltool.kernels.jit import compiling
 from stltool.log import LOG, Stage
-from stltool.numbers import bound_texts, difference_text, probability_text, within_text
+from stltool.numbers import bound_texts, difference_text, fraction_text, probability_text, within_text
 from stltool.reporting.runs import trace_text, verdict_text
 from stltool.reporting.words import run_sentences, sensitivity_sentences
 from stltool.screen import Screen
 from stltool.streams import escaped, printable, say
 
 if TYPE_CHECKING:
+    from stltool.checking.values import StateValues
     from stltool.learning.sweep import SweepProgress
     from stltool.reporting.records import SensitivityRecord
 
+_LONGEST_FRACTION = 40  # characters in a table
 _PATIENCE = 2.0  # seconds without output
 Advance = Callable[..., None]
 """Called with (done, total), or while learning (episode, episodes, environment steps, exact probability or None)."""
@@ -179,6 +181,25 @@ def print_checks(checks: Sequence[Mapping[str, Any]]) -> None:
         for check in checks
     ]
     _print_columns(rows)
+
+
+def print_state_values(values: StateValues) -> None:
+    """P from each of several states, and where it is least and greatest."""
+    say()
+    print_table([
+        {
+            "from_state": each.name, "P": within_text(each.value, each.lower, each.upper),
+            **dict(zip(("lower_bound", "upper_bound"), bound_texts(each.lower, each.upper), strict=True)),
+            **({"exactly": fraction_text(each.fraction, _LONGEST_FRACTION)} if each.fraction is not None else {}),
+        }
+        for each in values
+    ])  # fmt: skip
+    if len(values) > 1:
+        least, greatest = values.least, values.greatest
+        print_facts({
+            "least": f"{within_text(least.value, least.lower, least.upper)} from {least.name}",
+            "greatest": f"{within_text(greatest.value, greatest.lower, greatest.upper)} from {greatest.name}",
+        })  # fmt: skip
 
 
 def print_facts(facts: dict[str, Any]) -> None:

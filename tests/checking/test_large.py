@@ -22,7 +22,7 @@ process = psutil.Process()
 before = process.memory_info().vms
 resource.setrlimit(resource.RLIMIT_AS, (before + room, resource.RLIM_INFINITY))
 found = stl.check(product, engine="words", values="all", policy_file="best.policy")
-print(product.n_states, found.lower, found.probability, found.upper, found.values.min())
+print(product.n_states, found.lower, found.probability, found.upper, found.values.least.value)
 again = stl.check(product, stl.load_policy("best.policy", product), engine="words")
 print(again.probability)
 """

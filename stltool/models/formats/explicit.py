@@ -47,7 +47,7 @@ from stltool.models.formats.lines import (
 )
 from stltool.models.fractions import Shares, doubles_of
 from stltool.models.intervals import Intervals
-from stltool.models.loading import UNIFORM, Loading
+from stltool.models.loading import Loading
 from stltool.models.mdp import MDP
 from stltool.models.normalize import HINT, MOST_MISSING, NOTHING, rescale
 from stltool.models.rows import Stored, starts
@@ -103,7 +103,7 @@ def load_explicit(path: str | Path, loading: Loading = Loading()) -> MDP:  # noq
     if table is not None and not read.entries.garbled:
         table.require_choices(faults)
     before = faults.count
-    labels, lab = _labels(path, read.n_states, loading.initial in (None, UNIFORM), faults)
+    labels, lab = _labels(path, read.n_states, loading.marked, faults)
     lab_told = faults.count > before
     names, signals = _variables(path, read.n_states, faults)
     both = sorted(set(signals) & set(labels))
