@@ -213,7 +213,7 @@ def joined(task: Product, memory: Product | JointProduct) -> tuple[Product, NDAr
         )
 
     q, m, delta = reachable_pairs(
-        left.delta[pairs[:, 0]], right.delta[pairs[:, 1]], (left.initial, right.initial), guard
+        left.delta[pairs[:, 0]], right.delta[pairs[:, 1]], [(left.initial, right.initial)], guard
     )
     automaton = replace(
         left,

@@ -81,6 +81,18 @@ class Part:
     states: int
 
 
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """Where a run begins at any step of a trace: with what is remembered of the steps before.
+
+    delta  (n_letters, n) int32: over what can be remembered; 0 is nothing, before the first letter
+    state  (n,) int32: the automaton's state in which a run then begins
+    """
+
+    delta: NDArray[np.int32]
+    state: NDArray[np.int32]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class TaskAutomaton(Displayed):
     """A deterministic automaton over letters, with verdicts that depend on the step.
@@ -99,6 +111,8 @@ class TaskAutomaton(Displayed):
     memory      what each state remembers, part by part, in terms of the formula
     parts       its parts, with delays and sizes
     registers   (n_states, n_registers) int32: the flags, by `register_names` (no columns for other encodings)
+    starts      where runs begin that do not begin at step 0, if it was compiled for them; their verdicts are counted
+                from their own first step
     """
 
     formula: Formula
@@ -116,6 +130,7 @@ class TaskAutomaton(Displayed):
     parts: tuple[Part, ...]
     registers: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 0), dtype=np.int32))
     register_names: tuple[str, ...] = ()
+    starts: Starts | None = None
 
     def _card(self) -> Card:
         exact = self.encoding if self.exact else f"{self.encoding} (an approximation)"

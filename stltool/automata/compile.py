@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.arguments import described, one_of, whole
-from stltool.automata.automaton import TaskAutomaton
+from stltool.automata.automaton import Starts, TaskAutomaton
 from stltool.automata.flags import flag_automaton
 from stltool.automata.history import history_automaton
 from stltool.automata.residuals import Residuals
 from stltool.automata.windows import window_automaton
 from stltool.errors import FragmentError, InexactEncodingWarning, SettingsError, SizeError
 from stltool.logic.feasible import tabulated
-from stltool.logic.formula import Formula, atoms, bounded_formula_of
+from stltool.logic.formula import Formula, atoms, bounded_formula_of, has_past
 from stltool.logic.fragment import Fragment, check_fragment
 from stltool.logic.shifts import delayed
 from stltool.logic.task import Task
@@ -77,6 +77,16 @@ def compile_automaton(
     if encoding == "history":
         return history_automaton(phi, read, valuations, memory_limit)
     return _exact(phi, valuations, most_states, memory_limit)
+
+
+def compile_running(phi: Formula, valuations: NDArray[np.bool_], most_states: int) -> TaskAutomaton:
+    """The automaton of φ for runs that begin at any step of a trace: with `starts`. SizeError as compile_automaton."""
+    if has_past(phi):
+        table = Residuals(atoms(phi))
+        return window_automaton(phi, table, table.residual(phi), valuations, most_states, any_step=True)
+    automaton = _exact(phi, valuations, most_states, None)
+    nothing = np.zeros((automaton.n_letters, 1), dtype=np.int32)
+    return dataclasses.replace(automaton, starts=Starts(nothing, np.array([automaton.initial], dtype=np.int32)))
 
 
 def truth_table(valuations: object, columns: int, meaning: str) -> NDArray[np.bool_]:

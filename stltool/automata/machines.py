@@ -14,6 +14,7 @@ nothing pending depends on is empty. Every machine is minimised.
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +23,7 @@ from typing import Generic, Literal, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata.automaton import Part, Remembered, Text
+from stltool.automata.automaton import Part, Remembered, Starts, Text
 from stltool.automata.minimise import coarsest_partition, quotient
 from stltool.automata.registers import Recorder, Register, Registers
 from stltool.automata.residuals import FALSE as NO
@@ -55,6 +56,7 @@ class Machine:
     reads    (n_letters,): the own letter for each letter
     outcome  (n_states,) int8: GOOD if the part holds; BAD if it fails, which counts from step `first` to step `last`
     memory   what a state remembers
+    starts   where runs begin, over the own letters; only at step 0 unless it was made for any step
     """
 
     part: Part
@@ -65,6 +67,7 @@ class Machine:
     first: int
     last: int
     good_at_end: bool
+    starts: Starts
 
     @property
     def n_states(self) -> int:
@@ -72,12 +75,18 @@ class Machine:
 
 
 def machine_of(
-    table: Residuals, x: Residual, letters: Sequence[Letter], most_states: int, allowed: int, flipped: bool
+    table: Residuals,
+    x: Residual,
+    letters: Sequence[Letter],
+    most_states: int,
+    allowed: int,
+    flipped: bool,
+    any_step: bool = False,
 ) -> Machine:
     """The smallest machine found for a part: all methods on a small budget, then on a larger one.
 
-    With `flipped`, ¬φ is judged instead of φ, but names and formulas refer to φ. Raises SizeError if it grows over
-    `most_states`, or does not fit into `allowed` bytes.
+    With `flipped`, ¬φ is judged instead of φ, but names and formulas refer to φ. With `any_step`, runs may begin at
+    any step of a trace. Raises SizeError if it grows over `most_states`, or does not fit into `allowed` bytes.
     """
     success = table.node(x)[0] == "F"
     watched = table.negation(x) if success else x
@@ -89,12 +98,17 @@ def machine_of(
     reads = np.array([number[letter] for letter in projected], dtype=np.int64)
     searches: list[_Search] = []
     recorder = Recorder(table, table.past_in(x), distinct)
+    fitting = allowed // (_STATE_BYTES + 4 * len(distinct))
+    most = min(most_states, fitting)
+    reach = math.inf if any_step else table.horizon(x)
+    idle, all_found = Exploration([recorder.empty], lambda registers: recorder.read(registers).registers), True
+    large = recorder.too_many(most, reach) if any_step else None
+    if any_step:
+        all_found = large is None and idle.grow(most)
     for method in _methods(table, watched, success):
         negated = success and method != "single"
-        searches.append(_Search(table, watched if negated else x, method, recorder, negated))
-    fitting = allowed // (_STATE_BYTES + 4 * len(distinct))
-    most, large = min(most_states, fitting), None
-    for budget in sorted({min(most, size) for size in (_FIRST_BUDGET, _DEAR, most)}):
+        searches.append(_Search(table, watched if negated else x, method, recorder, negated, idle))
+    for budget in sorted({min(most, size) for size in (_FIRST_BUDGET, _DEAR, most)}) if all_found else ():
         found: list[Machine] = []
         for search in searches:
             room = min([budget, *(max(m.n_states, min(_WORTH_TRYING * m.n_states, _DEAR)) + 16 for m in found)])
@@ -105,7 +119,7 @@ def machine_of(
                 found.append(search.machine(reads, flipped))
         if found:
             return min(found, key=lambda machine: machine.n_states)
-        if (large := recorder.too_many(most, table.horizon(x))) is not None:  # exploring on would be in vain
+        if (large := recorder.too_many(most, reach)) is not None:  # exploring on would be in vain
             break
     phi = table.formula(x)
     if large is not None:
@@ -149,19 +163,19 @@ def _obligation(table: Residuals, x: Residual, method: Method) -> Residual:
 
 
 class Exploration(Generic[_T]):
-    """The states reachable from `start`, in order of discovery; `successors` gives one state per letter.
+    """The states reachable from `starts`, in order of discovery; `successors` gives one state per letter.
 
     The order is breadth first, by letter: however states are merged, each class is first reached by the same shortest
     word, so the numbering of a minimised machine does not depend on how it was found.
     """
 
-    def __init__(self, start: _T, successors: Callable[[_T], Sequence[_T]]) -> None:
-        self.states = [start]
+    def __init__(self, starts: Sequence[_T], successors: Callable[[_T], Sequence[_T]]) -> None:
+        self.states = list(starts)
         self._successors = successors
-        self._number = {start: 0}
+        self._number = {state: i for i, state in enumerate(starts)}
         self._rows = array("i")
         self._done = 0
-        self._layer_end = 1  # states before it are reached by words no longer than the current length
+        self._layer_end = len(starts)  # states before it are reached by words no longer than the current length
         self._depth = 0
 
     def grow(self, most: int, longest: int = 0) -> bool:
@@ -193,7 +207,16 @@ class Exploration(Generic[_T]):
 class _Search:
     """The machine of x by one method, found state by state; `negated`: of a watch over ¬φ, inverted."""
 
-    def __init__(self, table: Residuals, x: Residual, method: Method, recorder: Recorder, negated: bool) -> None:
+    def __init__(
+        self,
+        table: Residuals,
+        x: Residual,
+        method: Method,
+        recorder: Recorder,
+        negated: bool,
+        idle: Exploration[Registers],
+    ) -> None:
+        """`idle`: the registers with which runs begin."""
         self.table, self.x, self.method, self.negated = table, x, method, negated
         self.obligation = _obligation(table, x, method)
         self.delay = table.horizon(self.obligation)
@@ -202,10 +225,10 @@ class _Search:
         start = _of_kind("begins" if method == "single" else "runs")
         if self.window[0] and method in ("oldest", "until"):
             start = _of_kind("waits", self.window[0])
-        self._recorder = recorder
+        self._recorder, self._idle = recorder, idle
         self._steps: dict[Registers, Callable[[_State], Sequence[_State]]] = {}
-        self._plain = None if recorder.own else Exploration(start, self._step(recorder.read(()).after))
-        self._looking_back = Exploration((recorder.empty, start), self._successors)
+        self._plain = None if recorder.own else Exploration([start], self._step(recorder.read(()).after))
+        self._looking_back = Exploration([(registers, start) for registers in idle.states], self._successors)
         self.grow = self._looking_back.grow if self._plain is None else self._plain.grow
 
     def _successors(self, state: tuple[Registers, _State]) -> Sequence[tuple[Registers, _State]]:
@@ -250,7 +273,8 @@ class _Search:
         outcome = np.array([{"bad": BAD, "good": GOOD}.get(state[0], OPEN) for state in states], dtype=np.int8)
         if self.negated:  # a violation of ¬φ is a success and is never forgotten
             outcome = np.where(outcome == BAD, GOOD, OPEN).astype(np.int8)
-        small, representative = quotient(delta, coarsest_partition(delta, outcome))
+        classes = coarsest_partition(delta, outcome)
+        small, representative = quotient(delta, classes)
         turned = self.negated != flipped
         (a, b), delay = self.window, self.delay
         return Machine(
@@ -276,7 +300,18 @@ class _Search:
             first=a + delay if method not in ("single", "until") else 0,
             last=b + delay if method != "single" else table.horizon(x),
             good_at_end=not self.negated and not (method == "until" and table.node(x)[0] == "U"),
+            starts=self._starts(classes),
         )
+
+    def _starts(self, classes: NDArray[np.int64]) -> Starts:
+        """Where runs begin, of the states in these classes: the first ones, one for each of the idle registers."""
+        n = len(self._idle.states)
+        if n == 1:
+            nothing = np.zeros((self._recorder.n_letters, 1), dtype=np.int32)
+            return Starts(nothing, classes[:1].astype(np.int32))
+        before = coarsest_partition(self._idle.delta, classes[:n])
+        delta, representative = quotient(self._idle.delta, before)
+        return Starts(delta, classes[representative].astype(np.int32))
 
 
 def _of_kind(kind: str, waits: int = 0) -> _State:

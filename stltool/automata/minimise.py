@@ -10,6 +10,8 @@ states are re-examined in total. Source: [Jacobs23].
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +20,7 @@ from stltool.automata.rows import distinct_rows
 _WORTH_A_ROUND = 1.5  # growth in the number of classes below which whole rounds are too expensive
 
 
-def coarsest_partition(delta: NDArray[np.int32], outputs: NDArray[np.int8]) -> NDArray[np.int64]:
+def coarsest_partition(delta: NDArray[np.int32], outputs: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
     """Class numbers (n_states,), ordered by the first state of each class.
 
     `outputs` (n_states,) or (n_rows, n_states): states of one class agree on every row.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,9 @@ _CELLS = 1 << 20  # successors computed at a time
 
 
 def reachable_pairs(
-    left: NDArray[np.int32], right: NDArray[np.int32], start: tuple[int, int], guard: Callable[[int], None]
+    left: NDArray[np.int32], right: NDArray[np.int32], starts: Sequence[tuple[int, int]], guard: Callable[[int], None]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
-    """The pairs reachable from `start`, in lexicographic order: p (n,), q (n,) and delta (n_letters, n) over them.
+    """The pairs reachable from `starts`, in lexicographic order: p (n,), q (n,) and delta (n_letters, n) over them.
 
     `left` and `right` are (n_letters, n_states). `guard` is called with the number of known pairs after each step and
     raises if there are too many. Raises SizeError if there are more than int32 can number.
@@ -24,8 +24,8 @@ def reachable_pairs(
     n_letters, width = right.shape
     after_left = np.ascontiguousarray(left.T).astype(np.int64) * width
     after_right = np.ascontiguousarray(right.T)
-    begin = start[0] * width + start[1]
-    known, waiting = {begin}, [begin]
+    known = {p * width + q for p, q in starts}
+    waiting = list(known)
     batch = max(1, _CELLS // n_letters)
     while waiting:
         p, q = np.divmod(np.array(waiting[-batch:], dtype=np.int64), width)

@@ -55,6 +55,10 @@ class Recorder:
         self._known: dict[Registers, Reading] = {}
 
     @property
+    def n_letters(self) -> int:
+        return len(self._letters)
+
+    @property
     def empty(self) -> Registers:
         return ((),) * len(self.own)
 
@@ -101,7 +105,7 @@ class Recorder:
             kept.append((age, x))
         return tuple(kept)
 
-    def too_many(self, most: int, horizon: int) -> tuple[int, int] | None:
+    def too_many(self, most: int, horizon: float) -> tuple[int, int] | None:
         """The number of an atom whose register alone has more than `most` states, and how many; None if there is none.
 
         Windows that reach back further than `horizon` steps do not count: they are cut.

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.automata.automaton import FALSE, UNDECIDED, Remembered, TaskAutomaton, Text
+from stltool.automata.automaton import FALSE, UNDECIDED, Remembered, Starts, TaskAutomaton, Text
 from stltool.automata.automaton import TRUE as HOLDS
 from stltool.automata.machines import BAD, GOOD, Machine, machine_of
 from stltool.automata.minimise import coarsest_partition, quotient
@@ -38,10 +38,12 @@ def window_automaton(
     valuations: NDArray[np.bool_],
     most_states: int,
     limit: int | None = None,
+    any_step: bool = False,
 ) -> TaskAutomaton:
     """The automaton of φ, whose residual in `table` is `root`, over the given valuations of `table.atoms`.
 
-    Raises SizeError if a part or the product grows over `most_states`, or the table over `limit` bytes.
+    With `any_step`, runs may begin at any step of a trace, and it has `starts`. Raises SizeError if a part or the
+    product grows over `most_states`, or the table over `limit` bytes.
     """
     letters = [tuple(row) for row in valuations.tolist()]
     flipped = table.node(root)[0] in ("or", "F")  # judge ¬φ, a conjunction, and invert the verdicts
@@ -49,19 +51,24 @@ def window_automaton(
     node = table.node(judged)
     parts = list(node[1]) if node[0] == "and" else [judged]
     allowed = memory_limit(limit)
-    machines = [machine_of(table, part, letters, most_states, allowed, flipped) for part in parts]
+    machines = [machine_of(table, part, letters, most_states, allowed, flipped, any_step) for part in parts]
     horizon = formula_horizon(phi)
-    deltas, letter_of = _read_together(machines)
-    index, delta = _reachable(machines, deltas, most_states, allowed, phi)
+    deltas, remembered, letter_of = _read_together(machines)
+    starts, begins = _starts(machines, remembered, most_states, phi)
+    index, delta = _reachable(machines, deltas, begins, most_states, allowed, phi)
+    state = _places(index, begins)
     changes = sorted({0, *(t for m in machines for t in (m.first, m.last, m.last + 1) if t < horizon), horizon})
     rows = np.array([_conjunction(machines, index, t, horizon) for t in changes], dtype=np.int8)
     if flipped:
         rows = np.where(rows == UNDECIDED, UNDECIDED, HOLDS + FALSE - rows).astype(np.int8)
     if len(machines) > 1 or _tells_less(rows, machines[0]):
-        delta, representative = quotient(delta, coarsest_partition(delta, rows))
-        index, rows = index[:, representative], rows[:, representative]
+        classes = coarsest_partition(delta, rows)
+        delta, representative = quotient(delta, classes)
+        index, rows, state = index[:, representative], rows[:, representative], classes[state]
     different = [0] + [i for i in range(1, len(rows)) if (rows[i] != rows[i - 1]).any()]
-    first, merged = distinct_rows(delta)
+    before = coarsest_partition(starts, state)
+    starts, representative = quotient(starts, before)
+    first, merged = distinct_rows(np.concatenate([delta, starts], axis=1))
     return TaskAutomaton(
         formula=phi,
         encoding="exact",
@@ -76,25 +83,66 @@ def window_automaton(
         verdict_rows=np.ascontiguousarray(rows[different]),
         memory=_Memory(machines, index),
         parts=tuple(machine.part for machine in machines),
+        starts=Starts(np.ascontiguousarray(starts[first]), state[representative].astype(np.int32))
+        if any_step
+        else None,
     )
 
 
-def _read_together(machines: Sequence[Machine]) -> tuple[list[NDArray[np.int32]], NDArray[np.int64]]:
-    """Each machine's delta over the letters that some machine distinguishes, and the letter of each valuation."""
-    small, reads = [], []
+def _read_together(
+    machines: Sequence[Machine],
+) -> tuple[list[NDArray[np.int32]], list[NDArray[np.int32]], NDArray[np.int64]]:
+    """Each machine's delta, and that of its starts, over the letters that some machine distinguishes; and the letter
+    of each valuation."""
+    small, remembered, reads = [], [], []
     for machine in machines:
-        first, equal = distinct_rows(machine.delta)
+        first, equal = distinct_rows(np.concatenate([machine.delta, machine.starts.delta], axis=1))
         small.append(machine.delta[first])
+        remembered.append(machine.starts.delta[first])
         reads.append(equal[machine.reads])
     together = np.stack(reads, axis=1)
     first, letter_of = distinct_rows(together)
-    return [delta[together[first, j]] for j, delta in enumerate(small)], letter_of
+    rows = [together[first, j] for j in range(len(machines))]
+    return (
+        [d[r] for d, r in zip(small, rows, strict=True)],
+        [d[r] for d, r in zip(remembered, rows, strict=True)],
+        letter_of,
+    )
+
+
+def _starts(
+    machines: Sequence[Machine], deltas: Sequence[NDArray[np.int32]], most_states: int, phi: Formula
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """What can be remembered when a run begins, as delta, and the machines' states then, (n_machines, n)."""
+
+    def guard(n: int) -> None:
+        if n > most_states:
+            raise SizeError(f"{phi} can begin in over {most_states} ways, by what is remembered of the past")
+
+    delta, index = deltas[0], [np.arange(deltas[0].shape[1])]
+    for other in deltas[1:]:
+        known, inner, delta = reachable_pairs(delta, other, [(0, 0)], guard)
+        index = [*(states[known] for states in index), inner]
+    begins = [machine.starts.state[states] for machine, states in zip(machines, index, strict=True)]
+    return delta, np.stack(begins).astype(np.int64)
+
+
+def _places(index: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The columns of `index` that are those of `wanted`."""
+    number = {column.tobytes(): i for i, column in enumerate(np.ascontiguousarray(index.T))}
+    return np.array([number[column.tobytes()] for column in np.ascontiguousarray(wanted.T)], dtype=np.int64)
 
 
 def _reachable(
-    machines: Sequence[Machine], deltas: Sequence[NDArray[np.int32]], most_states: int, allowed: int, phi: Formula
+    machines: Sequence[Machine],
+    deltas: Sequence[NDArray[np.int32]],
+    begins: NDArray[np.int64],
+    most_states: int,
+    allowed: int,
+    phi: Formula,
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """index (n_machines, n_states): the machines' states in each reachable combination; and delta over these.
+    """index (n_machines, n_states): the machines' states in each combination that is reachable from those of `begins`
+    (n_machines, n); and delta over these.
 
     Machine by machine: the combinations of the first few are a projection of those of all, hence never more.
     """
@@ -118,8 +166,10 @@ def _reachable(
     delta = deltas[order[0]]
     guard(delta.shape[1])
     index = [np.arange(delta.shape[1])]
-    for j in order[1:]:
-        known, inner, delta = reachable_pairs(delta, deltas[j], (0, 0), guard)
+    for i, j in enumerate(order[1:]):
+        so_far = _places(np.stack(index), begins[order[: i + 1]])
+        pairs = sorted(set(zip(so_far.tolist(), begins[j].tolist(), strict=True)))
+        known, inner, delta = reachable_pairs(delta, deltas[j], pairs, guard)
         index = [*(states[known] for states in index), inner]
     return np.stack(index)[np.argsort(order)], delta
 

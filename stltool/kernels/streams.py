@@ -32,7 +32,7 @@ F64: TypeAlias = NDArray[np.float64]
 U64: TypeAlias = NDArray[np.uint64]
 
 # the header of N: numbers
-TIME, BASE, ROOM, HORIZON, BACK, RESULT, WAITS, ENGINE, TOLD, INITIAL, ACTIVE, SLOTS = range(12)
+TIME, BASE, ROOM, HORIZON, BACK, RESULT, WAITS, ENGINE, TOLD, START, ACTIVE, SLOTS = range(12)
 # sizes of tables
 N_NAMES, N_ATOMS, N_NODES, N_KEPT, N_VERDICTS, N_LEAVES, N_STATES, N_OPS, N_WORDS, N_LANES = range(12, 22)
 # where tables begin: in N
@@ -40,7 +40,8 @@ NAMES, ATOMS, TRUTH, NODES, COUNTERS, MARK, VERDICT, TOLD_NOW = range(22, 30)
 LETTER, LEAVES, DELTA, FIRST, OUTCOME, LISTS, FOLLOWING, CLOSED, OPEN_STATES, PROGRAM = range(30, 40)
 # in F, in B
 VALUES, NUMBERS, GIVEN, MARGIN, RING, KEPT, KNOWN, LANES = range(40, 48)
-HEADER = 48
+STARTS, BEGINS, N_STARTS = range(48, 51)  # tables of N, and their length
+HEADER = 51
 ROOT = 7  # length of the table of addresses
 
 COALESCED, EACH, STRUCTURE = range(3)  # engines
@@ -248,6 +249,14 @@ def _letter(N: I64) -> Any:
 
 
 @kernel
+def _begin(N: I64, letter: int) -> Any:
+    """The state in which the start of this step begins; afterwards, the letter is behind the next one."""
+    start = N[START]
+    N[START] = N[N[STARTS] + letter * N[N_STARTS] + start]
+    return N[N[BEGINS] + start]
+
+
+@kernel
 def run_coalesced(N: I64, told: int) -> int:
     """Lists of starts by state, the oldest first.
 
@@ -255,13 +264,14 @@ def run_coalesced(N: I64, told: int) -> int:
     decided: a sample costs as much as there are states with starts, amortised.
     """
     time, mask, n, wide = N[TIME], N[SLOTS] - 1, N[ACTIVE], N[N_STATES] + 1
-    row, after, first, outcome = N[DELTA] + _letter(N) * N[N_STATES], N[FOLLOWING], N[FIRST], N[OUTCOME]
+    letter = _letter(N)
+    row, after, first, outcome = N[DELTA] + letter * N[N_STATES], N[FOLLOWING], N[FIRST], N[OUTCOME]
     # read once, not for each decision (see _decide): the compiler cannot know that no table overlaps the header
     verdicts, last_verdict, told_now = N[VERDICT], N[N_VERDICTS] - 1, N[TOLD_NOW]
     waits, base = N[WAITS] != 0, N[BASE]
     head, tail, active = N[LISTS], N[LISTS] + wide, N[LISTS] + 2 * wide
     to_head, to_tail, to_active = head + 3 * wide, tail + 3 * wide, active + 3 * wide
-    q, slot = N[INITIAL], time & mask
+    q, slot = _begin(N, letter), time & mask
     N[after + slot] = -1
     if N[head + q] < 0:
         N[active + n], N[head + q] = q, slot
@@ -324,8 +334,9 @@ def run_coalesced(N: I64, told: int) -> int:
 def run_each(N: I64, told: int) -> int:
     """A state for every open step: for automata with a state that is decided at some clock and open at a later one."""
     time, mask = N[TIME], N[SLOTS] - 1
-    row = N[DELTA] + _letter(N) * N[N_STATES]
-    N[N[OPEN_STATES] + (time & mask)] = N[INITIAL]
+    letter = _letter(N)
+    row = N[DELTA] + letter * N[N_STATES]
+    N[N[OPEN_STATES] + (time & mask)] = _begin(N, letter)
     for age in range(min(time, N[HORIZON]), -1, -1):
         slot = N[OPEN_STATES] + ((time - age) & mask)
         if N[slot] >= 0:

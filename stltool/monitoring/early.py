@@ -9,7 +9,10 @@ has no clock, so open starts that are in one state stay together. If, among the 
 nothing decided, E_c(q) is decided from some c = first(q) on, with one outcome, it suffices to look at the oldest start
 of each state ("coalesced"). Otherwise every open step has a state of its own ("each").
 
-**Structure.** For formulas that look back, or whose automaton is too large: three-valued truth [Kleene38] of every
+A start of a formula that looks back begins in the state that says what is remembered (`Starts`), which one more small
+automaton keeps track of. So δ leads open starts on as if nothing was behind them.
+
+**Structure.** For formulas whose automaton is too large: three-valued truth [Kleene38] of every
 sub-formula, with the samples that are still to come unknown. It is exact if every atom (maximal sub-formula without a
 temporal operator) occurs in one polarity, and all of them can be at their worst, and at their best, at once: the lower
 value is then that of one real continuation. Otherwise a verdict may come late, at the latest when all samples are
@@ -18,7 +21,7 @@ there, never wrongly.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -26,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata.automaton import FALSE, UNDECIDED, TaskAutomaton
-from stltool.automata.compile import compile_automaton
+from stltool.automata.compile import compile_running
 from stltool.errors import SizeError
 from stltool.logic.feasible import feasible_valuations, leaves, realised, tabulated
 from stltool.logic.formula import LARGEST_BOUND, Formula, atoms, has_past, horizon
@@ -39,6 +42,7 @@ MOST_LEAVES = 12  # the letters are tabulated by the truth of all leaves
 _MOST_VALUATIONS = 1024
 _MOST_WORK = 20_000_000  # entries of δ looked up in closing the verdicts, at least this many per clock:
 _LEAST_WORK = 2000
+_MOST_STEPS = 20_000  # steps of δ that are explored, of a formula that looks back: about a second
 _LONGEST_EACH = 1000  # open steps, each with a state of its own
 OPEN, NO, YES = 0, 1, 2
 
@@ -46,8 +50,8 @@ OPEN, NO, YES = 0, 1, 2
 class Early(NamedTuple):
     """How early a monitor decides: `exact` if as soon as every continuation agrees, else perhaps later, never wrongly.
 
-    engine  "automaton", or "structure" for formulas whose automaton is too large; "network" for those that look back
-            without a limit, whose steps are decided when their samples are there
+    engine  "automaton", or "structure" for formulas whose automaton is too large; "network" for such formulas that look
+            back without a limit, whose steps are decided when their samples are there
     why     in words
     """
 
@@ -62,6 +66,7 @@ class Engine:
 
     leaves   the labels and comparisons whose truths form the code of a letter, the first in the lowest bit
     letter   (2^n_leaves,) letters by code                      delta  (n_letters, n_states)
+    starts   (n_letters, n) what is remembered when a run begins, 0 at first; begins (n,): the state in which it does
     first    (n_states,) the clock from which a state is decided, as `outcome` (n_states,) says: NO or YES
     closed   (horizon + 1, n_states) E; None if `first` and `outcome` say it all
     """
@@ -70,35 +75,38 @@ class Engine:
     leaves: tuple[Formula, ...] = ()
     letter: Ints | None = None
     delta: Ints | None = None
-    initial: int = 0
+    starts: Ints | None = None
+    begins: Ints | None = None
     first: Ints | None = None
     outcome: Ints | None = None
     closed: Ints | None = None
 
 
-def engine_of(phi: Formula, related: bool = False) -> Engine:
+def engine_of(phi: Formula, earlier: Collection[str] = ()) -> Engine:
     """The engine of a formula with a horizon: its automaton if that is small enough, else its structure.
 
-    `related`: some signals are earlier samples of others, so that not every sequence of letters can occur.
+    `earlier`: the signals that are earlier samples of others, so that perhaps not every sequence of letters can occur.
     """
     read = leaves(phi)
     valuations, complete = feasible_valuations(read, _MOST_VALUATIONS)
     truths = tabulated(atoms(phi), read, valuations if complete else valuations[:0])
     why = f"the formula has {len(read)} labels and comparisons, over {MOST_LEAVES}"
-    if has_past(phi):
-        why = "the formula looks back"
-    elif horizon(phi) > LARGEST_BOUND:
+    if horizon(phi) == 0 and has_past(phi):
+        return Engine(Early("structure", True, "no step depends on a later sample"))
+    if horizon(phi) > LARGEST_BOUND:
         why = f"the horizon is over {LARGEST_BOUND:.0e}"
     elif complete and len(read) <= MOST_LEAVES:
         try:
-            automaton = compile_automaton(phi, valuations=np.unique(truths, axis=0), most_states=MOST_STATES)
-            engine = _of_automaton(automaton, read, valuations, truths, related)
+            letters = np.unique(truths, axis=0)
+            most = min(MOST_STATES, _MOST_STEPS // len(letters)) if has_past(phi) else MOST_STATES
+            automaton = compile_running(phi, letters, most)
+            engine = _of_automaton(automaton, read, valuations, truths, bool(earlier))
         except SizeError:
             engine = None
         if engine is not None:
             return engine
         why = "the automaton of the formula is too large"
-    exact = complete and not related and realised(read) and _extremes_meet(phi, truths)
+    exact = complete and not earlier and realised(read) and _extremes_meet(phi, truths)
     why += "; " + (
         "every predicate occurs in one polarity"
         if exact
@@ -131,9 +139,11 @@ def _of_automaton(
     states = f"its automaton has {automaton.n_states} states"
     why = states if exact else f"{states}; its predicates depend on each other in ways that are not examined"
     first, outcome = table if table is not None else (None, None)
+    starts = automaton.starts
+    assert starts is not None
     return Engine(
-        Early("automaton", exact, why), read, letter, automaton.delta.astype(np.int64), automaton.initial, first,
-        outcome, closed,
+        Early("automaton", exact, why), read, letter, automaton.delta.astype(np.int64), starts.delta.astype(np.int64),
+        starts.state.astype(np.int64), first, outcome, closed,
     )  # fmt: skip
 
 
@@ -177,7 +187,8 @@ def _decided_from(automaton: TaskAutomaton, runs: Sequence[tuple[int, int, Ints]
     outcome = np.zeros(automaton.n_states, dtype=np.int64)
     last_open = np.full(automaton.n_states, -1, dtype=np.int64)
     before = np.zeros(automaton.n_states, dtype=np.bool_)
-    before[automaton.initial] = True
+    assert automaton.starts is not None
+    before[automaton.starts.state] = True
     reached = before
     for start, last, row in reversed(runs):
         c = start

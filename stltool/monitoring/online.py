@@ -25,6 +25,7 @@ from stltool.kernels.told import FULL, NOTHING, REFUSED, SEVERAL
 from stltool.logic.formula import Composable, Constant, Formula, bounded_formula_of
 from stltool.logic.names import near_names
 from stltool.logic.rewrite import negation_normal_form
+from stltool.logic.shifts import Delayed
 from stltool.logic.task import Task
 from stltool.monitoring.blocks import Block
 from stltool.monitoring.comparisons import Predicate
@@ -34,8 +35,9 @@ from stltool.monitoring.early import Early, engine_of
 from stltool.monitoring.intervals import MOST_SHARED, Enclosure, positive
 from stltool.monitoring.lookback import FALSE, TRUE, Network, Value, judge_of
 from stltool.monitoring.offline import judge, judge_quickly
-from stltool.monitoring.program import compile_delayed, compile_formula
+from stltool.monitoring.program import Program, compile_delayed, compile_formula, formula_of_atom
 from stltool.monitoring.samples import WHOLE, WIDE, Earlier, Traces, read_traces
+from stltool.monitoring.starts import OpenSteps
 
 if TYPE_CHECKING:
     from stltool.monitoring.stream import Stream
@@ -51,15 +53,15 @@ class OnlineMonitor(Displayed):
     violated at sample 3, is decided at sample 3. With `wait` it returns each step when its robustness is final, at
     sample step + horizon: these decisions are, bit for bit, those of `monitor` with end "error".
 
-    early    which engine decides, and whether it is exact: "automaton", "structure" where that would be too large, or
-             "network" for a formula that looks back without a limit, whose steps are decided at sample step + horizon
+    early    which engine decides, and whether it is exact: "automaton"; "structure" where that would be too large; or
+             "network", if such a formula looks back without a limit: steps are then decided at sample step + horizon
     n_steps  the number of samples read
 
     Raises StlSyntaxError if an interval of the future has no end.
     """
 
     def __new__(cls, phi: Formula | Task | None = None, wait: bool = False) -> OnlineMonitor:
-        if cls is OnlineMonitor and isinstance(phi, Composable) and compile_delayed(phi._formula())[1].lookback is None:
+        if cls is OnlineMonitor and isinstance(phi, Composable) and _compiled(phi._formula())[1].lookback is None:
             return object.__new__(_LookingBack)
         return object.__new__(cls)
 
@@ -68,7 +70,7 @@ class OnlineMonitor(Displayed):
         self.formula = bounded_formula_of(phi, "OnlineMonitor's formula")
         require(wait, (bool, np.bool_), "wait", "give True or False")
         self.wait = bool(wait)
-        made, self._program = compile_delayed(self.formula)
+        made, self._program = _compiled(self.formula)
         self._judged, self._earlier = made.formula, Earlier(made)
         self.horizon: int = self._program.horizon or 0
         names = dict.fromkeys((*self._program.variables, *self._program.labels, *self._earlier.kept))
@@ -79,7 +81,7 @@ class OnlineMonitor(Displayed):
 
         self._compile(phi, wait)
         self.wait = self.wait or self.horizon == 0  # nothing to wait for
-        engine = engine_of(self._judged, self._delays)
+        engine = engine_of(self._judged, self._earlier.made.signals)
         self.early = engine.early
         self._stream = Stream(self._program, engine, self.horizon, self.wait)
         self._compilable = compilable(self._program)
@@ -178,13 +180,7 @@ class OnlineMonitor(Displayed):
             self._enclosure = Enclosure(self._judged)
         columns = dict(zip(self._stream.names, kept.T, strict=True))
         lower, upper = self._enclosure.at(columns, at)
-        match self._stream.verdict(step):
-            case True:
-                return max(lower, 0.0), upper
-            case False:
-                return lower, min(upper, 0.0)
-            case None:
-                return lower, upper
+        return _within(lower, upper, self._stream.verdict(step))
 
     def _bounded_step(self, step: int) -> int:
         n = self.n_steps
@@ -305,7 +301,7 @@ class OnlineMonitor(Displayed):
     @property
     def _delays(self) -> bool:
         """Whether the formula reads earlier samples of a signal."""
-        return bool(self._earlier.made.signals or self._earlier.made.starts)
+        return bool(self._earlier.made.signals)
 
     def _feed_each(self, block: Mapping[str, Any]) -> Decisions:
         """A block, sample by sample; if one is refused, none was read."""
@@ -453,7 +449,13 @@ class _LookingBack(OnlineMonitor):
 
     def __init__(self, phi: Formula | Task, wait: bool = False) -> None:
         self._compile(phi, wait)
-        self.early = Early("network", False, "the formula looks back without a limit")
+        engine = engine_of(self._judged, self._earlier.made.signals)
+        self._open = None if engine.delta is None or self.horizon == 0 else OpenSteps(engine)
+        self.early, self._leaves = engine.early, engine.leaves
+        if self._open is None:
+            self.early = Early("network", self.horizon == 0, engine.early.why)
+        self.wait = self.wait or self._open is None
+        self._verdicts: deque[bool | None] = deque(maxlen=self.horizon + 1)  # of the last steps
         self._network = Network(self._program.instructions)
         self._literals = compile_formula(positive(negation_normal_form(self._judged, MOST_SHARED)))
         self._enclosing = Network(self._literals.instructions)
@@ -466,9 +468,15 @@ class _LookingBack(OnlineMonitor):
             [(i, judge_of(now.atom)) for i, now in enumerate(program.instructions) if now.atom is not None]
             for program in (self._program, self._literals)
         )
+        numbers = {
+            formula_of_atom(now.atom): i for i, now in enumerate(self._program.instructions) if now.atom is not None
+        }
+        self._read_by_engine = [numbers[leaf] for leaf in self._leaves]
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("_atoms", "_signs")}
+        return {
+            name: value for name, value in self.__dict__.items() if name not in ("_atoms", "_signs", "_read_by_engine")
+        }
 
     @property
     def n_steps(self) -> int:
@@ -497,10 +505,21 @@ class _LookingBack(OnlineMonitor):
         found = self._network.advance(atoms)
         self._kept.append(values)
         self._n_steps += 1
-        if found is None:
+        early = self._told_early(dict(atoms))
+        if found is not None:
+            self._final = found[0]
+        if not self.wait:
+            return [Decision(step, verdict, None) for step, verdict in early]
+        return [] if found is None else [Decision(self._n_steps - 1 - self.horizon, found[1], found[0])]
+
+    def _told_early(self, atoms: dict[int, Value]) -> list[tuple[int, bool]]:
+        self._verdicts.append(None)
+        if self._open is None:
             return []
-        self._final = found[0]
-        return [Decision(self._n_steps - 1 - self.horizon, found[1], found[0])]
+        found = self._open.read([atoms[i][1] for i in self._read_by_engine])
+        for step, verdict in found:
+            self._verdicts[step - self._n_steps] = verdict
+        return found
 
     def finish(self, end: Literal["cut", "hold"] = "cut") -> list[Decision]:
         """The decisions of the steps still open if the trace ended here. The monitor can still be fed.
@@ -515,7 +534,8 @@ class _LookingBack(OnlineMonitor):
             return []
         if end == "hold":
             found = self._ahead(self._network, self.horizon, self._held())
-            return [Decision(n - len(found) + i, truth, margin) for i, (margin, truth) in enumerate(found)]
+            last = [Decision(n - len(found) + i, truth, margin) for i, (margin, truth) in enumerate(found)]
+            return self._not_told(last)
         if n > len(self._kept):
             raise SettingsError(
                 "this formula looks back without a limit, so its last steps cannot be judged with windows cut at the "
@@ -530,7 +550,12 @@ class _LookingBack(OnlineMonitor):
             arrays = {"": np.zeros((1, len(self._kept)))}
         traces = Traces(arrays, self._program, 1, len(self._kept), batch=False, first_step=start)
         truth, margins = judge(self._judged, traces, end, True, True)
-        return [Decision(t, bool(truth[0, t - start]), float(margins[0, t - start])) for t in range(first, n)]
+        return self._not_told(
+            [Decision(t, bool(truth[0, t - start]), float(margins[0, t - start])) for t in range(first, n)]
+        )
+
+    def _not_told(self, decisions: list[Decision]) -> list[Decision]:
+        return [one for one in decisions if self.wait or self._verdicts[one.step - self._n_steps] is None]
 
     def _held(self) -> Iterator[list[tuple[int, Value]]]:
         """The atoms of the samples that follow if the last one is held."""
@@ -557,7 +582,19 @@ class _LookingBack(OnlineMonitor):
                 for i, value in self._signs
             ]
             ends.append(self._ahead(self._enclosing, step + self.horizon - n + 1, itertools.repeat(fixed))[-1][0])
-        return ends[0], ends[1]
+        return _within(ends[0], ends[1], self._verdicts[step - n])
+
+
+def _compiled(phi: Formula) -> tuple[Delayed, Program]:
+    """A formula as it is judged sample by sample: what looks back stays, but for comparisons of several steps."""
+    return compile_delayed(phi, once=False)
+
+
+def _within(lower: float, upper: float, verdict: bool | None) -> tuple[float, float]:
+    """The part of an enclosure of robustness that agrees with a verdict."""
+    if verdict is None:
+        return lower, upper
+    return (max(lower, 0.0), upper) if verdict else (lower, min(upper, 0.0))
 
 
 def _is_block(value: object) -> bool:

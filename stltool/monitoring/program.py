@@ -53,6 +53,10 @@ PAST = ("once", "historically", "since")
 Atom: TypeAlias = Constant | Label | Predicate
 
 
+def formula_of_atom(atom: Atom) -> Formula:
+    return atom.node if isinstance(atom, Predicate) else atom
+
+
 class Instruction(NamedTuple):
     """One operator; `args` are numbers of earlier instructions.
 

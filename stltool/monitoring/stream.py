@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.kernels import streams as k
-from stltool.logic.formula import Comparator, Constant, Formula, Label, Negate, Number, Term, Variable
+from stltool.logic.formula import Comparator, Constant, Label, Negate, Number, Term, Variable
 from stltool.monitoring.comparisons import Predicate
 from stltool.monitoring.early import Engine
-from stltool.monitoring.program import PAST, Atom, Instruction, Program
+from stltool.monitoring.program import PAST, Atom, Instruction, Program, formula_of_atom
 
 Ints: TypeAlias = NDArray[np.int64]
 Floats: TypeAlias = NDArray[np.float64]
@@ -282,9 +282,12 @@ class _Tables:
 def _add_automaton(head: Ints, N: _Tables, engine: Engine, atoms: Sequence[Instruction], room: int) -> None:
     assert engine.letter is not None
     assert engine.delta is not None
-    numbers = {_formula(now): i for i, now in enumerate(atoms)}
+    numbers = {formula_of_atom(now.atom): i for i, now in enumerate(atoms) if now.atom is not None}
     n_states = engine.delta.shape[1]
-    head[k.N_LEAVES], head[k.N_STATES], head[k.INITIAL] = len(engine.leaves), n_states, engine.initial
+    assert engine.starts is not None
+    assert engine.begins is not None
+    head[k.N_LEAVES], head[k.N_STATES], head[k.N_STARTS] = len(engine.leaves), n_states, len(engine.begins)
+    head[k.STARTS], head[k.BEGINS] = N.add(engine.starts), N.add(engine.begins)
     head[k.LEAVES], head[k.LETTER] = N.add([numbers[leaf] for leaf in engine.leaves]), N.add(engine.letter)
     slots = _power_of_two(room + 1)
     head[k.DELTA], head[k.SLOTS] = N.add(engine.delta), slots
@@ -343,11 +346,6 @@ def _beyond(now: Instruction, below: list[list[int]]) -> list[int]:
             return [0, 1]
         case _:
             assert_never(now.op)
-
-
-def _formula(now: Instruction) -> Formula:
-    assert now.atom is not None
-    return now.atom.node if isinstance(now.atom, Predicate) else now.atom
 
 
 def _atom_row(atom: Atom, names: Sequence[str]) -> list[int]:

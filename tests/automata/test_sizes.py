@@ -175,7 +175,7 @@ def test_compiled_automata_are_minimal_and_reach_all_their_states(phi):
     n = automaton.n_states
     classes = moore_partition(automaton.delta.tolist(), automaton.verdict_rows.T.tolist())
     assert classes == list(range(n))
-    search = Exploration(automaton.initial, lambda q: automaton.delta[:, q].tolist())
+    search = Exploration([automaton.initial], lambda q: automaton.delta[:, q].tolist())
     assert search.grow(n)
     assert sorted(search.states) == list(range(n))
 
@@ -183,14 +183,14 @@ def test_compiled_automata_are_minimal_and_reach_all_their_states(phi):
 def test_an_exploration_goes_on_where_it_stopped():
     rng = np.random.default_rng(0)
     delta = rng.integers(0, 200, size=(2, 200))
-    whole, pieces = (Exploration(0, lambda q: delta[:, q].tolist()) for _ in range(2))
+    whole, pieces = (Exploration([0], lambda q: delta[:, q].tolist()) for _ in range(2))
     assert whole.grow(200)
     grown = [pieces.grow(most) for most in (5, 20, 21, 200)]
     assert grown == [False, False, False, True]
     assert pieces.states == whole.states
     assert (pieces.delta == whole.delta).all()
     assert (np.array(whole.states)[whole.delta] == delta[:, whole.states]).all()
-    chain = Exploration(0, lambda q: [min(q + 1, 50)])
+    chain = Exploration([0], lambda q: [min(q + 1, 50)])
     assert not chain.grow(40, longest=50)
     assert len(chain.states) == 1  # refused before anything is made
     assert chain.grow(51, longest=50)
@@ -227,7 +227,7 @@ def test_reachable_pairs_are_those_that_words_lead_to(seed, batch):
     known = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("stltool.automata.reach._CELLS", batch)
-        p, q, delta = reachable_pairs(left, right, (1, 2), known.append)
+        p, q, delta = reachable_pairs(left, right, [(1, 2)], known.append)
     assert list(zip(p.tolist(), q.tolist(), strict=True)) == sorted(found)
     assert (p[delta] == left[:, p]).all()
     assert (q[delta] == right[:, q]).all()

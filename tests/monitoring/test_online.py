@@ -41,6 +41,7 @@ from stltool.logic.formula import (
     Trigger,
     Until,
     children,
+    label_names,
     lookback,
     variables,
 )  # fmt: skip
@@ -216,6 +217,68 @@ def test_any_formula_is_decided_as_soon_as_all_continuations_agree(phi, seed):
         return
     trace = {name: np.random.default_rng(seed).integers(0, 2, 10).astype(float).tolist() for name in "pq"}
     assert fed(stl.OnlineMonitor(phi), trace) == earliest(phi, trace, {"p": (0.0, 1.0), "q": (0.0, 1.0)})
+
+
+def earliest_with_past(phi, trace, values):
+    """`earliest` for a formula that reads samples before the start: continuations are appended to the whole trace."""
+    names = sorted(values)
+    letters = list(itertools.product(*(values[name] for name in names)))
+    h, n = stl.horizon(phi), len(next(iter(trace.values())))
+    found = {}
+    for t in range(n):
+        for end in range(t + 1, min(n, t + h + 1) + 1):
+            rest = t + h + 1 - end
+            tails = np.array(list(itertools.product(letters, repeat=rest)), dtype=float)
+            tails = tails.reshape(len(letters) ** rest, rest, len(names))
+            columns = {
+                name: np.concatenate([np.tile(np.array(trace[name][:end], float), (len(tails), 1)), tails[:, :, i]], 1)
+                for i, name in enumerate(names)
+            }
+            possible = stl.monitor(phi, columns, semantics="boolean").verdicts[:, t]
+            if possible.all() or not possible.any():
+                found[t] = (end, bool(possible[0]))
+                break
+    return found
+
+
+LOOKING_BACK = [
+    "F[0,2] once[0,2] p", "G[0,2] (p -> once[0,3] q)", "F[1,2] (p since[1,3] q) | G[0,2] !p",
+    "G[0,2] prev p & F[0,1] !p", "F[0,2] rise (F[0,1] p) <-> q",
+    "once[1,3] F[0,2] p & G[0,1] q", "once[0,2] (p & F[0,2] !p)", "F[0,2] fall p",
+    "G[0,1] (x > 2) | prev F[0,2] (x <= 3)", "historically[2,4] (p U[0,2] q) -> F[0,2] (q & !p)",
+    "F[0,2] prev prev p | once[1,2] F[0,2] q", "G[0,2] (x > 2 -> once[0,1] x <= 3)",
+    # without a limit
+    "F[0,2] once p", "G[0,2] (p -> once q)", "F[1,2] (p since q) | G[0,2] !p", "G[0,2] historically p & F[0,1] !p",
+    "once F[0,2] p & G[0,1] q", "F[0,1] x > 2 & historically[2,inf] (x < 3)", "F[0,2] (q & once[1,inf] p) & F[0,2] !q",
+    "(once (p & F[0,2] q)) -> F[0,1] p", "q & F[1,2] (q since p)",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", LOOKING_BACK)
+@pytest.mark.parametrize("kind", ["coalesced", "each"])
+def test_what_looks_back_is_decided_as_soon_as_all_continuations_agree(text, kind, monkeypatch):
+    if kind == "each":
+        monkeypatch.setattr(early, "_decided_from", lambda automaton, runs: None)
+    phi = stl.parse(text)
+    cells = {"x": (1.0, 2.0, 2.5, 3.0, 4.0), "p": (0.0, 1.0), "q": (0.0, 1.0)}
+    values = {name: cells[name] for name in {**variables(phi), **label_names(phi)}}
+    rng = np.random.default_rng(len(text))
+    for _ in range(2):
+        online = stl.OnlineMonitor(phi)
+        assert online.early[:2] == ("automaton", True)
+        trace = {name: rng.choice(values[name], 9).tolist() for name in values}
+        assert fed(online, trace) == earliest_with_past(phi, trace, values)
+
+
+@pytest.mark.soak
+@given(phi=formulas(labels=("p", "q"), signals=(), longest=2, max_leaves=5, past=True), seed=st.integers(0, 999))
+def test_any_formula_that_looks_back_is_decided_as_soon_as_all_continuations_agree(phi, seed):
+    if stl.horizon(phi) > 4:
+        return
+    trace = {name: np.random.default_rng(seed).integers(0, 2, 8).astype(float).tolist() for name in "pq"}
+    online = stl.OnlineMonitor(phi)
+    assert online.early.exact
+    assert fed(online, trace) == earliest_with_past(phi, trace, {"p": (0.0, 1.0), "q": (0.0, 1.0)})
 
 
 @pytest.mark.parametrize("text", ["(p U[1,3] q) -> F[0,1] q", "q & F[1,3] q"])
@@ -672,19 +735,23 @@ def test_what_looks_back_is_judged_as_the_offline_monitor_does(phi, data):
     """After every prefix, with both ends; a copy that was pickled on the way goes on alike."""
     n = stl.horizon(phi) + data.draw(st.integers(0, 6))
     trace = data.draw(traces(n))
-    online, so_far = stl.OnlineMonitor(phi, wait=data.draw(st.booleans())), []
-    assert online.early.engine == "network"
+    online, so_far = stl.OnlineMonitor(phi, wait=True), []
+    first, early_ = stl.OnlineMonitor(phi), []
     for t in range(n):
-        so_far += online.feed({name: values[t] for name, values in trace.items()})
+        sample = {name: values[t] for name, values in trace.items()}
+        so_far += online.feed(sample)
+        early_ += first.feed(sample)
         prefix = {name: values[: t + 1] for name, values in trace.items()}
         if t >= stl.horizon(phi):
             assert str(so_far) == str(decisions(stl.monitor(phi, prefix)))
+        held = [decision[:2] for decision in early_ + first.finish("hold")]
+        assert sorted(held) == list(enumerate(stl.monitor(phi, prefix, "hold").verdicts.tolist()))
         assert str(so_far + online.finish("hold")) == str(decisions(stl.monitor(phi, prefix, "hold")))
         if stl.horizon(phi) == 0 or t < stl.horizon(phi):
             assert str(so_far + online.finish("cut")) == str(decisions(stl.monitor(phi, prefix, "cut")))
         if t == n // 2:
-            online = pickle.loads(pickle.dumps(online))
-    block = stl.OnlineMonitor(phi)
+            online, first = pickle.loads(pickle.dumps((online, first)))
+    block = stl.OnlineMonitor(phi, wait=True)
     assert str(list(block.feed(dict(trace.items())))) == str(so_far)
     assert block.n_steps == n
 
@@ -694,9 +761,10 @@ def test_bounds_of_what_looks_back_hold_the_final_value(phi, data):
     h = stl.horizon(phi)
     trace = data.draw(traces(h + 4))
     final = stl.monitor(phi, trace).robustness
-    online, before = stl.OnlineMonitor(phi), {}
+    online, before, decided = stl.OnlineMonitor(phi), {}, {}
     for t in range(h + 4):
-        online.feed({name: values[t] for name, values in trace.items()})
+        for decision in online.feed({name: values[t] for name, values in trace.items()}):
+            decided[decision.step] = decision.verdict
         for step in range(max(0, t - h), min(t + 1, len(final))):
             lower, upper = online.bounds(step)
             assert lower - 1e-9 <= final[step] <= upper + 1e-9
@@ -704,6 +772,8 @@ def test_bounds_of_what_looks_back_hold_the_final_value(phi, data):
             assert old[0] <= lower
             assert upper <= old[1]
             before[step] = lower, upper
+            if step in decided:
+                assert lower >= 0 if decided[step] else upper <= 0
             if t == step + h:
                 assert lower == upper == final[step]
 
@@ -738,7 +808,7 @@ def test_what_looks_back_without_a_limit_has_no_cut_end():
     online.feed({"a": [1, 0, 0, 0], "b": [0, 0, 1, 0]})
     with pytest.raises(SettingsError, match=r'cannot be judged with windows cut at the end; use finish\("hold"\)'):
         online.finish("cut")
-    assert [decision.verdict for decision in online.finish("hold")] == [True, False]
+    assert [decision[:2] for decision in online.finish("hold")] == [(3, False)]  # step 2 was told at once
     with pytest.raises(SettingsError, match="there are bounds of steps 1 … 3"):
         online.bounds(0)
     with pytest.raises(TraceError, match="a is 2 at step 5"):
@@ -749,7 +819,7 @@ def test_what_looks_back_without_a_limit_has_no_cut_end():
 def test_shifted_samples_in_what_looks_back():
     phi = stl.parse("once (x[t-1] > x) | F[1,1] (x > 3)")
     trace = {"x": [1.0, 2.0, 2.0, 2.0, 2.0, 4.0, 1.0, 0.0]}
-    online = stl.OnlineMonitor(phi)
+    online = stl.OnlineMonitor(phi, wait=True)
     found = [decision for x in trace["x"] for decision in online.feed({"x": x})]
     assert found == decisions(stl.monitor(phi, trace))
     assert found + online.finish("hold") == decisions(stl.monitor(phi, trace, "hold"))
