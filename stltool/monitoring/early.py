@@ -4,13 +4,12 @@
 
     E_h = verdict_h        E_c(q) = verdict_c(q) if decided, else v if E_{c+1}(δ(λ,q)) = v for every λ, else open
 
-over the letters λ that can occur (logic/feasible.py). The first E that is not open is the earliest possible verdict. δ
-has no clock, so open starts that are in one state stay together. If, among the pairs (c, q) that can be reached with
-nothing decided, E_c(q) is decided from some c = first(q) on, with one outcome, it suffices to look at the oldest start
-of each state ("coalesced"). Otherwise every open step has a state of its own ("each").
-
-A start of a formula that looks back begins in the state that says what is remembered (`Starts`), which one more small
-automaton keeps track of. So δ leads open starts on as if nothing was behind them.
+over the letters λ that can occur, as far as that is known (logic/occurring.py). The first E that is not open is the
+earliest possible verdict. δ has no clock, so open starts that are in one state stay together. If, among the pairs
+(c, q) that can be reached with nothing decided, E_c(q) is decided from some c = first(q) on, with one outcome, it
+suffices to look at the oldest start of each state ("coalesced"). Otherwise every open step has a state of its own
+("each"). A start of a formula that looks back begins in the state that says what is remembered (`Starts`), which one
+more small automaton keeps track of.
 
 **Structure.** For formulas whose automaton is too large: three-valued truth [Kleene38] of every
 sub-formula, with the samples that are still to come unknown. It is exact if every atom (maximal sub-formula without a
@@ -31,9 +30,10 @@ from numpy.typing import NDArray
 from stltool.automata.automaton import FALSE, UNDECIDED, TaskAutomaton
 from stltool.automata.compile import compile_running
 from stltool.errors import SizeError
-from stltool.logic.feasible import feasible_valuations, leaves, realised, tabulated
+from stltool.logic.feasible import feasible_valuations, leaves, tabulated
 from stltool.logic.formula import LARGEST_BOUND, Formula, atoms, has_past, horizon
 from stltool.logic.occurrences import polarities
+from stltool.logic.occurring import occurring
 
 Ints: TypeAlias = NDArray[np.int64]
 
@@ -89,6 +89,9 @@ def engine_of(phi: Formula, earlier: Collection[str] = ()) -> Engine:
     """
     read = leaves(phi)
     valuations, complete = feasible_valuations(read, _MOST_VALUATIONS)
+    sharp = False
+    if complete and not (horizon(phi) == 0 and has_past(phi)):
+        valuations, sharp = occurring(read, valuations, earlier)
     truths = tabulated(atoms(phi), read, valuations if complete else valuations[:0])
     why = f"the formula has {len(read)} labels and comparisons, over {MOST_LEAVES}"
     if horizon(phi) == 0 and has_past(phi):
@@ -100,13 +103,13 @@ def engine_of(phi: Formula, earlier: Collection[str] = ()) -> Engine:
             letters = np.unique(truths, axis=0)
             most = min(MOST_STATES, _MOST_STEPS // len(letters)) if has_past(phi) else MOST_STATES
             automaton = compile_running(phi, letters, most)
-            engine = _of_automaton(automaton, read, valuations, truths, bool(earlier))
+            engine = _of_automaton(automaton, read, valuations, truths, sharp)
         except SizeError:
             engine = None
         if engine is not None:
             return engine
         why = "the automaton of the formula is too large"
-    exact = complete and not earlier and realised(read) and _extremes_meet(phi, truths)
+    exact = sharp and _extremes_meet(phi, truths)
     why += "; " + (
         "every predicate occurs in one polarity"
         if exact
@@ -120,7 +123,7 @@ def _of_automaton(
     read: tuple[Formula, ...],
     valuations: NDArray[np.bool_],
     truths: NDArray[np.bool_],
-    related: bool,
+    sharp: bool,
 ) -> Engine | None:
     """The engine of an automaton; None if its verdicts take too long to close."""
     runs = _closed(automaton)
@@ -135,14 +138,13 @@ def _of_automaton(
     codes = valuations @ (1 << np.arange(len(read))) if len(read) else np.zeros(len(valuations), dtype=np.int64)
     letter = np.zeros(1 << len(read), dtype=np.int64)
     letter[codes] = automaton.letters_at(truths)
-    exact = realised(read) and not related
     states = f"its automaton has {automaton.n_states} states"
-    why = states if exact else f"{states}; its predicates depend on each other in ways that are not examined"
+    why = states if sharp else f"{states}; its predicates depend on each other in ways that are not examined"
     first, outcome = table if table is not None else (None, None)
     starts = automaton.starts
     assert starts is not None
     return Engine(
-        Early("automaton", exact, why), read, letter, automaton.delta.astype(np.int64), starts.delta.astype(np.int64),
+        Early("automaton", sharp, why), read, letter, automaton.delta.astype(np.int64), starts.delta.astype(np.int64),
         starts.state.astype(np.int64), first, outcome, closed,
     )  # fmt: skip
 

@@ -1,7 +1,7 @@
 """Traces with a wanted verdict, built step by step instead of drawn and rejected.
 
 The exact automaton of φ, restricted to truth assignments of its comparisons and labels that values in the signals'
-ranges give (testing/regions.py), with verdicts as early as they are certain, is walked forward:
+ranges give (logic/regions.py), with verdicts as early as they are certain, is walked forward:
 
     win_d(d, q)  =  verdict_d(q) is the wanted one
     win_d(t, q)  =  verdict_t(q) is open, and some assignment λ has win_d(t + 1, δ(λ, q))         t = d − 1 … 0
@@ -60,8 +60,8 @@ from stltool.logic.formula import (
     horizon,
     with_children,
 )
+from stltool.logic.regions import Choices, Draw, Range, Span, Values, groups
 from stltool.logic.shifts import has_delays
-from stltool.testing.regions import Choices, Draw, Range, Span, Values, groups
 
 Columns: TypeAlias = dict[str, NDArray[np.float64] | NDArray[np.bool_]]
 

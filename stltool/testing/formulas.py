@@ -45,9 +45,9 @@ from stltool.logic.formula import (
     Until,
     Variable,
 )
+from stltool.logic.regions import Choices, Range, Span
 from stltool.testing.names import LABELS, SIGNALS, Signals, below, by
 from stltool.testing.ranges import range_of
-from stltool.testing.regions import Choices, Range, Span
 
 Fragment: TypeAlias = Literal["any", "paper", "boolean"]
 

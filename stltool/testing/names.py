@@ -8,8 +8,8 @@ from typing import Any, TypeAlias
 
 from hypothesis import strategies as st
 
+from stltool.logic.regions import Draw
 from stltool.testing.ranges import Limits
-from stltool.testing.regions import Draw
 
 LABELS = ("a", "b", "c")
 SIGNALS = ("x", "y")

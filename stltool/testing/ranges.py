@@ -8,8 +8,8 @@ from typing import Any, TypeAlias
 
 from stltool.arguments import described, mapping
 from stltool.errors import SettingsError
+from stltool.logic.regions import Choices, Range, Span
 from stltool.numbers import Exactable, NumberError, exact
-from stltool.testing.regions import Choices, Range, Span
 
 Limits: TypeAlias = Any
 """A pair (lowest, highest) of numbers, None for no limit; or a Hypothesis strategy with ends, as st.floats(0, 9)."""

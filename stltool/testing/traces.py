@@ -14,12 +14,12 @@ from stltool.arguments import described, mapping, whole
 from stltool.display import cut
 from stltool.errors import NameLookupError, SettingsError, near_misses
 from stltool.logic.formula import Formula, Not, bounded_formula_of
+from stltool.logic.regions import Choices, Draw, Range, Span
 from stltool.logic.task import Task
 from stltool.numbers import Exactable, NumberError, exact, shortest
 from stltool.testing.constructive import Constructor, near
 from stltool.testing.names import LABELS, SIGNALS, VALUES, Signals, by, many
 from stltool.testing.ranges import Limits, range_of, ranges_of
-from stltool.testing.regions import Choices, Draw, Range, Span
 from stltool.testing.trace import Trace
 
 

@@ -220,16 +220,22 @@ def test_any_formula_is_decided_as_soon_as_all_continuations_agree(phi, seed):
 
 
 def earliest_with_past(phi, trace, values):
-    """`earliest` for a formula that reads samples before the start: continuations are appended to the whole trace."""
+    """`earliest` for a formula that reads samples before the start: continuations are appended to the whole trace.
+
+    `values` of a signal may be a function that gives those of the first, second, … step ahead.
+    """
     names = sorted(values)
-    letters = list(itertools.product(*(values[name] for name in names)))
+
+    def letters(j):
+        return list(itertools.product(*(values[n](j) if callable(values[n]) else values[n] for n in names)))
+
     h, n = stl.horizon(phi), len(next(iter(trace.values())))
     found = {}
     for t in range(n):
         for end in range(t + 1, min(n, t + h + 1) + 1):
             rest = t + h + 1 - end
-            tails = np.array(list(itertools.product(letters, repeat=rest)), dtype=float)
-            tails = tails.reshape(len(letters) ** rest, rest, len(names))
+            tails = np.array(list(itertools.product(*map(letters, range(rest)))), dtype=float)
+            tails = tails.reshape(-1, rest, len(names)) if rest else np.empty((1, 0, len(names)))
             columns = {
                 name: np.concatenate([np.tile(np.array(trace[name][:end], float), (len(tails), 1)), tails[:, :, i]], 1)
                 for i, name in enumerate(names)
@@ -268,6 +274,32 @@ def test_what_looks_back_is_decided_as_soon_as_all_continuations_agree(text, kin
         assert online.early[:2] == ("automaton", True)
         trace = {name: rng.choice(values[name], 9).tolist() for name in values}
         assert fed(online, trace) == earliest_with_past(phi, trace, values)
+
+
+DEPENDENT = [
+    "x > y & F[0,2] x * y < 1", "F[0,1] (x + y > 3 & x < 1) | G[0,2] y < 1", "F[0,2] max(x, y) > 3 | G[0,1] x < 2",
+    "F[0,2] abs(x) + abs(y) <= 1 & G[0,2] x < 3", "(G[0,2] x > y) -> F[0,1] (x > 2 | y < 2)",
+    "F[0,1] x * y == 0 -> y > 2",
+    "F[0,1] (x > y & y > 2 & x < 2) | G[0,2] x > y", "F[0,2] once[0,1] x > y & G[0,1] (x <= 2 | y > 2)",
+]  # fmt: skip
+SHIFTED = [
+    "G[0,2] (x[t+1] - x <= 1)", "F[0,2] (x - x[t-1] > 1) & G[0,1] x - x[t-1] > -2", "G[0,2] (x > x[t-1] -> y > x[t-2])",
+    "F[0,1] (x - 2*x[t-1] + x[t-2] > 1) <-> F[1,2] y < y[t-1]", "G[0,2] (prev x > 2 -> y > y[t-1])",
+    "once (x > x[t-1]) & F[0,2] x <= x[t-1]",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", DEPENDENT + SHIFTED)
+def test_comparisons_of_several_samples_are_decided_as_soon_as_all_continuations_agree(text):
+    phi, shifted = stl.parse(text), text in SHIFTED
+    few = (-2.0, 0.0, 0.5, 1.0, 2.0, 2.5, 4.0)
+    ahead = {True: lambda j: (-(20.0 ** (j + 1)), 20.0 ** (j + 1)), False: few}[shifted]  # from any value on
+    names = sorted(variables(phi))
+    rng = np.random.default_rng(len(text))
+    online = stl.OnlineMonitor(phi)
+    assert online.early[:2] == ("automaton", True)
+    trace = {name: rng.choice(few, 8 if shifted else 5).tolist() for name in names}
+    assert fed(online, trace) == earliest_with_past(phi, trace, dict.fromkeys(names, ahead))
 
 
 @pytest.mark.soak
@@ -405,7 +437,8 @@ def test_what_is_said_about_exactness():
     mixed = stl.OnlineMonitor(stl.parse(large.format("x > 4"))).early
     assert mixed[:2] == ("structure", False)
     assert "depends on another" in mixed.why
-    assert stl.OnlineMonitor(stl.parse("F[0,3] x * y > 2")).early[:2] == ("automaton", False)
+    for text in ("F[0,2] x * x > 4 | G[0,3] x ^ 3 <= 8", "G[0,3] (x - x[t-1] <= 1) & F[0,2] x > 3"):
+        assert stl.OnlineMonitor(stl.parse(text)).early[:2] == ("automaton", False)
     assert stl.OnlineMonitor(stl.parse(" & ".join(f"F[0,2] p{i}" for i in range(13)))).early.why.startswith(
         "the formula has 13 labels and comparisons, over 12"
     )

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.logic.feasible import leaves
 from stltool.logic.formula import Arithmetic, Call, Comparison, Negate, Number, Variable
-from stltool.testing.regions import Choices, Span, groups, kept
+from stltool.logic.regions import Choices, Span, groups, kept
 from tests.conftest import many
 
 GRID = [Fraction(n, 2) for n in range(-6, 7)]

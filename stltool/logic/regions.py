@@ -130,7 +130,7 @@ class Choices:
         assert part.low is not None
         assert part.high is not None
         if part.low == part.high:
-            return cls(part.low) if kept(part.low) and _is_decimal(part.low / scale) else None
+            return cls(part.low) if kept(part.low) and is_decimal(part.low / scale) else None
         magnitude = _magnitude_of((part.high - part.low) / scale)
         power, found = magnitude + 1, list[Fraction]()  # few multiples fit
         while True:
@@ -147,7 +147,7 @@ class Choices:
         if not kept(simplest):
             return None
         given = (part.low, not part.low_open, first * unit), (part.high, not part.high_open, last * unit)
-        ends = [end if closed and kept(end) and _is_decimal(end / scale) else near for end, closed, near in given]
+        ends = [end if closed and kept(end) and is_decimal(end / scale) else near for end, closed, near in given]
         if not all(map(kept, ends)):
             return cls(simplest)
         order = sorted(range(first, last + 1), key=lambda n: (n % 10 != 0, abs(n), n < 0))
@@ -178,7 +178,7 @@ def _plainness(value: Fraction) -> tuple[int, Fraction, bool]:
     return characters, abs(value), value < 0
 
 
-def _is_decimal(value: Fraction) -> bool:
+def is_decimal(value: Fraction) -> bool:
     return _without_2_and_5(value.denominator) == 1
 
 
@@ -193,7 +193,7 @@ def _without_2_and_5(n: int) -> int:
 @lru_cache(maxsize=1 << 16)
 def kept(value: Fraction) -> bool:
     """Whether some double means exactly this value."""
-    if not _is_decimal(value):
+    if not is_decimal(value):
         return False
     try:
         return shortest(float(value)) == value
@@ -377,8 +377,8 @@ class Polyhedron:
             equation = next((row.term for row in rows if row.relation == "=="), None)
             if equation is None:
                 return rows
-            name, by = min(((name, _solved(equation, name)) for name, _ in equation.coefficients), key=_ease)
-            if not _is_decimal(by.constant):
+            name, by = min(((name, solved(equation, name)) for name, _ in equation.coefficients), key=_ease)
+            if not is_decimal(by.constant):
                 self.sharp = not by.coefficients  # then it is one value, which is no decimal
                 return None
             self._pivots.append((name, by))
@@ -431,14 +431,14 @@ class Polyhedron:
         return found if found is not None else self.simplest
 
 
-def _solved(equation: Linear, name: str) -> Linear:
+def solved(equation: Linear, name: str) -> Linear:
     return equation.without(name).times(-1 / equation.of_signal(name))
 
 
 def _ease(found: tuple[str, Linear]) -> tuple[bool, int, str]:
     name, by = found
     others = math.lcm(*(_without_2_and_5(k.denominator) for _, k in by.coefficients), 1)
-    return not _is_decimal(by.constant), others, name
+    return not is_decimal(by.constant), others, name
 
 
 def _span(name: str, rows: Sequence[Constraint], values: Values) -> Span:
@@ -581,7 +581,7 @@ def _points(
         if (found := _signs(leaves, {})) is not None:
             yield tuple(_HOLDS[leaf.op](sign) for leaf, sign in zip(leaves, found, strict=True)), {}
         return
-    constants = sorted({shortest(n.value) for leaf in leaves for n in _numbers(leaf)})
+    constants = sorted({shortest(n.value) for leaf in leaves for n in numbers(leaf)})
     most = max([*map(abs, constants), Fraction(5)])
     fine = max(3, min(65, math.floor(_MOST_POINTS ** (1 / len(names))) - 2 * len(constants) - 3))
     axes: list[list[Fraction]] = []
@@ -676,7 +676,7 @@ def _signs(leaves: Sequence[Comparison], values: Values) -> tuple[int, ...] | No
     return tuple(found)
 
 
-def _numbers(leaf: Comparison) -> list[Number]:
+def numbers(leaf: Comparison) -> list[Number]:
     def inside(term: Term) -> list[Number]:
         match term:
             case Number():
