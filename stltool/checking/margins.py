@@ -16,6 +16,7 @@ likewise.
 
 from __future__ import annotations
 
+import bisect
 import itertools
 import math
 import time
@@ -31,7 +32,7 @@ from stltool.arguments import flag, function, real, require, whole
 from stltool.automata import compile_automaton
 from stltool.automata.compile import atoms_of
 from stltool.checking.check import CheckResult, check
-from stltool.checking.induction import Progress
+from stltool.checking.induction import Engine, Progress
 from stltool.choices import Through
 from stltool.display import Card, Displayed, probability_text
 from stltool.errors import FragmentError, PolicyError, SettingsError, SizeError, named
@@ -48,6 +49,7 @@ from stltool.product import Product, joined, require_names
 Floats: TypeAlias = NDArray[np.float64]
 
 _SHOWN = 10  # rows in a notebook
+_LOADING = 1.0  # seconds of checks, after which the faster engine is loaded, which takes about as long
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -152,26 +154,20 @@ def robustness_distribution(
             f"{named('margin', 'margins=[0.1]')}{named('most_values', ', or raise most_values')}"
         )
     products = asked.products(values)
-    results: dict[bytes, CheckResult] = {}
-    for number, product in enumerate(products):
-        key = product.letter.tobytes()
-        if key not in results:
-            results[key] = asked.check(product)
-        if progress is not None:
-            progress(number + 1, len(products))
-    found = [results[product.letter.tobytes()] for product in products]
-    lower, upper = np.array([each.lower for each in found]), np.array([each.upper for each in found])
+    question: Literal["maximum", "minimum", "policy"]
+    question = "policy" if policy is not None else "maximum" if maximize else "minimum"
+    lower, upper = _survival(asked, products, progress)
     mean = None
     if margins is None:
         finite = len(values) > 1 and upper[-1] == 0 and lower[0] == 1
         if finite and policy is None:  # whatever the policy
             finite = asked.check(products[0], not maximize).lower == 1 and asked.check(products[-1], True).upper == 0
         if finite:
-            mean = _mean(values[:-1].tolist(), lower.tolist(), upper.tolist(), found[0].question)
+            mean = _mean(values[:-1].tolist(), lower.tolist(), upper.tolist(), question)
         if upper[-1] == 0:
             values, lower, upper = values[:-1], lower[:-1], upper[:-1]
     return RobustnessDistribution(
-        asked.name, asked.formula, model, products[0].horizon, found[0].question, values, lower, upper, mean,
+        asked.name, asked.formula, model, products[0].horizon, question, values, lower, upper, mean,
         margins is None, policy, time.perf_counter() - start,
     )  # fmt: skip
 
@@ -206,6 +202,35 @@ def largest_margin(
         else:
             last = middle
     return best
+
+
+def _survival(asked: _Thresholds, products: Sequence[Product], progress: Progress | None) -> tuple[Floats, Floats]:
+    """Bounds on P(ρ ≥ r) for each of the products, in ascending order of r.
+
+    P falls in r: up to an r that has 1, and from one that has 0, nothing need be checked. Where these begin is found by
+    bisection.
+    """
+    n = len(products)
+    lower, upper = np.ones(n), np.zeros(n)
+    known: dict[bytes, CheckResult] = {}
+
+    def bounds(j: int) -> tuple[float, float]:
+        key = products[j].letter.tobytes()
+        if key not in known:
+            known[key] = asked.check(products[j])
+        lower[j], upper[j] = known[key].lower, known[key].upper
+        if progress is not None:
+            progress(len(known), n)
+        return lower[j], upper[j]
+
+    first = bisect.bisect_left(range(n), True, key=lambda j: bounds(j)[0] < 1)  # that is not certain
+    last = bisect.bisect_left(range(n), True, lo=first, key=lambda j: bounds(j)[1] == 0)  # that is impossible
+    for j in range(first, last):
+        bounds(j)
+    upper[:first], lower[last:] = 1.0, 0.0
+    if progress is not None:
+        progress(n, n)
+    return lower, upper
 
 
 def _mean(values: list[float], lower: list[float], upper: list[float], question: str) -> tuple[float, float]:
@@ -259,6 +284,8 @@ class _Thresholds:
                 "supported; record the difference as a signal of the model"
             )
         self._model, self._policy = model, policy
+        self._engine: Engine = "auto"
+        self._seconds = 0.0  # that checks took without the engine that has to be loaded
         self._maximize, self._memory_limit = maximize, memory_limit
         rewritten = thresholded(self.formula)
         self._formula, self._labels = rewritten.formula, rewritten.labels
@@ -307,7 +334,13 @@ class _Thresholds:
         """The check of ρ ≥ r: of the policy, or over all policies."""
         better = self._maximize if maximize is None else maximize
         if self._policy is None:
-            return check(product, maximize=better, keep_policy=keep_policy, memory_limit=self._memory_limit)
+            found = check(
+                product, maximize=better, keep_policy=keep_policy, engine=self._engine, memory_limit=self._memory_limit
+            )
+            self._seconds += found.seconds if found.engine == "nodes" else 0.0
+            if self._seconds > _LOADING:  # many of these checks: to load the faster engine pays
+                self._engine = "words"
+            return found
         home = self._policy.home
         if not self._policy.stationary and home.horizon < product.horizon:
             raise PolicyError(

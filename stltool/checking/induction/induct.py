@@ -39,6 +39,7 @@ from stltool.sizes import integer_type
 Engine: TypeAlias = Literal["auto", "nodes", "words"]
 # the most pairs, all steps together, for numpy: until numba is loaded, until words.py is used, and after that
 FEW, FEW_LOADED, FEW_USED = 100_000, 3_000, 200
+_FEW_EACH = 2  # and for each automaton state: words.py makes tables of all of them, also of those not reached
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +76,7 @@ def layers_of(
     while.
     """
     if engine != "words":
-        few = None if engine == "nodes" else _few()
+        few = None if engine == "nodes" else max(_few(), _FEW_EACH * game.automaton.n_states)
         nodes = Nodes(game, goal, allowed, live, sure, budget, few)
         try:
             nodes.reached  # noqa: B018 - computed here, so that TooMany is raised here
