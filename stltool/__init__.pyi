@@ -18,7 +18,8 @@ from .logic.compose import (
     trigger as trigger,
     weak_until as weak_until,
 )
-from .logic.semantics import robustness as robustness, satisfies as satisfies
+from .logic.semantics import robustness as robustness, satisfies as satisfies, time_robustness as time_robustness
+from .logic.timing import time_shifted as time_shifted
 from .logic.fragment import Fragment as Fragment, check_fragment as check_fragment
 from .logic.rewrite import negation_normal_form as negation_normal_form, simplify as simplify
 from .logic.task import Task as Task
@@ -73,6 +74,7 @@ from .checking import (
     StateValues as StateValues,
     StationaryResult as StationaryResult,
     SurrogateResult as SurrogateResult,
+    TimeDistribution as TimeDistribution,
     Tradeoff as Tradeoff,
     certify as certify,
     check as check,
@@ -92,6 +94,7 @@ from .checking import (
     sprt as sprt,
     stationary as stationary,
     surrogate_optimum as surrogate_optimum,
+    time_distribution as time_distribution,
     tradeoff as tradeoff,
     write_certificate as write_certificate,
 )

@@ -483,12 +483,17 @@ def least_cause(phi, trace: dict, t: int, end: str, values: dict) -> tuple[dict,
 
 def robustness_shares(product: stl.Product, policy: stl.Policy, phi) -> dict[float, Fraction]:
     """P(ρ = value) under a deterministic policy over `product`, by walking all histories of φ."""
-    model, length = product.model, stl.horizon(phi) + 1
+    return history_shares(product, policy, stl.horizon(phi) + 1, lambda trace: stl.robustness(phi, trace))
+
+
+def history_shares(product: stl.Product, policy: stl.Policy, length: int, worth) -> dict[float, Fraction]:
+    """The same of worth(trace), over traces of so many samples."""
+    model = product.model
     shares: dict[float, Fraction] = {}
 
     def walk(history: tuple[int, ...], q: int, p: Fraction) -> None:
         if len(history) == length:
-            value = stl.robustness(phi, trace_of(model, history))
+            value = worth(trace_of(model, history))
             shares[value] = shares.get(value, Fraction(0)) + p
             return
         choice = policy.row(len(history) - 1)[history[-1], q]
@@ -502,12 +507,17 @@ def robustness_shares(product: stl.Product, policy: stl.Policy, phi) -> dict[flo
 
 def robustness_optimum(model: stl.MDP, phi, worth, maximize: bool = True) -> Fraction:
     """The greatest (least) mean of worth(ρ) over all history-dependent policies, by walking all histories."""
-    best = max if maximize else min
     length = stl.horizon(phi) + 1
+    return history_optimum(model, length, lambda trace: worth(stl.robustness(phi, trace)), maximize)
+
+
+def history_optimum(model: stl.MDP, length: int, worth, maximize: bool = True) -> Fraction:
+    """The same of worth(trace), over traces of so many samples."""
+    best = max if maximize else min
 
     def value(history: tuple[int, ...]) -> Fraction:
         if len(history) == length:
-            return Fraction(worth(stl.robustness(phi, trace_of(model, history))))
+            return Fraction(worth(trace_of(model, history)))
         return best(sum(p * value((*history, s2)) for s2, p in row) for row in choices(model, history[-1]))
 
     return sum((p * value((s,)) for s, p in initial(model)), Fraction(0))

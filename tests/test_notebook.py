@@ -87,6 +87,7 @@ CELLS = {
     "Tradeoff": ("stl.tradeoff(joint, 'reach', at_least={'stay': 0.5})", "P(stay) >= 0.5"),
     "ParametricResult": ("stl.parametric(stl.build_product(family, stl.parse('F[0,2] A')))", "for p in [0.5, 1]"),
     "RobustnessDistribution": ("stl.robustness_distribution(model, stl.parse('F[0,2] x > 0.5'))", "the maximum"),
+    "TimeDistribution": ("stl.time_distribution(model, stl.parse('F[0,2] x > 0.5'), 1)", "k from 0 to 1"),
     "PolicyTree": ("stl.policy_tree(product)", "leaves, P = "),
     "Verification": ("stl.verify('expected.stl')", "1 expectation: 1 holds"),
     "Verified": ("stl.verify('expected.stl').results[0]", "Verified: holds, expected.stl:3"),

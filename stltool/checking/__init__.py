@@ -17,14 +17,16 @@ from stltool.checking.shield import Shield, shield
 from stltool.checking.stationary import StationaryResult, stationary
 from stltool.checking.statistical import Estimate, SequentialTest, estimate, estimate_from, sprt, sprt_from
 from stltool.checking.surrogate import SurrogateResult, surrogate_optimum
+from stltool.checking.timing import TimeDistribution, time_distribution
 from stltool.checking.tradeoff import Tradeoff, tradeoff
 from stltool.checking.values import StateValue, StateValues
 
 __all__ = [
     "CheckResult", "Estimate", "ExpectedCost", "Front", "Frontier", "LikelyRun", "LikelyRuns", "Node",
     "ParametricResult", "PolicyTree", "RobustnessDistribution", "Run", "Runner", "Sensitivity", "SequentialTest",
-    "Shield", "StateValue", "StateValues", "StationaryResult", "SurrogateResult", "Tradeoff", "certify", "check",
-    "estimate", "estimate_from", "expected_cost", "frontier", "largest_margin", "likely_runs", "parametric", "pareto",
-    "policy_tree", "require_certificate_of", "robust_check", "robustness_distribution", "sample_run", "sensitivity",
-    "shield", "sprt", "sprt_from", "stationary", "surrogate_optimum", "tradeoff", "write_certificate",
+    "Shield", "StateValue", "StateValues", "StationaryResult", "SurrogateResult", "TimeDistribution", "Tradeoff",
+    "certify", "check", "estimate", "estimate_from", "expected_cost", "frontier", "largest_margin", "likely_runs",
+    "parametric", "pareto", "policy_tree", "require_certificate_of", "robust_check", "robustness_distribution",
+    "sample_run", "sensitivity", "shield", "sprt", "sprt_from", "stationary", "surrogate_optimum", "time_distribution",
+    "tradeoff", "write_certificate",
 ]  # fmt: skip

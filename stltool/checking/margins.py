@@ -92,7 +92,7 @@ class RobustnessDistribution(Displayed):
 
     def largest(self, at_least: float | Fraction) -> float:
         """The largest of the values whose probability is proved to be at least `at_least`; −inf if there is none."""
-        bound = _probability(at_least, "largest's at_least")
+        bound = probability_of(at_least, "largest's at_least")
         kept = [r for r, lower in zip(self.values.tolist(), self.lower.tolist(), strict=True) if lower >= bound]
         return max(kept, default=-math.inf)
 
@@ -138,7 +138,7 @@ def robustness_distribution(
     flag(maximize, "robustness_distribution's maximize")
     function(progress, "robustness_distribution's progress")
     most = whole(most_values, "robustness_distribution's most_values", 1)
-    asked = _Thresholds("robustness_distribution", model, task, policy, maximize, memory_limit)
+    asked = Thresholds("robustness_distribution", model, task, policy, maximize, memory_limit)
     if margins is not None:
         require(margins, (list, tuple, np.ndarray), "robustness_distribution's margins", "give a list, such as [0.1]")
         if len(margins) == 0:
@@ -187,9 +187,9 @@ def largest_margin(
     attains it; (−inf, None) if there is none. By bisection over the values that ρ may have, since P(ρ ≥ r) falls in r.
     Raises as `robustness_distribution`, and SettingsError unless 0 < `at_least` ≤ 1.
     """
-    bound = _probability(at_least, "largest_margin's at_least")
+    bound = probability_of(at_least, "largest_margin's at_least")
     flag(maximize, "largest_margin's maximize")
-    asked = _Thresholds("largest_margin", model, task, policy, maximize, memory_limit)
+    asked = Thresholds("largest_margin", model, task, policy, maximize, memory_limit)
     values = np.append(asked.values, np.inf)
     best: tuple[float, CheckResult | None] = (-math.inf, None)
     first, last = 0, len(values)  # the answer is values[first - 1]
@@ -204,7 +204,7 @@ def largest_margin(
     return best
 
 
-def _survival(asked: _Thresholds, products: Sequence[Product], progress: Progress | None) -> tuple[Floats, Floats]:
+def _survival(asked: Thresholds, products: Sequence[Product], progress: Progress | None) -> tuple[Floats, Floats]:
     """Bounds on P(ρ ≥ r) for each of the products, in ascending order of r.
 
     P falls in r: up to an r that has 1, and from one that has 0, nothing need be checked. Where these begin is found by
@@ -247,14 +247,15 @@ def _mean(values: list[float], lower: list[float], upper: list[float], question:
     return round_down(least), round_up(most)
 
 
-def _probability(given: float | Fraction, what: str) -> float | Fraction:
+def probability_of(given: float | Fraction, what: str) -> float | Fraction:
+    """A bound on a probability that says something; SettingsError for any other."""
     bound = real(given, what, "0.95")
     if not 0 < bound <= 1:
         raise SettingsError(f"{what} is {float(bound):g}; give a probability above 0 and at most 1, such as 0.95")
     return bound
 
 
-class _Thresholds:
+class Thresholds:
     """A task's products for ρ ≥ r, whatever r: one structure over labels whose truth in a state depends on r."""
 
     def __init__(
@@ -295,17 +296,6 @@ class _Thresholds:
         signed = [self._margins[name] * (1 if positive else -1) for name, (_, positive) in self._labels.items()]
         every = np.unique(np.concatenate([np.empty(0), *signed])) + 0.0  # no -0.0
         self.values: Floats = every[np.isfinite(every)]
-        self._fits()
-
-    def _fits(self) -> None:
-        """PolicyError unless the policy is for the model and as many steps."""
-        if self._policy is None:
-            return
-        model = self._policy.home.model
-        if model is not self._model and self._policy.binding.model_digest != self._model.nominal().digest():
-            raise PolicyError(
-                f"the policy is for the model {model.name}, not for {self._model.name}; give one for this model"
-            )
 
     def _truth(self, r: float) -> NDArray[np.bool_]:
         """(n_states, n_atoms): the truth of the structure's atoms in every state."""
@@ -341,12 +331,24 @@ class _Thresholds:
             if self._seconds > _LOADING:  # many of these checks: to load the faster engine pays
                 self._engine = "words"
             return found
-        home = self._policy.home
-        if not self._policy.stationary and home.horizon < product.horizon:
-            raise PolicyError(
-                f"the policy ends after {home.horizon} steps, the task after {product.horizon}; give a policy for as "
-                "many steps"
-            )
-        both, memory = joined(product, home)
-        judged = check(both, Policy(both, Through(self._policy.form, memory)), memory_limit=self._memory_limit)
-        return replace(judged, policy=self._policy)
+        return check_along(product, self._policy, self._memory_limit)
+
+
+def check_along(product: Product, policy: Policy, memory_limit: int | None = None) -> CheckResult:
+    """The check of a policy that was made for another task on the same model: it follows its own automaton.
+
+    Raises PolicyError if it is for another model, or ends before the task does.
+    """
+    home = policy.home
+    if home.model is not product.model and policy.binding.model_digest != product.model.nominal().digest():
+        raise PolicyError(
+            f"the policy is for the model {home.model.name}, not for {product.model.name}; give one for this model"
+        )
+    if not policy.stationary and home.horizon < product.horizon:
+        raise PolicyError(
+            f"the policy ends after {home.horizon} steps, the task after {product.horizon}; give a policy for as many "
+            "steps"
+        )
+    both, memory = joined(product, home)
+    judged = check(both, Policy(both, Through(policy.form, memory)), memory_limit=memory_limit)
+    return replace(judged, policy=policy)

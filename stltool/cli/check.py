@@ -13,7 +13,7 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.cost import check_cost
-from stltool.cli.margins import check_margins, read_margin
+from stltool.cli.margins import check_margins, check_timing, read_margin
 from stltool.cli.options import (
     READ,
     AsJson,
@@ -173,6 +173,15 @@ def check(
             autocompletion=lambda: ["initial", "all"],
         ),
     ] = None,
+    time_shift: Annotated[
+        int | None,
+        typer.Option(
+            "--time-shift",
+            metavar="K",
+            help="with --robustness: P that the task tolerates 0 to K steps of delay, in both meanings of the term; "
+            "bounds are on the P of K",
+        ),
+    ] = None,
     report: ReportFolder = None,
     model: Model = None,
     reading: ModelReading = READ,
@@ -244,19 +253,27 @@ def check(
         return
     if margin is not None and not robustness:
         raise SettingsError(f"--margin {margin} is a margin of robustness; add --robustness, or leave it out")
+    if time_shift is not None and time_shift < 0:
+        raise SettingsError(f"--time-shift {time_shift}: write a number of steps, such as --time-shift 2")
+    if time_shift is not None and not robustness:
+        raise SettingsError(f"--time-shift {time_shift} is robustness in time; add --robustness, or leave it out")
     if robustness:
         beside = [
             (clockless, "--stationary and --memoryless"), (exact, "--exact"), (transfer, "--transfer"),
             (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
             (cluster is not None, "--cluster"), (report is not None, "--report"), (encoding != "exact", "--encoding"),
             (nature not in (None, "nominal"), "--nature"), (values is not None, "--values"),
-            (margin is None and at_most is not None, "without --margin, --at-most"),
+            (margin is None and time_shift is None and at_most is not None, "without --margin, --at-most"),
         ]  # fmt: skip
         _require_none(beside, "is not supported with --robustness; leave one of them out")
         r = read_margin(margin) if margin is not None else None
         (loaded,), world = load_with_model(task, model, param, [name], reading)
         world = world.nominal() if nature == "nominal" else world
         chosen = given_policy(bind(loaded, world, encoding), policy, policy_function) if given is not None else None
+        if time_shift is not None:
+            if not check_timing(loaded, world, chosen, time_shift, r, not minimize, bounds, as_json):
+                raise typer.Exit(1)
+            return
         if not check_margins(loaded, world, chosen, r, not minimize, bounds, as_json):
             raise typer.Exit(1)
         return

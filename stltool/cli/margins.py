@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from stltool.errors import SettingsError
+from stltool.logic.timing import Reading
 from stltool.numbers import NumberError, bound_texts, read
 
 if TYPE_CHECKING:
     from stltool.logic.task import Task
     from stltool.models import MDP
     from stltool.policy import Policy
+    from stltool.reporting.records import RobustnessRecord, TimingRecord
 
 _VERDICTS = {True: "holds", False: "does not hold", None: "undecided: the bound lies inside the enclosure"}
 
@@ -62,16 +65,7 @@ def check_margins(
     elif bounds:
         assert margin is not None
         assert distribution is not None
-        verdicts = []
-        lower, upper = distribution.at(margin)
-        for option, text, bound in bounds:
-            below = option == "--at-least"
-            data["at_least" if below else "at_most"] = float(bound)
-            sure, never = (lower >= bound, upper < bound) if below else (upper <= bound, lower > bound)
-            verdicts.append(True if sure else False if never else None)
-            facts[f"P {'>=' if below else '<='} {text}"] = _VERDICTS[verdicts[-1]]
-        data["holds"] = holds = all(verdict is True for verdict in verdicts)
-        data["decided"] = all(verdict is not None for verdict in verdicts)
+        holds = _judge(bounds, {"": distribution.at(margin)}, data, facts)
     if as_json:
         print_json(data)
         return holds
@@ -88,5 +82,75 @@ def check_margins(
         if distribution.mean is not None:
             least, most = bound_texts(*distribution.mean)
             facts["mean robustness"] = f"from {least} to {most}"
+    print_facts(facts)
+    return holds
+
+
+def _judge(
+    bounds: list[tuple[str, str, Fraction]],
+    found: Mapping[str, tuple[float, float]],
+    data: RobustnessRecord | TimingRecord,
+    facts: dict[str, str],
+) -> bool:
+    """Whether every bound holds on every enclosure, by what it is of; the verdicts are added to data and facts."""
+    verdicts: list[bool | None] = []
+    for option, text, bound in bounds:
+        below = option == "--at-least"
+        data["at_least" if below else "at_most"] = float(bound)
+        for of, (lower, upper) in found.items():
+            sure, never = (lower >= bound, upper < bound) if below else (upper <= bound, lower > bound)
+            verdicts.append(True if sure else False if never else None)
+            facts[f"P {'>=' if below else '<='} {text}{of}"] = _VERDICTS[verdicts[-1]]
+    data["holds"] = all(verdict is True for verdict in verdicts)
+    data["decided"] = all(verdict is not None for verdict in verdicts)
+    return data["holds"]
+
+
+_READINGS: dict[Reading, tuple[str, str]] = {
+    "predicates": ("predicates", "every predicate keeps its truth for k more steps, wherever it is read"),
+    "task": ("whole task", "the whole task holds from each of the steps 0 to k on"),
+}
+
+
+def check_timing(
+    task: Task,
+    model: MDP,
+    policy: Policy | None,
+    most: int,
+    margin: float | None,
+    maximize: bool,
+    bounds: list[tuple[str, str, Fraction]],
+    as_json: bool,
+) -> bool:
+    """Print P(time robustness >= k) for k = 0 … most; whether every bound holds on that of `most`, in both readings."""
+    import stltool as stl
+    from stltool.reporting import timing_data
+    from stltool.reporting.monitoring import robustness_text
+    from stltool.reporting.terminal import print_facts, print_json, print_table, progress_bar
+
+    with progress_bar("checking", quiet=as_json) as bar:
+        found = stl.time_distribution(model, task, most, policy, margin=margin, maximize=maximize, progress=bar)
+    data, facts = timing_data(found), dict[str, str]()
+    holds = not bounds or _judge(
+        bounds, {f", k = {most}, {name}": found.at(most, one) for one, (name, _) in _READINGS.items()}, data, facts
+    )
+    if as_json:
+        print_json(data)
+        return holds
+    asked = "the policy" if policy is not None else f"{found.question} over all policies"
+    kept = f" with robustness of at least {robustness_text(margin)}" if margin is not None else ""
+    print_facts({
+        "task": str(task),
+        "P": f"{asked}, that the task holds{kept} and tolerates k steps, for each k",
+        **dict(_READINGS.values()),
+    })  # fmt: skip
+    rows = []
+    for k in range(most + 1):
+        row: dict[str, object] = {"k": k}
+        for one, (name, _) in _READINGS.items():
+            lower, upper = bound_texts(*found.at(k, one))
+            row |= {f"{name} lower": lower, f"{name} upper": upper}
+        rows.append(row)
+    print_table(rows)
     print_facts(facts)
     return holds

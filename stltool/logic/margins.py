@@ -17,23 +17,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from stltool.logic.formula import (
-    And,
-    Comparison,
-    Constant,
-    Formula,
-    Iff,
-    Implies,
-    Interval,
-    Label,
-    Not,
-    Once,
-    Or,
-    Rise,
-    children,
-    fitting,
-    with_children,
-)
+from stltool.logic.formula import Comparison, Formula, Label
+from stltool.logic.polarity import with_predicates
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,38 +35,10 @@ class Thresholded:
 def thresholded(phi: Formula) -> Thresholded:
     """ρ(φ) ≥ r, for whatever r > −∞. Raises StlSyntaxError if ↔ makes the formula too large."""
     names: dict[tuple[Comparison | Label, bool], str] = {}
-    known: dict[tuple[int, bool], Formula] = {}
 
-    def rewritten(psi: Formula, positive: bool) -> Formula:
-        found = known.get((id(psi), positive))
-        if found is None:
-            found = known[id(psi), positive] = fitting(node(psi, positive))
-        return found
+    def asked(psi: Comparison | Label, positive: bool) -> Formula:
+        name = f"margin({psi}) {'>= r' if positive else '> -r'}"
+        return Label(names.setdefault((psi, positive), name), span=psi.span)
 
-    def node(psi: Formula, positive: bool) -> Formula:
-        match psi:
-            case Constant():
-                return psi
-            case Comparison() | Label():
-                asks = f"margin({psi}) {'>= r' if positive else '> -r'}"
-                return Label(names.setdefault((psi, positive), asks), span=psi.span)
-            case Not(arg):
-                return Not(rewritten(arg, not positive), span=psi.span)
-            case Implies(left, right):
-                return Or((Not(rewritten(left, not positive)), rewritten(right, positive)), span=psi.span)
-            case Iff(left, right):
-                return And(
-                    (
-                        Or((Not(rewritten(left, not positive)), rewritten(right, positive))),
-                        Or((rewritten(left, positive), Not(rewritten(right, not positive)))),
-                    ),
-                    span=psi.span,
-                )
-            case Rise(arg):
-                before = Once(Interval(1, 1), rewritten(arg, not positive))
-                return And((rewritten(arg, positive), Not(before)), span=psi.span)
-            case _:
-                return with_children(psi, tuple(rewritten(child, positive) for child in children(psi)))
-
-    formula = rewritten(phi, True)
+    formula = with_predicates(phi, asked)
     return Thresholded(formula, {name: key for key, name in names.items()})

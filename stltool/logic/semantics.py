@@ -103,7 +103,30 @@ def robustness(phi: Formula | Task, signals: Signals, t: int = 0) -> float:
     `satisfies`.
     """
     phi, t = formula_of(phi, "robustness' formula"), whole(t, "robustness' step t", least=0)
-    return _margin(phi, _samples(phi, signals, t, "robustness"), t)
+    samples = _samples(phi, signals, t, "robustness")
+    return _margin(phi, t, lambda psi, at: _predicate_margin(psi, samples, at))
+
+
+def time_robustness(phi: Formula | Task, signals: Signals, t: int = 0, *, most: int) -> float:
+    """For how many steps the truth of φ at step t outlives changes of timing: from −most to most, ± inf by constants.
+
+    The right time robustness of [Donze10], by min and max over the formula like robustness: a predicate's is the number
+    of steps after t during which it keeps its truth, up to `most`, negative where it is false. ≥ k > 0 implies that φ
+    is true even if every predicate is read up to k steps late; ≤ −k likewise of false; 0 tells nothing. Errors as for
+    `satisfies`, of a trace that goes on for `most` steps.
+    """
+    phi, t = formula_of(phi, "time_robustness' formula"), whole(t, "time_robustness' step t", least=0)
+    most = whole(most, "time_robustness' most", least=1)
+    samples = _samples(Always(Interval(0, most), phi), signals, t, "time_robustness")
+
+    def lasting(psi: Comparison | Label, at: int) -> float:
+        now = _true(psi, samples, at)
+        steps = 0
+        while steps < most and _true(psi, samples, at + steps + 1) == now:
+            steps += 1
+        return steps if now else -steps
+
+    return _margin(phi, t, lasting)
 
 
 def _samples(phi: Formula, signals: Signals, t: int, caller: str) -> dict[str, NDArray[np.float64]]:
@@ -211,60 +234,69 @@ def _true(phi: Formula, signal: Mapping[str, NDArray[np.float64]], t: int) -> bo
             assert_never(phi)
 
 
-def _margin(phi: Formula, signal: Mapping[str, NDArray[np.float64]], t: int) -> float:
+def _predicate_margin(psi: Comparison | Label, signal: Mapping[str, NDArray[np.float64]], t: int) -> float:
+    match psi:
+        case Label(name):
+            return math.inf if signal[name][t] else -math.inf
+        case Comparison(_, left, right):
+            if delay(psi) > t:
+                return -math.inf
+            return _as_double(psi, _value(left, signal, t), _value(right, signal, t))
+        case _:
+            assert_never(psi)
+
+
+def _margin(phi: Formula, t: int, leaf: Callable[[Comparison | Label, int], float]) -> float:
+    """Robustness, where `leaf` is that of a predicate at a step."""
     match phi:
         case Constant(value):
             return math.inf if value else -math.inf
-        case Label(name):
-            return math.inf if signal[name][t] else -math.inf
-        case Comparison() if delay(phi) > t:
-            return -math.inf
-        case Comparison(_, left, right):
-            return _as_double(phi, _value(left, signal, t), _value(right, signal, t))
+        case Comparison() | Label():
+            return leaf(phi, t)
         case Not(arg):
-            return -_margin(arg, signal, t)
+            return -_margin(arg, t, leaf)
         case And(args):
-            return min(_margin(arg, signal, t) for arg in args)
+            return min(_margin(arg, t, leaf) for arg in args)
         case Or(args):
-            return max(_margin(arg, signal, t) for arg in args)
+            return max(_margin(arg, t, leaf) for arg in args)
         case Implies(left, right):
-            return max(-_margin(left, signal, t), _margin(right, signal, t))
+            return max(-_margin(left, t, leaf), _margin(right, t, leaf))
         case Iff(left, right):
-            a, b = _margin(left, signal, t), _margin(right, signal, t)
+            a, b = _margin(left, t, leaf), _margin(right, t, leaf)
             return min(max(-a, b), max(a, -b))
         case Eventually(interval, arg):
-            return max(_margin(arg, signal, u) for u in _window(interval, t))
+            return max(_margin(arg, u, leaf) for u in _window(interval, t))
         case Always(interval, arg):
-            return min(_margin(arg, signal, u) for u in _window(interval, t))
+            return min(_margin(arg, u, leaf) for u in _window(interval, t))
         case Until(interval, left, right):
             return max(
-                min([_margin(right, signal, u)] + [_margin(left, signal, v) for v in range(t, u)])
+                min([_margin(right, u, leaf)] + [_margin(left, v, leaf) for v in range(t, u)])
                 for u in _window(interval, t)
             )
         case Release(interval, left, right):
             return min(
-                max([_margin(right, signal, u)] + [_margin(left, signal, v) for v in range(t, u)])
+                max([_margin(right, u, leaf)] + [_margin(left, v, leaf) for v in range(t, u)])
                 for u in _window(interval, t)
             )
         case Once(interval, arg):
-            return max((_margin(arg, signal, u) for u in _earlier(interval, t)), default=-math.inf)
+            return max((_margin(arg, u, leaf) for u in _earlier(interval, t)), default=-math.inf)
         case Historically(interval, arg):
-            return min((_margin(arg, signal, u) for u in _earlier(interval, t)), default=math.inf)
+            return min((_margin(arg, u, leaf) for u in _earlier(interval, t)), default=math.inf)
         case Since(interval, left, right):
             witnesses = (
-                min([_margin(right, signal, u)] + [_margin(left, signal, v) for v in range(u + 1, t + 1)])
+                min([_margin(right, u, leaf)] + [_margin(left, v, leaf) for v in range(u + 1, t + 1)])
                 for u in _earlier(interval, t)
             )
             return max(witnesses, default=-math.inf)
         case Trigger(interval, left, right):
             witnesses = (
-                max([_margin(right, signal, u)] + [_margin(left, signal, v) for v in range(u + 1, t + 1)])
+                max([_margin(right, u, leaf)] + [_margin(left, v, leaf) for v in range(u + 1, t + 1)])
                 for u in _earlier(interval, t)
             )
             return min(witnesses, default=math.inf)
         case Rise(arg):
-            now = _margin(arg, signal, t)
-            return now if t == 0 else min(now, -_margin(arg, signal, t - 1))
+            now = _margin(arg, t, leaf)
+            return now if t == 0 else min(now, -_margin(arg, t - 1, leaf))
         case _:
             assert_never(phi)
 

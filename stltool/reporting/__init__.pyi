@@ -15,7 +15,7 @@ from .data import (
 from .explanation import explain
 from .frontiers import frontier_data
 from .guarantees import guarantee_data, guarantee_rows, looser_note, refused_data
-from .margins import robustness_data
+from .margins import robustness_data, timing_data
 from .monitoring import monitor_data, write_monitor_picture
 from .page import load_report, render, report, require_report, write_report
 from .pages import estimate_report, front_report, monitor_report
@@ -32,6 +32,6 @@ __all__ = [
     "load_report", "looser_note", "markdown_text", "markov_data", "monitor_data", "monitor_report", "parametric_data",
     "product_data", "refused_data", "render", "report", "report_data", "require_report", "robustness_data",
     "sensitivity_data", "shield_data", "stationary_data", "surrogate_data", "surrogate_rows", "sweep_data",
-    "tradeoff_data", "training_data", "transfer_data", "verification_data", "write_front_picture", "write_history",
-    "write_monitor_picture", "write_report", "write_sweep",
+    "timing_data", "tradeoff_data", "training_data", "transfer_data", "verification_data", "write_front_picture",
+    "write_history", "write_monitor_picture", "write_report", "write_sweep",
 ]  # fmt: skip

@@ -6,12 +6,12 @@ from typing import Literal
 
 import numpy as np
 
-from stltool.checking import RobustnessDistribution
+from stltool.checking import RobustnessDistribution, TimeDistribution
 from stltool.logic.formula import horizon
 from stltool.logic.task import Task
 from stltool.models import MDP
 from stltool.reporting.monitoring import jsonable
-from stltool.reporting.records import RobustnessRecord
+from stltool.reporting.records import RobustnessRecord, TimingRecord
 
 
 def robustness_data(
@@ -36,4 +36,21 @@ def robustness_data(
         "upper": upper.tolist(),
         "mean": list(found.mean) if found is not None and found.mean is not None else None,
         "seconds": found.seconds if found is not None else 0.0,
+    }
+
+
+def timing_data(found: TimeDistribution) -> TimingRecord:
+    """The distribution of time robustness, flat; entry k of a list is that of k steps."""
+    lower, upper = found.bounds["predicates"]
+    task_lower, task_upper = found.bounds["task"]
+    return {
+        "task": found.task_name,
+        "formula": str(found.formula),
+        "model": found.model.name,
+        "model_digest": found.model.digest(),
+        "question": found.question,
+        "margin": found.margin,
+        "predicates": {"lower": lower.tolist(), "upper": upper.tolist()},
+        "whole_task": {"lower": task_lower.tolist(), "upper": task_upper.tolist()},
+        "seconds": found.seconds,
     }

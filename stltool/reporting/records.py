@@ -367,6 +367,35 @@ class RobustnessRecord(TypedDict):
     decided: NotRequired[bool]
 
 
+class EnclosuresRecord(TypedDict):
+    """Bounds on several probabilities, in order."""
+
+    lower: list[float]
+    upper: list[float]
+
+
+class TimingRecord(TypedDict):
+    """How many steps of delay a task tolerates: bounds on P(time robustness >= k), entry k of each list.
+
+    `predicates`: every predicate keeps its truth for k more steps; `whole_task`: the task holds from each of the steps
+    0 to k on. With a margin, the robustness is at least that, too.
+    """
+
+    task: str
+    formula: str
+    model: str
+    model_digest: str
+    question: Question
+    margin: float | None
+    predicates: EnclosuresRecord
+    whole_task: EnclosuresRecord
+    seconds: float
+    at_least: NotRequired[float]
+    at_most: NotRequired[float]
+    holds: NotRequired[bool]
+    decided: NotRequired[bool]
+
+
 class EstimateRecord(TypedDict):
     """How many sampled runs satisfied the task, and bounds on P that hold with this confidence."""
 
@@ -1250,6 +1279,7 @@ OUTPUTS = {
     "check": CheckOutput,
     "check --cost": CostsOutput,
     "check --robustness": RobustnessRecord,
+    "check --robustness --time-shift": TimingRecord,
     "check --vary": ParametricRecord,
     "estimate": EstimateOutput,
     "estimate --at-least": SequentialOutput,

@@ -46,6 +46,31 @@ def test_all_margins_one_margin_and_the_largest(stltool, tmp_path):
     assert "P     maximum over all policies, that the robustness is at least r, for each r" in out
 
 
+def test_delays_in_both_readings(stltool, tmp_path):
+    task = stl.load_task(TASK, params={"T": 3, "tau": 6})
+    model = stl.load_model(task.model)
+    asked = ["check", TASK, "-p", "T=3", "-p", "tau=6", "--robustness", "--time-shift", "1"]
+    stl.check(stl.build_product(model, task)).policy.save(tmp_path / "best.npz")
+    for options, margin, maximize in (([], None, True), (["--minimize"], None, False), (["--margin=-0.2"], -0.2, True)):
+        found = stl.time_distribution(model, task, 1, margin=margin, maximize=maximize)
+        code, out, err = stltool(*asked, *options, "--json")
+        data = json.loads(out)
+        assert (code, err, data["question"], data["margin"]) == (0, "", found.question, margin)
+        for name, reading in (("predicates", "predicates"), ("whole_task", "task")):
+            assert (data[name]["lower"], data[name]["upper"]) == tuple(a.tolist() for a in found.bounds[reading])
+    found = stl.time_distribution(model, task, 1)
+    between = f"{(found.at(1)[1] + found.at(1, 'task')[0]) / 2:.15f}"
+    code, out, _ = stltool(*asked, "--at-least", between, "--at-most", "1")
+    assert code == 1  # one of the readings fails
+    assert [line.split("  ")[-1] for line in out.splitlines()[-4:]] == ["does not hold", "holds", "holds", "holds"]
+    assert out.splitlines()[-4].startswith(f"P >= {between}, k = 1, predicates ")
+    code, out, _ = stltool(*asked, "--at-least", f"{found.at(1)[0] - 1e-9:.15f}")
+    assert code == 0
+    assert "whole task  the whole task holds from each of the steps 0 to k on" in out
+    code, _, err = stltool(*asked, "--policy", tmp_path / "best.npz")
+    assert (code, "the policy ends after 7 steps, the task after 8" in err) == (2, True), err
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [
@@ -54,6 +79,8 @@ def test_all_margins_one_margin_and_the_largest(stltool, tmp_path):
             ["--robustness", "--margin", "much"],
             "--margin much: 'much' is not a number; write, for example, --margin 0.1",
         ),
+        (["--time-shift", "1"], "--time-shift 1 is robustness in time; add --robustness"),
+        (["--robustness", "--time-shift", "-1"], "--time-shift -1: write a number of steps"),
         (["--robustness", "--exact"], "--exact is not supported with --robustness"),
         (["--robustness", "--save-policy", "p.npz"], "--save-policy is not supported with --robustness"),
         (["--robustness", "--encoding", "paper"], "--encoding is not supported with --robustness"),

@@ -31,6 +31,9 @@ MORE = {
     ],
     "check --cost": [["check", "patrolling.stl", *SMALL, "--cost", "x", "--policy", "policy.npz"],
                      ["check", "patrolling.stl", *SMALL, "--cost", "A", "--until", "horizon"]],
+    "check --robustness --time-shift": [
+        ["check", "patrolling.stl", *SMALL, "--robustness", "--time-shift", "1", "--at-least", "0.5"]
+    ],
     "check --robustness": [["check", "patrolling.stl", *SMALL, "--robustness"],
                            ["check", "patrolling.stl", *SMALL, "--robustness", "--at-least", "0.1"],
                            ["check", "patrolling.stl", *SMALL, "--robustness", "--margin", "-0.4", "--at-least",
