@@ -351,6 +351,8 @@ OWN = {
     "frontier": {"task": {"Task"}, "at_least": {*NUMBERS, "text"}, "parameters": {"dict"}},
     "expected_cost": {"cost": {"text"}, "until": {"text"}},
     "time_distribution": {"margin": {"None", *NUMBERS}},
+    "time_shifted": {"steps": {"int"}},
+    "TimeDistribution.at": {"steps": {"int"}},
     "export": {"product": {"Product", "TaskAutomaton"}, "to": TEXT},
     "monitor": {"at": {"None", "int"}},
     "load_model": {"initial": {"None", "int", "text"}},
