@@ -58,6 +58,7 @@ from .envs import to_gymnasium as to_gymnasium
 from .policy import Policy as Policy, load_policy as load_policy
 from .checking import (
     CheckResult as CheckResult,
+    Counterfactual as Counterfactual,
     Estimate as Estimate,
     ExpectedCost as ExpectedCost,
     Front as Front,
@@ -78,6 +79,7 @@ from .checking import (
     Tradeoff as Tradeoff,
     certify as certify,
     check as check,
+    counterfactual as counterfactual,
     estimate as estimate,
     largest_margin as largest_margin,
     expected_cost as expected_cost,

@@ -3,6 +3,7 @@
 from stltool.checking.certificate import certify, require_certificate_of, write_certificate
 from stltool.checking.check import CheckResult, check
 from stltool.checking.costs import ExpectedCost, expected_cost
+from stltool.checking.counterfactual import Alternative, Counterfactual, counterfactual
 from stltool.checking.frontier import Frontier, frontier
 from stltool.checking.likely import LikelyRun, LikelyRuns, likely_runs
 from stltool.checking.margins import RobustnessDistribution, largest_margin, robustness_distribution
@@ -22,11 +23,11 @@ from stltool.checking.tradeoff import Tradeoff, tradeoff
 from stltool.checking.values import StateValue, StateValues
 
 __all__ = [
-    "CheckResult", "Estimate", "ExpectedCost", "Front", "Frontier", "LikelyRun", "LikelyRuns", "Node",
-    "ParametricResult", "PolicyTree", "RobustnessDistribution", "Run", "Runner", "Sensitivity", "SequentialTest",
-    "Shield", "StateValue", "StateValues", "StationaryResult", "SurrogateResult", "TimeDistribution", "Tradeoff",
-    "certify", "check", "estimate", "estimate_from", "expected_cost", "frontier", "largest_margin", "likely_runs",
-    "parametric", "pareto", "policy_tree", "require_certificate_of", "robust_check", "robustness_distribution",
-    "sample_run", "sensitivity", "shield", "sprt", "sprt_from", "stationary", "surrogate_optimum", "time_distribution",
-    "tradeoff", "write_certificate",
+    "Alternative", "CheckResult", "Counterfactual", "Estimate", "ExpectedCost", "Front", "Frontier", "LikelyRun",
+    "LikelyRuns", "Node", "ParametricResult", "PolicyTree", "RobustnessDistribution", "Run", "Runner",
+    "Sensitivity", "SequentialTest", "Shield", "StateValue", "StateValues", "StationaryResult", "SurrogateResult",
+    "TimeDistribution", "Tradeoff", "certify", "check", "counterfactual", "estimate", "estimate_from",
+    "expected_cost", "frontier", "largest_margin", "likely_runs", "parametric", "pareto", "policy_tree",
+    "require_certificate_of", "robust_check", "robustness_distribution", "sample_run", "sensitivity", "shield",
+    "sprt", "sprt_from", "stationary", "surrogate_optimum", "time_distribution", "tradeoff", "write_certificate",
 ]  # fmt: skip

@@ -15,7 +15,7 @@ from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
 from math import lcm
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +24,14 @@ from stltool.arrays import read_only
 from stltool.models.fractions import LARGEST_SUM, Shares, doubles_of
 from stltool.models.intervals import Intervals
 from stltool.models.parameters import Parameter, Ties, Values
-from stltool.models.rows import I32, I64, Chances, Rows, Source, starts
+from stltool.models.rows import I32, I64, Chances, Outcome, Rows, Source, starts
 from stltool.sizes import Numbers, integer_type, unsigned_type
 
 Ends: TypeAlias = tuple[Fraction, Fraction]
 Noise: TypeAlias = tuple[Ends, Ends]
 """The probability of success, and of each of three slips."""
+
+_Share = TypeVar("_Share")
 
 COMPASS = {
     "N": (0, 1),
@@ -143,6 +145,18 @@ class Cells(Source):
         few: Numbers = found.entry.astype(integer_type(len(self._table.target)))  # int16 for one noise: ≤ 256 · 9 · 4
         return Rows(found.choice_start, found.row_start, target, found.chances, few)
 
+    def outcomes(self, s: int, number: int) -> list[Outcome]:
+        if self._parameter is not None or any(low != high for noise in self._noises for low, high in noise):
+            return super().outcomes(s, number)  # nominal probabilities of intervals
+        way = self._ways[int(self._kind[s])]
+        found = []
+        noise = [share for share, _ in self._noises[way.noise]]
+        for name, direction, share in _outcomes(self._moves[number], circle(self._moves), noise, Fraction(1)):
+            there = READING.index(direction if direction in way.out else "stay")
+            target = int(self._around[self._cell[s] + self._offset[there]])
+            found += [Outcome(name, target, share)] if share else []
+        return found
+
     def nominal(self) -> Cells:
         """Entries whose probability must be 0 are left out."""
         if not self._uncertain:
@@ -199,6 +213,21 @@ def circle(moves: Sequence[str]) -> list[str]:
     return [name for name in COMPASS if len(name) == 1 or any(len(move) == 2 for move in moves)]
 
 
+def _outcomes(
+    move: str, around: Sequence[str], noise: Sequence[_Share], whole: _Share
+) -> list[tuple[str, str, _Share]]:
+    """What may happen to a move: its name, the direction that the robot then goes in, and its share of the whole.
+
+    around  the directions that it goes or slips in, clockwise      noise  the shares of success and of each slip
+    """
+    if move == "stay":
+        return [("stay", "stay", whole)]
+    place = around.index(move)
+    success, slip = noise
+    left, right = around[place - 1], around[(place + 1) % len(around)]
+    return [("success", move, success), ("stay", "stay", slip), ("left", left, slip), ("right", right, slip)]
+
+
 class _Way(NamedTuple):
     """A kind of cells: the directions in which they can be left, and the number of their noise."""
 
@@ -227,17 +256,11 @@ def _table(
     least: list[int] = []
     most: list[int] = []
     for way, move in itertools.product(ways, moves):
-        outcomes = [("stay", [denominator, denominator])]
-        if move != "stay":
-            place = around.index(move)
-            sides = (around[place - 1], around[(place + 1) % len(around)])
-            goes, slips = shares[way.noise]
-            outcomes = [(move, goes), ("stay", slips), (sides[0], slips), (sides[1], slips)]
         lower, upper = [0] * len(READING), [0] * len(READING)
-        for direction, chance in outcomes:
+        for _, direction, ends in _outcomes(move, around, shares[way.noise], [denominator, denominator]):
             there = READING.index(direction if direction in way.out else "stay")
-            lower[there] += chance[0]
-            upper[there] += chance[1]
+            lower[there] += ends[0]
+            upper[there] += ends[1]
         possible = [k for k, ends in enumerate(zip(lower, upper, strict=True)) if any(ends)]
         lengths.append(len(possible))
         target += possible

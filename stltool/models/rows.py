@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -244,6 +244,14 @@ class Rows(ReadOnly, Displayed):
             raise ModelError(f"{place(int(wrong[0]))}: the probabilities sum to {total:.12g}, not 1{more}{hint(total)}")
 
 
+class Outcome(NamedTuple):
+    """What chance may do after a choice. `name` says what happens, in a grid for instance "success" or "left"."""
+
+    name: str | None
+    target: int
+    probability: Fraction
+
+
 def hint(total: float) -> str:
     """A hint on how to correct rows that sum to `total`."""
     return f"; {HINT}" if abs(total - 1) <= MOST_MISSING else ""
@@ -340,6 +348,18 @@ class Source(ABC):
     @abstractmethod
     def rows(self, states: I64) -> Rows:
         """The rows of distinct states, in their order."""
+
+    def outcomes(self, s: int, number: int) -> list[Outcome]:
+        """What may happen after a state's choice with this number, for probabilities that are known; they sum to 1.
+
+        Here one outcome for each successor, by state. A source that knows more of its noise tells outcomes of
+        different names that lead to one successor apart.
+        """
+        rows = self.rows(np.array([s]))
+        entry = slice(rows.row_start[number], rows.row_start[number + 1])
+        target, shares = rows.target[entry].tolist(), rows.numerator[entry].tolist()
+        pairs = sorted(zip(target, shares, strict=True))
+        return [Outcome(None, there, Fraction(share, sum(shares))) for there, share in pairs if share]
 
     @abstractmethod
     def nominal(self) -> Source:
