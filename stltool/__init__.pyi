@@ -85,6 +85,7 @@ from .checking import (
     expected_cost as expected_cost,
     frontier as frontier,
     likely_runs as likely_runs,
+    load_run as load_run,
     parametric as parametric,
     pareto as pareto,
     policy_tree as policy_tree,

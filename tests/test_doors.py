@@ -18,12 +18,21 @@ from stltool.learning.settings import settings_of
 
 # classes whose objects functions make, so that their constructors are no doors
 RESULTS = {
+<<<<<<< HEAD
     "CheckResult", "Decision", "Decisions", "Diagnosis", "Estimate", "ExpectedCost", "Fragment", "Front", "Frontier",
     "Gap", "Guarantee", "JointProduct", "Learner", "LikelyRuns", "MDP", "MarkovTest", "Meaning", "MonitorResult",
     "ParametricResult", "PolicyTree", "Product", "ProductMDP", "Recording", "RobustnessDistribution", "Run",
     "Sensitivity", "SequentialTest", "Shield", "SmoothRobustness", "StateValues", "StationaryResult", "StlToolError",
     "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton", "TimeDistribution", "Tradeoff", "Training",
     "Verification", "Verified",
+=======
+    "CheckResult", "Counterfactual", "Decision", "Decisions", "Diagnosis", "Estimate", "ExpectedCost", "Fragment",
+    "Front", "Frontier", "Gap", "Guarantee", "JointProduct", "Learner", "LikelyRuns", "MDP", "MarkovTest",
+    "Meaning", "MonitorResult", "ParametricResult", "PolicyTree", "Product", "ProductMDP", "Recording",
+    "RobustnessDistribution", "Run", "Sensitivity", "SequentialTest", "Shield", "SmoothRobustness", "StateValues",
+    "StationaryResult", "StlToolError", "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton",
+    "Tradeoff", "Training", "Verification", "Verified",
+>>>>>>> a5c20dc (stltool counterfactual: what if, from a run's file or the most probable violation; in reports, docs/counterfactuals.md)
 }  # fmt: skip
 
 # called from within, or in inner loops with indices of their own
@@ -83,6 +92,7 @@ def write_inputs(folder, text):
     (folder / "gate.stl").write_text(f'model "model.toml"\n{text}\nexpect Pmax(reach) >= 0.5\n')
     (folder / "trace.csv").write_text("x,A\n0.5,true\n")
     (folder / "model.toml").write_text('kind = "grid"\nmap = "SA"\ncell = 1\nmoves = "cross"\nsuccess = 1\n')
+    (folder / "run.csv").write_text("state,action\n0,0\n1,\n")
     (folder / "q.csv").write_text("state,0,1\n[0 0],1,2\n")
     (folder / "sweep.toml").write_text(SWEEP)
 
@@ -220,6 +230,11 @@ CALLS = {
         "at_least": 0.5,
         "parameters": {"n": [1, 2]},
     },
+    "counterfactual": lambda w: {
+        "product": stl.build_product(w.model, stl.parse("F[1,2] B")),
+        "run": ([0, 0], w.model.action_names[:1]),
+    },
+    "load_run": lambda w: {"path": "run.csv"},
     "expected_cost": lambda w: {"product": w.product, "cost": "x"},
     "robust_check": lambda w: {"product": stl.build_product(w.blurred, w.formula)},
     "parametric": lambda w: {"product": w.family},
@@ -348,6 +363,7 @@ OWN = {
     "ambiguities": {"task": {"Task"}},
     "conventions": {"task": {"Task"}},
     "explain": {"model": {"MDP", "None"}},
+    "counterfactual": {"action": {"None"}, "coupling": {"None"}, "step": {"None", "negative int", "int"}},
     "frontier": {"task": {"Task"}, "at_least": {*NUMBERS, "text"}, "parameters": {"dict"}},
     "expected_cost": {"cost": {"text"}, "until": {"text"}},
     "time_distribution": {"margin": {"None", *NUMBERS}},

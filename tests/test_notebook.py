@@ -71,6 +71,7 @@ CELLS = {
     "CheckResult": ("best", "P = "),
     "StateValues": ("stl.check(product, values='all').values", "P from each of 3 states"),
     "Run": ("stl.sample_run(product, seed=3)", "seed: 3"),
+    "Counterfactual": ("stl.counterfactual(product, stl.sample_run(product, seed=3))", "would have made P = "),
     "Runner": ("stl.Runner(product)", "before the first state, undecided"),
     "Frontier": ("stl.frontier(model, stl.parse_task('param n = 1\\nr := F[0,n] A'), 0.5, {'n': [1, 2]})", "bisection"),
     "ExpectedCost": ("stl.expected_cost(product, 'x')", "E[x] = "),

@@ -12,6 +12,7 @@ from stltool.checking.pareto import Front, pareto
 from stltool.checking.readable import Node, PolicyTree, policy_tree
 from stltool.checking.robust import robust_check
 from stltool.checking.runner import Runner
+from stltool.checking.runs import load_run
 from stltool.checking.sampling import Run, sample_run
 from stltool.checking.sensitivity import Sensitivity, sensitivity
 from stltool.checking.shield import Shield, shield
@@ -27,7 +28,7 @@ __all__ = [
     "LikelyRuns", "Node", "ParametricResult", "PolicyTree", "RobustnessDistribution", "Run", "Runner",
     "Sensitivity", "SequentialTest", "Shield", "StateValue", "StateValues", "StationaryResult", "SurrogateResult",
     "TimeDistribution", "Tradeoff", "certify", "check", "counterfactual", "estimate", "estimate_from",
-    "expected_cost", "frontier", "largest_margin", "likely_runs", "parametric", "pareto", "policy_tree",
+    "expected_cost", "frontier", "largest_margin", "likely_runs", "load_run", "parametric", "pareto", "policy_tree",
     "require_certificate_of", "robust_check", "robustness_distribution", "sample_run", "sensitivity", "shield",
     "sprt", "sprt_from", "stationary", "surrogate_optimum", "time_distribution", "tradeoff", "write_certificate",
 ]  # fmt: skip

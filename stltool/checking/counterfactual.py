@@ -37,7 +37,7 @@ from stltool.checking.bounds import can_underflow, enclose, roundings
 from stltool.checking.check import or_optimal
 from stltool.checking.sampling import Run
 from stltool.display import Card, Displayed, counted, probability_text
-from stltool.errors import ArgumentError, SettingsError, SizeError, near_misses
+from stltool.errors import ArgumentError, SettingsError, SizeError, named, near_misses
 from stltool.models.names import StateLookup
 from stltool.models.rows import Outcome, spans, starts
 from stltool.policy import Policy, require_door, silence
@@ -293,7 +293,7 @@ def _steps(past: _Past, step: int | None) -> list[int]:
         )
     if step is None:
         return list(range(last + 1))
-    return [whole(step, "step", 0, last)]
+    return [whole(step, named("step"), 0, last)]
 
 
 def _require_action(past: _Past, steps: list[int], action: str) -> None:

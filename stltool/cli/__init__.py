@@ -18,13 +18,14 @@ from stltool.errors import StlToolError
 
 # each module registers its command, in the order of --help
 # isort: off
-from stltool.cli import run, check, verify, why, play, surrogate, tradeoff, pareto, frontier, shield, certify, estimate
+from stltool.cli import run, check, verify, why, counterfactual, play, surrogate, tradeoff, pareto, frontier, shield
+from stltool.cli import certify, estimate
 from stltool.cli import learn, sweep, monitor, explain, fmt, lint, convert, export, report, diff, new, doctor
 
 __all__ = [
-    "app", "certify", "check", "convert", "diff", "doctor", "estimate", "explain", "export", "fmt", "frontier",
-    "learn", "lint", "main", "monitor", "new", "pareto", "play", "report", "run", "shield", "surrogate", "sweep",
-    "tradeoff", "verify", "why",
+    "app", "certify", "check", "convert", "counterfactual", "diff", "doctor", "estimate", "explain", "export",
+    "fmt", "frontier", "learn", "lint", "main", "monitor", "new", "pareto", "play", "report", "run", "shield",
+    "surrogate", "sweep", "tradeoff", "verify", "why",
 ]  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from stltool.automata import TaskAutomaton
 from stltool.automata.compare import Disagreement
 from stltool.automata.flags import flag_states
 from stltool.automata.history import history_states
-from stltool.checking import CheckResult, Estimate, Run, SequentialTest, StationaryResult
+from stltool.checking import CheckResult, Counterfactual, Estimate, Run, SequentialTest, StationaryResult
 from stltool.checking.evidence import Evidence
 from stltool.errors import SettingsError
 from stltool.logic.printer import with_names
@@ -27,6 +27,7 @@ from stltool.reporting.guarantees import guarantee_data
 from stltool.reporting.records import (
     AskedRecord,
     CheckRecord,
+    CounterfactualOutput,
     DisagreementRecord,
     EncodingSizes,
     EstimateOutput,
@@ -50,6 +51,7 @@ from stltool.reporting.records import (
     WhyRecord,
 )
 from stltool.reporting.runs import likely_data, sensitivity_data
+from stltool.reporting.what_if import what_if_data
 from stltool.reporting.words import sentences
 
 if TYPE_CHECKING:  # a check loads no learners
@@ -415,7 +417,16 @@ def _estimate_record(found: Estimate) -> EstimateRecord:
 def _why_data(found: Evidence) -> WhyRecord | None:
     if found.likely is None or found.sensitive is None:
         return None
-    return {**likely_data(found.likely), "sensitive": sensitivity_data(found.sensitive, _SENSITIVE)}
+    return {
+        **likely_data(found.likely),
+        "sensitive": sensitivity_data(found.sensitive, _SENSITIVE),
+        "what_if": what_if_data(found.what_if) if found.what_if is not None else None,
+    }
+
+
+def counterfactual_data(found: Counterfactual) -> CounterfactualOutput:
+    """What `stltool counterfactual --json` prints."""
+    return {**product_data(found.product), "policy": found.policy.kind, **what_if_data(found)}
 
 
 def run_data(run: Run, seed: int, product: Product) -> RunRecord:

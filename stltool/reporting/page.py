@@ -40,6 +40,7 @@ from stltool.reporting.pages import (
 )
 from stltool.reporting.records import SweepRecord
 from stltool.reporting.runs import trace_text, verdict_text
+from stltool.reporting.what_if import best_of_steps, chance_text
 from stltool.reporting.words import run_sentences, sensitivity_sentences
 
 
@@ -177,6 +178,8 @@ def render_report(data: Mapping[str, Any]) -> str:
         certified=certificate_bounds(data["certificate"]) if data.get("certificate") else None,
         trace_text=trace_text,
         verdict_text=verdict_text,
+        best_of_steps=best_of_steps,
+        chance_text=chance_text,
     )
 
 

@@ -528,9 +528,11 @@ class SensitivityRecord(TypedDict):
 
 
 class WhyRecord(LikelyRecord):
-    """Why a task fails: the most probable violations, and the states on which P depends most."""
+    """Why a task fails: the most probable violations, the states on which P depends most, and what would have become of
+    the first violation under other actions (null where none was found)."""
 
     sensitive: list[SensitivityRecord]
+    what_if: WhatIfRecord | None
 
 
 class WhyOutput(ProductRecord):
@@ -971,6 +973,52 @@ class TradeoffRecord(JointRecord):
     seconds: float
 
 
+class AlternativeRecord(TypedDict):
+    """An action at a step of a run: P that the task would have been satisfied; `taken`: it is what the run did."""
+
+    step: int
+    state: str
+    action: str
+    taken: bool
+    probability: float
+    lower: float
+    upper: float
+    fraction: NotRequired[str]
+
+
+class WhatIfRecord(TypedDict):
+    """What would have become of a run under other actions, and what that assumes; `satisfied` is null for a run that
+    ended undecided. `noise`: for each step, the shares of what may have happened, null for a successor without name."""
+
+    satisfied: bool | None
+    visited: list[str]
+    actions: list[str]
+    coupling: str
+    assumption: str
+    noise: list[list[NoiseRecord]]
+    alternatives: list[AlternativeRecord]
+
+
+class NoiseRecord(TypedDict):
+    """Something that may have disturbed a step, and how probable that is in view of where the step led."""
+
+    name: str | None
+    share: float
+
+
+class CounterfactualOutput(ProductRecord):
+    """What `stltool counterfactual --json` prints."""
+
+    policy: str
+    satisfied: bool | None
+    visited: list[str]
+    actions: list[str]
+    coupling: str
+    assumption: str
+    noise: list[list[NoiseRecord]]
+    alternatives: list[AlternativeRecord]
+
+
 class ShieldRecord(ProductRecord):
     """A shield: the promise, the least P of all policies that obey, P of the even choice, how much is allowed."""
 
@@ -1281,6 +1329,7 @@ OUTPUTS = {
     "check --robustness": RobustnessRecord,
     "check --robustness --time-shift": TimingRecord,
     "check --vary": ParametricRecord,
+    "counterfactual": CounterfactualOutput,
     "estimate": EstimateOutput,
     "estimate --at-least": SequentialOutput,
     "explain --policy": TreeOutput,

@@ -18,6 +18,7 @@ from stltool.kernels.jit import compiling
 from stltool.log import LOG, Stage
 from stltool.numbers import bound_texts, difference_text, fraction_text, probability_text, within_text
 from stltool.reporting.runs import trace_text, verdict_text
+from stltool.reporting.what_if import best_of_steps, chance_text
 from stltool.reporting.words import run_sentences, sensitivity_sentences
 from stltool.screen import Screen
 from stltool.streams import escaped, printable, say
@@ -265,6 +266,37 @@ def print_findings(data: Mapping[str, Any]) -> None:
     say()
     for text in (*run_sentences(data, 1), *sensitivity_sentences(data["sensitive"], 1)):
         say(printable(text))
+
+
+def print_what_if(data: Mapping[str, Any], run: str, policy: str | None, steps: bool) -> None:
+    """What would have become of a run: each step with its best action, or all actions asked for."""
+    verdict = {None: "undecided at its end", True: "satisfied", False: "violated"}[data["satisfied"]]
+    print_facts({
+        "task": f"{data['task']} := {data['formula']}",
+        "run": f"{run}: {verdict}",
+        "then": f"{policy or 'the best policy'} ({data['policy']})",
+        "assuming": data["assumption"],
+    })  # fmt: skip
+    say()
+    if not steps:
+        print_table([
+            {
+                "step": one["step"], "state": one["state"], "action": one["action"],
+                "P": within_text(one["probability"], one["lower"], one["upper"]),
+                **({"exactly": one["fraction"]} if "fraction" in one else {}),
+                "": "as it was" if one["taken"] else "",
+            }
+            for one in data["alternatives"]
+        ])  # fmt: skip
+        return
+    print_table([
+        {
+            "step": row["step"], "state": row["state"], "action": row["taken"]["action"] if row["taken"] else "",
+            "by chance": chance_text(data["noise"][row["step"]]), "best": row["best"]["action"],
+            "P then": within_text(row["best"]["probability"], row["best"]["lower"], row["best"]["upper"]),
+        }
+        for row in best_of_steps(data["alternatives"])
+    ])  # fmt: skip
 
 
 def print_sensitive(rows: Sequence[SensitivityRecord]) -> None:

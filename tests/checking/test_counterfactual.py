@@ -8,7 +8,7 @@ import pytest
 
 import stltool as stl
 from stltool.automata import UNDECIDED
-from stltool.errors import ArgumentError, NameLookupError, PolicyError, SettingsError
+from stltool.errors import ArgumentError, FileError, NameLookupError, PolicyError, SettingsError
 from tests import oracles
 from tests.conftest import FACTORY, many
 
@@ -232,3 +232,28 @@ def test_faults_are_told():
     silent = stl.Policy.from_function(product, lambda situation: None)
     with pytest.raises((PolicyError, NameLookupError)):
         stl.counterfactual(product, run, policy=silent)
+
+
+def test_runs_are_read_from_files(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text('step,state,action\n0,"(1,0)",N\n\n1,"(1,1)",\n')
+    assert stl.load_run(path) == (("(1,0)", "(1,1)"), ("N",))
+    other = tmp_path / "run.json"
+    other.write_text('{"steps": [{"state": "(1,0)", "action": "N", "step": 0}, {"state": "(1,1)", "action": null}]}')
+    assert stl.load_run(other) == stl.load_run(path)
+    for name, text, message in [
+        ("a.txt", "state,action\n", "read from .csv and .json"),
+        ("a.csv", "", "a run without states"),
+        ("a.csv", "state,action\n", "a run without states"),
+        ("a.csv", "state,what\na,b\n", "no column action"),
+        ("a.csv", "state,action\na,b\nc\n", "line 3: this line has 1 cells, the header 2"),
+        ("a.csv", "state,action\na,\nb,\n", "line 2: state a has no action"),
+        ("a.csv", "state,action\na,go\n", "the last action, go, leads to no state"),
+        ("a.json", "{", "not a run in JSON"),
+        ("a.json", "[" * 100_000, "not a run in JSON"),
+        ("a.json", "[]", "write {"),
+        ("a.json", '{"steps": [{"state": 3}]}', r"steps\[0\]"),
+    ]:
+        (tmp_path / name).write_text(text)
+        with pytest.raises(FileError, match=message):
+            stl.load_run(tmp_path / name)

@@ -509,6 +509,7 @@ def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
         lambda: stl.robustness_distribution(product.model, stl.parse("F[0,3] x > 0.5")),
         lambda: stl.largest_margin(product.model, stl.parse("F[0,3] x > 0.5"), 0.5),
         lambda: stl.shield(product, at_least=0.5),
+        lambda: stl.counterfactual(product, ([0, 0], ["N"])),
         lambda: stl.stationary(product),
         lambda: stl.to_gymnasium(product.model),
     ):
@@ -536,7 +537,8 @@ def test_every_public_function_on_products_knows_of_intervals():
     """A function that is new here must answer for intervals or refuse them, with a line in the test above."""
     refusing = {"check", "learn", "sample_run", "likely_runs", "sensitivity", "estimate", "sprt", "pareto", "tradeoff",
                 "surrogate_optimum", "to_gymnasium", "stationary", "parametric", "policy_tree",
-                "expected_cost", "frontier", "robustness_distribution", "largest_margin", "shield"}  # fmt: skip
+                "expected_cost", "frontier", "robustness_distribution", "largest_margin", "shield",
+                "counterfactual"}  # fmt: skip
     fit = {"robust_check", "build_product", "build_joint_product", "guarantee", "explain", "report", "optimality_gap",
            "save_model", "product_mdp", "export"}  # fmt: skip
     found = {name: getattr(stl, name) for name in stl.__all__ if inspect.isfunction(getattr(stl, name))}

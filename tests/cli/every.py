@@ -35,6 +35,7 @@ CASES = {
     "check": ["patrolling.stl", *SMALL, "--policy", "policy.npz"],
     "verify": ["expected.stl", "patrolling.stl"],
     "why": ["patrolling.stl", *SMALL],
+    "counterfactual": ["patrolling.stl", *SMALL, "--policy", "policy.npz"],
     "play": ["patrolling.stl", *SMALL, "--policy", "policy.npz", "--moves", ". 2 < *"],
     "surrogate": ["patrolling.stl", *SMALL],
     "tradeoff": ["tradeoff.stl", *SMALL, "--objective", "charging", "--budget", "C<=2"],

@@ -40,6 +40,8 @@ MORE = {
                             "0.01"]],
     "check --vary": [["check", "patrolling.stl", *SMALL, "--model", "floor-5x5-p.toml", "--vary", "p=0.8:0.9",
                       "--at-least", "0.1"]],
+    "counterfactual": [["counterfactual", "patrolling.stl", *SMALL, "--at", "0", "--exact"],
+                       ["counterfactual", "patrolling.stl", *SMALL, "--run", "run.csv", "--coupling", "order"]],
     "estimate --at-least": [["estimate", "patrolling.stl", *SMALL, "--at-least", "0.2"],
                             ["estimate", "patrolling.stl", *SMALL, "--at-least", "1e-9", "--indifference", "1e-10",
                              "--most-runs", "10"]],
@@ -103,6 +105,7 @@ def folder(tmp_path_factory):
     make_inputs(made)
     np.savez(made / "batch.npz", x=np.array([[1.0, 2, 3], [1, -1, -2], [-1, 1, 1]]))
     (made / "all.stl").write_text(ALL)
+    (made / "run.csv").write_text('state,action\n"(1,0)",N\n"(1,1)",\n')
     (made / "timed.stl").write_text("step = 0.5s\nr := G[0,2s] (a | always c)\n")
     return made
 
