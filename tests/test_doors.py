@@ -18,21 +18,12 @@ from stltool.learning.settings import settings_of
 
 # classes whose objects functions make, so that their constructors are no doors
 RESULTS = {
-<<<<<<< HEAD
-    "CheckResult", "Decision", "Decisions", "Diagnosis", "Estimate", "ExpectedCost", "Fragment", "Front", "Frontier",
-    "Gap", "Guarantee", "JointProduct", "Learner", "LikelyRuns", "MDP", "MarkovTest", "Meaning", "MonitorResult",
-    "ParametricResult", "PolicyTree", "Product", "ProductMDP", "Recording", "RobustnessDistribution", "Run",
-    "Sensitivity", "SequentialTest", "Shield", "SmoothRobustness", "StateValues", "StationaryResult", "StlToolError",
-    "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton", "TimeDistribution", "Tradeoff", "Training",
-    "Verification", "Verified",
-=======
     "CheckResult", "Counterfactual", "Decision", "Decisions", "Diagnosis", "Estimate", "ExpectedCost", "Fragment",
     "Front", "Frontier", "Gap", "Guarantee", "JointProduct", "Learner", "LikelyRuns", "MDP", "MarkovTest",
     "Meaning", "MonitorResult", "ParametricResult", "PolicyTree", "Product", "ProductMDP", "Recording",
     "RobustnessDistribution", "Run", "Sensitivity", "SequentialTest", "Shield", "SmoothRobustness", "StateValues",
     "StationaryResult", "StlToolError", "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton",
-    "Tradeoff", "Training", "Verification", "Verified",
->>>>>>> a5c20dc (stltool counterfactual: what if, from a run's file or the most probable violation; in reports, docs/counterfactuals.md)
+    "TimeDistribution", "Tradeoff", "Training", "Verification", "Verified",
 }  # fmt: skip
 
 # called from within, or in inner loops with indices of their own
