@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from stltool.automata.automaton import FALSE, TRUE, UNDECIDED
 from stltool.automata.compile import compile_automaton
-from stltool.diagnosis.knowledge import Knowledge, Known, agreeing, names_of, one_sided, truth_along
+from stltool.diagnosis.knowledge import Agreeing, Knowledge, Known, one_sided
 from stltool.diagnosis.sheet import Sheet
 from stltool.errors import FragmentError, SizeError
 from stltool.logic.feasible import feasible_valuations, leaves, realised, tabulated
@@ -60,22 +60,18 @@ def find_cause(known: Knowledge, at: int, truth: bool, fixed: int | None, progre
     """
     if not known.names:
         return Cause(np.zeros((known.block.steps, 0), dtype=np.bool_), None)
-    sharp = realised(leaves(known.phi))
     doubt = None
     if fixed is not None:
         return Cause(by_kleene(known, at, truth, fixed, progress), "the last sample is held, so it is kept whole")
-    if not one_sided(known.phi):
+    independent = realised(leaves(known.phi))
+    if not independent or not one_sided(known.phi):
         try:
-            return Cause(by_automaton(known, at, truth), None if sharp else _DEPENDENT)
+            return by_automaton(known, at, truth)
         except (SizeError, FragmentError) as refusal:
-            doubt = f"a part matters in both directions, and {refusal}"
+            why = "a part matters in both directions" if independent else "comparisons share signals"
+            doubt = f"{why}, and {refusal}"
     kept = by_kleene(known, at, truth, None, progress)
-    if not sharp:
-        return Cause(kept, _DEPENDENT)
     return Cause(kept, doubt if doubt is not None and not each_is_needed(known, at, truth, kept) else None)
-
-
-_DEPENDENT = "which comparisons can hold together is known in part only, as some are not linear, or share signals"
 
 
 # --------------------------------------------------------------------------------------------------------- by Kleene
@@ -178,7 +174,7 @@ def _longest(trial: _Trial, end: int) -> int:
 # ------------------------------------------------------------------------------------------------------ by automaton
 
 
-def by_automaton(known: Knowledge, at: int, truth: bool) -> Known:
+def by_automaton(known: Knowledge, at: int, truth: bool) -> Cause:
     """The least cause; SizeError with the reason if there is no automaton for it, or none small enough."""
     if known.block.end != "open":
         raise SizeError("the automaton judges whole windows only")
@@ -218,7 +214,7 @@ def by_automaton(known: Knowledge, at: int, truth: bool) -> Known:
                 mask = less
         kept[step] = [mask >> column & 1 for column in range(len(known.names))]
         good = np.asarray(good[automaton.delta[letters.of(step, mask)]].all(axis=0))
-    return kept
+    return Cause(kept, letters.doubt)
 
 
 class _Letters:
@@ -227,18 +223,20 @@ class _Letters:
     def __init__(
         self, known: Knowledge, read: tuple[Formula, ...], rows: NDArray[np.bool_], letter: NDArray[np.integer[Any]]
     ) -> None:
-        names = known.names
-        self.all = (1 << len(names)) - 1
-        self._rows, self._letter = rows, letter
-        self._needs = [sum(1 << names.index(name) for name in names_of(leaf)) for leaf in read]
-        self._along = np.stack([truth_along(leaf, known.block) for leaf in read], axis=1)
-        self.total = bool(self._along.all())
-        self._known: dict[tuple[int, bytes], NDArray[np.integer[Any]]] = {}
+        self.all = (1 << len(known.names)) - 1
+        self._letter, self._agreeing = letter, Agreeing(read, rows, known.names, known.block)
+        self.total = bool(self._agreeing.along.all())
+        self._known: dict[bytes, NDArray[np.integer[Any]]] = {}
+
+    @property
+    def doubt(self) -> str | None:
+        """Why some of the letters found so far might not occur."""
+        return self._agreeing.doubt
 
     def of(self, step: int, mask: int) -> NDArray[np.integer[Any]]:
-        key = mask, self._along[step].tobytes()
+        agree = self._agreeing(step, mask)
+        key = agree.tobytes()
         if key not in self._known:
-            agree = agreeing(self._rows, self._needs, self._along[step], mask)
             self._known[key] = np.unique(self._letter[agree])
         return self._known[key]
 
@@ -281,4 +279,4 @@ def each_is_needed(known: Knowledge, at: int, truth: bool, kept: Known) -> bool:
         columns = {str(i): signed[:, i][traces] for i in range(len(psis))}
         if not (machine.judge(columns, n, known.block.end)[:, at] == (-1 if truth else 1)).any():
             return False
-    return True
+    return letters.doubt is None

@@ -1,22 +1,24 @@
 """What is known about a formula when only some samples of a trace are: its atoms, at every step, in three values.
 
 An atom is a formula without temporal operators. With the set K of signals known at a step, its value is decided if all
-truth assignments of its labels and comparisons agree that can occur (logic/feasible.py) and that agree with the
-comparisons all of whose signals are in K. So `x > 2 | x <= 3` is true without any sample, and `x + y > 3` is unknown
-until both are known.
+truth assignments of its labels and comparisons agree that can occur with the values that these signals have. So
+`x > 2 | x <= 3` is true without any sample, `max(x, y) > 3` is true if x = 5 is known, and `x + y > 3` is unknown until
+both are known.
 """
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.logic.feasible import feasible_valuations, leaves, tabulated
-from stltool.logic.formula import Formula, atoms, label_names, variables
+from stltool.logic.feasible import feasible_valuations, leaves, realised, tabulated
+from stltool.logic.formula import Comparison, Formula, Negate, Number, Term, Variable, atoms, label_names, variables
 from stltool.logic.occurrences import polarities
+from stltool.logic.occurring import occurring
+from stltool.logic.shifts import with_variables
 from stltool.monitoring.blocks import Block, Machine
 from stltool.monitoring.kleene import Trits
 from stltool.monitoring.program import compile_formula
@@ -24,6 +26,8 @@ from stltool.monitoring.program import compile_formula
 Known = NDArray[np.bool_]
 """Which samples are known: (steps, signals), signals in alphabetical order."""
 
+_MOST_ROOMS = 1000  # combinations of known values whose truth assignments are found out,
+_MOST_HARD = 30  # and of these, such that comparisons with numbers in the place of known signals still share signals
 MOST_ROWS = 1024  # truth assignments of one atom, or of atoms that share signals
 _MOST_SIGNALS = 6  # of one atom; more are known only all together
 _NOT_YET = 2  # an entry of a table that was not needed so far
@@ -43,13 +47,76 @@ def truth_along(phi: Formula, block: Block) -> Trits:
     return np.where(found, np.int8(1), np.int8(-1)) if found.dtype == np.bool_ else found.copy()
 
 
-def agreeing(rows: NDArray[np.bool_], needs: Sequence[int], truth: Trits, mask: int) -> NDArray[np.bool_]:
-    """Which assignments have the truth of all labels and comparisons whose signals, as bits, are in the mask."""
-    agree = np.ones(len(rows), dtype=np.bool_)
-    for column, (signals, value) in enumerate(zip(needs, truth.tolist(), strict=True)):
-        if signals & mask == signals and value:
-            agree &= rows[:, column] == (value > 0)
-    return agree
+class Agreeing:
+    """Which of the truth assignments of some labels and comparisons can occur where some of their signals are known.
+
+    The known signals have their values at a step; all others are free. Sets of signals are given by bits, in the order
+    of `names`. `doubt` says why an assignment may have been kept that does not occur; None if there was none so far.
+    """
+
+    def __init__(self, read: tuple[Formula, ...], rows: NDArray[np.bool_], names: Sequence[str], block: Block) -> None:
+        self.read, self.rows = read, rows
+        self.doubt: str | None = None
+        self.along = np.zeros((block.steps, len(read)), dtype=np.int8)
+        for i, leaf in enumerate(read):
+            self.along[:, i] = truth_along(leaf, block)
+        self._names = tuple(names)
+        self._needs = [sum(1 << self._names.index(name) for name in names_of(leaf)) for leaf in read]
+        self._independent = realised(read)
+        self._block = block
+        self._rooms = self._hard = 0
+        self._found: dict[tuple[int, bytes, tuple[float, ...]], NDArray[np.bool_]] = {}
+
+    def __call__(self, step: int, mask: int) -> NDArray[np.bool_]:
+        """(n_rows,) bool"""
+        partly = [] if self._independent else [i for i, needs in enumerate(self._needs) if needs & ~mask]
+        values = self._values(step, partly, mask)
+        key = mask, self.along[step].tobytes(), tuple(values.values())
+        if key not in self._found:
+            agree = np.ones(len(self.rows), dtype=np.bool_)
+            for column, (needs, value) in enumerate(zip(self._needs, self.along[step].tolist(), strict=True)):
+                if needs & mask == needs and value:
+                    agree &= self.rows[:, column] == (value > 0)
+            if partly:
+                agree &= self._possible(partly, values)
+            self._found[key] = agree
+        return self._found[key]
+
+    def _values(self, step: int, partly: Sequence[int], mask: int) -> dict[str, float]:
+        """The known values of the signals of these comparisons."""
+        read = {name for i in partly for name in variables(self.read[i])}
+        names = [name for i, name in enumerate(self._names) if mask >> i & 1 and name in read]
+        return {name: float(self._block.columns[name][0, step]) for name in names}
+
+    def _possible(self, partly: Sequence[int], values: Mapping[str, float]) -> NDArray[np.bool_]:
+        """The rows that are possible for comparisons of which something is unknown."""
+        self._rooms += 1
+        if self._rooms > _MOST_ROOMS:
+            self.doubt = "the samples are too many to find out which comparisons can hold together at each"
+            return np.ones(len(self.rows), dtype=np.bool_)
+        rest = tuple(_with_values(self.read[i], values) for i in partly)
+        rows, exact = feasible_valuations(rest, MOST_ROWS)
+        if exact and not realised(rest):
+            self._hard += 1
+            rows, exact = occurring(rest, rows) if self._hard <= _MOST_HARD else (rows, False)
+        if not exact:
+            self.doubt = "which comparisons can hold together is known in part only"
+        possible = set(map(bytes, rows))
+        return np.array([bytes(row) in possible for row in np.ascontiguousarray(self.rows[:, partly])], dtype=np.bool_)
+
+
+def _with_values(leaf: Formula, values: Mapping[str, float]) -> Formula:
+    """The comparison with numbers for some of its signals."""
+    if not isinstance(leaf, Comparison):
+        return leaf
+
+    def number(variable: Variable) -> Term:
+        if variable.name not in values:
+            return variable
+        value = Number(abs(values[variable.name]))
+        return Negate(value) if values[variable.name] < 0 else value
+
+    return with_variables(leaf, number)
 
 
 class Atom:
@@ -60,18 +127,19 @@ class Atom:
         self.formula = psi
         self.columns = np.array([names.index(name) for name in mine], dtype=np.int64)
         self.actual = truth_along(psi, block)
-        self._read = leaves(psi)
-        self._needs = [sum(1 << mine.index(name) for name in names_of(leaf)) for leaf in self._read]
-        rows, complete = feasible_valuations(self._read, MOST_ROWS) if self._read else (np.ones((1, 0), np.bool_), True)
-        self._rows: NDArray[np.bool_] = rows
-        self._truth = tabulated((psi,), self._read, rows)[:, 0]
-        self.free = self._agreed(np.ones(len(rows), dtype=np.bool_)) if complete else 0
+        read = leaves(psi)
+        rows, complete = feasible_valuations(read, MOST_ROWS) if read else (np.ones((1, 0), np.bool_), True)
+        self._truth = tabulated((psi,), read, rows)[:, 0]
+        self._agreeing = Agreeing(read, rows, mine, block)
+        self.free = self._agreed(self._agreeing(0, 0)) if complete else 0
         self._table: NDArray[np.int8] | None = None
         if complete and 1 < len(mine) <= _MOST_SIGNALS:
-            along = np.stack([truth_along(leaf, block) for leaf in self._read], axis=1)
-            self._found, which = np.unique(along, axis=0, return_inverse=True)
+            what = self._agreeing.along  # decides what is known, if comparisons are independent
+            if not realised(read):
+                what = np.concatenate([what, np.stack([block.columns[name][0] for name in mine], axis=1)], axis=1)
+            _, self._first, which = np.unique(what, axis=0, return_index=True, return_inverse=True)
             self._row = which.reshape(-1)
-            self._table = np.full((1 << len(mine), len(self._found)), _NOT_YET, dtype=np.int8)
+            self._table = np.full((1 << len(mine), len(self._first)), _NOT_YET, dtype=np.int8)
 
     @property
     def partial(self) -> bool:
@@ -94,7 +162,7 @@ class Atom:
         return np.where(masks == (1 << mine.shape[1]) - 1, actual, found)
 
     def _partial(self, mask: int, which: int) -> int:
-        return self._agreed(agreeing(self._rows, self._needs, self._found[which], mask))
+        return self._agreed(self._agreeing(int(self._first[which]), mask))
 
     def _agreed(self, rows: NDArray[np.bool_]) -> int:
         truth = self._truth[rows]

@@ -22,7 +22,7 @@ from stltool.logic.regions import Constraint, alternatives, groups, is_decimal, 
 from stltool.logic.semantics import satisfies
 
 _MOST_TOGETHER = 8  # comparisons that share signals
-_MOST_POINTS = 1000
+_MOST_POINTS = 400
 _MOST_CASES = 256  # of one truth assignment
 _MOST_CONSTRAINTS = 300  # of one elimination
 

@@ -53,12 +53,12 @@ def moved(term: Term, steps: int) -> Term:
     return _with_variables(term, lambda variable: replace(variable, delay=variable.delay + steps))
 
 
-def with_variables(phi: Comparison, new: Callable[[Variable], Variable]) -> Comparison:
-    """The comparison with other variables."""
+def with_variables(phi: Comparison, new: Callable[[Variable], Term]) -> Comparison:
+    """The comparison with other terms for its variables."""
     return Comparison(phi.op, _with_variables(phi.left, new), _with_variables(phi.right, new), span=phi.span)
 
 
-def _with_variables(term: Term, new: Callable[[Variable], Variable]) -> Term:
+def _with_variables(term: Term, new: Callable[[Variable], Term]) -> Term:
     match term:
         case Number():
             return term

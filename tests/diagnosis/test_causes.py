@@ -79,11 +79,14 @@ CASES = [
     (["x > 3", "x > 2", "x <= 3", "x == 2"], {"x": CELLS}, 5),
     (["a", "x > 3", "x > 2 & a", "2 < x & x <= 3"], {"a": BITS, "x": CELLS}, 3),
     (["x + y > 0", "a", "x + y <= 0"], {"x": (-1.0, 1.0, -3.0, 3.0), "y": (-2.0, 0.0, 2.0), "a": BITS}, 3),
+    (["max(x, y) >= 3", "x > y", "y > 2", "x * y == 0"], dict.fromkeys("xy", (0.0, 2.0, 3.0, -9.0, 2.5, 9.0)), 2),
 ]
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize(("texts", "values", "n"), CASES, ids=["labels", "past", "dependent", "mixed", "sums"])
+@pytest.mark.parametrize(
+    ("texts", "values", "n"), CASES, ids=["labels", "past", "dependent", "mixed", "sums", "sharing"]
+)
 def test_the_least_cause_is_found(texts, values, n):
     past = "a & b" in texts
     rng, checked, mixed = np.random.default_rng(7), 0, 0
@@ -93,7 +96,10 @@ def test_the_least_cause_is_found(texts, values, n):
         if not leaves(phi) or (h := stl.horizon(phi)) == 0 or (past and not stl.lookback(phi)):
             continue
         names = sorted({*stl.logic.formula.variables(phi), *stl.logic.formula.label_names(phi)})
-        trace = {name: rng.choice(values[name][: 2 if "+" in texts[0] and name == "x" else None], n) for name in names}
+        drawn = {"x + y > 0": {"x": 2}, "max(x, y) >= 3": {"x": 3, "y": 3}}.get(
+            texts[0], {}
+        )  # the others are for changes
+        trace = {name: rng.choice(values[name][: drawn.get(name)], n) for name in names}
         t = int(rng.integers(0, n - h))
         told = stl.diagnose(phi, trace, t)
         least, forces = least_cause(phi, trace, t, "error", values)
@@ -160,7 +166,7 @@ def test_both_ways_agree_on_longer_traces():
             trace = {name: rng.random(n) < p for name in stl.logic.formula.label_names(phi)}
             known = knowledge(phi, trace)
             verdict = stl.satisfies(phi, trace)
-            swept = by_automaton(known, 0, verdict)
+            swept = by_automaton(known, 0, verdict).kept
             assert swept.any()
             if one_sided(phi):
                 np.testing.assert_array_equal(by_kleene(known, 0, verdict), swept)
@@ -192,9 +198,24 @@ def test_what_several_signals_decide_together():
     sums = stl.diagnose(stl.parse("F[0,1] (x + y > 6)"), both)
     assert {name: steps.tolist() for name, steps in sums.causes.items()} == {"x": [1], "y": [1]}
     assert sums.minimal
-    tied = stl.diagnose(stl.parse("F[0,1] (x + y > 6 & x > 2)"), both)  # x > 6 alone might do, on other values
-    assert not tied.minimal
-    assert "or share signals" in tied.doubt
+    for text, x, y in (
+        ("F[0,1] (x + y > 6 & x > 2)", [1], [1]),
+        ("F[0,1] max(x, y) >= 3", [1], []),
+        ("F[0,1] (x > y | y > 3)", [1], []),  # whatever y is, as x is 5
+        ("F[0,1] x * y == 0 | G[0,1] y < 3", [], [0, 1]),
+        ("(G[0,1] x + y <= 3) | F[0,1] x > 4", [1], []),
+        ("(F[0,1] (x - y > 1)) <-> G[0,1] y < 3", [1], [0, 1]),
+    ):
+        told = stl.diagnose(stl.parse(text), both)
+        assert {name: steps.tolist() for name, steps in told.causes.items()} == {"x": x, "y": y}, text
+        assert told.minimal
+    assert str(stl.diagnose(stl.parse("F[0,1] max(x, y) >= 3"), both)).splitlines()[0].endswith("with x = 5, y = 2")
+    round_ = stl.diagnose(stl.parse("F[0,1] x * x + y * y > 24"), both)  # 25 would be enough
+    assert "known in part only" in round_.doubt
+    rng = np.random.default_rng(0)
+    many_values = stl.diagnose(stl.parse("G[0,1500] max(x, y) < 2"), {name: rng.random(1501) for name in "xy"})
+    assert "too many" in many_values.doubt
+    assert many_values.n_causes == 3002
     unneeded = stl.diagnose(stl.parse("G[0,1] (x > 2 | x <= 3)"), both)
     assert (unneeded.n_causes, unneeded.minimal) == (0, True)
     assert str(unneeded).endswith("causes: none: the verdict is the same on every trace")
