@@ -226,3 +226,94 @@ def test_a_mask_that_was_widened_in_its_file_is_refused(two_steps, tmp_path):
     np.savez(path, **arrays)
     with pytest.raises(PolicyError, match="damaged"):
         stl.Shield.load(path, two_steps)
+
+
+FLOOR = """
+kind = "grid"
+map = '''
+..A
+.W.
+S..
+'''
+moves = "cross"
+success = "8/10"
+"""
+
+
+def trained(env, rng, aim, episodes=40):
+    """The Q-values of an agent that has learned under the shield: to satisfy, to violate, or whatever it likes."""
+    values, likes = {}, {}
+    for episode in range(episodes):
+        observation, _ = env.reset(seed=int(rng.integers(2**31)) if episode == 0 else None)
+        over, path = False, []
+        while not over:
+            key = situation(observation)
+            free = env.action_masks().nonzero()[0].tolist()
+            known = values.setdefault(key, dict.fromkeys(free, 1.0))
+            assert set(known) == set(free)
+            action = max(known, key=lambda a: (known[a], rng.random())) if rng.random() > 0.2 else int(rng.choice(free))
+            if aim == "own":
+                path.append((key, action, likes.setdefault((observation["state"], action), rng.random())))
+            else:
+                path.append((key, action, 0.0))
+            observation, reward, over, _, info = env.step(action)
+            assert not info["replaced"]
+        gain = {"satisfy": reward, "violate": -reward, "own": 0.0}[aim]
+        for key, action, liked in reversed(path):
+            gain += liked
+            values[key][action] += 0.3 * (gain - values[key][action])
+    return values
+
+
+def situation(observation):
+    return tuple(float(np.ravel(observation[name])[0]) for name in sorted(observation))
+
+
+def judged(env, shield, values):
+    """P of the greedy agent, exactly; where it has never been, the worst of what it may do."""
+    product, env = shield.product, env.unwrapped
+    model, automaton, known = product.model, product.automaton, {}
+
+    def value(s, q, t, spent):
+        verdict = automaton.verdicts(t)[q]
+        if verdict != UNDECIDED:
+            return Fraction(int(verdict == TRUE))
+        if (s, q, t, spent) not in known:
+            observation = dict(env.observation(t, s, q))
+            if shield.levels:
+                observation["allowance"] = np.float32(shield.allowance(spent))
+            learned = values.get(situation(observation))
+            free = np.flatnonzero(shield.allows(t, s, q, spent)).tolist()
+            first = int(model.choice_start[s])
+            if learned is not None:
+                best = max(learned, key=lambda a: (learned[a], -a))
+                free = [i for i in free if model.choice_action[first + i] == best]
+                assert free
+            options = []
+            for i in free:
+                after, entries = shield.spend(t, s, q, i, spent), range(*model.row_start[first + i : first + i + 2])
+                there = [(Fraction(float(model.probability[k])), int(model.target[k])) for k in entries]
+                options.append(sum(p * value(u, product.enter(u, q), t + 1, after) for p, u in there))
+            known[s, q, t, spent] = min(options)
+        return known[s, q, t, spent]
+
+    return sum(p * value(s, product.enter(s, automaton.initial), 0, 0) for s, p in oracles.initial(model))
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("rule", ["static", "ratio"])
+def test_agents_trained_under_the_shield_keep_its_promise(rule, tmp_path):
+    """None of them is below c, not even those that are rewarded for violating the task."""
+    (tmp_path / "floor.toml").write_text(FLOOR)
+    model = stl.load_model(tmp_path / "floor.toml")
+    product = stl.build_product(model, stl.parse("F[0,6] A & G[0,6] !W"))
+    best = stl.check(product)
+    promise = Fraction(best.lower) * Fraction(9, 10)
+    shield = stl.shield(product, promise, rule)
+    found = {}
+    for agent in range(many(25)):  # in CI fifty with each rule
+        env, aim = stl.to_gymnasium(product, shield=shield), ("satisfy", "violate", "own")[agent % 3]
+        p = judged(env, shield, trained(env, np.random.default_rng([agent, rule == "ratio"]), aim))
+        assert promise <= p <= Fraction(best.upper) + Fraction(1, 10**9)
+        found.setdefault(aim, []).append(p)
+    assert max(found["satisfy"]) > min(found["violate"])
