@@ -70,6 +70,13 @@ def kernel(
     return cast(_Kernel, compiled)
 
 
+def compiles() -> bool:
+    """Whether kernels are compiled: with NUMBA_DISABLE_JIT they are not."""
+    from numba.core import config
+
+    return not config.DISABLE_JIT  # type: ignore[attr-defined]
+
+
 _listeners: list[Callable[[bool], None]] = []
 
 

@@ -17,14 +17,15 @@ over where it is too near to half-way between two doubles.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from types import ModuleType
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.logic.formula import Arithmetic, Call, Comparison, Negate, Number, Term, Variable
-from stltool.monitoring.doubles import bounded, short_decimals
+from stltool.monitoring.doubles import PLACES, bounded, short_decimals
 from stltool.numbers import shortest
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -57,8 +58,10 @@ def differences(
 
     `apart` bounds |left − right| of each. To be called under `np.errstate(all="ignore")`, for a `possible` comparison.
     """
-    exact = _Exact(columns)
     root, side = _sides(node)
+    if len(apart) >= _COMPILED_FROM and not _chooses(side) and not _chooses(root.args[0] if root else node.left):
+        return _compiled(node, columns, apart)
+    exact = _Exact(columns)
     if root is None:
         whole, places = exact.difference(exact.whole(node.left), exact.whole(node.right), apart)
         margin = exact.quotient(whole, places)
@@ -70,6 +73,84 @@ def differences(
     margin = exact.over_sum(whole, places, other, np.asarray(b))
     sign = np.sign(whole).astype(np.int8)
     return (sign, margin, exact.settled) if root is node.left else (-sign, 0.0 - margin, exact.settled)
+
+
+def _compiled(node: Comparison, columns: Mapping[str, Floats], apart: Floats) -> tuple[NDArray[np.int8], Floats, Mask]:
+    """`differences` of terms without min, max and abs, by the kernel."""
+    from stltool.kernels import borders as k
+
+    n = len(apart)
+    root, side = _sides(node)
+    code = _Code(k, list(columns))
+    inside, other = code.register(root.args[0] if root is not None else node.left), code.register(side)
+    b, error = bounded(side, columns) if root is not None else (np.empty(0), np.empty(0))
+    shared = [next((places for places in PLACES if _shares(k.has_places, values, places)), -1)
+              for values in columns.values()]  # fmt: skip
+    sign, margin, settled = np.empty(n, np.int8), np.empty(n), np.empty(n, np.bool_)
+    values, errors = (np.ascontiguousarray(np.broadcast_to(x, n if root is not None else 0)) for x in (b, error))
+    k.settle(
+        np.array([*columns.values()]), np.array(shared, np.int64), np.array(code.rows, np.int64).ravel(), inside, other,
+        root is not None, np.ascontiguousarray(apart), values, errors, sign, margin, settled,
+        np.empty(code.registers * k.TILE, np.int64), np.empty(code.registers * k.TILE, np.int64),
+    )  # fmt: skip
+    return (sign, margin, settled) if root is None or root is node.left else (-sign, 0.0 - margin, settled)
+
+
+def _shares(has_places: Callable[[Floats, float], bool], values: Floats, places: int) -> bool:
+    """Whether all values are decimals of so many places: seen from the first ones first."""
+    return has_places(values[:100], 10.0**places) and has_places(values, 10.0**places)
+
+
+class _Code:
+    """The operations of kernels/borders.py for some terms."""
+
+    def __init__(self, kernels: ModuleType, names: Sequence[str]) -> None:
+        self._k = kernels
+        self._names = names
+        self.rows: list[list[int]] = []
+
+    @property
+    def registers(self) -> int:
+        return len(self._names) + len(self.rows)
+
+    def register(self, term: Term) -> int:
+        """Where the value of a term is after the operations so far, and those that it adds."""
+        match term:
+            case Variable(name):
+                return self._names.index(name)
+            case Number(value):
+                constant = _constant(value)
+                assert constant is not None
+                return self._add(self._k.CONSTANT, int(constant[0].view(np.int64)), int(constant[1]))
+            case Negate(arg):
+                return self._add(self._k.NEGATED, self.register(arg), 0)
+            case Arithmetic("^", left, Number(power)):
+                base = result = self.register(left)
+                for _ in range(int(power) - 1):
+                    result = self._add(self._k.PRODUCT, result, base)
+                return result
+            case Arithmetic(op, left, right):
+                kind = {"*": self._k.PRODUCT, "+": self._k.SUM, "-": self._k.DIFFERENCE}[op]
+                return self._add(kind, self.register(left), self.register(right))
+            case _:
+                raise AssertionError(term)
+
+    def _add(self, kind: int, a: int, b: int) -> int:
+        self.rows.append([kind, self.registers, a, b])
+        return self.registers - 1
+
+
+def _chooses(term: Term) -> bool:
+    """Whether there is a min, max or abs in a polynomial."""
+    match term:
+        case Call():
+            return True
+        case Negate(arg):
+            return _chooses(arg)
+        case Arithmetic(_, left, right):
+            return _chooses(left) or _chooses(right)
+        case _:
+            return False
 
 
 def _sides(node: Comparison) -> tuple[Call | None, Term]:
@@ -125,10 +206,10 @@ class _Exact:
             words = np.array([0 if one is None else one[0] for one in found], dtype=np.uint64)
             places = np.array([-1 if one is None else one[1] for one in found], dtype=np.int64)
         else:
-            from stltool.kernels.decimals import EXPONENTS, POWERS, decimals
+            from stltool.kernels.decimals import decimals
 
             whole, places = np.empty(len(values), np.int64), np.empty(len(values), np.int64)
-            decimals(np.ascontiguousarray(values), POWERS, EXPONENTS, whole, places)
+            decimals(np.ascontiguousarray(values), whole, places)
             words = whole.view(np.uint64)
         self.settled &= places >= 0
         return words, np.maximum(places, 0)

@@ -139,7 +139,9 @@ class Predicate:
         near = np.broadcast_to(~(apart > error), shape)
         count = int(np.count_nonzero(near))
         if count and self._on_borders:
-            near = self._at_the_border(columns, near, count, np.broadcast_to(apart + error, shape), truth, margin)
+            # doubles.py counts 4u for what is at most u, and `error` is 2.5 times its sums: so this is a bound, too
+            bound = np.broadcast_to(apart * (1 + 8 * UNIT) + error / 8, shape)
+            near = self._at_the_border(columns, near, count, bound, truth, margin)
             count = int(np.count_nonzero(near))
         return self._one_by_one(columns, np.nonzero(near), shape, truth, margin) if count else (None, False)
 
@@ -156,6 +158,12 @@ class Predicate:
         dense = 2 * count > near.size  # then all are computed, which is quicker than picking some
         given = {name: columns[name].reshape(-1) if dense else columns[name][near] for name in self.names}
         sign, difference, known = differences(self.node, given, apart.reshape(-1) if dense else apart[near])
+        if dense and count == near.size and known.all():
+            if truth is not None:
+                _COMPARE[self.node.op](sign.reshape(truth.shape), 0, out=truth)
+            if margin is not None:
+                _signed(self.node.op, difference.reshape(margin.shape), np.float64(0.0), margin)
+            return np.zeros_like(near)
         settled = known.reshape(near.shape) if dense else np.zeros_like(near)
         if dense:
             settled &= near

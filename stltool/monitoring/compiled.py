@@ -7,6 +7,7 @@ has loaded the compiler for another reason, or has judged that many.
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -63,7 +64,7 @@ class Compiled:
         self._kernel = k
         self._program = program
         names = dict.fromkeys((*program.variables, *program.labels))
-        self._given: list[tuple[int, Predicate]] = []  # comparisons with arithmetic, and the columns of their values
+        self._given: list[Predicate] = []  # comparisons with arithmetic, whose values are columns after those of names
         self._names = {name: i for i, name in enumerate(names)}
         registers, free, owner = 0, list[int](), dict[int, int]()
         rows, numbers = [], []
@@ -84,13 +85,27 @@ class Compiled:
         self._registers = registers
         self._columns = len(self._names) + len(self._given)
 
+    def judged(self, block: Block, truth: bool, margins: bool) -> list[tuple[Array | None, Array | None]] | None:
+        """Truth and margins, as asked for, of the comparisons with arithmetic; None if one of them does not exist."""
+        found = []
+        for predicate in self._given:
+            shape = block.columns[next(iter(predicate.names))].shape
+            values = np.empty(shape, np.bool_) if truth else None, np.empty(shape) if margins else None
+            with np.errstate(all="ignore"):
+                unknown, far = predicate.judge(block.columns, *values, block.wide)
+            if unknown is not None or far:
+                return None
+            found.append(values)
+        return found
+
     def run(
-        self, block: Block, truth: bool, out: Array, row: int, first: int, above: Array | None = None
-    ) -> int | None:
+        self, block: Block, judged: Sequence[Array | None], truth: bool, out: Array, row: int, first: int,
+        above: Array | None = None,
+    ) -> int:  # fmt: skip
         """Write truth, or margins, of a block's decided steps to `out` (n_traces, n_decided), from a row and step on.
 
-        Also whether margins are above 0 to `above`, which is like `out`; returns then how many are 0. None, with
-        nothing written, if a comparison has no value, or no margin.
+        Also whether margins are above 0 to `above`, which is like `out`; returns then how many are 0. `judged` are the
+        same of the comparisons with arithmetic.
         """
         k, steps = self._kernel, block.steps
         open_ = block.end == "open"
@@ -103,16 +118,7 @@ class Compiled:
             padding = int(np.where(self._windows & (rows[:, 5] == steps), rows[:, 4], rows[:, 5]).max())
         columns = np.zeros((self._columns, 2), dtype=np.int64)
         kept = [np.ascontiguousarray(block.columns[name]) for name in self._names]  # alive while the kernel reads them
-        for number, predicate in self._given:
-            shape = block.columns[next(iter(predicate.names))].shape
-            values: Array = np.empty(shape, np.bool_ if truth else np.float64)
-            verdicts, margins = (values, None) if truth else (None, values)
-            with np.errstate(all="ignore"):
-                unknown, far = predicate.judge(block.columns, verdicts, margins, block.wide)
-            if unknown is not None or far:
-                return None
-            assert number == len(kept)
-            kept.append(values)
+        kept += [values for values in judged if values is not None]
         for number, values in enumerate(kept):
             columns[number] = values.__array_interface__["data"][0], values.strides[0] if values.ndim == 2 else 0
         tile, stride = 4 * k.TILE if truth else k.TILE, steps + max(padding, 0)
@@ -151,7 +157,7 @@ class Compiled:
                 )
             case Predicate():
                 number = len(self._names) + len(self._given)
-                self._given.append((number, atom))
+                self._given.append(atom)
                 return [k.GIVEN_ATOM, 0, number, *nothing[1:]], (0.0, 0.0)
 
 

@@ -6,8 +6,9 @@ First-order terms as in [Higham02, §3.3]; u = 2⁻⁵³ is the unit roundoff:
     a + b, a − b     E = Ea + Eb + 4u|v̂|
     a · b            E = |a|Eb + |b|Ea + Ea·Eb + 4u|v̂|
     a / b            E = (Ea + |v̂|Eb) / (|b| − Eb) + 4u|v̂|            if |b| > Eb
-    sqrt a           E = Ea / v̂ + 4u|v̂|                               if a > Ea
-    a ^ c            E = |c| max((|a| ± Ea)^(c−1)) Ea + 32u|v̂|         c a constant, away from the border at 0
+    sqrt a           E = Ea / v̂ + 4u|v̂|                               if a > Ea;  .55 Ea / v̂ + 4u|v̂|   if a > 16 Ea
+    a ^ c            a product if c is 1 … 8, else
+                     E = |c| max((|a| ± Ea)^(c−1)) Ea + 32u|v̂|         c a constant, away from the border at 0
     min, max, abs, − E = max of the operands'
 
 and ∞ otherwise.
@@ -16,6 +17,7 @@ and ∞ otherwise.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import reduce
 from typing import Any, TypeAlias, assert_never
 
 import numpy as np
@@ -31,7 +33,8 @@ UNIT = 2.0**-53
 TINY = 1e-322  # covers losses by underflow
 WIDER = 1.25  # covers the rounding of the bounds themselves
 _LARGEST_EXPONENT = 1000.0
-_PLACES = (0, 1, 2, 3, 4, 5, 6, 8, 10)  # that the decimals of a whole column may have
+_LARGEST_PRODUCT = 8  # powers up to here are products
+PLACES = (0, 1, 2, 3, 4, 5, 6, 8, 10)  # that the decimals of a whole column may have
 
 
 def bounded(term: Term, columns: Mapping[str, Floats]) -> Bounded:
@@ -52,11 +55,13 @@ def bounded(term: Term, columns: Mapping[str, Floats]) -> Bounded:
                 case "-":
                     return _rounded(np.subtract(a, b), ea + eb)
                 case "*":
-                    return _rounded(np.multiply(a, b), np.abs(a) * eb + np.abs(b) * ea + ea * eb)
+                    return _product((a, ea), (b, eb))
                 case "/":
                     value, room = np.divide(a, b), np.abs(b) - eb
                     return _rounded(value, np.where(room > 0, WIDER * (ea + np.abs(value) * eb) / room, np.inf))
                 case "^":
+                    if isinstance(right, Number) and right.value in range(1, _LARGEST_PRODUCT + 1):
+                        return reduce(_product, [(a, ea)] * int(right.value))
                     return _power(a, ea, right)
                 case _:
                     assert_never(op)
@@ -68,7 +73,8 @@ def bounded(term: Term, columns: Mapping[str, Floats]) -> Bounded:
                     return np.abs(value), error
                 case "sqrt":
                     root = np.sqrt(value)
-                    return _rounded(root, np.where(value > error, WIDER * error / root, np.inf))
+                    steep = np.where(value > error, 1.0, np.inf)
+                    return _rounded(root, np.where(value > 16 * error, 0.55, steep) * (WIDER * error / root))
                 case "min" | "max":
                     extremum = np.minimum if function == "min" else np.maximum
                     for other, its in operands[1:]:
@@ -82,6 +88,11 @@ def bounded(term: Term, columns: Mapping[str, Floats]) -> Bounded:
 
 def _rounded(value: Any, error: Any = 0.0, units: float = 4.0) -> Bounded:
     return value, error + units * UNIT * np.abs(value) + TINY
+
+
+def _product(x: Bounded, y: Bounded) -> Bounded:
+    (a, ea), (b, eb) = x, y
+    return _rounded(np.multiply(a, b), np.abs(a) * eb + np.abs(b) * ea + ea * eb)
 
 
 def _power(a: Values, ea: Values, exponent: Term) -> Bounded:
@@ -112,7 +123,7 @@ def short_decimals(values: Floats) -> tuple[NDArray[np.int64], int] | None:
 
     A decimal of at most 15 digits that reads as a double is what the double prints as.
     """
-    for k in _PLACES:
+    for k in PLACES:
         if _with_places(values[:100], k) is not None and (whole := _with_places(values, k)) is not None:
             return whole, k
     return None

@@ -227,13 +227,15 @@ def judge_quickly(
     quick: Compiled, block: Block, outs: list[NDArray[Any]], truth: bool, margins: bool, rows: slice, first: int
 ) -> bool:
     """Whether the kernel has judged a block; otherwise, what it has written is to be written again."""
-    if block.wide:
+    if block.wide or (judged := quick.judged(block, truth, margins)) is None:
         return False
     if margins:
-        zeros = quick.run(block, False, outs[-1], rows.start, first, outs[0] if truth else None)
-        if zeros is None or not truth or zeros == 0:  # the sign of a margin that is not 0 is the truth
-            return zeros is not None
-    return quick.run(block, True, outs[0], rows.start, first) is not None
+        distances = [distance for _, distance in judged]
+        zeros = quick.run(block, distances, False, outs[-1], rows.start, first, outs[0] if truth else None)
+        truth = truth and zeros > 0  # else the signs of the margins are the truth
+    if truth:
+        quick.run(block, [true for true, _ in judged], True, outs[0], rows.start, first)
+    return True
 
 
 def prepare(

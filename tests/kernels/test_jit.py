@@ -126,6 +126,7 @@ def test_numba_is_used_in_one_place():
         "passes.py",
         "streams.py",
         "tiles.py",
+        "twofold.py",
     }
 
 

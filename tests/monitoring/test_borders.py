@@ -1,5 +1,6 @@
 """Samples on the border of a comparison: in vectors as one by one, and one by one only where the page says so."""
 
+import itertools
 import math
 
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 import stltool as stl
 from stltool.logic.formula import COMPARATORS, Arithmetic, Call, Comparison, Negate, Number, Variable
 from stltool.logic.semantics import robustness, satisfies
-from stltool.monitoring import borders
+from stltool.monitoring import borders, offline
 from stltool.monitoring.borders import differences, possible
 from stltool.monitoring.comparisons import Predicate
 
@@ -54,9 +55,10 @@ def test_every_settled_sample_is_as_in_the_slow_semantics(sides, op, samples):
     names = list(Predicate(node).names)
     rows = dict(zip("xyz", np.array(samples).T, strict=True))
     columns = {name: rows[name] for name in names}
-    for t in range(len(samples)):
+    for t, compiled in itertools.product(range(len(samples)), (False, True)):
         one = {name: values[t : t + 1] for name, values in columns.items()}
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"), pytest.MonkeyPatch.context() as patch:
+            patch.setattr(borders, "_COMPILED_FROM", 1 if compiled else 10**9)
             sign, margin, settled = differences(node, one, np.array([_apart(node, one)]))
         if settled[0]:
             plain = {name: values.tolist() for name, values in one.items()}
@@ -121,6 +123,42 @@ def test_whole_columns_of_borders(text, compiled, monkeypatch):
     assert result.verdicts.tolist() == [satisfies(phi, trace, t) for t in range(n)]
     assert result.robustness.tolist() == pytest.approx([robustness(phi, trace, t) for t in range(n)], rel=1e-12)
     assert len(asked) <= 0.05 * n, len(asked)
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_the_kernel_settles_what_numpy_settles(text, monkeypatch):
+    n, phi = 600, stl.parse(text)  # more than two tiles
+    rows = borders_of(text, np.random.default_rng(6), n)
+    for columns in (dict(zip("xyz", rows, strict=True)), dict(zip("xyz", np.array(rows) * (1 / 3), strict=True))):
+        with np.errstate(all="ignore"):
+            left, right, error = Predicate(phi)._sides(columns)
+            apart = np.abs(left - right) + error
+            expected = differences(phi, columns, apart)
+            monkeypatch.setattr(borders, "_COMPILED_FROM", 1)
+            found = differences(phi, columns, apart)
+            monkeypatch.undo()
+        settled = expected[2]
+        assert settled.mean() >= 0.2
+        assert np.all(found[2][settled])
+        assert found[0][settled].tolist() == expected[0][settled].tolist()
+        assert found[1][settled].tobytes() == expected[1][settled].tobytes()
+
+
+@pytest.mark.parametrize("text", ["x + y <= z", "x * y == z"])
+@pytest.mark.parametrize("end", ["error", "cut", "hold"])
+def test_batches_of_borders(text, end, monkeypatch):
+    """Where rows are padded, a comparison's values are not together in memory."""
+    phi = stl.parse(f"F[0,3] ({text})")
+    trace = dict(zip("xyz", np.array(borders_of(text, np.random.default_rng(7), 60)).reshape(3, 5, 12), strict=True))
+    for quickly in (False, True):
+        monkeypatch.setattr(offline, "worthwhile", lambda samples, quickly=quickly: quickly)
+        found = stl.monitor(phi, trace, end)
+        for row in range(5):
+            one = {name: values[row].tolist() for name, values in trace.items()}
+            one |= {name: [*values, *values[-1:] * 3] for name, values in one.items() if end == "hold"}
+            steps = range(9 if end != "hold" else 12)
+            assert found.verdicts[row, : len(steps)].tolist() == [satisfies(phi, one, t) for t in steps]
+            assert found.robustness[row, : len(steps)].tolist() == [robustness(phi, one, t) for t in steps]
 
 
 def test_terms_that_are_not_decided_here():
