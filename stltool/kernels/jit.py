@@ -53,14 +53,17 @@ def kernel(
     """Compile `function` with numba, without Python and without its lock; `.py_func` is the Python function.
 
     For functions of some nanoseconds: without `counts`, references to arrays are not counted, which takes longer than
-    that; such a kernel makes no arrays, and calls only its like. With `lock`, Python's lock is kept.
+    that; such a kernel makes no arrays, and calls only its like. With `lock`, Python's lock is kept, and C code can call it.
 
     The machine code is stored on disk, unless a source here has changed since this process began: the code that Python
     has read may then be older or newer than the digest.
     """
     from numba import njit
 
-    options: dict[str, Any] = {} if counts else {"_nrt": False}
+    # what C code calls is left out elsewhere: it takes a twentieth of the time to compile a kernel
+    options: dict[str, Any] = {"no_cfunc_wrapper": not lock}
+    if not counts:
+        options["_nrt"] = False
     compiled: Any = njit(nogil=not lock, inline=inline, **options)(function)
     if hasattr(compiled, "py_func"):  # with NUMBA_DISABLE_JIT it is the function itself
         from stltool.kernels.cache import KernelCache
