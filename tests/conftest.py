@@ -56,11 +56,15 @@ PATROLLING = str(FACTORY / "patrolling.stl")
 SMALL = ["-p", "T=5", "-p", "tau=5"]
 
 
-def pytest_collection_modifyitems(items):
+def pytest_collection_modifyitems(config, items):
     listed = slow.listed()
     for item in items:
         if slow.of_all_parameters(item.nodeid) in listed:
             item.add_marker("slow")
+    if MORE <= 1 and not any("::" in argument for argument in config.args):
+        left_out = [item for item in items if any(mark.kwargs.get("only") for mark in item.iter_markers("soak"))]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in set(left_out)]
 
 
 def pytest_collection_finish():

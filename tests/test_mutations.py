@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from stltool.kernels import jit
-from tests.conftest import MORE, ROOT
+from tests.conftest import ROOT
 
 PARAMETRIC = "tests/checking/test_parametric.py"
 INDUCTION, CLUSTER = "tests/checking/test_induction.py", "tests/checking/test_cluster.py"
@@ -205,10 +205,10 @@ def test_every_mutation_changes_one_place(name):
     assert new not in (old, source)
 
 
-@pytest.mark.soak
-@pytest.mark.parametrize("name", list(MUTATIONS)[: None if MORE > 1 else 1])
+@pytest.mark.soak(only=True)
+@pytest.mark.parametrize("name", MUTATIONS)
 def test_a_mutation_is_found(name, tmp_path):
-    """In a copy of stltool. `make test` tries the first alone: each takes seconds."""
+    """In a copy of stltool; each takes seconds."""
     file, old, new, tests = MUTATIONS[name]
     shutil.copytree(ROOT / "stltool", tmp_path / "stltool")  # with the machine code
     shutil.copytree(ROOT / "grammars", tmp_path / "grammars")

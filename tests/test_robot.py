@@ -66,6 +66,7 @@ def success(make_plant, floor, n, noise=NOISE, starts=None):
     return (robots.cells(ids) == floor.target[cell[chosen], action[chosen]]).mean()
 
 
+@pytest.mark.soak(only=True)
 @pytest.mark.parametrize("make_plant", PLANTS)
 def test_noisy_moves_mostly_succeed(make_plant):
     """Rates over many moves are .90 and .94; 200 moves are off by .12 once in 10⁷ times."""

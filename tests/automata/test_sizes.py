@@ -32,6 +32,7 @@ def cpu_seconds(work):
 # ------------------------------------------------------------------------------------------- long windows
 
 
+@pytest.mark.soak(only=True)
 @pytest.mark.parametrize(
     ("text", "states"),
     [
@@ -51,6 +52,7 @@ def test_a_window_of_20000_takes_seconds(text, states):
     assert made[0].n_states == states
 
 
+@pytest.mark.soak(only=True)
 def test_memory_is_linear_in_the_states():
     stl.compile_automaton(stl.parse("F[0,3] a"))
     for window in (500, 2000):

@@ -129,7 +129,7 @@ def test_a_check_on_workers(cluster, patrolling, tmp_path):
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize("arithmetic", ["fixed", "double"])
+@pytest.mark.parametrize("arithmetic", ["fixed", pytest.param("double", marks=pytest.mark.soak(only=True))])
 def test_a_certificate_by_workers_is_the_same_file(arithmetic, cluster, patrolling, tmp_path, monkeypatch):
     if arithmetic == "double":
         monkeypatch.setattr("stltool.checking.proof.fixed_point", lambda *_: None)
@@ -143,6 +143,7 @@ def test_a_certificate_by_workers_is_the_same_file(arithmetic, cluster, patrolli
         stl.write_certificate(stl.check(patrolling, exact=True), tmp_path / "c.jsonl", cluster="tcp://here:1")
 
 
+@pytest.mark.soak(only=True)
 def test_a_killed_worker_is_survived(processes, patrolling):
     killed = []
 

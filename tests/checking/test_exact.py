@@ -204,6 +204,7 @@ def has_the_size(model, published):
     return sizes == (published["states"], published["choices"], published["transitions"])
 
 
+@pytest.mark.soak(only=True)
 def test_resource_gathering_to_the_last_digit(tmp_path):
     published = PUBLISHED["resource_gathering"]
     value = Fraction(published["value"])

@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 PROGRAM = r"""
 import resource, sys
 import psutil
@@ -28,6 +30,7 @@ print(again.probability)
 """
 
 
+@pytest.mark.soak(only=True)
 def test_millions_of_pairs_from_every_state_in_a_small_address_space(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, "60", "20", "300000000"], cwd=tmp_path, capture_output=True, text=True

@@ -280,6 +280,7 @@ def test_probabilities_below_the_doubles_keep_their_logarithm():
         stl.likely_runs(product, satisfied=True, mass=0.5)
 
 
+@pytest.mark.soak(only=True)
 def test_long_runs_and_a_short_heap():
     """Rounding and the heap's pruning over a thousand steps: with n slips, whichever steps they fall on."""
     product = stl.build_product(line(0.001), stl.parse("F[0,400] goal"))

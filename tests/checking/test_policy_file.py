@@ -183,6 +183,7 @@ def test_folders_are_made_and_links_followed(patrolling, tmp_path):
     assert deep.read_bytes() == written
 
 
+@pytest.mark.soak(only=True)
 def test_a_killed_process_leaves_what_the_next_one_goes_on_from(tmp_path):
     """SIGKILL, whenever it comes: nothing half-written is taken for whole."""
     floor = ROOT / "examples" / "factory" / "floor-10x10.toml"

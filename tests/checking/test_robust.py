@@ -175,6 +175,7 @@ def test_thousands_of_exact_values_lie_in_their_enclosures(denominator, n_block,
     assert compared > 75
 
 
+@pytest.mark.soak(only=True)
 @pytest.mark.parametrize("nature", ["against", "with"])
 def test_errors_that_add_up_over_many_steps_stay_inside(nature):
     """Staying alive for 400 steps at 0.9983, …: every step repeats the error of reading that decimal."""

@@ -301,7 +301,7 @@ def fails_at_most(count, n, share):
     return count <= stats.binom.ppf(0.999, n, share)
 
 
-@pytest.mark.soak
+@pytest.mark.soak(only=True)
 def test_calibration_on_patrolling(patrolling):
     """The issue's promise: the interval contains the exact value as often as stated, each side failing half of it."""
     best = stl.check(patrolling)
@@ -427,6 +427,7 @@ def wald(p0, p1, alpha, beta, p):
     return (reject * math.log(high) + (1 - reject) * math.log(low)) / drift
 
 
+@pytest.mark.soak(only=True)
 @pytest.mark.parametrize(("theta", "margin", "alpha", "beta"), [(0.8, 0.05, 0.02, 0.2), (0.5, 0.1, 0.2, 0.02)])
 def test_error_rates_and_lengths_at_the_edges_of_the_indifference_region(theta, margin, alpha, beta):
     options = {"indifference": margin, "alpha": alpha, "beta": beta}

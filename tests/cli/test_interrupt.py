@@ -138,6 +138,7 @@ def test_targets_are_tried_before_the_work(stltool, tmp_path, monkeypatch, comma
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "old.ckpt"]
 
 
+@pytest.mark.soak(only=True)
 def test_a_killed_process_resumes_to_the_same_bits(tmp_path):
     """Two processes are killed at some moment after their first checkpoint; this one finishes their work."""
     path, rng, killed = tmp_path / "cut.ckpt", np.random.default_rng(0), 0

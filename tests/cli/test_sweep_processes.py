@@ -50,6 +50,7 @@ def wait_for(process, out, count):
         time.sleep(0.005)
 
 
+@pytest.mark.soak(only=True)
 def test_killed_at_any_moment_nothing_finished_is_lost(sweep_file, undisturbed, tmp_path):
     with sweeping(sweep_file, tmp_path, "--workers", 2) as client:
         wait_for(client, tmp_path, 1)
@@ -88,6 +89,7 @@ def test_an_interrupt_says_how_to_go_on(sweep_file, undisturbed, tmp_path):
     assert files(tmp_path) == undisturbed
 
 
+@pytest.mark.soak(only=True)
 def test_a_cluster_that_goes_and_one_that_comes(sweep_file, undisturbed, tmp_path):
     pytest.importorskip("distributed")
     script = tmp_path / "cluster.py"

@@ -71,6 +71,7 @@ def test_spaces_and_names(patrolling):
     assert first == [env.reset(seed=5)[0], *(env.step(a)[0] for a in (1, 2))]
 
 
+@pytest.mark.soak(only=True)
 def test_the_mean_return_of_a_policy_is_its_probability(patrolling):
     policy = stl.learn(patrolling, "model-based", episodes=30, seed=0).policy
     exact = stl.check(patrolling, policy).probability

@@ -311,7 +311,7 @@ def test_a_kernel_is_compiled_once_for_each_signature(folder):
     assert declared().stats.cache_path == str(folder)
 
 
-@pytest.mark.soak
+@pytest.mark.soak(only=True)
 def test_processes_that_compile_at_once(package):
     """The same kernels, and different signatures of one kernel, in different orders, and in the same one."""
     code = "from stltool.kernels.outer import outer; print(*(outer(x) for x in {}))"

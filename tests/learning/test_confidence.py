@@ -98,6 +98,7 @@ def intervals(longest, alpha):
     return list(zip(*(np.split(array, cuts) for array in ends), strict=True))
 
 
+@pytest.mark.soak(only=True)
 @pytest.mark.parametrize("p", [0.01, 0.3, 0.5, 0.93])
 @pytest.mark.parametrize("alpha", [0.5, 0.1])
 def test_an_interval_is_ever_wrong_no_more_often_than_stated(p, alpha):

@@ -267,7 +267,7 @@ def test_certificates_are_due_ever_more_rarely():
     assert all(later <= 1.11 * earlier + 1 for earlier, later in itertools.pairwise(times))
 
 
-@pytest.mark.soak
+@pytest.mark.soak(only=True)
 def test_runs_are_given_a_gap_that_is_too_small_no_more_often_than_stated():
     """A hard instance, and an adversary: p is close to where the better action changes, and whoever gathers the data
     knows it, tries what misleads most, and stops as soon as a gap is too small. 2000 runs in `make soak`."""

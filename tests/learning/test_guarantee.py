@@ -266,7 +266,7 @@ def test_an_adversary_who_stops_at_the_worst_time_wins_no_more_often_than_stated
     assert wins > 0.02 * runs
 
 
-@pytest.mark.soak
+@pytest.mark.soak(only=True)
 @pytest.mark.parametrize("support", SUPPORTS)
 def test_bounds_from_adaptive_data_hold_as_often_as_stated(support):
     """Explored greedily, stopped when the bound looks good, the policy chosen from the data; confidence 0.5."""

@@ -40,7 +40,7 @@ def p1_flags(floor5):
     return stl.build_product(floor5, stl.load_task(FACTORY / "patrolling.stl"), encoding="paper")
 
 
-@pytest.mark.soak
+@pytest.mark.soak(only=True)
 @pytest.mark.parametrize("seed", some(range(5)))
 def test_cfer_learns_p1_within_a_twentieth_of_the_papers_steps(p1, seed):
     run = stl.learn(p1, "cfer", episodes=220, evaluate_every=110, seed=seed)
@@ -49,7 +49,7 @@ def test_cfer_learns_p1_within_a_twentieth_of_the_papers_steps(p1, seed):
     assert run.history[-1].probability == stl.check(p1, run.policy).probability
 
 
-@pytest.mark.soak
+@pytest.mark.soak(only=True)
 @pytest.mark.parametrize("seed", some(range(5)))
 def test_the_model_based_learner_does_within_a_fiftieth(p1, seed):
     run = stl.learn(p1, "model-based", episodes=90, evaluate_every=90, seed=seed)

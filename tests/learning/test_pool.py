@@ -50,6 +50,7 @@ stl.run_sweep(stl.load_sweep(sys.argv[1]), sys.argv[2], workers=2)
 """
 
 
+@pytest.mark.soak(only=True)
 def test_work_that_kills_its_workers_is_given_up(tmp_path):
     script = tmp_path / "deadly.py"
     script.write_text(DEADLY)
@@ -101,7 +102,11 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize("program", [WITHOUT_DASK, INHERITED])
+@pytest.mark.parametrize(
+    "program",
+    [pytest.param(WITHOUT_DASK, marks=pytest.mark.soak(only=True)), INHERITED],
+    ids=["without dask", "inherited"],
+)
 def test_processes_of_this_machine(sweep_file, tmp_path, program):
     """They need no dask, have one thread for linear algebra, ignore Ctrl-C; this process stays as it was."""
     script = tmp_path / "script.py"

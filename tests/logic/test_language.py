@@ -667,6 +667,7 @@ def calls(run):
     return count
 
 
+@pytest.mark.soak(only=True)
 @pytest.mark.parametrize("piece", ["(always[0,3] (x > 1)) and ", "b or not c and ", "(x - 1) / 2 > 3 -> d) and ("])
 def test_reading_takes_work_in_proportion_to_the_text(piece):
     texts = ["(" * ("and (" in piece) + piece * n + "a" + ")" * ("and (" in piece) for n in (100, 200, 400)]

@@ -317,6 +317,7 @@ def test_deep_formulas_are_no_trouble(wrap):
         assert operator_count(rewritten) <= operator_count(phi) + 198
 
 
+@pytest.mark.soak(only=True)
 def test_large_formulas_take_no_time_squared():
     n = 20_000
     labels = [Label(f"l{i}") for i in range(n)]

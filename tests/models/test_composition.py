@@ -429,6 +429,7 @@ def test_files_that_double_at_every_level_are_read_once_and_refused(tmp_path):
     assert len(companions(tmp_path / "f29.toml")) == 29
 
 
+@pytest.mark.soak(only=True)
 def test_companions_of_many_members_are_found_in_linear_time(tmp_path):
     """Twenty files, each with a thousand lines that name the next one: 10^60 ways."""
     for k in range(20):

@@ -145,6 +145,7 @@ def test_all_faults_of_the_three_files_are_told_at_once(tmp_path):
     ]
 
 
+@pytest.mark.soak(only=True)
 def test_many_faults_are_counted_in_linear_time(tmp_path):
     n = 100_000
     path = write(tmp_path, tra=f"1 1 {n}\n" + "0 0 x 1\n" * n, lab=None, sta=None)

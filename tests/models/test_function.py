@@ -236,6 +236,7 @@ for n in (20, 1000):
 """
 
 
+@pytest.mark.soak(only=True)
 @pytest.mark.parametrize("engine", ["nodes", "words"])
 def test_a_million_cells_in_a_small_address_space(engine):
     """All ten million entries would take 120 MB, and as much again while they are made."""

@@ -225,6 +225,7 @@ for n in (20, 1000):  # the first loads what is needed
 """
 
 
+@pytest.mark.soak(only=True)
 def test_a_million_cells_take_little_memory(tmp_path):
     """All their rows would take 33 million entries, 400 MB without any structure."""
     done = subprocess.run([sys.executable, "-c", LARGE], cwd=tmp_path, capture_output=True, text=True)

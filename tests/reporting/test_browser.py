@@ -14,7 +14,7 @@ import pytest
 import stltool as stl
 from stltool.automata import UNDECIDED
 from stltool.reporting import render, report_data
-from tests.conftest import FACTORY, ROOT, many
+from tests.conftest import FACTORY, ROOT, many, some
 from tests.reporting.test_markup import estimated, front, monitored, swept, verified  # noqa: F401  # fixtures
 from tests.reporting.test_twin import random_edits, random_product
 
@@ -367,7 +367,8 @@ PAGES = ["learned", "plain", "graph", "intervals", "refused", "decided",
          "swept", "verified", "front", "monitored", "estimated"]  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", PAGES)
+@pytest.mark.soak
+@pytest.mark.parametrize("kind", ["learned", *some(PAGES[1:])])
 def test_every_page_fits_a_phone_and_is_open_to_screen_readers_in_both_themes(browser, kind, request, tmp_path):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-core is absent").Axe()
     with Opened(browser, write(tmp_path, request.getfixturevalue(kind)), width=390, bypass_csp=True) as page:
