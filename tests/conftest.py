@@ -62,9 +62,12 @@ def pytest_collection_modifyitems(config, items):
         if slow.of_all_parameters(item.nodeid) in listed:
             item.add_marker("slow")
     if MORE <= 1 and not any("::" in argument for argument in config.args):
-        left_out = [item for item in items if any(mark.kwargs.get("only") for mark in item.iter_markers("soak"))]
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if item not in set(left_out)]
+        config.hook.pytest_deselected(items=[item for item in items if of_soak_alone(item)])
+        items[:] = [item for item in items if not of_soak_alone(item)]
+
+
+def of_soak_alone(item) -> bool:
+    return any(mark.kwargs.get("only") for mark in item.iter_markers("soak"))
 
 
 def pytest_collection_finish():

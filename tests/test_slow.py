@@ -2,8 +2,11 @@
 
 import subprocess
 import sys
+from unittest.mock import Mock
 
-from tests import slow
+import pytest
+
+from tests import conftest, slow
 
 
 def test_the_longest_are_listed_until_the_others_are_short():
@@ -25,3 +28,19 @@ def test_processes_that_a_fixture_keeps_count():
         assert slow.seconds(["tmp_path"]) < before + 0.2 <= slow.seconds(["tmp_path", "browser"])
         process.communicate(b"\n")
     assert slow.seconds([]) >= before + 0.2  # it has ended
+
+
+@pytest.mark.parametrize(
+    ("more", "named", "kept"),
+    [(0.2, "tests", ["usual", "more"]), (0.2, "tests/a.py::alone", ["usual", "more", "alone"]),
+     (2, "tests", ["usual", "more", "alone"])],
+)  # fmt: skip
+def test_what_soak_runs_alone_is_left_out_unless_it_is_named(monkeypatch, more, named, kept):
+    monkeypatch.setattr(conftest, "MORE", more)
+    marks = {"usual": [], "more": [pytest.mark.soak.mark], "alone": [pytest.mark.soak(only=True).mark]}
+    items = [Mock(nodeid=f"tests/a.py::{name}", iter_markers=lambda _, own=own: own) for name, own in marks.items()]
+    config = Mock(args=[named])
+    conftest.pytest_collection_modifyitems(config, items)
+    assert [item.nodeid.partition("::")[2] for item in items] == kept
+    left_out = [item for call in config.hook.pytest_deselected.mock_calls for item in call.kwargs["items"]]
+    assert len(left_out) == 3 - len(kept)

@@ -53,7 +53,7 @@ def kernel(
     """Compile `function` with numba, without Python and without its lock; `.py_func` is the Python function.
 
     For functions of some nanoseconds: without `counts`, references to arrays are not counted, which takes longer than
-    that; such a kernel makes no arrays, and calls only its like. With `lock`, Python's lock is kept, and C code can call it.
+    that; such a kernel makes no arrays, and calls only its like. With `lock`, Python's lock is kept, and C can call it.
 
     The machine code is stored on disk, unless a source here has changed since this process began: the code that Python
     has read may then be older or newer than the digest.
