@@ -337,6 +337,7 @@ class Reader:
     ) -> None:
         self.path, self.data, self.known, self.left_out = path, data, variables, left_out
         self.bytes = np.frombuffer(data, dtype=np.uint8)
+        self.bytes.setflags(write=False)  # as those of a mapped file are: kernels are compiled for one of the two
         self._lines: Lines | None = None
 
     # ----------------------------------------------------------------------------------------------- lines and faults
