@@ -8,6 +8,7 @@ are reported together. No character is dropped: one that begins no token of the 
 from __future__ import annotations
 
 import difflib
+import itertools
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -373,7 +374,9 @@ def _foreign(source: Source, place: int) -> str:
         operator = re.search(r"([A-Za-z]+|\[\]|<>|[□◇𝒰])_?\s*$", before)
         interval = operator is not None and re.fullmatch(r"[^,]+,[^,]+", inside)
         message = f"unexpected {character!r}; " + (
-            f"an interval is in brackets: {operator[1]}[{inside}]"
+            "a set is written as comparisons: (mode == 1 | mode == 2)"
+            if operator and operator[1] == "in"
+            else f"an interval is in brackets: {operator[1]}[{inside}]"
             if operator and interval
             else "group with parentheses, ( and ); intervals are in brackets, as in F[0,10]"
         )
@@ -527,7 +530,7 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
         if word.type == "NAME":
             close = difflib.get_close_matches(str(word).rstrip("_"), _TEMPORAL_WORDS, n=1, cutoff=0.7)
             known = f"did you mean {close[0]}?" if close else "F, G, U and their words do"
-            return _elsewhere(word) or f"{word} does not take an interval; {known}"
+            return _elsewhere(tokens, opened - 1) or f"{word} does not take an interval; {known}"
     if opened > 0 and tokens[opened - 1].type in _TEMPORAL and "_DOTS" in accepted:
         bracketed = tokens[opened].type == "LSQB"  # in parentheses there may be a formula
         if (found := _interval_hint(tokens, i, opened) if bracketed else None) is not None:
@@ -540,6 +543,9 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
         return f"write {tokens[i + 1]}= for ={tokens[i + 1]}"
     if kind == "EQUAL":
         return f"write {before} without the second =" if last == "COMPARATOR" else _EQUAL_HINT
+    ahead = tokens[i + 1].type if i + 1 < len(tokens) else ""
+    if last in ("NAME", "NUMBER") and (str(token) == "<>" or (str(token) == "~" and ahead == "EQUAL")):
+        return "write != for not equal"
     if kind in ("COMPARATOR", "EQUAL") and str(before) in ("~", "<>"):
         return "write != for not equal"
     if kind in ("_UNTIL", *_INFIX_WORDS) and "_AND" in accepted:
@@ -549,11 +555,13 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
         return f"{before} takes no interval; for a window of the past, write once[0,5] a"
     if kind == "_DOTS" or (kind == "TIME" and last == "NAME"):
         return None
-    for near in (before, token):
-        if near is not None and near.type == "NAME" and (other := _elsewhere(near)) is not None:
+    for place in (i - 1, i):
+        if 0 <= place < len(tokens) and (other := _elsewhere(tokens, place)) is not None:
             return other
     if i == 1 and str(before) == "model":
         return 'a file name belongs in double quotes on a model line; write model "floor.toml"'
+    if last == "NAME" and kind == "LPAR" and str(before) in ("signal", "input", "output"):
+        return f"{before}(…) numbers the signals, as in FalCAuN; write the name of the signal, such as speed"
     if i == 1 and last == "NAME":
         close = difflib.get_close_matches(str(before), list(_LINE_WORDS.values()), n=1, cutoff=0.7)
         if close:
@@ -565,8 +573,6 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
             if str(near) in SOFT_WORDS:
                 return f"{near} is a name here, not the operator; rename it to use both, or check what stands around it"
             return f"keywords are lower case; write {str(near).lower()}"
-    if last == "NAME" and kind == "LPAR" and str(before) in ("signal", "input", "output"):
-        return f"{before}(…) numbers the signals, as in FalCAuN; write the name of the signal, such as speed"
     if last == "NAME" and kind == "LPAR":
         return f"{before} is not a function (there are abs, min, max, sqrt); put an operator before '('"
     if kind == "NAME" and i + 1 < len(tokens) and tokens[i + 1].type == "EQUAL":
@@ -642,9 +648,16 @@ def _open_bracket(tokens: Sequence[Token], i: int) -> int:
     return -1
 
 
-def _elsewhere(word: Token) -> str | None:
-    known = _ELSEWHERE.get(str(word).rstrip("_"))
-    return known.format(word=word) if known is not None else None
+def _elsewhere(tokens: Sequence[Token], i: int) -> str | None:
+    """What to write for an operator of another tool, with the interval that stands behind it."""
+    known = _ELSEWHERE.get(str(tokens[i]).rstrip("_")) if tokens[i].type == "NAME" else None
+    if known is None:
+        return None
+    written = list(itertools.takewhile(lambda token: token.type not in ("RSQB", "LPAR"), tokens[i + 1 : i + 7]))
+    closed = tokens[i + 1 + len(written) :][:1]
+    if written and written[0].type == "LSQB" and closed and closed[0].type == "RSQB":
+        known = known.replace("[0,5]", "".join(map(str, [*written, *closed])))
+    return known.format(word=tokens[i])
 
 
 def _expected(accepted: set[str]) -> str:
