@@ -11,6 +11,7 @@ import argparse
 import functools
 import sys
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,18 @@ import numpy as np
 
 import stltool as stl
 from stltool.files import write_atomically
-from stltool.reporting import front_data, load_report
+from stltool.reporting import front_data, frontier_data, load_report, parametric_data, robustness_data
+from stltool.reporting.answers import survival_picture
 from stltool.reporting.data import floors_data
 from stltool.reporting.drawing import drawing, svg
-from stltool.reporting.figures import learning_curves, leaves_curve, line_chart, pareto_front
+from stltool.reporting.figures import (
+    frontier_picture,
+    learning_curves,
+    leaves_curve,
+    line_chart,
+    parameter_curve,
+    pareto_front,
+)
 from stltool.reporting.floor import floor_map
 from stltool.reporting.monitor_figure import monitored
 from stltool.reporting.page import curve_picture, run_pictures
@@ -48,6 +57,38 @@ def front() -> str | bytes:
     tasks = [stl.load_task(EXAMPLES / "factory" / "tradeoff.stl", task=name) for name in ("charging", "patrolling")]
     joint = stl.build_joint_product(stl.load_model(tasks[0].model), tasks)
     return pareto_front(front_data(stl.pareto(joint)), "svg")
+
+
+def margins() -> str | bytes:
+    """By how much the best policies patrol the larger floor, and the one that is best for P."""
+    task = stl.load_task(EXAMPLES / "factory" / "margins.stl")
+    model = stl.load_model(task.model)
+    best = stl.check(stl.build_product(model, task)).policy
+    found = [
+        robustness_data(task, model, stl.robustness_distribution(model, task, policy), judged)
+        for policy, judged in ((None, None), (best, "policy"))
+    ]
+    return survival_picture({**found[0], "beside": found[1]}, "svg")
+
+
+def parameter() -> str | bytes:
+    """P of patrolling over the probability that a move succeeds."""
+    task = stl.load_task(EXAMPLES / "factory" / "patrolling.stl", params={"T": 5, "tau": 5})
+    product = stl.build_product(stl.load_model(EXAMPLES / "factory" / "floor-5x5-p.toml"), task)
+    found = stl.parametric(product, over={"p": ("0.5", "1")})
+    first = found.smallest(Fraction(7, 10))
+    assert first is not None
+    assert first.enough is not None
+    data = parametric_data(found) | {"at_least": 0.7}
+    data["smallest"] = {"below": float(first.below), "enough": float(first.enough)}
+    return parameter_curve(data, "svg")
+
+
+def frontier() -> str | bytes:
+    """Which windows the best policy can keep with a probability of at least 0.95."""
+    task = stl.load_task(EXAMPLES / "factory" / "patrolling.stl")
+    found = stl.frontier(stl.load_model(task.model), task, "0.95", {"T": range(1, 16), "tau": range(1, 13)})
+    return frontier_picture(frontier_data(found), "svg")
 
 
 def log(task_file: str, log_file: str) -> str | bytes:
@@ -186,6 +227,7 @@ PICTURES: dict[str, Callable[[], str | bytes]] = {
     "ward": ward, "battery": battery, "lift": lift, "frozenlake": frozenlake, "zeroconf": zeroconf, "drone": drone,
     "team-r1": functools.partial(team, 0), "team-r2": functools.partial(team, 1),
     "insulin": insulin, "robot": robot, "leaves": leaves,
+    "margins": margins, "parameter": parameter, "frontier": frontier,
 }  # fmt: skip
 
 if __name__ == "__main__":

@@ -232,6 +232,7 @@ CALLS = {
     "ParametricResult.at": lambda w: {"self": stl.parametric(w.family), "p": 0.5},
     "ParametricResult.at_least": lambda w: {"self": stl.parametric(w.family), "bound": 0.5},
     "ParametricResult.at_most": lambda w: {"self": stl.parametric(w.family), "bound": 0.5},
+    "ParametricResult.smallest": lambda w: {"self": stl.parametric(w.family), "at_least": 0.5},
     "ParametricResult.points": lambda w: {"self": stl.parametric(w.family)},
     "robustness_distribution": lambda w: {"model": w.model, "task": w.formula},
     "RobustnessDistribution.at": lambda w: {"self": stl.robustness_distribution(w.model, w.formula), "margin": 0.5},

@@ -26,7 +26,7 @@ from stltool.arguments import flag, function, mapping, require
 from stltool.checking.check import CheckResult, check
 from stltool.checking.induction import Progress
 from stltool.display import Card, Displayed
-from stltool.errors import ModelError, SettingsError, SizeError, near_misses
+from stltool.errors import ModelError, SettingsError, SizeError, StlSyntaxError, near_misses
 from stltool.logic.implied import order
 from stltool.logic.quantities import Duration, ParamValue, Quantity, quantity, quantity_text
 from stltool.logic.task import Task
@@ -36,6 +36,7 @@ from stltool.product import build_product
 
 Values: TypeAlias = tuple[Quantity, ...]
 _MOST_TASKS = 20_000  # combinations of values whose formulas are compared
+_AROUND, _FRACTIONS = 40, 20  # values that a bare name stands for
 _EXACT_SECONDS = 60.0  # that the exact fraction of a probe may take, by estimate
 
 
@@ -172,7 +173,7 @@ def frontier(
     model: MDP,
     task: Task,
     at_least: float | str | Fraction,
-    parameters: Mapping[str, Iterable[ParamValue]],
+    parameters: Mapping[str, Iterable[ParamValue] | None] | Sequence[str],
     *,
     maximize: bool = True,
     memory_limit: int | None = None,
@@ -181,8 +182,9 @@ def frontier(
     """The tightest values of one or two params of `task` for which the maximum (minimum) of P is at least a bound.
 
     `parameters` gives each its values: `{"T": range(1, 16), "tau": range(1, 13)}`; numbers, texts such as "0.5" or
-    times such as "2s". For each value of the first, the tightest one of the second is found. Other params keep the
-    values that they have in `task`.
+    times such as "2s". A name alone (`["T", "tau"]`, or None for its values) stands for values around the param's own:
+    from 1 to twice a whole number, at most 40 of them; twenty steps from 0 to twice a fraction. For each value of the
+    first param, the tightest one of the second is found. Other params keep the values that they have in `task`.
 
     Raises SettingsError for other numbers of params, a param that the task does not have, no value, or too many;
     StlSyntaxError if the formula does not allow a value, such as an empty window; what `build_product` raises.
@@ -219,13 +221,37 @@ def _bound(at_least: object) -> Fraction:
 
 
 def _named(task: Task, parameters: object) -> dict[str, Any]:
+    if isinstance(parameters, list | tuple) and all(isinstance(name, str) for name in parameters):
+        parameters = dict.fromkeys(parameters)
     known = mapping(parameters, "frontier's parameters", "{'T': range(1, 16)}")
     if len(known) not in (1, 2):
         raise SettingsError(f"frontier takes one or two params with their values, not {len(known)}")
     for name in known:
         if name not in task.params:
             raise SettingsError(f"the task has no param {name}; {near_misses(name, list(task.params))}")
-    return dict(known)
+    return {name: _around(task, name) if values is None else values for name, values in known.items()}
+
+
+def _around(task: Task, name: str) -> list[Fraction]:
+    """Values around a param's own, those that the formula allows."""
+    own = task.params[name]
+    if isinstance(own, Duration) or own == 0:
+        example = "such as 1s and 2s" if isinstance(own, Duration) else "such as -1 and 1"
+        raise SettingsError(f"param {name} is {quantity_text(own)}, which suggests no values; give some: {example}")
+    if own.denominator == 1:
+        most = abs(2 * own.numerator)
+        found = [Fraction(k if own > 0 else -k) for k in range(1, most + 1, -(-most // _AROUND))]
+    else:
+        found = [2 * own * k / _FRACTIONS for k in range(_FRACTIONS + 1)]
+    return [value for value in sorted({*found, own}) if _allowed(task, name, value)]
+
+
+def _allowed(task: Task, name: str, value: Fraction) -> bool:
+    try:
+        task.with_params(**{name: value})
+    except StlSyntaxError:
+        return False
+    return True
 
 
 def _values(task: Task, name: str, values: Any) -> Values:

@@ -49,7 +49,7 @@ from stltool.product import Product, joined, require_names
 Floats: TypeAlias = NDArray[np.float64]
 
 _SHOWN = 10  # rows in a notebook
-_LOADING = 1.0  # seconds of checks, after which the faster engine is loaded, which takes about as long
+_LOADING = 2.0  # seconds of checks after which the faster engine is loaded, which takes about as long
 
 
 @dataclass(frozen=True, eq=False, repr=False)

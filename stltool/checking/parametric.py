@@ -22,7 +22,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -44,7 +44,7 @@ from stltool.checking.induction import (
     layers_of,
     solve,
 )
-from stltool.checking.polynomial import Floats, greatest, least, value
+from stltool.checking.polynomial import Floats, greatest, halves, least, value
 from stltool.display import Card, Displayed, counted, probability_text
 from stltool.errors import SettingsError
 from stltool.models.parameters import Parameter, Values
@@ -55,6 +55,7 @@ from stltool.product import Product
 
 _SHOWN = 10  # rows in a notebook
 _U = 2.0**-53
+_DEPTH, _MOST_HALVINGS = 48, 4000  # of the search for the first point
 _TINY, _SMALL = 2.0**-1060, 2.0**-900
 
 
@@ -64,6 +65,7 @@ class Piece:
 
     below, above  coefficients (degree + 1,) in Bernstein's basis of polynomials that enclose P there, rounding included
     policy        the one that `below` (for a minimum: `above`) belongs to
+    optimal       whether it is optimal everywhere on the piece, up to rounding; None of a given policy
     """
 
     lower: Fraction
@@ -71,11 +73,24 @@ class Piece:
     below: Floats = field(repr=False)
     above: Floats = field(repr=False)
     policy: Policy | None = field(repr=False)
+    optimal: bool | None = None
 
     @property
     def gap(self) -> float:
         """How far apart the enclosing polynomials are at most."""
         return float((self.above - self.below).max())
+
+
+class Smallest(NamedTuple):
+    """The smallest value of a parameter for which P reaches a bound: none below `below` does, `enough` does.
+
+    enough  None if that was not proved of any value
+    policy  one that reaches the bound there; None of a minimum, where all policies do
+    """
+
+    below: Fraction
+    enough: Fraction | None
+    policy: Policy | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -144,6 +159,22 @@ class ParametricResult(Displayed):
         """Whether P is at most `bound` on the whole domain; None if it cannot be told."""
         bound = real(bound, "at_most's bound")
         return True if self.greatest[1] <= bound else False if self.greatest[0] > bound else None
+
+    def smallest(self, at_least: float | Fraction) -> Smallest | None:
+        """The smallest value of the parameter for which P is at least `at_least`, enclosed; None if there is none.
+
+        P need not be monotone. `below` and `enough` are as far apart as the bounds on P let them be: a smaller `tol`
+        brings them closer.
+        """
+        bound = real(at_least, "smallest's at_least")
+        below = next((x for one in self.pieces if (x := _first(one, one.above, bound, True)) is not None), None)
+        if below is None:
+            return None
+        for one in self.pieces:
+            enough = _first(one, one.below, bound, False) if one.upper >= below else None
+            if enough is not None:
+                return Smallest(below, enough, one.policy if self.question != "minimum" else None)
+        return Smallest(below, None, None)
 
     def points(self, n: int = 11) -> list[tuple[Fraction, float, float]]:
         """(p, lower, upper) at n points of the domain, evenly spaced."""
@@ -327,12 +358,39 @@ class Family:
             theirs, own = self.enclosed(self.optimum(a, b)), self.enclosed(self.of(policy, a, b), policy)
             self.forget(policy)
             below, above = (own[0], theirs[1]) if self.maximize else (theirs[0], own[1])
-            piece = Piece(a, b, below, above, policy)
+            piece = Piece(a, b, below, above, policy, bool((theirs[0] <= own[1]).all() and (own[0] <= theirs[1]).all()))
             if piece.gap <= tolerance or a == b or len(done) + len(todo) + 2 > most:
                 done.append(piece)
             else:
                 todo += [((a + b) / 2, b), (a, (a + b) / 2)]
         return done
+
+
+def _first(piece: Piece, c: Floats, bound: float | Fraction, may: bool) -> Fraction | None:
+    """The first point of a piece where the polynomial may be (or, at a point of the grid, is) at least the bound.
+
+    By halving: a part whose coefficients are all below the bound is out, rounding included.
+    """
+    width = piece.upper - piece.lower
+    slack = 8 * (_DEPTH + 1) * len(c) * _U
+    parts, number = [(Fraction(0), 0, c)], 0
+    while parts:
+        x, depth, part = parts.pop()
+        if _up(float(part.max()), slack) < bound:
+            continue
+        size = Fraction(1, 2**depth)
+        if may and (depth == _DEPTH or number > _MOST_HALVINGS or _down(float(part[0]), slack) >= bound):
+            return piece.lower + x * width
+        if not may:
+            for at, found in ((x, part[0]), (x + size, part[-1])):
+                if _down(float(found), slack) >= bound and (at == x or depth == _DEPTH):
+                    return piece.lower + at * width
+        if depth == _DEPTH or number > _MOST_HALVINGS:
+            continue
+        left, right = halves(part)
+        number += 1
+        parts += [(x + size / 2, depth + 1, right), (x, depth + 1, left)]
+    return None
 
 
 def _down(c: Any, slack: float) -> Any:

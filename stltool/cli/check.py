@@ -182,6 +182,13 @@ def check(
             "bounds are on the P of K",
         ),
     ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            "--plot", metavar="FILE", help="with --robustness or --vary: draw the probabilities (.svg or .png)"
+        ),
+        Writes(),
+    ] = None,
     report: ReportFolder = None,
     model: Model = None,
     reading: ModelReading = READ,
@@ -212,6 +219,7 @@ def check(
         print_state_values,
         progress_bar,
     )
+    from stltool.reporting.tradeoffs import require_picture
 
     bounds: list[tuple[str, str, Fraction]] = [
         (option, text, read_probability(text, option))
@@ -230,13 +238,20 @@ def check(
     of_p = [
         (clockless, "--stationary and --memoryless"), (exact, "--exact"), (nature is not None, "--nature"),
         (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
-        (cluster is not None, "--cluster"), (report is not None, "--report"), (transfer, "--transfer"),
-        (robustness, "--robustness"), (values is not None, "--values"),
+        (cluster is not None, "--cluster"), (transfer, "--transfer"), (robustness, "--robustness"),
+        (values is not None, "--values"),
     ]  # fmt: skip
+    if plot is not None:
+        if vary is None and not robustness:
+            raise SettingsError(f"--plot {plot} draws what --robustness or --vary finds; add one of them")
+        require_picture(plot)
+    if report is not None:
+        require_report(report / "report.html")
     if cost is not None:
         of_one = [
             (vary is not None, "--vary"), (minimize, "--minimize"),
             (at_least is not None, "--at-least"), (at_most is not None, "--at-most"),
+            (report is not None, "--report"),
         ]  # fmt: skip
         _require_none([*of_one, *of_p], "is for the probability of the task; leave it or --cost out")
         product = load_product(task, model, param, name, encoding, reading=reading)
@@ -248,7 +263,7 @@ def check(
         _require_none(of_p, "is for one value of the parameter; leave it or --vary out")
         product = load_product(task, model, param, name, encoding, reading=reading)
         chosen = given_policy(product, policy, policy_function)
-        if not check_range(product, chosen, vary, not minimize, bounds, as_json):
+        if not check_range(product, chosen, vary, not minimize, bounds, as_json, plot, report):
             raise typer.Exit(1)
         return
     if margin is not None and not robustness:
@@ -261,9 +276,11 @@ def check(
         beside = [
             (clockless, "--stationary and --memoryless"), (exact, "--exact"), (transfer, "--transfer"),
             (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
-            (cluster is not None, "--cluster"), (report is not None, "--report"), (encoding != "exact", "--encoding"),
+            (cluster is not None, "--cluster"), (encoding != "exact", "--encoding"),
             (nature not in (None, "nominal"), "--nature"), (values is not None, "--values"),
             (margin is None and time_shift is None and at_most is not None, "without --margin, --at-most"),
+            (plot is not None and (margin or time_shift or at_least) is not None, "for a single margin, --plot"),
+            (report is not None and (margin or time_shift or at_least) is not None, "for a single margin, --report"),
         ]  # fmt: skip
         _require_none(beside, "is not supported with --robustness; leave one of them out")
         r = read_margin(margin) if margin is not None else None
@@ -274,7 +291,7 @@ def check(
             if not check_timing(loaded, world, chosen, time_shift, r, not minimize, bounds, as_json):
                 raise typer.Exit(1)
             return
-        if not check_margins(loaded, world, chosen, r, not minimize, bounds, as_json):
+        if not check_margins(loaded, world, chosen, r, not minimize, bounds, as_json, plot, report):
             raise typer.Exit(1)
         return
     if clockless and (given is not None or (stationary and memoryless)):
@@ -288,8 +305,6 @@ def check(
         raise SettingsError("--resume continues a policy file; add --save-policy FILE.policy")
     if certificate is not None:
         require_certificate_file(certificate)
-    if report is not None:
-        require_report(report / "report.html")
     product = make_product(task, model, param, name, encoding, as_json, reading=reading)
     uncertain = product.model.uncertain
     if nominal and not uncertain:

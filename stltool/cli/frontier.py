@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from pathlib import Path
 from typing import Annotated, cast
 
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.options import READ, AsJson, Model, ModelReading, Params, TaskFile, TaskName
-from stltool.cli.steps import load_with_model, read_probability
+from stltool.cli.options import READ, AsJson, Model, ModelReading, Params, ReportFolder, TaskFile, TaskName
+from stltool.cli.roles import Writes
+from stltool.cli.steps import load_with_model, read_probability, this_command
 from stltool.errors import SettingsError
 from stltool.logic.quantities import quantity
 from stltool.numbers import bound_texts, number_text, within_text
@@ -27,12 +29,19 @@ def frontier(
         typer.Option(
             "--vary",
             metavar="NAME=FROM:TO",
-            help="a param and its values: FROM:TO, FROM:TO:STEP, or a list such as 1s,2s,5s; once or twice",
+            help="a param and its values: FROM:TO, FROM:TO:STEP, or a list such as 1s,2s,5s; or its name alone, for "
+            "values around that of the file; once or twice",
         ),
     ],
     minimize: Annotated[
         bool, typer.Option("--minimize", help="ask it of every policy instead of the best one")
     ] = False,
+    plot: Annotated[
+        Path | None,
+        typer.Option("--plot", metavar="FILE", help="draw which values reach P (.svg or .png)"),
+        Writes(),
+    ] = None,
+    report: ReportFolder = None,
     model: Model = None,
     reading: ModelReading = READ,
     param: Params = None,
@@ -41,16 +50,26 @@ def frontier(
 ) -> None:
     """How to relax a task: the tightest values of one or two params for which P reaches a bound."""
     import stltool as stl
-    from stltool.reporting import frontier_data
+    from stltool.reporting import frontier_data, frontier_report, require_report, write_answer_picture, write_report
     from stltool.reporting.terminal import print_facts, print_json, print_table, progress_bar
+    from stltool.reporting.tradeoffs import require_picture
 
     bound = read_probability(at_least, "--at-least")
     parameters = dict(map(_values, vary))
     if len(parameters) < len(vary):
         raise SettingsError("--vary names a param twice; give each once")
+    if plot is not None:
+        require_picture(plot)
+    if report is not None:
+        require_report(report / "report.html")
     (loaded,), world = load_with_model(task, model, param, [name], reading)
     with progress_bar("checking", quiet=as_json) as bar:
         found = stl.frontier(world, loaded, bound, parameters, maximize=not minimize, progress=bar)
+    page = frontier_report(found, this_command())
+    if plot is not None:
+        write_answer_picture(page, plot)
+    if report is not None:
+        write_report(page, report / "report.html")
     if as_json:
         print_json(frontier_data(found))
         return
@@ -75,11 +94,16 @@ def frontier(
         "checks": f"{len(found.probes)} of {combinations}, by {found.method}",
         **({"undecided": f"{undecided}, which count as missing the bound"} if undecided else {}),
         **found.told,
+        **({"plot": plot} if plot is not None else {}),
+        **({"report": report / "report.html"} if report is not None else {}),
     })  # fmt: skip
 
 
-def _values(text: str) -> tuple[str, list[str | Fraction]]:
+def _values(text: str) -> tuple[str, list[str | Fraction] | None]:
+    """The param with its values, or None for those around its own."""
     name, equals, listed = text.partition("=")
+    if name.strip() and not equals:
+        return name.strip(), None
     example = "write, for example, --vary T=1:15, or --vary T=1s,2s,5s"
     if not (name.strip() and equals and listed.strip()):
         raise SettingsError(f"--vary {text}: write a param and its values; {example}")

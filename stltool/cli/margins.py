@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
+from stltool.cli.steps import this_command
 from stltool.errors import SettingsError
 from stltool.logic.timing import Reading
 from stltool.numbers import NumberError, bound_texts, read
@@ -35,13 +37,15 @@ def check_margins(
     maximize: bool,
     bounds: list[tuple[str, str, Fraction]],
     as_json: bool,
+    plot: Path | None = None,
+    report: Path | None = None,
 ) -> bool:
-    """Print P(robustness >= r), for one r or all; whether every bound holds on it.
+    """Print P(robustness >= r), for one r or all, and write the picture and page of all; whether every bound holds.
 
     Without a margin, the bound `--at-least` asks for the largest one whose probability is at least that.
     """
     import stltool as stl
-    from stltool.reporting import robustness_data
+    from stltool.reporting import robustness_data, robustness_report, write_answer_picture, write_report
     from stltool.reporting.monitoring import robustness_text
     from stltool.reporting.terminal import print_facts, print_json, print_table, progress_bar
 
@@ -66,6 +70,20 @@ def check_margins(
         assert margin is not None
         assert distribution is not None
         holds = _judge(bounds, {"": distribution.at(margin)}, data, facts)
+    if plot is not None or report is not None:
+        with progress_bar("the policy that is best for P" if policy is None else "the optimum", quiet=as_json) as bar:
+            other = None
+            if policy is None:
+                other = stl.check(stl.build_product(model, task), maximize=maximize).policy
+            beside = stl.robustness_distribution(model, task, other, maximize=maximize, progress=bar)
+        judged: Literal["policy"] | None = "policy" if policy is None else None
+        page = robustness_report(task, data, robustness_data(task, model, beside, judged, maximize), this_command())
+        if plot is not None:
+            write_answer_picture(page, plot)
+            facts["plot"] = str(plot)
+        if report is not None:
+            write_report(page, report / "report.html")
+            facts["report"] = str(report / "report.html")
     if as_json:
         print_json(data)
         return holds

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from stltool.cli.steps import this_command
 from stltool.errors import SettingsError
 from stltool.numbers import NumberError, bound_texts, most_text, number_text, read
 
@@ -22,10 +24,13 @@ def check_range(
     maximize: bool,
     bounds: list[tuple[str, str, Fraction]],
     as_json: bool,
+    plot: Path | None = None,
+    report: Path | None = None,
 ) -> bool:
-    """Print P over the range; whether every bound holds on all of it."""
+    """Print P over the range, and write its picture and page; whether every bound holds on all of it."""
     import stltool as stl
-    from stltool.reporting import parametric_data
+    from stltool.reporting import parametric_data, parametric_report, write_answer_picture, write_report
+    from stltool.reporting.answers import smallest_text
     from stltool.reporting.terminal import print_facts, print_json, print_table, progress_bar
 
     over = _range(vary)
@@ -41,6 +46,17 @@ def check_range(
     if verdicts:
         data["holds"] = all_hold
         data["decided"] = all(holds is not None for holds in verdicts.values())
+    wanted = next((bound for option, _, bound in bounds if option == "--at-least"), None)
+    if wanted is not None:
+        first = found.smallest(wanted)
+        data["smallest"] = first and {
+            "below": float(first.below), "enough": None if first.enough is None else float(first.enough)
+        }  # fmt: skip
+    page = parametric_report(found, data, this_command())
+    if plot is not None:
+        write_answer_picture(page, plot)
+    if report is not None:
+        write_report(page, report / "report.html")
     if as_json:
         print_json(data)
         return all_hold
@@ -53,12 +69,17 @@ def check_range(
         {name: number_text(p), **dict(zip(("lower_bound", "upper_bound"), bound_texts(lower, upper), strict=True))}
         for p, lower, upper in found.points()
     ])  # fmt: skip
+    optimal = sum(piece.optimal is True for piece in found.pieces)
     least, greatest = bound_texts(found.least[0], found.greatest[1])
     print_facts({
         "everywhere": f"{least} <= P <= {greatest}",
         "bounds": f"at most {most_text(found.gap)} apart, in {len(found.pieces)} "
         f"{'piece' if len(found.pieces) == 1 else 'pieces'}; {found.status}",
+        **({"one policy optimal": f"on {optimal} of these, up to rounding"} if policy is None else {}),
         **{claim: _VERDICTS[holds] for claim, holds in verdicts.items()},
+        **({"smallest": smallest_text(data)} if "smallest" in data else {}),
+        **({"plot": plot} if plot is not None else {}),
+        **({"report": report / "report.html"} if report is not None else {}),
     })  # fmt: skip
     return all_hold
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from stltool.numbers import ceiling_text, probability_text
@@ -15,6 +16,7 @@ from stltool.reporting.drawing import COLOURS, INK, alone, drawing, picture, sho
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
 
 _CURVE, _OPTIMUM = "#2166ac", "#b2182b"
 _HIGH = 0.98  # a curve that gets this high shows its distance from 1, too
@@ -133,6 +135,159 @@ def pareto_front(data: Mapping[str, Any], kind: str) -> str | bytes:
     axes.grid(alpha=0.25)
     axes.legend(loc="lower left", frameon=False)
     return picture(figure, kind, "front", "the best pairs of probabilities for two tasks")
+
+
+@drawing()
+def survival(curves: Sequence[Mapping[str, Any]], kind: str) -> str | bytes:
+    """P(robustness ≥ r) over r: a falling step for each of the curves, from 1 to 0.
+
+    `curves`: `name`, `values` (ascending, finite), `p` at each, and `beyond`, the probability of being infinite. `kind`
+    is svg, png or pdf.
+    """
+    figure = Figure(figsize=(7.2, 3.6), layout="constrained")
+    axes = figure.subplots()
+    ends = [value for curve in curves for value in curve["values"]] or [0.0]
+    room = 0.06 * (max(ends) - min(ends)) or 0.5
+    left, right = min(ends) - room, max(ends) + room
+    for i, curve in enumerate(curves):
+        values, p = _reals(curve["values"]), _reals(curve["p"])
+        first = p[0] if len(p) else curve["beyond"]
+        axes.step([left, *values, right], [first, *p, curve["beyond"]], where="pre", color=_colour(i),
+                  linestyle=_dashes(i), linewidth=3.0 - 1.4 * i, label=shown(curve["name"], 50),
+                  gid=f"survival-{i}")  # fmt: skip
+        axes.plot(values, p, color=_colour(i), linestyle="", marker="o", markersize=4, gid=f"values-{i}")
+    axes.axvline(0.0, color=INK, linewidth=0.8, linestyle=":", gid="zero")
+    axes.set(xlabel="margin r", ylabel="P(robustness ≥ r)", xlim=(left, right), ylim=(-0.03, 1.03))
+    axes.grid(alpha=0.25)
+    axes.legend(loc="lower left", frameon=False)
+    return picture(figure, kind, "survival", "how probable each margin of robustness is")
+
+
+_PER_PIECE = 33  # points of a polynomial
+
+
+@drawing()
+def parameter_curve(data: Mapping[str, Any], kind: str) -> str | bytes:
+    """P over a parameter (`parametric_data`): the enclosure, and below it the pieces on which one policy is optimal.
+
+    Dashed the bounds that were asked for, dotted the smallest value that reaches one. `kind` is svg, png or pdf.
+    """
+    figure = Figure(figsize=(7.2, 3.6), layout="constrained")
+    axes = figure.subplots()
+    xs, ends = np.linspace(0, 1, _PER_PIECE), ([], [])  # type: tuple[Any, tuple[list[Any], list[Any]]]
+    at: list[Any] = []
+    for piece in data["pieces"]:
+        at.append(piece["from"] + (piece["to"] - piece["from"]) * xs)
+        for side, coefficients in zip(ends, (piece["lower"], piece["upper"]), strict=True):
+            side.append(_polynomial(_reals(coefficients), xs))
+    p, lower, upper = np.concatenate(at), *(np.concatenate(side) for side in ends)
+    axes.fill_between(p, lower, upper, color=_CURVE, alpha=0.3, linewidth=0, gid="enclosure")
+    axes.plot(p, lower, color=_CURVE, linewidth=1.6, label=f"P, {shown(data['question'], 20)}", gid="lower")
+    low, high = float(lower.min()), float(upper.max())
+    bounds = [data[key] for key in ("at_least", "at_most") if key in data]
+    low, high = min([low, *bounds]), max([high, *bounds])
+    room = 0.08 * (high - low) or 0.05
+    floor = low - room
+    for bound in bounds:
+        axes.axhline(bound, color=_OPTIMUM, linestyle="--", linewidth=1.2, label=f"bound {bound:g}", gid="bound")
+    smallest = data.get("smallest")
+    if smallest is not None and smallest["enough"] is not None:
+        axes.axvline(smallest["enough"], color=_OPTIMUM, linestyle=":", linewidth=1.2, gid="smallest",
+                     label=f"smallest {shown(data['parameter'], 20)} ≈ {smallest['enough']:.6g}")  # fmt: skip
+    optimal = [piece for piece in data["pieces"] if piece["optimal"]]
+    for i, piece in enumerate(optimal):
+        axes.plot([piece["from"], piece["to"]], [floor, floor], color=COLOURS[2], linewidth=5, solid_capstyle="butt",
+                  clip_on=False, marker="|", markeredgecolor=INK, label=None if i else "one policy is optimal",
+                  gid=f"optimal-{i}")  # fmt: skip
+    axes.set(xlabel=shown(data["parameter"], 40), ylabel="P(task)", ylim=(floor, high + room))
+    axes.ticklabel_format(useOffset=False, style="plain")
+    axes.grid(alpha=0.25)
+    axes.legend(loc="best", frameon=False)
+    return picture(figure, kind, "parameter", "the probability as a function of a parameter")
+
+
+@drawing()
+def frontier_picture(data: Mapping[str, Any], kind: str) -> str | bytes:
+    """A frontier (`frontier_data`): with two params which values reach the bound, with one P over its values.
+
+    `kind` is svg, png or pdf.
+    """
+    figure = Figure(figsize=(5.8, 4.2), layout="constrained")
+    axes = figure.subplots()
+    params = data["params"]
+    places = [_Axis(param["values"]) for param in params]
+    title = "for which values of the params the bound is reached"
+    if len(params) == 1:
+        found = [(places[0].at(probe["values"][0]), probe["P"]) for probe in data["probes"]]
+        axes.plot(*zip(*found, strict=True), color=_CURVE, linewidth=1.0, marker="o", markersize=4, gid="probes",
+                  label=f"P, {shown(data['question'], 20)}, where checked")  # fmt: skip
+        axes.axhline(data["bound"], color=_OPTIMUM, linestyle="--", linewidth=1.2, gid="bound",
+                     label=f"bound {data['bound']:g}")  # fmt: skip
+        for step in data["steps"]:
+            if step["tightest"] is not None:
+                axes.axvline(places[0].at(step["tightest"]), color=_OPTIMUM, linestyle=":", linewidth=1.2,
+                             gid="tightest", label=f"tightest: {shown(step['tightest'], 20)}")  # fmt: skip
+        axes.set(xlabel=shown(params[0]["name"], 40), ylabel="P(task)")
+        places[0].show(axes.xaxis)
+    else:
+        for name, marker, held in (("holds", "o", True), ("fails", "x", False), ("undecided", "s", None)):
+            seen = [probe["values"] for probe in data["probes"] if probe["holds"] is held]
+            if seen:
+                axes.plot(*([place.at(v) for v in column] for place, column in zip(places, zip(*seen, strict=True),
+                                                                                  strict=True)),
+                          color={"holds": _CURVE, "fails": _OPTIMUM}.get(name, INK), linestyle="", marker=marker,
+                          markersize=5, gid=name, label=f"checked: {name}")  # fmt: skip
+        steps = [(places[0].at(step["others"][0]), places[1].at(step["tightest"])) for step in data["steps"]
+                 if step["tightest"] is not None]  # fmt: skip
+        if steps:
+            edge = max(places[1].ends) if params[1]["direction"] > 0 else min(places[1].ends)
+            xs, ys = _reals(steps).T
+            axes.fill_between(xs, ys, edge, step="mid", color=_CURVE, alpha=0.12, linewidth=0, gid="reached",
+                              label="reaches the bound")  # fmt: skip
+            axes.plot(xs, ys, color=_CURVE, drawstyle="steps-mid", linewidth=1.6, gid="staircase",
+                      label=f"tightest {shown(params[1]['name'], 20)}")  # fmt: skip
+        axes.set(xlabel=shown(params[0]["name"], 40), ylabel=shown(params[1]["name"], 40))
+        for place, axis in zip(places, (axes.xaxis, axes.yaxis), strict=True):
+            place.show(axis)
+    axes.grid(alpha=0.25)
+    axes.legend(loc="best", frameon=False, fontsize=8)
+    return picture(figure, kind, "frontier", title)
+
+
+def _polynomial(c: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Its values at x, from 0 to 1, by de Casteljau's algorithm from its coefficients in Bernstein's basis."""
+    values = np.repeat(c[:, None], len(x), axis=1)
+    while len(values) > 1:
+        values = (1 - x) * values[:-1] + x * values[1:]
+    return values[0]
+
+
+class _Axis:
+    """Where values of a param are: numbers at themselves, others side by side with their names."""
+
+    _FEW = 12  # names that are shown
+
+    def __init__(self, values: Sequence[str]) -> None:
+        try:
+            self._places = {value: float(Fraction(value)) for value in values}
+            self._names: list[str] | None = None
+        except ValueError:
+            self._places = {value: float(i) for i, value in enumerate(values)}
+            self._names = list(values)
+
+    def at(self, value: str) -> float:
+        return self._places[value]
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        return min(self._places.values()), max(self._places.values())
+
+    def show(self, axis: Axis) -> None:
+        if self._names is not None:
+            every = -(-len(self._names) // self._FEW)
+            axis.set_ticks(range(0, len(self._names), every), [shown(name, 12) for name in self._names[::every]])
+        elif all(place.is_integer() for place in self._places.values()):
+            axis.set_major_locator(MaxNLocator(integer=True))
 
 
 @drawing()

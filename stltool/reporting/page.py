@@ -25,6 +25,14 @@ from stltool.learning.markov import tested
 from stltool.numbers import bound_texts, difference_text, most_text, probability_text, within_text
 from stltool.product import Product
 from stltool.randomness import require_seed
+from stltool.reporting.answers import (
+    FRONTIER_FORMAT,
+    PARAMETRIC_FORMAT,
+    ROBUSTNESS_FORMAT,
+    frontier_content,
+    parametric_content,
+    robustness_content,
+)
 from stltool.reporting.data import FORMAT, SWEEP_FORMAT, VERIFY_FORMAT, policy_shown, report_data
 from stltool.reporting.guarantees import guarantee_rows, looser_note
 from stltool.reporting.headline import headline
@@ -270,6 +278,9 @@ _RENDERED: dict[str, Callable[[Mapping[str, Any]], str]] = {
     VERIFY_FORMAT: render_verification,
     FRONT_FORMAT: _rendered("front.html", front_content),
     MONITOR_FORMAT: _rendered("monitor.html", monitor_content),
+    ROBUSTNESS_FORMAT: _rendered("answer.html", robustness_content),
+    PARAMETRIC_FORMAT: _rendered("answer.html", parametric_content),
+    FRONTIER_FORMAT: _rendered("answer.html", frontier_content),
     ESTIMATE_FORMAT: _rendered("estimate.html", estimate_content),
     TEST_FORMAT: _rendered("estimate.html", estimate_content),
 }

@@ -32,6 +32,7 @@ def parametric_data(found: ParametricResult) -> ParametricRecord:
                 "to": float(piece.upper),
                 "lower": piece.below.tolist(),
                 "upper": piece.above.tolist(),
+                "optimal": piece.optimal,
             }
             for piece in found.pieces
         ],

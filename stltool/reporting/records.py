@@ -247,8 +247,20 @@ class PointRecord(TypedDict):
     upper: float
 
 
-PieceRecord = TypedDict("PieceRecord", {"from": float, "to": float, "lower": list[float], "upper": list[float]})
-"""Two polynomials that enclose P on a range of a parameter, in Bernstein's basis."""
+PieceRecord = TypedDict(
+    "PieceRecord",
+    {"from": float, "to": float, "lower": list[float], "upper": list[float], "optimal": bool | None},
+)
+"""Two polynomials that enclose P on a range of a parameter, in Bernstein's basis; whether one policy is optimal there,
+as far as rounding lets one tell (null: of a given policy)."""
+
+
+class SmallestRecord(TypedDict):
+    """The smallest value of a parameter whose P reaches `at_least`: none below `below` does, `enough` does (null: none
+    was proved to)."""
+
+    below: float
+    enough: float | None
 
 
 ParametricRecord = TypedDict(
@@ -276,6 +288,7 @@ ParametricRecord = TypedDict(
         "at_most": NotRequired[float],
         "holds": NotRequired[bool],
         "decided": NotRequired[bool],
+        "smallest": NotRequired[SmallestRecord | None],
     },
 )
 """P as a function of a parameter of the model, enclosed on its whole range."""
@@ -1180,6 +1193,37 @@ class FollowedRecord(TypedDict):
     decisions: list[FollowedStepRecord]
 
 
+class RobustnessReport(RobustnessRecord):
+    """A report of `stltool check --robustness`.
+
+    `beside`: of the optimum, the distribution of the policy that is best for P; of a policy, that of the optimum.
+    """
+
+    format: Literal["stltool-robustness-1"]
+    version: str
+    command: str | None
+    words: SentenceRecord
+    beside: RobustnessRecord
+
+
+class ParametricReport(ParametricRecord):
+    """A report of `stltool check --vary`."""
+
+    format: Literal["stltool-parametric-1"]
+    version: str
+    command: str | None
+    words: SentenceRecord
+
+
+class FrontierReport(FrontierOutput):
+    """A report of `stltool frontier`."""
+
+    format: Literal["stltool-frontier-1"]
+    version: str
+    command: str | None
+    words: SentenceRecord
+
+
 class FrontReport(FrontRecord):
     """A report of `stltool pareto`: a front, and its tasks in words."""
 
@@ -1317,6 +1361,9 @@ FORMATS = {
     "stltool-sweep-1": SweepRecord,
     "stltool-verify-1": VerifyRecord,
     "stltool-front-1": FrontReport,
+    "stltool-robustness-1": RobustnessReport,
+    "stltool-parametric-1": ParametricReport,
+    "stltool-frontier-1": FrontierReport,
     "stltool-monitor-1": MonitorReport,
     "stltool-estimate-1": EstimateReport,
     "stltool-test-1": SequentialReport,

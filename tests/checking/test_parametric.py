@@ -102,12 +102,52 @@ def test_pieces_enclose_the_optimum_within_the_tolerance(maximize):
     assert ("apart after" in few.status) == (few.gap > 1e-9)
 
 
+@pytest.mark.parametrize("seed", range(many(8)))
+def test_the_smallest_value_that_is_enough(seed):
+    rng = np.random.default_rng(500 + seed)
+    product = random_product(rng)
+    policy = random_policy(product, rng, mixed=False)
+    for own, best in ((None, True), (None, False), (policy, True)):
+        found = stl.parametric(product, own, maximize=best, tol=1e-3)
+
+        def exact(p, own=own, best=best):
+            member = at(product, p)
+            if own is not None:
+                return oracles.policy_value(member, stl.Policy(member, own.table))
+            return oracles.optimum(member.model, product.formula, best)
+
+        bound = Fraction(float(rng.uniform(found.least[0], found.greatest[0])))
+        first = found.smallest(bound)
+        assert DOMAIN[0] <= first.below
+        for p in {Fraction(k, 20) for k in range(6, 19)}:
+            assert p >= first.below or exact(p) < bound
+        if first.enough is not None:
+            assert first.enough >= first.below
+            assert exact(first.enough) >= bound
+            if first.policy is not None:
+                member = at(product, first.enough)
+                assert oracles.policy_value(member, stl.Policy(member, first.policy.table)) >= bound
+        assert found.smallest(1.01) is None
+        assert found.smallest(0)[:2] == (DOMAIN[0], DOMAIN[0])
+        for piece in found.pieces:  # one policy on all of a piece
+            if piece.optimal:
+                for x in (Fraction(1, 3), Fraction(5, 7)):
+                    p = piece.lower + x * (piece.upper - piece.lower)
+                    member = at(product, p)
+                    mine = oracles.policy_value(member, stl.Policy(member, piece.policy.table))
+                    assert abs(mine - exact(p)) < 1e-12
+
+
 def test_a_function_that_is_not_monotone():
     """p² + (1−p)², least at ½: neither end is."""
     rows = [[["0", "p", "1-p", 0], [0, "p", 0, "1-p"], [0, 0, "1-p", "p"], [0, 0, 0, 1]]]
     model = stl.MDP.from_arrays(rows, {}, labels={"out": [0, 0, 0, 1]}, parameters={"p": (0, 1)})
     product = stl.build_product(model, stl.parse("G[0,2] !out"))
     found = stl.parametric(product)
+    assert found.smallest(0.9)[:2] == (0, 0)
+    first = stl.parametric(product, over={"p": ("0.3", 1)}).smallest(0.82)
+    assert first.below <= Fraction(9, 10) <= first.enough < Fraction(9, 10) + Fraction(1, 10**9)
+    assert Fraction(9, 10) - first.below < Fraction(1, 10**9)
     assert found.least[0] <= 0.5 <= found.least[1] <= found.least[0] + 1e-6
     assert found.greatest == pytest.approx((1, 1), abs=1e-12)
     assert found.at_least(0.499) is True

@@ -29,7 +29,8 @@ def test_a_staircase_and_a_scan(stltool, tmp_path):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (["--vary", "T"], "--vary T: write a param and its values"),
+        (["--vary", "=3"], "--vary =3: write a param and its values"),
+        (["--vary", "U"], "the task has no param U"),
         (["--vary", "T=3:1"], "the lower end of a range comes first"),
         (["--vary", "T=1:3:0"], "the step is positive"),
         (["--vary", "T=1s:3s"], "a range is of plain numbers"),

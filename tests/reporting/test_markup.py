@@ -21,12 +21,17 @@ from stltool.reporting import (
     estimate_data,
     estimate_report,
     front_report,
+    frontier_report,
     guarantee_data,
     load_report,
     monitor_data,
     monitor_report,
+    parametric_data,
+    parametric_report,
     render,
     report_data,
+    robustness_data,
+    robustness_report,
     sweep_data,
     verification_data,
 )
@@ -229,7 +234,32 @@ def estimated():
     return json.loads(json.dumps(estimate_report(data, product, "stltool estimate")))
 
 
-KINDS = ["checked", "black_box", "swept", "verified", "front", "monitored", "estimated"]
+@pytest.fixture(scope="module")
+def margins():
+    task = stl.load_task(FACTORY / "margins.stl", params={"T": 2, "tau": 4})
+    model = stl.load_model(FACTORY / "floor-5x5.toml")
+    found = robustness_data(task, model, stl.robustness_distribution(model, task))
+    return json.loads(json.dumps(robustness_report(task, found, found, "stltool check")))
+
+
+@pytest.fixture(scope="module")
+def varied():
+    task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 2, "tau": 4})
+    found = stl.parametric(stl.build_product(stl.load_model(FACTORY / "floor-5x5-p.toml"), task), over={"p": (0.8, 1)})
+    data = parametric_data(found) | {"at_least": 0.5, "holds": False, "decided": True, "smallest": None}
+    return json.loads(json.dumps(parametric_report(found, data, "stltool check")))
+
+
+@pytest.fixture(scope="module")
+def relaxed():
+    task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 2, "tau": 4})
+    found = stl.frontier(stl.load_model(task.model), task, 0.5, {"T": [1, 2], "tau": [4, 6]})
+    return json.loads(json.dumps(frontier_report(found, "stltool frontier")))
+
+
+KINDS = [
+    "checked", "black_box", "swept", "verified", "front", "monitored", "estimated", "margins", "varied", "relaxed",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -260,14 +290,30 @@ def strings(value):
 def test_a_text_in_the_place_of_anything_stays_a_text_or_is_refused(kind, request, monkeypatch):
     """Pictures are drawn only where the place is of a picture: they take most of the time."""
     data = request.getfixturevalue(kind)
-    drawn = {"floors", "states", "state_indices", "history", "columns", "curve", "figure", "corners", "robustness"}
+    drawn = {
+        "values",
+        "pieces",
+        "params",
+        "probes",
+        "steps",
+        "floors",
+        "states",
+        "state_indices",
+        "history",
+        "columns",
+        "curve",
+        "figure",
+        "corners",
+        "robustness",
+    }
     shown = refused = 0
     tried = some(places(data))
     for path in tried:
         with monkeypatch.context() as patch:
             if not drawn.intersection(path):
                 for name in ("figures.learning_curve", "figures.learning_curves", "figures.line_chart",
-                             "figures.pareto_front", "floor.floor_map"):  # fmt: skip
+                             "figures.pareto_front", "figures.survival", "figures.parameter_curve",
+                             "figures.frontier_picture", "floor.floor_map"):  # fmt: skip
                     patch.setattr(f"stltool.reporting.{name}", lambda *args: "")
             try:
                 page = render(with_evil_at(data, path))

@@ -42,7 +42,19 @@ def test_every_picture_of_the_docs_has_its_command(pictures):
     assert shown == set(re.findall(r"!\[[^]]*\]\((?:docs/)?([\w-]+)\.svg\)", pages))
 
 
-CHARTS = ["front", "monitor", "battery", "lift", "frozenlake", "zeroconf", "drone", "insulin"]
+CHARTS = [
+    "margins",
+    "parameter",
+    "frontier",
+    "front",
+    "monitor",
+    "battery",
+    "lift",
+    "frozenlake",
+    "zeroconf",
+    "drone",
+    "insulin",
+]
 
 
 @pytest.mark.parametrize("name", CHARTS)
