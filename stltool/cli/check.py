@@ -242,9 +242,9 @@ def check(
         (values is not None, "--values"),
     ]  # fmt: skip
     if plot is not None:
+        require_picture(plot)
         if vary is None and not robustness:
             raise SettingsError(f"--plot {plot} draws what --robustness or --vary finds; add one of them")
-        require_picture(plot)
     if report is not None:
         require_report(report / "report.html")
     if cost is not None:
