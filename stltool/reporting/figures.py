@@ -259,7 +259,8 @@ def _polynomial(c: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.fl
     values = np.repeat(c[:, None], len(x), axis=1)
     while len(values) > 1:
         values = (1 - x) * values[:-1] + x * values[1:]
-    return values[0]
+    found: NDArray[np.float64] = values[0]
+    return found
 
 
 class _Axis:
