@@ -1,4 +1,4 @@
-"""The open steps of a running trace, in Python: what kernels/streams.py does for formulas that look back a little."""
+"""The open steps of a running trace in Python: of formulas that look back without a limit (others: kernels)."""
 
 from __future__ import annotations
 
