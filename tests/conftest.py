@@ -2,6 +2,7 @@ import contextlib
 import functools
 import gc
 import hashlib
+import math
 import os
 import random
 import shutil
@@ -27,6 +28,11 @@ MORE = float(os.environ.get("STLTOOL_MORE", "0.2"))
 def many(n: int) -> int:
     """n random instances, mutations or runs times STLTOOL_MORE: .2 in `make test`, more in `make soak`."""
     return max(1, round(n * MORE))
+
+
+def soaked(n: int) -> int:
+    """At least n random instances in `make soak`, and few where there is less time: with the square of STLTOOL_MORE."""
+    return max(8, math.ceil(n * (MORE / 30) ** 2))
 
 
 def some(cases: Iterable[T]) -> list[T]:

@@ -133,6 +133,23 @@ def optimum(model: stl.MDP, phi, maximize: bool = True) -> Fraction:
     return sum((p * value((s,)) for s, p in initial(model)), Fraction(0))
 
 
+def optima(model: stl.MDP, phi) -> tuple[Fraction, Fraction]:
+    """The minimum and the maximum, as `optimum` has them, in one walk."""
+    length = stl.horizon(phi) + 1
+    rows = [choices(model, s) for s in range(model.n_states)]
+
+    def values(history: tuple[int, ...]) -> tuple[Fraction, Fraction]:
+        if len(history) == length:
+            return (Fraction(holds(model, phi, history)),) * 2
+        ahead = {s2: values((*history, s2)) for s2 in {s2 for row in rows[history[-1]] for s2, _ in row}}
+        least, greatest = ([sum(p * ahead[s2][end] for s2, p in row) for row in rows[history[-1]]] for end in (0, 1))
+        return min(least), max(greatest)
+
+    found = [(p, values((s,))) for s, p in initial(model)]
+    least, greatest = (sum((p * value[end] for p, value in found), Fraction(0)) for end in (0, 1))
+    return least, greatest
+
+
 def enumerated_optimum(model: stl.MDP, phi, maximize: bool = True) -> Fraction:
     """The same, literally: every deterministic history-dependent policy, one by one, each evaluated on all traces."""
     length = stl.horizon(phi) + 1
