@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -36,7 +36,8 @@ from stltool.logic.task import Task
 from stltool.models import MDP, load_model
 from stltool.models.loading import Deadlocks, Loading
 from stltool.monitoring import MonitorResult, monitor
-from stltool.monitoring.logs import Reading
+from stltool.monitoring.coverage import Coverage, idle_premises
+from stltool.monitoring.logs import Log, Reading
 from stltool.monitoring.logs.clock import TOLERANCE, Resample
 from stltool.monitoring.logs.recording import Missing
 from stltool.policy import load_policy
@@ -66,9 +67,11 @@ class Verified(Displayed):
     """One expectation, and how it was judged.
 
     verdict      "holds", "does not hold", "undecided" (the bound lies inside the enclosure), or "error"
-    decided_by   "enclosure", "fraction" or "trace"; None without a verdict, and `reason` states why
+    decided_by   "enclosure", "fraction" or "trace"; None without a verdict, and `reason` states why, or that a trace
+                 satisfies the formula only because a premise never held
     result       the check, with its product; `monitored` the verdicts on a trace, of which step 0 counts
     diagnosis    why a trace fails, in a batch the first that does
+    coverage, count   what traces say about the formula, and the number of it that `expect cover(…)` asks for
     """
 
     path: Path
@@ -81,6 +84,8 @@ class Verified(Displayed):
     monitored: MonitorResult | None = None
     diagnosis: Diagnosis | None = None
     certificate: Certified | None = None
+    coverage: Coverage | None = None
+    count: int | None = None
     seconds: float = 0.0
 
     @property
@@ -239,6 +244,7 @@ class Gate:
     certificate_names: dict[tuple[Path, Expectation], Path] = field(default_factory=dict)  # the first of that name
     certificates_of_name: Counter[Path] = field(default_factory=Counter)
     certified: dict[tuple[Any, ...], tuple[Path, Fraction, Fraction]] = field(default_factory=dict)
+    covered: dict[tuple[Any, ...], Coverage] = field(default_factory=dict)
 
     # ------------------------------------------------------------------------------------------------------- reading
 
@@ -292,7 +298,7 @@ class Gate:
                     path = read.path.parent / file
                     fault = "is not a regular file" if path.exists() else "does not exist"
                     faults.append(_at(expectation, f"the {what} {path} {fault}; paths are relative to the task file"))
-            if expectation.question == "holds":
+            if expectation.question in ("holds", "cover"):
                 continue
             try:
                 horizon(expectation.formula)
@@ -339,6 +345,8 @@ class Gate:
         try:
             if expectation.question == "holds":
                 found = self._on_trace(task, expectation)
+            elif expectation.question == "cover":
+                found = self._on_traces(task, expectation)
             else:
                 found = self._probability(task, expectation)
         except StlToolError as error:
@@ -348,27 +356,49 @@ class Gate:
     def _on_trace(self, task: Task, expectation: Expectation) -> Verified:
         assert expectation.trace is not None
         assert task.path is not None
-        phi, file = expectation.formula, task.folder / expectation.trace
-        names = {**variables(phi), **label_names(phi)}
-        if not names:
-            raise SettingsError(f"{phi}: this formula is constant; name a signal or a label of the trace")
+        phi = expectation.formula
         with self.stage(f"judging {expectation.asked}"):
-            reading = self.reading if task.step is not None else self.reading.untimed()
-            log = reading.log(file, list(names), task.step, label_names(phi))
-            try:
+            log = self._log(task, phi, expectation.trace)
+            with _of_file(task.folder / expectation.trace):
                 found = monitor(phi, log.signals, end="error" if is_bounded(phi) else "cut")
-            except TraceError as error:  # its advice on `end` does not apply here
-                raise TraceError(f"{file}: {str(error).partition(', or end=')[0]}") from None
         assert found.verdicts is not None
         verdict = _VERDICTS[bool(found.verdicts[..., 0].all())]
         why = None
+        reason = _vacuously(phi, log) if verdict == "holds" else None
         if verdict != "holds":
             with self.stage(f"finding why {expectation.asked} fails") as bar:
                 verdicts = found.verdicts
                 failing = int(verdicts[:, 0].argmin()) if verdicts.ndim == 2 else None
                 one = {name: values if failing is None else values[failing] for name, values in log.signals.items()}
                 why = diagnose(replace(task, formula=phi), one, end=found.end, progress=bar)
-        return Verified(task.path, task, expectation, verdict, "trace", monitored=found, diagnosis=why)
+        return Verified(task.path, task, expectation, verdict, "trace", reason, monitored=found, diagnosis=why)
+
+    def _log(self, task: Task, phi: Formula, file: str) -> Log:
+        names = {**variables(phi), **label_names(phi)}
+        if not names:
+            raise SettingsError(f"{phi}: this formula is constant; name a signal or a label of the trace")
+        reading = self.reading if task.step is not None else self.reading.untimed()
+        return reading.log(task.folder / file, list(names), task.step, label_names(phi))
+
+    def _on_traces(self, task: Task, expectation: Expectation) -> Verified:
+        phi, files = expectation.formula, traces_of(task.expectations, expectation)
+        if not files:
+            trace = 'trace "log.csv"'
+            raise SettingsError(
+                f"{expectation.subject} is counted over traces, and there are none; name one, cover(…, {trace}), or "
+                f"judge the formula on one, expect holds({expectation.name or phi}, {trace}); stltool monitor "
+                "--coverage and pytest count theirs"
+            )
+        key = task.path, phi, files
+        if key not in self.covered:
+            coverage = Coverage(phi)
+            with self.stage(f"counting for {expectation.asked}"):
+                for file in files:
+                    log = self._log(task, phi, file)
+                    with _of_file(task.folder / file):
+                        coverage.add_all(log.signals)
+            self.covered[key] = coverage
+        return covered(task, expectation, self.covered[key])
 
     def _probability(self, task: Task, expectation: Expectation) -> Verified:
         assert task.path is not None
@@ -441,7 +471,7 @@ class Gate:
         asked: Counter[Path] = Counter()
         for task in tasks:
             for expectation in task.expectations:
-                if expectation.question == "holds" or expectation.robust:
+                if expectation.question in ("holds", "cover") or expectation.robust:
                     continue
                 assert task.path is not None
                 subject = expectation.name if expectation.name is not None else f"line-{expectation.span.line}"  # type: ignore[union-attr]
@@ -471,6 +501,49 @@ class Gate:
 def _numbered(first: Path, number: int) -> Path:
     """a.jsonl.gz, a-2.jsonl.gz, a-3.jsonl.gz, …"""
     return first if number == 1 else first.with_name(f"{first.name.removesuffix('.jsonl.gz')}-{number}.jsonl.gz")
+
+
+def _vacuously(phi: Formula, log: Log) -> str | None:
+    """What a pass does not say: premises that held at no step of any trace."""
+    idle = idle_premises(phi, log.signals)
+    held = "premise held" if len(idle) == 1 else "premises held"
+    return f"vacuously: the {held} at no step: {', '.join(idle)}" if idle else None
+
+
+def traces_of(expectations: Sequence[Expectation], expectation: Expectation) -> tuple[str, ...]:
+    """The traces over which a count is: its own, or those on which the file judges the same formula."""
+    if expectation.trace is not None:
+        return (expectation.trace,)
+    same = (one for one in expectations if one.question == "holds" and one.formula == expectation.formula)
+    return tuple(dict.fromkeys(one.trace for one in same if one.trace is not None))
+
+
+def counted_over(task: Task, coverage: Coverage) -> list[Verified]:
+    """The counts that a task file expects of its task over any traces, judged on what was counted."""
+    asked = (one for one in task.expectations if one.question == "cover" and one.trace is None)
+    return [covered(task, one, coverage) for one in asked if one.formula == coverage.formula]
+
+
+def covered(task: Task, expectation: Expectation, coverage: Coverage) -> Verified:
+    """Whether what traces say is as much as is expected."""
+    assert task.path is not None
+    assert expectation.relation is not None
+    assert expectation.bound is not None
+    count = coverage.count(expectation)
+    verdict = _VERDICTS[_compared(expectation.relation, expectation.bound, Fraction(count), Fraction(count))]
+    reason = None if verdict == "holds" else coverage.report()
+    return Verified(
+        task.path, task, expectation, verdict, "trace", reason=reason, coverage=coverage, count=count
+    )  # fmt: skip
+
+
+@contextmanager
+def _of_file(file: Path) -> Iterator[None]:
+    """What is wrong with a trace is told with its file; advice on `end` does not apply."""
+    try:
+        yield
+    except TraceError as error:
+        raise TraceError(f"{file}: {str(error).partition(', or end=')[0]}") from None
 
 
 def decided(result: CheckResult, relation: Relation, bound: Fraction) -> bool | None:

@@ -31,6 +31,9 @@ _FACET = re.compile(rb"^\s*facet\s", re.MULTILINE)
 _BINARY = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 _EXPECT = re.compile(rb"\bexpect\b")
 _COVERAGE: pytest.StashKey[CoverageReport] = pytest.StashKey()
+_ASKED: pytest.StashKey[list[tuple[str, int]]] = pytest.StashKey()  # file and number of what is expected of all tests
+_REMOTE: pytest.StashKey[bool] = pytest.StashKey()  # whether tests ran in processes of their own
+_FAILED: pytest.StashKey[list[str]] = pytest.StashKey()  # what was expected of them and does not hold
 _PAGE = "stl_report"  # the user property that holds a page's path
 
 
@@ -54,11 +57,7 @@ def pytest_configure(config: pytest.Config) -> None:
         "have this marker, too",
     )
     if config.getoption("stl_coverage"):
-        from stltool.testing import collect_coverage
-
-        stack = ExitStack()
-        config.stash[_COVERAGE] = stack.enter_context(collect_coverage())
-        config.add_cleanup(stack.close)
+        _collect(config)
     folder = config.getoption("stl_report")
     if folder is None:
         return
@@ -71,6 +70,16 @@ def pytest_configure(config: pytest.Config) -> None:
     except FileError as error:
         raise pytest.UsageError(f"--stl-report {folder}: {error}") from None
     config.option.stl_report = str(absolute)  # what xdist hands to its workers
+
+
+def _collect(config: pytest.Config) -> None:
+    """From now on, what is judged is counted."""
+    if _COVERAGE not in config.stash:
+        from stltool.testing import collect_coverage
+
+        stack = ExitStack()
+        config.stash[_COVERAGE] = stack.enter_context(collect_coverage())
+        config.add_cleanup(stack.close)
 
 
 # ------------------------------------------------------------------------------------------------------- task files
@@ -119,13 +128,18 @@ class StlFile(pytest.File):
             raise self.CollectError(str(error)) from None
         if found.faults:
             raise self.CollectError("\n\n".join(found.faults))
+        from stltool.gate import traces_of
+
         seen: set[str] = set()
         for number, expectation in enumerate(found.expectations):
             asked = expectation.written.removeprefix("expect ")
             if len(asked) > _LONGEST_NAME or asked in seen:
                 asked = f"{asked[:_LONGEST_NAME]}, line {_line(expectation)}"
             seen.add(asked)
-            yield StlItem.from_parent(self, name=f"expect[{asked}]", number=number, line=_line(expectation))
+            counts = expectation.question == "cover" and not traces_of(found.expectations, expectation)
+            yield StlItem.from_parent(
+                self, name=f"expect[{asked}]", number=number, line=_line(expectation), counts=counts
+            )
 
     def read(self) -> tuple[Gate, Task]:
         """What judges, and the task; raises StlToolError with all faults of the file, also the second time."""
@@ -148,17 +162,23 @@ class StlFile(pytest.File):
 
 
 class StlItem(pytest.Item):
-    """One `expect` line."""
+    """One `expect` line; `counts`: over what all tests judge, so it is the last one."""
 
-    def __init__(self, *, number: int, line: int, **more: Any) -> None:
+    def __init__(self, *, number: int, line: int, counts: bool, **more: Any) -> None:
         super().__init__(**more)
-        self.number, self.line = number, line
+        self.number, self.line, self.counts = number, line, counts
         self.add_marker("stl")
 
     def runtest(self) -> None:
         assert isinstance(self.parent, StlFile)
+        if self.counts and hasattr(self.config, "workerinput"):
+            pytest.skip("counted at the end, over all processes")
         gate, task = self.parent.read()
-        verified = gate.judge(task, task.expectations[self.number])
+        expectation = task.expectations[self.number]
+        if self.counts:
+            verified = _counted(task, expectation, self.config.stash[_COVERAGE])
+        else:
+            verified = gate.judge(task, expectation)
         if verified.verdict != "holds":
             raise ExpectationFailed(_told(verified, self.location[0]), verified)
 
@@ -171,6 +191,49 @@ class StlItem(pytest.Item):
 
     def reportinfo(self) -> tuple[Path, int, str]:
         return self.path, self.line - 1, self.name
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: isinstance(item, StlItem) and item.counts)
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """What tests judge is counted if an expectation asks for it."""
+    asked = [item for item in session.items if isinstance(item, StlItem) and item.counts]
+    if asked:
+        session.config.stash[_ASKED] = [(str(item.path), item.number) for item in asked]
+        _collect(session.config)
+
+
+def _counted(task: Task, expectation: Expectation, coverage: CoverageReport) -> Verified:
+    """An expectation about what all tests judged."""
+    from stltool.gate import covered
+    from stltool.testing import Coverage
+
+    return covered(task, expectation, coverage.get(str(expectation.formula)) or Coverage(expectation.formula))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtestloop(session: pytest.Session) -> Generator[None, object, object]:
+    """Where the tests ran in processes of their own, what they judged is known only now."""
+    result = yield
+    config = session.config
+    if not config.stash.get(_REMOTE, False) or session.shouldfail or session.shouldstop:
+        return result
+    from stltool.logic.parser import survey_task
+
+    told = config.stash.setdefault(_FAILED, [])
+    asked: list[tuple[str, int]] = config.stash.get(_ASKED, [])
+    for path, number in asked:
+        task = survey_task(Path(path)).task
+        if task is None:  # the file has changed meanwhile
+            continue
+        verified = _counted(task, task.expectations[number], config.stash[_COVERAGE])
+        if verified.verdict != "holds":
+            told.append(_told(verified, path))
+    session.testsfailed += len(told)
+    return result
 
 
 def _line(expectation: Expectation) -> int:
@@ -323,6 +386,9 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
         terminalreporter.section("stltool: pages")
         for page in pages:
             terminalreporter.line(page)
+    for told in config.stash.get(_FAILED, []):
+        terminalreporter.section("stltool: an expectation of all tests")
+        terminalreporter.line(told)
     coverage = config.stash.get(_COVERAGE, None)
     if coverage is not None:
         terminalreporter.section("stltool: coverage of formulas")
@@ -342,10 +408,14 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     coverage = session.config.stash.get(_COVERAGE, None)
     if coverage is not None and hasattr(session.config, "workeroutput"):  # a worker's
         session.config.workeroutput["stl_coverage"] = {text: one.counts() for text, one in coverage.items()}
+        session.config.workeroutput["stl_asked"] = session.config.stash.get(_ASKED, [])
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: Any) -> None:
-    coverage = node.config.stash.get(_COVERAGE, None)
-    if coverage is not None:
-        coverage.merge(getattr(node, "workeroutput", {}).get("stl_coverage", {}))  # a worker that crashed has none
+    output = getattr(node, "workeroutput", {})  # a worker that crashed has none
+    if "stl_coverage" in output:
+        _collect(node.config)
+        node.config.stash[_COVERAGE].merge(output["stl_coverage"])
+        node.config.stash[_ASKED] = [(path, number) for path, number in output["stl_asked"]]
+        node.config.stash[_REMOTE] = True

@@ -334,3 +334,57 @@ def test_it_shows_itself(written):
     first = repr(found.results[1]).splitlines()[0]  # cut where the path is long
     full = f"Verified: does not hold, {found.results[1].path}:4: expect Pmax(reach) >= 0.4"
     assert first == full or (full.startswith(first.rstrip(".")) and len(first) >= 100)
+
+
+ANSWERS = """premise := request & !busy
+answers := G[0,3] (premise -> F[0,2] level > 3)
+limit := G[0,3] level < 9
+expect holds(answers, trace "idle.csv")
+expect holds(answers, trace "asked.csv")
+expect cover(premise, of answers) >= 2
+expect cover(premise, of answers) >= 3
+expect cover(premise, of answers, trace "idle.csv") < 1
+expect cover(answers, vacuous) <= 0
+expect cover(level > 3, closed, of answers) > 11
+expect cover(limit) >= 1
+"""
+
+
+@pytest.fixture
+def answers(tmp_path):
+    (tmp_path / "idle.csv").write_text("request,busy,level\n" + "1,1,0\n" * 6)
+    (tmp_path / "asked.csv").write_text("request,busy,level\n1,0,0\n0,0,4\n1,1,0\n1,0,0\n0,0,0\n0,0,7\n")
+    path = tmp_path / "answers.stl"
+    path.write_text(ANSWERS)
+    return path
+
+
+def test_counts_are_over_the_traces_of_the_file_or_their_own(answers):
+    """By hand: a request that is not busy comes at two steps, in one of the two traces on which answers is judged."""
+    found = stl.verify(answers).results
+    assert [(one.verdict, one.count, one.coverage and one.coverage.traces) for one in found] == [
+        ("holds", None, None), ("holds", None, None), ("holds", 2, 2), ("does not hold", 2, 2), ("holds", 0, 1),
+        ("does not hold", 1, 2), ("holds", 12, 2), ("error", None, None),
+    ]  # fmt: skip
+    assert found[0].reason == "vacuously: the premise held at no step: request & !busy"
+    assert found[1].reason is None
+    assert "request & !busy (premise)" in found[3].reason
+    assert "there are none; name one, cover(…, trace" in found[7].reason
+    assert found[2].coverage is found[3].coverage
+
+
+def test_batches_count_trace_by_trace(answers):
+    np.savez(answers.with_name("batch.npz"), request=np.eye(2, 6), busy=np.zeros((2, 6)), level=np.full((2, 6), 5))
+    answers.write_text(ANSWERS.partition("expect")[0] + 'expect cover(premise, of answers, trace "batch.npz") >= 2\n'
+                       'expect holds(answers, trace "batch.npz")')  # fmt: skip
+    count, holds = stl.verify(answers).results
+    assert (count.verdict, count.count, count.coverage.traces) == ("holds", 2, 2)
+    assert holds.reason is None  # each premise held in some trace
+
+
+def test_a_trace_that_is_too_short_to_count_is_in_error(answers):
+    answers.with_name("idle.csv").write_text("request,busy,level\n1,1,0\n")
+    found = stl.verify(answers).results
+    assert found[4].verdict == "error"
+    assert found[4].reason.startswith("idle.csv: ")
+    assert "end=" not in found[4].reason

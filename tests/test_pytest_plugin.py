@@ -276,3 +276,71 @@ def test_coverage_of_formulas_is_reported_at_the_end(pytester, loaded):
     assert "the premise request held at no step" in told
     assert "level > 3 mattered in no trace" in told
     assert "no test judged a trace" in run(pytester, "--stl-coverage", "-k", "nothing").stdout.str()
+
+
+ANSWERS = """answers := G[0,2] (request -> level > 3)
+expect cover(request) >= 2  # over all tests
+expect cover(request) >= 3
+expect cover(answers, vacuous, trace "log.csv") <= 1
+expect cover(answers, vacuous, trace "log.csv") < 1
+"""
+ASKING = """
+import stltool as stl
+
+PHI = stl.load_task("answers.stl")
+
+def test_one(stl_monitor):
+    record = stl_monitor(PHI)
+    for step in range(3):
+        record(request=step == 1, level=5)
+
+def test_other(stl_monitor):
+    record = stl_monitor(PHI)
+    for step in range(3):
+        record(request=step == 2, level=5)
+"""
+
+
+@pytest.fixture
+def asking(project):
+    (project.path / "answers.stl").write_text(ANSWERS, encoding="utf-8")
+    (project.path / "log.csv").write_text("request,level\n0,1\n0,1\n0,1\n", encoding="utf-8")
+    (project.path / "test_z.py").write_text(ASKING, encoding="utf-8")
+    return project
+
+
+def test_counts_are_judged_over_all_tests(asking):
+    done = run(asking, "-v", "answers.stl", "test_z.py")
+    done.assert_outcomes(passed=4, failed=2)
+    done.stdout.fnmatch_lines([
+        'answers.stl::expect[[]cover(answers, vacuous, trace "log.csv") < 1[]] FAILED*',
+        "test_z.py::test_other PASSED*",
+        "answers.stl::expect[[]cover(request) >= 2[]] PASSED*",
+        "answers.stl::expect[[]cover(request) >= 3[]] FAILED*",
+    ])  # fmt: skip
+    done.stdout.fnmatch_lines([
+        "answers.stl:3: expect cover(request) >= 3",
+        "  does not hold: 2 steps of 2 traces",
+        "  G[[]0,2[]] (request -> level > 3)",
+        "*stltool: coverage of formulas*",
+        "  request (premise) * 2 * 4 *",
+    ])  # fmt: skip
+
+
+def test_nothing_is_counted_if_no_test_judges_the_formula(asking):
+    done = run(asking, "answers.stl", "-k", "request")
+    done.assert_outcomes(failed=2, deselected=2)
+    done.stdout.fnmatch_lines(["  does not hold: 0 steps of 0 traces"])
+
+
+def test_counts_of_xdist_are_judged_at_the_end(asking):
+    options = "-p", PLUGIN, "-p", "no:cacheprovider", "-n", "2", "-k", "not trace", "answers.stl", "test_z.py"
+    done = asking.runpytest_subprocess(*options)
+    done.assert_outcomes(passed=2, skipped=2, deselected=0)
+    assert done.ret == 1  # although no test fails by itself
+    done.stdout.fnmatch_lines([
+        "*stltool: an expectation of all tests*",
+        "*answers.stl:3: expect cover(request) >= 3",
+        "  does not hold: 2 steps of 2 traces",
+    ])  # fmt: skip
+    assert "expect cover(request) >= 2\n" not in done.stdout.str()

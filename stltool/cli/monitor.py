@@ -107,6 +107,13 @@ def monitor(
             "--why", help="what decided the first violated step, or --at: sentences, and a minimal set of samples"
         ),
     ] = False,
+    coverage: Annotated[
+        bool,
+        typer.Option(
+            "--coverage",
+            help="how much the traces say about each part of the task; judges the task file's expect cover(…) lines",
+        ),
+    ] = False,
     following: Annotated[
         bool,
         typer.Option(
@@ -131,17 +138,22 @@ def monitor(
     decimal: Decimal = ".",
     as_json: AsJson = False,
 ) -> None:
-    """Judge a recorded trace: at which steps the task holds, and by how much. Exit code 1 if any step is violated.
+    """Judge a recorded trace: at which steps the task holds, and by how much. Exit code 1 if any step is violated, or
+    with --coverage if the traces say too little.
 
     TASK is read as a task file if one of that name exists or the name ends in .stl, otherwise as a formula. Names in it
     are columns of the trace.
     """
     import stltool as stl
+    from stltool.gate import counted_over
     from stltool.logic.formula import label_names, variables
+    from stltool.monitoring.coverage import Coverage
     from stltool.monitoring.logs import Reading
     from stltool.reporting import monitor_report, require_report, write_monitor_picture, write_report
     from stltool.reporting.diagnosis import diagnosis_data, diagnosis_lines
     from stltool.reporting.monitoring import (
+        counted_rows,
+        coverage_data,
         files_data,
         monitor_facts,
         range_rows,
@@ -171,7 +183,7 @@ def monitor(
     if following:
         beside = {
             "--trace": which is not None, "--why": why, "--plot": plot is not None, "--report": report is not None,
-            "--resample": resample is not None, "--missing": missing != "error",
+            "--coverage": coverage, "--resample": resample is not None, "--missing": missing != "error",
         }  # fmt: skip
         for option in (option for option, given in beside.items() if given):
             raise SettingsError(f"--follow prints verdicts as they come; {option} needs the whole trace: leave one out")
@@ -196,6 +208,13 @@ def monitor(
         with progress_bar("finding causes", quiet=as_json, patience=2.0) as bar:
             diagnosis = stl.diagnose(loaded, one, asked, end=end, progress=bar)  # type: ignore[arg-type]
         data["why"] = diagnosis_data(diagnosis, shown)
+    counts = None
+    if coverage:
+        with working("counting what the traces say", quiet=as_json):
+            counts = Coverage(loaded)
+            for part in judged:
+                counts.add_all(part.signals, at or 0, end=end, every=at is None)  # type: ignore[arg-type]
+        data["coverage"] = coverage_data(counts, counted_over(loaded, counts))
     if plot is not None:
         with working(f"drawing {plot}", quiet=as_json):
             write_monitor_picture(result, signals, loaded, plot, within, at, diagnosis.causes if diagnosis else None)
@@ -215,6 +234,11 @@ def monitor(
                 say(f"and {more} more; --json lists all")
         if why:
             say("\n" + "\n".join(diagnosis_lines(data["why"])))
+        if counts is not None:
+            say(f"\n{counts.report()}")
+            if data["coverage"]["expectations"]:
+                say()
+                print_table(counted_rows(data["coverage"]))
         if steps:
             say(f"\n{trace_name(data, shown)}:" if shown is not None else "")
             say("\n".join(step_lines(data, shown)))
@@ -223,5 +247,6 @@ def monitor(
             print_facts({"plot": f"{plot}" + (f", {trace_name(data, shown)}" if shown is not None else "")})
         if report is not None:
             print_facts({"report": report / "report.html"})
-    if not data["holds"]:
+    counted = data["coverage"]["expectations"] if coverage else []
+    if not data["holds"] or any(one["verdict"] != "holds" for one in counted):
         raise typer.Exit(1)

@@ -113,9 +113,14 @@ def verify(
         print_json(data)
     else:
         print_table(verification_rows(data))
+        shown: set[str] = set()  # several counts are explained by one table
         for row in data["expectations"]:
-            if row["why"] is not None:
-                say(f"\n{place_text(row)}\n{indent(explained(row) or '', '  ')}")
+            told = explained(row) or ""
+            if row["question"] == "cover" and told in shown:
+                continue
+            shown.add(told)
+            if row["why"] is not None or (row["question"] == "cover" and row["verdict"] == "does not hold"):
+                say(f"\n{place_text(row)}\n{indent(told, '  ')}")
             elif row["reason"] is not None and row["verdict"] != "error":
                 print_facts({f"\n{place_text(row)}": row["reason"]})
         say()

@@ -16,8 +16,18 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import NoReturn, TypeVar, cast, get_args
 
+from stltool.display import cut
 from stltool.errors import StlSyntaxError, named, near_misses
-from stltool.logic.expectation import ASKED, RELATIONS, Asked, Expectation, Relation
+from stltool.logic.expectation import (
+    ASKED,
+    OF_A_PART,
+    OF_THE_WHOLE,
+    RELATIONS,
+    Asked,
+    Expectation,
+    Measure,
+    Relation,
+)
 from stltool.logic.format import expectation_text, flat_text
 from stltool.logic.formula import (
     DEEPEST,
@@ -257,15 +267,16 @@ class Builder:
         words = cast(list[Token], tree.children[:at])
         body = bare(branches(cast(Branch, tree.children[at]))[0])
         rest = list(tree.children[at + 1 :])
-        named = cast(list[Token], [rest.pop(0), rest.pop(0)]) if rest and cast(Token, rest[0]).type == "NAME" else []
+        said: list[list[Token]] = []
+        while rest and not isinstance(rest[0], Token):
+            said.append(cast(list[Token], cast(Branch, rest.pop(0)).children))
         question, robust = self.asked(words)
-        file = self.file_of(question, words[-1], named)
-        unbounded, self.unbounded = self.unbounded, self.unbounded or question == "holds"  # a monitor judges it
-        try:
-            formula = self.formula(body)
-        finally:
-            self.unbounded = unbounded
-        self.require_shallow(formula)
+        if question == "cover":
+            return self.cover(tree, words[-1], body, said, rest)
+        for more in said[1:]:
+            self.fail(more[0], f"{question} takes one file at most; leave this out")
+        file = self.file_of(question, words[-1], said[0] if said else [])
+        formula = self.expected(body, question)
         written = str(body.children[0]) if body.data == "name" else None
         relation, bound = self.bound_of(tree, question, words[-1], rest)
         return Expectation(
@@ -281,6 +292,81 @@ class Builder:
             span=self.span(tree),
         )
 
+    def expected(self, body: Branch, question: Asked) -> Formula:
+        """What an expectation is about; what monitors judge may have no end."""
+        unbounded, self.unbounded = self.unbounded, self.unbounded or question in ("holds", "cover")
+        try:
+            formula = self.formula(body)
+        finally:
+            self.unbounded = unbounded
+        self.require_shallow(formula)
+        return formula
+
+    def cover(
+        self, tree: Branch, at: Token, body: Branch, said: list[list[Token]], rest: list[Token | Branch]
+    ) -> Expectation:
+        """A count over traces: of a part of a definition, or of the whole."""
+        found: dict[str, list[Token]] = {}
+        for words in said:
+            word = str(words[0])
+            kind = "measure" if word in (*OF_A_PART, *OF_THE_WHOLE) else word
+            needs = {"measure": None, "of": "NAME", "trace": "STRING"}
+            if kind not in needs:
+                known = near_misses(word, {"of", "trace", *OF_A_PART, *OF_THE_WHOLE})
+                self.fail(words[0], f"{word} is not something to say of a count; {known}")
+            if kind in found:
+                self.fail(words[0], f"{word} is said after {found[kind][0]}; leave one of them out")
+            if (words[1].type if len(words) > 1 else None) != needs[kind]:
+                told = {
+                    "measure": f"nothing follows {word}; write {word}",
+                    "of": "of takes the name of a definition, without quotes; write of NAME",
+                    "trace": 'a file name belongs in double quotes here; write trace "log.csv"',
+                }
+                self.fail(words[-1], told[kind])
+            found[kind] = words
+        part = self.expected(body, "cover")
+        name = self.whole_of(at, found["of"][1] if "of" in found else None)
+        itself = str(body.children[0]) if body.data == "name" else ""
+        if "of" not in found and itself in self.definitions and part not in walk(cast(Formula, self.definitions[name])):
+            name = itself
+        whole = cast(Formula, self.definitions[name])
+        parts = {str(one): one for one in walk(whole)}
+        if part not in parts.values():
+            shown = ", ".join(cut(text, 40) for text in [*parts][1:7])
+            others = f"its parts are {shown}{', …' if len(parts) > 7 else ''}" if shown else "it has no parts"
+            self.fail(
+                body, f"{cut(str(part), 60)} is not a part of {name}; {others}; for another definition, write of NAME"
+            )
+        measure = cast(Measure, str(found["measure"][0]) if "measure" in found else "held")
+        measures = OF_THE_WHOLE if part == whole else OF_A_PART
+        if measure not in measures:
+            what = "the whole" if part == whole else "a part"
+            self.fail(found["measure"][0], f"{measure} is not counted of {what}; write {', '.join(measures)}")
+        file = unquoted(str(found["trace"][1])) if "trace" in found else None
+        if file == "":
+            self.fail(found["trace"][1], 'this names no file; write, for example, trace "log.csv"')
+        relation, bound = self.bound_of(tree, "cover", at, rest)
+        return Expectation(
+            "cover", whole, name, relation, bound, trace=file, part=part, measure=measure,
+            written=expectation_text(tree), span=self.span(tree),
+        )  # fmt: skip
+
+    def whole_of(self, at: Token, named: Token | None) -> str:
+        """The definition whose parts are counted: the last one, unless it is named."""
+        defined = [str(tree.children[0]) for tree in self.trees if tree.data == "definition"]
+        if named is None and self.faulty:  # the last one may be faulty
+            raise _PassedOver
+        if named is None and not defined:
+            self.fail(at, "cover counts parts of a definition, and the file has none; write one, such as r := F[0,9] a")
+        name = str(named) if named is not None else defined[-1]
+        if name in self.faulty:
+            raise _PassedOver
+        if name not in self.definitions:
+            self.fail(named or at, f"there is no definition {name}; {near_misses(name, self.definitions)}")
+        if not isinstance(self.definitions[name], FORMULAS):
+            self.fail(named or at, f"{name} is a number; write of NAME with a definition that is a formula")
+        return name
+
     def asked(self, words: list[Token]) -> tuple[Asked, bool]:
         """The question, and whether it is robust."""
         first, question = words[0], str(words[-1])
@@ -288,9 +374,10 @@ class Builder:
             self.fail(first, f"expected robust or a question, found {first}; {near_misses(str(first), ['robust'])}")
         if question not in ASKED:
             close = near_misses(question, ASKED)
-            known = close if close.startswith("did") else "write Pmax, Pmin, P (of a policy) or holds (on a trace)"
+            known = "write Pmax, Pmin, P (of a policy), holds (on a trace) or cover (a count)"
+            known = close if close.startswith("did") else known
             self.fail(words[-1], f"{question} is not something to expect; {known}")
-        if question == "holds" and len(words) > 1:
+        if question in ("holds", "cover") and len(words) > 1:
             self.fail(first, "robust is for probabilities that are intervals; a trace has none, so leave robust out")
         return question, len(words) > 1
 
@@ -303,28 +390,30 @@ class Builder:
                 over = ", or Pmax or Pmin over all policies" if question == "P" else ""
                 self.fail(at, f'{question} needs a {word}; write {question}(…, {word} "{example}"){over}')
             return None
-        word, file = str(named[0]), unquoted(str(named[1]))
+        word = str(named[0])
         if needed is None:
             of = 'for the probability of one policy, write P(…, policy "p.npz")' if word == "policy" else "leave it out"
             self.fail(named[0], f"{question} is over all policies and takes no {word}; {of}")
         if word != needed[0]:
             self.fail(named[0], f'{question} needs a {needed[0]}, not a {word}; write {needed[0]} "{needed[1]}"')
-        if not file:
+        if len(named) < 2 or named[1].type != "STRING":
+            self.fail(named[-1], f'a file name belongs in double quotes here; write {word} "{needed[1]}"')
+        if not (file := unquoted(str(named[1]))):
             self.fail(named[1], f'this names no file; write, for example, {word} "{needed[1]}"')
         return file
 
     def bound_of(
         self, tree: Branch, question: Asked, at: Token, rest: list[Token | Branch]
     ) -> tuple[Relation | None, Fraction | None]:
-        """The bound that a probability is compared with."""
+        """The bound that a probability, or a count, is compared with."""
+        example, what = ("100", "a count") if question == "cover" else ("0.95", "a probability")
         if question == "holds":
             if rest:
                 self.fail(cast(Token, rest[0]), "a formula holds on a trace or does not; leave the bound out")
             return None, None
         if not rest:
-            self.fail(
-                at, f"{question} needs a bound; write, for example, expect {self.span(tree).text()[7:].strip()} >= 0.95"
-            )
+            asked = f"expect {self.span(tree).text()[7:].strip()}"
+            self.fail(at, f"{question} needs a bound; write, for example, {asked} >= {example}")
         written, place = cast(Token, rest[0]), cast(Branch, rest[1])
         relation = _COMPARATOR_SPELLINGS.get(str(written), str(written))
         if relation not in RELATIONS:
@@ -335,12 +424,16 @@ class Builder:
                 for sign in ((">=", "<=") if relation == "==" else (">", "<"))
             )
             both = f"write both {least} and {most}" if relation == "==" else f"write {least}, or {most}"
-            self.fail(written, f"a probability is compared by >=, <=, > or <; for {relation}, {both}")
-        self.example, example = "0.95", self.example
+            self.fail(written, f"{what} is compared by >=, <=, > or <; for {relation}, {both}")
+        self.example, before = example, self.example
         try:
             value = self.constant(place)
         finally:
-            self.example = example
+            self.example = before
+        if question == "cover":
+            if isinstance(value, Duration) or value < 0 or value.denominator != 1:
+                self.fail(place, f"expected a count, an integer from 0 up, found {self.span(place).text()}; write 100")
+            return relation, value
         if isinstance(value, Duration):
             self.fail(place, "expected a probability, found a time; write a number such as 0.95 or 19/20")
         if not 0 <= value <= 1:

@@ -118,9 +118,10 @@ def _expectation(tree: Branch) -> tuple[str, Branch, str]:
     at = next(i for i, part in enumerate(tree.children) if not isinstance(part, Token))
     body = bare(branches(cast(Branch, tree.children[at]))[0])
     rest = deque(tree.children[at + 1 :])
-    closing = ")"
-    if rest and cast(Token, rest[0]).type == "NAME":
-        closing = f", {rest.popleft()} {rest.popleft()})"
+    closing = ""
+    while rest and not isinstance(rest[0], Token):
+        closing += f", {' '.join(map(str, cast(Branch, rest.popleft()).children))}"
+    closing += ")"
     if rest:
         closing += f" {_comparator(cast(Token, rest.popleft()))} {_bound(cast(Branch, rest.popleft()))}"
     return f"expect {' '.join(map(str, tree.children[:at]))}(", body, closing

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from stltool.errors import SettingsError
 from stltool.files import write_result
+from stltool.gate import Verified
 from stltool.logic.quantities import Ticks
 from stltool.logic.task import Task
+from stltool.monitoring.coverage import Coverage
 from stltool.monitoring.offline import MonitorResult
-from stltool.reporting.records import MonitorRecord, Robustness, TraceRecord
+from stltool.reporting.records import CoverageRecord, MonitorRecord, Robustness, TraceRecord
 from stltool.reporting.tradeoffs import require_picture
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -70,6 +72,33 @@ def monitor_data(
         data["violating_traces"] = sum(not figures["holds"] for figures in each)
         data["each"] = each
     return data
+
+
+def coverage_data(coverage: Coverage, expected: Sequence[Verified]) -> CoverageRecord:
+    """What traces say about a formula, and whether that is as much as the task file expects."""
+    return {
+        "traces": coverage.traces,
+        "passed": coverage.passed,
+        "vacuous": coverage.vacuous,
+        "parts": [
+            {"part": part.text, "premise": part.premise, "held": part.held, "failed": part.failed, "open": part.open,
+             "mattered": part.mattered}
+            for part in coverage.parts
+        ],
+        "more": coverage.more,
+        "gaps": coverage.gaps(),
+        "expectations": [
+            {"text": one.expectation.written, "count": one.count or 0, "verdict": one.verdict} for one in expected
+        ],
+    }  # fmt: skip
+
+
+def counted_rows(data: CoverageRecord) -> list[dict[str, str]]:
+    """The rows of the terminal's table of expectations."""
+    return [
+        {"verdict": one["verdict"], "expectation": one["text"].removeprefix("expect "), "counted": str(one["count"])}
+        for one in data["expectations"]
+    ]
 
 
 def files_data(parts: Sequence[MonitorRecord], task: Task) -> MonitorRecord:

@@ -889,14 +889,15 @@ class ExpectationRecord(TypedDict):
 
     `decided_by` is "enclosure" (lower <= P <= upper on one side of the bound), "fraction" (the exact value) or "trace";
     it is null if the expectation is undecided or in error, and `reason` then states why. `bound` and `exact` are exact.
-    `why` explains the verdict on a trace, in a batch on the first that fails; null if it holds.
+    `why` explains the verdict on a trace, in a batch on the first that fails; null if it holds. `part` and `measure`
+    are what a cover expectation counts, `count` the number found, over so many `traces`.
     """
 
     file: str
     line: int
     column: int
     text: str
-    question: Literal["Pmax", "Pmin", "P", "holds"]
+    question: Literal["Pmax", "Pmin", "P", "holds", "cover"]
     robust: bool
     task: str | None
     formula: str
@@ -904,6 +905,8 @@ class ExpectationRecord(TypedDict):
     bound: str | None
     policy: str | None
     trace: str | None
+    part: str | None
+    measure: Literal["held", "failed", "closed", "mattered", "vacuous", "premises", "parts"] | None
     verdict: Verdict
     decided_by: Literal["enclosure", "fraction", "trace"] | None
     reason: str | None
@@ -913,6 +916,7 @@ class ExpectationRecord(TypedDict):
     exact: str | None
     robustness: Robustness | None
     traces: int | None
+    count: int | None
     model: str | None
     model_digest: str | None
     horizon: int | None
@@ -1133,6 +1137,37 @@ class DiagnosisRecord(TypedDict):
     reason: ReasonRecord
 
 
+class CoveredPartRecord(TypedDict):
+    """A part of a formula: steps at which it held, failed, or is open at the end, and traces in which it mattered."""
+
+    part: str
+    premise: bool
+    held: int
+    failed: int
+    open: int
+    mattered: int
+
+
+class CountedRecord(TypedDict):
+    """An `expect cover(…)` line of the task file, and the number that was counted."""
+
+    text: str
+    count: int
+    verdict: Verdict
+
+
+class CoverageRecord(TypedDict):
+    """What traces say about a formula; `more` parts are not counted, `gaps` says in words what is not tested."""
+
+    traces: int
+    passed: int
+    vacuous: int
+    parts: list[CoveredPartRecord]
+    more: int
+    gaps: list[str]
+    expectations: list[CountedRecord]
+
+
 class MonitorRecord(TraceRecord):
     """Verdicts and robustness of a trace at every judged step; of a batch, lists of lists, and `each` trace.
 
@@ -1157,6 +1192,7 @@ class MonitorRecord(TraceRecord):
     violating_traces: NotRequired[int]
     each: NotRequired[list[TraceRecord]]
     why: NotRequired[DiagnosisRecord]
+    coverage: NotRequired[CoverageRecord]
 
 
 class FollowedStepRecord(TypedDict):

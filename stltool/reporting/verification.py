@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from importlib import metadata
 from typing import Literal, cast
 
+from stltool.display import counted
 from stltool.files import MARK
 from stltool.gate import Verification, Verified
 from stltool.numbers import bound_texts, fraction_text, number_text, within_text
@@ -70,6 +71,8 @@ def _expectation_data(found: Verified) -> ExpectationRecord:
         "bound": number_text(expectation.bound) if expectation.bound is not None else None,
         "policy": expectation.policy,
         "trace": expectation.trace,
+        "part": str(expectation.part) if expectation.part is not None else None,
+        "measure": expectation.measure,
         "verdict": found.verdict,
         "decided_by": found.decided_by,
         "reason": found.reason,
@@ -78,9 +81,8 @@ def _expectation_data(found: Verified) -> ExpectationRecord:
         "upper": result.upper if result is not None else None,
         "exact": fraction_text(result.fraction) if result is not None and result.fraction is not None else None,
         "robustness": robustness,
-        "traces": int(monitored.verdicts.shape[0])
-        if monitored is not None and monitored.verdicts is not None and monitored.verdicts.ndim == 2
-        else None,
+        "traces": _traces(found),
+        "count": found.count,
         "model": product.model.name if product is not None else None,
         "model_digest": product.model.digest() if product is not None else None,
         "horizon": product.horizon if product is not None else monitored.horizon if monitored is not None else None,
@@ -89,6 +91,14 @@ def _expectation_data(found: Verified) -> ExpectationRecord:
         "why": _why(found),
         "seconds": found.seconds,
     }
+
+
+def _traces(found: Verified) -> int | None:
+    """How many traces were judged, if it need not be one."""
+    if found.coverage is not None:
+        return found.coverage.traces
+    verdicts = found.monitored.verdicts if found.monitored is not None else None
+    return len(verdicts) if verdicts is not None and verdicts.ndim == 2 else None
 
 
 def _why(found: Verified) -> DiagnosisRecord | None:
@@ -127,6 +137,12 @@ def found_text(row: ExpectationRecord) -> str:
         robustness = row["robustness"]
         many = f" (the least of {row['traces']} traces)" if row["traces"] is not None else ""
         return f"robustness {robustness_text(robustness)}{many}" if robustness is not None else ""
+    if row["count"] is not None:
+        traces = counted(row["traces"] or 0, "trace")
+        steps = row["part"] != row["formula"] and row["measure"] not in ("mattered", "parts")
+        if steps or row["measure"] == "premises":
+            return f"{counted(row['count'], 'step')} of {traces}"
+        return f"{row['count']} of {traces}"
     if row["probability"] is None:
         return ""
     exact, p = row["exact"], row["probability"]

@@ -11,6 +11,7 @@ coverage      how much the traces that were judged say about a formula
 falsification inputs under which a system violates a formula
 """
 
+from stltool.monitoring.coverage import Coverage, PartCoverage
 from stltool.testing import printing
 from stltool.testing.assertions import (
     FormulasDiffer,
@@ -22,7 +23,7 @@ from stltool.testing.assertions import (
     assert_refines,
     assert_trace,
 )
-from stltool.testing.coverage import Coverage, CoverageGap, PartCoverage, assert_covered, collect_coverage
+from stltool.testing.coverage import CoverageGap, assert_covered, collect_coverage
 from stltool.testing.falsification import Falsification, Replay, Signal, falsify, input_signals, replay, steer
 from stltool.testing.formulas import flag_formulas, formulas, predicates
 from stltool.testing.machines import StlStateMachine

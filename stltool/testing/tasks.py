@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from hypothesis import strategies as st
 
-from stltool.logic.expectation import ASKED, RELATIONS, Expectation
+from stltool.logic.expectation import ASKED, OF_THE_WHOLE, RELATIONS, Expectation
 from stltool.testing.formulas import formulas, predicates
 from stltool.testing.names import LABELS, SIGNALS, Signals, below
 
@@ -15,8 +15,8 @@ _PARAMS = ("T", "tau")
 
 @st.composite
 def expectations(draw: st.DrawFn, labels: Sequence[str] = LABELS, signals: Signals = SIGNALS) -> Expectation:
-    """What a task file may expect of a formula: any question with its bound and files."""
-    question = draw(st.sampled_from(ASKED))
+    """What a task file may expect of a formula: any question with its bound and files, but for counts of its parts."""
+    question = draw(st.sampled_from([asked for asked in ASKED if asked != "cover"]))
     formula, file = draw(formulas(labels, signals)), draw(st.text("abz é#/.\\'-", min_size=1))
     if question == "holds":
         return Expectation(question, formula, trace=file)
@@ -63,4 +63,8 @@ def task_files(
     if expect:
         asked = draw(st.lists(expectations(labels, signals), max_size=2))
         lines += [str(one) for one in asked]
+        lines += [
+            f"expect cover(task, {draw(st.sampled_from(OF_THE_WHOLE))}) {draw(st.sampled_from(RELATIONS))} {count}"
+            for count in draw(st.lists(st.integers(0, 200), max_size=1))
+        ]
     return "\n".join([*lines, ""])

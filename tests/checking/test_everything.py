@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.checking.fixed import fixed_point
-from stltool.errors import SettingsError, SizeError
+from stltool.errors import SizeError
 from stltool.models import save_model
 from stltool.testing import flag_formulas, formulas, mdps, policies
 from tests import oracles

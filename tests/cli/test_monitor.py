@@ -317,3 +317,41 @@ def test_comparisons_of_several_steps(stltool, log, tmp_path):
     trace.write_text("speed\n1\n3\n2\n")
     assert stltool("monitor", "speed[t+1s] > speed", trace, "--step", "1s", "--at", 0)[0] == 0
     assert stltool("monitor", "speed[t+1s] > speed", trace, "--step", "1s", "--at", 1)[0] == 1
+
+
+def test_coverage_counts_over_all_files(stltool, tmp_path):
+    """By hand: x > 0 at two steps of one trace, where y is high enough anyway, and at none of the other."""
+    (tmp_path / "one.csv").write_text("x,y\n1,0\n0,4\n1,0\n0,4\n")
+    (tmp_path / "two.csv").write_text("x,y\n0,0\n0,4\n0,0\n0,0\n")
+    task = tmp_path / "task.stl"
+    task.write_text("asked := x > 0\ntask := asked -> F[0,1] y > 3\nexpect cover(asked) >= 2\nexpect cover(asked) > 2\n"
+                    'expect cover(task, vacuous) <= 1\nexpect cover(asked, trace "none.csv") >= 9\n')  # fmt: skip
+    asked = ("monitor", task, tmp_path / "one.csv", tmp_path / "two.csv")
+    assert stltool(*asked)[0] == 0
+    code, out, err = stltool(*asked, "--coverage")
+    assert (code, err) == (1, "")
+    rows = [line.split() for line in out.splitlines()[-4:]]
+    assert [" ".join(row) for row in rows] == [
+        "verdict expectation counted", "holds cover(asked) >= 2 2", "does not hold cover(asked) > 2 2",
+        "holds cover(task, vacuous) <= 1 1",
+    ]  # fmt: skip
+    code, out, _ = stltool(*asked, "--coverage", "--json")
+    data = json.loads(out)["coverage"]
+    assert (code, data["traces"], data["passed"], data["vacuous"]) == (1, 2, 2, 1)
+    assert data["parts"][0] == {"part": "x > 0", "premise": True, "held": 2, "failed": 4, "open": 0, "mattered": 1}
+    assert [(one["count"], one["verdict"]) for one in data["expectations"]] == [
+        (2, "holds"), (2, "does not hold"), (1, "holds"),
+    ]  # fmt: skip
+    code, out, _ = stltool(*asked, "--coverage", "--at", 1, "--json")
+    data = json.loads(out)["coverage"]
+    assert (data["parts"][0]["held"], data["expectations"][0]["count"]) == (0, 0)
+
+
+def test_coverage_of_a_formula_has_no_expectations(stltool, log):
+    code, out, _ = stltool("monitor", "door -> x > -9", log, "--coverage")
+    assert code == 0
+    assert "door (premise)" in out
+    assert "expectation" not in out
+    code, _, err = stltool("monitor", "door -> x > -9", log, "--coverage", "--follow")
+    assert code == 2
+    assert "--coverage needs the whole trace" in err

@@ -60,6 +60,40 @@ def test_what_a_file_expects():
     assert [str(e) for e in task.with_params(p=1).expectations][:1] == ["expect Pmax(patrolling) >= 1"]
 
 
+def test_what_is_counted():
+    task = stl.parse_task(
+        "param n = 3\npremise := request & !busy\nanswers := G[0,12] (premise -> F[0,4] level > n)\n"
+        "limit := G[0,3] level < 9\nexpect cover(premise, of answers) >= 100; expect cover(limit) > n\n"
+        'expect cover( level>n , trace "a b.csv",mattered, of answers) > 2*5; expect cover(answers, vacuous) <= 0\n'
+    )
+    assert [str(expectation) for expectation in task.expectations] == [
+        "expect cover(request & !busy, of answers) >= 100",
+        "expect cover(limit, of limit) > 3",
+        'expect cover(level > 3, mattered, of answers, trace "a b.csv") > 10',
+        "expect cover(answers, vacuous, of answers) <= 0",
+    ]
+    assert [(e.name, e.measure, e.part == e.formula, e.trace) for e in task.expectations] == [
+        ("answers", "held", False, None), ("limit", "held", True, None), ("answers", "mattered", False, "a b.csv"),
+        ("answers", "vacuous", True, None),
+    ]  # fmt: skip
+    again = stl.parse_task(format_task(task.document.source.text))
+    assert again.expectations == task.expectations
+
+
+def test_a_faulty_definition_is_told_once():
+    for line in ("expect cover(r) > 1", "expect cover(level < 3) > 1"):
+        with pytest.raises(StlSyntaxError) as refused:
+            stl.parse_task(f"r := G[0,3] level <\n{line}")
+        assert "line 2" not in str(refused.value)
+
+
+def test_only_formulas_have_parts():
+    with pytest.raises(StlSyntaxError, match="limit is a number; write of NAME with a definition that is a formula"):
+        stl.parse_task("r := a\nlimit := 3 * x\nexpect cover(a) >= 1")
+    with pytest.raises(StlSyntaxError, match="the file has none; write one, such as r := F"):
+        stl.parse_task("expect cover(a) >= 1")
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -101,7 +135,7 @@ def test_the_name_and_the_word_in_one_file():
         ("expect r", 9, "such as expect Pmax(name) >= 0.95"),
         ("expect Pmax r >= .5", 15, "such as expect Pmax(name) >= 0.95"),
         ("expect Pmx(r) >= .5", 8, "did you mean Pmax?"),
-        ("expect probability(r) >= .5", 8, "write Pmax, Pmin, P (of a policy) or holds (on a trace)"),
+        ("expect probability(r) >= .5", 8, "write Pmax, Pmin, P (of a policy), holds (on a trace) or cover (a count)"),
         ("expect robst Pmax(r) > .5", 8, "did you mean robust?"),
         ("expect Pmax(r)", 8, "write, for example, expect Pmax(r) >= 0.95"),
         ("expect Pmax(r) >= 1.5", 19, "1.5 is not a probability, which lies between 0 and 1"),
@@ -127,6 +161,29 @@ def test_the_name_and_the_word_in_one_file():
         ('expect robust holds(r, trace "x")', 8, "leave robust out"),
         ('expect holds(r, trace "x") >= .5', 28, "leave the bound out"),
         ('expect holds(r, policy "x")', 17, 'write trace "log.csv"'),
+        ("expect holds(r, trace)", 17, 'write trace "log.csv"'),
+        ('expect P(r, policy "x", trace "y") > .5', 25, "P takes one file at most"),
+        ("expect Pmax(r, policy) > .5", 16, "Pmax is over all policies and takes no policy"),
+        ("expect cover(r)", 8, "write, for example, expect cover(r) >= 100"),
+        ("expect robust cover(r) >= 1", 8, "leave robust out"),
+        ("expect cover(b) >= 1", 14, "b is not a part of r; it has no parts; for another definition, write of NAME"),
+        ("expect cover(r, of s) >= 1", 20, "there is no definition s; known names: r"),
+        ("expect cover(r, of) >= 1", 17, "of takes the name of a definition, without quotes"),
+        ('expect cover(r, of "r") >= 1', 20, "of takes the name of a definition, without quotes"),
+        ("expect cover(r, trace log) >= 1", 23, 'write trace "log.csv"'),
+        ('expect cover(r, trace "") >= 1', 23, "this names no file"),
+        ('expect cover(r, held "x") >= 1', 22, "nothing follows held; write held"),
+        ("expect cover(r, hold) >= 1", 17, "hold is not something to say of a count; did you mean held?"),
+        ("expect cover(r, held, failed) >= 1", 23, "failed is said after held; leave one of them out"),
+        (
+            "expect cover(r, mattered) >= 1",
+            17,
+            "not counted of the whole; write held, failed, vacuous, premises, parts",
+        ),
+        ("expect cover(r) >= 1.5", 20, "expected a count, an integer from 0 up, found 1.5; write 100"),
+        ("expect cover(r) >= 3s", 20, "expected a count, an integer from 0 up, found 3s; write 100"),
+        ("expect cover(r) >= -1", 20, "expected a count, an integer from 0 up, found -1; write 100"),
+        ("expect cover(r) == 3", 17, "a count is compared by >=, <=, > or <; for ==, write both expect cover(r) >= 3"),
     ],
 )
 def test_a_slip_is_refused_with_its_place_and_a_remedy(line, place, told):
@@ -169,6 +226,8 @@ def test_a_fault_elsewhere_does_not_hide_those_of_expectations():
         ("expect Pmin(patrolling) <= 1", "every probability is at most 1, so this always holds; write another bound"),
         ("expect Pmin(patrolling) > p + 1", "every probability is at most 1, so this never holds; write another bound"),
         ("expect Pmin(patrolling) < p", "every probability is from 0 up, so this never holds; write another bound"),
+        ("expect cover(patrolling) >= 0", "every count is from 0 up, so this always holds; write another bound"),
+        ("expect cover(patrolling) < p", "every count is from 0 up, so this never holds; write another bound"),
         ("expect Pmax(patroling) >= 0.5", "patroling is read as a signal or label; did you mean patrolling?"),
         ("expect Pmax(A) >= 0.5", "A is not defined here and is read as a label at step 0; known names: patrolling"),
     ],

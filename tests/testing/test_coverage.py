@@ -3,6 +3,7 @@
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.internal.observability import with_observability_callback
 from hypothesis.stateful import rule
 
 import stltool as stl
@@ -157,15 +158,82 @@ def test_counts_of_several_processes_are_added():
     assert one.counts() == [[2 * count for count in row] for row in other.counts()]
 
 
-def test_vacuous_passes_are_events_of_hypothesis(monkeypatch):
-    told = []
-    monkeypatch.setattr("stltool.testing.coverage.event", told.append)
+def test_hypothesis_observes_what_traces_say():
+    observed = []
 
-    @settings(max_examples=3, deadline=None, database=None)
-    @given(st.just(trace("......", "000000")))
-    def vacuous(trace):
+    @settings(max_examples=4, deadline=None, database=None)
+    @given(st.sampled_from((trace("......", "000000"), trace(".rr...", "000500"))))
+    def answered(trace):
         assert_trace(ANSWERS, trace)
 
-    with collect_coverage():
-        vacuous()
-    assert set(told) == {"G[0,3] (request -> (F[0,2] (level > 3))) passes vacuously: request never holds"}
+    with collect_coverage(), with_observability_callback(observed.append):
+        answered()
+    name = "G[0,3] (request -> (F[0,2] (level > 3)))"
+    asked, mattered = f"{name}: steps at which the premise request held", f"{name}: {{}} mattered"
+    parts = "request -> (F[0,2] (level > 3))", "request", "F[0,2] (level > 3)", "level > 3"
+    told = [one.features for one in observed if one.type == "test_case"]
+    idle = {
+        f"{name} passes vacuously: request never holds": "",
+        asked: 0,
+        **dict.fromkeys(map(mattered.format, parts[:2]), ""),
+    }
+    busy = {asked: 2, **dict.fromkeys(map(mattered.format, parts), "")}
+    assert idle in told
+    assert busy in told
+    assert all(one in (idle, busy) for one in told)
+
+
+def counted(text, *traces, end=None):
+    """What each expect line of a file counts."""
+    task = stl.parse_task(text, unbounded=True)
+    found = {}
+    for expectation in task.expectations:
+        coverage = Coverage(expectation.formula)
+        for one in traces:
+            coverage.add(one, end=end)
+        found[expectation.written] = coverage.count(expectation)
+    return found
+
+
+def test_expectations_count_a_part_or_the_whole():
+    """By hand: the traces of the first test."""
+    text = """
+        limit := G[0,3] level < 9
+        answers := G[0,3] (request -> F[0,2] level > 3)
+        expect cover(request) >= 1
+        expect cover(request, failed) >= 1
+        expect cover(level > 3, closed) >= 1
+        expect cover(F[0,2] level > 3, mattered) >= 1
+        expect cover(answers) >= 1
+        expect cover(answers, failed) >= 1
+        expect cover(answers, vacuous) <= 1
+        expect cover(answers, premises) >= 1
+        expect cover(answers, parts) >= 1
+        expect cover(limit, parts) >= 1
+    """
+    traces = trace("......", "000000"), trace(".r....", "000500"), trace("..r...", "000000")
+    assert list(counted(text, *traces).values()) == [2, 10, 18, 2, 2, 1, 1, 2, 2, 3]
+
+
+def test_a_part_that_occurs_twice_counts_where_it_is_covered_least():
+    text = "r := a & F[1,3] a\nexpect cover(a) >= 1\nexpect cover(a) < 3\nexpect cover(a, failed) > 1"
+    assert list(counted(text, {"a": [1, 0, 1, 1]}).values()) == [1, 2, 0]
+
+
+def test_what_is_not_counted_is_told():
+    for text in ("r := a & b\nexpect cover(r, premises) >= 1", "r := a\nexpect cover(r, parts) >= 1"):
+        with pytest.raises(StlToolError, match="nothing is counted; write cover with a part of the formula"):
+            counted(text, {"a": [1], "b": [1]})
+
+
+@given(formulas(longest=2, max_leaves=4, past=True), traces(12, labels=["a", "b", "c"]))
+def test_every_step_is_counted_as_one_formula_over_all_of_them(phi, trace):
+    """Judged at every step, a trace says what it says of G over these steps, judged at the first."""
+    every, whole = Coverage(phi), Coverage(stl.G(phi, 0, 11 - stl.horizon(phi)))
+    assert every.add(trace, every=True) == whole.add(trace)
+    assert (every.passed, every.vacuous) == (whole.passed, whole.vacuous)
+    assert of_all(every.parts) == of_all(whole.parts[len(whole.parts) - len(every.parts) :])
+
+
+def of_all(parts):
+    return [(part.text, part.held, part.failed, part.open) for part in parts]
