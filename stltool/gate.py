@@ -506,8 +506,10 @@ def _numbered(first: Path, number: int) -> Path:
 def _vacuously(phi: Formula, log: Log) -> str | None:
     """What a pass does not say: premises that held at no step of any trace."""
     idle = idle_premises(phi, log.signals)
-    held = "premise held" if len(idle) == 1 else "premises held"
-    return f"vacuously: the {held} at no step: {', '.join(idle)}" if idle else None
+    if not idle:
+        return None
+    told = "its premise {} holds at no step" if len(idle) == 1 else "its premises {} hold at no step"
+    return f"vacuously: {told.format(' and '.join(idle))}"
 
 
 def traces_of(expectations: Sequence[Expectation], expectation: Expectation) -> tuple[str, ...]:

@@ -366,7 +366,7 @@ def test_counts_are_over_the_traces_of_the_file_or_their_own(answers):
         ("holds", None, None), ("holds", None, None), ("holds", 2, 2), ("does not hold", 2, 2), ("holds", 0, 1),
         ("does not hold", 1, 2), ("holds", 12, 2), ("error", None, None),
     ]  # fmt: skip
-    assert found[0].reason == "vacuously: the premise held at no step: request & !busy"
+    assert found[0].reason == "vacuously: its premise request & !busy holds at no step"
     assert found[1].reason is None
     assert "request & !busy (premise)" in found[3].reason
     assert "there are none; name one, cover(…, trace" in found[7].reason
