@@ -22,7 +22,7 @@ import sys
 import time
 import traceback
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -207,7 +207,7 @@ def chosen(fault: Fault, lines: dict[str, dict[int, list[str]]], taken: dict[str
     return picked
 
 
-def tried(copy: Path, fault: Fault, tests: list[str], log: Path, seconds: float = 4 * MOST_SECONDS) -> str:
+def tried(copy: Path, fault: Fault, tests: Sequence[str], log: Path, seconds: float = 4 * MOST_SECONDS) -> str:
     """killed, survived, timeout, or not imported: the fault is noticed before any test runs."""
     file = copy / fault.file
     data, times = file.read_bytes(), file.stat()
@@ -229,6 +229,23 @@ def tried(copy: Path, fault: Fault, tests: list[str], log: Path, seconds: float 
     return known.get(code, "not imported")
 
 
+def again(copy: Path, room: str, out: Path, lines: dict[str, dict[int, list[str]]], taken: dict[str, float]) -> None:
+    """Run the slow tests next to those that a fault survived."""
+    done = out / f"{room}.again.jsonl"
+    before = set(done.read_text(encoding="utf-8").splitlines()) if done.exists() else set()
+    known = {(one["file"], one["start"], one["after"]) for one in map(json.loads, before)}
+    for text in (out / f"{room}.jsonl").read_text(encoding="utf-8").splitlines():
+        row = json.loads(text)
+        fault = Fault(**{key: row[key] for key in Fault.__annotations__})
+        if row["outcome"] != "survived" or (fault.file, fault.start, fault.after) in known:
+            continue
+        files = {test.partition("::")[0] for test in lines[fault.file.removeprefix("stltool/")].get(fault.line, [])}
+        tests = sorted(file for file in files if file) or [f"tests/{room}"]
+        outcome = tried(copy, fault, ["-m", "slow", *tests], out / "again.log", 300)
+        with done.open("a", encoding="utf-8") as results:
+            results.write(json.dumps({**asdict(fault), "outcome": outcome}) + "\n")
+
+
 def main() -> None:
     """Try so many faults of a room, and list those that no test found."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
@@ -238,6 +255,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "mutants")
     parser.add_argument("--tests", nargs="*", help="default: the room's folder")
+    parser.add_argument("--again", action="store_true", help="try those that survived on the slow tests of these files")
     asked = parser.parse_args()
     preload()
     out = asked.out.resolve()
@@ -247,6 +265,9 @@ def main() -> None:
         for name in COPIED:
             (shutil.copytree if (ROOT / name).is_dir() else shutil.copy2)(ROOT / name, copy / name)
     lines, taken = surveyed(copy, asked.room, out, asked.tests or [f"tests/{asked.room}"])
+    if asked.again:
+        again(copy, asked.room, out, lines, taken)
+        return
     every = [fault for path in sorted((copy / "stltool" / asked.room).rglob("*.py")) for fault in faults_of(copy, path)]
     random.Random(asked.seed).shuffle(every)
     if not (sound := out / f"{asked.room}.sound").exists():

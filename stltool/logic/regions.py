@@ -422,6 +422,15 @@ class Polyhedron:
             values[name] = by.at(values)
         return values if all(map(kept, values.values())) else None
 
+    def span(self) -> Span:
+        """The values of the only signal."""
+        if self._pivots:
+            value = self._pivots[0][1].constant
+            return Span(value, value)
+        assert self._stages
+        name, _, rows = self._stages[0]
+        return _span(name, rows, {})
+
     def pick(self, draw: Draw) -> Values:
         """Values that meet the constraints; there must be some."""
         assert self.simplest is not None
@@ -478,6 +487,13 @@ class Group:
 
     def simplest(self, row: tuple[bool, ...]) -> Values:
         return self.pick(row, lambda n: 0)
+
+    def spans(self, row: tuple[bool, ...]) -> list[Span] | None:
+        """All values of the only signal that have this truth; None if there are several, or a table of points."""
+        parts = [part for part in self._parts[row] if isinstance(part, Polyhedron)]
+        if len(self.names) != 1 or len(parts) < len(self._parts[row]):
+            return None
+        return [part.span() for part in parts]
 
 
 def groups(comparisons: Sequence[Comparison], ranges: Mapping[str, Range]) -> list[Group]:

@@ -9,6 +9,8 @@ ranges give (logic/regions.py), with verdicts as early as they are certain, is w
 is computed backwards, so every move that is taken has a continuation whose verdict becomes certain at step d. What is
 *near* the border is a formula, too: robustness is at most ε if φ with every margin required to exceed ε fails.
 
+Signals with a bounded change are in testing/slow.py.
+
 Distribution: d is uniform over the steps at which the verdict can become certain; then each step's assignment is
 uniform over those that keep d in reach, and over all of them after d; then values as in `Choices.pick`. Hypothesis
 departs from uniform draws where it mutates examples, or tries constants of the program under test.
@@ -30,7 +32,7 @@ from stltool.automata.automaton import TRUE, UNDECIDED
 from stltool.automata.compile import atoms_of, compile_automaton
 from stltool.automata.reachable import decided_early
 from stltool.display import cut
-from stltool.errors import InfeasibleError, SettingsError, SizeError
+from stltool.errors import InfeasibleError, NameLookupError, SettingsError, SizeError, near_misses
 from stltool.logic.feasible import leaves, tabulated
 from stltool.logic.formula import (
     Always,
@@ -62,6 +64,7 @@ from stltool.logic.formula import (
 )
 from stltool.logic.regions import Choices, Draw, Range, Span, Values, groups
 from stltool.logic.shifts import has_delays
+from stltool.testing.slow import Box, Slow
 
 Columns: TypeAlias = dict[str, NDArray[np.float64] | NDArray[np.bool_]]
 
@@ -69,6 +72,7 @@ _MOST_ROWS = 1 << 14  # truth assignments of everything at a step
 _MOST_EFFORT = 200_000_000  # steps times states times letters
 _MOST_STATES = 20_000
 _MOST_STEPS = 100_000
+_MOST_CERTAIN = 32  # steps of certainty with slow signals
 _REMEMBERED = 64  # steps of certainty whose moves are kept
 
 
@@ -92,7 +96,10 @@ class Constructor:
     Raises NoTraceError if there is no such trace, SettingsError for comparisons that it cannot solve, SizeError.
     """
 
-    def __init__(self, phi: Formula, ranges: Mapping[str, Range], labels: Sequence[str] = (), wanted: str = "") -> None:
+    def __init__(
+        self, phi: Formula, ranges: Mapping[str, Range], labels: Sequence[str] = (), wanted: str = "",
+        changes: Mapping[str, Fraction] | None = None,
+    ) -> None:  # fmt: skip
         wanted = wanted or f"satisfies {_shown(phi)}"
         if has_delays(phi):
             raise SettingsError(
@@ -116,6 +123,7 @@ class Constructor:
                 "range; use another name for one of them"
             )
         known = compared | told
+        self._spans = {name: Span(*limits) for name, limits in ranges.items() if name not in known}
         self._free = {name: _anything(limits) for name, limits in ranges.items() if name not in known}
         self._idle = [name for name in labels if name not in known]
         options: list[Sequence[tuple[bool, ...]]] = [group.rows for group in self._groups]
@@ -129,7 +137,12 @@ class Constructor:
         if not self._rows:
             raise NoTraceError(wanted, False)
         self._compile(phi, read)
+        self._slow = self._slowed(changes) if changes else None
         self.certain = self._certain()
+        if self._slow is not None:
+            # the longest first, so that what is too much work is refused at once
+            spread = self.certain[:: 1 + len(self.certain) // _MOST_CERTAIN][::-1]
+            self.certain = [d for d in spread if self._automaton.initial in self._reach(d)[0]][::-1]
         if not self.certain:
             raise NoTraceError(wanted, self.sharp)
 
@@ -157,6 +170,7 @@ class Constructor:
         self._rows_of = [np.flatnonzero(self._letter_of_row == i).tolist() for i in range(len(used))]
         self._known: dict[bytes, list[int]] = {}
         self._wins = lru_cache(maxsize=_REMEMBERED)(self._backwards)
+        self._reach = lru_cache(maxsize=_REMEMBERED)(self._reached)
 
     def _certain(self) -> list[int]:
         """The steps at which the verdict true can be decided."""
@@ -179,13 +193,46 @@ class Constructor:
             win[t] = (self._automaton.verdicts(t) == UNDECIDED) & win[t + 1][self._delta].any(axis=0)
         return win
 
+    def _slowed(self, changes: Mapping[str, Fraction]) -> Slow:
+        """Where the signals with a bounded change are under each assignment. SettingsError if that is not exact."""
+        whose = {name: i for i, group in enumerate(self._groups) for name in group.names}
+        anywhere = {name: [span] for name, span in self._spans.items()}
+        for name in changes:
+            if name not in whose and name not in anywhere:
+                known = near_misses(name, {*whose, *anywhere})
+                raise NameLookupError(f"most_change names {name}, which is no signal of these traces; {known}")
+        boxes = []
+        for row in self._rows:
+            spans = []
+            for name in changes:
+                found = self._groups[whose[name]].spans(row[whose[name]]) if name in whose else anywhere[name]
+                if found is None:
+                    raise SettingsError(
+                        f"most_change of {name}: traces with a wanted verdict have it for signals that are compared "
+                        "with numbers alone, linearly; leave it out, or draw traces(…, most_change=…) and judge them"
+                    )
+                spans.append(found)
+            boxes.append(list(itertools.product(*spans)))
+        return Slow(changes, boxes, self._letter_of_row.tolist())
+
+    def _reached(self, d: int) -> list[dict[int, list[Box]]]:
+        assert self._slow is not None
+        return self._slow.reach(self._delta, self._wins(d), self._automaton.initial)
+
     def build(self, draw: Draw, steps: int | None = None) -> Columns:
         """A trace of so many steps, horizon + 1 by default; 0 from every draw gives the simplest."""
         d = self.certain[draw(len(self.certain))]
         win = self._wins(d)
+        before: Values | None = None
         q, values, told = self._automaton.initial, [], []
         for t in range(self.horizon + 1 if steps is None else steps):
-            if t <= d:
+            if self._slow is not None:
+                places = self._slow.options(self._delta, win, self._reach(d), t, q, before)
+                rows = sorted(places)
+                row = rows[draw(len(rows))]
+                q = int(self._delta[self._letter_of_row[row], q])
+                before = self._slow.pick(places[row][draw(len(places[row]))], draw)
+            elif t <= d:
                 after = self._delta[:, q]
                 rows = self._allowed(np.flatnonzero(win[t][after]))
                 row = rows[draw(len(rows))]
@@ -195,9 +242,12 @@ class Constructor:
             parts = self._rows[row]
             found: Values = {}
             for group, part in zip(self._groups, parts, strict=False):
-                found.update(group.pick(part, draw))
+                if before is None or before.keys().isdisjoint(group.names):
+                    found.update(group.pick(part, draw))
             for name, choices in self._free.items():
-                found[name] = choices.pick(draw)
+                if before is None or name not in before:
+                    found[name] = choices.pick(draw)
+            found.update(before or {})
             values.append(found)
             told.append([*(part[0] for part in parts[len(self._groups) :]), *(draw(2) == 1 for _ in self._idle)])
         return self._columns(values, told)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from stltool.arguments import described, mapping, whole
 from stltool.display import cut
 from stltool.errors import NameLookupError, SettingsError, near_misses
-from stltool.logic.formula import Formula, Not, bounded_formula_of
+from stltool.logic.formula import Formula, Not, bounded_formula_of, variables
 from stltool.logic.regions import Choices, Draw, Range, Span
 from stltool.logic.task import Task
 from stltool.numbers import Exactable, NumberError, exact, shortest
@@ -134,6 +134,7 @@ def satisfying_traces(
     labels: Sequence[str] = (),
     steps: int | None = None,
     within: Exactable | None = None,
+    most_change: Mapping[str, Exactable] | None = None,
 ) -> st.SearchStrategy[Trace]:
     """Traces on which φ holds at step 0, built without rejecting any (testing/constructive.py).
 
@@ -141,13 +142,15 @@ def satisfying_traces(
              limits. Signals and `labels` that φ does not read are in the traces, too
     steps    of a trace: at least horizon + 1, the default
     within   near misses: robustness at most this, and at least 0
+    most_change   name → how far the signal moves from one step to the next at most, exactly (testing/slow.py); of
+             signals that are compared with numbers alone, linearly
 
     The step at which the verdict becomes certain is uniform over those that are possible, and shrinks to the first.
     Comparisons are solved exactly if they are linear, with abs, min and max; others from a table of points, in which
     values may be missing. Raises InfeasibleError if there is no such trace (or, with others, if none was found),
     SettingsError if a comparison reads several steps or a range is none, SizeError for formulas that are too large.
     """
-    return _with_verdict(phi, True, signals, labels, steps, within, "satisfying_traces")
+    return _with_verdict(phi, True, signals, labels, steps, within, most_change, "satisfying_traces")
 
 
 def violating_traces(
@@ -156,17 +159,18 @@ def violating_traces(
     labels: Sequence[str] = (),
     steps: int | None = None,
     within: Exactable | None = None,
+    most_change: Mapping[str, Exactable] | None = None,
 ) -> st.SearchStrategy[Trace]:
     """Traces on which φ fails at step 0; with `within`, robustness is at most 0, and at least −within.
 
     Everything else as in `satisfying_traces`.
     """
-    return _with_verdict(phi, False, signals, labels, steps, within, "violating_traces")
+    return _with_verdict(phi, False, signals, labels, steps, within, most_change, "violating_traces")
 
 
 def _with_verdict(
     phi: Formula | Task, verdict: bool, signals: Mapping[str, Limits] | None, labels: Sequence[str],
-    steps: int | None, within: Exactable | None, door: str,
+    steps: int | None, within: Exactable | None, most_change: Mapping[str, Exactable] | None, door: str,
 ) -> st.SearchStrategy[Trace]:  # fmt: skip
     formula = bounded_formula_of(phi, f"{door}' formula")
     ranges = ranges_of(signals, f"{door}' signals")
@@ -181,7 +185,8 @@ def _with_verdict(
             raise SettingsError(f"within is {within}; give 0 or more")
         goal = near(goal, epsilon)
         wanted += f" with robustness within {within} of 0,"
-    made = _constructor(goal, tuple(ranges.items()), tuple(labels), wanted)
+    changes = _changes(most_change, {**ranges, **variables(formula)})
+    made = _constructor(goal, tuple(ranges.items()), tuple(labels), wanted, tuple(changes.items()))
     if steps is not None:
         steps = whole(steps, f"{door}' steps", least=made.horizon + 1)
     return _built(made, steps)
@@ -189,9 +194,10 @@ def _with_verdict(
 
 @functools.lru_cache(maxsize=32)
 def _constructor(
-    goal: Formula, ranges: tuple[tuple[str, Range], ...], labels: tuple[str, ...], wanted: str
-) -> Constructor:
-    return Constructor(goal, dict(ranges), labels, wanted)
+    goal: Formula, ranges: tuple[tuple[str, Range], ...], labels: tuple[str, ...], wanted: str,
+    changes: tuple[tuple[str, Fraction], ...],
+) -> Constructor:  # fmt: skip
+    return Constructor(goal, dict(ranges), labels, wanted, dict(changes))
 
 
 @st.composite

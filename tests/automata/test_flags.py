@@ -101,3 +101,22 @@ def test_states_are_told_by_their_flags():
     assert automaton.describe(1) == "A not seen in 5 steps; B for 1 step"
     assert automaton.digest() == stl.compile_automaton(automaton.formula, "paper").digest()
     assert automaton.digest() != stl.compile_automaton(automaton.formula).digest()
+
+
+@pytest.mark.filterwarnings("ignore::stltool.errors.InexactEncodingWarning")
+def test_only_valuations_that_occur_are_compared():
+    """x > 2 without x > 1 does not occur: the trace on which they differ is one of x."""
+    phi = stl.parse("G[0,3] (F[0,4] x > 1 & F[0,2] x > 2)")
+    borders = [atom.right.value for atom in stl.compile_automaton(phi, "paper").atoms]
+
+    def truths(levels):
+        return np.array([[level > border for border in borders] for level in levels])
+
+    flags = stl.compile_automaton(phi, "paper", truths([0, 1.5, 3]))
+    found = with_formula(flags)
+    levels = [(0, 1.5, 3)[sum(step.values())] for step in found.steps]
+    assert all(holds == (level > leaf.right.value) for level, step in zip(levels, found.steps, strict=True)
+               for leaf, holds in step.items())  # fmt: skip
+    assert flags.judge(flags.letters_at(truths(levels)))[0] == found.encoding_says
+    after = [0] * (stl.horizon(phi) + 1 - len(levels))  # the verdict is known before
+    assert stl.satisfies(phi, {"x": np.array(levels + after)}) == found.formula_is != found.encoding_says

@@ -196,7 +196,8 @@ def test_a_format_keeps_the_optima_whatever_states_and_actions_are_called_and_co
     changed = [(model, phi), (twin, renamed(phi, lambda name: f"{name}_2"))]
     changed += [(split(model, data.draw(st.sampled_from(copied))), phi)] if copied else []
     for one, psi in changed:
-        path = tmp_path / f"model{ending}"
+        path = tmp_path / ending[1:] / f"model{ending}"
+        path.parent.mkdir(exist_ok=True)
         stl.save_model(one, path)
         again = stl.load_model(path)
         assert optima(again, psi) == best

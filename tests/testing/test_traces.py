@@ -194,3 +194,77 @@ def test_ranges_and_names():
 def test_what_is_not_a_range_or_has_no_trace_is_told(make, kind, said):
     with pytest.raises(kind, match=said):
         make()
+
+
+SPEEDS = [Fraction(1, 2), Fraction(1), Fraction(3, 2)]
+
+
+def slow_enough(column, most):
+    values = [shortest(float(value)) for value in column]
+    return all(abs(b - a) <= most for a, b in itertools.pairwise(values))
+
+
+@given(
+    phi=formulas(labels=("a",), signals={"x": (-2, 2), "y": (-1, 1)}, longest=2, max_leaves=3, past=True, horizon=4),
+    verdict=st.booleans(),
+    most=st.sampled_from(SPEEDS),
+    more=st.integers(0, 2),
+    data=st.data(),
+)
+@settings(max_examples=many(60))
+def test_traces_with_a_verdict_change_as_slowly_as_asked(phi, verdict, most, more, data):
+    build, n = satisfying_traces if verdict else violating_traces, horizon(phi) + 1 + more
+    ranges, changes = {"x": (-2, 2), "y": (-1, 1)}, {"x": most, "y": Fraction(1, 4)}
+    try:
+        trace = data.draw(build(phi, ranges, ("a",), steps=n, most_change=changes))
+    except InfeasibleError as nothing:
+        assert nothing.sure
+        return  # test_what_is_possible_slowly_is_found
+    assert stl.satisfies(phi, trace) == verdict
+    assert len(trace["x"]) == n
+    for name, change in changes.items():
+        assert slow_enough(trace[name], change)
+        assert all(ranges[name][0] <= value <= ranges[name][1] for value in trace[name])
+
+
+@given(
+    phi=formulas(labels=(), signals={"x": (-2, 2)}, longest=2, max_leaves=3, past=True, horizon=3),
+    verdict=st.booleans(),
+    most=st.sampled_from(SPEEDS),
+)
+@settings(max_examples=many(40))
+def test_what_is_possible_slowly_is_found(phi, verdict, most):
+    """Against every trace over a grid: if one has the verdict, some trace is found; if none is found, none has it."""
+    grid = [Fraction(k, 2) for k in range(-4, 5)]
+    columns = [column for column in itertools.product(grid, repeat=horizon(phi) + 1) if slow_enough(column, most)]
+    some = any(
+        stl.satisfies(phi, {"x": np.array(column, dtype=float)}) == verdict
+        for column in columns[:: 1 + len(columns) // 400]
+    )
+    try:
+        (satisfying_traces if verdict else violating_traces)(phi, {"x": (-2, 2)}, most_change={"x": most})
+    except InfeasibleError:
+        assert not some
+
+
+def test_a_slow_signal_takes_its_time():
+    """By hand: from 0 at most to 6 within three steps of 2, and back again as slowly."""
+    phi = stl.parse("x <= 0 & F[0,3] x >= 6 & F[4,6] x <= 0")
+    (trace, *_), _ = drawn(satisfying_traces(phi, {"x": (0, 9)}, most_change={"x": 2}), 1)
+    assert trace["x"].tolist() == [0, 2, 4, 6, 4, 2, 0]
+    with pytest.raises(InfeasibleError, match="no trace satisfies"):
+        satisfying_traces(phi, {"x": (0, 9)}, most_change={"x": 1.9})
+    strictly = stl.parse("x < 1 & F[1,1] x > 2")
+    with pytest.raises(InfeasibleError):
+        satisfying_traces(strictly, {"x": (0, 9)}, most_change={"x": 1})
+    assert drawn(satisfying_traces(strictly, {"x": (0, 9)}, most_change={"x": 1.001}), 5)[1]["invalid"] == 0
+
+
+def test_slow_signals_are_compared_with_numbers_alone():
+    for text in ("G[0,3] x + y > 1", "G[0,3] x * x > 2"):
+        with pytest.raises(SettingsError, match="most_change of x: .* compared with numbers alone, linearly"):
+            satisfying_traces(stl.parse(text), {"x": (0, 9), "y": (0, 9)}, most_change={"x": 1})
+    with pytest.raises(NameLookupError, match="most_change names z"):
+        satisfying_traces(stl.parse("x > 1"), {"x": (0, 9)}, most_change={"z": 1})
+    with pytest.raises(SizeError, match="most_change is too much work"):
+        violating_traces(stl.parse("G[0,9000] (x > 1 -> F[0,50] x > 2)"), {"x": (0, 9)}, most_change={"x": 1})
