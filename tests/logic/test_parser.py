@@ -373,3 +373,10 @@ def test_missing_files_and_folders_are_named(tmp_path):
         stl.load_task(tmp_path / "none.stl")
     with pytest.raises(FileError, match="this is a folder; name a task file"):
         stl.load_task(tmp_path)
+
+
+def test_comparisons_in_a_chain_are_advised_with_the_number_last():
+    for text, told in (("1 < x <= y < 3", "x > 1 & x <= y & y < 3"), ("x < y < z", "x < y & y < z")):
+        with pytest.raises(StlSyntaxError) as refused:
+            stl.parse(text)
+        assert f"write ({told})" in str(refused.value)

@@ -206,3 +206,13 @@ def test_batches(tmp_path):
         stl.load_trace(npz(tmp_path / "w.npz", x=x, t=[0, 1]), ["x"], step="1s")
     with pytest.raises(TraceError, match="array t, step 1: nan is not a time"):
         stl.load_trace(npz(tmp_path / "n.npz", x=x, t=[0, np.nan, 1]), ["x"], step="1s")
+
+
+def test_how_many_rows_are_off_the_grid_is_told(log):
+    for times, more in (([0, 0.1, 0.25, 0.3], ""), ([0, 0.15, 0.25, 0.3], " (and 1 more row)")):
+        with pytest.raises(TraceError) as refused:
+            stl.load_trace(log(t=times, x=times), ["x"], step="0.1s")
+        assert ("more row" in str(refused.value)) == bool(more)
+        assert more in str(refused.value)
+    with pytest.raises(TraceError, match=r"\(and 2 more rows\)"):
+        stl.load_trace(log(t=[0, 0.15, 0.25, 0.35], x=[0, 1, 2, 3]), ["x"], step="0.1s")
