@@ -162,6 +162,8 @@ def test_a_comment_behind_a_mark_in_quotes():
 def test_what_does_not_parse_is_not_laid_out():
     with pytest.raises(StlSyntaxError, match=r"x\.stl, line 1, column 9: the text ends here"):
         format_task("r := A &", "x.stl")
+    with pytest.raises(StlSyntaxError, match="line 2, column 9"):
+        format_task("s := B\nr := A &")  # what could be read is not laid out alone
     with pytest.raises(StlSyntaxError, match="nested too deeply to be formatted"):
         format_task("r := " + "!" * 5000 + "A")
 
