@@ -9,7 +9,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
@@ -40,7 +40,7 @@ def results_are_not_kept(monkeypatch):
 
 @pytest.mark.soak
 @settings(
-    max_examples=soaked(10_000) // A_MODEL + 1, database=None, phases=[Phase.generate],
+    max_examples=soaked(10_000) // A_MODEL + 1, database=None,
     suppress_health_check=[*HealthCheck],
 )  # fmt: skip
 @given(st.data(), mdps(single_start=True, exact=True) | mdps(single_start=True))

@@ -7,8 +7,6 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.automata import FALSE, TRUE
@@ -17,7 +15,6 @@ from stltool.checking.fixed import fixed_point
 from stltool.checking.induction import EVERYTHING, Following, Game, layers_of
 from stltool.checking.rational import exact_probability
 from stltool.errors import ModelError, SettingsError, SizeError
-from stltool.testing import formulas, mdps
 from tests import oracles, qcomp
 from tests.conftest import DATA, OUTSIDE, many, needs_outside
 
@@ -73,17 +70,6 @@ def test_the_fraction_is_the_fraction():
             assert exact_probability(layers, product.model, maximize, in_digits=False)[0] == truth
             if policy is None:  # the policy that comes with it attains the value exactly
                 assert oracles.layered_value(product, result.policy) == truth
-
-
-@settings(max_examples=many(60))
-@given(st.data())
-def test_exact_optima_of_any_formula(data):
-    """Against the tree of all histories and the slow semantics: automaton, product and arithmetic together."""
-    model = data.draw(mdps())
-    phi = data.draw(formulas(longest=2, max_leaves=4, horizon=4))
-    maximize = data.draw(st.booleans())
-    product = stl.build_product(model, phi)
-    assert stl.check(product, maximize=maximize, exact=True).fraction == oracles.optimum(model, phi, maximize)
 
 
 def test_fixed_point_is_exact_until_it_must_round():
