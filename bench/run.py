@@ -74,6 +74,7 @@ PARTS = {
     "falsify": Part(
         "Falsification: executions to a violation, beside uniform points, Hypothesis and PSY-TaLiRo", "falsify"
     ),
+    "shielded": Part("Deep agents trained under a shield, judged exactly", "shielded"),
     "cluster": Part("A dask cluster of this machine's processes", "cluster"),
     "goals": Part("Environment steps to a good policy, twenty new seeds", "goals"),
     "beyond": Part("Learning beyond the paper's floor, beside posterior sampling and UCBVI", "goals", "beyond"),
