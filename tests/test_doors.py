@@ -321,6 +321,7 @@ TAKES = {
     "margins": {"None", "array", *LISTS},
     "most_pieces": {"int"},
     "most_values": {"int"},
+    "mean_states": {"int"},
     "most_leaves": {"int"},
     "price": NUMBERS,
     **dict.fromkeys(("names", "action_names", "state_names"), NAMES),

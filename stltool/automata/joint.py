@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from stltool.automata.automaton import TRUE, UNDECIDED, TaskAutomaton
 from stltool.display import Card, Displayed, counted
+from stltool.errors import SizeError
 from stltool.sizes import require_memory, require_numbered
 
 DECIDED = -1
@@ -113,11 +114,14 @@ class JointAutomaton(Displayed):
 
 
 def join_automata(
-    automata: Sequence[TaskAutomaton], letters: NDArray[np.int32], memory_limit: int | None = None
+    automata: Sequence[TaskAutomaton],
+    letters: NDArray[np.int32],
+    memory_limit: int | None = None,
+    most_states: int | None = None,
 ) -> JointAutomaton:
     """The joint memory of several automata; `letters` (n_letters, N): each joint letter as each automaton reads it.
 
-    Raises SizeError before a layer is built that would not fit.
+    Raises SizeError before a layer is built that would not fit, and for more than `most_states`.
     """
     horizon = max(automaton.horizon for automaton in automata)
     sizes = " × ".join(str(automaton.n_states) for automaton in automata)
@@ -138,6 +142,8 @@ def join_automata(
             layer, states = _read(automata, letters, states, t)
             layers.append(layer)
         n_states += len(states)
+        if most_states is not None and n_states > most_states:
+            raise SizeError(f"{what} has more than {most_states} states; {remedy}")
         require_numbered(n_states, f"states of the joint automaton over {t} steps", remedy)
     nowhere = np.zeros((len(letters), len(states)), dtype=np.int32)
     last = Layer(states, nowhere, np.zeros((len(automata), *nowhere.shape), dtype=np.bool_))

@@ -9,8 +9,9 @@ The mean follows from the distribution, with values r_0 < … < r_n, where ρ is
 
     E[ρ] = r_0 + Σ_{j ≥ 1} (r_j − r_{j−1}) · P(ρ ≥ r_j)
 
-Over all policies, different thresholds have different best policies, so the sum of maxima is an upper bound on
-max E[ρ]; the policy that is best for r_j alone has a mean of at least r_0 + (r_j − r_0) · max P(ρ ≥ r_j). Minimum:
+Over all policies, the greatest sum is that of all these tasks tracked together, by their joint automaton. Where it is
+too large: different thresholds have different best policies, so the sum of maxima is an upper bound on max E[ρ]; the
+policy that is best for r_j alone has a mean of at least r_0 + (r_j − r_0) · max P(ρ ≥ r_j). Minimum:
 likewise.
 """
 
@@ -29,14 +30,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.arguments import flag, function, real, require, whole
-from stltool.automata import compile_automaton
+from stltool.automata import compile_automaton, join_automata
 from stltool.automata.compile import atoms_of
 from stltool.checking.check import CheckResult, check
 from stltool.checking.induction import Engine, Progress
+from stltool.checking.weighted import Criteria, greatest
 from stltool.choices import Through
 from stltool.display import Card, Displayed, probability_text
 from stltool.errors import FragmentError, PolicyError, SettingsError, SizeError, named
-from stltool.logic.formula import Formula, bounded_formula_of
+from stltool.logic.formula import Formula, Not, bounded_formula_of
 from stltool.logic.margins import thresholded
 from stltool.logic.shifts import has_delays
 from stltool.logic.task import Task
@@ -44,7 +46,7 @@ from stltool.models import MDP
 from stltool.monitoring.states import margins, truth
 from stltool.numbers import round_down, round_up
 from stltool.policy import Policy
-from stltool.product import Product, joined, require_names
+from stltool.product import JointProduct, Product, joined, require_names
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -125,19 +127,24 @@ def robustness_distribution(
     margins: Sequence[float] | None = None,
     maximize: bool = True,
     most_values: int = 1000,
+    mean_states: int = 10_000,
     memory_limit: int | None = None,
     progress: Progress | None = None,
 ) -> RobustnessDistribution:
     """P(ρ ≥ r) for every margin r: under `policy`, or the maximum (minimum) over all policies for each r by itself.
 
     `policy` may be for this task, or any other on the same model whose horizon is not shorter. `margins`: only these r.
-    `most_values` limits how many values are computed. Raises FragmentError for comparisons of several steps, SizeError
-    if ρ may have too many values, PolicyError if the policy does not fit, and what `build_product` and `check` raise.
+    `most_values` limits how many values are computed. The greatest (least) mean over all policies is computed by the
+    joint automaton of all values, up to `mean_states` states of it; beyond, its bounds are those of single values.
+
+    Raises FragmentError for comparisons of several steps, SizeError if ρ may have too many values, PolicyError if the
+    policy does not fit, and what `build_product` and `check` raise.
     """
     start = time.perf_counter()
     flag(maximize, "robustness_distribution's maximize")
     function(progress, "robustness_distribution's progress")
     most = whole(most_values, "robustness_distribution's most_values", 1)
+    joint_states = whole(mean_states, "robustness_distribution's mean_states", 0)
     asked = Thresholds("robustness_distribution", model, task, policy, maximize, memory_limit)
     if margins is not None:
         require(margins, (list, tuple, np.ndarray), "robustness_distribution's margins", "give a list, such as [0.1]")
@@ -164,6 +171,8 @@ def robustness_distribution(
             finite = asked.check(products[0], not maximize).lower == 1 and asked.check(products[-1], True).upper == 0
         if finite:
             mean = _mean(values[:-1].tolist(), lower.tolist(), upper.tolist(), question)
+            if policy is None and mean[0] < mean[1]:
+                mean = _within(mean, _joint_mean(model, asked, maximize, upper, joint_states, memory_limit))
         if upper[-1] == 0:
             values, lower, upper = values[:-1], lower[:-1], upper[:-1]
     return RobustnessDistribution(
@@ -245,6 +254,52 @@ def _mean(values: list[float], lower: list[float], upper: list[float], question:
     elif question == "minimum":  # ρ is below that value, so at most the one before it, or else at most the last
         most = min([r[-1], *(a + (r[-1] - a) * p for a, p in zip(r, above[1:], strict=False))])
     return round_down(least), round_up(most)
+
+
+def _within(bounds: tuple[float, float], others: tuple[float, float] | None) -> tuple[float, float]:
+    return bounds if others is None else (max(bounds[0], others[0]), min(bounds[1], others[1]))
+
+
+def _joint_mean(
+    model: MDP, asked: Thresholds, maximize: bool, most: Floats, most_states: int, memory_limit: int | None
+) -> tuple[float, float] | None:
+    """Bounds on the greatest (least) E[ρ] over all policies, where ρ is finite; None if that takes too many states.
+
+    The weighted sum of the tasks ρ ≥ r_j, which a policy has to track together; the least is minus the greatest
+    E[ρ(¬Φ)]. `most`: upper bounds on P(ρ ≥ value), if for the greatest.
+    """
+    if not maximize:
+        asked = Thresholds("robustness_distribution", model, Not(asked.formula), None, True, memory_limit)
+    values = asked.values
+    kept: dict[bytes, Product] = {}
+    weights: dict[bytes, Fraction] = {}
+    base = Fraction(float(values[0]))
+    products = asked.products(values)
+    least, _ = _survival(Thresholds("", model, asked.formula, None, False, memory_limit), products, None)
+    if not maximize:
+        _, most = _survival(asked, products, None)
+    for j in range(1, len(values)):
+        gap = Fraction(float(values[j])) - Fraction(float(values[j - 1]))
+        if least[j] == 1:
+            base += gap
+        elif most[j] > 0:
+            key = products[j].letter.tobytes()
+            kept.setdefault(key, products[j])
+            weights[key] = weights.get(key, Fraction(0)) + gap
+    if not kept:
+        return round_down(base), round_up(base)
+    tasks = tuple(replace(each, task_name=str(number)) for number, each in enumerate(kept.values()))
+    letters, letter = np.unique(np.stack([each.letter for each in tasks], axis=1), axis=0, return_inverse=True)
+    try:
+        automaton = join_automata([each.automaton for each in tasks], letters, memory_limit, most_states)
+        joint = JointProduct(model, tasks, automaton, letter.ravel().astype(np.int32))
+        found = greatest(Criteria(joint), [float(weight) for weight in weights.values()])
+    except SizeError:
+        return None
+    rounded = Fraction(1, 2**52)  # of the weights
+    lower, upper = Fraction(found.lower) * (1 - rounded), Fraction(found.upper) * (1 + rounded)
+    bounds = round_down(base + lower), round_up(base + upper)
+    return bounds if maximize else (-bounds[1], -bounds[0])
 
 
 def probability_of(given: float | Fraction, what: str) -> float | Fraction:

@@ -163,6 +163,13 @@ def best(criteria: Criteria, weights: Sequence[float]) -> tuple[Figure, list[Fig
     return figures[0], figures[1:], chosen
 
 
+def greatest(criteria: Criteria, weights: Sequence[float]) -> Figure:
+    """max over all policies of Σ w_i·criterion_i alone."""
+    given = np.asarray(weights, dtype=np.float64)[None]
+    [value], _ = _values(criteria, given, criteria.layers, None)
+    return _figure(criteria, given[0], value)
+
+
 def of_policy(criteria: Criteria, form: Form) -> list[Figure]:
     """All criteria of a policy by step and the automaton states of its layer."""
     given = np.eye(len(criteria))

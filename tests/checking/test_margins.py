@@ -62,7 +62,9 @@ def test_the_optimum_for_every_margin_is_that_of_all_histories(seed):
         assert oracles.robustness_optimum(model, phi, lambda rho, last=last: rho > last, best) == 0
         if found.mean is not None:
             exact = oracles.robustness_optimum(model, phi, Fraction, best)
-            assert found.mean[0] <= exact <= found.mean[1]
+            assert found.mean[0] <= exact <= found.mean[1] <= found.mean[0] + 1e-11
+            wide = stl.robustness_distribution(model, phi, maximize=best, mean_states=0)
+            assert wide.mean[0] <= found.mean[0] <= found.mean[1] <= wide.mean[1]
 
 
 @pytest.mark.parametrize("seed", range(many(60)))
