@@ -72,6 +72,7 @@ def stand_in(folder, name="stltool"):
     return {**os.environ, "PATH": f"{folder}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
 
 
+@pytest.mark.soak(only=True)
 @pytest.mark.skipif(not shutil.which("git"), reason="there is no git here")
 def test_the_hooks_run_in_a_repository(tmp_path):
     """Under pre-commit, with the program that is here in place of an installation of its own."""

@@ -19,6 +19,14 @@ PROSE = {
     "architecture", "comparison", "falsification", "index", "models", "references", "semantics", "supported", "testing",
 }  # fmt: skip
 PAGES = sorted((ROOT / "docs").glob("*.md"))
+LONG = {"falsification", "sweeps"}  # seconds each
+
+
+def pages_to_run():
+    return [
+        pytest.param(page, id=page.stem, marks=[pytest.mark.soak(only=True)] if page.stem in LONG else [])
+        for page in PAGES
+    ]
 
 
 def blocks(page, language):
@@ -67,7 +75,7 @@ def comparable(text):
     return [re.sub(r"\b\d+(\.\d+)? s\b", "# s", line).rstrip() for line in text.strip().splitlines()]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", pages_to_run())
 def test_commands_print_what_the_page_shows(page, folder, capsys, monkeypatch):
     saved(page)
     for block in blocks(page, "console"):
@@ -78,7 +86,7 @@ def test_commands_print_what_the_page_shows(page, folder, capsys, monkeypatch):
             assert comparable(capsys.readouterr().out) == comparable(shown), command
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", pages_to_run())
 def test_programs_run(page, folder):
     saved(page)
     for i, code in enumerate(blocks(page, "python")):

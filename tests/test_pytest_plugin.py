@@ -240,6 +240,7 @@ def test_a_folder_for_pages_that_cannot_be_is_refused_at_the_start(project):
     done.stderr.fnmatch_lines(["*--stl-report log.csv: *is not a writable directory; name another"])
 
 
+@pytest.mark.soak(only=True)
 def test_tests_are_shared_among_processes(project):
     """With xdist: every expectation once, pages are listed, and there is one report on coverage."""
     project.makepyfile(test_covered=COVERED)

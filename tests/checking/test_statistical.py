@@ -223,6 +223,7 @@ def test_a_black_box_is_asked_and_the_models_probabilities_are_not():
     assert stl.sprt(product, policy, 0.3, environment=never).verdict == "does not hold"
 
 
+@pytest.mark.soak(only=True)
 @pytest.mark.parametrize("mixed", [False, True])
 def test_a_black_box_that_is_the_model_gives_the_models_probability(patrolling, mixed):
     policy = stl.check(patrolling).policy

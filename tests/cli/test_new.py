@@ -38,7 +38,14 @@ def test_a_missing_extra_is_told_with_what_needs_it(stltool, tmp_path, monkeypat
         assert err.count("pip install 'stltool[gymnasium]'") == told
 
 
-@pytest.mark.parametrize("made", [f"--kind {kind}" for kind in KINDS] + [f"--example {name}" for name in EXAMPLES])
+@pytest.mark.parametrize(
+    "made",
+    [f"--kind {kind}" for kind in KINDS]
+    + [
+        pytest.param(f"--example {name}", marks=[pytest.mark.soak(only=True)] if name == "robot" else [])
+        for name in EXAMPLES
+    ],
+)
 def test_what_is_made_runs(stltool, tmp_path, monkeypatch, made):
     monkeypatch.chdir(tmp_path)
     code, text, _ = stltool("new", "shift", *made.split())

@@ -73,6 +73,7 @@ def test_killed_at_any_moment_nothing_finished_is_lost(sweep_file, undisturbed, 
     assert files(tmp_path) == undisturbed
 
 
+@pytest.mark.soak(only=True)
 def test_an_interrupt_says_how_to_go_on(sweep_file, undisturbed, tmp_path):
     with sweeping(sweep_file, tmp_path, "--workers", 2) as client:
         wait_for(client, tmp_path, 1)

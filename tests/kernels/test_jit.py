@@ -89,6 +89,7 @@ print(value, told)
     assert after != before
 
 
+@pytest.mark.soak(only=True)
 def test_an_edit_while_a_process_runs_is_not_taken_for_what_the_process_has_read(package):
     code = """
 from pathlib import Path
