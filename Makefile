@@ -19,7 +19,7 @@ test soak: export PYTHONDONTWRITEBYTECODE =
 test: .venv/installed-dev
 	$(BIN)/pytest -n 2 --dist worksteal
 
-# random instances, statistics and mutations: MORE times the numbers in the tests, of which `make test` takes .2
+# random instances, statistics and mutations: MORE times the numbers in the tests, of which `make test` takes .1
 MORE ?= 30
 soak: .venv/installed-dev
 	STLTOOL_MORE=$(MORE) $(BIN)/pytest -n 2 --dist worksteal -m "soak or hypothesis"

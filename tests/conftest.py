@@ -22,11 +22,11 @@ from tests import slow
 
 T = TypeVar("T")
 
-MORE = float(os.environ.get("STLTOOL_MORE", "0.2"))
+MORE = float(os.environ.get("STLTOOL_MORE", "0.1"))
 
 
 def many(n: int) -> int:
-    """n random instances, mutations or runs times STLTOOL_MORE: .2 in `make test`, more in `make soak`."""
+    """n random instances, mutations or runs times STLTOOL_MORE: .1 in `make test`, more in `make soak`."""
     return max(1, round(n * MORE))
 
 
