@@ -143,9 +143,13 @@ def settle(
                     top, rest = _divided(top, rest, _HIGH[K], _LOW[K])
                     high, low = _pair(other)
                     high, low = _divided(high, low, _HIGH[tens], _LOW[tens])
-                    rough = top / (2 * high)
                     # B itself is needed, not B modulo 2⁶⁴; and √A + B must be known well enough with the rough δ
-                    sure &= abs(high - b[j]) <= 1e-9 * b[j] and abs(rough) < 2.0**-45 * b[j]
+                    sure &= abs(high - b[j]) <= 1e-9 * b[j]
+                    rough = top / (2 * high) if sure else 0.0  # B may be 0
+                    sure &= abs(rough) < 2.0**-45 * b[j]
+                    if not sure:
+                        margin[j], settled[j] = 0.0, False
+                        continue
                     total = 2 * high + rough
                     part = total - 2 * high
                     low = ((2 * high - (total - part)) + (rough - part)) + 2 * low

@@ -48,6 +48,7 @@ double = st.floats(-1e6, 1e6, allow_nan=False)
     op=">",
     samples=[(0.25, 1 / 3, 0.0)],
 )
+@example(sides=(Call("sqrt", (Variable("x"),)), Variable("x")), op="<", samples=[(0.0, 0.0, 0.0)])
 def test_every_settled_sample_is_as_in_the_slow_semantics(sides, op, samples):
     node = Comparison(op, *sides)
     if not possible(node) or not Predicate(node).names:
