@@ -91,7 +91,7 @@ def test_the_least_cause_is_found(texts, values, n):
     past = "a & b" in texts
     rng, checked, mixed = np.random.default_rng(7), 0, 0
     atoms = [stl.parse(text) for text in texts]
-    while checked < many(60):
+    while checked < max(12, many(60)):
         phi = random_formula(rng, atoms, int(rng.integers(1, 4)), n - 1 - past, past)
         if not leaves(phi) or (h := stl.horizon(phi)) == 0 or (past and not stl.lookback(phi)):
             continue
