@@ -59,6 +59,7 @@ from .policy import Policy as Policy, load_policy as load_policy
 from .checking import (
     CheckResult as CheckResult,
     Counterfactual as Counterfactual,
+    CostDistribution as CostDistribution,
     Estimate as Estimate,
     ExpectedCost as ExpectedCost,
     Front as Front,
@@ -80,6 +81,7 @@ from .checking import (
     certify as certify,
     check as check,
     counterfactual as counterfactual,
+    cost_distribution as cost_distribution,
     estimate as estimate,
     largest_margin as largest_margin,
     expected_cost as expected_cost,

@@ -6,6 +6,7 @@
     Mixtures weights by step of the listed pairs, another form's choices elsewhere
     ByLayer  another form's, for automaton states that are numbered layer by layer and so determine the step
     Through  another form with its own automaton: memory (Q,) maps each automaton state to one of its own
+    FromStates another form of another model: state (S,) maps each model state to one of its own
     Rules    of listed situations, and none elsewhere: a policy that was written as text (stltool/written.py)
     Asked    a function of the situation (stltool/asked.py)
     Elsewhere another model's (stltool/transfer.py)
@@ -112,6 +113,37 @@ class Through(Displayed):
 
     def row(self, t: int) -> NDArray[Any]:
         return np.take(self.form.row(t), self.memory, axis=1)
+
+    def alike(self, t: int) -> tuple[int, int]:
+        return self.form.alike(t)
+
+    def mixtures(self) -> F64:
+        return self.form.mixtures()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FromStates(Displayed):
+    """Another form's choices, by its own model state for each model state (see the module's text)."""
+
+    form: Form
+    state: I64
+
+    def _card(self) -> Card:
+        return Card(f"FromStates: {self.form!r}"[:100])
+
+    @property
+    def deterministic(self) -> bool:
+        return self.form.deterministic
+
+    @property
+    def stationary(self) -> bool:
+        return self.form.stationary
+
+    def at(self, t: int, s: Indices, q: Indices) -> NDArray[Any]:
+        return self.form.at(t, self.state[s], q)
+
+    def row(self, t: int) -> NDArray[Any]:
+        return np.take(self.form.row(t), self.state, axis=0)
 
     def alike(self, t: int) -> tuple[int, int]:
         return self.form.alike(t)

@@ -233,6 +233,37 @@ def expected_cost(product, cost, policy=None, maximize=False, until="verdict") -
     return sum((p * value(s, product.enter(s, start), 0) for s, p in initial(model)), Fraction(0))
 
 
+def within_budget(product, cost, budget, policy=None, maximize=True) -> Fraction:
+    """P(the task holds and the costs until its verdict add up to at most `budget`), by walking all histories.
+
+    `cost(s, c, k)` as in `expected_cost`; the optimum is over policies that know all that happened.
+    """
+    model, automaton, best = product.model, product.automaton, max if maximize else min
+    exact = model.exact()
+
+    def value(s: int, q: int, t: int, spent: Fraction) -> Fraction:
+        if (verdict := automaton.verdicts(t)[q]) >= 0:
+            return Fraction(int(verdict == 1 and spent <= budget))
+        options = []
+        for c in range(model.choice_start[s], model.choice_start[s + 1]):
+            total = Fraction(0)
+            for k in range(model.row_start[c], model.row_start[c + 1]):
+                s2 = int(model.target[k])
+                p = Fraction(int(exact.numerator[k]), exact.denominator)
+                total += p * value(s2, product.enter(s2, q), t + 1, spent + cost(s, c, k))
+            options.append(total)
+        if policy is None:
+            return best(options)
+        entry = policy.row(t)[s, q]
+        if policy.deterministic:
+            return options[entry]
+        weights = [Fraction(float(w)) for w in entry[: len(options)]]
+        return sum((w * o for w, o in zip(weights, options, strict=True)), Fraction(0)) / sum(weights)
+
+    start = automaton.initial
+    return sum((p * value(s, product.enter(s, start), 0, Fraction(0)) for s, p in initial(model)), Fraction(0))
+
+
 def layered_value(product: stl.Product, policy: stl.Policy | None = None, maximize: bool = True) -> Fraction:
     """Backward induction on the product, a Fraction a state, as docs/semantics.md §3 writes it."""
     model, automaton = product.model, product.automaton

@@ -18,9 +18,9 @@ from stltool.learning.settings import settings_of
 
 # classes whose objects functions make, so that their constructors are no doors
 RESULTS = {
-    "CheckResult", "Counterfactual", "Decision", "Decisions", "Diagnosis", "Estimate", "ExpectedCost", "Fragment",
-    "Front", "Frontier", "Gap", "Guarantee", "JointProduct", "Learner", "LikelyRuns", "MDP", "MarkovTest",
-    "Meaning", "MonitorResult", "ParametricResult", "PolicyTree", "Product", "ProductMDP", "Recording",
+    "CheckResult", "CostDistribution", "Counterfactual", "Decision", "Decisions", "Diagnosis", "Estimate",
+    "ExpectedCost", "Fragment", "Front", "Frontier", "Gap", "Guarantee", "JointProduct", "Learner", "LikelyRuns", "MDP",
+    "MarkovTest", "Meaning", "MonitorResult", "ParametricResult", "PolicyTree", "Product", "ProductMDP", "Recording",
     "RobustnessDistribution", "Run", "Sensitivity", "SequentialTest", "Shield", "SmoothRobustness", "StateValues",
     "StationaryResult", "StlToolError", "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton",
     "TimeDistribution", "Tradeoff", "Training", "Verification", "Verified",
@@ -227,6 +227,10 @@ CALLS = {
     },
     "load_run": lambda w: {"path": "run.csv"},
     "expected_cost": lambda w: {"product": w.product, "cost": "x"},
+    "cost_distribution": lambda w: {"product": w.product, "cost": "A", "at_most": 2},
+    "CostDistribution.at": lambda w: {"self": stl.cost_distribution(w.product, "A", 2), "budget": 1},
+    "CostDistribution.exactly": lambda w: {"self": stl.cost_distribution(w.product, "A", 2), "budget": 1},
+    "CostDistribution.smallest": lambda w: {"self": stl.cost_distribution(w.product, "A", 2), "at_least": 0.5},
     "robust_check": lambda w: {"product": stl.build_product(w.blurred, w.formula)},
     "parametric": lambda w: {"product": w.family},
     "ParametricResult.at": lambda w: {"self": stl.parametric(w.family), "p": 0.5},
@@ -362,6 +366,9 @@ OWN = {
     "time_distribution": {"margin": {"None", *NUMBERS}},
     "time_shifted": {"steps": {"int"}},
     "TimeDistribution.at": {"steps": {"int"}},
+    "cost_distribution": {"cost": {"text"}, "at_most": NUMBERS},
+    "CostDistribution.at": {"budget": NUMBERS}, "CostDistribution.exactly": {"budget": NUMBERS},
+    "CostDistribution.smallest": {"at_least": NUMBERS},
     "export": {"product": {"Product", "TaskAutomaton"}, "to": TEXT},
     "monitor": {"at": {"None", "int"}},
     "load_model": {"initial": {"None", "int", "text"}},

@@ -22,13 +22,15 @@ from stltool.checking.surrogate import SurrogateResult, surrogate_optimum
 from stltool.checking.timing import TimeDistribution, time_distribution
 from stltool.checking.tradeoff import Tradeoff, tradeoff
 from stltool.checking.values import StateValue, StateValues
+from stltool.checking.within import CostDistribution, cost_distribution
 
 __all__ = [
-    "Alternative", "CheckResult", "Counterfactual", "Estimate", "ExpectedCost", "Front", "Frontier", "LikelyRun",
-    "LikelyRuns", "Node", "ParametricResult", "PolicyTree", "RobustnessDistribution", "Run", "Runner",
+    "Alternative", "CheckResult", "CostDistribution", "Counterfactual", "Estimate", "ExpectedCost", "Front", "Frontier",
+    "LikelyRun", "LikelyRuns", "Node", "ParametricResult", "PolicyTree", "RobustnessDistribution", "Run", "Runner",
     "Sensitivity", "SequentialTest", "Shield", "StateValue", "StateValues", "StationaryResult", "SurrogateResult",
-    "TimeDistribution", "Tradeoff", "certify", "check", "counterfactual", "estimate", "estimate_from",
-    "expected_cost", "frontier", "largest_margin", "likely_runs", "load_run", "parametric", "pareto", "policy_tree",
-    "require_certificate_of", "robust_check", "robustness_distribution", "sample_run", "sensitivity", "shield",
-    "sprt", "sprt_from", "stationary", "surrogate_optimum", "time_distribution", "tradeoff", "write_certificate",
+    "TimeDistribution", "Tradeoff", "certify", "check", "cost_distribution", "counterfactual", "estimate",
+    "estimate_from", "expected_cost", "frontier", "largest_margin", "likely_runs", "load_run", "parametric", "pareto",
+    "policy_tree", "require_certificate_of", "robust_check", "robustness_distribution", "sample_run", "sensitivity",
+    "shield", "sprt", "sprt_from", "stationary", "surrogate_optimum", "time_distribution", "tradeoff",
+    "write_certificate",
 ]  # fmt: skip

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, Literal, TypeAlias, get_args
@@ -24,7 +23,7 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.arguments import described, flag, function, one_of
+from stltool.arguments import flag, function, one_of
 from stltool.automata import FALSE, TRUE, UNDECIDED
 from stltool.checking.bounds import around, can_underflow, compounded, defect, roundings, row_defect
 from stltool.checking.check import undefined
@@ -36,6 +35,7 @@ from stltool.checking.induction import (
     Engine,
     Following,
     Game,
+    Integers,
     Progress,
     Silent,
     Single,
@@ -44,19 +44,18 @@ from stltool.checking.induction import (
     solve,
 )
 from stltool.checking.induction.arithmetic import row_sums
+from stltool.checking.paid import CostFunction, Paid
+from stltool.checking.rational import require_exact, require_room
 from stltool.display import Card, Displayed
-from stltool.errors import ArgumentError, NameLookupError, PolicyError, SettingsError
-from stltool.logic.names import near_names
-from stltool.models import MDP
-from stltool.models.costs import Cost
+from stltool.errors import PolicyError, SettingsError
 from stltool.models.rows import Rows, least_positive
-from stltool.numbers import round_down, round_up
+from stltool.numbers import fraction_text, round_down, round_up
 from stltool.policy import Policy, require_door
 from stltool.product import Product
 
 Until: TypeAlias = Literal["verdict", "horizon"]
-CostFunction: TypeAlias = Callable[[str, str], float]
 _LARGEST = 1e100  # over the horizon
+_LONGEST = 60  # characters of a fraction in a short description
 _U, _UNDERFLOW = Fraction(1, 2**53), Fraction(1, 2**1073)
 _SUMMED = 1 + Fraction(1, 2**50)  # the largest cost of a step is a sum of doubles, itself rounded
 
@@ -69,6 +68,7 @@ class ExpectedCost(Displayed):
     question  "minimum" | "maximum" (over all policies) | "policy"
     until     "verdict": the sum ends when the task's verdict is decided; "horizon": after `product.horizon` steps
     policy    the policy that attains the value, or the given one
+    fraction  the exact value, if it was asked for; lower and upper are then the doubles next to it
     seconds   wall time
     """
 
@@ -81,6 +81,7 @@ class ExpectedCost(Displayed):
     upper: float
     policy: Policy
     seconds: float
+    fraction: Fraction | None = None
 
     def _card(self) -> Card:
         asked = "of the policy" if self.question == "policy" else f"{self.question} over all policies"
@@ -88,7 +89,10 @@ class ExpectedCost(Displayed):
         return Card(
             f"ExpectedCost: E[{self.cost}] = {self.value!r}, {asked}, {ends}",
             [
-                {"bounds": f"[{self.lower!r}, {self.upper!r}]"},
+                {
+                    "bounds": f"[{self.lower!r}, {self.upper!r}]",
+                    "exactly": fraction_text(self.fraction, _LONGEST) if self.fraction is not None else None,
+                },
                 {"task": f"{self.product.task_name} := {self.product.formula}", "model": self.product.model.name},
             ],
         )
@@ -100,6 +104,7 @@ def expected_cost(
     policy: Policy | None = None,
     *,
     maximize: bool = False,
+    exact: bool = False,
     until: Until = "verdict",
     engine: Engine = "auto",
     memory_limit: int | None = None,
@@ -111,21 +116,23 @@ def expected_cost(
     and an action's name; its numbers may be negative. A step is paid when its action is taken: the state in which the
     sum ends costs nothing. `until="verdict"` stops paying when the verdict is decided, so a policy may pay less by
     deciding the task sooner, for or against; `until="horizon"` pays for all `product.horizon` steps.
-    After the verdict, a policy of `check` takes the first action of every state.
+    After the verdict, a policy of `check` takes the first action of every state. `exact=True` adds the exact fraction:
+    numbers in decimals and fractions mean exactly that.
 
     Raises NameLookupError for a cost that the model does not have; PolicyError if the policy belongs to another task or
     model, or defines no action where it is needed (after the verdict too, until the horizon); SizeError before
-    allocating more memory than is available.
+    allocating more memory than is available; ModelError if an exact answer is asked for and rows do not sum to 1.
     """
     began = time.perf_counter()
     require_door("expected_cost", product, policy)
     flag(maximize, "expected_cost's maximize")
+    flag(exact, "expected_cost's exact")
     one_of(until, "until", get_args(Until))
     one_of(engine, "engine", get_args(Engine))
     function(progress, "expected_cost's progress")
     product.model.require_points()
     judge, judged = policy.on(product) if policy is not None else (product, None)
-    paid = _Paid.of(judge.model, cost)
+    paid = Paid.of("expected_cost", judge.model, cost)
     most = Fraction(paid.largest) * judge.horizon
     if most > _LARGEST:
         raise SettingsError(f"cost {paid.name} is up to {paid.largest:g} per step; scale it to numbers below 1e90")
@@ -137,7 +144,11 @@ def expected_cost(
     budget = Budget(f"the expected cost over {judge.n_states} product states", memory_limit, progress)
     try:
         layers = layers_of(game, TRUE, allowed, engine=engine, live=False, sure=False, keep=keep, budget=budget)
-        found = solve(layers, _Sums(paid), maximize, keep)
+        if exact:
+            require_exact(judge.model, layers.kinds)
+            require_room(layers, 64, memory_limit=memory_limit)
+        arithmetic = _ExactSums(layers.rows.denominator, paid) if exact else _Sums(paid)
+        found = solve(layers, arithmetic, maximize, keep)
     except Silent:
         assert judged is not None
         if until == "verdict":
@@ -146,83 +157,23 @@ def expected_cost(
             "the policy defines no action in some pair that it reaches before the horizon, perhaps where the verdict "
             "is decided already; use until='verdict', or give it actions there"
         ) from None
-    value = math.fsum(judge.model.initial[game.first] * found.entry)
-    mixtures = judged.form.mixtures() if judged is not None and not judged.deterministic else None
-    lower, upper = _enclosure(judge, layers.kinds, paid, value, most, mixtures)
+    fraction = None
+    if isinstance(arithmetic, _ExactSums):
+        shares = (judge.model.initial_share(s) for s in game.first.tolist())
+        entries = (arithmetic.fraction(value) for value in found.entry.tolist())
+        fraction = sum((share * value for share, value in zip(shares, entries, strict=True)), Fraction(0))
+        value, lower, upper = float(fraction), round_down(fraction), round_up(fraction)
+    else:
+        value = math.fsum(judge.model.initial[game.first] * found.entry)
+        mixtures = judged.form.mixtures() if judged is not None and not judged.deterministic else None
+        lower, upper = _enclosure(judge, layers.kinds, paid, value, most, mixtures)
     if found.choices is not None:
         policy = Policy(product, found.choices)
     assert policy is not None  # given, or found
     question: Literal["minimum", "maximum", "policy"]
     question = "policy" if judged is not None else "maximum" if maximize else "minimum"
-    return ExpectedCost(product, paid.name, question, until, value, lower, upper, policy, time.perf_counter() - began)
-
-
-@dataclass(frozen=True, eq=False)
-class _Paid:
-    """What a step costs, in doubles: before (C,) by choice, along (E,) by entry of the model's rows, or None."""
-
-    name: str
-    before: NDArray[np.float64]
-    along: NDArray[np.float64] | None
-
-    @classmethod
-    def of(cls, model: MDP, cost: str | CostFunction) -> _Paid:
-        owner = np.repeat(np.arange(model.n_states), np.diff(model.choice_start))
-        if not isinstance(cost, str):
-            return cls(getattr(cost, "__name__", "cost"), _asked(model, cost, owner), None)
-        columns = {**model.signals, **model.labels}
-        if cost in model.costs:
-            if cost in columns:
-                raise SettingsError(f"{cost} is a cost of the model and a signal or label; rename one of them")
-            return cls(cost, *_parts(model.costs[cost], owner))
-        if cost not in columns:
-            raise NameLookupError(
-                f"the model has no cost, signal or label {cost}; {near_names(cost, [*model.costs, *columns])}"
-            )
-        return cls(cost, columns[cost].astype(np.float64)[owner], None)
-
-    @property
-    def largest(self) -> float:
-        """The most that a step can cost, in size."""
-        return sum(float(np.abs(part).max(initial=0.0)) for part in self.arrays)
-
-    @property
-    def arrays(self) -> list[NDArray[np.float64]]:
-        return [self.before] if self.along is None else [self.before, self.along]
-
-    @property
-    def nowhere_negative(self) -> bool:
-        return all(bool((part >= 0).all()) for part in self.arrays)
-
-
-def _parts(cost: Cost, owner: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    before = np.zeros(len(owner))
-    if cost.states is not None:
-        before = before + cost.states.values[owner]
-    if cost.choices is not None:
-        before = before + cost.choices.values
-    return before, None if cost.transitions is None else cost.transitions.values
-
-
-def _asked(model: MDP, cost: Any, owner: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(C,) the answers of a function. ArgumentError unless it is one, and answers with finite numbers."""
-    what = "a cost's name, or a function of a state's and an action's name"
-    if not callable(cost):
-        raise ArgumentError(f"expected_cost's cost is {described(cost)}, not {what}; write, for example, 'energy'")
-    answers = np.empty(len(owner))
-    for c, (s, a) in enumerate(zip(owner.tolist(), model.choice_action.tolist(), strict=True)):
-        state, action = model.state_name(s), model.action_names[a]
-        answer = cost(state, action)
-        try:
-            answers[c] = float(answer)
-        except (TypeError, ValueError, OverflowError):
-            answers[c] = math.nan
-        if not math.isfinite(answers[c]):
-            raise ArgumentError(
-                f"expected_cost's cost returned {described(answer)} for state {state}, action {action}; return a "
-                "finite number"
-            )
-    return answers
+    seconds = time.perf_counter() - began
+    return ExpectedCost(product, paid.name, question, until, value, lower, upper, policy, seconds, fraction)
 
 
 class _ToTheEnd:
@@ -243,7 +194,7 @@ class _ToTheEnd:
 class _Sums(Arithmetic):
     """The expected cost to come, in doubles."""
 
-    def __init__(self, paid: _Paid) -> None:
+    def __init__(self, paid: Paid) -> None:
         self._paid = paid
 
     def ends(self, t: int) -> tuple[float, float]:
@@ -256,8 +207,38 @@ class _Sums(Arithmetic):
         return self._paid.before[edges.choice] + row_sums(self.rows.probability[edges.entry] * to_come, edges.start)
 
 
+class _ExactSums(Integers):
+    """The same without any rounding: A_t = V_t·K·D^(h−t), for costs over the denominator K."""
+
+    def __init__(self, denominator: int, paid: Paid) -> None:
+        super().__init__(denominator, maximize=True)
+        self._before, self._along, self._unit = paid.exact
+        self._ahead = 1
+
+    def ends(self, t: int) -> tuple[int, int]:
+        return 0, 0
+
+    def back(
+        self, t: int, edges: Edges, ahead: Values, maximize: bool, keep: bool
+    ) -> tuple[Values, NDArray[np.int64] | None]:
+        if self._made != t:
+            self._ahead = self.one
+        return super().back(t, edges, ahead, maximize, keep)
+
+    def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
+        to_come = ahead[edges.child]
+        if self._along is not None:
+            to_come = to_come + self._along[edges.entry] * self._ahead
+        sums: Values = np.add.reduceat(self._numerator[edges.entry] * to_come, edges.start[:-1])
+        sums += self._before[edges.choice] * (self._ahead * self.denominator)
+        return sums
+
+    def fraction(self, value: int) -> Fraction:
+        return Fraction(value, self.one * self._unit)
+
+
 def _enclosure(
-    product: Product, kinds: Rows, paid: _Paid, value: float, most: Fraction, mixtures: NDArray[np.float64] | None
+    product: Product, kinds: Rows, paid: Paid, value: float, most: Fraction, mixtures: NDArray[np.float64] | None
 ) -> tuple[float, float]:
     if not paid.largest:
         return 0.0, 0.0

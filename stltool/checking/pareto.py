@@ -22,24 +22,27 @@ from fractions import Fraction
 from stltool.arguments import function, real, require, whole
 from stltool.checking.induction import Progress
 from stltool.checking.weighted import Criteria, Figure, best, probability
+from stltool.choices import ByLayer
 from stltool.display import Card, Displayed, counted, probability_text
 from stltool.errors import SettingsError, named
 from stltool.numbers import round_up
+from stltool.policy import Policy
 from stltool.product import JointProduct
 
 _SHOWN = 10  # corners in a notebook
 _SAME = 1e-12  # probabilities with a smaller relative difference count as equal
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Corner:
     """A deterministic policy's probabilities, best for `weights`: weights·p ≤ `bound` for every policy, rounding
-    included.
+    included. `policy` is over the joint product: it can be checked on the product of each task.
     """
 
     probabilities: tuple[Figure, Figure]
     weights: tuple[float, float]
     bound: float
+    policy: Policy
 
     @property
     def point(self) -> tuple[float, float]:
@@ -77,6 +80,11 @@ class Front(Displayed):
             ((f"P({first})", f"P({second})"), rows),
             more=max(0, len(points) - _SHOWN),
         )
+
+    @property
+    def policies(self) -> tuple[Policy, ...]:
+        """The policy of each corner, in their order."""
+        return tuple(corner.policy for corner in self.corners)
 
     def at_least(self, second: float) -> tuple[float, float] | None:
         """(achieved by mixing corners, upper bound on) P(first) where P(second) >= `second`; None if out of reach."""
@@ -118,9 +126,10 @@ def pareto(
     found: list[Corner] = []
 
     def corner(w1: float, w2: float) -> Corner:
-        top, each, _ = best(criteria, (w1, w2))
+        top, each, choices = best(criteria, (w1, w2))
         first, second = map(probability, each)
-        found.append(Corner((first, second), (w1, w2), top.upper))
+        policy = Policy(joint, ByLayer(choices, joint.automaton.offsets, joint.shape))
+        found.append(Corner((first, second), (w1, w2), top.upper, policy))
         if progress is not None:
             progress(len(found), points)
         return found[-1]

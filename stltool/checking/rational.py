@@ -67,21 +67,34 @@ def exact_arithmetic(
 ) -> Digits | Integers:
     """The arithmetic without any rounding over these layers. Raises SizeError before it needs more than is
     available."""
-    h, D = layers.game.horizon, layers.rows.denominator
-    arithmetic: Digits | Integers
-    widest, pairs = layers.size()
+    D = layers.rows.denominator
+    _, pairs = layers.size()
     small = "numba" not in sys.modules and pairs * layers.game.widest <= _SMALL
     if in_digits and D < _DIGITS_BELOW and not layers.allowed.mixed and not small:
-        arithmetic, rate = Digits(D, maximize), _DIGITS_RATE
-        words = h * math.log2(max(D, 2)) / arithmetic.bits + 2
-    else:
-        arithmetic, rate = Integers(D, maximize), _PYTHON_RATE
-        words = h * math.log2(max(D, 2)) / 64 + 4
+        digits = Digits(D, maximize)
+        require_room(layers, digits.bits, memory_limit=memory_limit, time_limit=time_limit, rate=_DIGITS_RATE)
+        return digits
+    require_room(layers, 64, memory_limit=memory_limit, time_limit=time_limit)
+    return Integers(D, maximize)
+
+
+def require_room(
+    layers: Layers[Any, Any],
+    bits: int,
+    *,
+    memory_limit: int | None = None,
+    time_limit: float | None = None,
+    rate: float = _PYTHON_RATE,
+) -> None:
+    """SizeError if integers over the rows' denominator to the power of the horizon, of words of so many bits, need more
+    than is available."""
+    h, D = layers.game.horizon, layers.rows.denominator
+    widest, pairs = layers.size()
+    words = h * math.log2(max(D, 2)) / bits + (2 if rate == _DIGITS_RATE else 4)
     what = f"exact arithmetic on {pairs} pairs over {h} steps"
     remedy = "shorten the windows, round the probabilities to fewer digits, or use the enclosure, without --exact"
     require_memory(24 * words * widest, what, remedy, memory_limit)
     require_time(pairs * layers.game.widest * (1 + words / 2), rate, what, remedy, time_limit)
-    return arithmetic
 
 
 def require_exact(model: MDP, kinds: Rows) -> None:

@@ -12,7 +12,7 @@ from typing import Annotated, cast
 import typer
 
 from stltool.cli.app import app
-from stltool.cli.cost import check_cost
+from stltool.cli.cost import check_cost, check_within, read_budget
 from stltool.cli.margins import check_margins, check_timing, read_margin
 from stltool.cli.options import (
     READ,
@@ -150,6 +150,14 @@ def check(
             help="expected sums of a cost, signal or label of the model: least, greatest, and the policy's",
         ),
     ] = None,
+    within: Annotated[
+        str | None,
+        typer.Option(
+            "--within",
+            metavar="BUDGET",
+            help="with --cost: P(the task holds and the cost until its verdict is at most c), for every c up to BUDGET",
+        ),
+    ] = None,
     until: Annotated[
         str | None,
         typer.Option("--until", help="with --cost, pay until the verdict is decided (default) or the horizon"),
@@ -236,31 +244,47 @@ def check(
     if policy_model is not None and not transfer:
         raise SettingsError("--policy-model is for a policy of another model; add --transfer, or leave it out")
     of_p = [
-        (clockless, "--stationary and --memoryless"), (exact, "--exact"), (nature is not None, "--nature"),
-        (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
+        (clockless, "--stationary and --memoryless"), (certificate is not None, "--certificate"),
         (cluster is not None, "--cluster"), (transfer, "--transfer"), (robustness, "--robustness"),
         (values is not None, "--values"),
     ]  # fmt: skip
+    of_one = [(exact, "--exact"), (nature is not None, "--nature"), (save_policy is not None, "--save-policy")]
     if plot is not None:
         require_picture(plot)
         if vary is None and not robustness:
             raise SettingsError(f"--plot {plot} draws what --robustness or --vary finds; add one of them")
     if report is not None:
         require_report(report / "report.html")
+    if within is not None and cost is None:
+        raise SettingsError(f"--within {within} is a budget for a cost; add --cost NAME, or leave it out")
     if cost is not None:
-        of_one = [
-            (vary is not None, "--vary"), (minimize, "--minimize"),
-            (at_least is not None, "--at-least"), (at_most is not None, "--at-most"),
-            (report is not None, "--report"),
-        ]  # fmt: skip
-        _require_none([*of_one, *of_p], "is for the probability of the task; leave it or --cost out")
+        beside = [(vary is not None, "--vary"), (report is not None, "--report"), *of_p]
+        if within is None:
+            beside += [(minimize, "--minimize"), (at_least is not None, "--at-least"), *of_one[1:]]
+            beside.append((at_most is not None, "--at-most"))
+        else:
+            beside.append((until is not None, "--until"))
+        _require_none(beside, f"is not supported with --cost{' without --within' * (within is None)}; leave one out")
+        if save_policy is not None:
+            require_policy_file(save_policy)
+        budget = read_budget(within) if within is not None else None
         product = load_product(task, model, param, name, encoding, reading=reading)
-        check_cost(product, given_policy(product, policy, policy_function), cost, until or "verdict", as_json)
+        chosen = given_policy(product, policy, policy_function)
+        if budget is None:
+            check_cost(product, chosen, cost, until or "verdict", exact, as_json)
+            return
+        product, _ = judge_by(product, nature)
+        within_it = check_within(
+            product, chosen, cost, budget, not minimize, exact, "with" if nature == "with" else "against", bounds,
+            save_policy, as_json,
+        )  # fmt: skip
+        if not within_it:
+            raise typer.Exit(1)
         return
     if until is not None:
         raise SettingsError("--until says how long a cost is paid; add --cost NAME, or leave it out")
     if vary is not None:
-        _require_none(of_p, "is for one value of the parameter; leave it or --vary out")
+        _require_none([*of_p, *of_one], "is for one value of the parameter; leave it or --vary out")
         product = load_product(task, model, param, name, encoding, reading=reading)
         chosen = given_policy(product, policy, policy_function)
         if not check_range(product, chosen, vary, not minimize, bounds, as_json, plot, report):

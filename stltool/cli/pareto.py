@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +17,15 @@ from stltool.numbers import most_text
 from stltool.streams import say
 
 
+def _numbered(path: Path, number: int) -> Path:
+    return path.with_name(f"{path.stem}-{number}{path.suffix}")
+
+
+def _numbered_files(path: Path) -> list[Path]:
+    """The files that may be written, of those there are."""
+    return [path, *sorted(path.parent.glob(f"{glob.escape(path.stem)}-*{glob.escape(path.suffix)}"))]
+
+
 @app.command("stltool pareto tradeoff.stl --tasks charging,patrolling --plot front.svg")
 def pareto(
     task: TaskFile,
@@ -23,6 +33,15 @@ def pareto(
     points: Annotated[int, typer.Option("--points", help="maximum number of backward inductions")] = 100,
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="draw the front (.svg or .png)"), Writes()
+    ] = None,
+    save_policies: Annotated[
+        Path | None,
+        typer.Option(
+            "--save-policies",
+            metavar="FILE",
+            help="write each corner's policy (.npz; text: .csv, .json) to FILE with the corner's number: front-1.npz",
+        ),
+        Writes(_numbered_files),
     ] = None,
     report: ReportFolder = None,
     model: Model = None,
@@ -33,6 +52,7 @@ def pareto(
 ) -> None:
     """The Pareto front of two tasks: the pairs of probabilities where improving one lowers the other."""
     import stltool as stl
+    from stltool.policy import require_policy_file
     from stltool.reporting import front_data, front_report, require_report, write_front_picture, write_report
     from stltool.reporting.terminal import print_facts, print_json, print_table, progress_bar
     from stltool.reporting.tradeoffs import require_picture
@@ -44,6 +64,12 @@ def pareto(
         )
     if plot is not None:
         require_picture(plot)
+    if save_policies is not None:
+        require_policy_file(save_policies)
+        if save_policies.suffix.lower() == ".policy":
+            raise SettingsError(
+                f"--save-policies {save_policies}: policies of corners are saved as .npz, .csv or .json"
+            )
     if report is not None:
         require_report(report / "report.html")
     joint = make_joint_product(task, names, model, param, encoding, as_json, reading=reading)
@@ -51,6 +77,11 @@ def pareto(
         front = stl.pareto(joint, points=points, progress=bar)
     if plot is not None:
         write_front_picture(front, plot)
+    files = {}
+    if save_policies is not None:
+        files = {i: _numbered(save_policies, i + 1) for i in range(len(front.corners))}
+        for i, file in files.items():
+            front.corners[i].policy.save(file)
     if report is not None:
         write_report(front_report(front, this_command()), report / "report.html")
     if as_json:
@@ -63,8 +94,9 @@ def pareto(
             {
                 **{f"P({name})": f"{value:.12g}" for name, value in zip(names, corner.point, strict=True)},
                 **{f"weight_{name}": f"{weight:.6g}" for name, weight in zip(names, corner.weights, strict=True)},
+                **({"policy": files[i]} if files else {}),
             }
-            for corner in front.corners
+            for i, corner in enumerate(front.corners)
         ]
     )
     say()

@@ -1,7 +1,7 @@
 """Results → JSON, HTML, terminal. The HTML page is made from the JSON alone, so it can be made again."""
 
 from .answers import frontier_report, parametric_report, robustness_report, write_answer_picture
-from .costs import costs_data
+from .costs import cost_distribution_data, costs_data
 from .curves import write_history
 from .data import (
     check_data,
@@ -29,12 +29,12 @@ from .tradeoffs import front_data, shield_data, tradeoff_data, write_front_pictu
 from .verification import junit_text, markdown_text, verification_data
 
 __all__ = [
-    "check_data", "costs_data", "counterfactual_data", "encoding_data", "encoding_rows", "estimate_data",
-    "estimate_report", "explain", "front_data", "front_report", "frontier_data", "frontier_report", "guarantee_data",
-    "guarantee_rows", "junit_text", "likely_data", "load_report", "looser_note", "markdown_text", "markov_data",
-    "monitor_data", "monitor_report", "parametric_data", "parametric_report", "product_data", "refused_data", "render",
-    "report", "report_data", "require_report", "robustness_data", "robustness_report", "sensitivity_data",
-    "shield_data", "stationary_data", "surrogate_data", "surrogate_rows", "sweep_data", "timing_data", "tradeoff_data",
-    "training_data", "transfer_data", "verification_data", "write_answer_picture", "write_front_picture",
-    "write_history", "write_monitor_picture", "write_report", "write_sweep",
+    "check_data", "cost_distribution_data", "costs_data", "counterfactual_data", "encoding_data", "encoding_rows",
+    "estimate_data", "estimate_report", "explain", "front_data", "front_report", "frontier_data", "frontier_report",
+    "guarantee_data", "guarantee_rows", "junit_text", "likely_data", "load_report", "looser_note", "markdown_text",
+    "markov_data", "monitor_data", "monitor_report", "parametric_data", "parametric_report", "product_data",
+    "refused_data", "render", "report", "report_data", "require_report", "robustness_data", "robustness_report",
+    "sensitivity_data", "shield_data", "stationary_data", "surrogate_data", "surrogate_rows", "sweep_data",
+    "timing_data", "tradeoff_data", "training_data", "transfer_data", "verification_data", "write_answer_picture",
+    "write_front_picture", "write_history", "write_monitor_picture", "write_report", "write_sweep",
 ]  # fmt: skip

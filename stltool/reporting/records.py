@@ -301,6 +301,7 @@ class CostRecord(TypedDict):
     value: float
     lower: float
     upper: float
+    exact: str | None
     seconds: float
 
 
@@ -316,6 +317,33 @@ class CostsOutput(TypedDict):
     cost: str
     until: Literal["verdict", "horizon"]
     expected: list[CostRecord]
+
+
+class CostDistributionOutput(TypedDict):
+    """What `stltool check --cost --within --json` prints: P(task and cost <= c), enclosed, for every budget c.
+
+    The model is the one with what is left of the budget; verdicts are on the largest budget.
+    """
+
+    task: str
+    formula: str
+    model: str
+    model_digest: str
+    horizon: int
+    encoding: str
+    cost: str
+    question: Question
+    nature: Nature | None
+    within: str
+    budgets: list[str]
+    lower: list[float]
+    upper: list[float]
+    exact: list[str] | None
+    seconds: float
+    at_least: NotRequired[float]
+    at_most: NotRequired[float]
+    holds: NotRequired[bool]
+    decided: NotRequired[bool]
 
 
 class ParamRecord(TypedDict):
@@ -1409,6 +1437,7 @@ FORMATS = {
 OUTPUTS = {
     "check": CheckOutput,
     "check --cost": CostsOutput,
+    "check --cost --within": CostDistributionOutput,
     "check --robustness": RobustnessRecord,
     "check --robustness --time-shift": TimingRecord,
     "check --vary": ParametricRecord,

@@ -74,6 +74,19 @@ def test_a_policys_cost_equals_the_tree_of_its_runs(case, seed, timed, mixed, un
     )
 
 
+@given(cases(), st.sampled_from(("verdict", "horizon")), st.booleans(), st.integers(0, 2))
+@settings(max_examples=many(40))
+def test_exact_costs_are_fractions(case, until, maximize, seed):
+    product, cost = case
+    policy = random_policy(product, np.random.default_rng(seed), True, seed == 2) if seed else None
+    if product.model.rows.defect:  # sixteenths given in doubles have none
+        return
+    found = stl.expected_cost(product, "toll", policy, maximize=maximize, until=until, exact=True)
+    assert found.fraction == oracles.expected_cost(product, cost, policy, maximize, until)
+    assert Fraction(found.lower) <= found.fraction <= Fraction(found.upper)
+    assert found.upper - found.lower <= 1e-12
+
+
 @pytest.fixture(scope="module")
 def door():
     """Trying the door costs 2 and opens it half of the time; waiting costs 0."""
@@ -98,6 +111,14 @@ def test_what_is_paid_and_when(door):
     assert stl.expected_cost(door, lambda state, action: state == "shut" and action == "try", eager).value == 1.75
     found = stl.expected_cost(door, "effort", eager)
     assert "E[effort] = 3.5, of the policy, until the verdict" in repr(found)
+
+
+def test_exactly(door):
+    found = stl.expected_cost(door, lambda state, action: Fraction(action == "try", 3), maximize=True, exact=True)
+    assert found.fraction == Fraction(7, 12)
+    assert "exactly: 7/12" in repr(found)
+    assert stl.expected_cost(door, lambda state, action: 0.1, maximize=True, exact=True).fraction == Fraction(3, 10)
+    assert stl.expected_cost(door, "x", exact=True).fraction == -3
 
 
 def test_a_cost_of_nothing_is_exactly_nothing(door):

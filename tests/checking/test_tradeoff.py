@@ -297,6 +297,12 @@ def test_the_front_is_that_of_all_points(joint):
     corners = [corner.point for corner in front.corners]
     assert corners == sorted(corners, key=lambda p: (-p[0], p[1]))
     assert len(set(corners)) == len(corners)
+    for corner, policy in zip(front.corners, front.policies, strict=True):  # judged by itself, it has that point
+        for task, figure in zip(joint.tasks, corner.probabilities, strict=True):
+            judged = stl.check(task, policy)
+            assert judged.lower <= figure.upper
+            assert figure.lower <= judged.upper
+            assert judged.probability == pytest.approx(figure.value, abs=1e-13)
     for x, y in corners:
         assert min(max(abs(p - Fraction(x)), abs(q - Fraction(y))) for p, q in points) < ENCLOSED
         assert Fraction(x) >= oracles.best_mixture(points, Fraction(y) - ENCLOSED) - SMALL
@@ -398,9 +404,11 @@ def test_the_solvers_noise_is_no_draw(shift):
     assert set(clean.ravel()) == {0.0, 1.0}
 
 
-def test_points_that_differ_by_rounding_are_one():
+def test_points_that_differ_by_rounding_are_one(shift):
+    (policy, *_) = stl.pareto(shift, points=2).policies
+
     def corner(x, y):
-        return Corner((Figure(x, x, x), Figure(y, y, y)), (0.5, 0.5), 1.0)
+        return Corner((Figure(x, x, x), Figure(y, y, y)), (0.5, 0.5), 1.0, policy)
 
     points = [(0.5, 0.2), (0.5 - 1e-16, 0.6), (0.3, 0.6), (0.2, 0.9), (0.1, 0.9 + 1e-16), (0.2, 0.9)]
     kept = _undominated([corner(*point) for point in points])

@@ -36,6 +36,21 @@ def test_pareto_prints_the_corners(stltool, front):
     assert "stopped after 2 points; raise points to continue" in out
 
 
+def test_the_policy_of_every_corner_is_saved_and_has_its_point(stltool, front, tmp_path):
+    code, out, err = stltool("pareto", TASK, *SMALL, *BOTH, "--save-policies", tmp_path / "front.npz")
+    assert (code, err) == (0, "")
+    assert sorted(tmp_path.iterdir()) == sorted(tmp_path / f"front-{i + 1}.npz" for i in range(len(front.corners)))
+    for i, corner in enumerate(front.corners):
+        path = tmp_path / f"front-{i + 1}.npz"
+        assert str(path) in out
+        for task, figure in zip(front.joint.tasks, corner.probabilities, strict=True):
+            judged = stl.check(task, stl.load_policy(path, task))
+            assert judged.probability == pytest.approx(figure.value, abs=1e-13)
+    code, _, err = stltool("pareto", TASK, *SMALL, *BOTH, "--save-policies", tmp_path / "front.policy")
+    assert code == 2
+    assert "policies of corners are saved as .npz, .csv or .json" in err
+
+
 @pytest.mark.parametrize("ending", ["svg", "PNG"])
 def test_pareto_draws_the_front(stltool, tmp_path, ending):
     first, again = (tmp_path / f"{name}.{ending}" for name in ("front", "again"))

@@ -29,4 +29,4 @@ def test_the_command_reports_them_and_judges_bounds_on_each(tmp_path, stltool):
     assert "--values is 'some'; choose initial or all" in err
     code, _, err = stltool(*asked, "--cost", "done")
     assert code == 2
-    assert "--values is for the probability of the task" in err
+    assert "--values is not supported with --cost" in err

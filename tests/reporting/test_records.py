@@ -34,6 +34,8 @@ MORE = {
     "check --robustness --time-shift": [
         ["check", "patrolling.stl", *SMALL, "--robustness", "--time-shift", "1", "--at-least", "0.5"]
     ],
+    "check --cost --within": [["check", "patrolling.stl", *SMALL, "--cost", "A", "--within", "2", "--exact"],
+                              ["check", "patrolling.stl", *SMALL, "--cost", "A", "--within", "2", "--at-most", "1"]],
     "check --robustness": [["check", "patrolling.stl", *SMALL, "--robustness"],
                            ["check", "patrolling.stl", *SMALL, "--robustness", "--at-least", "0.1"],
                            ["check", "patrolling.stl", *SMALL, "--robustness", "--margin", "-0.4", "--at-least",
