@@ -56,6 +56,7 @@ PARTS = {
     "graphs": Part("Random graphs, beside an older commit", "graphs"),
     "rigour": Part("Enclosures, intervals and exact fractions", "rigour"),
     "spine": Part("Checking and learning", "spine"),
+    "questions": Part("By how much, and for which parameter: in checks", "questions"),
     "certificates": Part(
         "Certificates written and re-checked, CPU seconds and bytes, beside an older commit", "certificates"
     ),
