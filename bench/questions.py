@@ -32,44 +32,51 @@ def fastest(n: int, action: Callable[[], object]) -> float:
     return min(times)
 
 
+def row(question: str, answer: str, one: Callable[[], object], all_of_it: Callable[[], object], runs: int) -> str:
+    check, seconds = fastest(runs, one), fastest(runs, all_of_it)
+    return f"| {question} | {answer} | {check:.3g} | {seconds:.3g} | {seconds / check:.1f} |"
+
+
+def over_a_parameter(family: stl.Product, low: Fraction, high: Fraction, tol: float, runs: int) -> str:
+    """P over the success of moves."""
+    over = {"success": (low, high)}
+    found = stl.parametric(family, over=over, tol=tol)
+    assert found.status == "complete"
+    members = {p: replace(family, model=family.model.at(success=p)) for p in (low, high)}
+    for p, member in members.items():
+        assert abs(found.at(p)[0] - stl.check(member, engine="words").lower) < tol
+    return row(
+        f"P over the success in [{float(low):g}, {float(high):g}], within {tol:g}",
+        f"{len(found.pieces)} pieces",
+        lambda: stl.check(members[low], engine="words", keep_policy=False),
+        lambda: stl.parametric(family, over=over, tol=tol),
+        runs,
+    )
+
+
 def table(quick: bool = False) -> list[str]:
     size, runs = (5, 1) if quick else (15, 5)
     task = stl.load_task(FACTORY / "margins.stl", params={"T": size, "tau": size})
-    model = stl.load_model(task.model)
+    model = stl.load_model(FACTORY / "floor-10x10.toml")
     product = stl.build_product(model, task)
     best = stl.check(product, engine="words")
     found = stl.robustness_distribution(model, task)
     assert abs(found.at(1e-9)[0] - best.lower) < 1e-9
     lines = ["| question | answer | check, s | seconds | checks |", "|---|---|---:|---:|---:|"]
 
-    def row(question: str, answer: str, one: Callable[[], object], all_of_it: Callable[[], object]) -> None:
-        check, seconds = fastest(runs, one), fastest(runs, all_of_it)
-        lines.append(f"| {question} | {answer} | {check:.3g} | {seconds:.3g} | {seconds / check:.1f} |")
-
     def one() -> object:
         return stl.check(product, engine="words", keep_policy=False)
 
     answer = f"{len(found.values)} margins"
-    row("every margin, the best policies", answer, one, lambda: stl.robustness_distribution(model, task))
-    row(
-        "every margin, the policy that is best for P", answer, one,
-        lambda: stl.robustness_distribution(model, task, best.policy),
-    )  # fmt: skip
-    task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 4, "tau": 4} if quick else {"T": 10, "tau": 10})
-    family = stl.build_product(stl.load_model(FACTORY / "floor-10x10.toml"), task)
-    for low, tol in ((Fraction(9, 10), 1e-9), (Fraction(1, 2), 1e-3)):
-        high = Fraction(19, 20) if tol < 1e-6 else Fraction(1)
-        over = {"success": (low, high)}
-        wide = stl.parametric(family, over=over, tol=tol)
-        assert wide.status == "complete"
-        members = [replace(family, model=family.model.at(success=p)) for p in (low, high)]
-        for p, member in zip((low, high), members, strict=True):
-            assert abs(wide.at(p)[0] - stl.check(member, engine="words").lower) < tol
-        row(
-            f"P over the success in [{float(low):g}, {float(high):g}], within {tol:g}", f"{len(wide.pieces)} pieces",
-            lambda member=members[0]: stl.check(member, engine="words", keep_policy=False),
-            lambda over=over, tol=tol: stl.parametric(family, over=over, tol=tol),
-        )  # fmt: skip
+    lines.append(
+        row("every margin, the best policies", answer, one, lambda: stl.robustness_distribution(model, task), runs)
+    )
+    own = "every margin, the policy that is best for P"
+    lines.append(row(own, answer, one, lambda: stl.robustness_distribution(model, task, best.policy), runs))
+    small = stl.load_task(FACTORY / "patrolling.stl", params={"T": 4, "tau": 4} if quick else {"T": 10, "tau": 10})
+    family = stl.build_product(stl.load_model(FACTORY / "floor-10x10.toml"), small)
+    lines.append(over_a_parameter(family, Fraction(9, 10), Fraction(19, 20), 1e-9, runs))
+    lines.append(over_a_parameter(family, Fraction(1, 2), Fraction(1), 1e-3, runs))
     return lines
 
 
