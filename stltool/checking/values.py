@@ -125,7 +125,7 @@ class StateValues(Displayed, Sequence[StateValue]):
         rows = [(each.name, probability_text(each.value), repr(each.lower), repr(each.upper)) for each in shown]
         least, greatest = self.least, self.greatest
         return Card(
-            f"StateValues: P from each of {len(self)} states, {least.value:.6g} … {greatest.value:.6g}",
+            f"StateValues: P from each of {len(self)} states, {least.value:.6g} to {greatest.value:.6g}",
             [{"least": least.name, "greatest": greatest.name}, {"model": self.model.name}],
             (("state", "P", "lower", "upper"), rows),
             more=max(0, len(self) - _SHOWN),
