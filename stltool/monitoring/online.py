@@ -61,7 +61,12 @@ class OnlineMonitor(Displayed):
     """
 
     def __new__(cls, phi: Formula | Task | None = None, wait: bool = False) -> OnlineMonitor:
-        if cls is OnlineMonitor and isinstance(phi, Composable) and _compiled(phi._formula())[1].lookback is None:
+        # a part that looks back without a limit is enough, even if nothing depends on it: the left side of since[0,0]
+        if (
+            cls is OnlineMonitor
+            and isinstance(phi, Composable)
+            and any(now.lookback is None for now in _compiled(phi._formula())[1].instructions)
+        ):
             return object.__new__(_LookingBack)
         return object.__new__(cls)
 

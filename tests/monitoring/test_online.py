@@ -836,6 +836,15 @@ def test_each_operator_of_the_past_over_any_window(a, width, seed):
             assert list(itertools.chain(*fed)) == decisions(stl.monitor(phi, trace))
 
 
+@pytest.mark.parametrize("text", ["(a & once a) since[0,0] b", "(once a) U[0,0] b", "(a & once a) trigger[0,0] b"])
+def test_an_operand_that_has_no_step_to_hold_at_may_look_back_without_a_limit(text):
+    phi, trace = stl.parse(text), {"a": [0, 1, 0], "b": [1, 0, 1]}
+    for online in (stl.OnlineMonitor(phi), stl.OnlineMonitor(And((phi, Eventually(Interval(0, 1), phi))))):
+        assert [decision.verdict for decision in online.feed(trace)][:2] == [True, False]
+    with pytest.raises(NameLookupError, match="no value of a"):
+        stl.OnlineMonitor(phi).feed({"b": 1.0})
+
+
 def test_what_looks_back_without_a_limit_has_no_cut_end():
     online = stl.OnlineMonitor(stl.parse("(once a) & F[0,2] b"))
     online.feed({"a": [1, 0, 0, 0], "b": [0, 0, 1, 0]})
