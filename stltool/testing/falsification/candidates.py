@@ -8,9 +8,9 @@ ones.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stltool.testing.falsification.inputs import F64, Inputs
 
@@ -38,6 +38,27 @@ class Candidates:
             found.append(x)
         return found
 
+    def rest(self) -> F64:
+        """Every input at that value of its range that is nearest to zero: a system that nothing is done to."""
+        inputs, found = self.inputs, np.empty(self.inputs.dimension)
+        for (a, b), signal in zip(inputs.places, inputs.signals.values(), strict=True):
+            found[a:b] = _resting(signal.low, signal.high)
+        found[self._numbers] = [_resting(*ends) for ends in inputs.numbers.values()]
+        return found
+
+    def impulses(self, n: int = 1) -> F64:
+        """One input differs from rest, or from constant ends, and only for a while, most often from the beginning."""
+        rng, found = self._rng, np.repeat(self.rest()[None], n, axis=0)
+        spans = self._spans()
+        for row in found:
+            if rng.random() < 0.5:
+                for a, b in spans:
+                    row[a:b] = float(rng.integers(0, 2))
+            a, b = spans[int(rng.integers(len(spans)))]
+            first = a if rng.random() < 0.5 else int(rng.integers(a, b))
+            row[first : min(first + int(rng.geometric(0.5)), b)] = self._levels(1, 0.3)[0]
+        return found
+
     def uniform(self, n: int = 1) -> F64:
         return self._rng.random((n, self.inputs.dimension))
 
@@ -52,14 +73,18 @@ class Candidates:
             row[self._numbers] = self._levels(len(self.inputs.numbers), _EXTREME_NUMBER)
         return x
 
-    def varied(self, x: F64) -> F64:
-        """Each row with one change or a few: a run of a signal's points, or a number, set or moved."""
+    def varied(self, x: F64, relevant: NDArray[np.bool_] | None = None) -> F64:
+        """Each row with one change or a few: a run of a signal's points, or a number, set or moved.
+
+        relevant   (n, dimension): coordinates at which a run may begin; default: all
+        """
         rng, found = self._rng, x.copy()
-        spans = [*self.inputs.places, *((i, i + 1) for i in range(self._numbers.start, self._numbers.stop))]
-        for row in found:
+        whole = np.ones(self.inputs.dimension, np.bool_)
+        for row, allowed in zip(found, [whole] * len(x) if relevant is None else relevant, strict=True):
+            spans = [(a, b) for a, b in self._spans() if allowed[a:b].any()]
             for _ in range(int(rng.geometric(0.6))):
                 a, b = spans[int(rng.integers(len(spans)))]
-                first = int(rng.integers(a, b))
+                first = int(rng.choice(a + np.flatnonzero(allowed[a:b])))
                 run = slice(first, min(first + int(rng.geometric(0.4)), b))
                 kind = rng.random()
                 if kind < 0.35:
@@ -90,12 +115,20 @@ class Candidates:
         found: F64 = np.clip(x + moved * rng.normal(0, spread, x.shape), 0, 1)
         return found
 
-    def drawn(self, rows: Sequence[F64] | F64, n: int) -> F64:
-        """n of the rows, the first of them more often."""
-        ranks = np.minimum(self._rng.geometric(max(2 / (len(rows) + 1), 0.2), n) - 1, len(rows) - 1)
-        return np.asarray(rows)[ranks]
+    def drawn(self, rows: int, n: int) -> NDArray[np.int64]:
+        """n indices of rows, the first ones more often."""
+        return np.minimum(self._rng.geometric(max(2 / (rows + 1), 0.2), n) - 1, rows - 1)
+
+    def _spans(self) -> list[tuple[int, int]]:
+        """(first, end) coordinates of each input."""
+        return [*self.inputs.places, *((i, i + 1) for i in range(self._numbers.start, self._numbers.stop))]
 
     def _levels(self, n: int, extreme: float) -> F64:
         rng = self._rng
         found: F64 = np.where(rng.random(n) < extreme, rng.integers(0, 2, n), rng.random(n))
         return found
+
+
+def _resting(low: float, high: float) -> float:
+    """As a share of the range."""
+    return (min(max(low, 0.0), high) - low) / (high - low)

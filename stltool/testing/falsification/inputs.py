@@ -107,6 +107,21 @@ class Inputs:
         columns += [np.repeat(x[:, i : i + 1], len(at), axis=1) for i in range(first, self.dimension)]
         return np.stack(columns, axis=2)
 
+    @property
+    def begins(self) -> NDArray[np.int64]:
+        """Ascending: the samples from which another control point has a part; not the first."""
+        parts = (signal.samples(np.eye(signal.points), self.steps) > 0 for signal in self.signals.values())
+        firsts = [part.argmax(axis=1) for part in parts]
+        found = np.unique(np.concatenate([np.empty(0, np.int64), *firsts]))
+        return found[found > 0]
+
+    def relevant(self, samples: int) -> NDArray[np.bool_]:
+        """(dimension,): which coordinates have a part in the first samples; numbers always have."""
+        found = np.ones(self.dimension, np.bool_)
+        for signal, (a, b) in zip(self.signals.values(), self.places, strict=True):
+            found[a:b] = signal.samples(np.eye(signal.points), self.steps)[:, :samples].any(axis=1)
+        return found
+
 
 def _range(given: object, what: str) -> tuple[float, float]:
     if not isinstance(given, tuple | list) or len(given) != 2:

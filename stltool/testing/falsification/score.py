@@ -16,8 +16,11 @@ from stltool.errors import StlToolError
 from stltool.logic.formula import Arithmetic, Comparison, Formula, Number, children, with_children
 from stltool.monitoring import monitor
 from stltool.testing.falsification.inputs import F64
+from stltool.testing.falsification.strict import Strictness
 
 _FARTHEST = 10.0  # a score beyond it says no more; margins of labels are infinite
+_IN_TIME = 1.0  # added to the score of a trace that satisfies even the strictest variant
+_FLAT_FROM = 4  # executions
 _RESCALED = 1.25  # scales are computed again when there are so many times more traces
 
 
@@ -28,8 +31,10 @@ class Scores:
         self.phi = phi
         self._comparisons = list(dict.fromkeys(_comparisons(phi)))
         self._scaled, self._scaled_at = phi, 0
-        self._values = np.empty(0)
+        self._strictness = Strictness(phi)
+        self._margins, self._values = np.empty(0), np.empty(0)
         self._rows: list[Mapping[str, F64]] = []
+        self.by_time = False
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -38,9 +43,14 @@ class Scores:
         self._rows.append(trace)
         if len(self._rows) >= max(self._scaled_at * _RESCALED, self._scaled_at + 1):
             self._scaled, self._scaled_at = _rescaled(self.phi, self._scales()), len(self._rows)
-            self._values = self.of(self.traces(range(len(self._rows))))
+            traces = self.traces(range(len(self._rows)))
+            self._margins = self._margins_of(traces)
+            self.by_time = bool(self._strictness) and _few_differ(self._margins)
+            self._values = self.of(traces)
         else:
-            self._values = np.append(self._values, self.of({name: row[None] for name, row in trace.items()}))
+            one = {name: row[None] for name, row in trace.items()}
+            self._margins = np.append(self._margins, self._margins_of(one))
+            self._values = np.append(self._values, self.of(one))
 
     def traces(self, rows: range | list[int]) -> dict[str, F64]:
         """Of the signals that every execution has."""
@@ -52,8 +62,20 @@ class Scores:
         """(n,)"""
         return self._values
 
+    @property
+    def flat(self) -> bool:
+        """Whether scores lead nowhere."""
+        return _few_differ(self._values)
+
     def of(self, traces: Mapping[str, F64]) -> F64:
         """The scores (n,) of traces (n, h + 1)."""
+        margins = self._margins_of(traces)
+        if not self.by_time:
+            return margins
+        found: F64 = np.where(margins >= 0, margins + _IN_TIME * self._strictness.of(traces), margins)
+        return found
+
+    def _margins_of(self, traces: Mapping[str, F64]) -> F64:
         found = monitor(self._scaled, traces, semantics="robustness", at=0).robustness
         assert found is not None  # asked for
         clipped: F64 = np.clip(found[:, 0], -_FARTHEST, _FARTHEST)
@@ -72,6 +94,10 @@ class Scores:
             if spread > 0 and np.isfinite(spread):
                 found[one] = spread
         return found
+
+
+def _few_differ(values: F64) -> bool:
+    return len(values) >= _FLAT_FROM and len(np.unique(np.round(values, 9))) <= max(2, len(values) // 4)
 
 
 def _comparisons(phi: Formula) -> list[Comparison]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from stltool.testing.falsification.candidates import Candidates
 from stltool.testing.falsification.inputs import F64
+from stltool.testing.falsification.tried import Tried
 
 _CANDIDATES = 300
 _WEIGHTS = (0.5, 0.8, 0.95, 1.0)
@@ -26,37 +27,41 @@ _LEAST_APART = 1e-4
 _BOLD = 0.3  # standard deviations of the scores that are worth one median distance
 
 
-def by_surface(candidates: Candidates, x: F64, scores: F64, turn: int) -> F64 | None:
-    """The next point (dimension,), from points (n, dimension) and their scores (n,); None if there is no surface."""
+def by_surface(candidates: Candidates, tried: Tried, turn: int) -> F64 | None:
+    """The next point (dimension,); None if there is no surface."""
     try:
-        return _anywhere(candidates, x, scores, turn // 2) if turn % 2 == 0 else _nearby(candidates, x, scores)
+        return _anywhere(candidates, tried, turn // 2) if turn % 2 == 0 else _nearby(candidates, tried)
     except np.linalg.LinAlgError:
         return None
 
 
-def _nearby(candidates: Candidates, x: F64, scores: F64) -> F64:
+def _nearby(candidates: Candidates, tried: Tried) -> F64:
     from scipy.interpolate import RBFInterpolator
     from scipy.spatial.distance import cdist
 
-    dimension, best = x.shape[1], x[int(np.argmin(scores))]
+    x, scores = tried.points, tried.scores.values
+    first = int(np.argmin(scores))
+    dimension, best = x.shape[1], x[first]
     near = np.argsort(np.linalg.norm(x - best, axis=1), kind="stable")[: max(2 * dimension, 20)]
     surface = RBFInterpolator(x[near], scores[near], kernel="linear", degree=0, smoothing=1e-8)
     close = np.repeat(best[None], _CLOSE, axis=0)
     parts = [candidates.nearby(close, s, n / dimension) for s in _CLOSE_SPREADS for n in (1, min(4, dimension))]
-    new = np.concatenate([*parts, candidates.varied(np.repeat(best[None], _NEAR, axis=0))])
+    new = np.concatenate(
+        [*parts, candidates.varied(*(np.repeat(a[first][None], _NEAR, axis=0) for a in (x, tried.relevant)))]
+    )
     distance = cdist(new, x[near]).min(axis=1)
     bold = _BOLD * scores[near].std() / max(float(np.median(distance)), _LEAST_APART)
     merit = surface(new) - bold * distance
-    merit[distance < _LEAST_APART] = np.inf
+    merit[tried.settled(new) | (distance < _LEAST_APART)] = np.inf
     found: F64 = new[int(np.argmin(merit))]
     return found
 
 
-def _anywhere(candidates: Candidates, x: F64, scores: F64, turn: int) -> F64:
+def _anywhere(candidates: Candidates, tried: Tried, turn: int) -> F64:
     from scipy.interpolate import RBFInterpolator
     from scipy.spatial.distance import cdist
 
-    order = np.argsort(scores, kind="stable")
+    x, scores, order = tried.points, tried.scores.values, tried.best
     kept = np.sort(order[:_LATEST])
     dimension = x.shape[1]
     heights = np.minimum(scores[kept], np.median(scores[kept]))  # how high the heights are does not matter
@@ -66,14 +71,15 @@ def _anywhere(candidates: Candidates, x: F64, scores: F64, turn: int) -> F64:
     )
     chance = min(1.0, _MOVED / dimension)
     parts = [candidates.uniform(_CANDIDATES // 10), candidates.pieces(_CANDIDATES // 10)]
-    parent = candidates.drawn(x[order[:10]], _CANDIDATES // 2)
-    parts.append(candidates.varied(parent))
-    parts += [candidates.nearby(candidates.drawn(x[order[:3]], _CANDIDATES // 10), s, chance) for s in _SPREADS]
+    parents = order[candidates.drawn(min(len(x), 10), _CANDIDATES // 2)]
+    parts.append(candidates.varied(x[parents], tried.relevant[parents]))
+    few = _CANDIDATES // 10
+    parts += [candidates.nearby(x[order[candidates.drawn(min(len(x), 3), few)]], s, chance) for s in _SPREADS]
     new = np.concatenate(parts)
     predicted, distance = surface(new), cdist(new, x).min(axis=1)
     weight = _WEIGHTS[turn % len(_WEIGHTS)]
     merit = weight * _unit(predicted) + (1 - weight) * (1 - _unit(distance))
-    merit[distance < 1e-6] = np.inf
+    merit[tried.settled(new) | (distance < 1e-6)] = np.inf
     best: F64 = new[int(np.argmin(merit))]
     return best
 
