@@ -10,9 +10,12 @@ from stltool.errors import MissingExtraError
 from stltool.models.environment import simulator
 from stltool.testing import Signal, falsify, input_signals, replay, steer
 from stltool.testing.falsification import steering
-from stltool.testing.falsification.dynamics import Dynamics
+from stltool.testing.falsification.candidates import Candidates
+from stltool.testing.falsification.dynamics import Dynamics, Surprise
 from stltool.testing.falsification.inputs import Inputs
 from stltool.testing.falsification.score import Scores
+from stltool.testing.falsification.strict import Strictness
+from stltool.testing.falsification.tried import Prefixes, Tried
 from tests.conftest import many
 
 METHODS = ("portfolio", "random", "annealing", "cma", "optuna")
@@ -131,6 +134,108 @@ def test_the_learned_model_of_a_linear_system_predicts_it():
     model = Dynamics(inputs[:9], signals[:9], none[:9], rng)
     predicted = model.executed(inputs[9:], none[9:])
     assert np.abs(predicted - signals[9:]).max() < 0.02 * np.abs(signals).max()
+
+
+def test_predictions_are_corrected_by_what_they_missed():
+    traced, missed = np.array([[0.0, 0.0], [1.0, 1.0], [4.0, 4.0]]), np.array([0.5, -0.2, 0.1])
+    surprise = Surprise(traced, missed)
+    mean, deviation = surprise.at(np.concatenate([traced, [[1e6, 1e6]]]))
+    assert mean[:3] == pytest.approx(missed, abs=1e-2)
+    assert mean[3] == pytest.approx(0, abs=1e-9)
+    assert deviation[:3].max() < 0.1 * deviation[3] == pytest.approx(0.1 * np.sqrt(np.mean(missed**2)), rel=1e-2)
+
+
+TEXTS = (
+    "(G[0,8] (x < 5)) -> (F[0,3] (y > 0))",
+    "G[0,4] (x > 0 -> F[0,4] (y > 1))",
+    "(x > y) U[0,8] (G[0,2] (y > 0) | x < -1)",
+    "F[0,6] (x[t+2] > x)",
+    "G[3,6] (once[0,2] (x > 1) -> F[0,2] (y > 0))",
+)
+
+
+@given(st.sampled_from(TEXTS), st.integers(0, 2**32 - 1))
+def test_a_verdict_is_certain_when_every_continuation_agrees(text, seed):
+    phi, rng = stl.parse(text), np.random.default_rng(seed)
+    n = stl.horizon(phi) + 1
+    trace = {"x": rng.normal(size=n).cumsum(), "y": rng.normal(size=n)}
+    after = Prefixes(phi, np.arange(1, n)).certain(trace)
+    verdict = stl.satisfies(phi, trace)
+    continued = {
+        name: np.concatenate([np.tile(row[:after], (50, 1)), rng.normal(0, 10, (50, n - after))], axis=1)
+        for name, row in trace.items()
+    }
+    assert (stl.monitor(phi, continued, at=0).verdicts == verdict).all()
+
+
+def test_what_cannot_violate_is_told_from_what_can():
+    """The premise fails before the second control point: only the first had a part, as long as it is the same."""
+    phi, inputs = stl.parse("(G[0,8] (x < 0.5)) -> (F[0,8] (x > 2))"), Inputs({"u": Signal(0, 1, points=3)}, 9)
+    tried = Tried(phi, inputs)
+    x = np.array([0.9, 0.2, 0.3])
+    tried.add(x, inputs.values(x) | {"x": inputs.values(x)["u"]})
+    assert tried.relevant.tolist() == [[True, False, False]]
+    assert tried.settled(np.array([[0.9, 0.7, 0.1], [0.2, 0.2, 0.3]])).tolist() == [True, False]
+    varied = Candidates(inputs, np.random.default_rng(0)).varied(
+        np.repeat(tried.points, 30, 0), tried.relevant.repeat(30, 0)
+    )
+    assert (varied[:, 0] != 0.9).all()
+
+
+@pytest.mark.parametrize("points", [1, 3])
+@pytest.mark.parametrize("shape", ["constant", "linear"])
+def test_a_coordinate_is_relevant_from_the_sample_on_that_it_changes(points, shape):
+    inputs = Inputs({"u": Signal(2, 3, points=points, shape=shape), "a": (0, 1)}, 8)
+    x = np.full(points + 1, 0.5)
+    for samples in range(1, 9):
+        for i, relevant in enumerate(inputs.relevant(samples)[:points]):
+            y = x.copy()
+            y[i] = 0.8
+            same = np.array_equal(inputs.values(x)["u"][:samples], inputs.values(y)["u"][:samples])
+            assert relevant == (not same)
+            assert same or i == 0 or inputs.begins.min() < samples
+    assert inputs.relevant(1)[-1]
+
+
+def test_time_tells_how_near_a_mode_is_to_a_violation():
+    phi = stl.parse("G[0,40] (on & !stop -> G[0,10] on)")
+    strictness = Strictness(phi)
+    on, stop = np.zeros((4, 51)), np.ones((4, 51))
+    for row, lasts in zip(on, (9, 14, 20, 51), strict=True):
+        row[5 : 5 + lasts] = 1
+    stop[:, 5] = 0
+    shares = strictness.of({"on": on, "stop": stop})
+    assert shares[0] == 0 < shares[1] < shares[2] < shares[3] == 1
+    assert not Strictness(stl.parse("G[0,40] on & F[0,5] stop"))  # nothing to make stricter within the trace
+
+
+def test_time_steers_where_all_margins_are_the_same():
+    """Only a pulse that ends within two of the fifteen control points violates."""
+
+    def system(inputs):
+        on = inputs["u"] > 0.5
+        return {"on": on & (np.arange(90) >= 10)}
+
+    phi = stl.parse("G[0,60] (rise(on) -> G[0,25] on)")
+    scores = Scores(phi)
+    for lasts in (0, 31, 40, 60, 70, 80):
+        on = np.zeros(86)
+        on[5 : 5 + lasts] = 1
+        scores.add({"on": on})
+    assert scores.by_time
+    assert len(set(scores.values)) > 2
+    assert np.argmin(scores.values) == 1
+    assert falsify(system, phi, {"u": Signal(0, 1, points=15)}, steps=90, budget=60).falsified
+
+
+def test_an_impulse_changes_one_input_for_a_while():
+    inputs = Inputs({"u": Signal(-1, 3, points=4), "v": Signal(2, 6, points=4), "a": (-4, -2)}, 8)
+    candidates = Candidates(inputs, np.random.default_rng(0))
+    assert candidates.rest().tolist() == [0.25] * 4 + [0.0] * 4 + [1.0]  # 0, 2 and -2 are nearest to zero
+    for x in candidates.impulses(50):
+        changes = [len(np.flatnonzero(np.diff(x[a:b]))) for a, b in inputs.places]
+        assert max(changes) <= 2
+        assert min(changes) == 0
 
 
 @pytest.mark.parametrize(

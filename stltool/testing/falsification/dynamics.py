@@ -136,8 +136,8 @@ class ByDynamics:
             worth = np.concatenate([worth[best], predicted(children)])
         for i in np.argsort(worth, kind="stable").tolist():
             if np.abs(x - population[i]).max(axis=1).min() > 1e-3:
-                found: F64 = population[i]
-                return found
+                proposed: F64 = population[i]
+                return proposed
         return None
 
 

@@ -29,7 +29,7 @@ class Scores:
 
     def __init__(self, phi: Formula) -> None:
         self.phi = phi
-        self._comparisons = list(dict.fromkeys(_comparisons(phi)))
+        self._comparisons = list(dict.fromkeys(comparisons(phi)))
         self._scaled, self._scaled_at = phi, 0
         self._strictness = Strictness(phi)
         self._margins, self._values = np.empty(0), np.empty(0)
@@ -100,10 +100,10 @@ def _few_differ(values: F64) -> bool:
     return len(values) >= _FLAT_FROM and len(np.unique(np.round(values, 9))) <= max(2, len(values) // 4)
 
 
-def _comparisons(phi: Formula) -> list[Comparison]:
+def comparisons(phi: Formula) -> list[Comparison]:
     if isinstance(phi, Comparison):
         return [phi]
-    return [one for child in children(phi) for one in _comparisons(child)]
+    return [one for child in children(phi) for one in comparisons(child)]
 
 
 def _rescaled(phi: Formula, scales: Mapping[Formula, float]) -> Formula:

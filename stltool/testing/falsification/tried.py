@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.errors import StlToolError
-from stltool.logic.formula import Formula, atoms
+from stltool.logic.formula import Formula, atoms, delay
 from stltool.monitoring import monitor
 from stltool.monitoring.kleene import Kleene, Trits, skeleton
 from stltool.testing.falsification.inputs import F64, Inputs
-from stltool.testing.falsification.score import Scores
+from stltool.testing.falsification.score import Scores, comparisons
 
 _SAME = 1e-4  # of a range: within it, points are taken to be the same
 
@@ -54,16 +54,22 @@ class Tried:
 
 
 class Prefixes:
-    """After which of the given numbers of samples the verdict of a trace at step 0 is certain, in Kleene's logic."""
+    """After which of the given numbers of samples the verdict of a trace at step 0 is certain, in Kleene's logic.
+
+    Not before the end for a formula whose comparisons read earlier samples.
+    """
 
     def __init__(self, phi: Formula, lengths: NDArray[np.int64]) -> None:
         self._atoms = {str(i): atom for i, atom in enumerate(atoms(phi))}
-        self._machine = Kleene(skeleton(phi, {atom: name for name, atom in self._atoms.items()}))
-        self._lengths = lengths
+        self._lengths = np.empty(0, np.int64) if any(map(delay, comparisons(phi))) else lengths
+        if len(self._lengths):
+            self._machine = Kleene(skeleton(phi, {atom: name for name, atom in self._atoms.items()}))
 
     def certain(self, trace: Mapping[str, F64]) -> int:
         """The least of the lengths at which it is; the trace's where there is none, or that cannot be judged."""
         steps = len(next(iter(trace.values())))
+        if not len(self._lengths):
+            return steps
         columns: dict[str, Trits] = {}
         for name, atom in self._atoms.items():
             try:
