@@ -2,7 +2,8 @@
 
 run       the budgeted search and its result       search      which inputs are executed next: a portfolio
 inputs    signals and numbers as a unit cube       candidates  points that are worth a try, and variations
-score     how near a trace is to a violation       surface, dynamics   learned from the executions so far
+score     how near a trace is to a violation       strict      how near in time
+tried     the executions so far, what they exclude  surface, dynamics   learned from them
 methods   other optimisers: scipy, cma, optuna     replay      the most probable violation of a model, on a black box
 steering  robustness as a target of Hypothesis
 """
