@@ -19,7 +19,10 @@ def stltool(monkeypatch, capsys):
         output = capsys.readouterr()
         assert "Traceback" not in output.err
         err = re.sub(
-            r"^(stltool \w+: .* so far|compiling the numerical kernels .*)\n", "", output.err, flags=re.MULTILINE
+            r"^((stltool \w+|loading the numerical kernels): .* so far|compiling the numerical kernels .*)\n",
+            "",
+            output.err,
+            flags=re.MULTILINE,
         )
         return ended.value.code or 0, output.out, err
 
