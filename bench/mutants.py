@@ -90,7 +90,7 @@ def faults_of(copy: Path, path: Path) -> Iterator[Fault]:
             case ast.FunctionDef(name=name) if name in ("_card", "__repr__", "__str__"):
                 continue
             case ast.FunctionDef():
-                stack += [*node.body, *node.args.defaults, *node.args.kw_defaults]  # type: ignore[list-item]
+                stack += [*node.body, *node.args.defaults, *(one for one in node.args.kw_defaults if one is not None)]
                 continue
             case ast.AnnAssign(value=value):
                 stack.append(value)  # type: ignore[arg-type]
@@ -111,7 +111,7 @@ def faults_of(copy: Path, path: Path) -> Iterator[Fault]:
                 yield fault(test, f"(not ({ast.unparse(test)}))")
             case ast.AugAssign() | ast.Expr(value=ast.Call()) | ast.Continue() | ast.Break():
                 yield fault(node, "pass")
-        stack += [child for child in ast.iter_child_nodes(node) if child is not None]
+        stack += ast.iter_child_nodes(node)
 
 
 def preload() -> None:
