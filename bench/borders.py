@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from monitors import shortest_cpu
+from monitors import shortest
 
 import stltool as stl
 
@@ -48,7 +48,7 @@ def row(text: str, what: str, trace: Mapping[str, Any]) -> str:
     assert np.allclose(result.robustness, [stl.robustness(phi, few, t) for t in range(len(few["x"]))], 1e-9, 1e-12)
     cells = []
     for semantics in ("boolean", "both"):
-        mine, plain = shortest_cpu(
+        mine, plain = shortest(
             5,
             lambda kind=semantics: stl.monitor(stl.parse(text), trace, semantics=kind),  # nothing is remembered
             lambda kind=semantics: stl.monitor(PLAIN, trace, semantics=kind),

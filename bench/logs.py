@@ -2,7 +2,8 @@
 
 Five columns of 1e6 rows: the time and four signals. In `full` the signals are doubles as Python prints them; in
 `rounded` three are decimals of three and six places, one is of truth values; in `quoted` one column is a note in quotes
-with commas, which nobody asks for but pyarrow. Times are the shortest of some runs taken in turn.
+with commas, which nobody asks for but pyarrow. Times are the shortest processor times, of all cores together, of some
+runs taken in turn.
 """
 
 from __future__ import annotations
