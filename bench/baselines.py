@@ -5,7 +5,7 @@ PosteriorSampling   one model an episode, drawn from the counts; half a pseudo-c
 Ucbvi               optimism in the values: Q = min(1, P̂V + √(2 Var/n) + 7/(3n)), an empirical Bernstein bonus, without
                     the logarithm that its theory needs, which would make it slower still
 
-Both act otherwise than the model-based learner, and are judged by its cautious plan.
+Both act otherwise than the model-based learner, until the task is violated, and are judged by its cautious plan.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 import stltool as stl
 from stltool.automata import TRUE, UNDECIDED
 from stltool.learning import Counts, Episode, Problem
-from stltool.learning.learner import Learner, rarest
+from stltool.learning.aftermath import aftermath
+from stltool.learning.learner import Learner
 from stltool.learning.model_based import Planner
 
 _LEAST = 1e-300
@@ -45,7 +46,9 @@ class PosteriorSampling(stl.ModelBased):
             t, s, q = episode.t, episode.s, episode.q
             first, after = state.problem.first_choice[s : s + 2].tolist()
             if episode.verdict is False:
-                a = rarest(visits[first:after], chances[t])
+                a = aftermath(episode, visits[first:after], chances[t])
+                if a < 0:
+                    break
             else:
                 if plan is None or plan(t, s, q) < 0:
                     plan = state.plan_from(learned, t, s, q)
@@ -69,7 +72,12 @@ class Ucbvi(stl.ModelBased):
         while not episode.over and episode.verdict is not True:
             t, s = episode.t, episode.s
             first, after = state.problem.first_choice[s : s + 2].tolist()
-            a = int(plan[t, s, episode.q]) if episode.verdict is None else rarest(visits[first:after], chances[t])
+            if episode.verdict is False:
+                a = aftermath(episode, visits[first:after], chances[t])
+                if a < 0:
+                    break
+            else:
+                a = int(plan[t, s, episode.q])
             episode.step(a)
             visits[first + a] += 1
 

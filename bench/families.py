@@ -79,16 +79,18 @@ def good_or_bad() -> stl.Product:
 
 
 def random_mdp(n: int, seed: int) -> stl.Product:
-    """n states, four actions with three successors each, one state in five labelled A."""
+    """n states, four actions with three successors each, one state in five labelled A; the task is possible."""
     rng = np.random.default_rng([n, seed])
-    P = np.zeros((4, n, n))
-    for a in range(4):
-        for s in range(n):
-            P[a, s, rng.choice(n, 3, replace=False)] = rng.dirichlet(np.ones(3))
-    labelled = np.zeros(n, dtype=bool)
-    labelled[rng.choice(np.arange(1, n), max(n // 5, 1), replace=False)] = True
-    model = stl.MDP.from_arrays(P, {}, labels={"A": labelled})
-    return stl.build_product(model, stl.parse("F[0,10) G[0,5) A"))
+    while True:
+        P = np.zeros((4, n, n))
+        for a in range(4):
+            for s in range(n):
+                P[a, s, rng.choice(n, 3, replace=False)] = rng.dirichlet(np.ones(3))
+        labelled = np.zeros(n, dtype=bool)
+        labelled[rng.choice(np.arange(1, n), max(n // 5, 1), replace=False)] = True
+        product = stl.build_product(stl.MDP.from_arrays(P, {}, labels={"A": labelled}), stl.parse("F[0,10) G[0,5) A"))
+        if stl.check(product).probability > 0:
+            return product
 
 
 def grid(text: str, task: str, slip: str = "7/300", success: str = "93/100", cell: str = "1") -> stl.Product:

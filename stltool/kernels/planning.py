@@ -1,7 +1,8 @@
 """Backward induction over all (t, s, q) of a small problem in one call, for the model-based learner's plans.
 
-    V_t(s, q) = max over c of  Σ_s' p(s'|c) · V_{t+1}(s', δ(L(s'), q)) + outside(c) · worth_t      where q is undecided
+    V_t(s, q) = max over c of  Σ_s' p(s'|c) · V_{t+1}(s', δ(L(s'), q)) + outside(c) · top_t(q)     where q is undecided
                 1 / 0                                                                  where it is satisfied / violated
+    top_t(q)  = min(worth_t, max over s' of V_{t+1}(s', δ(L(s'), q))), but worth_t for a choice that is all outside
 
 Every sum is added in the order of the entries, what leads outside last, so its result does not depend on the machine.
 """
@@ -28,12 +29,12 @@ def plan(
     """Fill `table` (h, S, Q) with the first best choices of steps since … h−1.
 
     first_choice (S+1,) are each state's choices, start (choices+1,) each choice's entries: target, probability
-    outside (choices,): the rest of each row, worth `worth` (h,) after each step
+    outside (choices,): the rest of each row, worth `worth` (h,) after each step, but no more than the best state
     verdicts (h+1, Q): true 1, false 0, undecided −1        spans (h, letters, 2): where undecided states are
     """
     h, S, Q = table.shape
     V, W = np.empty((S, Q)), np.empty((S, Q))
-    total, best = np.empty(Q), np.empty(Q)
+    total, best, top = np.empty(Q), np.empty(Q), np.empty(Q)
     which = np.empty(Q, np.int64)
     for s in range(S):
         for q in range(Q):
@@ -43,10 +44,13 @@ def plan(
         for i in range(spans.shape[1]):
             if spans[t, i, 1] > spans[t, i, 0]:
                 low, high = min(low, spans[t, i, 0]), max(high, spans[t, i, 1])
+        for q in range(low, high):
+            top[q] = 0.0
         for s in range(S):
             row, ahead, seen = V[s], W[s], delta[letter[s]]
             for q in range(low, high):
                 ahead[q] = row[seen[q]]
+                top[q] = max(top[q], ahead[q])
         for s in range(S):
             row = V[s]
             for q in range(Q):
@@ -56,11 +60,11 @@ def plan(
             if n <= 0:
                 continue
             for c in range(first_choice[s], first_choice[s + 1]):
-                lost = outside[c] * worth[t]
+                lost = outside[c]
                 first, after = start[c], start[c + 1]
                 if first == after:
                     for j in range(n):
-                        total[j] = lost
+                        total[j] = lost * worth[t]
                 else:
                     p, values = probability[first], W[target[first], lo:hi]
                     for j in range(n):
@@ -70,7 +74,7 @@ def plan(
                         for j in range(n):
                             total[j] += p * values[j]
                     for j in range(n):
-                        total[j] += lost
+                        total[j] += lost * min(top[lo + j], worth[t])
                 if c == first_choice[s]:
                     for j in range(n):
                         best[j], which[j] = total[j], 0

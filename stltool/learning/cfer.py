@@ -23,11 +23,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.learning.aftermath import aftermath
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
 from stltool.learning.judged import EVERY, BestSoFar
 from stltool.learning.kept import Kept
-from stltool.learning.learner import Learner, rarest
+from stltool.learning.learner import Learner
 from stltool.learning.naive import Exact
 from stltool.learning.optimism import Doubt, Hope
 from stltool.learning.problem import Problem
@@ -51,7 +52,7 @@ class Cfer(Exact, Learner["CferRun"]):
     name: ClassVar[str] = "cfer"
 
     least_step: float = setting(0.005, "smallest learning rate, α = max(least_step, 1/n)", above=0, most=1)
-    optimism: float = setting(0.15, "b in the share of hope b / (n + b) of a choice seen n times", above=0)
+    optimism: float = setting(0.15, "b in the mean share of hope b / (1 + b) of a choice seen once", above=0)
     memory: int = setting(100_000, "capacity of the replay memory in transitions; the oldest leave first", least=1)
     replays: int = setting(1200, "real transitions replayed after each episode", least=0)
 
@@ -70,7 +71,10 @@ class Cfer(Exact, Learner["CferRun"]):
         while not episode.over and episode.verdict is not True:
             t, s = episode.t, episode.s
             if episode.verdict is False:
-                episode.step(rarest(table.visits[s, : episode.n_choices], chances[t]))
+                a = aftermath(episode, table.visits[s, : episode.n_choices], chances[t])
+                if a < 0:
+                    break
+                episode.step(a)
             else:
                 episode.step(hopeful.best(t, s, episode.q, chances[t]))
         rows = episode.transitions()[::-1]

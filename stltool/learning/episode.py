@@ -66,6 +66,15 @@ class Episode:
         """The number of choices in the current state."""
         return self._n_choices[self.s]
 
+    @property
+    def stuck(self) -> bool:
+        """Whether the last step led nowhere, and no choice of this state ever did."""
+        s = self.s
+        if not self.t or self._states[-2] != s:
+            return False
+        first = self._first_choice[s]
+        return self._counts.loops(range(first, first + self._n_choices[s]), s)
+
     def step(self, choice: int) -> None:
         """Take a choice (0 … n_choices − 1): t, s, q and verdict change.
 

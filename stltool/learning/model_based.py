@@ -2,13 +2,16 @@
 
 Acting: each episode draws one model from the posterior of the counts (posterior sampling [Strens00]): the frequencies
 of the successors seen so far, by Gamma draws. A share of every choice leads to a paradise instead, all of an untried
-choice, less and less of the others (learning/optimism.py). The episode acts on the best plan for this model. Once the
-task is violated, the rest of the episode takes the choices tried least.
+choice, less and less of the others, at a level of hope that is drawn, too (learning/optimism.py). The episode acts on
+the best plan for this model. Once the task is violated, the rest of the episode takes the choices tried least, as long
+as there is something to learn from them (learning/aftermath.py).
 
 Plans are lazy: the episode's plan is kept as long as it applies. Where it relies on a choice that has been tried in the
 meantime, or says nothing, another untried choice of that state will do, which promises as much; only if there is none,
 the rest of the episode is planned again. Small products are planned wherever a run could be; large ones where runs can
-be by the transitions seen.
+be by the transitions seen. On small ones, hope for a choice that has been tried is modest: it leads to the best state
+that the model has for what is left of the task, which is paradise only while there are untried choices or certain
+success. Where even the best policy mostly fails, hope would otherwise be all that counts.
 
 Side by side, where a black box takes many runs at once, up to 16 models are drawn for a batch, and episodes with the
 same one share its plans. On small products models and plans are made anew after every step of the batch, so that an
@@ -36,11 +39,12 @@ from stltool.checking.induction.tiled import Tiles
 from stltool.checking.induction.words import Words
 from stltool.choices import Choices, Form
 from stltool.kernels import Group
+from stltool.learning.aftermath import aftermath
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
 from stltool.learning.kept import Kept
 from stltool.learning.learner import Learner, rarest
-from stltool.learning.optimism import doubt, hope, paradise
+from stltool.learning.optimism import doubt, level, paradise, unrefuted
 from stltool.learning.problem import Problem
 from stltool.learning.settings import setting
 from stltool.models.rows import Chances, Rows, starts
@@ -58,7 +62,7 @@ class ModelBased(Learner["Planner"]):
     name: ClassVar[str] = "model-based"
     kernels: ClassVar[tuple[Group, ...]] = ("plans",)
 
-    optimism: float = setting(0.3, "b in the share of hope b / (n + b) of a choice seen n times", above=0)
+    optimism: float = setting(0.6, "b in the mean share of hope b / (1 + b) of a choice seen once", above=0)
     caution: float = setting(0.1, "κ in the judged policy's weight n / (n + κ) for a choice seen n times", least=0)
 
     def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> Planner:
@@ -78,7 +82,9 @@ class ModelBased(Learner["Planner"]):
             t, s = episode.t, episode.s
             first = first_choice[s]
             if episode.verdict is False:
-                a = rarest(tried[first : first_choice[s + 1]], chances[t])
+                a = aftermath(episode, tried[first : first_choice[s + 1]], chances[t])
+                if a < 0:
+                    break
             else:
                 a = guide.action(t, s, episode.q, chances[t])
             episode.step(a)
@@ -104,10 +110,9 @@ class Belief:
 
     def learned(self, visits: NDArray[np.int64]) -> Learned:
         """The model drawn, after choices were taken `visits` times; a share of each choice leads outside."""
-        problem, seen = self.planner.problem, self.planner.counts.seen
-        drawn = np.random.default_rng(self.seed).standard_gamma(seen.astype(np.float64))
-        of_state = np.add.reduceat(visits, problem.first_choice[:-1]) / problem.n_choices
-        hopes = hope(visits, np.repeat(of_state, problem.n_choices), self.optimism)
+        rng = np.random.default_rng(self.seed)
+        hopes = unrefuted(visits, level(self.optimism, rng.random()))
+        drawn = rng.standard_gamma(self.planner.counts.seen.astype(np.float64))
         return self.planner.learned(np.maximum(drawn, _LEAST), hopes)
 
 

@@ -1,11 +1,24 @@
 """Optimism about a choice that was tried n times: the share of its value that is hoped to be the best there is.
 
+Plans, which are made anew for every episode:
+
+    h(s, a) = 1 − ε^(1/n),   ε = 1 − u^(1/b),   u uniform in [0, 1), drawn once an episode
+
+h is the v with (1 − v)^n = ε: the greatest probability of success that n failures in a row do not refute at level ε, as
+in KL-UCB [Garivier11]. The level is drawn, so that hope for a choice seen once has its posterior distribution, which is
+Beta(b, 1), as in posterior sampling [Strens00]: half of the episodes hope for next to nothing, and now and then one
+hopes for all. But the level is the same for all choices: what has been tried less promises more, and many small hopes
+close by do not outdo one that is far away. If each choice drew its own, the greatest of many always would.
+
+Tables, which cannot change that fast:
+
     h(s, a) = max( b / (n + b),  1 − r^(−1/2n) ),   r = max(1, N / (C·n)),   N visits of the state, which has C choices
 
-The first term is one for beginners: an untried choice is all hope, and what has been tried is soon trusted. The second
-one is the v with (1 − v)^n = r^(−1/2), the value that n failures in a row do not refute at that level, as in KL-UCB
-[Garivier11]: a choice that is neglected while its state is visited again and again regains all hope. So every choice
-that can be reached is tried again, for ever, and an unlucky beginning does not last.
+The first term is one for beginners: what has been tried is soon trusted. In the second, the level falls while a choice
+is neglected and its state is visited again and again.
+
+By either, an untried choice is all hope, and every choice that can be reached is tried again, for ever: an unlucky
+beginning does not last.
 
 Hope leads to a paradise that satisfies the task, worth a thousandth less than 1, and less the later it is entered:
 near-certain success comes first, and exploring is not postponed.
@@ -25,8 +38,18 @@ _LEAST = 1e-300
 _HAIR = 1e-3  # far above rounding, below any gain worth exploring for
 
 
+def level(optimism: float, chance: Any) -> Any:
+    """ε of an episode by its u, which is `chance`; b is `optimism`."""
+    return 1.0 - chance ** (1.0 / optimism)
+
+
+def unrefuted(visits: NDArray[Any], level: Any) -> NDArray[np.float64]:
+    """h of choices tried `visits` times, in an episode of that level."""
+    return np.where(visits > 0, 1.0 - level ** (1.0 / np.maximum(visits, 1)), 1.0)
+
+
 def hope(visits: NDArray[Any], of_state: NDArray[Any], optimism: float) -> NDArray[np.float64]:
-    """h of choices tried `visits` times; `of_state`: the mean of the visits of their state's choices."""
+    """h of choices tried `visits` times, for tables; `of_state`: the mean of the visits of their state's choices."""
     n = np.maximum(visits, 1)
     neglected: NDArray[np.float64] = 1.0 - np.maximum(of_state / n, 1.0) ** (-0.5 / n)
     return np.maximum(optimism / (visits + optimism), neglected)

@@ -16,7 +16,7 @@ from stltool.kernels import planning, warm_up
 from stltool.learning import LEARNERS, Counts, Episode, Problem
 from stltool.learning.methods import budget_table, class_of, methods_table, settings_table
 from stltool.learning.model_based import Belief, Planner
-from stltool.learning.optimism import Doubt, Hope, hope, paradise
+from stltool.learning.optimism import Doubt, Hope, hope, level, paradise, unrefuted
 from stltool.learning.replay import ReplayMemory
 from stltool.learning.settings import settings_of, shown_value
 from stltool.learning.tables import ClockedTable, Entries, SurrogateTable
@@ -377,7 +377,7 @@ def test_an_unlucky_beginning_does_not_last(good_or_bad):
     for episode in range(2500):
         n = seen.sum(axis=2)
         drawn = rng.standard_gamma(seen)
-        share = hope(n, n.mean(axis=1, keepdims=True), 0.3)
+        share = unrefuted(n, level(0.3, rng.random((runs, 1))))
         value = (1 - share) * drawn[:, :, 1] / drawn.sum(axis=2) + share * paradise(0, 1)
         a = value.argmax(axis=1)
         good = rng.random(runs) < np.where(a == 0, GOOD, BAD)
@@ -413,6 +413,38 @@ def test_exploration_is_deep(method):
     product = stl.build_product(model, stl.parse("F[0,15] end"))
     run = stl.learn(product, method, episodes=60, evaluate_every=60)
     assert run.history[-1].probability == 1.0
+
+
+@pytest.mark.parametrize("seed", range(many(10)))
+def test_small_hopes_close_by_do_not_outdo_one_far_away(seed):
+    """In a corridor of 30 cells; if each choice draws a hope of its own, one run in five never gets to its end."""
+    product = stl.build_product(oracles.corridor(30), stl.parse("F[0,60] end"))
+    run = stl.learn(product, "model-based", episodes=50, evaluate_every=50, seed=seed)
+    assert run.history[-1].probability == 1.0
+
+
+def test_the_level_of_hope_is_drawn():
+    """For a choice seen once the share of hope is Beta(b, 1): P(share ≤ x) = x^b; less the more it was seen."""
+    rng, runs = np.random.default_rng(1), 10_000
+    drawn = unrefuted(np.array([0, 1, 2, 50]), level(0.3, rng.random((runs, 1))))
+    assert (drawn[:, 0] == 1).all()
+    assert (np.diff(drawn, axis=1) <= 0).all()
+    for x in (0.01, 0.1, 0.5, 0.9):
+        assert (drawn[:, 1] <= x).mean() == pytest.approx(x**0.3, abs=4 * 0.5 / runs**0.5)
+
+
+@pytest.mark.parametrize(("method", "first"), [("model-based", 6), ("cfer", 19)])  # cfer counts after an episode
+def test_an_episode_ends_where_nothing_is_left_to_learn(method, first):
+    """The first move loses the task. Nothing leaves a pit: that it is tried five times is all that later episodes need
+    to know. What has a way out is explored to the end."""
+    steps = []
+    for after in (1, 0):
+        rows = np.zeros((1, 2, 2))
+        rows[:, 0, 1] = rows[:, 1, after] = 1
+        model = stl.MDP.from_arrays(rows, {}, labels={"pit": [0, 1]}, initial=0)
+        run = stl.learn(stl.build_product(model, stl.parse("G[0,19] !pit")), method, episodes=3)
+        steps.append(run.environment_steps)
+    assert steps == [first + 2 + 2, 3 * 19]
 
 
 def test_values_are_fixed_where_the_verdict_has_fallen(patrolling):

@@ -13,7 +13,7 @@ from stltool.checking.induction import Single
 from stltool.checking.induction.anywhere import Anywhere, From
 from stltool.learning.counts import Counts
 from stltool.learning.model_based import Planner
-from stltool.learning.optimism import doubt, hope, paradise
+from stltool.learning.optimism import doubt, paradise, unrefuted
 from stltool.learning.problem import Problem
 from tests.checking.test_check import products
 from tests.conftest import many
@@ -34,10 +34,11 @@ def early(product):
     return dataclasses.replace(product, automaton=Problem.of(product).automaton)
 
 
-def dense(product, counts, outside, since, optimistic):
+def dense(product, counts, outside, since, optimistic, modest):
     """The first best choices (h, S, Q) of steps since … h−1, each sum added in order, outside last.
 
-    outside (n_choices,) is the share of each choice that leads there.
+    outside (n_choices,) is the share of each choice that leads there; modest: which is worth no more than the best
+    state to a choice that has been tried.
     """
     problem, automaton = Problem.of(product), product.automaton
     h, S, visits = automaton.horizon, problem.n_states, counts.visits
@@ -50,12 +51,12 @@ def dense(product, counts, outside, since, optimistic):
         verdicts, new = automaton.verdicts(t), np.empty_like(values)
         worth = paradise(t, h) if optimistic else 0.0
         for s, q in np.ndindex(values.shape):
-            sums = []
+            sums, top = [], max(values[x, product.enter(x, q)] for x in range(S))
             for c in range(problem.first_choice[s], problem.first_choice[s + 1]):
                 total = 0.0
                 for x, n in known.get(c, ()):
                     total += n * ((1 - outside[c]) / visits[c]) * values[x, product.enter(x, q)]
-                sums.append(total + outside[c] * worth)
+                sums.append(total + outside[c] * (min(top, worth) if modest and visits[c] else worth))
             table[t, s, q] = int(np.argmax(sums))
             new[s, q] = max(sums) if verdicts[q] == UNDECIDED else verdicts[q] == TRUE
         values = new
@@ -65,12 +66,12 @@ def dense(product, counts, outside, since, optimistic):
 def shares(counts, optimism, caution):
     """Of hope, or of doubt where there is no optimism."""
     visits = counts.visits
-    return hope(visits, np.full(len(visits), visits.mean()), optimism) if optimism else doubt(visits, caution)
+    return unrefuted(visits, 1 / (1 + optimism)) if optimism else doubt(visits, caution)
 
 
 def required(product, counts, outside, since, optimistic):
     product, problem = early(product), Problem.of(product)
-    wanted, h, Q = dense(product, counts, outside, since, optimistic), product.horizon, product.automaton.n_states
+    wanted, h, Q = dense(product, counts, outside, since, optimistic, True), product.horizon, product.automaton.n_states
     planner = Planner(problem, counts)
     learned = planner.learned(counts.seen.astype(np.float64), outside)
     anywhere = Anywhere(problem.automaton, problem.letter, problem.first_choice, np.uint8)
@@ -84,7 +85,7 @@ def required(product, counts, outside, since, optimistic):
     # only where the transitions seen lead from one of those
     if since == h or not len(anywhere.codes(since)):
         return
-    planner = Planner(problem, counts, most=0)
+    wanted, planner = dense(product, counts, outside, since, optimistic, False), Planner(problem, counts, most=0)
     s, q = (int(i) for i in np.divmod(anywhere.codes(since)[-1], Q))
     if optimistic:
         plan = planner.plan_from(learned, since, s, q).form

@@ -128,7 +128,8 @@ class Anywhere:
         return found
 
     def plan(self, rows: Learned, worth: NDArray[np.float64], since: int = 0) -> NDArray[np.unsignedinteger]:
-        """(h, S, Q) the first best choices of F_since … F_{h−1}, being outside after step t worth `worth[t]`."""
+        """(h, S, Q) the first best choices of F_since … F_{h−1}, being outside after step t worth `worth[t]`,
+        but to a choice with successors no more than the best state."""
         from stltool.kernels import planning
 
         table = np.zeros(self.shape, dtype=self._choices)
