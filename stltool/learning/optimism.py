@@ -6,8 +6,8 @@ Plans, which are made anew for every episode:
 
 h is the v with (1 − v)^n = ε: the greatest probability of success that n failures in a row do not refute at level ε, as
 in KL-UCB [Garivier11]. The level is drawn, so that hope for a choice seen once has its posterior distribution, which is
-Beta(b, 1), as in posterior sampling [Strens00]: half of the episodes hope for next to nothing, and now and then one
-hopes for all. But the level is the same for all choices: what has been tried less promises more, and many small hopes
+Beta(b, 1), as in posterior sampling [Strens00]: some episodes hope for next to nothing, and now and then one hopes for
+all. But the level is the same for all choices: what has been tried less promises more, and many small hopes
 close by do not outdo one that is far away. If each choice drew its own, the greatest of many always would.
 
 Tables, which cannot change that fast:
