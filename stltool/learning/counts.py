@@ -110,12 +110,6 @@ class Counts(Displayed):
         np.add.at(visits, self.choice, self.seen)
         return visits
 
-    def loops(self, choices: range, state: int) -> bool:
-        """Whether these choices of a state only ever led back to it."""
-        codes, _ = self._pairs()
-        first, after = np.searchsorted(codes, [choices.start * self.n_states, choices.stop * self.n_states])
-        return bool((codes[first:after] % self.n_states == state).all())
-
     @property
     def in_context(self) -> tuple[Whole, Whole, Whole, Whole]:
         """(choice, target, context, seen): the same rows with each context apart, sorted in this order."""

@@ -73,7 +73,8 @@ class Episode:
         if not self.t or self._states[-2] != s:
             return False
         first = self._first_choice[s]
-        return self._counts.loops(range(first, first + self._n_choices[s]), s)
+        rows = slice(*np.searchsorted(self._counts.choice, [first, first + self._n_choices[s]]))
+        return bool((self._counts.target[rows] == s).all())
 
     def step(self, choice: int) -> None:
         """Take a choice (0 … n_choices − 1): t, s, q and verdict change.

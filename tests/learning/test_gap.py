@@ -158,7 +158,7 @@ def test_an_alarm_while_learning_stays_when_the_run_is_resumed(patrolling, tmp_p
     probability, worse = FLOOR.probability.copy(), FLOOR.at(success="1/3")
     probability[: FLOOR.row_start[FLOOR.choice_start[9]]] = worse.probability[: FLOOR.row_start[FLOOR.choice_start[9]]]
     strange = FLOOR.with_rows(probability=probability, exact=None)
-    given = {"episodes": 30, "evaluate_every": 30, "until_gap": 1e-300, "checkpoint": tmp_path / "run.ckpt"}
+    given = {"episodes": 200, "evaluate_every": 200, "until_gap": 1e-300, "checkpoint": tmp_path / "run.ckpt"}
     run = stl.learn(patrolling, environment=simulator(strange, np.random.default_rng(0)), **given)
     assert run.gap.refused is not None
     assert run.counts.alarms
