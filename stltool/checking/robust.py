@@ -51,6 +51,7 @@ from stltool.checking.induction import (
     Arithmetic,
     Budget,
     Engine,
+    ExactNature,
     Following,
     Game,
     Progress,
@@ -60,9 +61,11 @@ from stltool.checking.induction import (
     solve,
 )
 from stltool.checking.induction import Nature as NaturesChoice
-from stltool.checking.values import StateValues, of_doubles
-from stltool.errors import SettingsError, named
+from stltool.checking.rational import require_room
+from stltool.checking.values import StateValues, of_doubles, of_fractions
+from stltool.errors import ModelError, SettingsError, named
 from stltool.models.rows import Rows
+from stltool.numbers import round_down, round_up
 from stltool.policy import Policy, require_door
 from stltool.product import Product
 
@@ -78,6 +81,7 @@ def robust_check(
     *,
     maximize: bool = True,
     nature: Nature = "against",
+    exact: bool = False,
     keep_policy: bool = True,
     values: ValuesOf | None = None,
     engine: Engine = "auto",
@@ -91,6 +95,7 @@ def robust_check(
                        False, "against": min–max                                     False, "with": min–min
     policy             None: the optimum over all policies. Given: its least probability if nature opposes a maximum or
                        supports a minimum, else its greatest; nature knows which choice a mixture has taken
+    exact              True: also the exact fraction; ends in fractions and decimals mean exactly that
     keep_policy        False: do not return the optimal policy
     values             "initial": also P from each initial state; "all": from every state
     engine, threads    as in `check`
@@ -101,6 +106,7 @@ def robust_check(
     start = time.perf_counter()
     require_door("robust_check", product, policy)
     flag(maximize, "robust_check's maximize")
+    flag(exact, "robust_check's exact")
     flag(keep_policy, "robust_check's keep_policy")
     one_of(nature, "nature", get_args(Nature))
     one_of(engine, "engine", get_args(Engine))
@@ -122,6 +128,8 @@ def robust_check(
     arithmetic: Arithmetic = NaturesChoice(minimal=minimal, maximize=maximize)
     if parameters := product.model.parameters:
         first, last = {one.name: one.lower for one in parameters}, {one.name: one.upper for one in parameters}
+        if exact:
+            raise SettingsError("a model whose parameters have no values has no exact robust answer; leave out exact")
         arithmetic = Tied(first, last, minimal=minimal, maximize=maximize)
     allowed = EVERYTHING if judged is None else Following(judged.form)
     budget = Budget(f"checking {product.n_states} product states", memory_limit, progress)
@@ -131,11 +139,27 @@ def robust_check(
         longest = layers.kinds.longest
         if longest > _LONGEST_ROW:
             raise SettingsError(f"a row has {longest} entries; robust checks support up to {_LONGEST_ROW}")
+        if exact:
+            arithmetic = ExactNature(minimal, require_exact_ends(product, layers.kinds), maximize)
+            require_room(layers, 64, memory_limit=memory_limit)
         found = solve(layers, arithmetic, maximize, keep)
     except Silent:
         assert judged is not None
         raise undefined(judge, judged, everywhere=values == "all") from None
     starts = np.searchsorted(game.first, np.flatnonzero(product.model.initial))
+    if isinstance(arithmetic, ExactNature):
+        fractions = [Fraction(arithmetic.number(value), arithmetic.one) for value in found.entry.tolist()]
+        shares = (product.model.initial_share(s) for s in game.first[starts].tolist())
+        exactly = sum((share * fractions[i] for share, i in zip(shares, starts.tolist(), strict=True)), Fraction(0))
+        if found.choices is not None:
+            policy = Policy(product, found.choices)
+        return CheckResult(
+            product, question, float(exactly), round_down(exactly), round_up(exactly), policy, found.swept,
+            time.perf_counter() - start, fraction=exactly, arithmetic="rational", nature=nature,
+            certain=bool(found.certain[starts].all()) and exactly in (0, 1), engine=found.engine,
+            values=StateValues(product.model, game.first, *of_fractions(fractions), tuple(fractions))
+            if values is not None else None,
+        )  # fmt: skip
     value = math.fsum(product.model.initial[game.first[starts]] * found.entry[starts])
     weight_defect, mixed = Fraction(0), 0
     if judged is not None and not judged.deterministic:
@@ -161,6 +185,22 @@ def robust_check(
         product, question, value, lower, upper, policy, found.swept, seconds, nature=nature, certain=certain,
         engine=found.engine, values=each,
     )  # fmt: skip
+
+
+def require_exact_ends(product: Product, kinds: Rows) -> int:
+    """The common denominator of the ends. ModelError unless every row contains a distribution exactly."""
+    rows = product.model.rows if product.model.kinds is not None else kinds
+    assert rows.intervals is not None
+    lower, upper, denominator = rows.intervals.exact
+    least, most = (np.add.reduceat(ends, rows.row_start[:-1]) for ends in (lower, upper))
+    wrong = np.flatnonzero((least > denominator) | (most < denominator))
+    if len(wrong) or product.model.initial_defect:
+        where = product.model.place(int(wrong[0])) if len(wrong) else "the initial distribution"
+        raise ModelError(
+            f"{where}: no probabilities within the ends sum to 1 exactly, so there is no exact answer; give them as "
+            'fractions, such as "1/3", or as decimals'
+        )
+    return denominator
 
 
 def rows_defect(rows: Rows) -> Fraction:

@@ -166,7 +166,7 @@ def cost_distribution(
     found: CheckResult
     if product.model.uncertain:
         found = robust_check(
-            every, lifted, maximize=maximize, nature=nature, values="initial", engine=engine,
+            every, lifted, maximize=maximize, nature=nature, exact=exact, values="initial", engine=engine,
             memory_limit=memory_limit, progress=progress,
         )  # fmt: skip
     else:
@@ -270,8 +270,15 @@ class Allowance:
         if rows.given_exactly:
             exact = Shares(np.where(stays, rows.denominator, rows.numerator[entry]), rows.denominator)
         if rows.intervals is not None:
-            ends = (np.where(stays, 1.0, end[entry]) for end in (rows.intervals.lower, rows.intervals.upper))
-            intervals = Intervals(*ends)
+            known = rows.intervals.at(entry)
+            given = known.given
+            if given is not None:
+                first_end, last_end = (
+                    Shares(np.where(stays, each.denominator, each.numerator), each.denominator) for each in given
+                )
+                given = first_end, last_end
+            lower, upper = (np.where(stays, 1.0, end) for end in (known.lower, known.upper))
+            intervals = Intervals(lower, upper, given, known.rounded)
         source = Stored(
             starts(count), model.choice_action[choice], starts(length), target.astype(np.int32),
             np.where(stays, 1.0, rows.probability[entry]), exact, intervals,

@@ -337,8 +337,8 @@ def check(
     robust = uncertain and nature != "nominal"
     if product.model.parameters and (exact or clockless or streamed or certificate is not None or cluster is not None):
         product.model.require_points()
-    if robust and (exact or certificate is not None):
-        raise SettingsError("--exact and --certificate need probabilities without intervals; add --nature nominal")
+    if robust and certificate is not None:
+        raise SettingsError("--certificate needs probabilities without intervals; add --nature nominal")
     if clockless and robust:
         option = "--stationary" if stationary else "--memoryless"
         raise SettingsError(f"{option} needs probabilities without intervals; add --nature nominal")
@@ -446,8 +446,7 @@ def check(
             print_facts({"certain": result.certainty})
         if result.fraction is not None:
             print_facts({"exact P": fraction_text(result.fraction, _LONGEST_FRACTION)})
-        remedy = "; add --exact" if robust else ""  # which has no exact arithmetic
-        print_facts({claim: _VERDICTS[holds].removesuffix(remedy) for claim, holds in verdicts})
+        print_facts({claim: _VERDICTS[holds] for claim, holds in verdicts})
         if certificate is not None:
             lower, upper = bound_texts(*proved)
             print_facts({"certificate": f"{certificate} proves {lower} <= P <= {upper}"})

@@ -430,7 +430,7 @@ class _Values:
         exact = Shares(self.numerator[entry], self.denominator) if self.numerator is not None else None
         intervals = None
         if self.lower is not None and self.upper is not None:
-            intervals = Intervals(self.lower[entry], self.upper[entry])
+            intervals = Intervals(self.lower[entry], self.upper[entry], rounded=True)
         return Stored(
             choice_start, choice_action, row_start, target.astype(np.int32), self.probability[entry], exact, intervals
         )

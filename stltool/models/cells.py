@@ -279,7 +279,7 @@ def _table(
         low, high = np.minimum(low, high), np.maximum(low, high)
     # of the ends before they are cut to 1, so that the nominal model has one noise everywhere
     nominal = Intervals(doubles_of(low, denominator), doubles_of(high, denominator)).nominal(row_start)
-    cut = Intervals(doubles_of(low, denominator), doubles_of(np.minimum(high, denominator), denominator))
+    cut = Intervals.of_shares(Shares(low, denominator), Shares(np.minimum(high, denominator), denominator))
     return Rows(choice_start, row_start, directions, Chances(nominal, row_start, intervals=cut, ties=ties))
 
 

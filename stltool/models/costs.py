@@ -23,8 +23,8 @@ from numpy.typing import ArrayLike, NDArray
 from stltool.arguments import mapping
 from stltool.display import Card, Displayed
 from stltool.errors import ModelError, near_misses
-from stltool.models.fractions import Integers, Shares, doubles_of, floats, over_one, parsed
-from stltool.numbers import NumberError, shortest
+from stltool.models.fractions import Integers, Shares, decimals_of, doubles_of, floats, over_one, parsed
+from stltool.numbers import NumberError
 
 if TYPE_CHECKING:
     from hashlib import _Hash
@@ -74,9 +74,7 @@ class Amounts:
     def exact(self) -> Shares:
         if self.given is not None:
             return self.given
-        unique, which = np.unique(self.values, return_inverse=True)
-        numerator, denominator = over_one(map(shortest, unique.tolist()))
-        return Shares(numerator[which], denominator)
+        return decimals_of(self.values)
 
     def at(self, index: NDArray[Any]) -> Amounts:
         """Those with these indices, or where a mask is true."""

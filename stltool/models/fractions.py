@@ -84,6 +84,13 @@ def doubles_of(numerator: Integers, denominator: int) -> NDArray[np.float64]:
     return np.array([int(n) / denominator for n in unique])[which]
 
 
+def decimals_of(values: NDArray[np.float64]) -> Shares:
+    """The shortest decimals of doubles, exactly."""
+    unique, which = np.unique(values, return_inverse=True)
+    numerator, denominator = over_one(map(shortest, unique.tolist()))
+    return Shares(numerator[which], denominator)
+
+
 def of_doubles(
     values: NDArray[np.float64], row_start: NDArray[np.int64], decimals: bool = False
 ) -> tuple[Integers, int]:

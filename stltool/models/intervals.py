@@ -14,14 +14,17 @@ Source: [Givan00].
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from functools import cached_property
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.errors import ModelError
+from stltool.models.fractions import Integers, Shares, decimals_of, doubles_of
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -34,10 +37,45 @@ class Intervals:
     """lower, upper (n_transitions,): the ends of each entry of a model's rows, in the order of its `target`.
 
     A lower end may be 0: nature can then avoid that successor. The model built from the intervals validates them.
+
+    given    the same ends as given in fractions or decimals; None: in doubles, which mean their shortest decimals
+    rounded  whether the ends as given were not kept, so that nothing can be computed with them exactly
     """
 
     lower: Floats = field(repr=False)
     upper: Floats = field(repr=False)
+    given: tuple[Shares, Shares] | None = field(default=None, repr=False)
+    rounded: bool = False
+
+    @classmethod
+    def of_shares(cls, lower: Shares, upper: Shares) -> Intervals:
+        """Ends that are known exactly."""
+        low, high = (doubles_of(each.numerator, each.denominator) for each in (lower, upper))
+        return cls(low, high, (lower, upper))
+
+    @cached_property
+    def exact(self) -> tuple[Integers, Integers, int]:
+        """(lower, upper, denominator): the ends exactly, as integers over one denominator.
+
+        Raises ModelError if they were rounded when they were read.
+        """
+        if self.rounded:
+            raise ModelError(
+                "the ends of the intervals were rounded when they were read, so there is no exact answer; write them "
+                "in at most 15 digits, or load them from a .drn or .umb file"
+            )
+        lower, upper = self.given or map(decimals_of, (self.lower, self.upper))
+        denominator = math.lcm(lower.denominator, upper.denominator)
+        scaled = [each.numerator.astype(object) * (denominator // each.denominator) for each in (lower, upper)]
+        return scaled[0], scaled[1], denominator
+
+    def at(self, index: NDArray[Any]) -> Intervals:
+        """Those of the entries with these indices, or where a mask is true."""
+        given = self.given
+        if given is not None:
+            lower, upper = (Shares(each.numerator[index], each.denominator) for each in given)
+            given = lower, upper
+        return Intervals(self.lower[index], self.upper[index], given, self.rounded)
 
     def nominal(self, row_start: NDArray[np.int64]) -> Floats:
         """The nominal distribution of every row (n_transitions,); entries that must be 0 are 0.

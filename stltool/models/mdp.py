@@ -494,8 +494,10 @@ class MDP(Displayed):
         The rest as in `from_arrays`. Raises ModelError, naming state and action, unless 0 <= lower <= upper <= 1 and
         every row contains a distribution.
         """
-        rows = _by_state(_given(upper, "upper ends"))
-        ends = Intervals(_aligned(_by_state(_given(lower, "lower ends")), rows), rows.data.astype(np.float64))
+        both = _given(lower, "lower ends"), _given(upper, "upper ends")
+        rows = _by_state(both[1])
+        exact = _exact_ends(*both, rows) if any(m.dtype == object for each in both for m in each) else None
+        ends = Intervals(_aligned(_by_state(both[0]), rows), rows.data.astype(np.float64), exact)
         return cls._of_rows(rows, [], ends, signals, initial, labels, action_names, state_names, name, costs)
 
     @classmethod
@@ -763,6 +765,16 @@ def _exact_entries(
     s, a = np.repeat(state, length)[entries], np.repeat(action, length)[entries]
     shares[entries] = [given[i][j, k] for i, j, k in zip(a, s, rows.indices[entries], strict=True)]
     return over_one(shares.tolist())
+
+
+def _exact_ends(lower: list[Any], upper: list[Any], rows: csr_array) -> tuple[Shares, Shares]:
+    """The ends of the entries of `rows`, exactly: as given in fractions; of doubles, the shortest decimals."""
+    n_actions = len(upper)
+    s, a = np.divmod(np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr)), n_actions)
+    entries = list(zip(a.tolist(), s.tolist(), rows.indices.tolist(), strict=True))
+    ends = ([exact(given[i][j, k]) for i, j, k in entries] for given in (lower, upper))
+    first, second = (Shares(*over_one(each)) for each in ends)
+    return first, second
 
 
 def _given(matrices: ArrayLike | Iterable[Any], what: str) -> list[Any]:

@@ -155,7 +155,10 @@ class Rows(ReadOnly, Displayed):
     @cached_property
     def intervals(self) -> Intervals | None:
         ends = self.chances.intervals
-        return Intervals(self._of(ends.lower), self._of(ends.upper)) if ends is not None else None
+        if ends is None:
+            return None
+        ends = ends if self.entry is None else ends.at(self.entry)
+        return Intervals(read_only(ends.lower), read_only(ends.upper), ends.given, ends.rounded)
 
     def tied_at(self, values: Values) -> Floats:
         """(e,) the probabilities at these values of the parameters, each rounded once."""
@@ -617,7 +620,9 @@ class Gathered:
             chances = self._chances
             if "entry" not in of:
                 given = Shares(of["numerator"], chances.exact.denominator) if "numerator" in of else None
-                ends = Intervals(of["lower"], of["upper"]) if "lower" in of else None
+                known = self._chances.intervals
+                lost = known is not None and (known.rounded or known.given is not None)
+                ends = Intervals(of["lower"], of["upper"], rounded=lost) if "lower" in of else None
                 chances = Chances(of["probability"], of["row_start"], given, ends)
             self._all = Rows(of["choice_start"], of["row_start"], of["target"], chances, of.get("entry"))
         return self._all

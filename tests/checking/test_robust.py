@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.automata import TRUE, UNDECIDED
-from stltool.errors import PolicyError, SettingsError, SizeError
+from stltool.errors import ModelError, PolicyError, SettingsError, SizeError
 from stltool.logic.formula import Not
 from stltool.models import Intervals
 from stltool.models.environment import simulator
@@ -45,6 +45,7 @@ def test_values_equal_the_tree_of_all_histories(product):
         result = stl.robust_check(product, maximize=maximize, nature=nature)
         exact = oracles.robust_optimum(product.model, product.formula, maximize, minimizes(maximize, nature))
         close(result, exact)
+        assert stl.robust_check(product, maximize=maximize, nature=nature, exact=True).fraction == exact
         assert (result.question, result.nature) == ("maximum" if maximize else "minimum", nature)
 
 
@@ -85,6 +86,8 @@ def test_a_policys_value_equals_the_tree_of_its_runs(product, seed, timed, mixed
     result = stl.robust_check(product, policy, maximize=maximize, nature=nature)
     exact = oracles.robust_policy_value(product, policy, minimizes(maximize, nature))
     close(result, min(exact, Fraction(1)))
+    exactly = stl.robust_check(product, policy, maximize=maximize, nature=nature, exact=True)
+    assert exactly.fraction == exact
     assert (result.question, result.policy) == ("policy", policy)
     bound = stl.robust_check(product, maximize=maximize, nature=nature)
     assert result.lower <= bound.upper if maximize else result.upper >= bound.lower
@@ -229,6 +232,33 @@ def test_the_weights_of_a_mixture_may_miss_one():
     assert result.upper - result.lower > 50 * assume_defect
     even = stl.robust_check(product, stl.Policy(product, np.full((*product.shape, 9), 1 / 9)))
     assert even.upper - even.lower < 1e-12
+
+
+def test_ends_in_fractions_and_decimals_mean_exactly_that(tmp_path):
+    """1/3 … 2/3 tried twice fails with (2/3)², however the ends were given."""
+    lower, upper = [[["1/3", "1/3"], [0, 1]]], [[["2/3", "2/3"], [0, 1]]]
+    model = stl.MDP.from_intervals(lower, upper, {}, labels={"goal": [0, 1]})
+    (tmp_path / "m.drn").write_text(
+        "@type: DTMC\n@parameters\n\n@reward_models\n\n@nr_states\n2\n@nr_choices\n2\n@model\n"
+        "state 0 init\n\taction 0\n\t\t0 : [1/3, 2/3]\n\t\t1 : [1/3, 2/3]\n"
+        "state 1 goal\n\taction 0\n\t\t1 : [1, 1]\n"
+    )
+    for read in (model, stl.load_model(tmp_path / "m.drn")):
+        product = stl.build_product(read, stl.parse("F[0,2] goal"))
+        found = stl.robust_check(product, exact=True, values="all")
+        assert found.fraction == 1 - Fraction(2, 3) ** 2
+        assert found.values.fractions == (found.fraction, 1)
+        assert stl.robust_check(product, exact=True, nature="with").fraction == 1 - Fraction(1, 3) ** 2
+        assert found.policy is not None
+    tenths = stl.MDP.from_intervals([[[0.1, 0.7], [0, 1]]], [[[0.3, 0.9], [0, 1]]], {}, labels={"goal": [0, 1]})
+    assert stl.robust_check(stl.build_product(tenths, stl.parse("F[0,2] goal")), exact=True).fraction == Fraction(
+        91, 100
+    )
+    (tmp_path / "m.tra").write_text("2 2 3\n0 0 0 [1/3,2/3]\n0 0 1 [1/3,2/3]\n1 0 1 [1,1]\n")
+    (tmp_path / "m.lab").write_text('0="init" 1="goal"\n0: 0\n1: 1\n')
+    product = stl.build_product(stl.load_model(tmp_path / "m.tra"), stl.parse("F[0,2] goal"))
+    with pytest.raises(ModelError, match="the ends of the intervals were rounded when they were read"):
+        stl.robust_check(product, exact=True)
 
 
 # ------------------------------------------------------------------------------------------- laws

@@ -42,7 +42,8 @@ def unrolled(product):
                 if after not in number:
                     number[after] = len(number)
                     waiting.append(after)
-                ends = (Fraction(float(e[k])) for e in (model.intervals.lower, model.intervals.upper))
+                lower, upper, denominator = model.intervals.exact
+                ends = (Fraction(int(e[k]), denominator) for e in (lower, upper))
                 entries.append((number[after], "[{}, {}]".format(*ends)))
             lines += [f"\t\t{index} : {ends}" for index, ends in sorted(entries)]
     head = ["@type: MDP", "@parameters", "", "@reward_models", "", "@nr_states", str(len(number))]
@@ -64,6 +65,7 @@ def compare(product, path, maximize, nature):
     result = stl.robust_check(product, maximize=maximize, nature=nature)
     exact = Fraction(str(storm_value(path, maximize, nature, product.horizon, stormpy.RationalInterval)))
     assert Fraction(result.lower) <= exact <= Fraction(result.upper)
+    assert stl.robust_check(product, maximize=maximize, nature=nature, exact=True).fraction == exact
     assert storm_value(path, maximize, nature, product.horizon, stormpy.Interval) == pytest.approx(
         result.probability, abs=1e-9
     )

@@ -1,6 +1,7 @@
 """`stltool check` on models with intervals."""
 
 import json
+from fractions import Fraction
 
 import pytest
 
@@ -105,12 +106,11 @@ def test_a_report_tells_the_nature(product, tmp_path):
     assert data["run"] is None
 
 
-def test_exact_arithmetic_and_certificates_need_one_probability_each(stltool, tmp_path):
+def test_certificates_need_one_probability_each(stltool, tmp_path):
     path = tmp_path / "proof.jsonl"
-    for option in (["--exact"], ["--certificate", path]):
-        code, out, err = stltool("check", UNCERTAIN, *SMALL, *option)
-        assert (code, out) == (2, "")
-        assert "need probabilities without intervals; add --nature nominal" in err
+    code, out, err = stltool("check", UNCERTAIN, *SMALL, "--certificate", path)
+    assert (code, out) == (2, "")
+    assert "--certificate needs probabilities without intervals; add --nature nominal" in err
     assert not path.exists()
     assert stltool("check", UNCERTAIN, *SMALL, "--nature", "nominal", "--certificate", path)[0] == 0
     code, out, _ = stltool("certify", path, UNCERTAIN, *SMALL)
@@ -138,7 +138,11 @@ def test_the_nominal_model_on_the_ordinary_road(stltool, tmp_path):
     assert (code, "the model's probabilities are not intervals" in err) == (2, True)
 
 
-def test_a_bound_inside_the_enclosure_has_no_exact_way_out(stltool, product):
+def test_a_bound_inside_the_enclosure_is_decided_exactly(stltool, product):
     value = stl.robust_check(product).probability
     code, out, _ = stltool("check", UNCERTAIN, *SMALL, "--at-least", repr(value))
-    assert (code, out.rstrip().endswith("undecided: the bound lies inside the enclosure")) == (1, True)
+    assert (code, out.rstrip().endswith("undecided: the bound lies inside the enclosure; add --exact")) == (1, True)
+    exact = stl.robust_check(product, exact=True).fraction
+    for bound, code in ((exact, 0), (exact + Fraction(1, 10**40), 1)):
+        found, out, _ = stltool("check", UNCERTAIN, *SMALL, "--at-least", str(bound), "--exact")
+        assert (found, str(exact) in out) == (code, True)

@@ -5,6 +5,7 @@ from stltool.checking.induction.arithmetic import (
     Arithmetic,
     Digits,
     Doubles,
+    ExactNature,
     Fixed,
     Integers,
     Nature,
@@ -23,7 +24,8 @@ from stltool.checking.induction.words import Words
 
 __all__ = [
     "EVERYTHING", "OPEN", "REST", "SURE", "Allowed", "Among", "Arithmetic", "At", "Bernstein", "Budget", "ClusterWay",
-    "Digits", "Doubles", "Edges", "Engine", "Fixed", "Following", "Game", "Integers", "Layers", "Nature", "OnDisk",
-    "Passed", "Probabilities", "Progress", "Recorder", "Silent", "Single", "Solution", "Stretch", "Tied", "Values",
-    "Way", "Words", "files_beside", "induct", "key_of", "layers_of", "solve", "solve_on_cluster", "stopped_in",
+    "Digits", "Doubles", "Edges", "Engine", "ExactNature", "Fixed", "Following", "Game", "Integers", "Layers", "Nature",
+    "OnDisk", "Passed", "Probabilities", "Progress", "Recorder", "Silent", "Single", "Solution", "Stretch", "Tied",
+    "Values", "Way", "Words", "files_beside", "induct", "key_of", "layers_of", "solve", "solve_on_cluster",
+    "stopped_in",
 ]  # fmt: skip

@@ -282,6 +282,36 @@ class Nature(Arithmetic):
         return out
 
 
+class ExactNature(Integers):
+    """The same without any rounding: N_t = V_t · D^(h−t), for ends over the denominator D."""
+
+    def __init__(self, minimal: bool, denominator: int, maximize: bool) -> None:
+        super().__init__(denominator, maximize)
+        self._minimal = minimal
+
+    def begin(self, rows: Rows) -> None:
+        assert rows.intervals is not None
+        lower, upper, denominator = rows.intervals.exact
+        scale = self.denominator // denominator  # of all rows; these may be some of them
+        self._lower, self._width = lower * scale, (upper - lower) * scale
+        self._budget = self.denominator - np.add.reduceat(self._lower, rows.row_start[:-1])
+
+    def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
+        _, rank = np.unique(ahead, return_inverse=True)
+        rank = (rank if self._minimal else -rank)[edges.child]
+        lengths, values = np.diff(edges.start), ahead[edges.child]
+        order = np.lexsort((rank, np.repeat(np.arange(len(lengths)), lengths)))
+        left, width = self._budget[edges.choice], self._width[edges.entry]
+        total = np.add.reduceat(self._lower[edges.entry] * values, edges.start[:-1])
+        for i in range(int(lengths.max(initial=0))):
+            which = np.flatnonzero(lengths > i)
+            edge = order[edges.start[which] + i]
+            take = np.minimum(width[edge], left[which])
+            left[which] -= take
+            total[which] += take * values[edge]
+        return total
+
+
 _FEW_EDGES = 1_000_000
 
 

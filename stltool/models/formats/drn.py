@@ -526,7 +526,7 @@ class Reader:
                 faults.append(f"{self.path}, {self.place(c)}: {_sum_fault([float(one[c]) for one in sums])}")
         if faults:
             raise ModelError(all_told(faults, n_faults))
-        return lower.shares if lower is upper else Intervals(low, high)
+        return lower.shares if lower is upper else Intervals(low, high, (lower.shares, upper.shares))
 
     # ----------------------------------------------------------------------------------------------------------- names
 

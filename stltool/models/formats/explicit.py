@@ -521,7 +521,7 @@ class _Table:
         shares: Shares | None = exact
         intervals = None
         if upper is not None:
-            intervals, shares = Intervals(value, upper), None
+            intervals, shares = Intervals(value, upper, rounded=self.read.entries.rounded), None
             value = intervals.nominal(row_start)
             if loading.normalize:
                 notes["normalize"] = NOTHING.format("intervals")

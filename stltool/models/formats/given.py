@@ -161,12 +161,20 @@ def _loop(given: Given, loading: Loading) -> bool:
     given.target = np.insert(given.target, entry, states.astype(np.int32))
     one, given.doubles = given.probability, None
     if isinstance(one, Intervals):
-        given.probability = Intervals(np.insert(one.lower, entry, 1.0), np.insert(one.upper, entry, 1.0))
+        ends = None
+        if one.given is not None:
+            ends = _with_ones(one.given[0], entry), _with_ones(one.given[1], entry)
+        lower, upper = (np.insert(each, entry, 1.0) for each in (one.lower, one.upper))
+        given.probability = Intervals(lower, upper, ends)
     elif isinstance(one, Shares):
-        given.probability = Shares(np.insert(one.numerator, entry, one.denominator), one.denominator)
+        given.probability = _with_ones(one, entry)
     else:
         given.probability = np.insert(one, entry, 1.0)
     return True
+
+
+def _with_ones(shares: Shares, entry: I64) -> Shares:
+    return Shares(np.insert(shares.numerator, entry, shares.denominator), shares.denominator)
 
 
 def ordered(given: Given) -> None:
@@ -206,7 +214,7 @@ def _keep(given: Given, entries: I64, row_start: I64) -> None:
 
 def _picked(probability: Floats | Shares | Intervals, entries: I64) -> Floats | Shares | Intervals:
     if isinstance(probability, Intervals):
-        return Intervals(probability.lower[entries], probability.upper[entries])
+        return probability.at(entries)
     if isinstance(probability, Written):
         return probability.at(entries)
     if isinstance(probability, Shares):
@@ -235,8 +243,9 @@ def _merge(given: Given, first: I64, row: I64) -> None:
         parts["transitions"] = Amounts.of_shares(*over_one(a / b for a, b in zip(total, weight, strict=True)))
     given.doubles = None
     if isinstance(probability, Intervals):
-        lower, upper = (np.add.reduceat(ends, first) for ends in (probability.lower, probability.upper))
-        given.probability = Intervals(np.minimum(lower, 1), np.minimum(upper, 1))
+        *both, denominator = probability.exact
+        sums = (np.minimum(np.add.reduceat(ends, first), denominator) for ends in both)
+        given.probability = Intervals.of_shares(*(Shares(ends, denominator) for ends in sums))
     elif isinstance(probability, Shares):
         given.probability = Shares(np.add.reduceat(probability.numerator, first), probability.denominator)
     else:

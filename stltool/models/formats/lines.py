@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from stltool.errors import MOST_FAULTS, FileError, ModelError, SizeError, all_told
 from stltool.files import text_of
 from stltool.models.fractions import LARGEST_SUM, Integers, Shares, over_one
-from stltool.numbers import NumberError, index, read, shown
+from stltool.numbers import NumberError, index, read, shortest, shown
 from stltool.sizes import bytes_text, memory_limit, require_memory
 
 LARGE = 1 << 19  # bytes from which loading the kernel pays
@@ -350,6 +350,7 @@ class Entries:
     word     (n,) numbers of `words`, −1 for none
     value    (n,) doubles, or the lower ends of intervals; `upper` (n,) or None
     exact    the numbers exactly (without intervals)
+    rounded  whether ends of intervals are not the shortest decimals of their doubles
     faulty   the line of each fault, and (state, choice) if it is known of what; None: of a line that has no place
     """
 
@@ -368,6 +369,7 @@ class Entries:
     skipped: set[int] = field(default_factory=set)
     faulty: set[tuple[int, ...]] = field(default_factory=set)
     garbled: bool = False
+    rounded: bool = False
 
     def __len__(self) -> int:
         return len(self.value)
@@ -406,7 +408,7 @@ class _Reading:
         self.seen = np.zeros(form.n_states if form.by_row else 0, dtype=np.int32)
         self.begin = cursor.line - 1
         self.faults: list[tuple[int, str, str]] = []
-        self.n_faults, self.garbled = 0, False
+        self.n_faults, self.garbled, self.rounded = 0, False, False
         self.skipped: set[int] = set()
         self.faulty: set[tuple[int, ...]] = set()
 
@@ -417,7 +419,7 @@ class _Reading:
             self.cursor.file, self.form, self.begin, self.lead[:, :n], self.last[:n], self.value[:n],
             self.upper[:n] if len(self.upper) else None,
             Written(self.w[:n], self.places[:n], self.texts.items), self.word[:n], self.named.items,
-            self.faults, self.n_faults, self.skipped, self.faulty, self.garbled,
+            self.faults, self.n_faults, self.skipped, self.faulty, self.garbled, self.rounded,
         )  # fmt: skip
 
     def grow(self) -> None:
@@ -529,6 +531,7 @@ class _Reading:
         if len(ends) != 2:
             raise NumberError(f"{text!r} is not an interval")
         lower, upper = (_number(end) for end in ends)
+        self.rounded |= any(shortest(float(end)) != end for end in (lower, upper))
         return float(lower), float(upper)
 
     def _add(self, found: list[int], text: str, lower: float, upper: float, word: str | None) -> None:

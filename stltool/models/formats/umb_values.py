@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from stltool.models.costs import Amounts
 from stltool.models.formats.archive import Archive
 from stltool.models.formats.umb_index import Type
-from stltool.models.fractions import LARGEST_SUM, Shares, doubles_of, over_one
+from stltool.models.fractions import LARGEST_SUM, Shares, over_one
 from stltool.models.intervals import Intervals
 
 I64: TypeAlias = NDArray[np.int64]
@@ -102,7 +102,8 @@ def probabilities(archive: Archive, name: str, kind: Type, n: int) -> Floats | S
         ends = array(archive, name, "<f8", 2 * n)
     else:
         shares = rationals(archive, name, kind.size // 2, 2 * n)
-        ends = doubles_of(shares.numerator, shares.denominator)
+        lower, upper = (Shares(shares.numerator[i::2], shares.denominator) for i in (0, 1))
+        return Intervals.of_shares(lower, upper)
     return Intervals(ends[::2].astype(np.float64), ends[1::2].astype(np.float64))
 
 
