@@ -183,9 +183,11 @@ def test_frontiers_are_drawn_and_reported(stltool, tmp_path):
         (["check", TASK, "--robustness", "--plot", "x.txt"], "x.txt: pictures are written as .svg or .png"),
         (["check", TASK, "--robustness", "--margin", "0.1", "--plot", "x.svg"],
          "for a single margin, --plot is not supported with --robustness"),
+        (["check", TASK, "--robustness", "--time-shift", "0", "--plot", "x.svg"],
+         "for a single margin, --plot is not supported with --robustness"),
         (["check", TASK, "--robustness", "--at-least", "0.1", "--report", "x"],
          "for a single margin, --report is not supported with --robustness"),
-        (["check", TASK, "--cost", "x", "--report", "x"], "--report is for the probability of the task"),
+        (["check", TASK, "--cost", "x", "--report", "x"], "--report is not supported with --cost without --within"),
         (["frontier", TASK, "--at-least", "1", "--vary", "T", "--plot", "x"], "pictures are written as .svg or .png"),
     ],
 )  # fmt: skip

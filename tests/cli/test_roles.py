@@ -18,7 +18,7 @@ from tests.cli.every import CASES, make_inputs
 SAMPLES = {
     "task file": ["patrolling.stl", "floor-5x5.toml"], "model file": ["model.tra", "model.lab", "model.sta"],
     "policy's model": ["floor-5x5.toml"], "policy": ["policy.npz"], "trace": ["trace.csv"],
-    "certificate": ["certificate.jsonl"],
+    "certificate": ["certificate.jsonl"], "run": ["run.csv"],
     "sweep file": ["sweep.toml", "patrolling.stl", "floor-5x5.toml"], "report": ["report.json"],
 }  # fmt: skip
 COMMANDS = {command.name or command.callback.__name__: command.callback for command in app.registered_commands}
@@ -59,6 +59,7 @@ TWO = [
 def inputs(tmp_path_factory):
     made = tmp_path_factory.mktemp("inputs")
     make_inputs(made)
+    (made / "run.csv").write_text('state,action\n"(1,0)",N\n"(1,1)",\n')
     (made / "model.tra").write_text("1 1 1\n0 0 0 1\n")
     (made / "model.lab").write_text('0="init"\n0: 0\n')
     (made / "model.sta").write_text("(x)\n0:(1)\n")
