@@ -111,7 +111,7 @@ def monitor(
         bool,
         typer.Option(
             "--coverage",
-            help="how much the traces say about each part of the task; judges the task file's expect cover(…) lines",
+            help="how much the traces say about each part of the task; judges the task file's lines expect cover",
         ),
     ] = False,
     following: Annotated[

@@ -65,7 +65,8 @@ def pareto(
     if plot is not None:
         require_picture(plot)
     if save_policies is not None:
-        require_policy_file(save_policies)
+        for file in _numbered_files(save_policies):
+            require_policy_file(file)
         if save_policies.suffix.lower() == ".policy":
             raise SettingsError(
                 f"--save-policies {save_policies}: policies of corners are saved as .npz, .csv or .json"

@@ -301,7 +301,7 @@ def test_values_of_all_states_are_those_of_beginning_there(floor5, engine, optio
         one = (np.arange(floor5.n_states) == s).astype(np.int64)
         there = dataclasses.replace(floor5, initial=one.astype(float), exact_initial=None)
         alone = stl.build_product(there, product.formula)
-        assert found.values[s] == pytest.approx(stl.check(alone, **options).probability, abs=1e-14)
+        assert found.values[s].value == pytest.approx(stl.check(alone, **options).probability, abs=1e-14)
 
 
 def test_sampled_runs_are_runs_of_the_policy(patrolling):

@@ -538,6 +538,7 @@ def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
         lambda: stl.expected_cost(product, "x"),
         lambda: stl.frontier(product.model, stl.parse_task("param n = 1\nr := F[0,n] A"), 0.5, {"n": [1]}),
         lambda: stl.robustness_distribution(product.model, stl.parse("F[0,3] x > 0.5")),
+        lambda: stl.time_distribution(product.model, stl.parse("F[0,3] x > 0.5"), 1),
         lambda: stl.largest_margin(product.model, stl.parse("F[0,3] x > 0.5"), 0.5),
         lambda: stl.shield(product, at_least=0.5),
         lambda: stl.counterfactual(product, ([0, 0], ["N"])),
@@ -569,9 +570,9 @@ def test_every_public_function_on_products_knows_of_intervals():
     refusing = {"check", "learn", "sample_run", "likely_runs", "sensitivity", "estimate", "sprt", "pareto", "tradeoff",
                 "surrogate_optimum", "to_gymnasium", "stationary", "parametric", "policy_tree",
                 "expected_cost", "frontier", "robustness_distribution", "largest_margin", "shield",
-                "counterfactual"}  # fmt: skip
-    fit = {"robust_check", "build_product", "build_joint_product", "guarantee", "explain", "report", "optimality_gap",
-           "save_model", "product_mdp", "export"}  # fmt: skip
+                "counterfactual", "time_distribution"}  # fmt: skip
+    fit = {"robust_check", "cost_distribution", "build_product", "build_joint_product", "guarantee", "explain",
+           "report", "optimality_gap", "save_model", "product_mdp", "export"}  # fmt: skip
     found = {name: getattr(stl, name) for name in stl.__all__ if inspect.isfunction(getattr(stl, name))}
     models = {"product", "model", "joint"}
     asks = {name for name, ask in found.items() if models & set(inspect.signature(ask).parameters)}

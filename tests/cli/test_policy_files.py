@@ -12,7 +12,7 @@ from tests.conftest import FACTORY, PATROLLING, SMALL
 
 TAKES = {
     "check": [], "estimate": ["--runs", "20"], "why": [], "play": ["--moves", ". *"], "explain": ["--price", "0.3"],
-    "export": ["--to", "prism"],
+    "export": ["--to", "prism"], "counterfactual": ["--at", "0"],
 }  # fmt: skip
 
 

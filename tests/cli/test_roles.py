@@ -168,7 +168,8 @@ def test_results_go_into_a_folder_of_their_own_by_default(stltool, folder):
 # a name for each parameter that names one file
 NAMES = {
     "--junit": ["v.xml"], "--markdown": ["v.md"], "--plot": ["f.svg", "f.png"], "--certificate": ["c.jsonl"],
-    "--save-policy": ["p.npz", "p.policy"], "--history": ["h.csv"], "--checkpoint": ["c.npz"],
+    "--save-policy": ["p.npz", "p.policy"], "--save-policies": ["f.npz"], "--history": ["h.csv"],
+    "--checkpoint": ["c.npz"],
     "--tensorboard": ["events"], "export --out": ["a.dot"], "learn --out": ["p.npz"], "explain --out": ["p.npz"],
     "OUT": ["m.umb", "m.tra"],
 }  # fmt: skip

@@ -46,6 +46,10 @@ def test_the_policy_of_every_corner_is_saved_and_has_its_point(stltool, front, t
         for task, figure in zip(front.joint.tasks, corner.probabilities, strict=True):
             judged = stl.check(task, stl.load_policy(path, task))
             assert judged.probability == pytest.approx(figure.value, abs=1e-13)
+    (tmp_path / "other-2.npz").write_text("x,y\n")
+    code, out, err = stltool("pareto", TASK, *SMALL, *BOTH, "--save-policies", tmp_path / "other.npz")
+    assert (code, out) == (2, "")
+    assert "other-2.npz" in err
     code, _, err = stltool("pareto", TASK, *SMALL, *BOTH, "--save-policies", tmp_path / "front.policy")
     assert code == 2
     assert "policies of corners are saved as .npz, .csv or .json" in err

@@ -15,7 +15,16 @@ import stltool as stl
 from stltool.automata import UNDECIDED
 from stltool.reporting import render, report_data
 from tests.conftest import FACTORY, ROOT, many, some
-from tests.reporting.test_markup import estimated, front, monitored, swept, verified  # noqa: F401  # fixtures
+from tests.reporting.test_markup import (  # noqa: F401  # fixtures
+    estimated,
+    front,
+    margins,
+    monitored,
+    relaxed,
+    swept,
+    varied,
+    verified,
+)
 from tests.reporting.test_twin import random_edits, random_product
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="browser tests need playwright, which is absent")
@@ -364,7 +373,7 @@ def learned(factory):
 
 
 PAGES = ["learned", "plain", "graph", "intervals", "refused", "decided",
-         "swept", "verified", "front", "monitored", "estimated"]  # fmt: skip
+         "swept", "verified", "front", "monitored", "estimated", "margins", "varied", "relaxed"]  # fmt: skip
 
 
 @pytest.mark.soak
@@ -382,7 +391,9 @@ def test_every_page_fits_a_phone_and_is_open_to_screen_readers_in_both_themes(br
 
 def test_every_kind_of_page_is_among_them():
     templates = {path.stem for path in (ROOT / "stltool" / "reporting" / "templates").glob("*.html")}
-    assert templates - {"page", "macros", "explorer"} == {"report", "verify", "sweep", "front", "monitor", "estimate"}
+    assert templates - {"page", "macros", "explorer"} == {
+        "report", "verify", "sweep", "front", "monitor", "estimate", "answer"
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
