@@ -31,6 +31,11 @@ DONE, ODD, TEXT, WORD, FULL, WIDE = 0, 1, 2, 3, 4, 5
 """How reading ended: at the end; at a line that is left to Python; at a number or a word that is not in its table; at
 a row for which there is no room; at an interval, where there is no room for upper ends."""
 
+SHORTEST = 10**15 - 1
+"""Decimals w / 10^places up to this w are the shortest ones of their doubles."""
+RANGE = -2
+"""In the place of places: an interval."""
+
 UNKNOWN, NO_TYPE, TRUTH, NUMBER = -1, 0, 1, 2
 
 _LF, _CR, _TAB, _SPACE, _HASH, _PLUS, _COMMA, _MINUS, _POINT, _ZERO, _COLON = 10, 13, 9, 32, 35, 43, 44, 45, 46, 48, 58
@@ -218,14 +223,14 @@ def entries(
         if i < stop and data[i] == _OPEN:
             if len(upper) == 0:
                 return WIDE, begin, line, row, begin
-            first, _, _, i = decimal(data, i + 1, stop)
-            if i < 0 or i == stop or data[i] != _COMMA:
+            first, digits, _, i = decimal(data, i + 1, stop)
+            if i < 0 or i == stop or data[i] != _COMMA or digits > SHORTEST:
                 return ODD, begin, line, row, begin
-            top, _, _, i = decimal(data, i + 1, stop)
-            if i < 0 or i == stop or data[i] != _CLOSE or token(data, i, stop) != i + 1:
+            top, digits, _, i = decimal(data, i + 1, stop)
+            if i < 0 or i == stop or data[i] != _CLOSE or token(data, i, stop) != i + 1 or digits > SHORTEST:
                 return ODD, begin, line, row, begin
             i += 1
-            value[row], upper[row] = first, top
+            value[row], upper[row], places[row] = first, top, RANGE
         else:
             first, w[row], place, after = decimal(data, i, stop)
             end = token(data, i, stop)
@@ -309,13 +314,13 @@ def rows(
             if data[i] == _OPEN:
                 if len(upper) == 0:
                     return WIDE, begin, line, first_row, begin
-                first, _, _, i = decimal(data, i + 1, stop)
-                if i < 0 or i == stop or data[i] != _COMMA:
+                first, digits, _, i = decimal(data, i + 1, stop)
+                if i < 0 or i == stop or data[i] != _COMMA or digits > SHORTEST:
                     return ODD, begin, line, first_row, begin
-                top, _, _, i = decimal(data, i + 1, stop)
-                if i < 0 or i + 1 != colon or data[i] != _CLOSE:
+                top, digits, _, i = decimal(data, i + 1, stop)
+                if i < 0 or i + 1 != colon or data[i] != _CLOSE or digits > SHORTEST:
                     return ODD, begin, line, first_row, begin
-                value[row], upper[row] = first, top
+                value[row], upper[row], places[row] = first, top, RANGE
             else:
                 first, w[row], place, after = decimal(data, i, stop)
                 if after != colon:

@@ -273,3 +273,27 @@ def test_bad_intervals_in_transition_files(tmp_path, share, says):
     path.write_text(f"1 1 1\n0 0 0 {share}\n")
     with pytest.raises(ModelError, match=says):
         stl.load_model(path)
+
+
+@pytest.mark.parametrize("by_kernel", [False, True])
+def test_ends_in_explicit_files_are_exact_or_no_exact_answer_is_given(tmp_path, monkeypatch, by_kernel):
+    """A double in place of what was written would be another model."""
+    for module in ("lines", "explicit"):
+        monkeypatch.setattr(f"stltool.models.formats.{module}.LARGE", 0 if by_kernel else 1 << 40)
+    for first, second, exact in [
+        ("[0.1,0.3]", "[0.7,0.9]", Fraction(7, 10)),
+        ("[0.25,0.5]", "0.75", Fraction(3, 4)),
+        ("0.3", "[0.700000000000000,0.7]", Fraction(7, 10)),
+        ("[1/3,1/2]", "[1/2,2/3]", None),
+        ("[0.1,0.33333333333333333]", "[0.66,0.9]", None),
+        ("1/3", "[0.6,0.7]", None),
+        ("0.33333333333333333", "[0.6,0.7]", None),
+    ]:
+        (tmp_path / "m.tra").write_text(f"2 2 3\n0 0 0 {first}\n0 0 1 {second}\n1 0 1 1\n")
+        (tmp_path / "m.lab").write_text('0="init" 1="done"\n0: 0\n1: 1\n')
+        product = stl.build_product(stl.load_model(tmp_path / "m.tra"), stl.parse("F[0,1] done"))
+        if exact is None:
+            with pytest.raises(ModelError, match="were rounded when they were read"):
+                stl.robust_check(product, exact=True)
+        else:
+            assert stl.robust_check(product, exact=True).fraction == exact

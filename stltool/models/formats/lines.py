@@ -34,6 +34,7 @@ _SHORTEST = 4  # bytes of an entry
 _BYTES = 64  # of memory for each entry
 _PER_BYTE = 8  # bytes of memory for each one of text
 _KNOWN = 1 << 10  # texts for which there is room at first
+RANGE, SHORTEST = -2, 10**15  # an interval, as in kernels/lines.py; decimals below w / 10^places are the shortest
 _BLANKS = re.compile(r"[ \t\r]+")
 _WHITE = " \t\r\n"  # the only white space; other characters of this kind are part of words
 
@@ -350,7 +351,7 @@ class Entries:
     word     (n,) numbers of `words`, −1 for none
     value    (n,) doubles, or the lower ends of intervals; `upper` (n,) or None
     exact    the numbers exactly (without intervals)
-    rounded  whether ends of intervals are not the shortest decimals of their doubles
+    inexact  whether ends of intervals are not the shortest decimals of their doubles
     faulty   the line of each fault, and (state, choice) if it is known of what; None: of a line that has no place
     """
 
@@ -369,10 +370,17 @@ class Entries:
     skipped: set[int] = field(default_factory=set)
     faulty: set[tuple[int, ...]] = field(default_factory=set)
     garbled: bool = False
-    rounded: bool = False
+    inexact: bool = False
 
     def __len__(self) -> int:
         return len(self.value)
+
+    @property
+    def rounded(self) -> bool:
+        """Whether ends of intervals, or numbers beside them, are not the shortest decimals of their doubles."""
+        exact, points = self.exact, self.exact.places != RANGE
+        long = np.flatnonzero(points & ((exact.places < 0) | (np.abs(exact.w) >= SHORTEST)))
+        return self.inexact or any(exact[k] != shortest(float(self.value[k])) for k in long.tolist())
 
     def lines_of(self, which: Iterable[int]) -> dict[int, tuple[int, str]]:
         """The line of entries, its number and its text: reads the file again."""
@@ -408,7 +416,7 @@ class _Reading:
         self.seen = np.zeros(form.n_states if form.by_row else 0, dtype=np.int32)
         self.begin = cursor.line - 1
         self.faults: list[tuple[int, str, str]] = []
-        self.n_faults, self.garbled, self.rounded = 0, False, False
+        self.n_faults, self.garbled, self.inexact = 0, False, False
         self.skipped: set[int] = set()
         self.faulty: set[tuple[int, ...]] = set()
 
@@ -419,7 +427,7 @@ class _Reading:
             self.cursor.file, self.form, self.begin, self.lead[:, :n], self.last[:n], self.value[:n],
             self.upper[:n] if len(self.upper) else None,
             Written(self.w[:n], self.places[:n], self.texts.items), self.word[:n], self.named.items,
-            self.faults, self.n_faults, self.skipped, self.faulty, self.garbled, self.rounded,
+            self.faults, self.n_faults, self.skipped, self.faulty, self.garbled, self.inexact,
         )  # fmt: skip
 
     def grow(self) -> None:
@@ -531,7 +539,7 @@ class _Reading:
         if len(ends) != 2:
             raise NumberError(f"{text!r} is not an interval")
         lower, upper = (_number(end) for end in ends)
-        self.rounded |= any(shortest(float(end)) != end for end in (lower, upper))
+        self.inexact |= any(shortest(float(end)) != end for end in (lower, upper))
         return float(lower), float(upper)
 
     def _add(self, found: list[int], text: str, lower: float, upper: float, word: str | None) -> None:
@@ -542,7 +550,7 @@ class _Reading:
         if text.startswith("["):
             if not len(self.upper):
                 self.widen()
-            self.w[row], self.places[row] = 0, 0
+            self.w[row], self.places[row] = 0, RANGE
         else:
             self.w[row], self.places[row] = self.texts.number(text), -1
         self.value[row] = lower
