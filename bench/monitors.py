@@ -82,9 +82,11 @@ def offline_rows(n_traces: int, n_steps: int) -> list[str]:
     expected = ours().robustness
     rows = []
 
-    def row(figure: str, against: str, runs: int, mine: Callable[[], Any], other: Callable[[], Any]) -> None:
+    def row(
+        figure: str, against: str, runs: int, mine: Callable[[], Any], other: Callable[[], Any], slower: bool = False
+    ) -> None:
         mine_s, other_s = shortest(runs, mine, other)
-        ratio = f"{other_s / mine_s:.3g} ×"
+        ratio = f"{mine_s / other_s:.2g} × its time" if slower else f"{other_s / mine_s:.3g} ×"
         rows.append(f"| {figure}, {what} ({mine_s * 1e3:.3g} ms) | {against} ({other_s * 1e3:.4g} ms) | {ratio} |")
 
     specification = rtamt_specification("Offline")
@@ -122,7 +124,7 @@ def offline_rows(n_traces: int, n_steps: int) -> list[str]:
         lambda: numpy_robustness(*first))  # fmt: skip
     assert np.array_equal(ours("error", "boolean").verdicts, ours("error").robustness > 0)
     row("truth of decided steps", "copying the input", 50, lambda: ours("error", "boolean"),
-        lambda: (x.copy(), y.copy()))  # fmt: skip
+        lambda: (x.copy(), y.copy()), slower=True)  # fmt: skip
     return rows
 
 
