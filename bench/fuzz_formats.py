@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 
 import atheris
-from mutations import mutated
+from mutated import mutated
 
 with atheris.instrument_imports(include=["stltool"]):
     import stltool as stl

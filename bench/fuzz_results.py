@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import atheris
-from mutations import mutated
+from mutated import mutated
 
 with atheris.instrument_imports(include=["stltool"]):
     import numpy as np

@@ -1,4 +1,4 @@
-"""Random faults in a room of stltool, one at a time, and whether the room's quick tests find them (bench/mutations.md).
+"""Random faults in a room of stltool, one at a time, and whether the room's quick tests find them (bench/mutants.md).
 
     pip install coverage
     python bench/mutants.py logic --count 300 --out out/mutants
