@@ -9,15 +9,21 @@ With s a model state, q an automaton state, D·p(c, s') the integers of choice c
     V_t(s,q) = 1 or 0                                       if the verdict of q at step t is the goal, or the other one
              = max_c or Σ_c weight(c) · Σ_s' p(c,s') · V_{t+1}(s', δ(letter of s', q))       otherwise
 
-(A minimum is 1 minus the maximum for the other verdict.) There are two parts, both from the last step back:
+(A minimum is 1 minus the maximum for the other verdict.) If the file lists intervals, nature picks p(c, ·) anew at each
+step, knowing s, q and c: of the distributions between the ends, which sum to 1 exactly, one with the least inner sum,
+or with the greatest. It starts from the lower ends and hands out the rest in the order of the values, to each up to its
+upper end.
+
+There are two parts, both from the last step back:
 
   * What is certain follows from the model's graph. As sets of automaton states, one integer per model state:
     `possible`, where some considered choice can lead to a goal, and `sure`, where some choice (of a policy: the listed
     ones) leads to goals and sure pairs only. V is 0 outside `possible` and 1 in `sure`; the file lists neither.
   * For the remaining pairs the file lists numbers v_t. They need not be right: the distance of each from the result of
     one step from v_{t+1} is measured in exact integers. With e_t the largest distance upwards at step t, V_t − v_t is
-    at most e_t + e_{t+1} + …, by induction, since averages and maxima change by no more than their arguments. The same
-    holds downwards. So wrong numbers cannot mislead: they only give wider bounds, and the claimed ones are refused.
+    at most e_t + e_{t+1} + …, by induction, since averages, minima and maxima change by no more than their arguments.
+    The same holds downwards. So wrong numbers cannot mislead: they only give wider bounds, and the claimed ones are
+    refused.
 
 If a row sums to 1 − d, the missing d may lead anywhere; if it sums to 1 + d, any d of it may be too much: the largest d
 is added to the distance at each step, and distances grow by the largest factor 1 + d per step.
@@ -39,9 +45,10 @@ from fractions import Fraction
 from itertools import compress
 from typing import Any, NoReturn, TypeAlias
 
-FORMAT = "stltool-certificate-2"
-HEADER = {"format", "claim", "task", "formula", "encoding", "horizon", "model", "policy"}
+FORMAT = "stltool-certificate-3"
+HEADER = {"format", "claim", "nature", "task", "formula", "encoding", "horizon", "model", "policy"}
 CLAIMS = ("maximum", "minimum", "policy")
+NATURES = (None, "least", "greatest")
 LINE = 2**23  # the most bytes of a line
 DIGITS = 4300  # the most digits of a decimal number
 BITS = 2**20  # the most bits of the integer that represents 1
@@ -52,6 +59,8 @@ DAMAGE = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, R
           zlib.error, gzip.BadGzipFile)  # fmt: skip
 
 Item: TypeAlias = dict[str, Any] | list[Any]
+Choice: TypeAlias = tuple[list[int], list[int], list[int] | None]
+"""Successors, their integers over D (of intervals: the lower ends), and the widths of intervals."""
 
 
 class Refused(Exception):
@@ -254,21 +263,21 @@ class Letter:
 
 
 class Model:
-    """The states of the file: share of the initial distribution, letter, and choices as (successors, integers).
+    """The states of the file: share of the initial distribution, letter, and choices.
 
     What follows a state without choices, or a choice without successors, is unknown. `near`: the successors of each
     state; `known`: the states of which every choice is known.
     """
 
-    def __init__(self, head: dict[str, Any], rows: Iterator[list[Any]]) -> None:
+    def __init__(self, head: dict[str, Any], rows: Iterator[list[Any]], intervals: bool) -> None:
         self.D, self.total = head["denominator"], head["initial_denominator"]
         require(
             integers([self.D, self.total]) and self.D > 0 < self.total, "the denominators are not positive integers"
         )
         self.share: dict[int, int] = {}
         self.letter: dict[int, int] = {}
-        self.choices: dict[int, list[tuple[list[int], list[int]]]] = {}
-        last = -1
+        self.choices: dict[int, list[Choice]] = {}
+        last, size = -1, 3 if intervals else 2
         for row in rows:
             where = f"model state {row[0]!r:.20}" if row else "the model"
             require(
@@ -277,17 +286,28 @@ class Model:
             )
             s, self.share[s], self.letter[s], *choices = row
             require(s > last, f"{where}: not in ascending order")
-            pairs = all(integers(choice) and len(choice) % 2 == 0 for choice in choices)
-            require(pairs, f"{where}: a choice is not a list of pairs of integers")
+            known = all(integers(choice) and len(choice) % size == 0 for choice in choices)
+            require(known, f"{where}: a choice is not a list of {'triples' if intervals else 'pairs'} of integers")
             require(all(min(choice, default=0) >= 0 for choice in choices), f"{where}: a negative number")
-            self.choices[s] = [(choice[::2], choice[1::2]) for choice in choices]
+            if intervals:
+                self.choices[s] = [self._between(choice[::3], choice[1::3], choice[2::3], where) for choice in choices]
+            else:
+                self.choices[s] = [(choice[::2], choice[1::2], None) for choice in choices]
             last = s
-        self.near = {s: sorted({x for xs, _ in options for x in xs}) for s, options in self.choices.items()}
+        self.near = {s: sorted({x for xs, _, _ in options for x in xs}) for s, options in self.choices.items()}
         require(all(x in self.share for near in self.near.values() for x in near), "a successor is not listed")
         require(bool(self.share), "the model has no states")
-        self.known = {s for s, options in self.choices.items() if options and all(xs for xs, _ in options)}
-        sums = [self.D, *(sum(numbers) for options in self.choices.values() for xs, numbers in options if xs)]
+        self.known = {s for s, options in self.choices.items() if options and all(xs for xs, _, _ in options)}
+        given = [] if intervals else [option for options in self.choices.values() for option in options]
+        sums = [self.D, *(sum(numbers) for xs, numbers, _ in given if xs)]
         self.missing, self.excess = self.D - min(sums), max(sums) - self.D  # the largest of a row, over D
+
+    def _between(self, successors: list[int], low: list[int], high: list[int], where: str) -> Choice:
+        """A choice with intervals, which must contain a distribution."""
+        require(all(map(int.__le__, low, high)), f"{where}: a lower end is above the upper end")
+        holds = not successors or sum(low) <= self.D <= sum(high)
+        require(holds, f"{where}: no probabilities between the ends sum to 1")
+        return successors, low, [*map(int.__sub__, high, low)]
 
     def reached(self, horizon: int) -> dict[int, int]:
         """The first step at which runs can be in a model state, for the states reached within this many steps."""
@@ -380,6 +400,7 @@ class Induction:
     values    the numbers of the listed pairs     table    the numbers that rows may refer to
     possible, sure, and the sets that lead into them (before): a set for each model state
     changed   the model states whose sets differ from those of step t + 1
+    least     with intervals: whether nature makes the probability of the goal least (False: greatest)
     moves     for a policy, by model state: sets of automaton states, and the choices taken there, with weights
     far       the sums of the distances upwards and downwards so far, in units of 1/(one·FINE)
     worst     the largest distance each way, and where it was
@@ -388,10 +409,17 @@ class Induction:
     """
 
     def __init__(
-        self, model: Model, automaton: Automaton, claim: str, horizon: int, most_work: Callable[[], int]
+        self,
+        model: Model,
+        automaton: Automaton,
+        claim: str,
+        nature: str | None,
+        horizon: int,
+        most_work: Callable[[], int],
     ) -> None:
         self.model, self.automaton, self.horizon, self.t = model, automaton, horizon, horizon
         self.goal = claim != "minimum"
+        self.least = (nature == "least") == self.goal  # the goal of a minimum is the other verdict
         self.moves: dict[int, list[tuple[int, Weights]]] | None = {} if claim == "policy" else None
         self.policy_from, self.named = horizon if claim == "policy" else 0, set[int]()
         self.values: Listed = {}
@@ -571,7 +599,7 @@ class Induction:
         choices, near = self.model.choices[s], self.model.near[s]
         if weights is not None:
             choices = [choices[c] for c, _ in weights]
-            near = sorted({x for successors, _ in choices for x in successors})
+            near = sorted({x for successors, _, _ in choices for x in successors})
         after: dict[int, list[int]] = {}
         values = []
         for x in near:
@@ -583,7 +611,11 @@ class Induction:
         if new := {*keys}.difference(outcomes):
             by_successor = dict(zip(near, zip(*new, strict=True), strict=True))
             sums = []
-            for successors, integers_ in choices:
+            for successors, integers_, widths in choices:
+                if widths is not None:
+                    columns = zip(*map(by_successor.__getitem__, successors), strict=True)
+                    sums.append([self._natures(integers_, widths, column) for column in columns])
+                    continue
                 terms = [[n * value for value in by_successor[x]] for x, n in zip(successors, integers_, strict=True)]
                 sums.append(terms[0] if len(terms) == 1 else [*map(sum, zip(*terms, strict=True))])
             if weights is not None:
@@ -592,6 +624,14 @@ class Induction:
             outcomes |= zip(new, sums[0] if len(sums) == 1 else map(max, *sums), strict=True)
         self.kept.setdefault((s, weights), {}).update({key: outcomes[key] for key in keys})
         return [*map(outcomes.__getitem__, keys)]
+
+    def _natures(self, low: list[int], widths: list[int], values: tuple[int, ...]) -> int:
+        """The least (or greatest) Σ D·p·value over all p between the ends that sum to 1."""
+        left, total = self.model.D - sum(low), sum(map(int.__mul__, low, values))
+        for value, width in sorted(zip(values, widths, strict=True), reverse=not self.least):
+            share = min(width, left)
+            left, total = left - share, total + share * value
+        return total
 
     def _sets(self, t: int, everywhere: bool, again: set[int]) -> None:
         """Go on to the sets of step t. They can differ only where verdicts, the policy or a successor's sets do."""
@@ -619,7 +659,7 @@ class Induction:
         if self.moves is None:
             for x in self.model.near[s]:
                 some |= self.possible_before[x]
-            for successors, _ in choices:
+            for successors, _, _ in choices:
                 all_of_them = self.automaton.all
                 for x in successors:
                     all_of_them &= self.sure_before[x]
@@ -639,15 +679,16 @@ def _certify(lines: Lines, progress: Callable[[int, int], None]) -> dict[str, An
     blocks = Blocks(iter(lines))
     if not blocks.opens("format") or (header := blocks.head(HEADER))["format"] != FORMAT:
         raise NotACertificate(f"not a certificate ({FORMAT})")
-    claim, horizon = header["claim"], header["horizon"]
+    claim, nature, horizon = header["claim"], header["nature"], header["horizon"]
     texts = [header[key] for key in ("task", "formula", "encoding", "model", "policy") if header[key] is not None]
     require(all(type(text) is str and text.isprintable() for text in texts), "the header's texts are not printable")
     require(claim in CLAIMS, f"unknown claim {claim!r:.80}")
+    require(nature in NATURES, f"unknown nature {nature!r:.80}")
     require(type(horizon) is int and horizon >= 0, f"the horizon {horizon!r:.80} is not a number of steps")
-    model = Model(blocks.head({"denominator", "initial_denominator"}), blocks.rows())
+    model = Model(blocks.head({"denominator", "initial_denominator"}), blocks.rows(), nature is not None)
     automaton = Automaton(blocks.head({"states", "letters", "start", "verdicts"}), blocks.rows())
     require(max(model.letter.values()) < len(automaton.letters), "a letter is not one of the automaton's")
-    induction = Induction(model, automaton, claim, horizon, lambda: WORK + 100 * lines.read)
+    induction = Induction(model, automaton, claim, nature, horizon, lambda: WORK + 100 * lines.read)
     while induction.t > 0:
         if blocks.opens("policy"):
             induction.follow(blocks.head({"policy"})["policy"], blocks.rows())

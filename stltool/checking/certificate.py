@@ -29,6 +29,7 @@ from stltool.checking.proof import (
     Proof,
     automaton_items,
     choices_listed,
+    denominator_of,
     following,
     header,
 )
@@ -53,8 +54,9 @@ def write_certificate(
     """Write a proof of bounds on a result: JSON lines, compressed if the name ends in .gz. Returns the bounds.
 
     The bounds come from a separate computation, so they may differ from the result's in the last digits; for an exact
-    result they are the exact value. The result need not have kept its policy. With `cluster`, the address of a dask
-    scheduler, its workers compute the numbers; the file is the same.
+    result they are the exact value. On a model with intervals they hold for nature's choice, as in `robust_check`. The
+    result need not have kept its policy. With `cluster`, the address of a dask scheduler, its workers compute the
+    numbers; the file is the same.
 
     Raises SizeError before allocating more memory than is available, or if the certificate would be too large for its
     reader.
@@ -63,12 +65,14 @@ def write_certificate(
     path = require_certificate_file(path_of(path, "write_certificate's path"))
     function(progress, "write_certificate's progress")
     product, policy = result.product, result.policy if result.question == "policy" else None
-    product.model.require_points()
+    if result.natures_aim is None or product.model.parameters:
+        product.model.require_points()
     if policy is not None:
         product, policy = policy.on(product)
     require(cluster, str, "write_certificate's cluster", "write the scheduler's address in quotes", optional=True)
     exact = result.fraction is not None
     if cluster is not None:
+        product.model.require_points()
         require_for_cluster(exact, policy)
     what = f"certifying {product.n_states} product states over {product.horizon} steps"
     with ExitStack() as open_things:
@@ -80,7 +84,7 @@ def write_certificate(
         seal = hashlib.sha256()
         budget = Budget(what, memory_limit, progress)
         try:
-            proof = Proof(product, policy, result.question, exact, budget, memory_limit, client)
+            proof = Proof(product, policy, result.question, exact, budget, memory_limit, client, result.natures_aim)
             for item in proof.items():
                 seal.update(_write(out, item))
         except Silent:
@@ -148,9 +152,9 @@ def require_certificate_of(path: str | Path, product: Product, policy: Policy | 
     With `policy`, its claim must also be about that policy, choice by choice. The bounds are not checked again here:
     call `stltool.certify` first.
     """
-    if product.model.uncertain:
-        product = replace(product, model=product.model.nominal())  # a certificate is for one distribution
-    product.model.require_points()
+    product.model.require_probabilities()
+    if product.model.parameters:
+        product.model.require_points()
     try:
         _require_same(path, product, policy)
     except (Refused, *DAMAGE) as error:
@@ -161,6 +165,13 @@ def _require_same(path: str | Path, product: Product, policy: Policy | None) -> 
     items = iter(Lines(str(path)))
     theirs = next(items)
     assert isinstance(theirs, dict)
+    if theirs["nature"] is not None and not product.model.uncertain:
+        raise CertificateError(
+            f"{path}: this certificate is for a model with intervals, unlike {product.model.name}; write one with "
+            "stltool check --certificate"
+        )
+    if theirs["nature"] is None and product.model.uncertain:
+        product = replace(product, model=product.model.nominal())
     if policy is not None:
         product, policy = policy.on(product)
     own = header(product, "policy", policy)
@@ -214,14 +225,16 @@ def _same_model(product: Product, items: Iterator[Item]) -> tuple[bool, bool, It
         acting = [row for row in block if len(row) > 3]
         numbers = asked.at(np.array([row[0] for row in acting], dtype=np.int64))
         rows = asked.rows.some(numbers)
+        own_D, size = denominator_of(rows), 2 if rows.intervals is None else 3
         for row, own in zip(acting, choices_listed(rows), strict=True):
             if len(row) - 3 != len(own):
                 return False, letters, item
             for theirs, ours in zip(row[3:], own, strict=True):
-                if theirs and theirs[::2] != ours[::2]:
+                if theirs and theirs[::size] != ours[::size]:
                     return False, letters, item
-                if theirs and [n * rows.denominator for n in theirs[1::2]] != [n * D for n in ours[1::2]]:
-                    return False, letters, item
+                for k in range(1, size):
+                    if theirs and [n * own_D for n in theirs[k::size]] != [n * D for n in ours[k::size]]:
+                        return False, letters, item
     return not share_of, letters, item
 
 

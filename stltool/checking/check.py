@@ -63,6 +63,7 @@ from stltool.transfer import transferred
 Floats: TypeAlias = NDArray[np.float64]
 
 ValuesOf: TypeAlias = Literal["initial", "all"]
+NaturesAim: TypeAlias = Literal["least", "greatest"]
 
 _LONG = 10**30  # larger denominators are left out of a short description
 _NAMED = 3  # pairs without an action, in a message
@@ -77,6 +78,7 @@ class CheckResult(Displayed):
     question      "maximum" | "minimum" (over all policies) | "policy"
     policy        the policy that attains it (None where it was not kept)
     nature        for interval probabilities: whether nature is adversarial ("against") or cooperative ("with")
+    natures_aim   for interval probabilities: whether nature makes P the "least" or the "greatest"
     fraction      the exact value if it was asked for; lower and upper are then the doubles next to it
     arithmetic    "double" | "fixed" (int64, rounded up) | "rational": what the enclosure rests on
     certain       whether 0 or 1 follows from the model's graph alone
@@ -101,6 +103,7 @@ class CheckResult(Displayed):
     arithmetic: Literal["double", "fixed", "rational"] = "double"
     status: str = "complete"
     nature: Literal["against", "with"] | None = None
+    natures_aim: NaturesAim | None = None
     certain: bool = False
     engine: str = ""
     values: StateValues | None = None

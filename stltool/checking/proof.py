@@ -10,6 +10,8 @@ beforehand:
     doubles       a step of d terms (and m choices mixed) rounds n = d + 1 (+ 2m + 2) times, a share's own rounding
                   included: γ_n = n·u/(1 − n·u) of its value, which is at most 1/(1 − h·(γ_n + the rows' excess)); two
                   halves of a unit are added where numbers become integers
+    intervals     a step of rows of d entries, in doubles, moves values by less than 8·d·u, and a mixture by 2·m·u + u
+                  and the rounding of its m shares, as much again (checking/robust.py); two halves of a unit as above
     exact         N_t = V_t · D^(h−t): none
 
 A minimum is listed as 1 minus a maximum: that of the probability that the formula fails.
@@ -30,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata import FALSE, TRUE
+from stltool.checking.check import NaturesAim
 from stltool.checking.fixed import FixedPoint, fixed_point
 from stltool.checking.induction import (
     EVERYTHING,
@@ -40,18 +43,21 @@ from stltool.checking.induction import (
     Digits,
     Doubles,
     Engine,
+    ExactNature,
     Fixed,
     Following,
     Game,
     Integers,
     Layers,
+    Nature,
     Passed,
     Values,
     Way,
     Words,
     layers_of,
 )
-from stltool.checking.rational import exact_arithmetic
+from stltool.checking.rational import exact_arithmetic, require_room
+from stltool.checking.robust import require_exact_ends, require_short_rows
 from stltool.choices import Form, Indices
 from stltool.errors import SizeError
 from stltool.models import MDP
@@ -82,10 +88,11 @@ _HEX = np.frombuffer(b"0123456789abcdef", dtype=np.uint8)
 # ---------------------------------------------------------------------------------------- task, model, automaton
 
 
-def header(product: Product, claim: str, policy: Policy | None) -> dict[str, Any]:
+def header(product: Product, claim: str, policy: Policy | None, aim: NaturesAim | None = None) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "claim": claim,
+        "nature": aim,
         "task": product.task_name,
         "formula": str(product.formula),
         "encoding": product.automaton.encoding,
@@ -104,7 +111,7 @@ def model_items(product: Product, layers: Layers[Any, Any], form: Form | None) -
     model, acting, rows = product.model, layers.acting(), acting_rows(layers)
     first = layers.game.first
     shares, total = over_one(model.initial_share(s) for s in first.tolist())
-    yield {"denominator": rows.denominator, "initial_denominator": total}
+    yield {"denominator": denominator_of(rows), "initial_denominator": total}
     taken = np.ones(rows.choice_start[-1], dtype=np.bool_)
     if form is not None:
         taken = _taken(layers, form, acting, rows.choice_start)
@@ -140,11 +147,18 @@ def acting_rows(layers: Layers[Any, Any]) -> Rows:
 
 
 def choices_listed(rows: Rows) -> Iterator[list[list[int]]]:
-    """The choices of each state, as alternating successors and numerators."""
-    pairs = itertools.chain.from_iterable(zip(rows.target.tolist(), rows.numerator.tolist(), strict=True))
-    lengths, counts = iter((2 * np.diff(rows.row_start)).tolist()), np.diff(rows.choice_start).tolist()
+    """The choices of each state: each successor followed by its numerator, or by those of its interval's ends."""
+    numbers = rows.intervals.exact[:2] if rows.intervals is not None else (rows.numerator,)
+    columns = rows.target, *numbers
+    entries = itertools.chain.from_iterable(zip(*(column.tolist() for column in columns), strict=True))
+    lengths, counts = iter((len(columns) * np.diff(rows.row_start)).tolist()), np.diff(rows.choice_start).tolist()
     for n in counts:
-        yield [[*itertools.islice(pairs, length)] for length in itertools.islice(lengths, n)]
+        yield [[*itertools.islice(entries, length)] for length in itertools.islice(lengths, n)]
+
+
+def denominator_of(rows: Rows) -> int:
+    """The denominator of the numbers of `choices_listed`."""
+    return rows.intervals.exact[2] if rows.intervals is not None else rows.denominator
 
 
 def automaton_items(product: Product) -> Iterator[Item]:
@@ -295,6 +309,14 @@ class Rounded(Numbers):
         return in_fixed if in_fixed.low <= in_doubles.low + in_doubles.high else in_doubles
 
     @classmethod
+    def of_nature(cls, layers: Layers[Any, Any], minimal: bool) -> Rounded:
+        """For rows of intervals that contain a distribution exactly."""
+        rows = acting_rows(layers)
+        roundings = 8 * rows.longest + (4 * rows.most_choices + 4 if layers.allowed.mixed else 0)
+        far = layers.game.horizon * (roundings * _U + Fraction(1, _UNIT))
+        return cls(Nature(minimal, maximize=True), _UNIT, far, far)
+
+    @classmethod
     def _in_fixed(cls, scale: FixedPoint, h: int) -> Rounded:
         low = Fraction(scale.roundings(h), scale.one)
         return cls(Fixed(scale.denominator, scale.one, maximize=True), scale.one, Fraction(0), low)
@@ -396,7 +418,9 @@ def _digits(limbs: I64, bits: int, width: int) -> Texts:
 
 
 def defects(rows: Rows) -> tuple[Fraction, Fraction]:
-    """The largest amounts by which a row's sum is below 1, and above 1."""
+    """The largest amounts by which a row's sum is below 1, and above 1; intervals contain a distribution exactly."""
+    if rows.intervals is not None:
+        return Fraction(0), Fraction(0)
     D = rows.denominator
     sums = [D, *np.add.reduceat(rows.numerator, rows.row_start[:-1]).tolist()] if len(rows.target) else [D]
     return Fraction(D - min(sums), D), Fraction(max(sums) - D, D)
@@ -462,9 +486,10 @@ class Proof:
         budget: Budget,
         memory_limit: int | None,
         client: Client | None = None,
+        aim: NaturesAim | None = None,
     ) -> None:
         self._client = client
-        self._product, self._claim, self._header = product, claim, header(product, claim, policy)
+        self._product, self._claim, self._header = product, claim, header(product, claim, policy, aim)
         engine: Engine = "auto" if client is None else "words"
         self._form: Form | None = None
         self._policy: PolicyItems | None = None
@@ -477,13 +502,24 @@ class Proof:
             goal = FALSE if claim == "minimum" else TRUE
             self.layers = layers_of(Game.of(product), goal, EVERYTHING, engine=engine, budget=budget)
         self.numbers: Numbers
-        D = self.layers.rows.denominator
+        if aim is None:
+            D = self.layers.rows.denominator
+        else:
+            require_short_rows(self.layers.kinds)
+            D = require_exact_ends(product, self.layers.kinds)
         if D >= 10**DIGITS or (exact and product.horizon * D.bit_length() > BITS):
             raise SizeError(
                 f"probabilities over a common denominator of {D.bit_length()} bits, over {product.horizon} steps, are "
                 f"too long for a certificate; {SMALLER}"
             )
-        if exact:
+        if aim is not None:
+            minimal = (aim == "least") == (claim != "minimum")  # of a minimum, numbers are of the other verdict
+            if exact:
+                require_room(self.layers, 64, memory_limit=memory_limit)
+                self.numbers = Exact(ExactNature(minimal, D, maximize=True))
+            else:
+                self.numbers = Rounded.of_nature(self.layers, minimal)
+        elif exact:
             self.numbers = Exact(exact_arithmetic(self.layers, True, memory_limit=memory_limit))
         else:
             self.numbers = Rounded.of(self.layers, product.model)

@@ -45,7 +45,7 @@ import numpy as np
 from stltool.arguments import flag, function, one_of, whole
 from stltool.automata import FALSE, TRUE
 from stltool.checking.bounds import compounded, defect, enclose
-from stltool.checking.check import CheckResult, ValuesOf, undefined
+from stltool.checking.check import CheckResult, NaturesAim, ValuesOf, undefined
 from stltool.checking.induction import (
     EVERYTHING,
     Arithmetic,
@@ -125,6 +125,7 @@ def robust_check(
     question: Literal["maximum", "minimum", "policy"]
     question = "policy" if judged is not None else "maximum" if maximize else "minimum"
     minimal = maximize == (nature == "against")
+    aim: NaturesAim = "least" if minimal else "greatest"
     arithmetic: Arithmetic = NaturesChoice(minimal=minimal, maximize=maximize)
     if parameters := product.model.parameters:
         first, last = {one.name: one.lower for one in parameters}, {one.name: one.upper for one in parameters}
@@ -136,9 +137,7 @@ def robust_check(
     game, goal = Game.of(judge, values == "all"), TRUE if maximize else FALSE
     try:
         layers = layers_of(game, goal, allowed, engine=engine, keep=keep, threads=threads, budget=budget)
-        longest = layers.kinds.longest
-        if longest > _LONGEST_ROW:
-            raise SettingsError(f"a row has {longest} entries; robust checks support up to {_LONGEST_ROW}")
+        longest = require_short_rows(layers.kinds)
         if exact:
             arithmetic = ExactNature(minimal, require_exact_ends(product, layers.kinds), maximize)
             require_room(layers, 64, memory_limit=memory_limit)
@@ -156,7 +155,7 @@ def robust_check(
         return CheckResult(
             product, question, float(exactly), round_down(exactly), round_up(exactly), policy, found.swept,
             time.perf_counter() - start, fraction=exactly, arithmetic="rational", nature=nature,
-            certain=bool(found.certain[starts].all()) and exactly in (0, 1), engine=found.engine,
+            natures_aim=aim, certain=bool(found.certain[starts].all()) and exactly in (0, 1), engine=found.engine,
             values=StateValues(product.model, game.first, *of_fractions(fractions), tuple(fractions))
             if values is not None else None,
         )  # fmt: skip
@@ -182,9 +181,16 @@ def robust_check(
         each = StateValues(product.model, game.first, *of_doubles(found.entry, found.certain, 0, slack, False))
     seconds = time.perf_counter() - start
     return CheckResult(
-        product, question, value, lower, upper, policy, found.swept, seconds, nature=nature, certain=certain,
-        engine=found.engine, values=each,
+        product, question, value, lower, upper, policy, found.swept, seconds, nature=nature, natures_aim=aim,
+        certain=certain, engine=found.engine, values=each,
     )  # fmt: skip
+
+
+def require_short_rows(rows: Rows) -> int:
+    """The length of the longest row. SettingsError if the enclosure's proof does not cover it."""
+    if rows.longest > _LONGEST_ROW:
+        raise SettingsError(f"a row has {rows.longest} entries; robust checks support up to {_LONGEST_ROW}")
+    return rows.longest
 
 
 def require_exact_ends(product: Product, kinds: Rows) -> int:
@@ -197,8 +203,8 @@ def require_exact_ends(product: Product, kinds: Rows) -> int:
     if len(wrong) or product.model.initial_defect:
         where = product.model.place(int(wrong[0])) if len(wrong) else "the initial distribution"
         raise ModelError(
-            f"{where}: no probabilities within the ends sum to 1 exactly, so there is no exact answer; give them as "
-            'fractions, such as "1/3", or as decimals'
+            f"{where}: no probabilities within the ends sum to 1 exactly, so there is no exact answer or certificate; "
+            'give them as fractions, such as "1/3", or as decimals'
         )
     return denominator
 

@@ -64,7 +64,7 @@ def certify(
         product = load_product(task, model, param, name, encoding, reading=reading)
         _require_task(file, task, param, str(proved["formula"]), str(product.formula))
         require_certificate_of(file, product, stl.load_policy(policy, product) if policy is not None else None)
-        nominal = product.model.uncertain
+        nominal = product.model.uncertain and proved["nature"] is None
         proved |= {"task": product.task_name, "encoding": product.automaton.encoding, "nominal": nominal}
     if as_json:
         print_json(proved | {"proved": True, "compared_with": str(task) if task is not None else None})
@@ -74,11 +74,11 @@ def certify(
     question = {"maximum": "the maximum over all policies", "minimum": "the minimum over all policies"}
     print_facts({
         "proved": f"{lower} <= P <= {upper}",
-        "P": question.get(proved["claim"], f"of the policy listed ({proved['policy']})"),
+        "P": question.get(proved["claim"], f"of the policy listed ({proved['policy']})") + _nature(proved["nature"]),
         "task": f"{proved['task']} := {proved['formula']}{'' if task else ' (as stated in the file, not proved)'}",
         "encoding": proved["encoding"],
         "checked": f"{proved['pairs']} pairs of states between 0 and 1, over {proved['steps']} steps, in integers only",
-        "rows": "sum to 1 exactly" if proved["defect"] == "0" else f"sum to 1 up to {proved['defect']}, allowed for",
+        "rows": _rows(proved["nature"], proved["defect"]),
         "compared": _compared(task, policy, bool(proved.get("nominal"))),
     })  # fmt: skip
 
@@ -97,6 +97,19 @@ def _require_task(file: Path, task: Path, param: list[str] | None, proved: str, 
                 f"{file}: the task of this certificate is {proved}, not {asked}; that is {name} of the same file: add "
                 f"--task {name}"
             )
+
+
+def _rows(aim: str | None, defect: str) -> str:
+    if defect != "0":
+        return f"sum to 1 up to {defect}, allowed for"
+    return "sum to 1 exactly" if aim is None else "are intervals, each with probabilities that sum to 1 exactly"
+
+
+def _nature(aim: str | None) -> str:
+    """What nature does with intervals."""
+    if aim is None:
+        return ""
+    return f", where nature's choice in the intervals makes P {aim}"
 
 
 def _compared(task: Path | None, policy: Path | None, nominal: bool) -> str:

@@ -338,8 +338,6 @@ def check(
     robust = uncertain and nature != "nominal"
     if product.model.parameters and (exact or clockless or streamed or certificate is not None or cluster is not None):
         product.model.require_points()
-    if robust and certificate is not None:
-        raise SettingsError("--certificate needs probabilities without intervals; add --nature nominal")
     if clockless and robust:
         option = "--stationary" if stationary else "--memoryless"
         raise SettingsError(f"{option} needs probabilities without intervals; add --nature nominal")

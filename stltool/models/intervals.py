@@ -61,8 +61,8 @@ class Intervals:
         """
         if self.rounded:
             raise ModelError(
-                "the ends of the intervals were rounded when they were read, so there is no exact answer; write them "
-                "in at most 15 digits, or load them from a .drn or .umb file"
+                "the ends of the intervals were rounded when they were read, so there is no exact answer or "
+                "certificate; write them in at most 15 digits, or load them from a .drn or .umb file"
             )
         lower, upper = self.given or map(decimals_of, (self.lower, self.upper))
         denominator = math.lcm(lower.denominator, upper.denominator)

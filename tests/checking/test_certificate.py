@@ -3,6 +3,7 @@
 import functools
 import gzip
 import hashlib
+import itertools
 import json
 import random
 import subprocess
@@ -17,7 +18,7 @@ import stltool as stl
 from stltool import recheck
 from stltool.checking import proof, require_certificate_of
 from stltool.checking.induction import layers_of
-from stltool.errors import CertificateError, FileError, RefusedError, SizeError
+from stltool.errors import CertificateError, FileError, ModelError, RefusedError, SizeError
 from stltool.reporting import check_data
 from tests import oracles
 from tests.conftest import ROOT, many
@@ -38,6 +39,31 @@ def results(seed, denominators=(1, 10, 300, 10**6, 3 * 10**17), count=20):
         for policy, maximize in ((None, True), (None, False), (mixed, True), (stl.Policy(product, table), True)):
             for exact in (False, True):
                 yield stl.check(product, policy, maximize=maximize, exact=exact)
+
+
+def interval_results(seed, denominators=(16, 10, 300), count=6):
+    """The same for models with intervals: every question, of either nature."""
+    rng = np.random.default_rng(seed)
+    for i in range(count):
+        D = denominators[i % len(denominators)]
+        point = oracles.random_model(rng, D)
+        rows = np.full((2, 3, 3), Fraction(0), dtype=object)
+        for s in range(3):
+            for c in range(point.choice_start[s], point.choice_start[s + 1]):
+                for k in range(point.row_start[c], point.row_start[c + 1]):
+                    share = Fraction(int(point.rows.numerator[k]), point.rows.denominator)
+                    rows[point.choice_action[c], s, point.target[k]] = share
+        down, up = (np.vectorize(lambda n, D=D: Fraction(int(n), D))(rng.integers(0, D // 3, rows.shape)) for _ in "du")
+        lower, upper = np.maximum(rows - down, Fraction(0)), np.minimum(rows + up, Fraction(1))
+        labels = {name: rng.integers(0, 2, 3) for name in "AB"}
+        model = stl.MDP.from_intervals(lower, upper, {"x": np.arange(3)}, point.initial, labels)
+        product = stl.build_product(model, stl.parse(FORMULAS[i % len(FORMULAS)]))
+        weights = rng.integers([0, 1], [4, 5], (product.horizon, *product.shape, 2))
+        mixed = stl.Policy(product, weights / weights.sum(axis=-1, keepdims=True))
+        policy = stl.Policy(product, rng.integers(0, 2, product.shape).astype(np.int16))
+        for given, maximize, nature in itertools.product((None, mixed, policy), (True, False), ("against", "with")):
+            for exact in (False, True):
+                yield stl.robust_check(product, given, maximize=maximize, nature=nature, exact=exact)
 
 
 def blocks_of(parts):
@@ -74,6 +100,12 @@ def truth_of(parts):
         return None
 
     def outcome(t, q, row):
+        if header["nature"] is not None:
+            after = [value(t + 1, s, delta[letter[s]][q]) for s in row[::3]]
+            ends = [(Fraction(low, D), Fraction(high, D)) for low, high in zip(row[1::3], row[2::3], strict=True)]
+            nature, corners = min if header["nature"] == "least" else max, oracles.vertices(ends)
+            sums = ([sum(p * v[end] for p, v in zip(c, after, strict=True)) for c in corners] for end in (0, 1))
+            return tuple(map(nature, sums))
         lack = 1 - Fraction(sum(row[1::2]), D)
         low, high = (
             sum(Fraction(n, D) * value(t + 1, s, delta[letter[s]][q])[end] for s, n in pairs(row)) for end in (0, 1)
@@ -134,6 +166,83 @@ def test_certificates_prove_their_results(tmp_path):
             assert result.lower <= upper
 
 
+def test_certificates_of_intervals_prove_what_nature_leaves(tmp_path):
+    """Against trees of all histories, and against the corners of the intervals that the file lists."""
+    path = tmp_path / "c.jsonl"
+    for result in interval_results(seed=11, count=many(3)):
+        product, policy = result.product, result.policy if result.question == "policy" else None
+        stl.write_certificate(result, path)
+        proved = stl.certify(path)
+        require_certificate_of(path, product, policy)
+        lower, upper = Fraction(proved["lower"]), Fraction(proved["upper"])
+        assert (proved["claim"], proved["nature"], proved["defect"]) == (result.question, result.natures_aim, "0")
+        truth, also = truth_of(read(path)[:-2])
+        assert lower <= truth == also <= upper
+        if result.fraction is None:
+            assert upper - lower < 1e-12
+            assert lower <= result.upper
+            assert result.lower <= upper
+            continue
+        assert lower == truth == upper == result.fraction
+        least = result.natures_aim == "least"
+        if policy is None and (product.model.intervals.lower * 16 % 1 == 0).all():
+            tree = oracles.robust_optimum(product.model, product.formula, result.question == "maximum", least)
+            assert tree == truth
+
+
+def test_a_certificate_of_intervals_is_refused_where_something_else_was_meant(tmp_path):
+    """Another interval, nature, or model: refused by the checker, or named by the comparison."""
+    path = tmp_path / "c.jsonl"
+    model = stl.MDP.from_intervals(
+        [[["0.1", "0.6"], ["0", "1"]]], [[["0.4", "0.9"], ["0", "1"]]], {}, labels={"goal": [0, 1]}
+    )
+    product = stl.build_product(model, stl.parse("F[0,2] goal"))
+    for maximize, nature, aim, proved in (
+        (True, "against", "least", "21/25"), (True, "with", "greatest", "99/100"),
+        (False, "against", "greatest", "99/100"), (False, "with", "least", "21/25"),
+    ):  # fmt: skip
+        stl.write_certificate(stl.robust_check(product, maximize=maximize, nature=nature, exact=True), path)
+        *parts, _ = read(path)
+        assert (parts[0]["nature"], parts[-1]) == (aim, {"lower": proved, "upper": proved})
+        assert parts[2] == [0, 1, 0, [0, 1, 4, 1, 6, 9]]
+        other = {"least": "greatest", "greatest": "least"}[aim]
+        for change, says in (
+            (lambda m, other=other: m.header.__setitem__("nature", other), "bound is not proved"),
+            (lambda m: m.header.__setitem__("nature", None), "not a list of pairs|is not proved|not listed"),
+            (lambda m: m.header.__setitem__("nature", "against"), "unknown nature 'against'"),
+            (lambda m: m.header.pop("nature"), "expected an object with the keys"),
+            (lambda m: m.model[0][3].__setitem__(slice(0, 6), [0, 2, 3, 1, 7, 8]), "bound is not proved"),
+            (lambda m: m.model[0][3].__setitem__(slice(0, 6), [0, 0, 5, 1, 5, 10]), "bound is not proved"),
+            (lambda m: m.model[0][3].__setitem__(1, 5), "model state 0: a lower end is above the upper end"),
+            (lambda m: m.model[0][3].__setitem__(1, -1), "a negative number"),
+            (lambda m: m.model[0][3].__setitem__(5, 5), "a lower end is above the upper end"),
+            (lambda m: m.model[0][3].__setitem__(slice(4, 6), [5, 5]), "no probabilities between the ends sum to 1"),
+            (lambda m: m.model[0][3].__setitem__(slice(4, 6), [10, 10]), "no probabilities between the ends sum to 1"),
+            (lambda m: m.model[0][3].pop(), "not a list of triples of integers"),
+            (lambda m: m.layers[1][1][0].__setitem__(0, "11"), "bound is not proved"),
+            (lambda m: m.conclusion.__setitem__("lower", "199/200"), "the claimed lower bound is not proved"),
+            (lambda m: m.conclusion.__setitem__("upper", "1/2"), "the claimed upper bound is not proved"),
+        ):
+            with pytest.raises(CertificateError, match=says):
+                stl.certify(write(path, with_change(parts, change)))
+        write(path, parts)
+        require_certificate_of(path, product)
+        with pytest.raises(CertificateError, match="for a model with intervals, unlike model"):
+            require_certificate_of(path, replace(product, model=model.nominal()))
+        wide = stl.MDP.from_intervals(
+            [[["0.1", "0.6"], ["0", "1"]]], [[["0.45", "0.9"], ["0", "1"]]], {}, labels={"goal": [0, 1]}
+        )
+        with pytest.raises(CertificateError, match="for another model"):
+            require_certificate_of(path, stl.build_product(wide, product.formula))
+    stl.write_certificate(stl.check(replace(product, model=model.nominal())), path)
+    require_certificate_of(path, product)  # of the nominal probabilities
+    uneven = stl.MDP.from_intervals([[[1 / 3, 2 / 3], [0, 1]]], [[[1 / 3, 2 / 3], [0, 1]]], {}, labels={"goal": [0, 1]})
+    result = stl.robust_check(stl.build_product(uneven, product.formula))
+    with pytest.raises(ModelError, match="sum to 1 exactly, so there is no exact answer or certificate"):
+        stl.write_certificate(result, tmp_path / "none.jsonl")
+    assert not (tmp_path / "none.jsonl").exists()
+
+
 def test_tables_of_any_length(tmp_path, monkeypatch):
     """Tables that start anew when they are full, and places of any number of digits."""
     path = tmp_path / "c.jsonl"
@@ -173,7 +282,7 @@ def test_a_forged_certificate_cannot_take_for_ever(tmp_path, monkeypatch):
     path, names = tmp_path / "c.jsonl", ("task", "formula", "encoding", "model", "policy")
     for horizon in (101, 10**15):
         parts = [
-            {"format": recheck.FORMAT, "claim": "maximum", "horizon": horizon, **dict.fromkeys(names)},
+            {"format": recheck.FORMAT, "claim": "maximum", "nature": None, "horizon": horizon, **dict.fromkeys(names)},
             {"denominator": 1, "initial_denominator": 1}, [0, 1, 0, [1, 1]], [1, 0, 1, [0, 1]],
             {"states": 2, "letters": 2, "start": 0, "verdicts": [0, horizon]}, [0, 0], [1, 1], [-1, -1], [0, 1],
             {"layer": [0, horizon - 1], "scale": "1", "known": 0}, {"lower": "1", "upper": "1"},
@@ -205,7 +314,9 @@ def test_damaged_bytes_are_noticed(tmp_path, patrolling):
 
 def test_engines_write_the_same(tmp_path, monkeypatch):
     few, words = tmp_path / "few.jsonl", tmp_path / "words.jsonl"
-    for result in results(seed=5, count=5):
+    for result in itertools.chain(
+        results(seed=5, count=5), itertools.islice(interval_results(seed=13, count=1), 0, None, 5)
+    ):
         stl.write_certificate(result, few)
         with monkeypatch.context() as patched:
             patched.setattr(proof, "layers_of", functools.partial(layers_of, engine="words"))
@@ -236,7 +347,11 @@ def test_no_changed_entry_becomes_a_lie(tmp_path):
     path, rng = tmp_path / "c.jsonl", random.Random(2)
     accepted = refused = 0
     count = many(4)
-    for result in results(seed=3, denominators=(10, 16), count=count):
+    mixed = itertools.chain(
+        results(seed=3, denominators=(10, 16), count=count),
+        itertools.islice(interval_results(seed=12, count=max(1, count // 4)), 0, None, 5),
+    )
+    for result in mixed:
         stl.write_certificate(result, path)
         parts = read(path)
         *content, seal = parts

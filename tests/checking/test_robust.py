@@ -526,7 +526,7 @@ def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
         lambda: product.model.matrix(),
         lambda: product.model.exact(),
         lambda: stl.check(product, exact=True),
-        lambda: stl.write_certificate(stl.robust_check(product), tmp_path / "proof.jsonl"),
+        lambda: stl.write_certificate(stl.robust_check(product), tmp_path / "proof.jsonl", cluster="tcp://127.0.0.1:9"),
         lambda: stl.likely_runs(product, policy),
         lambda: stl.sensitivity(product, policy),
         lambda: stl.policy_tree(product, policy),

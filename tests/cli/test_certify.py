@@ -21,12 +21,12 @@ def test_what_is_no_certificate_is_told_in_words(stltool, tmp_path, patrolling, 
         case "check.json":
             path.write_text(json.dumps({"task": "reach", "probability": 0.5}))
         case "cut.gz":
-            path.write_bytes(gzip.compress(b'{"format":"stltool-certificate-2"}\n')[:12])
+            path.write_bytes(gzip.compress(b'{"format":"stltool-certificate-3"}\n')[:12])
         case "older.jsonl":
             path.write_text('{"format":"stltool-certificate-1"}\n')
     code, out, err = stltool("certify", path)
     assert (code, out) == (2, "")
-    assert f"{path}: not a certificate (stltool-certificate-2)" in err
+    assert f"{path}: not a certificate (stltool-certificate-3)" in err
     assert "Error" not in err
 
 

@@ -106,12 +106,22 @@ def test_a_report_tells_the_nature(product, tmp_path):
     assert data["run"] is None
 
 
-def test_certificates_need_one_probability_each(stltool, tmp_path):
+def test_certificates_of_intervals_and_of_nominal_probabilities(stltool, tmp_path):
     path = tmp_path / "proof.jsonl"
-    code, out, err = stltool("check", UNCERTAIN, *SMALL, "--certificate", path)
-    assert (code, out) == (2, "")
-    assert "--certificate needs probabilities without intervals; add --nature nominal" in err
-    assert not path.exists()
+    for options, says in (
+        ([], "the maximum over all policies, where nature's choice in the intervals makes P least"),
+        (["--nature", "with"], "makes P greatest"), (["--minimize"], "the minimum over all policies, where nature's"),
+    ):  # fmt: skip
+        code, out, _ = stltool("check", UNCERTAIN, *SMALL, *options, "--certificate", path)
+        assert (code, "proof.jsonl proves " in out) == (0, True)
+        code, out, _ = stltool("certify", path, UNCERTAIN, *SMALL)
+        assert (code, says in out, "nominal" in out) == (0, True, False)
+        assert "are intervals, each with probabilities that sum to 1 exactly" in out
+    data = json.loads(stltool("certify", path, UNCERTAIN, *SMALL, "--json")[1])
+    assert (data["claim"], data["nature"], data["nominal"]) == ("minimum", "greatest", False)
+    point = ["--model", str(FACTORY / "floor-5x5.toml")]
+    code, _, err = stltool("certify", path, UNCERTAIN, *SMALL, *point)
+    assert (code, "is for a model with intervals, unlike" in err) == (2, True)
     assert stltool("check", UNCERTAIN, *SMALL, "--nature", "nominal", "--certificate", path)[0] == 0
     code, out, _ = stltool("certify", path, UNCERTAIN, *SMALL)
     assert (code, "with its nominal probabilities; nothing is proved about its intervals" in out) == (0, True)

@@ -44,7 +44,6 @@ FAULTY = [
         ["-p", "T=3", "-p", "T=4"], ["--task", "patrol"], ["--encoding", "fast"], ["--at-least", "1.2"],
         ["--at-least", "much"], ["--model", "row.toml"], ["--polcy", "p.npz"], ["--nature", "with"], ["--nominal"],
         ["--model", "floor-5x5-uncertain.toml", "--nature", "kind"],
-        ["--model", "floor-5x5-uncertain.toml", "--certificate", "proof.jsonl"],
         ["--model", "floor-5x5-uncertain.toml", "--memoryless"], ["--stationary", "--memoryless"],
         ["--stationary", "--save-policy", "p.policy"], ["--transfer"], ["--policy-model", "floor-5x5.toml"],
     )),
