@@ -153,8 +153,6 @@ def require_certificate_of(path: str | Path, product: Product, policy: Policy | 
     call `stltool.certify` first.
     """
     product.model.require_probabilities()
-    if product.model.parameters:
-        product.model.require_points()
     try:
         _require_same(path, product, policy)
     except (Refused, *DAMAGE) as error:
@@ -165,7 +163,7 @@ def _require_same(path: str | Path, product: Product, policy: Policy | None) -> 
     items = iter(Lines(str(path)))
     theirs = next(items)
     assert isinstance(theirs, dict)
-    if theirs["nature"] is not None and not product.model.uncertain:
+    if theirs["nature"] is not None and (not product.model.uncertain or product.model.parameters):
         raise CertificateError(
             f"{path}: this certificate is for a model with intervals, unlike {product.model.name}; write one with "
             "stltool check --certificate"
