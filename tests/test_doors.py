@@ -234,6 +234,7 @@ CALLS = {
     "robust_check": lambda w: {"product": stl.build_product(w.blurred, w.formula)},
     "parametric": lambda w: {"product": w.family},
     "ParametricResult.at": lambda w: {"self": stl.parametric(w.family), "p": 0.5},
+    "ParametricResult.exactly_at": lambda w: {"self": stl.parametric(w.family, exact=True), "p": 0.5},
     "ParametricResult.at_least": lambda w: {"self": stl.parametric(w.family), "bound": 0.5},
     "ParametricResult.at_most": lambda w: {"self": stl.parametric(w.family), "bound": 0.5},
     "ParametricResult.smallest": lambda w: {"self": stl.parametric(w.family), "at_least": 0.5},
@@ -374,6 +375,7 @@ OWN = {
     "load_model": {"initial": {"None", "int", "text"}},
     "MDP.from_family": {"build": CALLABLE - {"None"}, "parameters": {"dict"}},
     "ParametricResult.at": {"p": {*NUMBERS, "text"}},
+    "ParametricResult.exactly_at": {"p": {*NUMBERS, "text"}},
     "ParametricResult.points": {"n": {"int"}},
     "from_gymnasium": {
         "table": {"True"}, "signals": MAPPING, "name": TEXT, "cells": {"None"}, "n_cells": {"None"},

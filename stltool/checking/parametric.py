@@ -12,6 +12,11 @@ swapped.
 entries rounds at most d + 4 times along a path (entry, products, sums, the weights i/n and the two halves), a mixture
 of m choices m times more: relative errors as in bounds.py, for every coefficient. A halving adds at most one a degree,
 an evaluation three. Defects of a mixture's weights add as in robust.py.
+
+**Exactly** (`exact=True`): the same coefficients as fractions. If L and U have the same ones on a piece, then
+L ≤ P* ≤ U = L: the policy in the middle is optimal everywhere on the piece, which is thereby proved. (Where at every
+reached pair the policy's choice has the greatest coefficients of all choices, U = L; so this proves no less than
+comparing choices.)
 """
 
 from __future__ import annotations
@@ -36,6 +41,8 @@ from stltool.checking.induction import (
     At,
     Bernstein,
     Budget,
+    ExactAt,
+    ExactBernstein,
     Following,
     Game,
     Layers,
@@ -44,14 +51,17 @@ from stltool.checking.induction import (
     layers_of,
     solve,
 )
-from stltool.checking.polynomial import Floats, greatest, halves, least, value
+from stltool.checking.polynomial import Floats, Polynomial, greatest, halves, least, value
+from stltool.checking.rational import require_exact
 from stltool.display import Card, Displayed, counted, probability_text
 from stltool.errors import SettingsError
 from stltool.models.parameters import Parameter, Values
 from stltool.models.rows import least_positive
-from stltool.numbers import Exactable, NumberError, exact, number_text, round_up
+from stltool.numbers import Exactable, NumberError, number_text, round_down, round_up
+from stltool.numbers import exact as exactly
 from stltool.policy import Policy, require_door
 from stltool.product import Product
+from stltool.sizes import require_memory, require_time
 
 _SHOWN = 10  # rows in a notebook
 _U = 2.0**-53
@@ -65,7 +75,9 @@ class Piece:
 
     below, above  coefficients (degree + 1,) in Bernstein's basis of polynomials that enclose P there, rounding included
     policy        the one that `below` (for a minimum: `above`) belongs to
-    optimal       whether it is optimal everywhere on the piece, up to rounding; None of a given policy
+    optimal       whether it is optimal everywhere on the piece: up to rounding, or with `exact` proved (False: it was
+                  not, though it may be); None of a given policy
+    exact         the policy's P, exactly, if that was asked for
     """
 
     lower: Fraction
@@ -74,11 +86,22 @@ class Piece:
     above: Floats = field(repr=False)
     policy: Policy | None = field(repr=False)
     optimal: bool | None = None
+    exact: Polynomial | None = field(default=None, repr=False)
 
     @property
     def gap(self) -> float:
         """How far apart the enclosing polynomials are at most."""
         return float((self.above - self.below).max())
+
+    @property
+    def proved(self) -> bool:
+        """Whether `policy` is proved, in fractions, to be optimal everywhere on the piece."""
+        return self.exact is not None and self.optimal is True
+
+    @property
+    def known(self) -> Polynomial | None:
+        """P on the piece, exactly, if that is known: the given policy's, or that of one proved optimal."""
+        return None if self.optimal is False else self.exact
 
 
 class Smallest(NamedTuple):
@@ -111,23 +134,44 @@ class ParametricResult(Displayed):
     seconds: float
 
     @property
+    def exact(self) -> bool:
+        """Whether it was computed in fractions."""
+        return self.pieces[0].exact is not None
+
+    @property
     def gap(self) -> float:
         """The largest distance between the bounds."""
         return max(piece.gap for piece in self.pieces)
 
     def at(self, p: Exactable) -> tuple[float, float]:
         """(lower, upper) bounds on P where the parameter is p."""
-        try:
-            given = self.parameter.require(exact(p))
-        except NumberError as error:
-            raise SettingsError(f"{self.parameter.name}: {error}") from None
+        given = self._given(p)
         piece = next(one for one in self.pieces if given <= one.upper)
+        if piece.known is not None:
+            value_there = piece.known.at(given)
+            return round_down(value_there), round_up(value_there)
         width = piece.upper - piece.lower
         x = (given - piece.lower) / width if width else Fraction(0)
         ends = [value(c, float(x), float(1 - x)) for c in (piece.below, piece.above)]
         slack = 8 * len(piece.below) * _U
         lost = len(piece.below) * _TINY if 0 <= ends[1] < _SMALL and piece.above.any() else 0.0  # by underflow
         return max(_down(ends[0], slack) - lost, 0.0), min(_up(ends[1], slack) + lost, 1.0)
+
+    def exactly_at(self, p: Exactable) -> Fraction | None:
+        """P where the parameter is p, exactly; None if on no piece with p a policy was proved optimal. Needs
+        `parametric(..., exact=True)`."""
+        if not self.exact:
+            raise SettingsError("this result was computed in doubles; for fractions call parametric with exact=True")
+        given = self._given(p)
+        known = (one.known for one in self.pieces if one.lower <= given <= one.upper)
+        found = next((one for one in known if one is not None), None)
+        return None if found is None else found.at(given)
+
+    def _given(self, p: Exactable) -> Fraction:
+        try:
+            return self.parameter.require(exactly(p))
+        except NumberError as error:
+            raise SettingsError(f"{self.parameter.name}: {error}") from None
 
     @cached_property
     def least(self) -> tuple[float, float]:
@@ -152,13 +196,29 @@ class ParametricResult(Displayed):
 
     def at_least(self, bound: float | Fraction) -> bool | None:
         """Whether P is at least `bound` on the whole domain; None if it cannot be told."""
-        bound = real(bound, "at_least's bound")
-        return True if self.least[0] >= bound else False if self.least[1] < bound else None
+        bound = Fraction(real(bound, "at_least's bound"))
+        told = self._told(bound, 1)
+        if told is None:
+            told = True if self.least[0] >= bound else False if self.least[1] < bound else None
+        return told
 
     def at_most(self, bound: float | Fraction) -> bool | None:
         """Whether P is at most `bound` on the whole domain; None if it cannot be told."""
-        bound = real(bound, "at_most's bound")
-        return True if self.greatest[1] <= bound else False if self.greatest[0] > bound else None
+        bound = Fraction(real(bound, "at_most's bound"))
+        told = self._told(bound, -1)
+        if told is None:
+            told = True if self.greatest[1] <= bound else False if self.greatest[0] > bound else None
+        return told
+
+    def _told(self, bound: Fraction, sign: int) -> bool | None:
+        """Whether sign · P ≥ sign · bound everywhere, if fractions tell: by coefficients, or by a piece's end."""
+        known = [one.known for one in self.pieces]
+        ends = [sign * (c - bound) for one in known if one is not None for c in one.ends]
+        if any(end < 0 for end in ends):
+            return False
+        if all(one is not None and all(sign * (c - bound) >= 0 for c in one.coefficients) for one in known):
+            return True
+        return None
 
     def smallest(self, at_least: float | Fraction) -> Smallest | None:
         """The smallest value of the parameter for which P is at least `at_least`, enclosed; None if there is none.
@@ -204,6 +264,7 @@ def parametric(
     *,
     over: Mapping[str, Sequence[Exactable]] | None = None,
     maximize: bool = True,
+    exact: bool = False,
     tol: float = 1e-6,
     most_pieces: int = 1000,
     memory_limit: int | None = None,
@@ -213,16 +274,19 @@ def parametric(
 
     over         a part of the domain, such as {"p": (0.9, 0.95)}; default: the domain. A grid whose file declares no
                  parameter has `success`, in [0, 1]
+    exact        compute in fractions, for models given in fractions or decimals: `Piece.exact` is the policy's P as a
+                 polynomial, and `Piece.optimal` is proved
     tol          how far apart the bounds on the optimum may be, for every value of the parameter
     most_pieces  pieces into which the domain is divided at most; if that is not enough, `status` says so
 
     The optimal policy may depend on the parameter: every piece has its own. Raises SettingsError for a model without
     exactly one parameter, PolicyError if the policy does not fit or defines no action in a state that it may reach,
-    SizeError before allocating more memory than is available.
+    SizeError before allocating more memory than is available; with `exact`, ModelError if rows do not sum to 1.
     """
     start = time.perf_counter()
     require_door("parametric", product, policy)
     flag(maximize, "parametric's maximize")
+    flag(exact, "parametric's exact")
     tolerance = float(real(tol, "parametric's tol", "1e-6"))
     if not tolerance > 0:
         raise SettingsError(f"parametric's tol is {tolerance}; give a positive number, such as 1e-6")
@@ -240,12 +304,17 @@ def parametric(
     (domain,) = model.parameters
     pieces: list[Piece] = []
     question: Literal["maximum", "minimum", "policy"] = "policy"
-    if policy is not None:
+    if exact:
+        family.require_exact()
+    if policy is not None and exact:
+        own = family.exactly(domain.lower, domain.upper, policy)
+        pieces = [Piece(domain.lower, domain.upper, *_rounded(own, own), policy, exact=own)]
+    elif policy is not None:
         c = family.of(policy, domain.lower, domain.upper)
         pieces = [Piece(domain.lower, domain.upper, *family.enclosed(c, policy), policy)]
     else:
         question = "maximum" if maximize else "minimum"
-        pieces = family.pieces(domain.lower, domain.upper, tolerance, most)
+        pieces = family.pieces(domain.lower, domain.upper, tolerance, most, exact)
     wide = max(piece.gap for piece in pieces)
     met = policy is not None or wide <= tolerance
     status = "complete" if met else f"bounds up to {wide:.3g} apart after {counted(len(pieces), 'piece')}"
@@ -322,6 +391,43 @@ class Family:
         c = np.array([math.fsum(column) for column in (shares[:, None] * found).T.tolist()])
         return c if len(c) == h + 1 else np.full(h + 1, c[0])  # decided at the start: constant
 
+    def require_exact(self) -> None:
+        """ModelError if rows, or the start, do not sum to 1 exactly everywhere in the domain."""
+        for end in (self.parameter.lower, self.parameter.upper):
+            member = self.home.model.require_family().at(**self._point(end))
+            assert member.kinds is not None
+            require_exact(member, member.kinds)
+
+    def exactly(self, lower: Fraction, upper: Fraction, policy: Policy | None = None) -> Polynomial:
+        """The policy's P on [lower, upper], or what `optimum` bounds it by, without any rounding."""
+        layers = self._open if policy is None else self._following(policy)
+        arithmetic = ExactBernstein(self._point(lower), self._point(upper), policy is not None or self.maximize)
+        layers.size()  # makes the rows
+        arithmetic.begin(layers.rows)
+        self._require_room(layers, arithmetic.denominator)
+        found = solve(layers, arithmetic, policy is not None or self.maximize).entry
+        model, n = self.product.model, arithmetic.degree
+        shares = [model.initial_share(s) for s in layers.game.first.tolist()]
+        totals = (sum((a * int(b) for a, b in zip(shares, column, strict=True)), Fraction(0)) for column in found.T)
+        c = tuple(total / (math.comb(n, i) * arithmetic.one) for i, total in enumerate(totals))
+        return Polynomial(lower, upper, c)
+
+    def _require_room(self, layers: Layers[Any, Any], denominator: int) -> None:
+        h = self.product.horizon
+        widest, pairs = layers.size()
+        words = h * math.log2(max(denominator, 2)) / 64 + 4
+        what = f"exact polynomials of degree {h} on {pairs} pairs"
+        remedy = "shorten the windows, round the probabilities to fewer digits, or compute in doubles, without exact"
+        numbers = (h + 1.0) * widest * (2 + layers.game.widest)
+        require_memory(8 * (words + 4) * numbers, what, remedy, self._budget.limit)
+        require_time(pairs * layers.game.widest * h * (1 + words / 2), 1e7, what, remedy)
+
+    def exactly_best(self, p: Fraction) -> Policy:
+        """The policy that is optimal where the parameter is p, choices compared without any rounding."""
+        found = solve(self._open, ExactAt(self._point(p), self.maximize), self.maximize, self._keep)
+        assert found.choices is not None
+        return Policy(self.home, found.choices)
+
     def roundings(self, policy: Policy | None = None) -> int:
         """The relative error of coefficients, in units of 2⁻⁵³."""
         layers = self._open if policy is None else self._layers[id(policy)][0]
@@ -349,21 +455,44 @@ class Family:
         smallest = min(float(end) for _, a, b in ties.classes for end in (a, b) if end)
         return can_underflow(h + 1, min(smallest / (h + 1), least_positive(model.initial)))
 
-    def pieces(self, lower: Fraction, upper: Fraction, tolerance: float, most: int) -> list[Piece]:
+    def pieces(self, lower: Fraction, upper: Fraction, tolerance: float, most: int, exact: bool = False) -> list[Piece]:
         """Pieces on which the optimum is enclosed within the tolerance, as far as that many suffice."""
         todo, done = [(lower, upper)], list[Piece]()
         while todo:
             a, b = todo.pop()
-            policy = self.best((a + b) / 2)
-            theirs, own = self.enclosed(self.optimum(a, b)), self.enclosed(self.of(policy, a, b), policy)
-            self.forget(policy)
-            below, above = (own[0], theirs[1]) if self.maximize else (theirs[0], own[1])
-            piece = Piece(a, b, below, above, policy, bool((theirs[0] <= own[1]).all() and (own[0] <= theirs[1]).all()))
-            if piece.gap <= tolerance or a == b or len(done) + len(todo) + 2 > most:
+            piece = self._proved(a, b) if exact else self._enclosed(a, b)
+            if piece.gap <= tolerance or piece.proved or a == b or len(done) + len(todo) + 2 > most:
                 done.append(piece)
             else:
                 todo += [((a + b) / 2, b), (a, (a + b) / 2)]
         return done
+
+    def _enclosed(self, a: Fraction, b: Fraction) -> Piece:
+        policy = self.best((a + b) / 2)
+        theirs, own = self.enclosed(self.optimum(a, b)), self.enclosed(self.of(policy, a, b), policy)
+        self.forget(policy)
+        below, above = (own[0], theirs[1]) if self.maximize else (theirs[0], own[1])
+        optimal = bool((theirs[0] <= own[1]).all() and (own[0] <= theirs[1]).all())
+        return Piece(a, b, below, above, policy, optimal)
+
+    def _proved(self, a: Fraction, b: Fraction) -> Piece:
+        policy = self.exactly_best((a + b) / 2)
+        theirs, own = self.exactly(a, b), self.exactly(a, b, policy)
+        self.forget(policy)
+        ends = _rounded(own, theirs) if self.maximize else _rounded(theirs, own)
+        return Piece(a, b, *ends, policy, _same(own, theirs), own)
+
+
+def _rounded(below: Polynomial, above: Polynomial) -> tuple[Floats, Floats]:
+    """The coefficients of both, rounded outwards, of the same degree."""
+    degree = max(len(below.coefficients), len(above.coefficients)) - 1
+    low = [round_down(c) for c in below.raised(degree).coefficients]
+    return np.array(low), np.array([round_up(c) for c in above.raised(degree).coefficients])
+
+
+def _same(one: Polynomial, other: Polynomial) -> bool:
+    degree = max(len(one.coefficients), len(other.coefficients)) - 1
+    return one.raised(degree) == other.raised(degree)
 
 
 def _first(piece: Piece, c: Floats, bound: float | Fraction, may: bool) -> Fraction | None:

@@ -284,10 +284,10 @@ def check(
     if until is not None:
         raise SettingsError("--until says how long a cost is paid; add --cost NAME, or leave it out")
     if vary is not None:
-        _require_none([*of_p, *of_one], "is for one value of the parameter; leave it or --vary out")
+        _require_none([*of_p, *of_one[1:]], "is for one value of the parameter; leave it or --vary out")
         product = load_product(task, model, param, name, encoding, reading=reading)
         chosen = given_policy(product, policy, policy_function)
-        if not check_range(product, chosen, vary, not minimize, bounds, as_json, plot, report):
+        if not check_range(product, chosen, vary, not minimize, exact, bounds, as_json, plot, report):
             raise typer.Exit(1)
         return
     if margin is not None and not robustness:

@@ -11,10 +11,12 @@ from stltool.errors import SettingsError
 from stltool.numbers import NumberError, bound_texts, most_text, number_text, read
 
 if TYPE_CHECKING:
+    from stltool.checking import ParametricResult
     from stltool.policy import Policy
     from stltool.product import Product
 
 _VERDICTS = {True: "holds", False: "does not hold", None: "undecided: the bound lies inside the enclosure"}
+_LONGEST = 400  # characters of a polynomial that are printed
 
 
 def check_range(
@@ -22,6 +24,7 @@ def check_range(
     policy: Policy | None,
     vary: str,
     maximize: bool,
+    exact: bool,
     bounds: list[tuple[str, str, Fraction]],
     as_json: bool,
     plot: Path | None = None,
@@ -35,7 +38,7 @@ def check_range(
 
     over = _range(vary)
     with progress_bar("checking", quiet=as_json) as bar:
-        found = stl.parametric(product, policy, over=over, maximize=maximize, progress=bar)
+        found = stl.parametric(product, policy, over=over, maximize=maximize, exact=exact, progress=bar)
     data, verdicts = parametric_data(found), dict[str, bool | None]()
     for option, text, bound in bounds:
         below = option == "--at-least"
@@ -70,18 +73,31 @@ def check_range(
         for p, lower, upper in found.points()
     ])  # fmt: skip
     optimal = sum(piece.optimal is True for piece in found.pieces)
+    alone = f"proved on {optimal} of these, in fractions" if exact else f"on {optimal} of these, up to rounding"
     least, greatest = bound_texts(found.least[0], found.greatest[1])
     print_facts({
         "everywhere": f"{least} <= P <= {greatest}",
         "bounds": f"at most {most_text(found.gap)} apart, in {len(found.pieces)} "
         f"{'piece' if len(found.pieces) == 1 else 'pieces'}; {found.status}",
-        **({"one policy optimal": f"on {optimal} of these, up to rounding"} if policy is None else {}),
+        **({"one policy optimal": alone} if policy is None else {}),
+        **_exactly(found),
         **{claim: _VERDICTS[holds] for claim, holds in verdicts.items()},
         **({"smallest": smallest_text(data)} if "smallest" in data else {}),
         **({"plot": plot} if plot is not None else {}),
         **({"report": report / "report.html"} if report is not None else {}),
     })  # fmt: skip
     return all_hold
+
+
+def _exactly(found: ParametricResult) -> dict[str, str]:
+    """P as a polynomial, where it is one and not too long to be read."""
+    known = found.pieces[0].known
+    if known is None or len(found.pieces) > 1:
+        return {}
+    text = known.text(found.parameter.name)
+    if len(text) > _LONGEST:
+        text = f"of degree {len(known.powers) - 1}, {len(text)} characters long; --json prints its coefficients"
+    return {"exact P": text}
 
 
 def _range(text: str) -> dict[str, tuple[Fraction, Fraction]]:

@@ -113,11 +113,17 @@ class Ties:
         """(e,) the entries, each the double nearest to its value."""
         return np.array([float(value) for value in self.at(values)])[self.which]
 
+    def over(self, *values: Values) -> tuple[list[Integers], int]:
+        """(e,) integers for each of these values, the entries, over one denominator, which comes last."""
+        found = [value for point in values for value in self.at(point)]
+        numerators, denominator = over_one(found)
+        return [one[self.which] for one in np.split(numerators, len(values))], denominator
+
     def narrowed(self, parameters: tuple[Parameter, ...]) -> Ties:
         """The same functions on parts of the domains."""
-        ends = [self.at({one.name: end(one) for one in parameters}) for end in (_lower, _upper)]
-        numerators, denominator = over_one([*ends[0], *ends[1]])
-        first, last = numerators[: len(ends[0])][self.which], numerators[len(ends[0]) :][self.which]
+        (first, last), denominator = self.over(
+            *({one.name: end(one) for one in parameters} for end in (_lower, _upper))
+        )
         return Ties(parameters, first, last, denominator, self.parameter)
 
     def text(self) -> str:

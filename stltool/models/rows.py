@@ -166,6 +166,14 @@ class Rows(ReadOnly, Displayed):
         assert ties is not None
         return self._of(ties.doubles(values))
 
+    def tied_over(self, *values: Values) -> tuple[list[Integers], int]:
+        """For each of these values of the parameters (e,) integers: the probabilities, exactly, over the denominator
+        that comes with them."""
+        ties = self.chances.ties
+        assert ties is not None
+        numerators, denominator = ties.over(*values)
+        return [self._of(column) for column in numerators], denominator
+
     @property
     def tied_class(self) -> I64:
         """(e,) the number of each entry's function among `chances.ties.classes`."""

@@ -132,7 +132,8 @@ def parametric_content(data: Mapping[str, Any]) -> dict[str, Any]:
     optimal = [piece for piece in pieces if piece["optimal"]]
     note = f"The bounds hold for every value of {name}, rounding included; at most {most_text(data['gap'])} apart."
     if optimal:
-        note += f" On {len(optimal)} of {len(pieces)} pieces one policy is optimal throughout, up to rounding."
+        sure = "which is proved in fractions" if optimal[0].get("proved") else "up to rounding"
+        note += f" On {len(optimal)} of {len(pieces)} pieces one policy is optimal throughout, {sure}."
     smallest = [smallest_text(data)] if "smallest" in data else []
     lead = f"{least} ≤ P ≤ {greatest} for {name} from {data['from']:g} to {data['to']:g}"
     return {

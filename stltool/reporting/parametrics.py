@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 from stltool.checking import ParametricResult
-from stltool.reporting.records import ParametricRecord
+from stltool.checking.parametric import Piece
+from stltool.numbers import fraction_text
+from stltool.reporting.records import ParametricRecord, PieceRecord, PointRecord
 
 
 def parametric_data(found: ParametricResult) -> ParametricRecord:
@@ -25,16 +29,31 @@ def parametric_data(found: ParametricResult) -> ParametricRecord:
         "gap": found.gap,
         "tolerance": found.tolerance,
         "status": found.status,
-        "points": [{"value": float(p), "lower": lower, "upper": upper} for p, lower, upper in found.points()],
-        "pieces": [
-            {
-                "from": float(piece.lower),
-                "to": float(piece.upper),
-                "lower": piece.below.tolist(),
-                "upper": piece.above.tolist(),
-                "optimal": piece.optimal,
-            }
-            for piece in found.pieces
-        ],
+        "points": [_point(found, p, lower, upper) for p, lower, upper in found.points()],
+        "pieces": [_piece(piece) for piece in found.pieces],
         "seconds": found.seconds,
     }
+
+
+def _point(found: ParametricResult, p: Fraction, lower: float, upper: float) -> PointRecord:
+    data: PointRecord = {"value": float(p), "lower": lower, "upper": upper}
+    there = found.exactly_at(p) if found.exact else None
+    if there is not None:
+        data["fraction"] = fraction_text(there)
+    return data
+
+
+def _piece(piece: Piece) -> PieceRecord:
+    data: PieceRecord = {
+        "from": float(piece.lower),
+        "to": float(piece.upper),
+        "lower": piece.below.tolist(),
+        "upper": piece.above.tolist(),
+        "optimal": piece.optimal,
+    }
+    if piece.exact is not None:
+        data["proved"] = piece.proved
+        data["range"] = [fraction_text(piece.lower), fraction_text(piece.upper)]
+        data["coefficients"] = [fraction_text(c) for c in piece.exact.coefficients]
+        data["powers"] = [fraction_text(a) for a in piece.exact.powers]
+    return data

@@ -240,19 +240,31 @@ class CheckOutput(CheckRecord):
 
 
 class PointRecord(TypedDict):
-    """P, enclosed, at one value of a parameter."""
+    """P, enclosed, at one value of a parameter; as a fraction if that was asked for and is known."""
 
     value: float
     lower: float
     upper: float
+    fraction: NotRequired[str]
 
 
 PieceRecord = TypedDict(
     "PieceRecord",
-    {"from": float, "to": float, "lower": list[float], "upper": list[float], "optimal": bool | None},
+    {
+        "from": float,
+        "to": float,
+        "lower": list[float],
+        "upper": list[float],
+        "optimal": bool | None,
+        "proved": NotRequired[bool],
+        "range": NotRequired[list[str]],
+        "coefficients": NotRequired[list[str]],
+        "powers": NotRequired[list[str]],
+    },
 )
 """Two polynomials that enclose P on a range of a parameter, in Bernstein's basis; whether one policy is optimal there,
-as far as rounding lets one tell (null: of a given policy)."""
+as far as rounding lets one tell (null: of a given policy). With --exact: whether that is proved, the range, and the
+policy's P, by coefficients in that basis and of the powers of the parameter, from the constant one."""
 
 
 class SmallestRecord(TypedDict):

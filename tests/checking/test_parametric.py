@@ -10,8 +10,8 @@ import pytest
 import stltool as stl
 from stltool.automata import TRUE
 from stltool.checking.induction import EVERYTHING, Bernstein, Game, layers_of, solve
-from stltool.checking.polynomial import greatest, halves, least, value
-from stltool.errors import PolicyError, SettingsError
+from stltool.checking.polynomial import Polynomial, greatest, halves, least, value
+from stltool.errors import ModelError, PolicyError, SettingsError, SizeError
 from tests import oracles
 from tests.conftest import FACTORY, many
 
@@ -136,6 +136,115 @@ def test_the_smallest_value_that_is_enough(seed):
                     member = at(product, p)
                     mine = oracles.policy_value(member, stl.Policy(member, piece.policy.table))
                     assert abs(mine - exact(p)) < 1e-12
+
+
+@pytest.mark.parametrize("seed", range(many(15)))
+def test_polynomials_of_policies_without_rounding(seed):
+    rng = np.random.default_rng(2000 + seed)
+    product = random_product(rng)
+    for policy in (random_policy(product, rng, mixed) for mixed in (False, True)):
+        found = stl.parametric(product, policy, exact=True)
+        (piece,) = found.pieces
+        own = piece.exact
+        assert list(own.raised(product.horizon).coefficients) == oracles.bernstein(product, policy, *DOMAIN)
+        assert (piece.optimal, piece.proved, piece.known) == (None, False, own)
+        assert found.gap <= 2.0**-53
+        for p in (DOMAIN[0], Fraction(int(rng.integers(300, 900)), 1000), DOMAIN[1]):
+            member = at(product, p)
+            exact = stl.check(member, stl.Policy(member, policy.table), exact=True).fraction
+            assert found.exactly_at(p) == exact == sum(a * p**k for k, a in enumerate(own.powers))
+            lower, upper = found.at(p)
+            assert lower <= exact <= upper
+            assert upper <= np.nextafter(lower, 2)
+        for bound in {*own.ends, Fraction(1, 3)}:  # a bound that is attained, too
+            least, most = min(own.coefficients), max(own.coefficients)
+            assert found.at_least(bound) is True or least < bound
+            assert found.at_most(bound) is True or most > bound
+            assert found.at_least(bound) is not True or min(own.ends) >= bound
+            assert found.at_most(bound) is not True or max(own.ends) <= bound
+        alone = stl.parametric(product, policy, over={"p": ("1/2", "1/2")}, exact=True)
+        assert alone.pieces[0].exact.powers == (found.exactly_at("1/2"),)
+
+
+@pytest.mark.parametrize("seed", range(many(10)))
+@pytest.mark.parametrize("maximize", [True, False])
+def test_a_policy_is_proved_optimal_only_where_no_other_is_better(seed, maximize):
+    rng = np.random.default_rng(3000 + seed)
+    product = random_product(rng)
+    found = stl.parametric(product, exact=True, maximize=maximize, tol=1e-2)
+    assert found.status == "complete"
+    assert found.exact
+    for piece in found.pieces:
+        own = stl.parametric(product, piece.policy, over={"p": (piece.lower, piece.upper)}, exact=True).pieces[0].exact
+        assert own == piece.exact
+        assert piece.proved == (piece.known is not None) == (piece.optimal is True)
+        for x in (Fraction(0), Fraction(int(rng.integers(1, 100)), 100), Fraction(1)):
+            p = piece.lower + x * (piece.upper - piece.lower)
+            exact = oracles.optimum(at(product, p).model, product.formula, maximize)
+            assert piece.exact.at(p) <= exact if maximize else piece.exact.at(p) >= exact
+            lower, upper = found.at(p)
+            assert lower <= exact <= upper
+            if piece.proved:
+                assert found.exactly_at(p) == exact
+    inside = stl.parametric(product, exact=True, maximize=maximize, tol=1e-300, most_pieces=4)
+    assert len(inside.pieces) <= 4  # and proved pieces are not divided further
+    assert len(inside.pieces) == 1 or len(found.pieces) > 1
+
+
+def test_a_switch_of_policies_is_never_inside_a_proved_piece():
+    """Action 0 reaches A with p, action 1 with 1/3: they are equal at 1/3, which halving does not meet."""
+    rows = [[["1-p", "p"], [0, 1]], [["2/3", "1/3"], [0, 1]]]
+    model = stl.MDP.from_arrays(rows, {}, labels={"A": [0, 1]}, parameters={"p": (0, 1)})
+    product = stl.build_product(model, stl.parse("F[0,1] A"))
+    found = stl.parametric(product, exact=True, tol=1e-3)
+    (open_piece,) = [piece for piece in found.pieces if not piece.proved]
+    assert open_piece.lower < Fraction(1, 3) < open_piece.upper
+    assert found.exactly_at("1/3") is None
+    assert found.exactly_at("1/4") == Fraction(1, 3)
+    assert found.exactly_at("93/100") == Fraction(93, 100)
+    assert found.at_least(Fraction(1, 3)) is None
+    assert found.at_most(1) is True
+    assert found.at_most(0.999) is False
+    assert found.pieces[-1].exact.text("p") == "p"
+    assert stl.parametric(product, over={"p": ("1/3", 1)}, exact=True).at_least(Fraction(1, 3)) is True
+    assert stl.parametric(product, over={"p": ("1/3", 1)}).at_least(Fraction(1, 3)) is None  # in doubles
+    with pytest.raises(SettingsError, match="exact=True"):
+        stl.parametric(product).exactly_at("1/2")
+
+
+@pytest.mark.parametrize(
+    ("powers", "text"),
+    [((0,), "0"), (("1/2", -1, 3), "3*p^2 - p + 0.5"), ((0, 0, -1), "-p^2"), (("-1/3", 0, 0, "2/3"), "2/3*p^3 - 1/3")],
+)
+def test_polynomials_as_text(powers, text):
+    a = [Fraction(one) for one in powers]
+    n = len(a) - 1
+    on_unit = [sum(Fraction(math.comb(i, k), math.comb(n, k)) * a[k] for k in range(i + 1)) for i in range(n + 1)]
+    found = Polynomial(Fraction(0), Fraction(1), tuple(on_unit))
+    assert found.powers == found.raised(n + 2).powers == tuple(a)
+    assert found.text("p") == text
+    assert found.at(Fraction(2, 7)) == sum(b * Fraction(2, 7) ** k for k, b in enumerate(a))
+
+
+def test_polynomials_that_are_too_large_are_refused():
+    model = stl.MDP.from_arrays(
+        [[["1-p", "p"], [f"{'3' * 40}/1{'0' * 40}", f"6{'6' * 38}7/1{'0' * 40}"]]], {}, labels={"A": [0, 1]},
+        parameters={"p": (0, 1)},
+    )  # fmt: skip
+    product = stl.build_product(model, stl.parse("F[0,40] G[0,1] A"))
+    policy = stl.check(at(product, "1/2")).policy
+    for own in (None, stl.Policy(product, policy.form)):
+        with pytest.raises(SizeError, match=r"exact polynomials of degree 41 on .* would take .* compute in doubles"):
+            stl.parametric(product, own, exact=True, memory_limit=50_000)
+        assert stl.parametric(product, own, memory_limit=50_000).status == "complete"
+    endless = stl.build_product(model, stl.parse("F[0,800] G[0,1] A"))
+    with pytest.raises(SizeError, match="would take"):
+        stl.parametric(endless, exact=True, memory_limit=2 * 10**6)
+    rows = [[[0.3333333333333333, 0.6666666666666666], ["p", "1-p"]]]
+    family = stl.MDP.from_arrays(rows, {}, labels={"A": [0, 1]}, parameters={"p": (0, 1)})
+    uneven = stl.build_product(family, stl.parse("F[0,2] A"))
+    with pytest.raises(ModelError, match="so there is no exact answer"):
+        stl.parametric(uneven, exact=True)
 
 
 def test_a_function_that_is_not_monotone():

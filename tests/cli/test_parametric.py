@@ -1,6 +1,9 @@
 """`stltool check --vary`, and values of a model's parameters by -p."""
 
 import json
+import math
+import re
+from fractions import Fraction
 
 import pytest
 
@@ -39,7 +42,7 @@ def test_p_gives_a_parameter_of_the_model_its_value(stltool):
         (["--vary", "q=0.5:1"], "the model has no parameter q; known names: p"),
         (["--vary", "p=0:1"], "p = 0 lies outside its domain [0.5, 1]"),
         (["--vary", "p=1:0.5"], "the lower end of a range comes first"),
-        (["--vary", "p=0.5:1", "--exact"], "--exact is for one value of the parameter"),
+        (["--vary", "p=0.5:1", "--exact", "--nature", "with"], "--nature is for one value of the parameter"),
         (["--vary", "p=0.5:1", "--save-policy", "p.npz"], "--save-policy is for one value of the parameter"),
     ],
 )
@@ -82,3 +85,38 @@ def test_without_a_value_the_check_is_robust_in_the_parameter(stltool):
     code, out, err = stltool("learn", TASK, *SMALL, "--model", FLOOR, "--out", "never.npz")
     assert code == 2
     assert "depend on p, without a value; give one (-p p=…" in err
+
+
+def test_polynomials_without_rounding(stltool, tmp_path):
+    best = stl.check(product_at("0.93"))
+    best.policy.save(tmp_path / "best.npz")
+    asked = ["check", TASK, *SMALL, "--model", FLOOR, "--vary", "p=9/10:1", "--exact"]
+    exactly = stl.check(product_at("0.93"), exact=True).fraction
+    for own in ([], ["-p", "p=0.93", "--policy", tmp_path / "best.npz"]):
+        code, out, err = stltool(*asked, *own)
+        assert (code, err) == (0, "")
+        assert ("one policy optimal  proved on 1 of these, in fractions" in out) == (not own)
+        text = next(line.removeprefix("exact P").strip() for line in out.splitlines() if line.startswith("exact P"))
+        assert polynomial(text, Fraction("0.93")) == exactly
+        assert "exact P" not in stltool(*asked[:-1], *own)[1]
+        code, out, err = stltool(*asked, *own, "--json", "--at-most", "1")
+        data = json.loads(out)
+        assert (code, err, data["holds"], data["decided"]) == (0, "", True, True)
+        (piece,) = data["pieces"]
+        assert (piece["proved"], piece["range"]) == (not own, ["9/10", "1"])
+        assert sum(Fraction(a) * Fraction("0.93") ** k for k, a in enumerate(piece["powers"])) == exactly
+        assert data["points"][3]["fraction"] == str(exactly)
+    code, out, err = stltool("check", TASK, "--model", FLOOR, "--vary", "p=0.9:0.90001", "--exact")
+    assert (code, err) == (0, "")
+    assert "exact P             of degree 18, " in out
+    assert "characters long; --json prints its coefficients" in out
+
+
+def polynomial(text, p):
+    """The value at p of a polynomial as printed, such as 3*p^2 - p + 1/2."""
+    total = Fraction(0)
+    for sign, term in re.findall(r"(^-?|[+-] )(\S+)", text):
+        factors = [p ** int(factor[2:] or 1) if factor[0] == "p" else Fraction(factor)
+                   for factor in term.split("*")]  # fmt: skip
+        total += (-1 if "-" in sign else 1) * math.prod(factors)
+    return total

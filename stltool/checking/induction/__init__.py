@@ -19,13 +19,13 @@ from stltool.checking.induction.induct import Engine, Solution, Way, induct, lay
 from stltool.checking.induction.layers import Budget, Layers, Progress
 from stltool.checking.induction.reached import Stretch
 from stltool.checking.induction.recording import OnDisk, Passed, Recorder, files_beside, key_of, stopped_in
-from stltool.checking.induction.tied import At, Bernstein, Tied
+from stltool.checking.induction.tied import At, Bernstein, ExactAt, ExactBernstein, Tied
 from stltool.checking.induction.words import Words
 
 __all__ = [
     "EVERYTHING", "OPEN", "REST", "SURE", "Allowed", "Among", "Arithmetic", "At", "Bernstein", "Budget", "ClusterWay",
-    "Digits", "Doubles", "Edges", "Engine", "ExactNature", "Fixed", "Following", "Game", "Integers", "Layers", "Nature",
-    "OnDisk", "Passed", "Probabilities", "Progress", "Recorder", "Silent", "Single", "Solution", "Stretch", "Tied",
-    "Values", "Way", "Words", "files_beside", "induct", "key_of", "layers_of", "solve", "solve_on_cluster",
-    "stopped_in",
+    "Digits", "Doubles", "Edges", "Engine", "ExactAt", "ExactBernstein", "ExactNature", "Fixed", "Following", "Game",
+    "Integers", "Layers", "Nature", "OnDisk", "Passed", "Probabilities", "Progress", "Recorder", "Silent", "Single",
+    "Solution", "Stretch", "Tied", "Values", "Way", "Words", "files_beside", "induct", "key_of", "layers_of", "solve",
+    "solve_on_cluster", "stopped_in",
 ]  # fmt: skip

@@ -53,11 +53,11 @@ class Budget:
     """
 
     def __init__(self, what: str, limit: int | None = None, progress: Progress | None = None) -> None:
-        self._what, self._limit, self._progress, self._taken = what, memory_limit(limit), progress, 0
+        self._what, self.limit, self._progress, self._taken = what, memory_limit(limit), progress, 0
 
     def share(self) -> float:
         """Bytes for layers that are kept from the forward pass to the backward pass."""
-        return _SHARE * self._limit
+        return _SHARE * self.limit
 
     def take(self, n: int, t: int, h: int) -> None:
         """Claim n bytes permanently, at step t of h."""
@@ -67,7 +67,7 @@ class Budget:
     def need(self, n: int, t: int, h: int) -> None:
         """Claim n bytes temporarily."""
         what = f"{self._what}: {t + 1} of {h} steps" if t else self._what
-        require_memory(self._taken + n, what, _SMALLER, self._limit)
+        require_memory(self._taken + n, what, _SMALLER, self.limit)
 
     def require_time(self, work: float, h: int) -> None:
         """Check the time for `work` multiply-adds, as far as they can be predicted."""

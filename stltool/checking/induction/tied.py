@@ -11,18 +11,23 @@ Decided values have equal coefficients. All terms are nonnegative: nothing cance
 function of the parameter. The basis is nonnegative too, so the coefficientwise maximum over choices is a polynomial
 that no policy exceeds, and equals the optimum at both ends; the minimum likewise.
 
+Exactly: with u and v over a denominator D and b_i = C(n,i) · D^n · c_i, the same step needs no division,
+
+    b'_i = Σ_k [ u_k · b_i(child_k) + v_k · b_{i−1}(child_k) ]
+
 **Tied rows**: nature takes a value of the parameter in the interval again at every row. A row's sum is linear in x, so
 one of the ends is worst.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.checking.induction.arithmetic import Arithmetic, Doubles, Values, row_sums
+from stltool.checking.induction.arithmetic import Arithmetic, Doubles, Integers, Values, row_sums, whole_weights
 from stltool.checking.induction.edges import SURE, Edges
 from stltool.checking.induction.tiled import Tiles
 from stltool.checking.induction.words import Words
@@ -73,6 +78,64 @@ class Bernstein(Arithmetic):
         if len(sums) == len(edges):
             return sums, None
         return (np.maximum if maximize else np.minimum).reduceat(sums, edges.choices[:-1], axis=0), None
+
+
+class ExactBernstein(Arithmetic):
+    """The same in Python's integers: a layer is (n + 2, degree + 1) of the numbers b_i above, for the steps that were
+    made so far. The weights of a mixture enter as in `Integers`.
+
+    one          the integer for 1: D^degree, times the denominators of mixtures
+    denominator  D, after `begin`
+    """
+
+    repeats = False
+
+    def __init__(self, first: Point, last: Point, maximize: bool) -> None:
+        self._box, self._maximize = (first, last), maximize
+        self.one, self.degree, self._made = 1, 0, -1
+
+    def begin(self, rows: Rows) -> None:
+        super().begin(rows)
+        (first, last), self.denominator = rows.tied_over(*self._box)
+        self._first, self._last = first.astype(object), last.astype(object)
+
+    def ends(self, t: int) -> tuple[Values, Values]:
+        sure = np.array([math.comb(self.degree, i) * self.one for i in range(self.degree + 1)], dtype=object)
+        return (0 * sure, sure) if self._maximize else (sure, 0 * sure)
+
+    def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
+        found = np.zeros((len(edges.choice), ahead.shape[1] + 1), dtype=object)
+        children = ahead[edges.child]
+        for ends, part in ((self._first, found[:, :-1]), (self._last, found[:, 1:])):
+            part += np.add.reduceat(ends[edges.entry][:, None] * children, edges.start[:-1], axis=0)
+        return found
+
+    def back(
+        self, t: int, edges: Edges, ahead: Values, maximize: bool, keep: bool
+    ) -> tuple[Values, NDArray[np.int64] | None]:
+        shares, shared = None, 1
+        if edges.weight is not None:
+            shares, shared = whole_weights(edges.weight, edges.choices)
+        if self._made != t:  # not again for another part of the step
+            self.one, self.degree, self._made = self.one * self.denominator * shared, self.degree + 1, t
+        sums = self.sums(t, edges, ahead)
+        if shares is not None:
+            return np.add.reduceat(shares[:, None] * sums, edges.choices[:-1], axis=0), None
+        if len(sums) == len(edges):
+            return sums, None
+        return (np.maximum if maximize else np.minimum).reduceat(sums, edges.choices[:-1], axis=0), None
+
+
+class ExactAt(Integers):
+    """Probabilities without any rounding where the parameters have these values."""
+
+    def __init__(self, values: Point, maximize: bool) -> None:
+        super().__init__(1, maximize)
+        self._values = values
+
+    def begin(self, rows: Rows) -> None:
+        (numerator,), self.denominator = rows.tied_over(self._values)
+        self._numerator = numerator.astype(object)
 
 
 class At(Doubles):
