@@ -31,12 +31,16 @@ is added to the distance at each step, and distances grow by the largest factor 
 
 from __future__ import annotations
 
+import sys
+
+if __name__ == "__main__" and not (sys.flags.isolated or getattr(sys.flags, "safe_path", False)):
+    del sys.path[0]  # this file's folder, where stltool's numbers.py would hide the standard library's
+
 import gzip
 import hashlib
 import json
 import re
 import struct
-import sys
 import zlib
 from bisect import bisect_right
 from collections import Counter, defaultdict

@@ -763,9 +763,10 @@ def test_the_checker_stands_alone(tmp_path, patrolling):
     stl.write_certificate(stl.check(patrolling), path)
     assert path.read_bytes() == first  # the same result, the same bytes
     script = [sys.executable, "-I", "-S", str(ROOT / "stltool" / "recheck.py"), str(path)]
-    done = subprocess.run(script, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout.splitlines()[1])["pairs"] == 11
+    for command in (script, [script[0], *script[3:]]):  # the second as the page has it
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        assert json.loads(done.stdout.splitlines()[1])["pairs"] == 11
     path.write_bytes(gzip.compress(gzip.decompress(first).replace(b'"horizon":8', b'"horizon":7')))
     done = subprocess.run(script, capture_output=True, text=True)
     assert done.returncode == 1
