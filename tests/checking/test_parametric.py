@@ -9,7 +9,7 @@ import pytest
 
 import stltool as stl
 from stltool.automata import TRUE
-from stltool.checking.induction import EVERYTHING, Bernstein, Game, layers_of, solve
+from stltool.checking.induction import EVERYTHING, Bernstein, ExactBernstein, Game, layers_of, solve
 from stltool.checking.polynomial import Polynomial, greatest, halves, least, value
 from stltool.errors import ModelError, PolicyError, SettingsError, SizeError
 from tests import oracles
@@ -187,8 +187,7 @@ def test_a_policy_is_proved_optimal_only_where_no_other_is_better(seed, maximize
             if piece.proved:
                 assert found.exactly_at(p) == exact
     inside = stl.parametric(product, exact=True, maximize=maximize, tol=1e-300, most_pieces=4)
-    assert len(inside.pieces) <= 4  # and proved pieces are not divided further
-    assert len(inside.pieces) == 1 or len(found.pieces) > 1
+    assert len(inside.pieces) == 1 if found.pieces[0].proved and len(found.pieces) == 1 else 1 < len(inside.pieces) <= 4
 
 
 def test_a_switch_of_policies_is_never_inside_a_proved_piece():
@@ -282,15 +281,23 @@ def test_robust_checks_pick_the_parameter_of_every_row(seed):
 
 
 def test_engines_agree():
-    task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 4, "tau": 4})
+    task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 5, "tau": 5})
     product = stl.build_product(stl.load_model(task.model).family, task)
     found = {}
     for engine in ("nodes", "words"):
         layers = layers_of(Game.of(product), TRUE, EVERYTHING, engine=engine)
         arithmetic = Bernstein(product.horizon, {"success": Fraction(1, 3)}, {"success": Fraction(1)}, True)
         found[engine] = solve(layers, arithmetic, True).entry
+        exactly = ExactBernstein({"success": Fraction(1, 3)}, {"success": Fraction(1)}, True)
+        found[f"{engine}, exactly"] = solve(layers, exactly, True).entry
+        scaled = found[f"{engine}, exactly"][0]  # of a lower degree: all is decided before the horizon
+        c = tuple(Fraction(b, math.comb(exactly.degree, i) * exactly.one) for i, b in enumerate(scaled))
+        raised = Polynomial(Fraction(1, 3), Fraction(1), c).raised(product.horizon).coefficients
+        assert found[engine][0] == pytest.approx([float(one) for one in raised], rel=1e-13)
+        assert found[engine][0, -1] == 1
     assert found["nodes"].shape == (1, product.horizon + 1)
     assert np.array_equal(found["nodes"], found["words"])
+    assert np.array_equal(found["nodes, exactly"], found["words, exactly"])
 
 
 @pytest.mark.parametrize("formula", ["A", "!A", "F[0,3] (A | !A)", "F[0,0] A"])

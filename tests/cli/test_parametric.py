@@ -106,6 +106,10 @@ def test_polynomials_without_rounding(stltool, tmp_path):
         assert (piece["proved"], piece["range"]) == (not own, ["9/10", "1"])
         assert sum(Fraction(a) * Fraction("0.93") ** k for k, a in enumerate(piece["powers"])) == exactly
         assert data["points"][3]["fraction"] == str(exactly)
+    code, out, err = stltool(*asked, "--report", tmp_path / "out")
+    assert (code, err) == (0, "")
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "On 1 of 1 pieces one policy is optimal throughout, which is proved in fractions." in page
     code, out, err = stltool("check", TASK, "--model", FLOOR, "--vary", "p=0.9:0.90001", "--exact")
     assert (code, err) == (0, "")
     assert "exact P             of degree 18, " in out
