@@ -146,7 +146,7 @@ def verify(
     params          values of params, in every file that has one of that name; the others are values of parameters of
                     the models
     normalize, initial, deadlocks     how models are read: as for `load_model`
-    certificates    a folder that receives a certificate of every probability without intervals
+    certificates    a folder that receives a certificate of every probability, unless parameters have no value
     exact_seconds   where a bound lies inside an enclosure, the exact fraction is computed if it takes no longer than
                     this, by estimate; otherwise the expectation is undecided
     time, resample, tolerance, decimal, missing     how traces are read: as for `load_trace`
@@ -419,7 +419,9 @@ class Gate:
             task.path, task, expectation, _VERDICTS[holds], by if holds is not None else None, reason, result
         )
         name = self.certificate_names.get((task.path, expectation))
-        return replace(done, certificate=self._certify(asked, done, name)) if name is not None else done
+        if name is None or asked.product.model.parameters:  # without values they have no certificate
+            return done
+        return replace(done, certificate=self._certify(asked, done, name))
 
     def _asked(self, task: Task, expectation: Expectation) -> _Asked:
         assert task.model is not None
@@ -440,8 +442,8 @@ class Gate:
 
     def _exactly(self, asked: _Asked, expectation: Expectation) -> CheckResult | str:
         """The exact answer, or why there is none."""
-        if asked.minimal is not None:
-            return "there is no exact arithmetic for interval probabilities"
+        if asked.minimal is not None and asked.product.model.parameters:
+            return "there is no exact arithmetic for parameters without values"
         if asked.key not in self.exactly:
             try:
                 self.exactly[asked.key] = self._compute(asked, expectation, exact=True)
@@ -457,11 +459,11 @@ class Gate:
         options: dict[str, Any] = {"maximize": maximize, "keep_policy": False, "memory_limit": self.memory_limit}
         how = " as a fraction" if exact else ""
         with self.stage(f"checking {expectation.asked}{how}") as progress:
+            if exact:
+                options |= {"exact": True, "time_limit": self.exact_seconds}
             if asked.minimal is not None:
                 nature: Literal["against", "with"] = "against" if asked.minimal == maximize else "with"
                 return robust_check(product, policy, nature=nature, progress=progress, **options)
-            if exact:
-                options |= {"exact": True, "time_limit": self.exact_seconds}
             return check(product, policy, progress=progress, **options)
 
     # -------------------------------------------------------------------------------------------------- certificates
@@ -471,7 +473,7 @@ class Gate:
         asked: Counter[Path] = Counter()
         for task in tasks:
             for expectation in task.expectations:
-                if expectation.question in ("holds", "cover") or expectation.robust:
+                if expectation.question in ("holds", "cover"):
                     continue
                 assert task.path is not None
                 subject = expectation.name if expectation.name is not None else f"line-{expectation.span.line}"  # type: ignore[union-attr]

@@ -173,10 +173,29 @@ def test_robust_minimum_and_policy(written, tmp_path):
     assert found.results[1].result.probability == pytest.approx(0.5, abs=1e-12)
 
 
-def test_an_interval_has_no_exact_answer(written):
-    (found,) = stl.verify(written("expect robust Pmax(reach) >= 1/4", model="blurred.toml")).results
-    assert (found.verdict, found.decided_by) == ("undecided", None)
-    assert "no exact arithmetic for interval probabilities" in found.reason
+def test_intervals_are_decided_exactly(written, tmp_path):
+    """1/4 lies inside the enclosure; the certificate proves it, with nature's aim."""
+    texts = "expect robust Pmax(reach) >= 1/4", "expect robust Pmax(reach) > 1/4"
+    found = stl.verify(written(*texts, model="blurred.toml"), certificates=tmp_path / "proofs").results
+    assert [(one.verdict, one.decided_by) for one in found] == [("holds", "fraction"), ("does not hold", "fraction")]
+    for one in found:
+        assert one.certificate.lower == one.certificate.upper == Fraction(1, 4)
+        assert stl.certify(one.certificate.path)["nature"] == "least"
+
+
+def test_parameters_without_values_have_no_exact_answer(written, tmp_path):
+    text = COIN.replace('"1/3"', '"p"\nslip = "(1-p)/3"\n[parameters]\np = [0.25, 0.5]')
+    (tmp_path / "open.toml").write_text(text)
+    path = written("expect robust Pmax(reach) >= 1/4", model="open.toml")
+    (found,) = stl.verify(path, certificates=tmp_path / "proofs").results
+    assert (found.verdict, found.decided_by, found.certificate) == ("undecided", None, None)
+    assert "no exact arithmetic for parameters without values" in found.reason
+
+
+def test_robust_fractions_that_take_too_long_leave_it_undecided(written):
+    (found,) = stl.verify(written("expect robust Pmax(reach) >= 1/4", model="blurred.toml"), exact_seconds=0).results
+    assert found.verdict == "undecided"
+    assert "over the limit of 0 s" in found.reason
 
 
 def test_one_fault_later_on_does_not_stop_the_others(written, tmp_path):

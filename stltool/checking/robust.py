@@ -68,6 +68,7 @@ from stltool.models.rows import Rows
 from stltool.numbers import round_down, round_up
 from stltool.policy import Policy, require_door
 from stltool.product import Product
+from stltool.sizes import seconds_of
 
 Nature = Literal["against", "with"]
 
@@ -87,6 +88,7 @@ def robust_check(
     engine: Engine = "auto",
     threads: int | None = None,
     memory_limit: int | None = None,
+    time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> CheckResult:
     """The guaranteed (or best possible) probability that the task holds, on a model with intervals.
@@ -99,6 +101,7 @@ def robust_check(
     keep_policy        False: do not return the optimal policy
     values             "initial": also P from each initial state; "all": from every state
     engine, threads    as in `check`
+    time_limit         of exact answers: the seconds that they may take by estimate; more are a SizeError
 
     Raises SettingsError for a model without intervals, PolicyError if the policy belongs to another task or model or
     defines no action in a state that it may reach, SizeError before allocating more memory than is available.
@@ -113,6 +116,7 @@ def robust_check(
     if values is not None:
         one_of(values, "values", get_args(ValuesOf))
     threads = whole(threads, "robust_check's threads", 1) if threads is not None else None
+    limit = seconds_of(time_limit, "time_limit") if time_limit is not None else None
     function(progress, "robust_check's progress")
     if not product.model.uncertain:
         product.model.require_points()
@@ -140,7 +144,7 @@ def robust_check(
         longest = require_short_rows(layers.kinds)
         if exact:
             arithmetic = ExactNature(minimal, require_exact_ends(product, layers.kinds), maximize)
-            require_room(layers, 64, memory_limit=memory_limit)
+            require_room(layers, 64, memory_limit=memory_limit, time_limit=limit)
         found = solve(layers, arithmetic, maximize, keep)
     except Silent:
         assert judged is not None
