@@ -91,14 +91,13 @@ class Table(Displayed):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Through(Displayed):
-    """Another form's choices, by its own automaton state for each automaton state (see the module's text)."""
+class _Seen(Displayed):
+    """Another form's choices, elsewhere."""
 
     form: Form
-    memory: I64
 
     def _card(self) -> Card:
-        return Card(f"Through: {self.form!r}"[:100])
+        return Card(f"{type(self).__name__}: {self.form!r}"[:100])
 
     @property
     def deterministic(self) -> bool:
@@ -107,12 +106,6 @@ class Through(Displayed):
     @property
     def stationary(self) -> bool:
         return self.form.stationary
-
-    def at(self, t: int, s: Indices, q: Indices) -> NDArray[Any]:
-        return self.form.at(t, s, self.memory[q])
-
-    def row(self, t: int) -> NDArray[Any]:
-        return np.take(self.form.row(t), self.memory, axis=1)
 
     def alike(self, t: int) -> tuple[int, int]:
         return self.form.alike(t)
@@ -122,34 +115,29 @@ class Through(Displayed):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FromStates(Displayed):
+class Through(_Seen):
+    """Another form's choices, by its own automaton state for each automaton state (see the module's text)."""
+
+    memory: I64
+
+    def at(self, t: int, s: Indices, q: Indices) -> NDArray[Any]:
+        return self.form.at(t, s, self.memory[q])
+
+    def row(self, t: int) -> NDArray[Any]:
+        return np.take(self.form.row(t), self.memory, axis=1)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FromStates(_Seen):
     """Another form's choices, by its own model state for each model state (see the module's text)."""
 
-    form: Form
     state: I64
-
-    def _card(self) -> Card:
-        return Card(f"FromStates: {self.form!r}"[:100])
-
-    @property
-    def deterministic(self) -> bool:
-        return self.form.deterministic
-
-    @property
-    def stationary(self) -> bool:
-        return self.form.stationary
 
     def at(self, t: int, s: Indices, q: Indices) -> NDArray[Any]:
         return self.form.at(t, self.state[s], q)
 
     def row(self, t: int) -> NDArray[Any]:
         return np.take(self.form.row(t), self.state, axis=0)
-
-    def alike(self, t: int) -> tuple[int, int]:
-        return self.form.alike(t)
-
-    def mixtures(self) -> F64:
-        return self.form.mixtures()
 
 
 class Mixed(NamedTuple):

@@ -201,6 +201,15 @@ def policy_value(product: stl.Product, policy: stl.Policy) -> Fraction:
     return sum((p * value((s,), product.enter(s, start)) for s, p in initial(model)), Fraction(0))
 
 
+def chosen(policy, t: int, s: int, q: int, options: list[Fraction]) -> Fraction:
+    """What a policy makes of what each choice is worth."""
+    entry = policy.row(t)[s, q]
+    if policy.deterministic:
+        return options[entry]
+    weights = [Fraction(float(w)) for w in entry[: len(options)]]
+    return sum((w * o for w, o in zip(weights, options, strict=True)), Fraction(0)) / sum(weights)
+
+
 def expected_cost(product, cost, policy=None, maximize=False, until="verdict") -> Fraction:
     """The expected sum of `cost(s, c, k)`, for state s, choice c and entry k of the rows, by walking all histories.
 
@@ -221,13 +230,7 @@ def expected_cost(product, cost, policy=None, maximize=False, until="verdict") -
                 p = Fraction(int(exact.numerator[k]), exact.denominator)
                 total += p * (cost(s, c, k) + value(s2, product.enter(s2, q), t + 1))
             options.append(total)
-        if policy is None:
-            return best(options)
-        entry = policy.row(t)[s, q]
-        if policy.deterministic:
-            return options[entry]
-        weights = [Fraction(float(w)) for w in entry[: len(options)]]
-        return sum((w * o for w, o in zip(weights, options, strict=True)), Fraction(0)) / sum(weights)
+        return best(options) if policy is None else chosen(policy, t, s, q, options)
 
     start = automaton.initial
     return sum((p * value(s, product.enter(s, start), 0) for s, p in initial(model)), Fraction(0))
@@ -252,13 +255,7 @@ def within_budget(product, cost, budget, policy=None, maximize=True) -> Fraction
                 p = Fraction(int(exact.numerator[k]), exact.denominator)
                 total += p * value(s2, product.enter(s2, q), t + 1, spent + cost(s, c, k))
             options.append(total)
-        if policy is None:
-            return best(options)
-        entry = policy.row(t)[s, q]
-        if policy.deterministic:
-            return options[entry]
-        weights = [Fraction(float(w)) for w in entry[: len(options)]]
-        return sum((w * o for w, o in zip(weights, options, strict=True)), Fraction(0)) / sum(weights)
+        return best(options) if policy is None else chosen(policy, t, s, q, options)
 
     start = automaton.initial
     return sum((p * value(s, product.enter(s, start), 0, Fraction(0)) for s, p in initial(model)), Fraction(0))

@@ -1063,17 +1063,10 @@ class NoiseRecord(TypedDict):
     share: float
 
 
-class CounterfactualOutput(ProductRecord):
+class CounterfactualOutput(ProductRecord, WhatIfRecord):
     """What `stltool counterfactual --json` prints."""
 
     policy: str
-    satisfied: bool | None
-    visited: list[str]
-    actions: list[str]
-    coupling: str
-    assumption: str
-    noise: list[list[NoiseRecord]]
-    alternatives: list[AlternativeRecord]
 
 
 class ShieldRecord(ProductRecord):

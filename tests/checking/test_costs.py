@@ -21,11 +21,8 @@ TENTHS = st.integers(0, 30).map(lambda n: Fraction(n, 10))
 SIGNED = st.integers(-30, 30).map(lambda n: Fraction(n, 7))
 
 
-@st.composite
-def cases(draw):
-    """A product of a tiny model with a cost of states, choices and transitions, and the cost as a function."""
-    model = draw(mdps(exact=draw(st.booleans())))
-    numbers = draw(st.sampled_from((TENTHS, SIGNED)))
+def tolled(draw, model, numbers, horizon):
+    """A product of a model with a cost of states, choices and transitions, and the cost as a function."""
 
     def amounts(n):
         return draw(st.lists(numbers, min_size=n, max_size=n))
@@ -41,8 +38,14 @@ def cases(draw):
         Entries(along.values, along.given, row_start=model.row_start, target=model.target),
     )  # fmt: skip
     model = dataclasses.replace(model, costs={"toll": toll})
-    product = stl.build_product(model, draw(formulas(longest=2, max_leaves=4, horizon=4)))
+    product = stl.build_product(model, draw(formulas(longest=2, max_leaves=4, horizon=horizon)))
     return product, lambda s, c, k: states[s] + choices[c] + entries[k]
+
+
+@st.composite
+def cases(draw):
+    model = draw(mdps(exact=draw(st.booleans())))
+    return tolled(draw, model, draw(st.sampled_from((TENTHS, SIGNED))), horizon=4)
 
 
 def close(found, exact):

@@ -1,6 +1,5 @@
 """`cost_distribution` against walking all histories, in fractions, and its laws."""
 
-import dataclasses
 from fractions import Fraction
 
 import numpy as np
@@ -10,36 +9,18 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.errors import NameLookupError, SettingsError, SizeError
-from stltool.models import Cost
-from stltool.models.costs import Amounts, Entries
-from stltool.testing import formulas, mdps
+from stltool.testing import mdps
 from tests import oracles
 from tests.checking.test_check import random_policy
+from tests.checking.test_costs import tolled
 from tests.conftest import many
 
 
 @st.composite
 def cases(draw, exact=None):
-    """A product of a tiny model with a cost of states, choices and transitions, and the cost as a function."""
     model = draw(mdps(exact=draw(st.booleans()) if exact is None else exact))
     denominator = draw(st.sampled_from((1, 2, 3)))
-
-    def amounts(n):
-        return [Fraction(x, denominator) for x in draw(st.lists(st.integers(0, 3), min_size=n, max_size=n))]
-
-    states, choices, entries = map(amounts, (model.n_states, model.n_choices, model.n_transitions))
-
-    def given_as(numbers):
-        return Amounts.read(np.array(numbers, dtype=object), "cost toll")
-
-    along = given_as(entries)
-    toll = Cost(
-        given_as(states), given_as(choices),
-        Entries(along.values, along.given, row_start=model.row_start, target=model.target),
-    )  # fmt: skip
-    model = dataclasses.replace(model, costs={"toll": toll})
-    product = stl.build_product(model, draw(formulas(longest=2, max_leaves=4, horizon=3)))
-    return product, lambda s, c, k: states[s] + choices[c] + entries[k]
+    return tolled(draw, model, st.integers(0, 3).map(lambda n: Fraction(n, denominator)), horizon=3)
 
 
 @given(cases(exact=True), st.booleans(), st.integers(0, 3), st.sampled_from(("auto", "nodes")))
