@@ -159,6 +159,27 @@ def _compare_with(op: int, x: F64, number: float, out: Values, truth: bool) -> N
 
 
 @kernel
+def within(x: F64, limit: float) -> bool:
+    """Whether all samples lie between −limit and limit."""
+    beyond = 0
+    for i in range(len(x)):
+        beyond += not abs(x[i]) < limit
+    return beyond == 0
+
+
+@kernel
+def _checked(now: I64, columns: I64, row: int, first: int, n: int, limit: float) -> bool:
+    """Whether all samples that a comparison reads lie between −limit and limit."""
+    for side in range(2):
+        column = now[9 + 2 * side]
+        if now[7] == PLAIN_ATOM and column >= 0:
+            address = columns[2 * column] + row * columns[2 * column + 1] + 8 * first
+            if not within(_doubles(address, n), limit):
+                return False
+    return True
+
+
+@kernel
 def _atom(
     now: I64, numbers: F64, columns: I64, row: int, first: int, out: Values, sides: F64, size: int, truth: bool
 ) -> None:
@@ -265,11 +286,12 @@ def _fill(x: Values, rows: int, stride: int, steps: int, hold: bool, neutral: An
 def run(
     program: I64, numbers: F64, columns: I64, rows: int, steps: int, padding: int, hold: bool, truth: bool,
     least: Any, greatest: Any, scratch: Values, sides: F64, size: int, decided: int, out: Values, at: int, wide: int,
-    above: Values,
+    above: Values, limit: float,
 ) -> int:  # fmt: skip
     """Write the decided steps of all rows to `out`, from `at` on, where one row is `wide` values after the other.
 
-    Also whether they are above 0 to `above`, unless it is empty. Returns how many are 0, as far as that was looked at.
+    Also whether they are above 0 to `above`, unless it is empty. Returns how many are 0, as far as that was looked at;
+    or −1, if `limit` is not 0 and some sample does not lie between −limit and limit.
 
     `padding` is −1 for open rows, which touch. `scratch` has `size` values for each register, and SPARE more; `sides`
     two. As many rows are computed together as have room there; a longer one, which is open, in parts.
@@ -297,6 +319,8 @@ def run(
                 if op == OP_ATOM:
                     for r in range(together):
                         known = value[r * stride : r * stride + (m + horizon if parts else steps)]
+                        if limit > 0 and not _checked(now, columns, row + r, first, len(known), limit):
+                            return -1
                         _atom(now, numbers[2 * i : 2 * i + 2], columns, row + r, first, known, sides, size, truth)
                     continue
                 x = scratch[now[2] * size : now[2] * size + count]
@@ -340,12 +364,3 @@ def run(
                         signs[i] = result[i] > 0
                         zeros += result[i] == 0
     return zeros
-
-
-@kernel
-def within(x: F64, limit: float) -> bool:
-    """Whether all samples lie between −limit and limit."""
-    beyond = 0
-    for i in range(len(x)):
-        beyond += not abs(x[i]) < limit
-    return beyond == 0

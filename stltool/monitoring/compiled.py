@@ -19,7 +19,8 @@ from stltool.monitoring.comparisons import Predicate
 from stltool.monitoring.program import PAST, Program, Same
 
 if TYPE_CHECKING:
-    from stltool.monitoring.blocks import Block
+    from stltool.monitoring.blocks import Block, BlockEnd
+    from stltool.monitoring.samples import End, Traces
 
 Array: TypeAlias = NDArray[Any]
 
@@ -83,7 +84,6 @@ class Compiled:
         self._numbers = np.array(numbers, dtype=np.float64).ravel()
         self._windows = np.isin(self._rows[:, 0], k.WINDOWS)
         self._registers = registers
-        self._columns = len(self._names) + len(self._given)
 
     def judged(self, block: Block, truth: bool, margins: bool) -> list[tuple[Array | None, Array | None]] | None:
         """Truth and margins, as asked for, of the comparisons with arithmetic; None if one of them does not exist."""
@@ -107,8 +107,54 @@ class Compiled:
         Also whether margins are above 0 to `above`, which is like `out`; returns then how many are 0. `judged` are the
         same of the comparisons with arithmetic.
         """
-        k, steps = self._kernel, block.steps
-        open_ = block.end == "open"
+        kept = [np.ascontiguousarray(block.columns[name]) for name in self._names]  # alive while the kernel reads them
+        kept += [values for values in judged if values is not None]
+        at = row * out.shape[1] + first
+        return self._run(_addresses(kept), block.rows, block.steps, block.end, truth, out, at, above, 0.0)
+
+    def whole(self, traces: Traces, end: End, outs: Sequence[Array], truth: bool, margins: bool, limit: float) -> bool:
+        """Write truth and margins, as asked for, of all decided steps to `outs`, samples being checked on the way.
+
+        False if the arrays cannot be read as they lie, or some sample is not between −limit and limit: then all is to
+        be written again.
+        """
+        arrays = [traces.arrays[name] for name in self._names]
+        n, h = traces.n_steps, self._program.horizon
+        if n == 0 or self._given or not all(map(self._lies, self._names, arrays)):
+            return False
+        parts: list[tuple[int, BlockEnd]] = [(0, "open")]
+        if end != "error" and h != 0:
+            # steps near the end apart from others; but short traces at once
+            parts = [(0, end)] if h is None or n <= h or n + h <= 2 * self._tile(truth) else [*parts, (n - h, end)]
+        for first, how in parts:
+            columns, signs = _addresses(arrays, first), False  # whether the signs of the margins are the truth
+            if margins:
+                above = outs[0] if truth else None
+                zeros = self._run(columns, traces.n_traces, n - first, how, False, outs[-1], first, above, limit)
+                if zeros < 0:
+                    return False
+                limit, signs = 0.0, zeros == 0  # the first part reads every sample
+            if truth and not signs:
+                if self._run(columns, traces.n_traces, n - first, how, True, outs[0], first, None, limit) < 0:
+                    return False
+                limit = 0.0
+        return True
+
+    def _lies(self, name: str, array: Array) -> bool:
+        """Whether the kernel can read a signal's rows where they are."""
+        wanted = "f" if name in self._program.variables else "b"
+        size = 8 if wanted == "f" else 1
+        return array.dtype.kind == wanted and array.strides[1] == array.itemsize == size and array.dtype.isnative
+
+    def _tile(self, truth: bool) -> int:
+        return self._kernel.TILE * (4 if truth else 1)
+
+    def _run(
+        self, columns: Array, n_rows: int, steps: int, end: BlockEnd, truth: bool, out: Array, at: int,
+        above: Array | None, limit: float,
+    ) -> int:  # fmt: skip
+        k = self._kernel
+        open_ = end == "open"
         rows = self._rows
         if open_:
             padding, decided = -1, steps - (self._program.horizon or 0)
@@ -116,24 +162,18 @@ class Compiled:
             rows, decided = rows.copy(), steps
             rows[:, 4:6] = np.minimum(rows[:, 4:6], steps)  # from there on, windows are in the padding
             padding = int(np.where(self._windows & (rows[:, 5] == steps), rows[:, 4], rows[:, 5]).max())
-        columns = np.zeros((self._columns, 2), dtype=np.int64)
-        kept = [np.ascontiguousarray(block.columns[name]) for name in self._names]  # alive while the kernel reads them
-        kept += [values for values in judged if values is not None]
-        for number, values in enumerate(kept):
-            columns[number] = values.__array_interface__["data"][0], values.strides[0] if values.ndim == 2 else 0
-        tile, stride = 4 * k.TILE if truth else k.TILE, steps + max(padding, 0)
+        tile, stride = self._tile(truth), steps + max(padding, 0)
         if open_ and stride > 2 * tile:  # in parts, which reach into the next one
             size = min(max(tile, 4 * (steps - decided)), decided) + steps - decided
         else:
-            size = stride * max(1, min(tile // stride, block.rows))
+            size = stride * max(1, min(tile // stride, n_rows))
         values = out.view(np.uint8) if truth else out
         signs = (above if above is not None else np.empty(0, np.bool_)).view(np.uint8)
         scratch = np.empty((self._registers + k.SPARE) * size, values.dtype)
         least, greatest = (0, 1) if truth else (-np.inf, np.inf)
         zeros: int = k.run(
-            rows.ravel(), self._numbers, columns.ravel(), block.rows, steps, padding, block.end == "hold", truth, least,
-            greatest, scratch, np.empty(2 * size), size, decided, values.reshape(-1), row * out.shape[1] + first,
-            out.shape[1], signs.reshape(-1),
+            rows.ravel(), self._numbers, columns, n_rows, steps, padding, end == "hold", truth, least, greatest,
+            scratch, np.empty(2 * size), size, decided, values.reshape(-1), at, out.shape[1], signs.reshape(-1), limit,
         )  # fmt: skip
         return zeros
 
@@ -159,6 +199,15 @@ class Compiled:
                 number = len(self._names) + len(self._given)
                 self._given.append(atom)
                 return [k.GIVEN_ATOM, 0, number, *nothing[1:]], (0.0, 0.0)
+
+
+def _addresses(arrays: Sequence[Array], first: int = 0) -> Array:
+    """What the kernel reads of arrays (n_traces, n_steps) from a step on: their address, and the bytes from row to
+    row. They are to be kept alive meanwhile."""
+    columns = np.zeros((len(arrays), 2), dtype=np.int64)
+    for number, values in enumerate(arrays):
+        columns[number] = values.ctypes.data + first * values.itemsize, values.strides[0]
+    return columns.ravel()
 
 
 def compilable(program: Program) -> bool:

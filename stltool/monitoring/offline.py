@@ -51,7 +51,7 @@ from stltool.logic.task import Task
 from stltool.monitoring.blocks import Block, Machine
 from stltool.monitoring.compiled import SAMPLES, Compiled, compilable, compiled, worthwhile
 from stltool.monitoring.program import compile_delayed, compile_formula
-from stltool.monitoring.samples import End, Traces, read_traces, with_earlier
+from stltool.monitoring.samples import WIDE, End, Traces, read_traces, with_earlier
 
 Semantics = Literal["both", "boolean", "robustness"]
 
@@ -213,6 +213,8 @@ def judge(formula: Formula, traces: Traces, end: End, truth: bool, margins: bool
     machine, quick, samples = Machine(traces.program, truth, margins), None, _MARGINS if margins else _TRUTH
     if compilable(traces.program) and worthwhile(traces.n_traces * traces.n_steps):
         quick, samples = compiled(traces.program), SAMPLES
+        if not traces.small and quick.whole(traces, end, outs, truth, margins, WIDE):
+            return outs
     for block, rows, first in traces.blocks(end, samples):
         if quick is not None and not machine.gaps and judge_quickly(quick, block, outs, truth, margins, rows, first):
             continue
