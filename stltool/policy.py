@@ -452,7 +452,7 @@ def _is_policy(path: Path) -> bool:
         return False
 
 
-def silence(product: Product, s: int, q: int, t: int) -> PolicyError:
+def silence(product: Product, s: int, q: int, t: int | None) -> PolicyError:
     """The error for a policy that defines no action in a reachable pair, in the user's names."""
     where = product.describe(s * product.automaton.n_states + q, t)
     return PolicyError(f"the policy defines no action at {where}, which is reachable under it; give it an action there")

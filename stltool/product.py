@@ -268,10 +268,11 @@ def build_product(
 ) -> Product:
     """Bind a formula's names to a model and compile it to an automaton over the letters that occur there.
 
-    `encoding` is "exact" (every bounded formula), "paper" (the paper's flags) or "history" (the τ-MDP). `memory_limit`
-    in bytes (default: four fifths of the free memory), `most_states` an automaton may have. Raises NameLookupError for
-    a label or signal that the model does not have, FragmentError when the encoding does not cover the formula,
-    SizeError before allocating what would not fit.
+    `encoding` is "exact" (every bounded formula), "paper" (the paper's flags), "history" (the τ-MDP) or "running" (it
+    judges every step, for questions about runs that go on for ever). `memory_limit` in bytes (default: four fifths of
+    the free memory), `most_states` an automaton may have. Raises NameLookupError for a label or signal that the model
+    does not have, FragmentError when the encoding does not cover the formula, SizeError before allocating what would
+    not fit.
     """
     require(model, MDP, "build_product's model")
     formula = bounded_formula_of(task, "build_product's task")

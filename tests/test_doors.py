@@ -19,11 +19,11 @@ from stltool.learning.settings import settings_of
 # classes whose objects functions make, so that their constructors are no doors
 RESULTS = {
     "CheckResult", "CostDistribution", "Counterfactual", "Decision", "Decisions", "Diagnosis", "Estimate",
-    "ExpectedCost", "Fragment", "Front", "Frontier", "Gap", "Guarantee", "JointProduct", "Learner", "LikelyRuns", "MDP",
-    "MarkovTest", "Meaning", "MonitorResult", "ParametricResult", "PolicyTree", "Product", "ProductMDP", "Recording",
-    "RobustnessDistribution", "Run", "Sensitivity", "SequentialTest", "Shield", "SmoothRobustness", "StateValues",
-    "StationaryResult", "StlToolError", "SurrogateResult", "Sweep", "SweepResult", "Task", "TaskAutomaton",
-    "TimeDistribution", "Tradeoff", "Training", "Verification", "Verified",
+    "ExpectedCost", "Fragment", "Front", "Frontier", "Gap", "Guarantee", "JointProduct", "Learner", "LikelyRuns",
+    "LongRun", "MDP", "MarkovTest", "Meaning", "MonitorResult", "ParametricResult", "PolicyTree", "Product",
+    "ProductMDP", "Recording", "RobustnessDistribution", "Run", "Sensitivity", "SequentialTest", "Shield",
+    "SmoothRobustness", "StateValues", "StationaryResult", "StlToolError", "SurrogateResult", "Sweep", "SweepResult",
+    "Task", "TaskAutomaton", "TimeDistribution", "Tradeoff", "Training", "Verification", "Verified",
 }  # fmt: skip
 
 # called from within, or in inner loops with indices of their own
@@ -227,6 +227,9 @@ CALLS = {
     },
     "load_run": lambda w: {"path": "run.csv"},
     "expected_cost": lambda w: {"product": w.product, "cost": "x"},
+    "long_run": lambda w: {"product": w.product},
+    "LongRun.at_least": lambda w: {"self": stl.long_run(w.product), "bound": 0.5},
+    "LongRun.at_most": lambda w: {"self": stl.long_run(w.product), "bound": 0.5},
     "cost_distribution": lambda w: {"product": w.product, "cost": "A", "at_most": 2},
     "CostDistribution.at": lambda w: {"self": stl.cost_distribution(w.product, "A", 2), "budget": 1},
     "CostDistribution.exactly": lambda w: {"self": stl.cost_distribution(w.product, "A", 2), "budget": 1},
@@ -364,6 +367,7 @@ OWN = {
     "counterfactual": {"action": {"None"}, "coupling": {"None"}, "step": {"None", "negative int", "int"}},
     "frontier": {"task": {"Task"}, "at_least": {*NUMBERS, "text"}, "parameters": {"dict"}},
     "expected_cost": {"cost": {"text"}, "until": {"text"}},
+    "long_run": {"asked": {"text"}},
     "time_distribution": {"margin": {"None", *NUMBERS}},
     "time_shifted": {"steps": {"int"}},
     "TimeDistribution.at": {"steps": {"int"}},

@@ -75,6 +75,7 @@ CELLS = {
     "Runner": ("stl.Runner(product)", "before the first state, undecided"),
     "Frontier": ("stl.frontier(model, stl.parse_task('param n = 1\\nr := F[0,n] A'), 0.5, {'n': [1, 2]})", "bisection"),
     "CostDistribution": ("stl.cost_distribution(product, 'A', 2)", "P(task and A <= c)"),
+    "LongRun": ("stl.long_run(product)", "share = "),
     "ExpectedCost": ("stl.expected_cost(product, 'x')", "E[x] = "),
     "Estimate": ("stl.estimate(product, runs=50, seed=4)", "of 50 runs satisfied"),
     "SequentialTest": ("stl.sprt(product, at_least=0.9, most_runs=500)", "P >= 0.9"),

@@ -16,6 +16,7 @@ from stltool.automata.automaton import Starts, TaskAutomaton
 from stltool.automata.flags import flag_automaton
 from stltool.automata.history import history_automaton
 from stltool.automata.residuals import Residuals
+from stltool.automata.running import running_automaton
 from stltool.automata.windows import window_automaton
 from stltool.errors import FragmentError, InexactEncodingWarning, SettingsError, SizeError
 from stltool.logic.feasible import tabulated
@@ -25,7 +26,7 @@ from stltool.logic.shifts import delayed
 from stltool.logic.task import Task
 from stltool.sizes import require_limit
 
-Encoding = Literal["exact", "paper", "history"]
+Encoding = Literal["exact", "paper", "history", "running"]
 ENCODINGS: tuple[Encoding, ...] = get_args(Encoding)
 MOST_STATES = 100_000
 
@@ -51,7 +52,8 @@ def compile_automaton(
     """The automaton that judges φ.
 
     "exact" covers every bounded formula with as few states as we can find; "paper" uses the flags of [Wang24], with a
-    warning if they may disagree with the formula; "history" stores whole windows. `valuations` (n, n_atoms) restricts
+    warning if they may disagree with the formula; "history" stores whole windows; "running" judges every step, not only
+    the first, for questions about runs that go on for ever. `valuations` (n, n_atoms) restricts
     the automaton to those that occur in a model (`atoms_of` names the columns); by default it reads all. If it grows
     over `most_states`, compilation stops with a SizeError that names the part at fault. Raises FragmentError for
     "paper" only.
@@ -76,6 +78,8 @@ def compile_automaton(
         return flag_automaton(phi, fragment, valuations, "paper", memory_limit)
     if encoding == "history":
         return history_automaton(phi, read, valuations, memory_limit)
+    if encoding == "running":
+        return running_automaton(compile_running(phi, valuations, most_states), most_states, memory_limit)
     return _exact(phi, valuations, most_states, memory_limit)
 
 

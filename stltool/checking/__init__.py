@@ -6,6 +6,7 @@ from stltool.checking.costs import ExpectedCost, expected_cost
 from stltool.checking.counterfactual import Alternative, Counterfactual, counterfactual
 from stltool.checking.frontier import Frontier, frontier
 from stltool.checking.likely import LikelyRun, LikelyRuns, likely_runs
+from stltool.checking.long_run import LongRun, long_run
 from stltool.checking.margins import RobustnessDistribution, largest_margin, robustness_distribution
 from stltool.checking.parametric import ParametricResult, parametric
 from stltool.checking.pareto import Front, pareto
@@ -26,11 +27,11 @@ from stltool.checking.within import CostDistribution, cost_distribution
 
 __all__ = [
     "Alternative", "CheckResult", "CostDistribution", "Counterfactual", "Estimate", "ExpectedCost", "Front", "Frontier",
-    "LikelyRun", "LikelyRuns", "Node", "ParametricResult", "PolicyTree", "RobustnessDistribution", "Run", "Runner",
-    "Sensitivity", "SequentialTest", "Shield", "StateValue", "StateValues", "StationaryResult", "SurrogateResult",
-    "TimeDistribution", "Tradeoff", "certify", "check", "cost_distribution", "counterfactual", "estimate",
-    "estimate_from", "expected_cost", "frontier", "largest_margin", "likely_runs", "load_run", "parametric", "pareto",
-    "policy_tree", "require_certificate_of", "robust_check", "robustness_distribution", "sample_run", "sensitivity",
-    "shield", "sprt", "sprt_from", "stationary", "surrogate_optimum", "time_distribution", "tradeoff",
-    "write_certificate",
+    "LikelyRun", "LikelyRuns", "LongRun", "Node", "ParametricResult", "PolicyTree", "RobustnessDistribution", "Run",
+    "Runner", "Sensitivity", "SequentialTest", "Shield", "StateValue", "StateValues", "StationaryResult",
+    "SurrogateResult", "TimeDistribution", "Tradeoff", "certify", "check", "cost_distribution", "counterfactual",
+    "estimate", "estimate_from", "expected_cost", "frontier", "largest_margin", "likely_runs", "load_run", "long_run",
+    "parametric", "pareto", "policy_tree", "require_certificate_of", "robust_check", "robustness_distribution",
+    "sample_run", "sensitivity", "shield", "sprt", "sprt_from", "stationary", "surrogate_optimum", "time_distribution",
+    "tradeoff", "write_certificate",
 ]  # fmt: skip

@@ -117,8 +117,8 @@ Encoding = Annotated[
     str,
     typer.Option(
         "--encoding",
-        help="exact, paper (Wang et al. 2024: flags) or history (tau-MDP)",
-        autocompletion=lambda: ["exact", "paper", "history"],
+        help="exact, paper (Wang et al. 2024: flags), history (tau-MDP) or running (judges every step)",
+        autocompletion=lambda: ["exact", "paper", "history", "running"],
     ),
 ]
 ReportFolder = Annotated[

@@ -148,6 +148,7 @@ def test_what_needs_probabilities_refuses_black_boxes(known, unknown, tmp_path):
         lambda: stl.stationary(unknown),
         lambda: stl.parametric(unknown),
         lambda: stl.expected_cost(unknown, "x"),
+        lambda: stl.long_run(unknown),
         lambda: stl.cost_distribution(unknown, "x", 3),
         lambda: stl.robustness_distribution(unknown.model, unknown.formula),
         lambda: stl.time_distribution(unknown.model, unknown.formula, 1),
@@ -172,7 +173,8 @@ def test_what_needs_probabilities_refuses_black_boxes(known, unknown, tmp_path):
 def test_every_public_function_on_products_knows_of_black_boxes():
     """A function that is new here must answer for black boxes or refuse them, with a line in the tests above."""
     refusing = {"check", "robust_check", "likely_runs", "sensitivity", "pareto", "tradeoff", "surrogate_optimum",
-                "stationary", "parametric", "policy_tree", "expected_cost", "frontier", "robustness_distribution",
+                "stationary", "parametric", "policy_tree", "expected_cost", "long_run", "frontier",
+                "robustness_distribution",
                 "largest_margin", "shield", "counterfactual", "cost_distribution", "time_distribution", "save_model",
                 "product_mdp", "export"}  # fmt: skip
     fit = {"learn", "guarantee", "estimate", "sprt", "sample_run", "build_product", "build_joint_product",

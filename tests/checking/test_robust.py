@@ -536,6 +536,7 @@ def test_what_needs_one_distribution_refuses_intervals(floor5, tmp_path):
         lambda: stl.tradeoff(joint, "one"),
         lambda: stl.surrogate_optimum(product),
         lambda: stl.expected_cost(product, "x"),
+        lambda: stl.long_run(product),
         lambda: stl.frontier(product.model, stl.parse_task("param n = 1\nr := F[0,n] A"), 0.5, {"n": [1]}),
         lambda: stl.robustness_distribution(product.model, stl.parse("F[0,3] x > 0.5")),
         lambda: stl.time_distribution(product.model, stl.parse("F[0,3] x > 0.5"), 1),
@@ -569,7 +570,7 @@ def test_every_public_function_on_products_knows_of_intervals():
     """A function that is new here must answer for intervals or refuse them, with a line in the test above."""
     refusing = {"check", "learn", "sample_run", "likely_runs", "sensitivity", "estimate", "sprt", "pareto", "tradeoff",
                 "surrogate_optimum", "to_gymnasium", "stationary", "parametric", "policy_tree",
-                "expected_cost", "frontier", "robustness_distribution", "largest_margin", "shield",
+                "expected_cost", "frontier", "robustness_distribution", "largest_margin", "shield", "long_run",
                 "counterfactual", "time_distribution"}  # fmt: skip
     fit = {"robust_check", "cost_distribution", "build_product", "build_joint_product", "guarantee", "explain",
            "report", "optimality_gap", "save_model", "product_mdp", "export"}  # fmt: skip
