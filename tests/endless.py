@@ -51,9 +51,8 @@ def _first(model) -> dict[object, Fraction]:
     return {(s,): p for s, p in oracles.initial(model)}
 
 
-def of_policy(result: stl.LongRun, policy: stl.Policy | None = None) -> dict[str, Fraction]:
-    """What a stationary policy on the running product is worth: by default the one of the result."""
-    product, policy = result.product, policy if policy is not None else result.policy
+def of_policy(product: stl.Product, policy: stl.Policy) -> dict[str, Fraction]:
+    """What a stationary policy on a running product is worth."""
     automaton, exact = product.automaton, [oracles.choices(product.model, s) for s in range(product.model.n_states)]
     table = policy.row(0)
     first = {(s, product.enter(s, automaton.initial)): p for s, p in oracles.initial(product.model)}

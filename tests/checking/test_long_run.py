@@ -46,8 +46,8 @@ def test_optima_are_those_of_all_policies(model, phi):
             assert exactly.fraction == truth
             assert agrees(exactly, truth)
             assert agrees(found, truth)
-            assert endless.of_policy(exactly)[asked] == truth
-            assert abs(endless.of_policy(found)[asked] - truth) < SMALL
+            assert endless.of_policy(exactly.product, exactly.policy)[asked] == truth
+            assert abs(endless.of_policy(found.product, found.policy)[asked] - truth) < SMALL
 
 
 @given(st.data(), models, TASKS)
@@ -58,18 +58,10 @@ def test_a_policys_values_are_those_of_its_chain(data, model, phi):
     for asked in QUESTIONS:
         found = stl.long_run(product, asked, policy)
         exactly = stl.long_run(product, asked, policy, exact=True, maximize=False)  # of one policy, all the same
-        moved = stl.Policy(*forms(found, policy))
-        truth = endless.of_policy(found, moved)[asked]
+        truth = endless.of_policy(*policy.on(found.product))[asked]
         assert exactly.fraction == truth
         assert agrees(found, truth)
         assert (found.question, found.policy) == ("policy", policy)
-
-
-def forms(found, policy):
-    """The product on which both the task's windows and what the policy remembers are known, and the policy there."""
-    both, moved = policy.on(found.product)
-    object.__setattr__(found, "product", both)
-    return both, moved.form
 
 
 # ------------------------------------------------------------------------------------------- worked out by hand
