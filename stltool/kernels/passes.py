@@ -1,8 +1,9 @@
 """A program over traces, tile by tile: all its passes over some thousand samples stay in the first-level cache.
 
-What monitoring/blocks.py does with numpy, whose results these are, in margins or, with `truth`, in 0 and 1. A row is
-either *open*, its steps decided by the samples there are, in tiles; or it has padding, which each windowed operand
-fills for its reader. NaN must not occur.
+What monitoring/blocks.py does with numpy, whose results these are, in margins or, with `truth`, in 0 and 1. Rows are
+either *open*, their steps decided by the samples there are, and judged in tiles; or they end, and windows are cut
+there, or the last sample is held. Of the latter, some are judged side by side: sample t of row r lies at t·lanes + r,
+so that one loop runs over all of them, and a window is cut at one place. NaN must not occur.
 
 An instruction: op, register, operands, a, b, horizon of its operands, and of an atom: kind, comparator, for both sides
 the column or −1 and a sign. A column is an address and the bytes from row to row; `numbers` has two per atom.
@@ -42,9 +43,9 @@ Values: TypeAlias = NDArray[Any]
 
 WIDTH = 7 + ATOM_WIDTH
 PLAIN_ATOM, LABEL_ATOM, GIVEN_ATOM, FIXED_ATOM = range(4)  # `numbers` of a fixed one: margin, truth
-WINDOWS = (OP_EVENTUALLY, OP_ALWAYS)
 SPARE = 4  # values that an operator needs besides its own
 TILE = 1024  # samples, at least
+LANES = 8  # rows side by side
 _truths = _arrays_of(types.uint8)
 
 
@@ -214,77 +215,127 @@ def _atom(
 
 
 @kernel
-def _window(x: Values, width: int, greatest: bool, out: Values, one: Values, other: Values) -> None:
-    """out[t] = max (or min) of x[t … t+width−1]; x has width − 1 values more than `out`.
+def _window(x: Values, width: int, greatest: bool, out: Values, one: Values, other: Values, lanes: int) -> None:
+    """out[t] = max (or min) of x[t … t+width−1], cut at the end of x; of the steps of `out`, which are not more.
 
     A pass joins up to four windows, which may overlap.
     """
-    count, span = len(out) + width - 1, 1
+    n, span = len(x), 1
     if width == 1:
         for i in range(len(out)):
             out[i] = x[i]
-    known = x[:count]
+    known = x
     while span < width:
         wider = min(4 * span, width)
-        last = wider - span
-        count -= last
-        target = out if wider == width else one[:count]
+        third = (wider - span) * lanes
+        first, second = span * lanes, min(2 * span * lanes, third)
+        count = min(n, len(out) + (width - wider) * lanes)  # of the results, later passes need these
+        target = out if wider == width else one
+        # where all windows are within x, where three, where two
+        four, three, two = min(count, max(n - third, 0)), min(count, max(n - second, 0)), min(count, max(n - first, 0))
         if wider <= 2 * span:
-            _fold(known[:count], known[last : last + count], target, greatest)
-        else:
-            second, third = known[span : span + count], known[min(2 * span, last) : min(2 * span, last) + count]
-            _fold_four(known[:count], second, third, known[last : last + count], target, greatest)
+            two = three = four
+        for part in range(3):
+            low, high, y, z = 0, four, second, third
+            if part == 1:
+                low, high, y, z = four, three, second, second
+            elif part == 2:
+                low, high, y, z = three, two, first, first
+            if low >= high:
+                continue
+            if part == 2 or wider <= 2 * span:
+                _fold(known[low:high], known[z + low : z + high], target[low:high], greatest)
+            else:
+                _fold_four(
+                    known[low:high], known[first + low : first + high], known[y + low : y + high],
+                    known[z + low : z + high], target[low:high], greatest,
+                )  # fmt: skip
+        for i in range(two, count):
+            target[i] = known[i]
         known, span = target, wider
         one, other = other, one
 
 
 @kernel
-def _suffixes(x: Values, greatest: bool, out: Values) -> None:
+def _suffixes(x: Values, greatest: bool, out: Values, lanes: int) -> None:
     """out[t] = max (or min) of x[t …]."""
-    best = x[len(x) - 1]
-    for t in range(len(x) - 1, -1, -1):
-        y = x[t]
-        best = (best if best > y else y) if greatest else (best if best < y else y)
-        out[t] = best
+    n = len(x)
+    for i in range(n - lanes, n):
+        out[i] = x[i]
+    for i in range(n - lanes - 1, -1, -1):
+        best, y = out[i + lanes], x[i]
+        out[i] = (best if best > y else y) if greatest else (best if best < y else y)
 
 
 @kernel
 def _until(
-    left: Values, right: Values, a: int, width: int, out: Values, A: Values, B: Values, C: Values, before: Values
-) -> None:
-    """φ U[a,a+width−1] ψ at all steps of `out`: see monitoring/blocks.py."""
-    n = len(out)
+    left: Values, right: Values, a: int, width: int, out: Values, A: Values, B: Values, C: Values, before: Values,
+    lanes: int,
+) -> None:  # fmt: skip
+    """φ U[a,a+width−1] ψ at the steps of `out`, a witness being within ψ: see monitoring/blocks.py."""
+    wanted, n, span = len(out), len(right) - a * lanes, 1
     if a > 0:
-        _window(left, a, False, before[:n], A, B)
-    count, span = n + width - 1, 1
-    for i in range(count):
-        A[i], B[i] = left[a + i], right[a + i]
+        _window(left, a, False, before[:wanted], A, B, lanes)
+    for i in range(n):
+        A[i], B[i] = left[a * lanes + i], right[a * lanes + i]
     while span < width:
         step = min(span, width - span)
-        count -= step
-        _fold(A[:count], B[step : step + count], C[:count], False)
-        _fold(B[:count], C[:count], B[:count], True)
-        _fold(A[:count], A[step : step + count], C[:count], False)
+        both = min(n - step * lanes, wanted + (width - span - step) * lanes)
+        after = step * lanes
+        _fold(A[:both], B[after : after + both], C[:both], False)
+        _fold(B[:both], C[:both], B[:both], True)
+        _fold(A[:both], A[after : after + both], C[:both], False)
+        for i in range(both, n):
+            C[i] = A[i]
         A, C, span = C, A, span + step
     if a > 0:
-        _fold(before[:n], B[:n], out, False)
+        _fold(before[:wanted], B[:wanted], out, False)
     else:
-        for i in range(n):
+        for i in range(wanted):
             out[i] = B[i]
 
 
 @kernel
-def _fill(x: Values, rows: int, stride: int, steps: int, hold: bool, neutral: Any) -> None:
-    """The padding of an operand: what it is beyond the ends of the rows."""
-    for row in range(rows):
-        part = x[row * stride : (row + 1) * stride]
-        for i in range(steps, stride):
-            part[i] = part[steps - 1] if hold else neutral
+def _beyond(left: Values, last: Values, out: Values, until: bool, hold: bool, empty: Any) -> None:
+    """Values of `out`, at steps whose windows begin after the end.
+
+    Held samples: every later one is the last; before a witness of until, `left` holds to the end.
+    """
+    for i in range(len(out)):
+        if hold:
+            y = last[i % len(last)]
+            out[i] = left[i] if until and left[i] < y else y
+        else:
+            out[i] = empty
+
+
+@kernel
+def _interleave(x: Values, out: Values) -> None:
+    """LANES rows, one after the other, side by side. All at once: that takes a third of the time."""
+    n = len(x) // LANES
+    a, b, c, d = x[:n], x[n : 2 * n], x[2 * n : 3 * n], x[3 * n : 4 * n]
+    e, f, g, h = x[4 * n : 5 * n], x[5 * n : 6 * n], x[6 * n : 7 * n], x[7 * n : 8 * n]
+    for t in range(n):
+        at = LANES * t
+        out[at], out[at + 1], out[at + 2], out[at + 3] = a[t], b[t], c[t], d[t]
+        out[at + 4], out[at + 5], out[at + 6], out[at + 7] = e[t], f[t], g[t], h[t]
+
+
+@kernel
+def _separate(x: Values, out: Values) -> None:
+    """What `_interleave` has joined."""
+    n = len(x) // LANES
+    a, b, c, d = out[:n], out[n : 2 * n], out[2 * n : 3 * n], out[3 * n : 4 * n]
+    e, f, g, h = out[4 * n : 5 * n], out[5 * n : 6 * n], out[6 * n : 7 * n], out[7 * n : 8 * n]
+    for t in range(n):
+        at = LANES * t
+        a[t], b[t], c[t], d[t] = x[at], x[at + 1], x[at + 2], x[at + 3]
+        e[t], f[t], g[t], h[t] = x[at + 4], x[at + 5], x[at + 6], x[at + 7]
 
 
 @kernel
 def run(
-    program: I64, numbers: F64, columns: I64, rows: int, steps: int, padding: int, hold: bool, truth: bool,
+    program: I64, numbers: F64, columns: I64, rows: int, steps: int, lanes: int, hold: bool, truth: bool,
     least: Any, greatest: Any, scratch: Values, sides: F64, size: int, decided: int, out: Values, at: int, wide: int,
     above: Values, limit: float,
 ) -> int:  # fmt: skip
@@ -293,35 +344,41 @@ def run(
     Also whether they are above 0 to `above`, unless it is empty. Returns how many are 0, as far as that was looked at;
     or −1, if `limit` is not 0 and some sample does not lie between −limit and limit.
 
-    `padding` is −1 for open rows, which touch. `scratch` has `size` values for each register, and SPARE more; `sides`
-    two. As many rows are computed together as have room there; a longer one, which is open, in parts.
+    `lanes` is 0 for open rows; for others, LANES if these are judged side by side, and 1 if not. `scratch` has `size`
+    values for each register, and SPARE more; `sides` two. As many open rows are computed together as have room there; a
+    longer one in parts.
     """
     n_ops = len(program) // WIDTH
-    last = program[(n_ops - 1) * WIDTH : n_ops * WIDTH]
-    open_, spare = padding < 0, len(scratch) - SPARE * size
+    result = program[(n_ops - 1) * WIDTH + 1] * size
+    open_, spare, across = lanes == 0, len(scratch) - SPARE * size, max(lanes, 1)
     horizon = steps - decided if open_ else 0
-    stride = steps if open_ else steps + padding
-    parts = stride > size
-    group, tile = (1, size - horizon) if parts else (size // stride, decided)
+    parts = open_ and steps > size
+    group, tile = lanes, decided
+    if open_:
+        group, tile = (1, size - horizon) if parts else (size // steps, decided)
     one, other = scratch[spare : spare + size], scratch[spare + size : spare + 2 * size]
     third, fourth = scratch[spare + 2 * size : spare + 3 * size], scratch[spare + 3 * size :]
     zeros = 0
-    for row in range(0, rows, group):
+    for begin in range(0, rows, group):
+        row = begin if open_ else min(begin, rows - group)  # the last rows of those side by side, some again
         together = min(group, rows - row)
         for first in range(0, decided, tile):
             m = min(tile, decided - first)
-            length = m + horizon if parts else together * stride
+            length = m + horizon if parts else together * steps
             for i in range(n_ops):
                 now = program[i * WIDTH : (i + 1) * WIDTH]
                 op, a, b = now[0], now[4], now[5]
                 count = length - now[6] if open_ else length  # values of the operands
                 value = scratch[now[1] * size : now[1] * size + count]
                 if op == OP_ATOM:
+                    n, values = m + horizon if parts else steps, value if across == 1 else one[:count]
                     for r in range(together):
-                        known = value[r * stride : r * stride + (m + horizon if parts else steps)]
-                        if limit > 0 and not _checked(now, columns, row + r, first, len(known), limit):
+                        if limit > 0 and not _checked(now, columns, row + r, first, n, limit):
                             return -1
+                        known = values[r * steps : r * steps + n]
                         _atom(now, numbers[2 * i : 2 * i + 2], columns, row + r, first, known, sides, size, truth)
+                    if across > 1:
+                        _interleave(values, value)
                     continue
                 x = scratch[now[2] * size : now[2] * size + count]
                 y = scratch[now[3] * size : now[3] * size + count]
@@ -336,31 +393,35 @@ def run(
                     _negate(y, q, truth)
                     _fold(x, q, q, True)
                     _fold(p, q, value, False)
-                elif op == OP_UNTIL:
-                    if not open_:
-                        _fill(x, together, stride, steps, hold, least)
-                        _fill(y, together, stride, steps, hold, least)
-                    _until(x, y, a, b - a + 1, value[: count - b], one, other, third, fourth)
                 else:
-                    some = op == OP_EVENTUALLY
+                    # steps whose windows begin before the end; there, these are cut
+                    inside, width = count - (b if open_ else a * across), b - a + 1
                     if not open_:
-                        _fill(x, together, stride, steps, hold, least if some else greatest)
-                    if not open_ and b == steps:
-                        for r in range(together):
-                            _suffixes(
-                                x[r * stride + a : (r + 1) * stride], some, value[r * stride : (r + 1) * stride - a]
-                            )
-                    else:
-                        _window(x[a:], b - a + 1, some, value[: count - b], one, other)
+                        width = min(width, steps - a)
+                    some = op == OP_EVENTUALLY
+                    if width > 0 and op == OP_UNTIL:
+                        _until(x, y, a, width, value[:inside], one, other, third, fourth, across)
+                    elif width > 0 and not open_ and width == steps - a:
+                        _suffixes(x[a * across :], some, value[:inside], across)
+                    elif width > 0:
+                        _window(x[a * across :], width, some, value[:inside], one, other, across)
+                    if not open_ and a > 0:
+                        if hold and op == OP_UNTIL:
+                            _suffixes(x, False, fourth[:count], across)
+                        held, empty = y[count - across :], greatest if op == OP_ALWAYS else least
+                        _beyond(fourth[inside:count], held, value[inside:], op == OP_UNTIL, hold, empty)
+            found = scratch[result : result + length]
+            if across > 1:
+                found = one[:length]
+                _separate(scratch[result : result + length], found)
             for r in range(together):
-                result = scratch[last[1] * size + r * stride : last[1] * size + r * stride + m]
-                begin = at + (row + r) * wide + first
-                target = out[begin : begin + m]
-                for i in range(m):
-                    target[i] = result[i]
+                to = at + (row + r) * wide + first
+                target, values = out[to : to + m], found[r * steps : r * steps + m]
+                for t in range(m):
+                    target[t] = values[t]
                 if len(above) > 0:
-                    signs = above[begin : begin + m]
-                    for i in range(m):
-                        signs[i] = result[i] > 0
-                        zeros += result[i] == 0
+                    signs = above[to : to + m]
+                    for t in range(m):
+                        signs[t] = target[t] > 0
+                        zeros += target[t] == 0
     return zeros

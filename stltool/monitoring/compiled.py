@@ -7,7 +7,8 @@ has loaded the compiler for another reason, or has judged that many.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -26,6 +27,7 @@ Array: TypeAlias = NDArray[Any]
 
 SAMPLES = 1 << 16  # of a block: whole blocks are checked, and comparisons with arithmetic judged, at once
 _MANY = 1 << 28
+_KEPT = 1 << 20  # bytes
 _seen = 0  # samples that this process has judged in numpy
 
 
@@ -45,14 +47,14 @@ def within(samples: Array, limit: float) -> bool:
     return not samples.size or bool(-limit < samples.min() <= samples.max() < limit)
 
 
-def compiled(program: Program) -> Compiled:
-    """The tables of a program; those of the last few are kept."""
+def compiled(program: Program) -> Compiled | None:
+    """The tables of a program, None if it is not `compilable`; those of the last few are kept."""
     return _compiled(Same(program))
 
 
 @lru_cache(maxsize=8)
-def _compiled(key: Same[Program]) -> Compiled:
-    return Compiled(key.thing)
+def _compiled(key: Same[Program]) -> Compiled | None:
+    return Compiled(key.thing) if compilable(key.thing) else None
 
 
 class Compiled:
@@ -67,6 +69,7 @@ class Compiled:
         names = dict.fromkeys((*program.variables, *program.labels))
         self._given: list[Predicate] = []  # comparisons with arithmetic, whose values are columns after those of names
         self._names = {name: i for i, name in enumerate(names)}
+        self._bytes = np.array([8 if name in program.variables else 1 for name in names], dtype=np.int64)
         registers, free, owner = 0, list[int](), dict[int, int]()
         rows, numbers = [], []
         for i, now in enumerate(program.instructions):
@@ -82,8 +85,8 @@ class Compiled:
             free += [owner[ended] for ended in now.ends]
         self._rows = np.array(rows, dtype=np.int64)
         self._numbers = np.array(numbers, dtype=np.float64).ravel()
-        self._windows = np.isin(self._rows[:, 0], k.WINDOWS)
         self._registers = registers
+        self._spare: list[Array] = []  # what was computed in
 
     def judged(self, block: Block, truth: bool, margins: bool) -> list[tuple[Array | None, Array | None]] | None:
         """Truth and margins, as asked for, of the comparisons with arithmetic; None if one of them does not exist."""
@@ -119,32 +122,42 @@ class Compiled:
         be written again.
         """
         arrays = [traces.arrays[name] for name in self._names]
-        n, h = traces.n_steps, self._program.horizon
-        if n == 0 or self._given or not all(map(self._lies, self._names, arrays)):
+        if traces.n_steps == 0 or self._given or not all(map(self._lies, self._names, arrays)):
             return False
+        return self.at(_addresses(arrays), traces.n_traces, traces.n_steps, end, outs, truth, margins, limit)
+
+    def at(
+        self, addresses: Array, rows: int, n: int, end: End, outs: Sequence[Array], truth: bool, margins: bool,
+        limit: float,
+    ) -> bool:  # fmt: skip
+        """`whole`, of arrays at the addresses that `_addresses` finds; samples of variables are doubles, of labels
+        Booleans."""
+        h = self._program.horizon
         parts: list[tuple[int, BlockEnd]] = [(0, "open")]
         if end != "error" and h != 0:
             # steps near the end apart from others; but short traces at once
             parts = [(0, end)] if h is None or n <= h or n + h <= 2 * self._tile(truth) else [*parts, (n - h, end)]
         for first, how in parts:
-            columns, signs = _addresses(arrays, first), False  # whether the signs of the margins are the truth
+            columns, signs = addresses, False  # whether the signs of the margins are the truth
+            if first > 0:
+                columns = addresses.copy()
+                columns[::2] += first * self._bytes
             if margins:
                 above = outs[0] if truth else None
-                zeros = self._run(columns, traces.n_traces, n - first, how, False, outs[-1], first, above, limit)
+                zeros = self._run(columns, rows, n - first, how, False, outs[-1], first, above, limit)
                 if zeros < 0:
                     return False
                 limit, signs = 0.0, zeros == 0  # the first part reads every sample
             if truth and not signs:
-                if self._run(columns, traces.n_traces, n - first, how, True, outs[0], first, None, limit) < 0:
+                if self._run(columns, rows, n - first, how, True, outs[0], first, None, limit) < 0:
                     return False
                 limit = 0.0
         return True
 
     def _lies(self, name: str, array: Array) -> bool:
         """Whether the kernel can read a signal's rows where they are."""
-        wanted = "f" if name in self._program.variables else "b"
-        size = 8 if wanted == "f" else 1
-        return array.dtype.kind == wanted and array.strides[1] == array.itemsize == size and array.dtype.isnative
+        wanted = np.float64 if name in self._program.variables else np.bool_
+        return array.dtype == wanted and array.strides[1] == array.itemsize
 
     def _tile(self, truth: bool) -> int:
         return self._kernel.TILE * (4 if truth else 1)
@@ -154,28 +167,43 @@ class Compiled:
         above: Array | None, limit: float,
     ) -> int:  # fmt: skip
         k = self._kernel
-        open_ = end == "open"
-        rows = self._rows
-        if open_:
-            padding, decided = -1, steps - (self._program.horizon or 0)
+        rows, tile = self._rows, self._tile(truth)
+        lanes, decided, size = 0, steps, 0
+        if end == "open":
+            decided = steps - (self._program.horizon or 0)
+            if steps > 2 * tile:  # in parts, which reach into the next one
+                size = min(max(tile, 4 * (steps - decided)), decided) + steps - decided
+            else:
+                size = steps * max(1, min(tile // steps, n_rows))
         else:
-            rows, decided = rows.copy(), steps
-            rows[:, 4:6] = np.minimum(rows[:, 4:6], steps)  # from there on, windows are in the padding
-            padding = int(np.where(self._windows & (rows[:, 5] == steps), rows[:, 4], rows[:, 5]).max())
-        tile, stride = self._tile(truth), steps + max(padding, 0)
-        if open_ and stride > 2 * tile:  # in parts, which reach into the next one
-            size = min(max(tile, 4 * (steps - decided)), decided) + steps - decided
-        else:
-            size = stride * max(1, min(tile // stride, n_rows))
+            rows = rows.copy()
+            rows[:, 4:6] = np.minimum(rows[:, 4:6], steps)  # from there on, windows begin after the end
+            lanes = k.LANES if steps <= tile and n_rows >= k.LANES else 1
+            size = steps * lanes
         values = out.view(np.uint8) if truth else out
         signs = (above if above is not None else np.empty(0, np.bool_)).view(np.uint8)
-        scratch = np.empty((self._registers + k.SPARE) * size, values.dtype)
         least, greatest = (0, 1) if truth else (-np.inf, np.inf)
-        zeros: int = k.run(
-            rows.ravel(), self._numbers, columns, n_rows, steps, padding, end == "hold", truth, least, greatest,
-            scratch, np.empty(2 * size), size, decided, values.reshape(-1), at, out.shape[1], signs.reshape(-1), limit,
-        )  # fmt: skip
+        with self._scratch((self._registers + k.SPARE) * size, 2 * size, values.dtype) as (scratch, sides):
+            zeros: int = k.run(
+                rows.ravel(), self._numbers, columns, n_rows, steps, lanes, end == "hold", truth, least, greatest,
+                scratch, sides, size, decided, values.reshape(-1), at, out.shape[1], signs.reshape(-1), limit,
+            )  # fmt: skip
         return zeros
+
+    @contextmanager
+    def _scratch(self, n: int, n_sides: int, dtype: Any) -> Iterator[tuple[Array, Array]]:
+        """Arrays to compute in, which begin where a line of the cache does: the last ones, unless a thread has them."""
+        try:
+            room = self._spare.pop()
+        except IndexError:
+            room = np.empty(0)
+        needed = n * dtype.itemsize + 64
+        if room.nbytes < needed + 8 * n_sides:
+            room = np.empty(needed // 8 + 9 + n_sides)
+            room = room[-room.ctypes.data // 8 % 8 :]
+        yield room[: needed // 8].view(dtype)[:n], room[needed // 8 : needed // 8 + n_sides]
+        if room.nbytes <= _KEPT:
+            self._spare.append(room)
 
     def _atom(self, i: int) -> tuple[list[int], tuple[float, float]]:
         from stltool.monitoring.stream import COMPARATORS, is_plain, number_of, side_of
@@ -201,12 +229,12 @@ class Compiled:
                 return [k.GIVEN_ATOM, 0, number, *nothing[1:]], (0.0, 0.0)
 
 
-def _addresses(arrays: Sequence[Array], first: int = 0) -> Array:
-    """What the kernel reads of arrays (n_traces, n_steps) from a step on: their address, and the bytes from row to
-    row. They are to be kept alive meanwhile."""
+def _addresses(arrays: Sequence[Array]) -> Array:
+    """What the kernel reads of arrays (n_traces, n_steps): address, and bytes from row to row, of each. They are to be
+    kept alive meanwhile."""
     columns = np.zeros((len(arrays), 2), dtype=np.int64)
     for number, values in enumerate(arrays):
-        columns[number] = values.ctypes.data + first * values.itemsize, values.strides[0]
+        columns[number] = values.ctypes.data, values.strides[0]
     return columns.ravel()
 
 

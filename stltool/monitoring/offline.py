@@ -49,7 +49,7 @@ from stltool.logic.formula import (
 from stltool.logic.semantics import samples_of
 from stltool.logic.task import Task
 from stltool.monitoring.blocks import Block, Machine
-from stltool.monitoring.compiled import SAMPLES, Compiled, compilable, compiled, worthwhile
+from stltool.monitoring.compiled import SAMPLES, Compiled, compiled, worthwhile
 from stltool.monitoring.program import compile_delayed, compile_formula
 from stltool.monitoring.samples import WIDE, End, Traces, read_traces, with_earlier
 
@@ -210,11 +210,12 @@ def judge(formula: Formula, traces: Traces, end: End, truth: bool, margins: bool
     decided = decided_steps(traces, end)
     outs: list[NDArray[Any]] = [np.empty((traces.n_traces, decided), np.bool_)] * truth
     outs += [np.empty((traces.n_traces, decided))] * margins
-    machine, quick, samples = Machine(traces.program, truth, margins), None, _MARGINS if margins else _TRUTH
-    if compilable(traces.program) and worthwhile(traces.n_traces * traces.n_steps):
-        quick, samples = compiled(traces.program), SAMPLES
-        if not traces.small and quick.whole(traces, end, outs, truth, margins, WIDE):
+    quick, samples = None, _MARGINS if margins else _TRUTH
+    if worthwhile(traces.n_traces * traces.n_steps) and (quick := compiled(traces.program)) is not None:
+        samples = SAMPLES
+        if quick.whole(traces, end, outs, truth, margins, 0.0 if traces.small else WIDE):
             return outs
+    machine = Machine(traces.program, truth, margins)
     for block, rows, first in traces.blocks(end, samples):
         if quick is not None and not machine.gaps and judge_quickly(quick, block, outs, truth, margins, rows, first):
             continue

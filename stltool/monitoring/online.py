@@ -29,7 +29,7 @@ from stltool.logic.shifts import Delayed
 from stltool.logic.task import Task
 from stltool.monitoring.blocks import Block
 from stltool.monitoring.comparisons import Predicate
-from stltool.monitoring.compiled import compilable, compiled
+from stltool.monitoring.compiled import Compiled, compiled, within
 from stltool.monitoring.decisions import Decision, Decisions, new
 from stltool.monitoring.early import Early, engine_of
 from stltool.monitoring.intervals import MOST_SHARED, Enclosure, positive
@@ -89,9 +89,9 @@ class OnlineMonitor(Displayed):
         engine = engine_of(self._judged, self._earlier.made.signals)
         self.early = engine.early
         self._stream = Stream(self._program, engine, self.horizon, self.wait)
-        self._compilable = compilable(self._program)
         self._enclosure: Enclosure | None = None
         self._room: NDArray[np.float64] | None = None  # for parts of long blocks: (n, n_names)
+        self._columns: NDArray[np.int64] | None = None  # where its signals lie
         self._bind()
 
     def _bind(self) -> None:
@@ -327,7 +327,7 @@ class OnlineMonitor(Displayed):
 
     def _feed_block(self, block: Mapping[str, Any]) -> Decisions:
         n = self.n_steps
-        traces = replace(read_traces(self._program, block), first_step=n)
+        traces = read_traces(self._program, block, n)
         if traces.batch:
             raise TraceError(f"feed's block has shape {(traces.n_traces, traces.n_steps)}; feed one trace, (n_steps,)")
         if traces.n_steps == 0:
@@ -367,25 +367,30 @@ class OnlineMonitor(Displayed):
         # in parts that stay in the cache, each after the samples before it that its steps depend on
         back, width = stream.depth - 1, max(_PART, _BULK * stream.depth)
         if self._room is None or len(self._room) < back + min(width, size):
-            self._room = np.empty((len(stream.names), back + min(width, size))).T  # each signal's samples are together
+            room = np.empty((len(stream.names), back + min(width, size)))  # each signal's samples are together
+            self._columns = np.array([(row.ctypes.data, 0) for row in room], dtype=np.int64).ravel()
+            self._room = room.T
         room = self._room
         joined = stream.kept()[-back:] if back else stream.kept()[:0]
-        held, at, wide = len(joined), 0, bool((np.abs(joined) >= WIDE).any())
+        held, at, wide = len(joined), 0, not within(joined, WIDE)
+        quick = None if stream.given else compiled(self._program)
         for start in range(0, size, width):
             end = min(start + width, size)
             room[:held], joined = joined[len(joined) - held :].copy(), room[: held + end - start]
-            wide |= self._check(traces, slice(start, end), joined[held:])
-            if stream.given:
-                self._outside(stream, joined[held:], n + start)  # raises for samples without a margin
-            self._judge_part(joined, n + start - held, wide, outs, at, n + end - h - first)
-            held, at = min(back, len(joined)), n + end - h - first
-        new = stream.undecided(first) - first
+            part, decided = slice(start, end), n + end - h - first
+            if wide or quick is None or not self._judge_whole(quick, traces, part, joined, held, outs, at, decided):
+                wide |= self._check(traces, part, joined[held:])
+                if stream.given:
+                    self._outside(stream, joined[held:], n + start)  # raises for samples without a margin
+                self._judge_part(joined, n + start - held, wide, outs, at, decided)
+            held, at = min(back, len(joined)), decided
+        new = stream.undecided(first) - first if not self.wait else None
         last = joined[-stream.depth :]
         self._take(stream.afresh(n + size - len(last)))
         read = self._stream.read(last, self._outside(self._stream, last, n + size - len(last)))
         assert not isinstance(read, int)
         steps = np.arange(first, first + len(truth))
-        if self.wait:
+        if new is None:
             return Decisions(steps, truth, margins)
         early = read[0] > steps[settled - 1]
         order = np.argsort(read[0][early])
@@ -394,15 +399,31 @@ class OnlineMonitor(Displayed):
         steps[begin : n - first], truth[begin : n - first] = first + new, truth[new]
         return Decisions(steps[begin:end], truth[begin:end], np.broadcast_to(np.nan, end - begin))
 
+    def _judge_whole(
+        self, quick: Compiled, traces: Traces, part: slice, samples: NDArray[np.float64], held: int,
+        outs: list[NDArray[Any]], at: int, end: int,
+    ) -> bool:  # fmt: skip
+        """Write a part of a block to `samples`, from the one of number `held` on, and what they decide to `outs`.
+
+        Samples are checked on the way: False if some are to be converted, or are not finite or wide.
+        """
+        assert self._columns is not None
+        if self._program.labels or any(array.dtype != np.float64 for array in traces.arrays.values()):
+            return False
+        for i, name in enumerate(self._stream.names):
+            samples[held:, i] = traces.arrays[name][0, part]
+        decided = [out[:, at:end] for out in outs]
+        return quick.at(self._columns, 1, len(samples), "error", decided, True, self.wait, WIDE)
+
     def _judge_part(
         self, samples: NDArray[np.float64], first_step: int, wide: bool, outs: list[NDArray[Any]], at: int, end: int
     ) -> None:
         """Write truth, and margins if waited for, of the last steps that samples decide to places at … end − 1."""
-        if self._compilable:
+        if (quick := compiled(self._program)) is not None:
             columns = {name: samples[:, i] for i, name in enumerate(self._stream.names)}
             columns |= {name: columns[name] != 0 for name in self._program.labels}
             block = Block(columns, 1, len(samples), "open", wide)
-            if judge_quickly(compiled(self._program), block, outs, True, self.wait, slice(0, 1), at):
+            if judge_quickly(quick, block, outs, True, self.wait, slice(0, 1), at):
                 return
         traces = replace(self._traces(samples, first_step), small=not wide)
         for out, found in zip(outs, judge(self._judged, traces, "error", True, self.wait), strict=True):

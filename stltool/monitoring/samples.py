@@ -159,8 +159,10 @@ def _groups(rows: int, size: int) -> Iterator[slice]:
         yield slice(first, min(first + size, rows))
 
 
-def read_traces(program: Program, signals: Mapping[str, ArrayLike]) -> Traces:
+def read_traces(program: Program, signals: Mapping[str, ArrayLike], first_step: int = 0) -> Traces:
     """The arrays of a program's names, (n_steps,) or (n_traces, n_steps); their samples are checked in `blocks`.
+
+    `first_step`: the number of the first sample in messages.
 
     Raises NameLookupError if a name is missing, TraceError if an array is not numeric, or shapes differ.
     """
@@ -184,7 +186,7 @@ def read_traces(program: Program, signals: Mapping[str, ArrayLike]) -> Traces:
     batch = len(shape) == 2
     n_traces, n_steps = shape if batch else (1, *shape)
     rows = {name: array.reshape(n_traces, n_steps) for name, array in arrays.items()}
-    return Traces(rows, program, n_traces, n_steps, batch)
+    return Traces(rows, program, n_traces, n_steps, batch, first_step)
 
 
 def with_earlier(made: Delayed, signals: Mapping[str, ArrayLike], held: bool) -> Mapping[str, ArrayLike]:

@@ -100,11 +100,11 @@ class Stream:
 
     def kept(self) -> Floats:
         """The last samples, at most `depth`, oldest first: (n, n_names)."""
-        N, time = self.N, int(self.N[k.TIME])
-        size, width = int(N[k.N_KEPT]), len(self.names)
-        rows = self.F[N[k.KEPT] : N[k.KEPT] + size * width].reshape(size, width)
+        time, size, begin, width = self.n_read, self.header[k.N_KEPT], self.header[k.KEPT], len(self.names)
+        rows = self.F[begin : begin + size * width].reshape(size, width)
         n = min(time, self.depth)
-        return rows[np.arange(time - n, time) % size]
+        first = (time - n) % size
+        return rows[first : first + n].copy() if first + n <= size else rows[np.arange(time - n, time) % size]
 
     def verdict(self, step: int) -> bool | None:
         """The verdict of one of the last `depth` steps, if it is decided."""
