@@ -8,9 +8,10 @@ Choices are rows of a substochastic matrix A (m, n), those of vertex i numbered 
 Both are found by policy iteration [Puterman94, §7.2, §8.6 and §9.2]; averages begin with value iteration. What it ends
 with is then *proved*, whatever rounding did:
 
-    total     with y ≥ 1 + max_a A_a y, the steps to the end, and T x = max_a (b_a + A_a x):
-              V ≤ x + max(T x − x)·y,   and V ≥ x − max(x − T_π x)·y for the policy π
-    average   min(T v − v) ≤ g ≤ max(T v − v) for every v [Puterman94, thm 8.5.5]
+    total     V ≥ x − max(x − b_π − A_π x)·y for the policy π, with y ≥ 1 + A_π y, its steps to the end;
+              V ≤ x + ε y if b_a + A_a (x + ε y) ≤ x + ε y for every choice: ε is what the choices near the best exceed
+              x by, and y ≥ 1 + A_a y for these; all others are so much worse that it does not matter to them
+    average   min(T v − v) ≤ g ≤ max(T v − v) for every v [Puterman94, §8.5]
 
 with T computed once, whose rounding errors are bounded in advance. Fractions need no proof: policy iteration ends where
 no choice is better, and there the equations above hold. It ends: a policy of several recurrent classes has one whose
@@ -23,6 +24,7 @@ import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -42,6 +44,9 @@ _TIGHT = 1e-13  # width of an average's bounds that needs no improvement
 _BETTER = 1e-12  # smaller improvements are rounding
 _MOST_SOLVED = 200_000  # unknowns of a sparse system in doubles
 MOST_EXACT = 5_000  # unknowns in fractions
+_NEAR = (1e-9, 1e-12, 1e-6, 1e-3, 2.0)  # how much worse than the best the choices may be that an upper bound follows
+_NARROW = 1e-10  # bounds that need no further attempt
+_UP = 1 + 1e-12  # what rounding in the bounds themselves may be
 _U = 2.0**-53
 
 
@@ -59,6 +64,16 @@ class Game:
     def n(self) -> int:
         return len(self.start) - 1
 
+    @cached_property
+    def owner(self) -> I64:
+        """(m,) the vertex of each choice."""
+        return np.repeat(np.arange(self.n), np.diff(self.start))
+
+    def only(self, choices: I64) -> Game:
+        """The same with some of the choices, at least one for each vertex."""
+        start = np.searchsorted(self.owner[choices], np.arange(self.n + 1))
+        return Game(self.matrix[choices], start, self.longest, self.defect)
+
     def best(self, value: Floats) -> Floats:
         """The greatest value of a vertex's choices."""
         found: Floats = np.maximum.reduceat(value, self.start[:-1])
@@ -66,10 +81,9 @@ class Game:
 
     def first_best(self, value: Floats) -> I64:
         """The first choice of each vertex that has the greatest value."""
-        owner = np.repeat(np.arange(self.n), np.diff(self.start))
-        among = np.flatnonzero(value == self.best(value)[owner])
+        among = np.flatnonzero(value == self.best(value)[self.owner])
         found = np.empty(self.n, dtype=np.int64)
-        found[owner[among][::-1]] = among[::-1]
+        found[self.owner[among][::-1]] = among[::-1]
         return found
 
     def slack(self, most: float) -> float:
@@ -82,31 +96,51 @@ class Game:
 
 @dataclass(frozen=True, eq=False)
 class Total:
-    """x, its choices (n,), and for each vertex bounds on the exact total: x − below·y … x + above·y."""
+    """x, its choices (n,), and what the exact total may be below and above it, (n,) each."""
 
     x: Floats
     picks: I64
-    steps: Floats
-    below: float
-    above: float
+    below: Floats
+    above: Floats
 
 
 def greatest_total(game: Game, base: Floats, picks: I64) -> Total:
     """The greatest total, from a policy to begin with; `base` (m,) is what each choice pays, 0 … 1 along any run."""
     x, picks = _improved_total(game, base, picks)
-    ends = np.diff(game.matrix.indptr) == 0
-    longer = np.where(ends, -1.0, 0.0)  # any other choice first
-    steps, _ = _improved_total(game, np.ones(len(base)), game.first_best(longer))
-    most = float(steps.max())
-    short = float((1 + game.best(game.matrix @ steps) - steps).max()) + game.slack(most)
-    if not (np.isfinite(steps).all() and np.isfinite(x).all() and short < 0.5):
-        return Total(np.clip(np.nan_to_num(x), 0, 1), picks, np.ones(game.n), 1.0, 1.0)
-    steps = steps / (1 - max(short, 0.0)) * (1 + 8 * _U)
+    unknown = np.ones(game.n)
+    if not np.isfinite(x).all():
+        return Total(np.clip(np.nan_to_num(x), 0, 1), picks, unknown, unknown)
     x = np.clip(x, 0, 1)
     value, slack = base + game.matrix @ x, game.slack(1.0)
-    above = max(float((game.best(value) - x).max()) + slack, 0.0)
-    below = max(float((x - value[picks]).max()) + slack, 0.0)
-    return Total(x, picks, steps, below, above)
+    alone = game.only(picks)
+    below = above = unknown
+    if (steps := _steps(alone, np.arange(game.n))) is not None:
+        below = max(float((x - value[picks]).max()) + slack, 0.0) * steps
+    owner, chosen = game.owner, np.zeros(len(value), dtype=np.bool_)
+    chosen[picks] = True
+    for near in _NEAR:
+        kept = np.flatnonzero(chosen | (value >= x[owner] - near))
+        some = game.only(kept)
+        steps = _steps(some, some.first_best(chosen[kept].astype(np.float64)))
+        if steps is None:
+            continue
+        missing = max(float((value[kept] - x[owner[kept]]).max()) + slack, 0.0)
+        worse = value - x[owner] + slack + missing * (game.matrix @ steps * _UP - steps[owner] / _UP)
+        worse[kept] = 0.0
+        if (worse <= 0).all() and missing * float(steps.max()) < float(above.max()):
+            above = missing * steps
+            if float(above.max()) < _NARROW:
+                break
+    return Total(x, picks, below * _UP, above * _UP)
+
+
+def _steps(game: Game, picks: I64) -> Floats | None:
+    """y ≥ 1 + max_a A_a y, the steps to the end whatever is chosen, close to the least; None if they are too many."""
+    steps, _ = _improved_total(game, np.ones(len(game.owner)), picks)
+    if not np.isfinite(steps).all() or steps.min() < 0.5:
+        return None
+    short = float((1 + game.best(game.matrix @ steps) - steps).max()) + game.slack(float(steps.max()))
+    return steps / (1 - short) * _UP if 0 <= short < 0.5 else None
 
 
 def _improved_total(game: Game, base: Floats, picks: I64) -> tuple[Floats, I64]:
@@ -162,7 +196,7 @@ def greatest_average(game: Game, reward: Floats) -> tuple[float, float, I64]:
     """Bounds on the greatest average in an end component, and the choices (n,) of a policy that attains it, up to
     rounding; `reward` (n,) is between 0 and 1."""
     lower, upper, width, best_v = 0.0, 1.0, np.inf, np.zeros(game.n)
-    owner = np.repeat(np.arange(game.n), np.diff(game.start))
+    owner = game.owner
 
     def look(v: Floats, ahead: Floats) -> float:
         nonlocal lower, upper, width, best_v

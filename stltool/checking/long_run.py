@@ -11,7 +11,7 @@ What a run visits infinitely often is an end component (recurrent.py), so each i
 maximal end components, weighted by what a policy can have in them:
 
     share        the greatest average of w, the same from everywhere in a component [Puterman94, §9.5]
-    recurrence   1 if w holds anywhere in it                                        [deAlfaro97, ch. 4]
+    recurrence   1 if w holds anywhere in it                                        [Alfaro97, ch. 4]
     persistence  1 if it contains an end component in which w holds everywhere
     always       as persistence, where runs end as soon as w fails; the components are then all or nothing
 
@@ -385,10 +385,9 @@ def _reached(goal: _Goal, missing: float, exact: bool) -> _Found:
     value = math.fsum(share * found.x[begins])
     model = graph.product.model
     halves = Fraction(float(np.abs(goal.upper - goal.lower).max(initial=0.0))) / 2 + Fraction(1, 2**50)
-    started = Fraction(math.fsum(share * found.steps[begins])) * (1 + Fraction(1, 2**40))
     more = halves + Fraction(1, 2**50) + model.initial_defect
-    lower = round_down(max(Fraction(0), Fraction(value) - Fraction(found.below) * started - more))
-    upper = round_up(min(Fraction(1), Fraction(value) + Fraction(found.above) * started + more))
+    lower = round_down(max(Fraction(0), Fraction(value) - Fraction(math.fsum(share * found.below[begins])) - more))
+    upper = round_up(min(Fraction(1), Fraction(value) + Fraction(math.fsum(share * found.above[begins])) + more))
     picks = found.picks
     fraction = None
     if exact:

@@ -1,7 +1,7 @@
 """A product that runs for ever, as a graph: its end components, and ways to reach a set.
 
 An *end component* is a set of vertices with some of their choices that a policy can stay in for ever: closed, strongly
-connected. Under any policy, what a run visits infinitely often is one of them with probability 1 [deAlfaro97, thm 3.2],
+connected. Under any policy, what a run visits infinitely often is one of them with probability 1 [Alfaro97, ch. 3],
 so every question about the long run is one about maximal end components, and about reaching them.
 """
 
@@ -207,7 +207,7 @@ class Components:
 
 
 def end_components(graph: Recurrent, within: Bools | None = None) -> Components:
-    """The maximal end components among the vertices `within` [deAlfaro97, alg. 3.1]."""
+    """The maximal end components among the vertices `within` [Alfaro97, ch. 3]."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
@@ -269,7 +269,7 @@ def towards(graph: Recurrent, targets: Bools, allowed: Bools) -> I64:
 
 
 def surely(graph: Recurrent, targets: Bools) -> Bools:
-    """From where some policy reaches the targets with probability 1 [deAlfaro97, ch. 3]."""
+    """From where some policy reaches the targets with probability 1 [Alfaro97, ch. 3]."""
     allowed = np.ones(len(graph.choice), dtype=np.bool_)
     while True:
         able = targets | (towards(graph, targets, allowed) >= 0)

@@ -13,6 +13,7 @@ import typer
 
 from stltool.cli.app import app
 from stltool.cli.cost import check_cost, check_within, read_budget
+from stltool.cli.for_ever import check_for_ever, read_questions, require_endless_policy_file
 from stltool.cli.margins import check_margins, check_timing, read_margin
 from stltool.cli.options import (
     READ,
@@ -190,6 +191,16 @@ def check(
             "bounds are on the P of K",
         ),
     ] = None,
+    for_ever: Annotated[
+        str | None,
+        typer.Option(
+            "--for-ever",
+            metavar="QUESTION",
+            help="judge the task at every step of endless runs: the long-run share of the steps at which it holds, or "
+            "P that it does always, again and again (recurrence), or from some step on (persistence); or all",
+            autocompletion=lambda: ["share", "always", "recurrence", "persistence", "all"],
+        ),
+    ] = None,
     plot: Annotated[
         Path | None,
         typer.Option(
@@ -255,6 +266,27 @@ def check(
             raise SettingsError(f"--plot {plot} draws what --robustness or --vary finds; add one of them")
     if report is not None:
         require_report(report / "report.html")
+    if for_ever is not None:
+        beside = [
+            *of_p, (cost is not None, "--cost"), (within is not None, "--within"), (until is not None, "--until"),
+            (vary is not None, "--vary"), (report is not None, "--report"), (margin is not None, "--margin"),
+            (time_shift is not None, "--time-shift"), (resume, "--resume"), (encoding != "exact", "--encoding"),
+            (nature not in (None, "nominal"), "--nature"),
+        ]  # fmt: skip
+        _require_none(beside, "is not supported with --for-ever; leave one of them out")
+        of_one_answer = [(save_policy is not None, "--save-policy"), (minimize, "--minimize")]
+        asked_once = [option for option, _, _ in bounds] + [option for given_it, option in of_one_answer if given_it]
+        questions = read_questions(for_ever, asked_once)
+        if save_policy is not None:
+            require_endless_policy_file(save_policy)
+            require_policy_file(save_policy)
+        repeats = check_for_ever(
+            task, model, param, name, reading, nature == "nominal", policy, policy_function, questions, minimize, exact,
+            bounds, save_policy, as_json,
+        )  # fmt: skip
+        if not repeats:
+            raise typer.Exit(1)
+        return
     if within is not None and cost is None:
         raise SettingsError(f"--within {within} is a budget for a cost; add --cost NAME, or leave it out")
     if cost is not None:

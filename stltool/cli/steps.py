@@ -207,15 +207,20 @@ def make_joint_product(
 
 
 def load_with_model(
-    task: Path, model: Path | None, param: list[str] | None, names: Sequence[str | None], reading: ModelReading = READ
+    task: Path,
+    model: Path | None,
+    param: list[str] | None,
+    names: Sequence[str | None],
+    reading: ModelReading = READ,
+    unbounded: bool = False,
 ) -> tuple[list[Task], MDP]:
     """Definitions of a task file and its model. -p gives values to params of the task, and to parameters of the model
-    that the task does not declare."""
+    that the task does not declare; `unbounded` allows operators without an interval."""
     import stltool as stl
     from stltool.errors import StlToolError
 
     def loaded(params: dict[str, str]) -> list[Task]:
-        return [stl.load_task(task, params, name) for name in names]
+        return [stl.load_task(task, params, name, unbounded) for name in names]
 
     params = read_params(param)
     try:

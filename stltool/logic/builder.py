@@ -618,7 +618,8 @@ class Builder:
             raise _At(
                 place,
                 f"{word} needs an interval with an end here, such as {_ENDLESS[word]}[{first},{first + 10}] "
-                "(only monitors can do without: stltool monitor, or unbounded=True; a label of that name is in quotes: "
+                "(only monitors and check --for-ever can do without: stltool monitor, or unbounded=True; a label of "
+                "that name is in quotes: "
                 f'"{_ENDLESS[word]}")',
             )
         return Interval(first, None)

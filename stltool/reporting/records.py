@@ -331,6 +331,47 @@ class CostsOutput(TypedDict):
     expected: list[CostRecord]
 
 
+class LongRunRecord(TypedDict):
+    """An answer about runs that go on for ever, enclosed: the least or the greatest over all policies, or a policy's.
+
+    `share` is the long-run share of the steps at which the task holds; the others are the probability that it holds at
+    every step, at infinitely many steps, and at every step from some step on.
+    """
+
+    asked: Literal["share", "always", "recurrence", "persistence"]
+    question: Question
+    value: float
+    lower: float
+    upper: float
+    exact: str | None
+    seconds: float
+
+
+class LongRunOutput(TypedDict):
+    """What `stltool check --for-ever --json` prints.
+
+    `repeated` is the bounded formula that is judged at every step: the task itself, or what the task repeats in the
+    form G (always), G F (recurrence) or F G (persistence). Runs reach so many pairs of model and automaton states, with
+    so many maximal end components.
+    """
+
+    task: str
+    formula: str
+    form: Literal["always", "recurrence", "persistence"] | None
+    repeated: str
+    model: str
+    model_digest: str
+    horizon: int
+    encoding: str
+    reachable: int
+    components: int
+    answers: list[LongRunRecord]
+    at_least: NotRequired[float]
+    at_most: NotRequired[float]
+    holds: NotRequired[bool]
+    decided: NotRequired[bool]
+
+
 class CostDistributionOutput(TypedDict):
     """What `stltool check --cost --within --json` prints: P(task and cost <= c), enclosed, for every budget c.
 
@@ -1443,6 +1484,7 @@ OUTPUTS = {
     "check": CheckOutput,
     "check --cost": CostsOutput,
     "check --cost --within": CostDistributionOutput,
+    "check --for-ever": LongRunOutput,
     "check --robustness": RobustnessRecord,
     "check --robustness --time-shift": TimingRecord,
     "check --vary": ParametricRecord,

@@ -31,6 +31,10 @@ MORE = {
     ],
     "check --cost": [["check", "patrolling.stl", *SMALL, "--cost", "x", "--policy", "policy.npz"],
                      ["check", "patrolling.stl", *SMALL, "--cost", "A", "--until", "horizon"]],
+    "check --for-ever": [
+        ["check", "patrolling.stl", "-p", "T=3", "-p", "tau=3", "--for-ever", "all"],
+        ["check", "patrolling.stl", "-p", "T=2", "-p", "tau=2", "--for-ever", "share", "--exact", "--at-most", "1"],
+    ],
     "check --robustness --time-shift": [
         ["check", "patrolling.stl", *SMALL, "--robustness", "--time-shift", "1", "--at-least", "0.5"]
     ],

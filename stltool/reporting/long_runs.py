@@ -1,0 +1,39 @@
+"""Answers about runs that go on for ever, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from stltool.checking.long_run import Forever, LongRun
+from stltool.logic.repeated import Repetition
+from stltool.numbers import fraction_text
+from stltool.reporting.records import LongRunOutput
+
+
+def long_run_data(prepared: Forever, found: Sequence[LongRun], form: Repetition | None, formula: str) -> LongRunOutput:
+    """Answers on one running product; `formula` repeats that of the product in this form, or is the same."""
+    product = prepared.product
+    return {
+        "task": product.task_name,
+        "formula": formula,
+        "form": form,
+        "repeated": str(product.formula),
+        "model": product.model.name,
+        "model_digest": product.model.digest(),
+        "horizon": product.horizon,
+        "encoding": product.automaton.encoding,
+        "reachable": prepared.graph.n,
+        "components": prepared.parts.count,
+        "answers": [
+            {
+                "asked": one.asked,
+                "question": one.question,
+                "value": one.value,
+                "lower": one.lower,
+                "upper": one.upper,
+                "exact": fraction_text(one.fraction) if one.fraction is not None else None,
+                "seconds": one.seconds,
+            }
+            for one in found
+        ],
+    }
