@@ -35,6 +35,7 @@ def cases(n: int) -> list[tuple[str, str, Mapping[str, Any]]]:
         ("x * y == z", "computed from decimals", {"x": x, "y": y, "z": x * y}),
         ("x * y == z", "computed", {"x": a, "y": b, "z": a * b}),
         ("sqrt(x^2 + y^2) <= z", "decimals", right),
+        ("sqrt(x^2 + y^2) <= z", "computed", {"x": a, "y": b, "z": np.hypot(a, b)}),
         ("max(x, y) >= x", "decimals", {"x": x, "y": y}),
         ("x + y <= z", "decimals, none on the border", {"x": x, "y": y, "z": y}),
     ]

@@ -30,6 +30,7 @@ _TENS = np.array([pow(10, k, 1 << 64) for k in range(MOST_PLACES + 1)], dtype=np
 _HIGH = np.array([float(10**k) for k in range(MOST_PLACES + 1)])
 _LOW = np.array([float(10**k - int(high)) for k, high in enumerate(_HIGH)])
 _ROOM = 2.0**63 * (1 - 2.0**-20)
+_BELOW = 2.0**63 - 1024  # the double before 2⁶³
 _EXACT = 22  # 10^22 is a double
 _WHOLE = 1 << 53
 
@@ -70,8 +71,8 @@ def _operate(now: I64, m: I64, places: I64, size: int) -> None:
 @kernel
 def _pair(whole: np.int64) -> tuple[float, float]:
     """A whole number as the sum of two doubles."""
-    high = np.float64(whole)
-    return high, np.float64(whole - np.int64(min(max(high, -(2.0**62)), 2.0**62)))
+    high = min(np.float64(whole), _BELOW)
+    return high, np.float64(whole - np.int64(high))
 
 
 @kernel

@@ -3,7 +3,8 @@
 A sample is here if its two sides, in doubles, are no farther apart than their error E (comparisons.py). Every value is
 the decimal m / 10^k that it prints as. Sums, differences, products and powers of such are again whole numbers over a
 power of ten, and so is the difference of the sides, D / 10^K. D is known modulo 2⁶⁴ by the wrapping arithmetic of
-64-bit integers, however large the terms are, and |D| ≤ 2E·10^K; so where that is below 2⁶³ it is D.
+64-bit integers, however large the terms are, and |D| ≤ 2E·10^K; so where that is below 2⁶³ it is D. Where it is not,
+as in squares of computed doubles, of 16 and 17 digits, the same is done modulo 2¹²⁸ (kernels/wide.py).
 
     the sides      without roots       left − right = D / 10^K
                    √A and B > 0        A − B² = D / 10^K has the sign of √A − B = D / (10^K (√A + B))
@@ -39,6 +40,7 @@ _MOST_PLACES = 44  # 10^44 is the sum of two doubles
 _LARGEST_POWER = 8
 _COMPILED_FROM = 2000  # samples; for fewer, printing each is quicker than loading a compiled kernel
 _ROOM = 2.0**63 * (1 - 2.0**-20)
+_BELOW = 2.0**63 - 1024  # the double before 2⁶³
 _TENS = np.array([pow(10, k, 1 << 64) for k in range(_MOST_PLACES + 1)], dtype=np.uint64)
 _TENS_HIGH = np.array([float(10**k) for k in range(_MOST_PLACES + 1)])
 _EXACT_TENS = _TENS_HIGH[:23]
@@ -88,11 +90,21 @@ def _compiled(node: Comparison, columns: Mapping[str, Floats], apart: Floats) ->
               for values in columns.values()]  # fmt: skip
     sign, margin, settled = np.empty(n, np.int8), np.empty(n), np.empty(n, np.bool_)
     values, errors = (np.ascontiguousarray(np.broadcast_to(x, n if root is not None else 0)) for x in (b, error))
+    given, rows = np.array([*columns.values()]), np.array(code.rows, np.int64).ravel()
+    near = np.ascontiguousarray(apart)
     k.settle(
-        np.array([*columns.values()]), np.array(shared, np.int64), np.array(code.rows, np.int64).ravel(), inside, other,
-        root is not None, np.ascontiguousarray(apart), values, errors, sign, margin, settled,
-        np.empty(code.registers * k.TILE, np.int64), np.empty(code.registers * k.TILE, np.int64),
+        given, np.array(shared, np.int64), rows, inside, other, root is not None, near, values, errors, sign, margin,
+        settled, np.empty(code.registers * k.TILE, np.int64), np.empty(code.registers * k.TILE, np.int64),
     )  # fmt: skip
+    if code.narrow and not settled.all():
+        from stltool.kernels import wide
+
+        lower, upper = np.empty((2, code.registers), np.uint64)
+        digits, own = np.empty((2, len(columns)), np.int64)
+        wide.settle(
+            given, rows, inside, other, root is not None, near, values, errors, sign, margin, settled, lower, upper,
+            np.empty(code.registers, np.int64), digits, own,
+        )  # fmt: skip
     return (sign, margin, settled) if root is None or root is node.left else (-sign, 0.0 - margin, settled)
 
 
@@ -108,6 +120,7 @@ class _Code:
         self._k = kernels
         self._names = names
         self.rows: list[list[int]] = []
+        self.narrow = True  # constants are below 2⁶³, and not only known modulo 2⁶⁴
 
     @property
     def registers(self) -> int:
@@ -121,7 +134,9 @@ class _Code:
             case Number(value):
                 constant = _constant(value)
                 assert constant is not None
-                return self._add(self._k.CONSTANT, int(constant[0].view(np.int64)), int(constant[1]))
+                m, places = int(constant[0].view(np.int64)), int(constant[1])
+                self.narrow &= m == shortest(value) * 10**places
+                return self._add(self._k.CONSTANT, m, places)
             case Negate(arg):
                 return self._add(self._k.NEGATED, self.register(arg), 0)
             case Arithmetic("^", left, Number(power)):
@@ -301,9 +316,8 @@ class _Exact:
 def _pair(whole: NDArray[np.int64] | np.int64) -> Pair:
     """Of whole numbers below 2⁶³, exactly."""
     whole = np.asarray(whole)
-    high = whole.astype(np.float64)
-    low = (whole - np.clip(high, -(2.0**62), 2.0**62).astype(np.int64)).astype(np.float64)
-    return high, low
+    high = np.minimum(whole.astype(np.float64), _BELOW)
+    return high, (whole - high.astype(np.int64)).astype(np.float64)
 
 
 def _sum(a: Floats, b: Floats, rest: Floats) -> Pair:

@@ -145,6 +145,32 @@ def test_the_kernel_settles_what_numpy_settles(text, monkeypatch):
         assert found[1][settled].tobytes() == expected[1][settled].tobytes()
 
 
+@pytest.mark.parametrize("text", ["sqrt(x^2 + y^2) <= z", "z > sqrt(x*y + 0.1)", "x^2 - y^2 != z", "x*y > -z"])
+def test_computed_doubles_are_settled_in_vectors(text, monkeypatch):
+    """Of 16 and 17 digits, some in the unit interval, some large, each on the border or a few units beside it."""
+    monkeypatch.setattr(borders, "_COMPILED_FROM", 1)
+    rng, n = np.random.default_rng(8), 600
+    x, y = rng.random((2, n)) * 10.0 ** rng.integers(-2, 3, n)
+    right = {
+        "sqrt(x^2 + y^2) <= z": np.hypot(x, y),
+        "z > sqrt(x*y + 0.1)": np.sqrt(x * y + 0.1),
+        "x^2 - y^2 != z": x**2 - y**2,
+        "x*y > -z": -x * y,
+    }[text]
+    z = right * (1 + rng.integers(-2, 3, n) * 2.0**-52)
+    asked = []
+    slow = Predicate._settle
+    monkeypatch.setattr(Predicate, "_settle", lambda self, *sample: asked.append(sample) or slow(self, *sample))
+    phi, trace = stl.parse(text), {"x": x, "y": y, "z": z}
+    result = stl.monitor(phi, trace, semantics="both")
+    assert len(asked) <= 0.05 * n, len(asked)
+    assert result.verdicts.tolist() == [satisfies(phi, trace, t) for t in range(n)]
+    margins = [robustness(phi, trace, t) for t in range(n)]
+    scale = np.maximum(x, y) ** (1 if "sqrt" in text else 2)  # margins that are not near 0 are those of doubles
+    assert (np.abs(result.robustness - margins) <= 1e-14 * scale).all()
+    assert np.sign(result.robustness).tolist() == np.sign(margins).tolist()
+
+
 @pytest.mark.parametrize("text", ["x + y <= z", "x * y == z"])
 @pytest.mark.parametrize("end", ["error", "cut", "hold"])
 def test_batches_of_borders(text, end, monkeypatch):
