@@ -268,8 +268,9 @@ def build_product(
 ) -> Product:
     """Bind a formula's names to a model and compile it to an automaton over the letters that occur there.
 
-    `encoding` is "exact" (every bounded formula), "paper" (the paper's flags), "history" (the τ-MDP) or "running" (it
-    judges every step, for questions about runs that go on for ever). `memory_limit` in bytes (default: four fifths of
+    `encoding` is "exact" (every bounded formula), "paper" (the paper's flags), "history" (the τ-MDP) "running" (it
+    judges every step, for questions about runs that go on for ever) or "safety" (at every step until one fails).
+    `memory_limit` in bytes (default: four fifths of
     the free memory), `most_states` an automaton may have. Raises NameLookupError for a label or signal that the model
     does not have, FragmentError when the encoding does not cover the formula, SizeError before allocating what would
     not fit.

@@ -52,7 +52,7 @@ def _first(model) -> dict[object, Fraction]:
 
 
 def of_policy(product: stl.Product, policy: stl.Policy) -> dict[str, Fraction]:
-    """What a stationary policy on a running product is worth."""
+    """What a stationary policy on a running product, or on one for safety ("always"), is worth."""
     automaton, exact = product.automaton, [oracles.choices(product.model, s) for s in range(product.model.n_states)]
     table = policy.row(0)
     first = {(s, product.enter(s, automaton.initial)): p for s, p in oracles.initial(product.model)}

@@ -98,7 +98,7 @@ class TaskAutomaton(Displayed):
     """A deterministic automaton over letters, with verdicts that depend on the step.
 
     formula     the formula that it judges
-    encoding    "exact" | "paper" | "history" | "running", as requested
+    encoding    "exact" | "paper" | "history" | "running" | "safety", as requested
     exact       whether its verdicts always equal the truth of the formula
     atoms       ψ₁ … ψ_m: the Boolean formulas whose truth it reads
     valuations  (n_valuations, m) bool: the truth assignments that it accepts

@@ -26,7 +26,7 @@ from stltool.logic.shifts import delayed
 from stltool.logic.task import Task
 from stltool.sizes import require_limit
 
-Encoding = Literal["exact", "paper", "history", "running"]
+Encoding = Literal["exact", "paper", "history", "running", "safety"]
 ENCODINGS: tuple[Encoding, ...] = get_args(Encoding)
 MOST_STATES = 100_000
 
@@ -53,8 +53,9 @@ def compile_automaton(
 
     "exact" covers every bounded formula with as few states as we can find; "paper" uses the flags of [Wang24], with a
     warning if they may disagree with the formula; "history" stores whole windows; "running" judges every step, not only
-    the first, for questions about runs that go on for ever. `valuations` (n, n_atoms) restricts
-    the automaton to those that occur in a model (`atoms_of` names the columns); by default it reads all. If it grows
+    the first, for questions about runs that go on for ever; "safety" decides against a run as soon as it fails at any
+    step, with a warning. `valuations` (n, n_atoms) restricts the automaton to those that occur in a model (`atoms_of`
+    names the columns); by default it reads all. If it grows
     over `most_states`, compilation stops with a SizeError that names the part at fault. Raises FragmentError for
     "paper" only.
     """
@@ -78,8 +79,15 @@ def compile_automaton(
         return flag_automaton(phi, fragment, valuations, "paper", memory_limit)
     if encoding == "history":
         return history_automaton(phi, read, valuations, memory_limit)
-    if encoding == "running":
-        return running_automaton(compile_running(phi, valuations, most_states), most_states, memory_limit)
+    if encoding in ("running", "safety"):
+        if encoding == "safety":
+            warnings.warn(
+                f"the safety encoding judges {phi} at every step, not only at the first: it is for G {phi}",
+                InexactEncodingWarning,
+                stacklevel=2,
+            )
+        base = compile_running(phi, valuations, most_states)
+        return running_automaton(base, most_states, memory_limit, safety=encoding == "safety")
     return _exact(phi, valuations, most_states, memory_limit)
 
 

@@ -7,9 +7,15 @@ starts: class by class, one for each age k = 0 … h,
 
 of the states q of the exact automaton, in which each start has an instance of its own. Starts that agree in class have
 the same verdict whatever follows, and a class whose successors all have one verdict is that verdict: so two states that
-differ are told apart by some continuation, and there are no fewer. Starts before step 0 count as satisfied.
+differ are told apart by some continuation, and there are no fewer. Before step 0, the first letter is taken to have
+been read for ever: verdicts of starts before step 0 mean nothing, and states that only a beginning would need are
+spared.
 
 The state after h + 1 letters has the verdict of step 0: with it, the running automaton is a task automaton like others.
+
+The *safety automaton* is for G Φ: once a start has failed, or must fail, it stays in one state, so all it remembers are
+the starts that are open. Those before step 0 have succeeded. It decides against a run whose window fails at any step
+from 0 to h, hence Φ itself not exactly.
 """
 
 from __future__ import annotations
@@ -29,22 +35,33 @@ _OPEN = 2  # classes from here on are undecided
 _MOST_CELLS = 50_000_000  # ages times states of the exact automaton times letters
 
 
-def running_automaton(base: TaskAutomaton, most_states: int, limit: int | None = None) -> TaskAutomaton:
-    """The running automaton of the formula of `base`, which is exact and has `starts`.
+def running_automaton(
+    base: TaskAutomaton, most_states: int, limit: int | None = None, safety: bool = False
+) -> TaskAutomaton:
+    """The running automaton, or the safety automaton, of the formula of `base`, which is exact and has `starts`.
 
     Raises SizeError if it grows over `most_states`, or its table over `limit` bytes.
     """
     assert base.starts is not None
     h, phi = base.horizon, base.formula
+    encoding = "safety" if safety else "running"
     if (h + 1) * base.delta.size > _MOST_CELLS:
         raise SizeError(
-            f"the running automaton of {phi} follows {h + 1} starts through {base.n_states} states; shorten the windows"
+            f"the {encoding} automaton of {phi} follows {h + 1} starts through {base.n_states} states; shorten the "
+            "windows"
         )
     start, after, of_age = _classes(base)
     first = start[:-1]  # of the classes of each age, in one numbering
     n_letters = base.n_letters
     entered = of_age[0][base.delta[:, base.starts.state]]  # the class of a start that begins with a letter
-    row = np.concatenate([[0], first + TRUE]).astype(np.int32)  # what is remembered, then a class for each age
+    row = np.zeros(h + 2, dtype=np.int32)  # what is remembered, then a class for each age
+    if safety:
+        row[1:] = first + TRUE
+    else:
+        row[1] = entered[0, 0]
+        for k in range(h):
+            row[k + 2] = after[0, row[k + 1]]
+    failed = np.concatenate([[0], first + FALSE]).astype(np.int32)
     known: dict[bytes, int] = {row.tobytes(): 0}
     rows, waiting, moves = [row[None]], row[None], []
     allowed = memory_limit(limit)
@@ -55,6 +72,9 @@ def running_automaton(base: TaskAutomaton, most_states: int, limit: int | None =
         new[:, :, 1] = entered[:, memory]
         new[:, :, 2:] = after[:, waiting[:, 1:-1]]
         flat = new.reshape(-1, new.shape[2])
+        if safety:
+            before = np.tile((waiting[:, 1:] == failed[1:]).any(axis=1), n_letters)
+            flat[before | (flat[:, 1:] == failed[1:]).any(axis=1)] = failed
         numbers, fresh = [], []
         for i, one in enumerate(flat):
             key = one.tobytes()
@@ -68,29 +88,30 @@ def running_automaton(base: TaskAutomaton, most_states: int, limit: int | None =
         rows.append(waiting)
         if len(known) > most_states:
             raise SizeError(
-                f"the running automaton of {phi} grows over {most_states} states: it follows every window of the last "
-                f"{h} steps; shorten the windows, or raise most_states"
+                f"the {encoding} automaton of {phi} grows over {most_states} states: it follows every window of the "
+                f"last {h} steps; shorten the windows, or raise most_states"
             )
         require_memory(
             12 * len(known) * len(row),
-            f"the running automaton of {phi}, over {len(known)} states of {len(row)} ages,",
+            f"the {encoding} automaton of {phi}, over {len(known)} states of {len(row)} ages,",
             "shorten the windows",
             allowed,
         )
     table, delta = np.concatenate(rows), np.concatenate(moves, axis=1)
-    satisfied = table[:, -1] == first[-1] + TRUE
+    satisfied = table[:, -1] == first[-1] + TRUE  # of the safety automaton: none has failed
     classes = coarsest_partition(delta, satisfied.astype(np.int8))  # what is remembered may be more than needed
     delta, representative = quotient(delta, classes)
     verdict = np.where(satisfied[representative], TRUE, FALSE).astype(np.int8)
-    undecided = np.full_like(verdict, UNDECIDED)
+    early = np.where(safety & (verdict == FALSE), FALSE, UNDECIDED).astype(np.int8)
     return replace(
         base,
-        encoding="running",
+        encoding=encoding,
+        exact=not safety,
         delta=delta,
         initial=int(classes[0]),
         verdict_starts=np.array([0, h] if h else [0], dtype=np.int64),
-        verdict_rows=np.array([undecided, verdict] if h else [verdict], dtype=np.int8),
-        memory=_Windows(base, table[representative, 1:] - first, of_age),
+        verdict_rows=np.array([early, verdict] if h else [verdict], dtype=np.int8),
+        memory=_Windows(base, table[representative, 1:] - first, of_age, safety),
         registers=np.empty((0, 0), dtype=np.int32),
         register_names=(),
         starts=None,
@@ -98,7 +119,8 @@ def running_automaton(base: TaskAutomaton, most_states: int, limit: int | None =
 
 
 def satisfied_in(automaton: TaskAutomaton) -> NDArray[np.bool_]:
-    """(n_states,): whether the formula holds at the step `horizon` steps ago, of a running automaton."""
+    """(n_states,) of a running automaton: whether the formula holds at the step `horizon` steps ago; of a safety
+    automaton: whether no start has failed, or must fail."""
     held: NDArray[np.bool_] = automaton.verdicts(automaton.horizon) == TRUE
     return held
 
@@ -134,11 +156,16 @@ def _classes(base: TaskAutomaton) -> tuple[NDArray[np.int64], NDArray[np.int32],
 class _Windows:
     """What each start within the horizon still needs, of which the oldest open one is told in words."""
 
-    def __init__(self, base: TaskAutomaton, rows: NDArray[np.int64], of_age: Sequence[NDArray[np.int64]]) -> None:
+    def __init__(
+        self, base: TaskAutomaton, rows: NDArray[np.int64], of_age: Sequence[NDArray[np.int64]], safety: bool
+    ) -> None:
         self._memory, self._rows, self._of_age = base.memory, rows.astype(np.int32), of_age
+        self._safety = safety
 
     def __call__(self, q: int, text: Text = str) -> tuple[Remembered, ...]:
         row = self._rows[q]
+        if self._safety and row[-1] == FALSE:
+            return (Remembered("a window has been violated, or must be", rank=q, status="failed"),)
         held = f"the window that began {len(row) - 1} steps ago is {'satisfied' if row[-1] == TRUE else 'violated'}"
         failed, opened = np.flatnonzero(row[:-1] == FALSE), np.flatnonzero(row[:-1] >= _OPEN)
         told = [held]

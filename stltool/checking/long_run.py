@@ -1,6 +1,6 @@
 """`long_run`: a bounded task that repeats for ever, judged at every step of an endless run.
 
-With w_t = whether Φ holds at step t, four questions on the running product (automata/running.py):
+With w_t = whether Φ holds at step t, four questions on products that judge every step (automata/running.py):
 
     share        E[lim 1/n Σ_{t<n} w_t], the long-run share of the steps at which Φ holds
     always       P(w_t for every t), of G Φ
@@ -27,14 +27,17 @@ from __future__ import annotations
 import itertools
 import math
 import time
+import warnings
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stltool.arguments import flag, one_of, real
+from stltool.automata import Encoding
 from stltool.checking.averages import Game, Row, exact_average, exact_total, greatest_average, greatest_total
 from stltool.checking.bounds import defect, row_defect
 from stltool.checking.rational import require_exact
@@ -49,7 +52,7 @@ from stltool.checking.recurrent import (
     towards,
 )
 from stltool.display import Card, Displayed
-from stltool.errors import PolicyError
+from stltool.errors import InexactEncodingWarning, PolicyError
 from stltool.numbers import fraction_text, round_down, round_up
 from stltool.policy import Policy, require_door
 from stltool.product import JointProduct, Product, build_product
@@ -64,11 +67,11 @@ _LONGEST = 60  # characters of a fraction in a short description
 class LongRun(Displayed):
     """An answer about endless runs: lower ≤ exact value ≤ upper, rounding included, for the model as given.
 
-    product   the running product, on which `policy` is defined
+    product   the running product, or for "always" that of the safety automaton: `policy` is defined on it
     asked     "share" | "always" | "recurrence" | "persistence"
     question  "minimum" | "maximum" (over all policies) | "policy"
     policy    a stationary policy that attains the optimum, up to rounding; or the given one
-    components the number of maximal end components that runs can reach
+    pairs     how many pairs of model and automaton states runs can reach, and how many maximal end `components`
     fraction  the exact value, if it was asked for; lower and upper are then the doubles next to it
     seconds   wall time
     """
@@ -80,6 +83,7 @@ class LongRun(Displayed):
     lower: float
     upper: float
     policy: Policy
+    pairs: int
     components: int
     seconds: float
     fraction: Fraction | None = None
@@ -124,9 +128,8 @@ def long_run(
 
     `asked` is "share", "always" (at every step, for ever), "recurrence" (at infinitely many steps) or "persistence" (at
     every step from some step on). The task itself is bounded, and judged anew at every step; windows of the past reach
-    back to step 0. `product` may have any encoding: the question is answered on the running product,
-    `build_product(model, task, encoding="running")`. A policy must not depend on the step. `exact=True` adds the exact
-    fraction.
+    back to step 0. `product` may have any encoding: it is built again with the one that the question needs, "running"
+    or, for "always", "safety". A policy must not depend on the step. `exact=True` adds the exact fraction.
 
     Raises PolicyError if the policy depends on the step, belongs to another task or model, or defines no action where
     it is needed; SettingsError if the probabilities are unknown, intervals or parameters; SizeError before allocating
@@ -140,45 +143,35 @@ def long_run(
 
 
 class Forever:
-    """A running product prepared for several questions: what runs can reach, under a policy or any."""
+    """A product prepared for several questions: what runs can reach, under a policy or any."""
 
     def __init__(self, product: Product, policy: Policy | None = None, memory_limit: int | None = None) -> None:
         product.model.require_points()
-        if product.automaton.encoding != "running":
-            built = build_product(product.model, product.formula, "running", memory_limit)
-            product = replace(built, task_name=product.task_name, definitions=product.definitions)
-        self.product, self.policy = product, policy
-        judge, judged = product, None
-        if policy is not None:
-            if not policy.stationary or isinstance(policy.home, JointProduct):
-                raise PolicyError(
-                    f"the policy depends on the step and ends after {policy.home.horizon} steps, and this question is "
-                    "about runs that go on for ever; give a policy of the state, or of the state and what is remembered"
-                )
-            judge, judged = policy.on(product)
-        self.graph = recurrent(judge, judged, memory_limit)
-        mixture = 0.0
-        if self.graph.weight is not None:
-            assert judged is not None
-            mixture = float(defect(judged.form.mixtures().tolist())) * (1 + 1e-9)
-        kinds = product.model.rows.kinds
-        self.defect = float(row_defect(kinds)) * (1 + 1e-9) + mixture
-        self._parts: Components | None = None
-
-    @property
-    def parts(self) -> Components:
-        """The maximal end components."""
-        if self._parts is None:
-            self._parts = end_components(self.graph)
-        return self._parts
+        if policy is not None and (not policy.stationary or isinstance(policy.home, JointProduct)):
+            raise PolicyError(
+                f"the policy depends on the step and ends after {policy.home.horizon} steps, and this question is "
+                "about runs that go on for ever; give a policy of the state, or of the state and what is remembered"
+            )
+        self.given, self.policy, self._limit = product, policy, memory_limit
+        self.defect = float(row_defect(product.model.rows)) * (1 + 1e-9)
+        if policy is not None and not policy.deterministic:
+            self.defect += float(defect(policy.form.mixtures().tolist())) * (1 + 1e-9)
 
     def ask(self, asked: Question, maximize: bool = True, exact: bool = False) -> LongRun:
         """The answer to one question."""
         began = time.perf_counter()
         if exact:
-            require_exact(self.product.model, self.product.model.rows)
-        found = self._greatest(asked, exact) if maximize or self.policy is not None else self._least(asked, exact)
-        policy = self.policy if self.policy is not None else Policy(self.product, self._table(found))
+            require_exact(self.given.model, self.given.model.rows)
+        product, graph, parts = self.safe if asked == "always" else self.running
+        opposite = not maximize and self.policy is None
+        holds = ~graph.satisfied if opposite else graph.satisfied
+        if asked == "always":
+            goal = _Goal.of(graph.absorbing(~graph.satisfied), holds)
+        else:
+            goal = self._goal(_OPPOSITE[asked] if opposite else asked, holds, exact)
+        found = _reached(goal, self.defect, exact)
+        found = found.opposite() if opposite else found
+        policy = self.policy if self.policy is not None else Policy(product, _table(product, graph, found))
         question: Literal["minimum", "maximum", "policy"]
         question = "policy" if self.policy is not None else "maximum" if maximize else "minimum"
         value, lower, upper = found.value, found.lower, found.upper
@@ -186,24 +179,33 @@ class Forever:
             value, lower, upper = float(found.fraction), round_down(found.fraction), round_up(found.fraction)
         seconds = time.perf_counter() - began
         return LongRun(
-            self.product, asked, question, value, lower, upper, policy, self.parts.count, seconds, found.fraction
+            product, asked, question, value, lower, upper, policy, graph.n, parts.count, seconds, found.fraction
         )
 
-    def _greatest(self, asked: Question, exact: bool) -> _Found:
-        holds = self.graph.satisfied
-        if asked == "always":
-            return _reached(_Goal.of(self.graph.absorbing(~holds), holds), self.defect, exact)
-        return _reached(self._goal(asked, holds, exact), self.defect, exact)
+    @cached_property
+    def running(self) -> tuple[Product, Recurrent, Components]:
+        """The running product, what runs can reach of it, and its maximal end components."""
+        return self._prepared("running")
 
-    def _least(self, asked: Question, exact: bool) -> _Found:
-        fails = ~self.graph.satisfied
-        if asked == "always":
-            return _reached(_Goal.of(self.graph.absorbing(fails), fails), self.defect, exact).opposite()
-        return _reached(self._goal(_OPPOSITE[asked], fails, exact), self.defect, exact).opposite()
+    @cached_property
+    def safe(self) -> tuple[Product, Recurrent, Components]:
+        """The same for the safety automaton."""
+        return self._prepared("safety")
+
+    def _prepared(self, encoding: Encoding) -> tuple[Product, Recurrent, Components]:
+        product = self.given
+        if product.automaton.encoding != encoding:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", InexactEncodingWarning)
+                built = build_product(product.model, product.formula, encoding, self._limit)
+            product = replace(built, task_name=product.task_name, definitions=product.definitions)
+        judge, judged = self.policy.on(product) if self.policy is not None else (product, None)
+        graph = recurrent(judge, judged, self._limit)
+        return product, graph, end_components(graph)
 
     def _goal(self, asked: Question, holds: Bools, exact: bool) -> _Goal:
         """What a policy can have in each maximal end component, and its choices there."""
-        graph, parts = self.graph, self.parts
+        _, graph, parts = self.running
         if asked == "share":
             return _averages(graph, parts, holds, self.defect, exact)
         if asked == "persistence":
@@ -211,11 +213,12 @@ class Forever:
         goals = holds & (parts.of >= 0)
         return _Goal(graph, parts, _with(parts, goals), _led(graph, parts, goals, _some_choice(graph, parts)))
 
-    def _table(self, found: _Found) -> NDArray[np.int64]:
-        """(S, Q) the choices found; 0 where runs come to only after the question is decided."""
-        table = np.full(self.product.n_states, -1, dtype=np.int64)
-        table[self.graph.code] = found.choice
-        return table.reshape(self.product.shape)
+
+def _table(product: Product, graph: Recurrent, found: _Found) -> NDArray[np.int64]:
+    """(S, Q) the choices found; the first where runs come to only after the question is decided."""
+    table = np.full(product.n_states, -1, dtype=np.int64)
+    table[graph.code] = found.choice
+    return table.reshape(product.shape)
 
 
 # ------------------------------------------------------------------------------------------------- components

@@ -77,7 +77,7 @@ def check_for_ever(
         raise SettingsError("--nominal: the model's probabilities are not intervals; leave out --nominal")
     world = world.nominal() if nominal else world
     world.require_points()
-    product = bind(replace(loaded, formula=inner), world, "running")
+    product = bind(replace(loaded, formula=inner), world, "exact")
     chosen = given_policy(product, policy, policy_function)
     with progress_bar("checking", quiet=as_json):
         forever = Forever(product)
@@ -89,7 +89,7 @@ def check_for_ever(
     if save_policy is not None:
         optima[0 if minimize else 1].policy.save(save_policy)
     judged = found[-1] if chosen is not None else optima[0 if minimize else 1]
-    data = long_run_data(forever, found, form, str(loaded.formula))
+    data = long_run_data(found, form, str(loaded.formula))
     facts: dict[str, object] = {}
     verdicts = []
     for option, text, bound in bounds:
@@ -107,8 +107,6 @@ def check_for_ever(
     repeats = {"task": f"{loaded.name} := {loaded.formula}"}
     if form is not None:
         repeats |= {"asks for": form, "repeats": str(inner)}
-    pairs, parts = data["reachable"], data["components"]
-    repeats["runs"] = f"reach {pairs} pairs of states, and stay in {parts} maximal end component{'s' * (parts != 1)}"
     print_facts({**repeats, **{asked: _MEANING[asked] for asked in questions}})
     say()
     rows = []

@@ -117,8 +117,8 @@ Encoding = Annotated[
     str,
     typer.Option(
         "--encoding",
-        help="exact, paper (Wang et al. 2024: flags), history (tau-MDP) or running (judges every step)",
-        autocompletion=lambda: ["exact", "paper", "history", "running"],
+        help="exact, paper (Wang et al. 2024: flags), history (tau-MDP); running and safety judge every step",
+        autocompletion=lambda: ["exact", "paper", "history", "running", "safety"],
     ),
 ]
 ReportFolder = Annotated[

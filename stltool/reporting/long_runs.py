@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from stltool.checking.long_run import Forever, LongRun
+from stltool.checking import LongRun
 from stltool.logic.repeated import Repetition
 from stltool.numbers import fraction_text
 from stltool.reporting.records import LongRunOutput
 
 
-def long_run_data(prepared: Forever, found: Sequence[LongRun], form: Repetition | None, formula: str) -> LongRunOutput:
-    """Answers on one running product; `formula` repeats that of the product in this form, or is the same."""
-    product = prepared.product
+def long_run_data(found: Sequence[LongRun], form: Repetition | None, formula: str) -> LongRunOutput:
+    """Answers about one task; `formula` repeats that of their products in this form, or is the same."""
+    product = found[0].product
     return {
         "task": product.task_name,
         "formula": formula,
@@ -21,9 +21,6 @@ def long_run_data(prepared: Forever, found: Sequence[LongRun], form: Repetition 
         "model": product.model.name,
         "model_digest": product.model.digest(),
         "horizon": product.horizon,
-        "encoding": product.automaton.encoding,
-        "reachable": prepared.graph.n,
-        "components": prepared.parts.count,
         "answers": [
             {
                 "asked": one.asked,
@@ -32,6 +29,9 @@ def long_run_data(prepared: Forever, found: Sequence[LongRun], form: Repetition 
                 "lower": one.lower,
                 "upper": one.upper,
                 "exact": fraction_text(one.fraction) if one.fraction is not None else None,
+                "encoding": one.product.automaton.encoding,
+                "pairs": one.pairs,
+                "components": one.components,
                 "seconds": one.seconds,
             }
             for one in found

@@ -335,7 +335,8 @@ class LongRunRecord(TypedDict):
     """An answer about runs that go on for ever, enclosed: the least or the greatest over all policies, or a policy's.
 
     `share` is the long-run share of the steps at which the task holds; the others are the probability that it holds at
-    every step, at infinitely many steps, and at every step from some step on.
+    every step, at infinitely many steps, and at every step from some step on. Runs reach so many `pairs` of model and
+    automaton states, with so many maximal end `components`.
     """
 
     asked: Literal["share", "always", "recurrence", "persistence"]
@@ -344,6 +345,9 @@ class LongRunRecord(TypedDict):
     lower: float
     upper: float
     exact: str | None
+    encoding: str
+    pairs: int
+    components: int
     seconds: float
 
 
@@ -351,8 +355,7 @@ class LongRunOutput(TypedDict):
     """What `stltool check --for-ever --json` prints.
 
     `repeated` is the bounded formula that is judged at every step: the task itself, or what the task repeats in the
-    form G (always), G F (recurrence) or F G (persistence). Runs reach so many pairs of model and automaton states, with
-    so many maximal end components.
+    form G (always), G F (recurrence) or F G (persistence).
     """
 
     task: str
@@ -362,9 +365,6 @@ class LongRunOutput(TypedDict):
     model: str
     model_digest: str
     horizon: int
-    encoding: str
-    reachable: int
-    components: int
     answers: list[LongRunRecord]
     at_least: NotRequired[float]
     at_most: NotRequired[float]

@@ -172,7 +172,7 @@ def test_patrolling_for_ever(floor5):
     best = forever.ask("share")
     assert best.upper - best.lower < 1e-11
     assert best.lower > stl.check(stl.build_product(floor5, task)).upper  # of the first window alone, from a cold start
-    again = stl.long_run(forever.product, policy=best.policy)
+    again = stl.long_run(forever.given, policy=best.policy)
     assert again.lower <= best.upper
     assert best.upper - again.lower < 1e-9
     assert [forever.ask(asked).value for asked in QUESTIONS[1:]] == [0, 1, 0]
@@ -188,26 +188,27 @@ def test_storm_agrees(tmp_path_factory, model, phi):
     among them."""
     stormpy = pytest.importorskip("stormpy", reason="outside judge absent: stormpy (pip install stltool[peers])")
     forever = Forever(stl.build_product(model, phi, "running"))
-    graph, path = forever.graph, tmp_path_factory.mktemp("storm") / "endless.drn"
-    assume(graph.satisfied.any())  # a label of no state is not written
-    rows = np.zeros((int(np.diff(graph.choice_start).max()), graph.n, graph.n), dtype=object)
-    for i in range(graph.n):
-        for k, row in enumerate(graph.exactly(np.arange(graph.choice_start[i], graph.choice_start[i + 1]))):
-            for j, p in row:
-                rows[k, i, j] += p
-    theirs = stl.MDP.from_arrays(rows, {}, int(graph.first[0]), {"good": graph.satisfied})
-    save_model(theirs, path)
-    built = stormpy.build_model_from_drn[float](str(path))
-    for asked, template in {
+    path = tmp_path_factory.mktemp("storm") / "endless.drn"
+    asked_of = {
         "share": 'LRA{}=? ["good"]', "always": 'P{}=? [G "good"]', "recurrence": 'P{}=? [G F "good"]',
         "persistence": 'P{}=? [F G "good"]',
-    }.items():  # fmt: skip
+    }  # fmt: skip
+    for asked, template in asked_of.items():
+        _, graph, _ = forever.safe if asked == "always" else forever.running
+        if not graph.satisfied.any():  # a label of no state is not written
+            continue
+        rows = np.zeros((int(np.diff(graph.choice_start).max()), graph.n, graph.n), dtype=object)
+        for i in range(graph.n):
+            for k, row in enumerate(graph.exactly(np.arange(graph.choice_start[i], graph.choice_start[i + 1]))):
+                for j, p in row:
+                    rows[k, i, j] += p
+        save_model(stl.MDP.from_arrays(rows, {}, int(graph.first[0]), {"good": graph.satisfied}), path)
+        built = stormpy.build_model_from_drn[float](str(path))
         for maximize in (True, False):
             (question,) = stormpy.parse_properties(template.format("max" if maximize else "min"))
-            answer = stormpy.model_checking(built, question, only_initial_states=True).get_value(
-                built.initial_states[0]
-            )
-            assert forever.ask(asked, maximize).value == pytest.approx(answer, abs=1e-5)
+            answer = stormpy.model_checking(built, question, only_initial_states=True)
+            theirs = answer.get_value(built.initial_states[0])
+            assert forever.ask(asked, maximize).value == pytest.approx(theirs, abs=1e-5)
 
 
 # --------------------------------------------------------------------------------------------------- policies

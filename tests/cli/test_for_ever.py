@@ -31,10 +31,10 @@ def test_all_questions(stltool, floor5):
     ]
     best = stl.long_run(product)
     assert found[1][2:] == (best.lower, best.upper)
-    assert data["components"] == best.components == 1
+    assert data["answers"][1]["components"] == best.components == 1
+    assert [one["encoding"] for one in data["answers"]] == ["running"] * 2 + ["safety"] * 2 + ["running"] * 4
     code, out, _ = stltool("check", PATROLLING, *SMALL, "--for-ever", "all")
     assert code == 0
-    assert "and stay in 1 maximal end component\n" in out
     assert "persistence  P that it holds at every step from some step on" in out
 
 
