@@ -40,6 +40,8 @@ Row: TypeAlias = list[tuple[int, Fraction]]
 _SWEEPS = 2_000  # of value iteration
 _LOOK = 20  # sweeps between two looks at its bounds
 _ROUNDS = 300  # of policy iteration in doubles
+_NARROWER, _STALLED = 0.9, 10  # rounds that narrow an average's bounds by less are rounding, after so many
+_NARROW_AVERAGE = 1e-12  # width of bounds that need no further round
 _TIGHT = 1e-13  # width of an average's bounds that needs no improvement
 _BETTER = 1e-12  # smaller improvements are rounding
 _MOST_SOLVED = 200_000  # unknowns of a sparse system in doubles
@@ -218,17 +220,21 @@ def greatest_average(game: Game, reward: Floats) -> tuple[float, float, I64]:
     picks = game.first_best(game.matrix @ best_v)
     if game.n > _MOST_SOLVED:
         return lower, upper, picks
+    best_picks, stalled, narrowest = picks, 0, np.inf
     for _ in range(_ROUNDS):
         picks, reference = _one_class(game, reward, picks)
-        v = _bias(game.matrix[picks], reward, reference)[1]
+        gain, v = _bias(game.matrix[picks], reward, reference)
         value = reward[owner] + game.matrix @ v
         better = game.best(value) > value[picks] + _BETTER * (1 + abs(v).max())
         shifted = v - v.min()
-        look(shifted, game.best(game.matrix @ shifted))
-        if not better.any():
+        now = max(look(shifted, game.best(game.matrix @ shifted)), upper - gain)  # what the policy may lack, too
+        stalled = 0 if now < _NARROWER * narrowest else stalled + 1
+        if now < narrowest:
+            narrowest, best_picks = now, picks
+        if not better.any() or now < _NARROW_AVERAGE or stalled > _STALLED:
             break
         picks = np.where(better, game.first_best(value), picks)
-    return lower, upper, picks
+    return lower, upper, best_picks
 
 
 def recurrent_classes(matrix: Any) -> list[I64]:
