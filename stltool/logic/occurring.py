@@ -108,14 +108,14 @@ def _whatever(leaves: Sequence[Comparison], row: Sequence[bool], given: Collecti
         return None
     possible = False
     for chosen in itertools.product(*polyhedra):
-        left = _projected(list(itertools.chain(*chosen)), given)
+        left = projected(list(itertools.chain(*chosen)), given)
         if left == []:
             return True
-        possible = possible or (left is not None and _projected(left, ()) is not None)
+        possible = possible or (left is not None and projected(left, ()) is not None)
     return None if possible else False
 
 
-def _projected(rows: list[Constraint], given: Collection[str]) -> list[Constraint] | None:
+def projected(rows: list[Constraint], given: Collection[str]) -> list[Constraint] | None:
     """What the constraints say about the given signals, if all others are chosen freely; None if they contradict.
 
     [] if they say nothing. Where that is not found out, others are left in.

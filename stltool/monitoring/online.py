@@ -38,6 +38,7 @@ from stltool.monitoring.offline import judge, judge_quickly
 from stltool.monitoring.program import Program, compile_delayed, compile_formula, formula_of_atom
 from stltool.monitoring.samples import WHOLE, WIDE, Earlier, Traces, read_traces
 from stltool.monitoring.starts import OpenSteps
+from stltool.monitoring.tied import Tied, tied
 
 if TYPE_CHECKING:
     from stltool.monitoring.stream import Stream
@@ -59,6 +60,8 @@ class OnlineMonitor(Displayed):
 
     Raises StlSyntaxError if an interval of the future has no end.
     """
+
+    _tied: Tied | None = None
 
     def __new__(cls, phi: Formula | Task | None = None, wait: bool = False) -> OnlineMonitor:
         # a part that looks back without a limit is enough, even if nothing depends on it: the left side of since[0,0]
@@ -87,7 +90,13 @@ class OnlineMonitor(Displayed):
         self._compile(phi, wait)
         self.wait = self.wait or self.horizon == 0  # nothing to wait for
         engine = engine_of(self._judged, self._earlier.made.signals)
-        self.early = engine.early
+        self.early, made = engine.early, self._earlier.made
+        if made.signals and not (self.early.exact or self.wait or made.starts):
+            self._tied = tied(engine, self.horizon, made.signals)
+        if self._tied is not None:
+            why = self.early.why.partition(";")[0] + "; the values of earlier samples are taken into account"
+            self.early = Early("automaton", True, why)
+        self._leaves = engine.leaves
         self._stream = Stream(self._program, engine, self.horizon, self.wait)
         self._enclosure: Enclosure | None = None
         self._room: NDArray[np.float64] | None = None  # for parts of long blocks: (n, n_names)
@@ -168,7 +177,7 @@ class OnlineMonitor(Displayed):
         truth, margins = judge(self._judged, self._traces(kept, n - known), end, True, True)
         open_ = slice(known - (n - first), known)
         found = zip(range(first, n), truth[0, open_].tolist(), margins[0, open_].tolist(), strict=True)
-        return [Decision(*one) for one in found if self.wait or self._stream.verdict(one[0]) is None]
+        return [Decision(*one) for one in found if self.wait or self._verdict(one[0]) is None]
 
     def bounds(self, step: int) -> tuple[float, float]:
         """The least and the greatest robustness that the step can still have, whatever comes; equal once it is final.
@@ -185,7 +194,7 @@ class OnlineMonitor(Displayed):
             self._enclosure = Enclosure(self._judged)
         columns = dict(zip(self._stream.names, kept.T, strict=True))
         lower, upper = self._enclosure.at(columns, at)
-        return _within(lower, upper, self._stream.verdict(step))
+        return _within(lower, upper, self._verdict(step))
 
     def _bounded_step(self, step: int) -> int:
         n = self.n_steps
@@ -245,6 +254,24 @@ class OnlineMonitor(Displayed):
 
     def _decided(self, code: int) -> list[Decision] | Decisions:
         """The decisions that reading a sample has yielded."""
+        return self._of_code(code) if self._tied is None else self._decided_by_values(self._tied, code)
+
+    def _decided_by_values(self, tied: Tied, code: int) -> list[Decision]:
+        """The same, if the values of earlier samples decide, too."""
+        final = {decision.step: decision.robustness for decision in self._of_code(code)}
+        truths, kept = self._stream.truths(self._leaves), self._earlier.kept
+        values = {
+            name: [last[max(len(last) - 1 - i, 0)] for i in range(last.maxlen or 0)]  # missing ones: nobody looks
+            for name, last in kept.items()
+        }
+        return [Decision(step, verdict, final.get(step)) for step, verdict in tied.read(truths, values)]
+
+    def _verdict(self, step: int) -> bool | None:
+        """The verdict of one of the last steps, if it is decided."""
+        found = None if self._tied is None else self._tied.verdict(step)
+        return self._stream.verdict(step) if found is None else found
+
+    def _of_code(self, code: int) -> list[Decision] | Decisions:
         if code == NOTHING:
             return []
         if code == SEVERAL:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
+from collections.abc import Callable
 
 from stltool.monitoring.early import OPEN, YES, Engine
 
@@ -46,6 +47,24 @@ class OpenSteps:
                 after[q] = deque(heapq.merge(after[q], left)) if q in after else left
         self._open = after
         return sorted(found)
+
+    def decided(self, verdict: Callable[[int, int], bool | None]) -> list[Found]:
+        """The open steps that have a verdict by state and clock, in any order; they are open no longer."""
+        found: list[Found] = []
+        for q, steps in list(self._open.items()):
+            known = {step: verdict(q, self.n_steps - 1 - step) for step in steps}
+            found += [(step, value) for step, value in known.items() if value is not None]
+            self._open[q] = deque(step for step in steps if known[step] is None)
+            if not self._open[q]:
+                del self._open[q]
+        return found
+
+    def copied(self) -> OpenSteps:
+        """What reads on by itself."""
+        other = OpenSteps.__new__(OpenSteps)
+        other.__dict__.update(self.__dict__)
+        other._open = {q: steps.copy() for q, steps in self._open.items()}
+        return other
 
     def _decide(self, q: int, steps: deque[int], now: int, found: list[Found]) -> deque[int]:
         """Move the steps in state q that are decided to `found`; the others."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.kernels import streams as k
-from stltool.logic.formula import Comparator, Constant, Label, Negate, Number, Term, Variable
+from stltool.logic.formula import Comparator, Constant, Formula, Label, Negate, Number, Term, Variable
 from stltool.monitoring.comparisons import Predicate
 from stltool.monitoring.early import Engine
 from stltool.monitoring.program import PAST, Atom, Instruction, Program, formula_of_atom
@@ -111,6 +111,12 @@ class Stream:
         N = self.N
         found = int(N[N[k.VERDICT] + (step - N[k.BASE]) % N[k.N_VERDICTS]])
         return None if found == 0 else found == 2
+
+    def truths(self, leaves: Sequence[Formula]) -> list[bool]:
+        """The truths of labels and comparisons at the last sample."""
+        numbers = {formula_of_atom(atom): i for i, atom in enumerate(self.atoms)}
+        begin = self.header[k.TRUTH]
+        return [bool(self.N[begin + numbers[leaf]]) for leaf in leaves]
 
     def undecided(self, first: int) -> Ints:
         """The steps without a verdict, from one of the last `depth` ones on."""

@@ -210,6 +210,53 @@ def test_verdicts_come_as_soon_as_all_continuations_agree(text, kind, monkeypatc
         assert fed(online, trace) == earliest(phi, trace, values)
 
 
+TIED = [  # what can come next depends on the values of earlier samples
+    "G[0,2] (x[t+1] > x & x < 3)", "G[0,1] (x[t+1] > x) & F[1,2] x < 1", "F[0,1] (x[t+1] < x & x > 2)",
+    "G[0,1] (x[t+2] >= x | x > 1)", "G[0,1] (x[t+1] - x <= 1) & F[1,2] x > 2", "F[0,2] (x == 2 & x[t+1] != x & p)",
+    "G[0,1] (abs(x[t+1] - x) <= 1 -> x > 0)", "F[0,1] (x[t+1] > 2*y & y[t+1] > x & x > 1)",
+    "prev (x > 1) & G[0,1] (x[t+1] < x | x > 2)", "G[0,2] (max(x, x[t+1]) <= 2 & x > 0)",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", TIED)
+def test_values_of_earlier_samples_decide_as_soon_as_all_continuations_agree(text):
+    phi = stl.parse(text)
+    rng = np.random.default_rng(len(text))
+    many = np.concatenate([np.arange(-0.5, 3.6, 0.5 if "y" in text else 0.25), (-20.0, 20.0)]).tolist()
+    values = dict.fromkeys(variables(phi), many) | dict.fromkeys(label_names(phi), (0.0, 1.0))
+    decided_here = 0
+    for _ in range(3):
+        online, plain = stl.OnlineMonitor(phi), stl.OnlineMonitor(phi)
+        assert online.early[:2] == ("automaton", True)
+        trace = {name: rng.integers(0, 4 if name in variables(phi) else 2, 7).astype(float).tolist() for name in values}
+        found = fed(online, trace)
+        assert found == earliest_with_past(phi, trace, values)
+        plain._tied = None
+        decided_here += sum(end < fed(plain, trace).get(t, (99, None))[0] for t, (end, _) in found.items())
+    assert decided_here, "the automaton alone is as early"
+
+
+def test_decisions_by_values_are_told_once_and_in_blocks_too():
+    phi = stl.parse("G[0,3] (x[t+1] > x & x < 3)")
+    x = np.array([0.0, 1.0, 2.5, 3.0, 1.0, 0.5, 2.0, 2.5, 2.75, 2.875, 2.9, 2.95, 0.0, 1.0])
+    single, blocks = stl.OnlineMonitor(phi), stl.OnlineMonitor(phi)
+    found = [decision for value in x for decision in single.feed({"x": value})]
+    halves = [decision for part in (x[:5], x[5:6], x[6:]) for decision in blocks.feed({"x": part})]
+    assert [(d.step, d.verdict) for d in found] == [(d.step, d.verdict) for d in halves]
+    assert sorted(d.step for d in found) == list(range(len(found)))
+    truth = stl.monitor(phi, {"x": x}, "cut").verdicts
+    assert all(truth[d.step] == d.verdict for d in found if d.step < len(x) - 4)
+    told = {d.step for d in found}
+    assert [d.step for d in single.finish()] == [t for t in range(len(x)) if t not in told]
+    copied = pickle.loads(pickle.dumps(single))
+    assert copied.feed({"x": 9.0}) == single.feed({"x": 9.0}) != []
+
+
+def test_what_is_too_large_for_values_is_possibly_late():
+    for text in ("G[0,200] (x[t+1] > x & x < 3)", "G[0,2] (x[t+1] * x > 1 & x < 3)"):
+        assert not stl.OnlineMonitor(stl.parse(text)).early.exact
+
+
 @pytest.mark.soak
 @given(phi=formulas(labels=("p", "q"), signals=(), longest=2, max_leaves=5), seed=st.integers(0, 999))
 def test_any_formula_is_decided_as_soon_as_all_continuations_agree(phi, seed):
@@ -437,7 +484,7 @@ def test_what_is_said_about_exactness():
     mixed = stl.OnlineMonitor(stl.parse(large.format("x > 4"))).early
     assert mixed[:2] == ("structure", False)
     assert "depends on another" in mixed.why
-    for text in ("F[0,2] x * x > 4 | G[0,3] x ^ 3 <= 8", "G[0,3] (x - x[t-1] <= 1) & F[0,2] x > 3"):
+    for text in ("F[0,2] x * x > 4 | G[0,3] x ^ 3 <= 8", "G[0,3] (x * x[t-1] <= 1) & F[0,2] x > 3"):
         assert stl.OnlineMonitor(stl.parse(text)).early[:2] == ("automaton", False)
     assert stl.OnlineMonitor(stl.parse(" & ".join(f"F[0,2] p{i}" for i in range(13)))).early.why.startswith(
         "the formula has 13 labels and comparisons, over 12"
