@@ -67,9 +67,15 @@ def pytest_collection_modifyitems(config, items):
     for item in items:
         if slow.of_all_parameters(item.nodeid) in listed:
             item.add_marker("slow")
-    if MORE <= 1 and not any("::" in argument for argument in config.args):
-        config.hook.pytest_deselected(items=[item for item in items if of_soak_alone(item)])
-        items[:] = [item for item in items if not of_soak_alone(item)]
+    beyond = slow.beyond((item.nodeid for item in items), listed)
+    for item in items:
+        if slow.of_all_parameters(item.nodeid) in beyond:
+            item.add_marker("soak")
+    if MORE < 1 and not any("::" in argument for argument in config.args):
+        left_out = {name for names in beyond.values() for name in names} if not slow.measured() else set()
+        left_out |= {item.nodeid for item in items if of_soak_alone(item)}
+        config.hook.pytest_deselected(items=[item for item in items if item.nodeid in left_out])
+        items[:] = [item for item in items if item.nodeid not in left_out]
 
 
 def of_soak_alone(item) -> bool:

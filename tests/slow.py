@@ -1,5 +1,7 @@
 """Which tests are marked slow, so that the others take a minute: `python -m tests.slow` measures and lists them again.
 
+Of a slow test's parameters, `make test` takes as many as fit into CASES seconds, and `make soak` takes all.
+
 tests/slow.txt has a test a line, the longest first: processor seconds of all its parameters together, on one machine
 and one day, with the processes that it starts or that a fixture has started for it.
 """
@@ -7,6 +9,7 @@ and one day, with the processes that it starts or that a fixture has started for
 import contextlib
 import json
 import os
+import random
 import subprocess
 import sys
 import tempfile
@@ -18,13 +21,35 @@ import pytest
 
 LIST = Path(__file__).with_name("slow.txt")
 REST = 40.0  # processor seconds of all others
+CASES = 0.3  # of a slow test, in `make test`: the rest of its parameters is left to `make soak`
 KEPT = {"browser", "cluster", "processes"}  # fixtures whose processes go on after a test
 _OUT = "STLTOOL_SLOW_OUT"
 
 
 def listed():
-    """The slow tests, as file::function."""
-    return {line.split()[1] for line in LIST.read_text(encoding="utf-8").splitlines()}
+    """The slow tests, as file::function, with the seconds of all their parameters."""
+    lines = (line.split() for line in LIST.read_text(encoding="utf-8").splitlines())
+    return {name: float(taken) for taken, name in lines}
+
+
+def beyond(nodeids, listed, cases=CASES):
+    """{slow test: those of its parameters that do not fit}, the same ones in every process; at least one fits."""
+    parameters = {}
+    for nodeid in nodeids:
+        if of_all_parameters(nodeid) in listed:
+            parameters.setdefault(of_all_parameters(nodeid), []).append(nodeid)
+    found = {}
+    for name, all_of_it in parameters.items():
+        fit = max(1, int(len(all_of_it) * cases / listed[name]))
+        if fit < len(all_of_it):
+            kept = set(random.Random(name).sample(all_of_it, fit))
+            found[name] = [nodeid for nodeid in all_of_it if nodeid not in kept]
+    return found
+
+
+def measured():
+    """Whether this process measures, for which all parameters must run."""
+    return _OUT in os.environ
 
 
 def of_all_parameters(nodeid):
@@ -58,7 +83,7 @@ class Stopwatch:
 
 
 def pytest_configure(config):
-    if _OUT in os.environ:
+    if measured():
         config.pluginmanager.register(Stopwatch(Path(os.environ[_OUT])))
 
 

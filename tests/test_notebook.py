@@ -195,6 +195,7 @@ class Tags(HTMLParser):
         self.text.append(data)
 
 
+@pytest.mark.soak(only=True)
 def test_a_notebook_shows_every_object_as_a_table(tmp_path, monkeypatch):
     nbformat = pytest.importorskip("nbformat")
     nbclient = pytest.importorskip("nbclient")

@@ -20,6 +20,30 @@ def test_parameters_count_together():
     assert slow.of_all_parameters("a.py::one[x[0]-y]") == "a.py::one" == slow.of_all_parameters("a.py::one")
 
 
+def test_of_many_parameters_those_that_fit_are_kept_and_the_rest_is_for_soak(monkeypatch):
+    cases = [f"a.py::one[{i}]" for i in range(20)]
+    others = ["a.py::two", *(f"b.py::three[{i}]" for i in range(20)), "b.py::four[0]", "b.py::four[1]"]
+    listed = {"a.py::one": 3.0, "a.py::two": 9.0, "b.py::four": 9.0}
+    found = slow.beyond([*cases, *others], listed, cases=0.3)
+    assert found == slow.beyond([*cases, *others], listed, cases=0.3)
+    assert {name: len(names) for name, names in found.items()} == {"a.py::one": 18, "b.py::four": 1}
+    assert set(found["a.py::one"]) < set(cases)
+    assert slow.beyond([*cases, *others], listed, cases=9) == {}
+
+    monkeypatch.setattr(slow, "listed", lambda: listed)
+    for more, args, kept in ((0.1, ["tests"], 2), (1, ["tests"], 20), (0.1, ["a.py::one"], 20)):
+        monkeypatch.setattr(conftest, "MORE", more)
+        items = [Mock(nodeid=name, iter_markers=lambda _: []) for name in cases]
+        conftest.pytest_collection_modifyitems(Mock(args=args), items)
+        assert len(items) == kept
+        assert all({mark.args[0] for mark in item.add_marker.mock_calls} == {"slow", "soak"} for item in items)
+    monkeypatch.setenv(slow._OUT, "folder")
+    monkeypatch.setattr(conftest, "MORE", 0.1)
+    items = [Mock(nodeid=name, iter_markers=lambda _: []) for name in cases]
+    conftest.pytest_collection_modifyitems(Mock(args=["tests"]), items)
+    assert len(items) == 20
+
+
 def test_processes_that_a_fixture_keeps_count():
     code = "import time; start = time.process_time()\nwhile time.process_time() < start + 0.3: pass\nprint(); input()"
     before = slow.seconds(["tmp_path", "browser"])

@@ -128,7 +128,7 @@ def test_a_check_on_workers(cluster, patrolling, tmp_path):
     assert all(np.array_equal(kept.row(t), here.policy.row(t)) for t in range(patrolling.horizon))
 
 
-@pytest.mark.soak
+@pytest.mark.soak(only=True)
 @pytest.mark.parametrize("arithmetic", ["fixed", pytest.param("double", marks=pytest.mark.soak(only=True))])
 def test_a_certificate_by_workers_is_the_same_file(arithmetic, cluster, patrolling, tmp_path, monkeypatch):
     if arithmetic == "double":

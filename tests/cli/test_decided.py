@@ -71,6 +71,7 @@ def test_the_text_says_so(stltool, tmp_path):
     assert "exact P  1\n" in out
 
 
+@pytest.mark.soak(only=True)
 def test_sweeps_too(stltool, tmp_path):
     (tmp_path / "tasks.stl").write_text(TASKS)
     scenarios = "".join(f'[[scenario]]\nid = "{t}"\ntask = "tasks.stl"\ndefinition = "{t}"\n' for t, _ in CASES)

@@ -11,7 +11,7 @@ import pytest
 
 from stltool import cli, log, streams
 from stltool.log import Log
-from tests.cli.every import CASES, COMMANDS, make_inputs, print_json
+from tests.cli.every import CASES, COMMANDS, PRINTED, make_inputs, print_json
 from tests.conftest import MORE, PATROLLING, some
 
 HELP = [[], *([name] for name in COMMANDS)]
@@ -67,9 +67,10 @@ def test_help_ends_with_an_example_that_is_a_command(name):
     assert set(given) == {parameter.name for parameter in COMMANDS[name].params} - {"help"}
 
 
+@pytest.mark.soak
 def test_json_is_one_object_and_nothing_else(once):
     printed = once("json", print_json)
-    for name in CASES:
+    for name in PRINTED:
         out, err = ((printed / f"{name}.{kind}").read_bytes() for kind in ("out", "err"))
         assert isinstance(json.loads(out, parse_constant=no_constant), dict), name
         assert out.count(b"\n") == 1, name

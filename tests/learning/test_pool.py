@@ -65,6 +65,7 @@ def test_work_that_kills_its_workers_is_given_up(tmp_path):
     assert lines == sorted([*["deadly"] * 3, "faulty", *(f"fine{i}" for i in range(6))])  # nothing else is done twice
 
 
+@pytest.mark.soak(only=True)
 def test_a_script_without_a_guard_is_told_so(sweep_file, tmp_path):
     script = tmp_path / "script.py"
     script.write_text(UNGUARDED)
@@ -130,6 +131,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.soak(only=True)
 def test_workers_end_with_who_asked(tmp_path):
     """At once, in the middle of work that would go on for long."""
     script = tmp_path / "script.py"

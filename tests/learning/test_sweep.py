@@ -278,6 +278,7 @@ def test_one_sweep_at_a_time_in_a_folder(write, tmp_path):
         stl.run_sweep(sweep, tmp_path / "file", workers=1)
 
 
+@pytest.mark.soak(only=True)
 def test_what_is_finished_and_how_long_the_rest_takes(write, tmp_path):
     sweep = stl.load_sweep(write())
     assert finished_runs(sweep, tmp_path / "none").runs == []

@@ -513,6 +513,7 @@ def test_a_param_may_be_repeated_with_its_value_only():
 # ------------------------------------------------------------------------------------------- sizes
 
 
+@pytest.mark.soak(only=True)
 def test_large_texts_parse_or_are_refused_in_words(tmp_path):
     many = stl.parse(" & ".join(["(x > 0 | F[0,3] b)"] * 1500))
     assert len(many.args) == 1500

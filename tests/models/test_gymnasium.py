@@ -466,6 +466,7 @@ def trainings():
     return found
 
 
+@pytest.mark.soak(only=True)
 def test_the_lake_is_learned_with_and_without_its_table(trainings, tmp_path):
     (known, by_table), (unknown, by_steps) = trainings
     best = stl.check(known).probability
@@ -510,6 +511,7 @@ def test_a_run_is_resumed_to_the_same_bits(tmp_path):
     assert resumed.environment_steps == whole.environment_steps
 
 
+@pytest.mark.soak(only=True)
 def test_a_tuple_of_observations_is_learned():
     """Blackjack: (the player's sum, the dealer's card, whether an ace counts 11), and no table."""
     model = stl.from_gymnasium(

@@ -65,6 +65,7 @@ def test_every_run_is_that_of_its_environment(mode, ends):
         assert ended.any()
 
 
+@pytest.mark.soak(only=True)
 def test_learning_and_judging_take_as_many_as_there_are():
     labels = {"goal": {15}, "hole": {5, 7, 11, 12}}
     model = stl.from_gymnasium(gymnasium.make_vec("FrozenLake-v1", 8), labels)

@@ -250,6 +250,7 @@ def test_the_most_probable_violation_is_the_checkers(opened, factory):
     assert "violated" in opened.text("#chip")
 
 
+@pytest.mark.soak(only=True)
 def test_every_memory_that_can_be_is_reached_by_the_sliders(opened):
     """Each part's slider to each of its levels, at three steps: the memory shown can be, and has that level."""
     for t in (1, 4, 6):
@@ -270,6 +271,7 @@ def test_every_memory_that_can_be_is_reached_by_the_sliders(opened):
     assert reached
 
 
+@pytest.mark.soak(only=True)
 def test_keys(opened):
     press = opened.page.keyboard.press
     opened.page.focus("#on")
@@ -300,6 +302,7 @@ def test_keys(opened):
     assert opened.js("explorer.view.s") is None
 
 
+@pytest.mark.soak(only=True)
 def test_a_run_plays_and_pauses(browser, factory):
     with Opened(browser, factory[3], spoilt=True) as page:
         page.page.clock.install()
@@ -318,6 +321,7 @@ def test_a_run_plays_and_pauses(browser, factory):
         assert "Play" in page.text("#play")
 
 
+@pytest.mark.soak(only=True)
 def test_a_run_branches_where_one_chooses(opened):
     opened.js("explorer.go(1)")
     goal = opened.page.inner_text("#here .outcomes .row button >> nth=-1").split(" ·")[0].split(" ")[0]
@@ -494,6 +498,7 @@ def test_random_models_are_explored_as_graphs(browser, tmp_path, seed):
         assert re.search(r"step 0 of \d+", page.text("#where"))
 
 
+@pytest.mark.soak(only=True)
 def test_two_robots_are_explored_on_their_floors(browser, tmp_path):
     """The picture is one robot's floor, the other one stays where the run has it; every cell is a joint state."""
     task = stl.load_task(ROOT / "examples" / "team" / "handover.stl")
@@ -583,6 +588,7 @@ def test_intervals_are_explored_with_natures_picks(browser, rough, tmp_path, nat
         assert "violated" in page.text("#chip")
 
 
+@pytest.mark.soak(only=True)
 def test_of_many_situations_those_of_the_policy_are_shown(browser, patrolling, tmp_path, monkeypatch):
     """The page says so; an action that leads elsewhere has no P, and cannot be put into the policy."""
     monkeypatch.setattr("stltool.checking.situations.reachable", lambda product: None)

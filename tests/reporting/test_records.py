@@ -11,7 +11,7 @@ import pytest
 import stltool as stl
 from stltool.reporting import report_data
 from stltool.reporting.records import FORMATS, OUTPUTS
-from tests.cli.every import CASES, COMMANDS, SMALL, make_inputs, print_json
+from tests.cli.every import CASES, COMMANDS, PRINTED, SMALL, make_inputs, print_json
 from tests.conftest import ROOT
 from tests.golden.capture import command
 
@@ -117,12 +117,13 @@ def folder(tmp_path_factory):
     return made
 
 
-@pytest.mark.parametrize("name", OUTPUTS)
+@pytest.mark.soak
+@pytest.mark.parametrize("name", [name for name in OUTPUTS if name in MORE or name in PRINTED])
 def test_commands_print_what_the_schema_says(name, folder, once, monkeypatch):
     monkeypatch.chdir(folder)
     monkeypatch.setattr("stltool.reporting.page.render", lambda *given: "")  # pictures take long
     kind = PUBLISHED["commands"][name]["$ref"].rpartition("/")[2]
-    printed = [(once("json", print_json) / f"{name}.out").read_text(encoding="utf-8")] if name in CASES else []
+    printed = [(once("json", print_json) / f"{name}.out").read_text(encoding="utf-8")] if name in PRINTED else []
     for arguments in MORE.get(name, []):
         _, out, err = command(*arguments, "--json")
         assert out, err
