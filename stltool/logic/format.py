@@ -161,7 +161,8 @@ def _time(text: str) -> str:
 
 
 def _operand(tree: Branch, prefix: bool = False) -> str:
-    return f"({flat_text(tree)})" if needs_parentheses(_kind(tree), prefix) else flat_text(tree)
+    bracketed = not (prefix and bare(tree).data == "not")  # of a long chain, each would look through the rest
+    return f"({flat_text(tree)})" if bracketed and needs_parentheses(_kind(tree), prefix) else flat_text(tree)
 
 
 def _kind(tree: Branch) -> Kind:
