@@ -183,7 +183,7 @@ def _lark() -> Lark:
 
 
 def _lexed(text: str) -> Iterator[Token]:
-    """Its tokens, by the parser's own lexer: `Lark.lex` would make another, which takes three times as long as to parse."""
+    """Its tokens, by the parser's own lexer: `Lark.lex` would build another, which takes longer than the rest."""
     lexer = _lark().parse_interactive(text, start="formula").lexer_thread
     return cast(Iterator[Token], lexer.lex(None))  # type: ignore[no-untyped-call]
 
