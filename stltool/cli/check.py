@@ -329,15 +329,14 @@ def check(
     if time_shift is not None and not robustness:
         raise SettingsError(f"--time-shift {time_shift} is robustness in time; add --robustness, or leave it out")
     if robustness:
-        single = any(option is not None for option in (margin, time_shift, at_least))
         beside = [
             (clockless, "--stationary and --memoryless"), (exact, "--exact"), (transfer, "--transfer"),
             (save_policy is not None, "--save-policy"), (certificate is not None, "--certificate"),
             (cluster is not None, "--cluster"), (encoding != "exact", "--encoding"),
             (nature not in (None, "nominal"), "--nature"), (values is not None, "--values"),
             (margin is None and time_shift is None and at_most is not None, "without --margin, --at-most"),
-            (plot is not None and single, "for a single margin, --plot"),
-            (report is not None and single, "for a single margin, --report"),
+            (plot is not None and time_shift is not None, "with --time-shift, --plot"),
+            (report is not None and time_shift is not None, "with --time-shift, --report"),
         ]  # fmt: skip
         _require_none(beside, "is not supported with --robustness; leave one of them out")
         r = read_margin(margin) if margin is not None else None

@@ -72,12 +72,23 @@ def check_margins(
         holds = _judge(bounds, {"": distribution.at(margin)}, data, facts)
     if plot is not None or report is not None:
         with progress_bar("the policy that is best for P" if policy is None else "the optimum", quiet=as_json) as bar:
+            whole = distribution
+            if only is not None:  # the page shows where the margin lies among all of them
+                whole = stl.robustness_distribution(model, task, policy, maximize=maximize)
             other = None
             if policy is None:
                 other = stl.check(stl.build_product(model, task), maximize=maximize).policy
             beside = stl.robustness_distribution(model, task, other, maximize=maximize, progress=bar)
         judged: Literal["policy"] | None = "policy" if policy is None else None
-        page = robustness_report(task, data, robustness_data(task, model, beside, judged, maximize), this_command())
+        asked_of: Literal["policy"] | None = "policy" if policy is not None else None
+        shown = robustness_data(task, model, whole, asked_of, maximize)
+        for key in ("at_least", "at_most", "holds", "decided"):
+            if key in data:
+                shown[key] = data[key]
+        page = robustness_report(
+            task, shown, robustness_data(task, model, beside, judged, maximize), this_command(),
+            only[0] if only else None,
+        )  # fmt: skip
         if plot is not None:
             write_answer_picture(page, plot)
             facts["plot"] = str(plot)

@@ -8,13 +8,15 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from stltool.checking import Frontier, ParametricResult
 from stltool.files import write_result
 from stltool.logic.printer import with_names
 from stltool.logic.task import Task
 from stltool.numbers import bound_texts, most_text, within_text
 from stltool.reporting.frontiers import frontier_data
-from stltool.reporting.monitoring import robustness_text
+from stltool.reporting.monitoring import jsonable, robustness_text
 from stltool.reporting.records import (
     FrontierReport,
     ParametricRecord,
@@ -34,15 +36,19 @@ _VERDICTS = {True: ("holds", "good"), False: ("does not hold", "bad"), None: ("u
 
 
 def robustness_report(
-    task: Task, found: RobustnessRecord, beside: RobustnessRecord, command: str | None = None
+    task: Task,
+    found: RobustnessRecord,
+    beside: RobustnessRecord,
+    command: str | None = None,
+    margin: float | None = None,
 ) -> RobustnessReport:
     """Everything that the page of a distribution shows. `beside`: of the optimum, the distribution of the policy that
-    is best for P; of a policy, the optimum."""
+    is best for P; of a policy, the optimum. `margin`: one that the page marks."""
     words = sentences(task.formula, with_names(task.predicates))
     version = metadata.version("stltool")
     return {
         **found, "beside": beside, "format": "stltool-robustness-1", "version": version, "command": command,
-        "words": words,
+        "words": words, "margin": jsonable(np.array([margin]))[0] if margin is not None else None,
     }  # fmt: skip
 
 
@@ -53,14 +59,28 @@ def robustness_content(data: Mapping[str, Any]) -> dict[str, Any]:
     which = "the policy" if own else "the policy that is best for P"
     return {
         "value": _largest(optimum),
-        "chip": None,
+        "chip": _chip(data, _at(data)),
         "lead": contrast(optimum, policy, which),
         "picture": survival_picture(data, "svg"),
         "note": f"The {optimum['question']} over all policies is for each margin by itself: different margins have "
         "different best policies. Every P is enclosed, rounding included.",
         "tables": {"The optimum for each margin": _rows(optimum), which.capitalize(): _rows(policy)},
-        "facts": {"mean robustness": " … ".join(bound_texts(*data["mean"])) if data["mean"] else "not finite"},
+        "facts": {
+            **({f"P{_at(data)}": " … ".join(bound_texts(*_enclosure(data)))} if data["margin"] is not None else {}),
+            "mean robustness": " … ".join(bound_texts(*data["mean"])) if data["mean"] else "not finite",
+        },
     }
+
+
+def _at(data: Mapping[str, Any]) -> str:
+    """The margin that was asked for, in words."""
+    return f" at margin {robustness_text(float(data['margin']))}" if data["margin"] is not None else ""
+
+
+def _enclosure(data: Mapping[str, Any]) -> tuple[float, float]:
+    """P of the margin that was asked for: that of the next larger one that is possible."""
+    rows = zip(map(float, data["values"]), data["lower"], data["upper"], strict=True)
+    return next(((low, high) for r, low, high in rows if r >= float(data["margin"])), (0.0, 0.0))
 
 
 def contrast(optimum: Mapping[str, Any], policy: Mapping[str, Any], which: str) -> str:
@@ -90,7 +110,8 @@ def survival_picture(data: Mapping[str, Any], kind: str) -> str | bytes:
         finite = [(r, p) for r, p in rows if math.isfinite(r)]
         beyond = next((p for r, p in rows if r == math.inf), 0.0)
         curves.append({"name": name, "values": [r for r, _ in finite], "p": [p for _, p in finite], "beyond": beyond})
-    return survival(curves, kind)
+    margin = data.get("margin")  # of a page alone
+    return survival(curves, kind, float(margin) if margin is not None else None)
 
 
 def _largest_value(data: Mapping[str, Any]) -> float | None:
@@ -164,11 +185,11 @@ def smallest_text(data: Mapping[str, Any]) -> str:
     return f"{name} = {enough:.9g} reaches {data['at_least']:g}, none below {below} does"
 
 
-def _chip(data: Mapping[str, Any]) -> dict[str, str] | None:
+def _chip(data: Mapping[str, Any], where: str = " everywhere") -> dict[str, str] | None:
     if "holds" not in data:
         return None
     text, kind = _VERDICTS[data["holds"] if data["decided"] else None]
-    return {"text": f"{text} everywhere", "kind": kind}
+    return {"text": f"{text}{where}", "kind": kind}
 
 
 # --------------------------------------------------------------------------------------------------------- frontiers

@@ -138,15 +138,16 @@ def pareto_front(data: Mapping[str, Any], kind: str) -> str | bytes:
 
 
 @drawing()
-def survival(curves: Sequence[Mapping[str, Any]], kind: str) -> str | bytes:
-    """P(robustness ≥ r) over r: a falling step for each of the curves, from 1 to 0.
+def survival(curves: Sequence[Mapping[str, Any]], kind: str, mark: float | None = None) -> str | bytes:
+    """P(robustness ≥ r) over r: a falling step for each of the curves, from 1 to 0; dashed the margin `mark`.
 
     `curves`: `name`, `values` (ascending, finite), `p` at each, and `beyond`, the probability of being infinite. `kind`
     is svg, png or pdf.
     """
     figure = Figure(figsize=(7.2, 3.6), layout="constrained")
     axes = figure.subplots()
-    ends = [value for curve in curves for value in curve["values"]] or [0.0]
+    marked = [mark] if mark is not None and np.isfinite(mark) else []
+    ends = [*(value for curve in curves for value in curve["values"]), *marked] or [0.0]
     room = 0.06 * (max(ends) - min(ends)) or 0.5
     left, right = min(ends) - room, max(ends) + room
     for i, curve in enumerate(curves):
@@ -157,6 +158,8 @@ def survival(curves: Sequence[Mapping[str, Any]], kind: str) -> str | bytes:
                   gid=f"survival-{i}")  # fmt: skip
         axes.plot(values, p, color=_colour(i), linestyle="", marker="o", markersize=4, gid=f"values-{i}")
     axes.axvline(0.0, color=INK, linewidth=0.8, linestyle=":", gid="zero")
+    for r in marked:
+        axes.axvline(r, color=INK, linewidth=1.0, linestyle="--", gid="margin")
     axes.set(xlabel="margin r", ylabel="P(robustness ≥ r)", xlim=(left, right), ylim=(-0.03, 1.03))
     axes.grid(alpha=0.25)
     axes.legend(loc="lower left", frameon=False)

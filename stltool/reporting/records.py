@@ -1307,6 +1307,7 @@ class RobustnessReport(RobustnessRecord):
     """A report of `stltool check --robustness`.
 
     `beside`: of the optimum, the distribution of the policy that is best for P; of a policy, that of the optimum.
+    `margin`: the one that was asked for, or the largest with the probability that was asked for.
     """
 
     format: Literal["stltool-robustness-1"]
@@ -1314,6 +1315,7 @@ class RobustnessReport(RobustnessRecord):
     command: str | None
     words: SentenceRecord
     beside: RobustnessRecord
+    margin: Robustness | None
 
 
 class ParametricReport(ParametricRecord):

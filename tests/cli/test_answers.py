@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import stltool as stl
+from stltool.numbers import bound_texts
 from stltool.reporting import frontier_report, load_report, render
 from stltool.reporting.answers import contrast, survival_picture
 from stltool.reporting.figures import frontier_picture, parameter_curve, survival
@@ -177,16 +178,45 @@ def test_frontiers_are_drawn_and_reported(stltool, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("options", "margin", "chip"),
+    [
+        (["--margin", "0.1", "--at-most", "0.01"], 0.1, "does not hold at margin 0.1"),
+        (["--margin", "0.1"], 0.1, None),
+        (["--at-least", "0.5"], None, "holds at margin "),
+    ],
+)
+def test_the_page_marks_the_margin_that_was_asked_for(stltool, tmp_path, options, margin, chip):
+    """Among all margins, of which stdout has one; without one, the largest that is probable enough."""
+    asked = ["check", MARGINS, *SMALL, "--robustness", *options, "--report", tmp_path, "--plot", tmp_path / "m.svg"]
+    _, out, err = stltool(*asked, "--json")
+    printed, data = json.loads(out), json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    task, model = stl.load_task(MARGINS, params={"T": 3, "tau": 8}), stl.load_model(FACTORY / "floor-5x5.toml")
+    everything = stl.robustness_distribution(model, task)
+    assert err == ""
+    assert data["values"] == everything.values.tolist()
+    assert [data["margin"]] == (printed["values"] if margin is None else [margin])
+    assert [data.get(key) for key in ("at_least", "at_most", "holds")] == [
+        printed.get(key) for key in ("at_least", "at_most", "holds")
+    ]
+    panel = Picture((tmp_path / "m.svg").read_text(encoding="utf-8")).panel
+    [line] = panel.shapes("margin")
+    assert line[:, 0] == pytest.approx(data["margin"], abs=1e-3)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert page == render(load_report(tmp_path / "report.json"))
+    assert (chip is None) == ("hold at margin" not in page and "holds at margin" not in page)
+    assert chip is None or chip in page
+    assert " … ".join(bound_texts(*everything.at(data["margin"]))) in page
+
+
+@pytest.mark.parametrize(
     ("arguments", "says"),
     [
         (["check", TASK, "--plot", "x.svg"], "--plot x.svg draws what --robustness or --vary finds; add one of them"),
         (["check", TASK, "--robustness", "--plot", "x.txt"], "x.txt: pictures are written as .svg or .png"),
-        (["check", TASK, "--robustness", "--margin", "0.1", "--plot", "x.svg"],
-         "for a single margin, --plot is not supported with --robustness"),
         (["check", TASK, "--robustness", "--time-shift", "0", "--plot", "x.svg"],
-         "for a single margin, --plot is not supported with --robustness"),
-        (["check", TASK, "--robustness", "--at-least", "0.1", "--report", "x"],
-         "for a single margin, --report is not supported with --robustness"),
+         "with --time-shift, --plot is not supported with --robustness"),
+        (["check", TASK, "--robustness", "--time-shift", "0", "--report", "x"],
+         "with --time-shift, --report is not supported with --robustness"),
         (["check", TASK, "--cost", "x", "--report", "x"], "--report is not supported with --cost without --within"),
         (["frontier", TASK, "--at-least", "1", "--vary", "T", "--plot", "x"], "pictures are written as .svg or .png"),
     ],
