@@ -136,7 +136,9 @@ def settle(
             difference = x_m * _up(most, x_places) - y_m * _up(most, y_places)
             sure &= most <= MOST_PLACES and within * _HIGH[K] < _ROOM
             sign[j] = (difference > 0) - (difference < 0)
-            if not root and K <= _EXACT and -_WHOLE < difference < _WHOLE:
+            if difference == 0:  # as most samples on a border are: A = B², so √A = B, too
+                margin[j] = 0.0
+            elif not root and K <= _EXACT and -_WHOLE < difference < _WHOLE:
                 margin[j] = np.float64(difference) / _HIGH[K]
             else:
                 top, rest = _pair(difference)
