@@ -223,7 +223,7 @@ def follow(product: Product, policy: Policy, sums: NDArray[np.float64], runs: in
     s, q, number = s[open_], q[open_], number[open_]
     t, steps = 0, 0
     while len(s):
-        choice = np.empty(len(s), dtype=model.choice_type)
+        choice = np.empty(len(s), dtype=np.int32)
         if isinstance(policy.form, Asked | Through | Rules):  # of a function, asked only where runs are
             choice[:] = taken(product, policy, t, s, q, partial(draw, number))
         elif policy.deterministic:

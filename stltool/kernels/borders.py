@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.kernels.decimals import decimals
-from stltool.kernels.jit import kernel
+from stltool.kernels.jit import kernel, part
 from stltool.kernels.twofold import product
 
 F64: TypeAlias = NDArray[np.float64]
@@ -45,14 +45,14 @@ def has_places(x: F64, power: float) -> bool:
     return unlike == 0
 
 
-@kernel
+@part
 def _up(places: np.int64, own: np.int64) -> np.int64:
     """By how much a value over 10^own is multiplied for it to be over 10^places, modulo 2⁶⁴."""
     factor: np.int64 = _TENS[min(places - own, np.int64(MOST_PLACES))]
     return factor
 
 
-@kernel
+@part
 def _operate(now: I64, m: I64, places: I64, size: int) -> None:
     kind, out, a, b = now[0], now[1] * size, now[2] * size, now[3] * size
     for i in range(size):
@@ -68,14 +68,14 @@ def _operate(now: I64, m: I64, places: I64, size: int) -> None:
             m[out + i], places[out + i] = left + right if kind == SUM else left - right, most
 
 
-@kernel
+@part
 def _pair(whole: np.int64) -> tuple[float, float]:
     """A whole number as the sum of two doubles."""
     high = min(np.float64(whole), _BELOW)
     return high, np.float64(whole - np.int64(high))
 
 
-@kernel
+@part
 def _divided(a: float, a_low: float, b: float, b_low: float) -> tuple[float, float]:
     """A quotient of sums of two doubles, to some 2⁻¹⁰⁰ of it."""
     first = a / b
@@ -83,7 +83,7 @@ def _divided(a: float, a_low: float, b: float, b_low: float) -> tuple[float, flo
     return first, (((a - high) - error) + (a_low - first * b_low)) / b
 
 
-@kernel
+@part
 def _rounded(high: float, low: float, relative: float) -> tuple[float, bool]:
     """The nearest double, and whether that is certain."""
     room = relative * abs(high)

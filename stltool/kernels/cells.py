@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.kernels.jit import kernel
+from stltool.kernels.jit import kernel, part
 from stltool.kernels.twofold import product
 
 U8: TypeAlias = NDArray[np.uint8]
@@ -66,7 +66,7 @@ def nearest(w: np.int64, rest: np.int64, behind: int, q: np.int64) -> tuple[floa
     return value, value + (e + doubt) == value and value + (e - doubt) == value
 
 
-@kernel
+@part
 def long_digits(data: U8, i: int, stop: int, point: int) -> tuple[np.int64, np.int64, int, np.int64, int]:
     """A number of many digits as (w·10^behind + rest)·10^q, and the byte behind it; −1 if they are too many."""
     w: np.int64 = np.int64(0)
@@ -144,7 +144,7 @@ def number(data: U8, i: int, stop: int, point: int) -> tuple[float, int]:
     return (-value if negative else value), (i if certain else -1)
 
 
-@kernel
+@part
 def truth(data: U8, i: int, stop: int) -> tuple[float, int]:
     """1 or 0 of the word true or false at i, in any case, and the byte behind it; −1 if there is neither."""
     if i + 4 <= stop and data[i] | 32 == 116 and data[i + 1] | 32 == 114 and data[i + 2] | 32 == 117:
@@ -163,7 +163,7 @@ def count(data: U8, start: int, stop: int, byte: int) -> int:
     return n
 
 
-@kernel
+@part
 def blank(data: U8, start: int, stop: int) -> bool:
     """Whether only white space is left."""
     for i in range(start, stop):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.kernels.cells import nearest
-from stltool.kernels.jit import kernel
+from stltool.kernels.jit import kernel, part
 
 U8: TypeAlias = NDArray[np.uint8]
 I8: TypeAlias = NDArray[np.int8]
@@ -27,7 +27,7 @@ _OPEN, _CLOSE, _AND, _NOT, _EQUAL, _PLUS, _MINUS = 91, 93, 38, 33, 61, 43, 45
 _DIGITS = 18
 
 
-@kernel
+@part
 def _skip(data: U8, i: int, stop: int) -> int:
     """The first byte from i on that is not a space; ends of lines are none."""
     while i < stop and (data[i] == _SPACE or data[i] == _TAB or data[i] == _CR):
@@ -35,21 +35,21 @@ def _skip(data: U8, i: int, stop: int) -> int:
     return i
 
 
-@kernel
+@part
 def _line_end(data: U8, i: int, stop: int) -> int:
     while i < stop and data[i] != _LF:
         i += 1
     return i
 
 
-@kernel
+@part
 def _word_end(data: U8, i: int, end: int) -> int:
     while i < end and data[i] != _SPACE and data[i] != _TAB and data[i] != _CR:
         i += 1
     return i
 
 
-@kernel
+@part
 def _trimmed(data: U8, i: int, end: int) -> int:
     """The end of a text without the spaces behind it."""
     while end > i and (data[end - 1] == _SPACE or data[end - 1] == _TAB or data[end - 1] == _CR):
@@ -57,7 +57,7 @@ def _trimmed(data: U8, i: int, end: int) -> int:
     return end
 
 
-@kernel
+@part
 def _is_word(data: U8, i: int, end: int, length: int, first: int, last: int) -> bool:
     """Whether a word of that length, with these first and last letters, and a space stand at i: state, action."""
     if i + length > end or data[i] != first or data[i + length - 1] != last:
@@ -160,7 +160,7 @@ def count_lines(data: U8, start: int, stop: int) -> tuple[int, int, int, int, bo
     return n_states, n_choices, n_entries, n_rewards, intervals, -1
 
 
-@kernel
+@part
 def _rewards(data: U8, i: int, end: int, column: int, kind: I8, above: I64, below: I64, at: I64) -> int:
     """Read "[1, 2]" at i into one column of rewards; returns the byte behind it, i if there is none, −1 if it is not
     closed."""

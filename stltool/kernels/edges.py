@@ -108,4 +108,5 @@ def sums(
                     out[i, m] += weight[j] * total[m]
             elif j == choices[i] or total[0] > out[i, 0]:
                 best[i] = j - choices[i]
-                out[i] = total
+                for m in range(n):
+                    out[i, m] = total[m]

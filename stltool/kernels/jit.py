@@ -12,12 +12,13 @@ imports it before the source of any kernel is read, so that the digest cannot be
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 _Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
 _Files: TypeAlias = tuple[tuple[str, int, int], ...]
@@ -47,30 +48,36 @@ _FILES = _files()
 SOURCES = _digest(_FILES)
 
 
-def kernel(
-    function: _Kernel, *, inline: Literal["never", "always"] = "never", counts: bool = True, lock: bool = False
-) -> _Kernel:
+def kernel(function: _Kernel, *, counts: bool = True, lock: bool = False, part: bool = False) -> _Kernel:
     """Compile `function` with numba, without Python and without its lock; `.py_func` is the Python function.
 
     For functions of some nanoseconds: without `counts`, references to arrays are not counted, which takes longer than
     that; such a kernel makes no arrays, and calls only its like. With `lock`, Python's lock is kept, and C can call it.
+    A `part` is called by kernels only, and is compiled into them; Python runs its `.py_func`.
 
     The machine code is stored on disk, unless a source here has changed since this process began: the code that Python
     has read may then be older or newer than the digest.
     """
     from numba import njit
 
-    # what C code calls is left out elsewhere: it takes a twentieth of the time to compile a kernel
-    options: dict[str, Any] = {"no_cfunc_wrapper": not lock}
+    from stltool.kernels.compiling import Kernel, KernelCompiler, Part, PartCompiler
+
+    # what C code calls is left out elsewhere, and what Python calls of parts: each takes time to compile
+    options: dict[str, Any] = {"no_cfunc_wrapper": not lock, "no_cpython_wrapper": part}
     if not counts:
         options["_nrt"] = False
-    compiled: Any = njit(nogil=not lock, inline=inline, **options)(function)
+    pipeline = PartCompiler if part else KernelCompiler
+    compiled: Any = njit(nogil=not lock, pipeline_class=pipeline, **options)(function)
     if hasattr(compiled, "py_func"):  # with NUMBA_DISABLE_JIT it is the function itself
+        compiled.__class__ = Part if part else Kernel
         from stltool.kernels.cache import KernelCache
 
         name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}"
         compiled._cache = KernelCache(name, on_disk=bool(_FILES) and _files() == _FILES)
     return cast(_Kernel, compiled)
+
+
+part = functools.partial(kernel, part=True)
 
 
 def compiles() -> bool:

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.kernels.jit import kernel
+from stltool.kernels.jit import kernel, part
 from stltool.kernels.rollout import inversion
 from stltool.kernels.tuples import Replay, Surrogate, Tables, one_state
 
@@ -45,7 +45,7 @@ def greedy(values: F64, n: int, chance: float) -> int:
 # ----------------------------------------------------------------------------------------------- as published
 
 
-@kernel
+@part
 def surrogate_update(table: Any, s: Any, q: Any, a: Any, s2: Any, q2: Any) -> None:
     best = table.Q[s2, q2, 0]
     for b in range(1, table.Q.shape[2]):
@@ -53,7 +53,7 @@ def surrogate_update(table: Any, s: Any, q: Any, a: Any, s2: Any, q2: Any) -> No
     table.Q[s, q, a] += table.alpha * (table.reward[q2] + table.gamma * best - table.Q[s, q, a])
 
 
-@kernel
+@part
 def remember(rows: I32, place: I64, s: Any, q: Any, a: Any, s2: Any, q2: Any) -> int:
     """Store a row, replacing the oldest if the memory is full; place = (next, size). Returns its index."""
     i = int(place[0])
@@ -68,7 +68,10 @@ def replay_batch(table: Any, replay: Any, u: F64) -> None:
     """One update for each number of u: the first `n_facts` are drawn from the facts, the rest from the memory."""
     sums = np.empty(0)
     if replay.weighted:
-        sums = np.cumsum(replay.weight[: replay.place[1]])
+        sums, total = np.empty(replay.place[1]), 0.0
+        for i in range(len(sums)):
+            total += replay.weight[i]
+            sums[i] = total
     for j in range(len(u)):
         if j < replay.n_facts:
             row = replay.facts[int(u[j] * replay.facts_place[1])]

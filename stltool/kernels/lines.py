@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.kernels.cells import nearest
-from stltool.kernels.jit import kernel
+from stltool.kernels.jit import kernel, part
 
 U8: TypeAlias = NDArray[np.uint8]
 B8: TypeAlias = NDArray[np.bool_]
@@ -45,7 +45,7 @@ _INDEX_DIGITS = 9
 _MASK = (1 << 40) - 1
 
 
-@kernel
+@part
 def blanks(data: U8, i: int, stop: int) -> int:
     """The first byte from i that is neither a space nor a tab nor a carriage return."""
     while i < stop and (data[i] == _SPACE or data[i] == _TAB or data[i] == _CR):
@@ -53,7 +53,7 @@ def blanks(data: U8, i: int, stop: int) -> int:
     return i
 
 
-@kernel
+@part
 def token(data: U8, i: int, stop: int) -> int:
     """The end of the word that begins at i."""
     while i < stop and data[i] != _SPACE and data[i] != _TAB and data[i] != _CR and data[i] != _LF:
@@ -61,7 +61,7 @@ def token(data: U8, i: int, stop: int) -> int:
     return i
 
 
-@kernel
+@part
 def line_end(data: U8, i: int, stop: int) -> int:
     """The end of the line, or `stop`."""
     while i < stop and data[i] != _LF:
@@ -69,7 +69,7 @@ def line_end(data: U8, i: int, stop: int) -> int:
     return i
 
 
-@kernel
+@part
 def next_line(data: U8, i: int, stop: int, line: int) -> tuple[int, int]:
     """Where the next line with content begins, without its blanks, and its number; `line` is that of the line at i."""
     while i < stop:
@@ -81,7 +81,7 @@ def next_line(data: U8, i: int, stop: int, line: int) -> tuple[int, int]:
     return stop, line
 
 
-@kernel
+@part
 def index(data: U8, i: int, stop: int) -> tuple[np.int64, int]:
     """The number without sign at i, and the byte after it; −1 if there is none, or it is long."""
     n, begin = np.int64(0), i
@@ -93,7 +93,7 @@ def index(data: U8, i: int, stop: int) -> tuple[np.int64, int]:
     return n, (i if i > begin else -1)
 
 
-@kernel
+@part
 def decimal(data: U8, i: int, stop: int) -> tuple[float, np.int64, np.int64, int]:
     """The decimal at i: its double, w, places, and the byte after it; −1 if there is none of at most 18 digits and
     places whose double is certain."""
@@ -151,7 +151,7 @@ def code_of(data: U8, i: int, stop: int) -> np.int64:
     return code
 
 
-@kernel
+@part
 def find(data: U8, i: int, stop: int, slots: I32, spans: I64, arena: U8) -> int:
     """The number of the text at i … stop−1 in a table, or `UNKNOWN`.
 

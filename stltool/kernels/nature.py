@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.kernels.jit import kernel
+from stltool.kernels.jit import kernel, part
 from stltool.kernels.lanes import add, any_bit, at, greater, load, mul, put, select, splat, splat_at, store, sub
 from stltool.kernels.tiles import better, finish, open_tiles
 from stltool.kernels.words import ZERO
@@ -141,12 +141,12 @@ def sweep(
                 finish(b, i_best, r, place, live, certain, divisor, one, sures, rests, keep, values, best)
 
 
-@kernel
+@part
 def _least(x: Any, y: Any) -> Any:
     return select(greater(x, y), y, x)
 
 
-@kernel
+@part
 def _ordered(x: Any, y: Any, v: Any, w: Any) -> tuple[Any, Any, Any, Any]:
     """Two values and their widths v and w, in every lane the smaller value first."""
     m = greater(x, y)

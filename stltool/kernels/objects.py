@@ -27,7 +27,7 @@ import numpy as np
 from numba import types
 
 from stltool.kernels import streams as k
-from stltool.kernels.streams import _doubles, _integers, _sets, entry, kernel
+from stltool.kernels.streams import _doubles, _integers, _sets, entry, part
 from stltool.kernels.told import FULL, NOTHING, REFUSED
 
 ROOT, DICT, FLOAT, BOOL, TRUE, FALSE, NONE, DECISION, DECISIONS, CODES, METHOD, NAMES = range(12)  # items of `self`
@@ -57,12 +57,12 @@ _drop = _python("Py_DecRef", types.void, _object)
 _called = _python("PyObject_Vectorcall", _object, _object, types.intp, _size, _object)
 
 
-@kernel
+@part
 def _type_of(x: int) -> Any:
     return _integers(x, 2)[1]
 
 
-@kernel
+@part
 def _decision(given: int, code: int, margin: float) -> Any:
     """A Decision of a code (streams.py); 0 with an exception set, if there is no memory."""
     made = _allocated(_tuple_item(given, DECISION), 3)

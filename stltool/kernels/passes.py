@@ -35,6 +35,7 @@ from stltool.kernels.streams import (
     _arrays_of,
     _doubles,
     kernel,
+    part,
 )
 
 I64: TypeAlias = NDArray[np.int64]
@@ -49,7 +50,7 @@ LANES = 8  # rows side by side
 _truths = _arrays_of(types.uint8)
 
 
-@kernel
+@part
 def _fold(left: Values, right: Values, out: Values, greatest: bool) -> None:
     """All of one length; in place if `out` begins where an operand does."""
     if greatest:
@@ -62,7 +63,7 @@ def _fold(left: Values, right: Values, out: Values, greatest: bool) -> None:
             out[i] = x if x < y else y
 
 
-@kernel
+@part
 def _fold_four(a: Values, b: Values, c: Values, d: Values, out: Values, greatest: bool) -> None:
     """All of one length; `out` is another array."""
     if greatest:
@@ -77,7 +78,7 @@ def _fold_four(a: Values, b: Values, c: Values, d: Values, out: Values, greatest
             out[i] = x if x < y else y
 
 
-@kernel
+@part
 def _negate(x: Values, out: Values, truth: bool) -> None:
     for i in range(len(out)):
         out[i] = 1 - x[i] if truth else 0 - x[i]  # 0, not −0, for 0
@@ -98,7 +99,7 @@ def _side(out: F64, address: int, sign: int, number: float) -> None:
             out[i] = -x[i]
 
 
-@kernel
+@part
 def _compare(op: int, left: F64, right: F64, out: Values, truth: bool) -> None:
     n = len(out)
     if truth:
@@ -134,7 +135,7 @@ def _compare(op: int, left: F64, right: F64, out: Values, truth: bool) -> None:
             out[i] = abs(left[i] - right[i])
 
 
-@kernel
+@part
 def _compare_with(op: int, x: F64, number: float, out: Values, truth: bool) -> None:
     """The usual comparison, of a signal with a number."""
     n = len(out)
@@ -168,7 +169,7 @@ def within(x: F64, limit: float) -> bool:
     return beyond == 0
 
 
-@kernel
+@part
 def _checked(now: I64, columns: I64, row: int, first: int, n: int, limit: float) -> bool:
     """Whether all samples that a comparison reads lie between −limit and limit."""
     for side in range(2):
@@ -180,7 +181,7 @@ def _checked(now: I64, columns: I64, row: int, first: int, n: int, limit: float)
     return True
 
 
-@kernel
+@part
 def _atom(
     now: I64, numbers: F64, columns: I64, row: int, first: int, out: Values, sides: F64, size: int, truth: bool
 ) -> None:
@@ -214,7 +215,7 @@ def _atom(
                 out[i] = margins[i]
 
 
-@kernel
+@part
 def _window(x: Values, width: int, greatest: bool, out: Values, one: Values, other: Values, lanes: int) -> None:
     """out[t] = max (or min) of x[t … t+width−1], cut at the end of x; of the steps of `out`, which are not more.
 
@@ -235,15 +236,15 @@ def _window(x: Values, width: int, greatest: bool, out: Values, one: Values, oth
         four, three, two = min(count, max(n - third, 0)), min(count, max(n - second, 0)), min(count, max(n - first, 0))
         if wider <= 2 * span:
             two = three = four
-        for part in range(3):
+        for piece in range(3):
             low, high, y, z = 0, four, second, third
-            if part == 1:
+            if piece == 1:
                 low, high, y, z = four, three, second, second
-            elif part == 2:
+            elif piece == 2:
                 low, high, y, z = three, two, first, first
             if low >= high:
                 continue
-            if part == 2 or wider <= 2 * span:
+            if piece == 2 or wider <= 2 * span:
                 _fold(known[low:high], known[z + low : z + high], target[low:high], greatest)
             else:
                 _fold_four(
@@ -256,7 +257,7 @@ def _window(x: Values, width: int, greatest: bool, out: Values, one: Values, oth
         one, other = other, one
 
 
-@kernel
+@part
 def _suffixes(x: Values, greatest: bool, out: Values, lanes: int) -> None:
     """out[t] = max (or min) of x[t …]."""
     n = len(x)
@@ -267,7 +268,7 @@ def _suffixes(x: Values, greatest: bool, out: Values, lanes: int) -> None:
         out[i] = (best if best > y else y) if greatest else (best if best < y else y)
 
 
-@kernel
+@part
 def _until(
     left: Values, right: Values, a: int, width: int, out: Values, A: Values, B: Values, C: Values, before: Values,
     lanes: int,
@@ -295,7 +296,7 @@ def _until(
             out[i] = B[i]
 
 
-@kernel
+@part
 def _beyond(left: Values, last: Values, out: Values, until: bool, hold: bool, empty: Any) -> None:
     """Values of `out`, at steps whose windows begin after the end.
 
@@ -309,7 +310,7 @@ def _beyond(left: Values, last: Values, out: Values, until: bool, hold: bool, em
             out[i] = empty
 
 
-@kernel
+@part
 def _interleave(x: Values, out: Values) -> None:
     """LANES rows, one after the other, side by side. All at once: that takes a third of the time."""
     n = len(x) // LANES
@@ -321,7 +322,7 @@ def _interleave(x: Values, out: Values) -> None:
         out[at + 4], out[at + 5], out[at + 6], out[at + 7] = e[t], f[t], g[t], h[t]
 
 
-@kernel
+@part
 def _separate(x: Values, out: Values) -> None:
     """What `_interleave` has joined."""
     n = len(x) // LANES

@@ -13,17 +13,17 @@ from typing import Any, TypeAlias
 
 from numpy.typing import NDArray
 
-from stltool.kernels.jit import kernel
+from stltool.kernels.jit import kernel, part
 
 Values: TypeAlias = NDArray[Any]
 
 
-@kernel
+@part
 def _greater(x: Any, y: Any) -> Any:
     return x if x >= y or x != x else y
 
 
-@kernel
+@part
 def _less(x: Any, y: Any) -> Any:
     return x if x <= y or x != x else y
 

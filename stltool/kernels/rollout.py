@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from stltool.kernels.jit import kernel
 from stltool.kernels.tuples import one_state
 
-Choices: TypeAlias = NDArray[np.signedinteger[Any]]  # int16 where that holds them
+Choices: TypeAlias = NDArray[np.signedinteger[Any]]  # of a policy: int16 where that holds them
 F64: TypeAlias = NDArray[np.float64]
 I8: TypeAlias = NDArray[np.int8]
 I32: TypeAlias = NDArray[np.int32]
@@ -38,7 +38,7 @@ def inversion(sums: F64, lo: Any, hi: int, x: float) -> int:
 
 
 @kernel
-def pick(chosen: Choices, s: I32, q: I32, choice: Choices) -> int:
+def pick(chosen: Choices, s: I32, q: I32, choice: I32) -> int:
     """The first run for which the policy defines no action (a negative entry), or −1."""
     for k in range(len(choice)):
         choice[k] = chosen[s[k], q[k]]
@@ -48,7 +48,7 @@ def pick(chosen: Choices, s: I32, q: I32, choice: Choices) -> int:
 
 
 @kernel
-def mix(weight: F64, u: F64, s: I32, q: I32, choice: Choices) -> None:
+def mix(weight: F64, u: F64, s: I32, q: I32, choice: I32) -> None:
     for k in range(len(choice)):
         row = weight[s[k], q[k]]
         total = 0.0
@@ -65,7 +65,7 @@ def mix(weight: F64, u: F64, s: I32, q: I32, choice: Choices) -> None:
 @kernel
 def move(
     choice_start: I64, row_start: I64, target: I32, sums: F64, letter: I32, delta: I32, verdict: I8,
-    choice: Choices, u: F64, s: I32, q: I32, number: I32, outcome: I8,
+    choice: I32, u: F64, s: I32, q: I32, number: I32, outcome: I8,
 ) -> int:  # fmt: skip
     """Move undecided runs to the front, and return their number; outcome[number] receives every run's verdict."""
     live = 0
@@ -83,7 +83,7 @@ def move(
 def warm_up() -> None:
     """Compile or load every kernel here, on a model of one state."""
     rows, sums = one_state(), np.ones(1)
-    index, choice, u = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int16), np.zeros(1)
+    index, choice, u = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int32), np.zeros(1)
     pick(np.zeros((1, 1), dtype=np.int16), index, index, choice)
     mix(np.ones((1, 1, 1)), u, index, index, choice)
     verdict, outcome = np.zeros(1, dtype=np.int8), np.zeros(1, dtype=np.int8)

@@ -58,6 +58,9 @@ OP_ATOM, OP_NOT, OP_AND, OP_OR, OP_IFF, OP_EVENTUALLY, OP_ALWAYS, OP_UNTIL, OP_O
 )
 LIST_ROWS = 6
 
+part = functools.partial(jit.part, counts=False)
+part = functools.partial(jit.part, counts=False)
+part = functools.partial(jit.part, counts=False)
 kernel = functools.partial(jit.kernel, counts=False)
 entry = functools.partial(jit.kernel, counts=False, lock=True)
 _ZERO, _ONE, _ALL = np.uint64(0), np.uint64(1), np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -66,7 +69,7 @@ _ZERO, _ONE, _ALL = np.uint64(0), np.uint64(1), np.uint64(0xFFFFFFFFFFFFFFFF)
 # ------------------------------------------------------------------------------------------------------------ atoms
 
 
-@kernel
+@part
 def _side(N: I64, F: F64, at: int, number: int) -> Any:
     name = N[at]
     if name < 0:
@@ -75,7 +78,7 @@ def _side(N: I64, F: F64, at: int, number: int) -> Any:
     return x if N[at + 1] > 0 else -x
 
 
-@kernel
+@part
 def evaluate(N: I64, F: F64) -> bool:
     """Margins and truths of the atoms; whether all samples and margins are finite numbers."""
     for i in range(N[N_NAMES]):
@@ -116,7 +119,7 @@ def evaluate(N: I64, F: F64) -> bool:
 # ---------------------------------------------------------------------------------------------------------- network
 
 
-@kernel
+@part
 def _push_window(N: I64, F: F64, node: int, count: int, greatest: bool) -> None:
     """Push a value onto the monotone queue of a node."""
     width, ring, mask = N[node + 6], N[RING] + N[node + 7], N[node + 8] - 1
@@ -135,13 +138,13 @@ def _push_window(N: I64, F: F64, node: int, count: int, greatest: bool) -> None:
     N[count], N[count + 1], N[count + 2] = head, tail + 1, n + 1
 
 
-@kernel
+@part
 def _joined(since: bool, a: float, b: float, c: float, d: float) -> Any:
     """The right part of (a, b) ∘ (c, d), the first being older."""
     return max(d, min(b, c)) if since else max(b, min(a, d))
 
 
-@kernel
+@part
 def _push_pair(N: I64, F: F64, node: int, count: int, since: bool) -> None:
     """Push a pair onto the two stacks of a node: the older one of aggregates, the newer one of pairs."""
     width, old = N[node + 6], N[RING] + N[node + 7]
@@ -167,7 +170,7 @@ def _push_pair(N: I64, F: F64, node: int, count: int, since: bool) -> None:
     N[count], N[count + 1] = older, newer + 1
 
 
-@kernel
+@part
 def _pair_value(N: I64, F: F64, node: int, count: int, since: bool) -> Any:
     """The right part of the aggregate of a node's pairs; −∞ if there are none."""
     width, old = N[node + 6], N[RING] + N[node + 7]
@@ -180,7 +183,7 @@ def _pair_value(N: I64, F: F64, node: int, count: int, since: bool) -> Any:
     return _joined(since, F[old + 2 * older - 2], F[old + 2 * older - 1], c, d)
 
 
-@kernel
+@part
 def run_network(N: I64, F: F64) -> None:
     """The margins of all nodes that have one at this time."""
     time, margin = N[TIME], N[MARGIN]
@@ -224,7 +227,7 @@ def run_network(N: I64, F: F64) -> None:
 # ---------------------------------------------------------------------------------------------------------- engines
 
 
-@kernel
+@part
 def _decide(N: I64, t: int, value: int, told: int) -> int:
     """Note the verdict of the step at time t, 1 or 2 for false or true; returns the number of those told now."""
     N[N[VERDICT] + (t & (N[N_VERDICTS] - 1))] = value
@@ -234,13 +237,13 @@ def _decide(N: I64, t: int, value: int, told: int) -> int:
     return told
 
 
-@kernel
+@part
 def _code(N: I64, t: int, value: int) -> Any:
     """A decision as a number: step << 3 | robustness is known << 2 | verdict << 1 | 1."""
     return (N[BASE] + t) << 3 | (4 if N[WAITS] != 0 else 0) | (value - 1) << 1 | 1
 
 
-@kernel
+@part
 def _letter(N: I64) -> Any:
     code = 0
     for i in range(N[N_LEAVES]):
@@ -248,7 +251,7 @@ def _letter(N: I64) -> Any:
     return N[N[LETTER] + code]
 
 
-@kernel
+@part
 def _begin(N: I64, letter: int) -> Any:
     """The state in which the start of this step begins; afterwards, the letter is behind the next one."""
     start = N[START]
@@ -256,7 +259,7 @@ def _begin(N: I64, letter: int) -> Any:
     return N[N[BEGINS] + start]
 
 
-@kernel
+@part
 def run_coalesced(N: I64, told: int) -> int:
     """Lists of starts by state, the oldest first.
 
@@ -330,7 +333,7 @@ def run_coalesced(N: I64, told: int) -> int:
     return told
 
 
-@kernel
+@part
 def run_each(N: I64, told: int) -> int:
     """A state for every open step: for automata with a state that is decided at some clock and open at a later one."""
     time, mask = N[TIME], N[SLOTS] - 1
@@ -348,7 +351,7 @@ def run_each(N: I64, told: int) -> int:
     return told
 
 
-@kernel
+@part
 def shift(B: U64, source: int, out: int, steps: int, n: int, fill: Any, back: bool) -> None:
     """B[out](t) = B[source](t + steps), with `back` of t − steps, for n words; `fill` beyond the ends. In place if
     they are the same."""
@@ -368,7 +371,7 @@ def shift(B: U64, source: int, out: int, steps: int, n: int, fill: Any, back: bo
             B[out + k] = x
 
 
-@kernel
+@part
 def gather(
     B: U64, source: int, out: int, spare: int, a: int, width: int, n: int, fill: Any, back: bool, some: bool
 ) -> None:
@@ -383,7 +386,7 @@ def gather(
         span += step
 
 
-@kernel
+@part
 def gather_until(
     B: U64, left: int, right: int, out: int, held: int, more: int, before: int, a: int, width: int, n: int,
     left_fill: Any, right_fill: Any, back: bool,
@@ -410,7 +413,7 @@ def gather_until(
             B[out + k] &= B[before + k]
 
 
-@kernel
+@part
 def run_structure(N: I64, B: U64, told: int) -> int:
     """Three-valued truth [Kleene38] of every node at every open step: a lower and an upper lane of bits.
 
@@ -496,7 +499,7 @@ def run_structure(N: I64, B: U64, told: int) -> int:
 # ---------------------------------------------------------------------------------------------------------- samples
 
 
-@kernel
+@part
 def advance(N: I64, F: F64, B: U64) -> Any:
     """Read the sample in VALUES (and GIVEN); see the module docstring.
 

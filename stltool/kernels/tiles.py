@@ -22,7 +22,7 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from stltool.kernels import lanes
-from stltool.kernels.jit import kernel
+from stltool.kernels.jit import kernel, part
 from stltool.kernels.lanes import (
     add,
     at,
@@ -102,11 +102,11 @@ def blocks(n: int, rows: U64, groups: U64, n_words: int, width: int, shift: int,
 
 @kernel
 def gather(
-    found: I32, n: int, rows: U64, groups: U64, block: I32, W: Numbers, slot: I32, start: I64, word: I32,
-    open_bits: U64, sure_bits: U64, tiles: I64, values: Numbers, decided: Numbers, undecided: U64, letter: I32,
+    found: I32, n: int, rows: U64, groups: U64, block: I32, W: I64, slot: I32, start: I64, word: I32,
+    open_bits: U64, sure_bits: U64, tiles: I64, values: I64, decided: I64, undecided: U64, letter: I32,
     delta: I32, simple: Bools, moves_by: I32, constant: I32, moved: Bytes, n_words: int, width: int, shift: int,
 ) -> None:  # fmt: skip
-    """Fill the blocks of W from the next layer's values.
+    """Fill the blocks of W from the next layer's values; doubles are moved as the int64 of the same bits.
 
     decided (PAD + 64·n_words + PAD,): the value of each automaton state that is not listed: its verdict's or `rest`;
     undecided is a row of words; delta (letters · 64·n_words,).
@@ -168,7 +168,7 @@ def _settle_by_type(x: Any, denominator: Any, inverse: Any) -> Any:
     return lambda x, denominator, inverse: lanes.ceil_div(x, denominator, inverse)
 
 
-@kernel
+@part
 def better(x: Any, best: Any, maximize: bool, restricted: bool, bits: Any, q: Any) -> Any:
     """The lanes of a tile, from bit q of its word on, for which a choice counts and is better."""
     m = greater(x, best) if maximize else greater(best, x)
@@ -290,7 +290,7 @@ def sweep(
                 finish(b0, i0, r, place, live, certain, divisor, inverse, sures, rests, keep, values, best)
 
 
-@kernel
+@part
 def open_tiles(
     between: Any, ones: Any, tile: int, which: I64, place: I64, live: Bytes, certain: Bytes, sures: Any, rests: Any,
     values: Numbers,
@@ -315,7 +315,7 @@ def open_tiles(
     return n, tile
 
 
-@kernel
+@part
 def finish(
     x: Any, number: Any, r: Any, place: I64, live: Bytes, certain: Bytes, divisor: Any, inverse: Any, sures: Any,
     rests: Any, keep: bool, values: Numbers, best: NDArray[Any],

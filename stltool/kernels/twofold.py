@@ -8,7 +8,7 @@ from llvmlite import binding
 from numba import types
 from numba.extending import intrinsic
 
-from stltool.kernels.jit import compiles, kernel
+from stltool.kernels.jit import compiles, part
 
 _SPLIT = 134217729.0  # 2^27 + 1
 _FUSED = compiles() and bool(binding.get_host_cpu_features().get("fma", False))
@@ -26,7 +26,7 @@ def _rounded_once(typing: Any, a: Any, b: Any, c: Any) -> Any:
 _fused: Any = intrinsic(_rounded_once)
 
 
-@kernel
+@part
 def product(a: float, b: float) -> tuple[float, float]:
     """a·b as a sum of two doubles, exactly, if nothing over- or underflows."""
     p = a * b

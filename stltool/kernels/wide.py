@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stltool.kernels.borders import _HIGH, _LOW, CONSTANT, MOST_PLACES, NEGATED, PRODUCT, SUM, WIDTH, _divided, _rounded
 from stltool.kernels.decimals import decimals
-from stltool.kernels.jit import kernel
+from stltool.kernels.jit import kernel, part
 
 F64: TypeAlias = NDArray[np.float64]
 I64: TypeAlias = NDArray[np.int64]
@@ -30,7 +30,7 @@ _ZERO, _ONE, _HALF, _MASK = np.uint64(0), np.uint64(1), np.uint64(32), np.uint64
 _SIGN = np.uint64(1 << 63)
 
 
-@kernel
+@part
 def _times(a: np.uint64, b: np.uint64, c: np.uint64, d: np.uint64) -> Wide:
     """(a + 2⁶⁴b)(c + 2⁶⁴d) modulo 2¹²⁸."""
     a0, a1, c0, c1 = a & _MASK, a >> _HALF, c & _MASK, c >> _HALF
@@ -40,26 +40,26 @@ def _times(a: np.uint64, b: np.uint64, c: np.uint64, d: np.uint64) -> Wide:
     return a * c, upper + a * d + b * c
 
 
-@kernel
+@part
 def _plus(a: np.uint64, b: np.uint64, c: np.uint64, d: np.uint64) -> Wide:
     lower = a + c
     return lower, b + d + (_ONE if lower < a else _ZERO)
 
 
-@kernel
+@part
 def _minus(a: np.uint64, b: np.uint64, c: np.uint64, d: np.uint64) -> Wide:
     return a - c, b - d - (_ONE if a < c else _ZERO)
 
 
-@kernel
+@part
 def _doubles(lower: np.uint64, upper: np.uint64) -> tuple[float, float]:
     """A number with a sign, as the sum of two doubles; to 2⁻¹⁰⁵ of it."""
     negative = upper >= _SIGN
     if negative:
         lower, upper = _minus(_ZERO, _ZERO, lower, upper)
     high, low = 0.0, 0.0
-    for part in (upper >> _HALF, upper & _MASK, lower >> _HALF, lower & _MASK):
-        high, low = high * 4294967296.0, low * 4294967296.0 + np.float64(part)
+    for digits in (upper >> _HALF, upper & _MASK, lower >> _HALF, lower & _MASK):
+        high, low = high * 4294967296.0, low * 4294967296.0 + np.float64(digits)
         total = high + low
         high, low = total, low - (total - high)
     return (-high, -low) if negative else (high, low)

@@ -24,7 +24,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.kernels.jit import kernel
+from stltool.kernels.jit import kernel, part
 from stltool.kernels.lanes import at, popcount, put, splat, store, trailing
 
 I8: TypeAlias = NDArray[np.int8]
@@ -42,7 +42,7 @@ PLAIN, RESTRICTED, MIXED = 0, 1, 2
 
 @kernel
 def reachable_states(choice_start: I64, row_start: I64, target: I32, first: I32, steps: int) -> I32:
-    """The model states that runs from `first` can visit within `steps` steps, ascending."""
+    """The model states that runs from `first` can visit within `steps` steps, in the order of their discovery."""
     n_states = len(choice_start) - 1
     seen = np.zeros(n_states, np.bool_)
     found = np.empty(n_states, np.int32)
@@ -66,7 +66,7 @@ def reachable_states(choice_start: I64, row_start: I64, target: I32, first: I32,
                     found[n] = x
                     n += 1
         begin = end
-    return np.sort(found[:n])
+    return found[:n]
 
 
 @kernel
@@ -256,7 +256,7 @@ def choice_masks(
     """
     first, masks = _room(states, start, choice_start)
     for i in range(len(states)):
-        lo = np.searchsorted(keys, np.int64(number[states[i]]) * n_words)
+        lo = _first_from(keys, np.int64(number[states[i]]) * n_words)
         for k in range(start[i], start[i + 1]):
             key = np.int64(number[states[i]]) * n_words + word[k]
             while lo < len(keys) and keys[lo] < key:
@@ -272,7 +272,20 @@ def choice_masks(
     return first, masks, False
 
 
-@kernel
+@part
+def _first_from(keys: I64, key: np.int64) -> np.int64:
+    """np.searchsorted, which numba compiles for longer than all of its caller."""
+    lo, hi = np.int64(0), np.int64(len(keys))
+    while lo < hi:
+        middle = (lo + hi) // 2
+        if keys[middle] < key:
+            lo = middle + 1
+        else:
+            hi = middle
+    return lo
+
+
+@part
 def _room(states: I32, start: I64, choice_start: I64) -> tuple[I64, U64]:
     first = np.empty(start[-1], np.int64)
     n = np.int64(0)
@@ -286,7 +299,7 @@ def _room(states: I32, start: I64, choice_start: I64) -> tuple[I64, U64]:
 # --------------------------------------------------------------------------------------------------- one step
 
 
-@kernel
+@part
 def _open_group(rows: U64, groups: U64, j: Any, d: Any, shift: int, width: int) -> None:
     """Make row j writable at word d."""
     g = d >> shift
@@ -373,11 +386,14 @@ def forget(slot: I32, states: I32, n: int) -> None:
         slot[states[i]] = -1
 
 
-@kernel
 def ascending(found: I32, n: int, slot: I32) -> I32:
     """found[:n] in order: sorted if they are few, else read from `slot`."""
-    if 20 * n < len(slot):
-        return np.sort(found[:n])
+    return np.sort(found[:n]) if 20 * n < len(slot) else _listed(n, slot)
+
+
+@kernel
+def _listed(n: int, slot: I32) -> I32:
+    """The states with a slot, ascending."""
     ordered, i = np.empty(n, np.int32), 0
     for s in range(len(slot)):
         if slot[s] >= 0:
@@ -535,7 +551,7 @@ def pull(
                 put(ahead, d, at(goal, d))
 
 
-@kernel
+@part
 def spread(x: Any) -> Any:
     """Bit 8·b is set where byte b of x is not 0."""
     x |= x >> np.uint64(4)
@@ -748,7 +764,7 @@ def list_edges(
                 choices[n] = m
 
 
-@kernel
+@part
 def _longest(start: I64) -> int:
     longest = 1
     for s in range(len(start) - 1):

@@ -25,6 +25,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.arrays import read_only
 from stltool.logic.formula import Arithmetic, Call, Comparison, Negate, Number, Term, Variable
 from stltool.monitoring.doubles import PLACES, bounded, short_decimals
 from stltool.numbers import shortest
@@ -89,9 +90,9 @@ def _compiled(node: Comparison, columns: Mapping[str, Floats], apart: Floats) ->
     shared = [next((places for places in PLACES if _shares(k.has_places, values, places)), -1)
               for values in columns.values()]  # fmt: skip
     sign, margin, settled = np.empty(n, np.int8), np.empty(n), np.empty(n, np.bool_)
-    values, errors = (np.ascontiguousarray(np.broadcast_to(x, n if root is not None else 0)) for x in (b, error))
+    values, errors = (np.broadcast_to(x, n if root is not None else 0) for x in (b, error))
     given, rows = np.array([*columns.values()]), np.array(code.rows, np.int64).ravel()
-    near = np.ascontiguousarray(apart)
+    near, values, errors = (read_only(np.ascontiguousarray(x)) for x in (apart, values, errors))
     k.settle(
         given, np.array(shared, np.int64), rows, inside, other, root is not None, near, values, errors, sign, margin,
         settled, np.empty(code.registers * k.TILE, np.int64), np.empty(code.registers * k.TILE, np.int64),

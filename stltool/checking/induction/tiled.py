@@ -60,8 +60,9 @@ class Tiles:
         def gather(scratch: Scratch, a: int, b: int) -> None:
             tiles.gather(
                 scratch.found[a:b], b - a, scratch.rows[a * moves.width :], scratch.groups[a:b],
-                scratch.block[a * moves.n_words :], scratch.W, slot, ahead.start, ahead.word, ahead.open, ahead.sure,
-                ahead.tiles, values, decided, undecided, graph.letter, *maps, moves.n_words, moves.width, moves.shift,
+                scratch.block[a * moves.n_words :], scratch.W.view(np.int64), slot, ahead.start, ahead.word,
+                ahead.open, ahead.sure, ahead.tiles, values.view(np.int64), decided.view(np.int64), undecided,
+                graph.letter, *maps, moves.n_words, moves.width, moves.shift,
             )  # fmt: skip
 
         def part(scratch: Scratch, lo: int, hi: int) -> None:

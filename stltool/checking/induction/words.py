@@ -73,7 +73,7 @@ class Graph(ReadOnly):
         else:
             need(8 * len(rows.target) + 60 * len(rows))
             structure = (rows.choice_start, rows.row_start, rows.target)
-            states = words.reachable_states(*structure, starts, game.horizon)
+            states = np.sort(words.reachable_states(*structure, starts, game.horizon))
         if len(states) == len(rows):
             choice, entry = np.arange(len(rows.row_start) - 1), np.arange(len(rows.target))
         else:
