@@ -23,6 +23,7 @@ from stltool.arguments import path as path_of
 from stltool.asked import Asked
 from stltool.automata import FALSE, TRUE
 from stltool.checking.bounds import can_underflow, compounded, defect, enclose, roundings, row_defect
+from stltool.checking.enclosed import Enclosed
 from stltool.checking.fixed import FixedPoint, fixed_point
 from stltool.checking.induction import (
     EVERYTHING,
@@ -71,7 +72,7 @@ _SHARP = 1e-9  # relative width below which a fixed-point enclosure is not recom
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CheckResult(Displayed):
+class CheckResult(Displayed, Enclosed):
     """How a check ended.
 
     probability   the computed value; lower ≤ exact value ≤ upper, rounding included, for the model as given
@@ -121,18 +122,6 @@ class CheckResult(Displayed):
             "minimum": "every policy satisfies it surely" if happens else "some policy surely does not satisfy it",
             "policy": "the policy satisfies it surely" if happens else "the policy cannot satisfy it",
         }[self.question]
-
-    def at_least(self, bound: float | Fraction) -> bool | None:
-        """Whether the exact value is at least `bound`; None if the bound lies inside the enclosure."""
-        bound = real(bound, "at_least's bound")
-        lower, upper = (self.lower, self.upper) if self.fraction is None else (self.fraction, self.fraction)
-        return True if lower >= bound else False if upper < bound else None
-
-    def at_most(self, bound: float | Fraction) -> bool | None:
-        """Whether the exact value is at most `bound`; None if the bound lies inside the enclosure."""
-        bound = real(bound, "at_most's bound")
-        lower, upper = (self.lower, self.upper) if self.fraction is None else (self.fraction, self.fraction)
-        return True if upper <= bound else False if lower > bound else None
 
     def _card(self) -> Card:
         asked = {

@@ -36,10 +36,11 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.arguments import flag, one_of, real
+from stltool.arguments import flag, one_of
 from stltool.automata import Encoding
 from stltool.checking.averages import Game, Row, exact_average, exact_total, greatest_average, greatest_total
 from stltool.checking.bounds import defect, row_defect
+from stltool.checking.enclosed import Enclosed
 from stltool.checking.rational import require_exact
 from stltool.checking.recurrent import (
     Bools,
@@ -64,7 +65,7 @@ _LONGEST = 60  # characters of a fraction in a short description
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LongRun(Displayed):
+class LongRun(Displayed, Enclosed):
     """An answer about endless runs: lower ≤ exact value ≤ upper, rounding included, for the model as given.
 
     product   the running product, or for "always" that of the safety automaton: `policy` is defined on it
@@ -87,18 +88,6 @@ class LongRun(Displayed):
     components: int
     seconds: float
     fraction: Fraction | None = None
-
-    def at_least(self, bound: float | Fraction) -> bool | None:
-        """Whether the exact value is at least `bound`; None if the bound lies inside the enclosure."""
-        bound = real(bound, "at_least's bound")
-        lower, upper = (self.lower, self.upper) if self.fraction is None else (self.fraction, self.fraction)
-        return True if lower >= bound else False if upper < bound else None
-
-    def at_most(self, bound: float | Fraction) -> bool | None:
-        """Whether the exact value is at most `bound`; None if the bound lies inside the enclosure."""
-        bound = real(bound, "at_most's bound")
-        lower, upper = (self.lower, self.upper) if self.fraction is None else (self.fraction, self.fraction)
-        return True if upper <= bound else False if lower > bound else None
 
     def _card(self) -> Card:
         asked = "of the policy" if self.question == "policy" else f"{self.question} over all policies"
