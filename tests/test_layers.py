@@ -1,4 +1,5 @@
-"""The direction of imports: text → formula → automaton → product → learn / check → report."""
+"""What the sources say: the direction of imports (text → formula → automaton → product → learn / check → report), and
+where numba and consoles are used."""
 
 import ast
 import subprocess
@@ -97,3 +98,38 @@ def test_a_wrong_public_name_is_refused_with_a_near_miss():
     code = "import stltool; stltool.chek"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert "module 'stltool' has no attribute 'chek'. Did you mean: 'check'?" in done.stderr
+
+
+def test_numba_is_used_in_one_place():
+    """So that no kernel is kept in another way; types and intrinsics of vectors compile nothing themselves."""
+    users = set()
+    for path, source in sources().items():
+        for node in source.imports:
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and node.module:
+                names += [f"{node.module}.{alias.name}" for alias in node.names]
+            users |= {(path.name, name) for name in names if name.split(".")[0] == "numba"}
+    declaring = {"types", "extending.intrinsic", "extending.models", "extending.overload", "extending.register_model",
+                 "np.arrayobj.populate_array"}  # fmt: skip
+    others = {(file, name) for file, name in users if name.removeprefix("numba.") not in declaring}
+    assert {file for file, _ in others} == {"cache.py", "compiling.py", "jit.py"}
+    assert {file for file, _ in users} == {
+        "cache.py",
+        "compiling.py",
+        "jit.py",
+        "lanes.py",
+        "objects.py",
+        "passes.py",
+        "streams.py",
+        "tiles.py",
+        "twofold.py",
+    }
+
+
+def test_there_is_one_place_that_prints():
+    """No module makes a console of its own; `print` is refused by ruff."""
+    makers = {
+        str(path) for path, source in sources().items()
+        if any(isinstance(node, ast.ImportFrom) and node.module == "rich.console" for node in source.imports)
+    }  # fmt: skip
+    assert makers == {"screen.py"}

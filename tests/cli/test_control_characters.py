@@ -1,6 +1,5 @@
 """Names, files and options with control characters: readers refuse them, and whatever is printed shows them."""
 
-import ast
 import io
 
 import numpy as np
@@ -13,7 +12,6 @@ import stltool as stl
 from stltool.errors import ModelError, StlSyntaxError, TraceError
 from stltool.screen import Screen
 from stltool.streams import control_character, escaped, say
-from tests.sources import sources
 
 OBEYED = "\x1b]0;title\x07\x1b[31m\x9b\u202e"  # retitles, rings, recolours, and turns letters around
 
@@ -76,12 +74,3 @@ def test_a_screen_shows_them_and_keeps_its_own_colours(capsys):
     assert file.getvalue() == "\x1b[1ma\\x1b[31mb\x1b[0m\n"
     say("a\x1b[31mb\tc\nd")
     assert capsys.readouterr().out == "a\\x1b[31mb\tc\nd\n"
-
-
-def test_there_is_one_place_that_prints():
-    """No module makes a console of its own; `print` is refused by ruff."""
-    makers = {
-        str(path) for path, source in sources().items()
-        if any(isinstance(node, ast.ImportFrom) and node.module == "rich.console" for node in source.imports)
-    }  # fmt: skip
-    assert makers == {"screen.py"}

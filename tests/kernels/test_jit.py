@@ -1,6 +1,5 @@
 """Machine code on disk: never older than any source, kept where it can be, written by many at once."""
 
-import ast
 import os
 import shutil
 import subprocess
@@ -13,7 +12,6 @@ from numba.core import config
 from stltool.kernels import cache, jit
 from stltool.reporting.terminal import kernels_ready, progress_bar
 from tests.conftest import MORE, ROOT
-from tests.sources import sources
 
 KERNELS = ROOT / "stltool" / "kernels"
 
@@ -104,32 +102,6 @@ print(outer(1), outer.stats.cache_path)
     assert words(started(package, code)) == ["20", "None"]  # the old `inner`, on no disk
     assert not list(package.glob("__pycache__/numba-*/outer*"))
     assert words(started(package, "from stltool.kernels.outer import outer; print(outer(1))")) == ["210"]
-
-
-def test_numba_is_used_in_one_place():
-    """So that no kernel is kept in another way; types and intrinsics of vectors compile nothing themselves."""
-    users = set()
-    for path, source in sources().items():
-        for node in source.imports:
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            if isinstance(node, ast.ImportFrom) and node.module:
-                names += [f"{node.module}.{alias.name}" for alias in node.names]
-            users |= {(path.name, name) for name in names if name.split(".")[0] == "numba"}
-    declaring = {"types", "extending.intrinsic", "extending.models", "extending.overload", "extending.register_model",
-                 "np.arrayobj.populate_array"}  # fmt: skip
-    others = {(file, name) for file, name in users if name.removeprefix("numba.") not in declaring}
-    assert {file for file, _ in others} == {"cache.py", "compiling.py", "jit.py"}
-    assert {file for file, _ in users} == {
-        "cache.py",
-        "compiling.py",
-        "jit.py",
-        "lanes.py",
-        "objects.py",
-        "passes.py",
-        "streams.py",
-        "tiles.py",
-        "twofold.py",
-    }
 
 
 def test_the_digest_is_of_every_source(package, monkeypatch):
