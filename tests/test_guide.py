@@ -21,6 +21,7 @@ def unshrunk():
     settings.load_profile(before)
 
 
+@pytest.mark.soak(only=True)
 def test_the_guide_says_what_happens(pytester, loaded, unshrunk):  # noqa: F811
     runs = 0
     for name, content, options, shown in steps():

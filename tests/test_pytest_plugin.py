@@ -334,6 +334,7 @@ def test_nothing_is_counted_if_no_test_judges_the_formula(asking):
     done.stdout.fnmatch_lines(["  does not hold: 0 steps of 0 traces"])
 
 
+@pytest.mark.soak(only=True)
 def test_counts_of_xdist_are_judged_at_the_end(asking):
     options = "-p", PLUGIN, "-p", "no:cacheprovider", "-n", "2", "-k", "not trace", "answers.stl", "test_z.py"
     done = asking.runpytest_subprocess(*options)

@@ -112,7 +112,7 @@ def patrolling():
     return stl.build_product(stl.load_model(task.model), task)
 
 
-@pytest.mark.soak
+@pytest.mark.soak(only=True)
 def test_a_check_on_workers(cluster, patrolling, tmp_path):
     address = cluster.scheduler_address
     for maximize in (True, False):

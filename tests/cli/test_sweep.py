@@ -41,6 +41,7 @@ def test_a_sweep_from_start_to_report(stltool, sweep_file, tmp_path, monkeypatch
     assert (folder / "report.html").read_text() == page
 
 
+@pytest.mark.soak(only=True)
 def test_parts_are_run_and_all_that_is_there_is_shown(stltool, sweep_file, tmp_path):
     out = tmp_path / "o"
     options = ["--workers", 1, "--out", out, "--json"]
@@ -58,6 +59,7 @@ def test_parts_are_run_and_all_that_is_there_is_shown(stltool, sweep_file, tmp_p
     ]  # fmt: skip
 
 
+@pytest.mark.soak(only=True)
 def test_a_dry_run_writes_nothing(stltool, sweep_file, tmp_path):
     out = tmp_path / "o"
     code, text, _ = stltool("sweep", sweep_file, "--dry-run", "--out", out, "--workers", 2)

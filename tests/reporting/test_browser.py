@@ -629,7 +629,7 @@ def test_a_task_that_is_decided_at_once_has_a_page(browser, floor5, tmp_path):
         assert page.text("#where") == "no run violates the task"
 
 
-@pytest.mark.soak
+@pytest.mark.soak(only=True)
 def test_the_large_factorys_page_is_small_and_quick(browser, tmp_path):
     task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 15, "tau": 15})
     product = stl.build_product(stl.load_model(FACTORY / "floor-10x10.toml"), task)
