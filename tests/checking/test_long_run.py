@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.checking.averages import Game, greatest_average
+from stltool.checking.averages import Game, exact_average, greatest_average
 from stltool.checking.long_run import QUESTIONS, Forever
 from stltool.errors import ModelError, PolicyError, SettingsError, SizeError
 from stltool.models import save_model
@@ -84,6 +84,43 @@ def test_a_clock_is_as_certain_as_it_is_periodic():
     assert agrees_with(share, Fraction(2, 3))
     assert others == [(0, 0), (1, 1), (0, 0)]
     assert all_of(cycle, "F[0,2] A") == [(1, 1)] * 4
+    least, *others = all_of(cycle, "F[0,1] A", maximize=False)  # without choices, the same
+    assert agrees_with(least, Fraction(2, 3))
+    assert others == [(0, 0), (1, 1), (0, 0)]
+
+
+def test_the_best_part_of_a_component_is_reached_and_kept():
+    """A long way round, on which a policy may turn back: the run goes to the last state, where A holds, and stays; or
+    it goes and comes back for ever."""
+    n = 6
+    forth, back = np.zeros((n, n)), np.zeros((n, n))
+    for s in range(n):
+        forth[s, min(s + 1, n - 1)] = back[s, max(s - 1, 0)] = 1
+    labels = {"A": np.arange(n) == n - 1, "B": np.isin(np.arange(n), [0, 2])}
+    model = stl.MDP.from_arrays([back, forth], {}, labels=labels)
+    assert all_of(model, "A") == [(1, 1), (0, 0), (1, 1), (1, 1)]
+    assert all_of(model, "A", maximize=False) == [(0, 0)] * 4
+    assert all_of(model, "!B") == [(1, 1), (0, 0), (1, 1), (1, 1)]
+    swings = stl.long_run(stl.build_product(model, stl.parse("B & F[1,1] !B")), exact=True)
+    assert swings.fraction == Fraction(1, 2)
+    assert endless.of_policy(swings.product, swings.policy)["share"] == Fraction(1, 2)
+
+
+def test_components_are_left_for_better_ones():
+    """A state to stay in, and one to visit from there, which has a gamble: A for ever with probability 1/4, B for ever
+    otherwise. Going to and fro for ever shows A at every other step."""
+    rows = np.zeros((2, 4, 4), dtype=object)
+    rows[0, 0, 0] = rows[0, 1, 0] = rows[0, 2, 2] = rows[0, 3, 3] = rows[1, 0, 1] = 1
+    rows[1, 1, 2], rows[1, 1, 3] = Fraction(1, 4), Fraction(3, 4)
+    model = stl.MDP.from_arrays(rows, {}, labels={"A": [0, 1, 1, 0], "B": [0, 0, 0, 1]})
+    found = {asked: stl.long_run(stl.build_product(model, stl.parse("A")), asked, exact=True) for asked in QUESTIONS}
+    assert [one.fraction for one in found.values()] == [Fraction(1, 2), 0, 1, Fraction(1, 4)]
+    best = stl.long_run(stl.build_product(model, stl.parse("B")), exact=True)
+    assert best.fraction == Fraction(3, 4)
+    for asked, one in (*found.items(), ("share", best)):
+        assert endless.of_policy(one.product, one.policy)[asked] == one.fraction
+    least = stl.long_run(stl.build_product(model, stl.parse("B")), "recurrence", maximize=False, exact=True)
+    assert least.fraction == 0
 
 
 def agrees_with(bounds, truth):
@@ -160,6 +197,24 @@ def test_averages_of_a_slow_and_periodic_component():
     assert lower <= truth <= upper
     assert upper - lower < 1e-6
     assert picks[7] % 2 == 1
+
+
+def test_policies_of_several_classes_are_led_to_their_best(monkeypatch):
+    """Policy iteration alone, from the policy that stays wherever it is, ends with the one that goes to the reward."""
+    from scipy.sparse import csr_array
+
+    monkeypatch.setattr("stltool.checking.averages._SWEEPS", 1)
+    n, good = 7, 4
+    rows = [[[(i, Fraction(1))], [((i + 1) % n, Fraction(1))]] for i in range(n)]
+    target = [row[0][0] for choices in rows for row in choices]
+    matrix = csr_array((np.ones(2 * n), (np.arange(2 * n), target)), shape=(2 * n, n))
+    reward = (np.arange(n) == good).astype(float)
+    lower, upper, picks = greatest_average(Game(matrix, np.arange(0, 2 * n + 1, 2), 1, 0.0), reward)
+    assert (lower <= 1, upper) == (True, 1)
+    assert lower > 1 - 1e-12
+    wanted = [int(i != good) for i in range(n)]
+    assert (picks - np.arange(0, 2 * n, 2)).tolist() == wanted
+    assert exact_average(rows, [Fraction(int(r)) for r in reward], [0] * n) == (1, wanted)
 
 
 # ------------------------------------------------------------------------------------------- larger, and others
