@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from stltool.display import counted
 from stltool.errors import SettingsError
 from stltool.files import write_result
 from stltool.gate import Verified
@@ -91,6 +92,21 @@ def coverage_data(coverage: Coverage, expected: Sequence[Verified]) -> CoverageR
             {"text": one.expectation.written, "count": one.count or 0, "verdict": one.verdict} for one in expected
         ],
     }  # fmt: skip
+
+
+def coverage_content(data: CoverageRecord) -> dict[str, Any]:
+    """What a page shows of it: a sentence, and the rows of two tables."""
+    vacuously = f", {data['vacuous']} of them vacuously (a premise held nowhere)" if data["vacuous"] else ""
+    rows = [
+        {
+            "part": one["part"] + (" (premise)" if one["premise"] else ""),
+            "held": str(one["held"]), "failed": str(one["failed"]), "open": str(one["open"]),
+            "mattered": str(one["mattered"]),
+        }
+        for one in data["parts"]
+    ]  # fmt: skip
+    lead = f"{counted(data['traces'], 'trace')}: {data['passed']} passed{vacuously}."
+    return {"lead": lead, "rows": rows, "counted": counted_rows(data)}
 
 
 def counted_rows(data: CoverageRecord) -> list[dict[str, str]]:

@@ -18,7 +18,15 @@ from stltool.numbers import bound_texts, ceiling_text, floor_text, probability_t
 from stltool.product import Product
 from stltool.reporting.diagnosis import subformulas_data
 from stltool.reporting.headline import positions, verdict_chip
-from stltool.reporting.monitoring import beside, monitor_facts, range_rows, robustness_text, shown_trace, trace_rows
+from stltool.reporting.monitoring import (
+    beside,
+    coverage_content,
+    monitor_facts,
+    range_rows,
+    robustness_text,
+    shown_trace,
+    trace_rows,
+)
 from stltool.reporting.records import MonitorRecord
 from stltool.reporting.tradeoffs import front_data
 from stltool.reporting.words import SentenceRecord, sentences
@@ -117,6 +125,7 @@ def monitor_content(given: Mapping[str, Any]) -> dict[str, Any]:
         "shown": shown,
         "rows": rows if data["at"] is None else [],
         "more": more,
+        "coverage": coverage_content(data["coverage"]) if "coverage" in data else None,
     }
 
 

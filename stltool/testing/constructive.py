@@ -72,7 +72,7 @@ _MOST_ROWS = 1 << 14  # truth assignments of everything at a step
 _MOST_EFFORT = 200_000_000  # steps times states times letters
 _MOST_STATES = 20_000
 _MOST_STEPS = 100_000
-_MOST_CERTAIN = 32  # steps of certainty with slow signals
+_MOST_CERTAIN = 32  # steps of certainty with slow signals: of more, evenly many are left out
 _REMEMBERED = 64  # steps of certainty whose moves are kept
 
 

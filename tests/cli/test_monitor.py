@@ -342,9 +342,20 @@ def test_coverage_counts_over_all_files(stltool, tmp_path):
     assert [(one["count"], one["verdict"]) for one in data["expectations"]] == [
         (2, "holds"), (2, "does not hold"), (1, "holds"),
     ]  # fmt: skip
-    code, out, _ = stltool(*asked, "--coverage", "--at", 1, "--json")
+    code, out, _ = stltool(*asked, "--coverage", "--at", 1, "--json", "--report", tmp_path / "page")
     data = json.loads(out)["coverage"]
     assert (data["parts"][0]["held"], data["expectations"][0]["count"]) == (0, 0)
+    page = re.sub(r"<[^>]*>", " ", (tmp_path / "page" / "report.html").read_text())
+    told = " ".join(page.partition("What the traces say about its parts")[2].split())
+    assert told.startswith("2 traces: 2 passed, 2 of them vacuously (a premise held nowhere).")
+    assert "part held failed open mattered x &gt; 0 (premise) 0 2 0 0" in told
+    assert "the premise x &gt; 0 held at no step" in told
+    assert "does not hold cover(asked) &gt;= 2 0" in told
+
+
+def test_a_page_without_coverage_has_no_table_of_it(stltool, log, tmp_path):
+    stltool("monitor", "door -> x > -9", log, "--report", tmp_path / "page")
+    assert "What the traces say" not in (tmp_path / "page" / "report.html").read_text()
 
 
 def test_coverage_of_a_formula_has_no_expectations(stltool, log):
