@@ -30,7 +30,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 COPIED = ("stltool", "grammars", "tests", "examples", "docs", "bench", "pyproject.toml", "README.md")
 QUIET = ("-W", "ignore::pytest.PytestAssertRewriteWarning")  # Hypothesis is imported before pytest begins
-MOST_SECONDS = 15.0  # of tests for one fault
+MOST_SECONDS = 15.0  # of tests for one fault, unless asked otherwise
 LONGEST = 3.0  # of one test
 OPERATORS: dict[type[ast.AST], type[ast.AST]] = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
@@ -192,7 +192,7 @@ def surveyed(
     return lines, taken
 
 
-def chosen(fault: Fault, lines: dict[str, dict[int, list[str]]], taken: dict[str, float]) -> list[str]:
+def chosen(fault: Fault, lines: dict[str, dict[int, list[str]]], taken: dict[str, float], seconds: float) -> list[str]:
     """The tests that execute the fault's line, shortest first; of a line outside functions, those of the file."""
     rows = lines.get(fault.file.removeprefix("stltool/"), {})
     tests = {test for test in rows.get(fault.line, []) if test in taken}
@@ -200,7 +200,7 @@ def chosen(fault: Fault, lines: dict[str, dict[int, list[str]]], taken: dict[str
         tests = {test for row in rows.values() for test in row if test in taken}
     picked, total = [], 0.0
     for test in sorted(tests, key=lambda test: taken[test]):
-        if taken[test] > LONGEST or total + taken[test] > MOST_SECONDS:
+        if taken[test] > LONGEST or total + taken[test] > seconds:
             break
         picked.append(test)
         total += taken[test]
@@ -253,6 +253,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--skip", type=int, default=0, help="so many were tried before")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=MOST_SECONDS, help="of tests for one fault")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "mutants")
     parser.add_argument("--tests", nargs="*", help="default: the room's folder")
     parser.add_argument("--again", action="store_true", help="try those that survived on the slow tests of these files")
@@ -278,7 +279,7 @@ def main() -> None:
     by_file: defaultdict[str, int] = defaultdict(int)
     with (out / f"{asked.room}.jsonl").open("a", encoding="utf-8") as results:
         for fault in every[asked.skip : asked.skip + asked.count]:
-            tests = chosen(fault, lines, taken)
+            tests = chosen(fault, lines, taken, asked.seconds)
             outcome = tried(copy, fault, tests, out / "last.log") if tests else "not executed"
             counts[outcome] += 1
             by_file[fault.file] += outcome == "survived"

@@ -124,12 +124,35 @@ def test_every_single_trace_is_judged_right(phi):
         "a & !b",
         "true",
         "F[0,3] false",
+        "true release[0,2] a",
+        "(b | F[1,1] b) release[0,2] a",
+        "(b | F[1,1] b) release[1,3] (a | G[0,1] b)",
+        "(a U[0,2] b) | G[0,2] (a release[0,1] b)",
     ],
 )
 def test_patterns_on_every_trace(text):
     phi = stl.parse(text)
     everything = every_trace(stl.horizon(phi) + 1)
     assert (judge_all(stl.compile_automaton(phi), everything) == truth_of_all(phi, everything)).all()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "G[0,2] (a -> F[1,2] b)",
+        "F[1,2] (a & G[0,2] b)",
+        "F[0,2] (a U[1,2] b)",
+        "G[0,2] (b | (a release[0,2] b))",
+        "(F[0,1] a) <-> (G[1,3] b)",
+    ],
+)
+def test_histories_on_every_trace(text):
+    phi = stl.parse(text)
+    automaton = stl.compile_automaton(phi, "history")
+    everything = every_trace(stl.horizon(phi) + 1)
+    assert (judge_all(automaton, everything) == truth_of_all(phi, everything)).all()
+    assert (automaton.verdicts(automaton.horizon) != UNDECIDED).all()
+    assert (automaton.verdicts(automaton.horizon - 1) == UNDECIDED).any()
 
 
 @given(phi=flag_formulas())

@@ -27,6 +27,13 @@ def test_equal_windows_are_exact(phi, data):
     assert judge(automaton, trace)[0] == stl.satisfies(phi, trace)
 
 
+def test_flags_of_always_count_every_step():
+    for text in ("F[0,1] G[0,3] a", "G[0,1] F[0,3] a", "F[0,1] (G[0,2] a & G[0,2] b)"):
+        phi = stl.parse(text)
+        everything = every_trace(stl.horizon(phi) + 1)
+        assert (judge_all(stl.compile_automaton(phi, "paper"), everything) == truth_of_all(phi, everything)).all()
+
+
 def paper(text):
     with pytest.warns(InexactEncodingWarning, match="only approximates"):
         return stl.compile_automaton(stl.parse(text), "paper")

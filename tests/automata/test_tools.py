@@ -96,6 +96,7 @@ def test_edges_carry_the_condition_that_takes_them(phi):
         return
     graph = to_graph(automaton)
     assert graph.number_of_nodes() == automaton.n_states
+    assert [q for q, initial in graph.nodes(data="initial") if initial] == [automaton.initial]
     for q in range(automaton.n_states):
         for row, letter in zip(automaton.valuations.tolist(), automaton.letter_of.tolist(), strict=True):
             known = {str(atom): value for atom, value in zip(automaton.atoms, row, strict=True)}

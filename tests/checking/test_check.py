@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
+from stltool.checking.check import double_errors
 from stltool.errors import PolicyError, SizeError
 from stltool.logic.formula import Not
 from stltool.testing import flag_formulas, formulas, mdps
@@ -314,3 +315,13 @@ def test_sampled_runs_are_runs_of_the_policy(patrolling):
         assert len(run.states) == len(run.actions) + 1 == len(run.memory)
     frequency = np.mean([run.satisfied for run in runs])
     assert abs(frequency - best.probability) < 5 * np.sqrt(best.probability * (1 - best.probability) / len(runs))
+
+
+def test_what_the_initial_distribution_misses_counts_where_it_is_used():
+    """Ten times a little over 0.1; the values of single states know nothing of it."""
+    model = stl.MDP.from_arrays(np.eye(10)[None], {}, [0.1 + 1e-13] * 10, {"a": [1] * 5 + [0] * 5})
+    product = stl.build_product(model, stl.parse("G[0,2] a"))
+    defect = model.initial_defect
+    assert defect > 0
+    assert double_errors(product, model.rows, None)[1] >= defect
+    assert double_errors(product, model.rows, None, started=False)[1] == 0

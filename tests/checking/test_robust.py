@@ -220,6 +220,14 @@ def test_rows_that_miss_one_widen_the_enclosure():
     assert 3.9e-10 < widths[1] < 4.1e-10
 
 
+def test_exact_answers_name_the_initial_distribution_where_it_is_at_fault():
+    ends = np.tile(np.eye(10)[None], (1, 1, 1))
+    model = stl.MDP.from_intervals(ends, ends, {}, [0.1 + 1e-12] * 10, labels={"a": [1] * 5 + [0] * 5})
+    product = stl.build_product(model, stl.parse("F[1,1] a"))
+    with pytest.raises(ModelError, match=r"^the initial distribution: no probabilities within the ends sum to 1"):
+        stl.robust_check(product, exact=True)
+
+
 def test_the_weights_of_a_mixture_may_miss_one():
     """Nine choices of 1/9 each in doubles: a defect of the policy widens too."""
     ends = np.tile([[0.99, 0.01], [0, 1]], (9, 1, 1))

@@ -17,6 +17,8 @@ from stltool.testing.falsification.inputs import F64, Inputs
 _CORNERS = 8
 _EXTREME = 0.6  # share of pieces that are at an end of their range
 _EXTREME_NUMBER = 0.15
+_BY_PIECES = 0.5  # share of variations that respect the pieces a signal has
+_GROWING = 0.3  # of those, how many move a change in time rather than a level
 
 
 class Candidates:
@@ -25,18 +27,24 @@ class Candidates:
         self._numbers = slice(inputs.dimension - len(inputs.numbers), inputs.dimension)
 
     def corners(self) -> list[F64]:
-        """All inputs constant at ends of their ranges: all such points in random order, or the first few."""
-        inputs, rng = self.inputs, self._rng
+        """Constant inputs, as in a screening: all at rest, each alone at its far end, all there; then other corners."""
+        inputs, rng, rest = self.inputs, self._rng, self.rest()
+        far = np.where(rest < 0.5, 1.0, 0.0)
+        alone = []
+        for a, b in self._spans()[:_CORNERS]:
+            x = rest.copy()
+            x[a:b] = far[a:b]
+            alone.append(x)
+        found = [rest, *alone, far]
         n = len(inputs.places) + len(inputs.numbers)
         ends = list(itertools.product((0.0, 1.0), repeat=n)) if n <= 3 else rng.integers(0, 2, (_CORNERS, n)).tolist()
-        found = []
-        for i in rng.permutation(len(ends))[:_CORNERS]:
+        for i in rng.permutation(len(ends)):
             x = np.empty(inputs.dimension)
-            for (a, b), end in zip(inputs.places, ends[i], strict=False):
+            for (a, b), end in zip(self._spans(), ends[i], strict=True):
                 x[a:b] = end
-            x[self._numbers] = ends[i][len(inputs.places) :]
             found.append(x)
-        return found
+        distinct = {x.tobytes(): x for x in found}
+        return list(distinct.values())[: max(_CORNERS, n + 2)]
 
     def rest(self) -> F64:
         """Every input at that value of its range that is nearest to zero: a system that nothing is done to."""
@@ -76,6 +84,8 @@ class Candidates:
     def varied(self, x: F64, relevant: NDArray[np.bool_] | None = None) -> F64:
         """Each row with one change or a few: a run of a signal's points, or a number, set or moved.
 
+        Half of the runs are the pieces that a signal has already, or one of these grows at its neighbour's cost.
+
         relevant   (n, dimension): coordinates at which a run may begin; default: all
         """
         rng, found = self._rng, x.copy()
@@ -86,6 +96,11 @@ class Candidates:
                 a, b = spans[int(rng.integers(len(spans)))]
                 first = int(rng.choice(a + np.flatnonzero(allowed[a:b])))
                 run = slice(first, min(first + int(rng.geometric(0.4)), b))
+                if rng.random() < _BY_PIECES:
+                    run = _piece(row, a, b, first)
+                    if run.start > a and rng.random() < _GROWING:
+                        _grow(row, a, b, run.start, rng)
+                        continue
                 kind = rng.random()
                 if kind < 0.35:
                     row[run] = float(rng.integers(0, 2))
@@ -127,6 +142,23 @@ class Candidates:
         rng = self._rng
         found: F64 = np.where(rng.random(n) < extreme, rng.integers(0, 2, n), rng.random(n))
         return found
+
+
+def _piece(row: F64, a: int, b: int, at: int) -> slice:
+    """The run of equal coordinates around `at`, within [a, b)."""
+    changes = a + 1 + np.flatnonzero(np.diff(row[a:b]) != 0)
+    i = int(np.searchsorted(changes, at, side="right"))
+    ends = [a, *changes.tolist(), b]
+    return slice(ends[i], ends[i + 1])
+
+
+def _grow(row: F64, a: int, b: int, start: int, rng: np.random.Generator) -> None:
+    """Move the change at `start` by a coordinate or a few."""
+    n = int(rng.geometric(0.6))
+    if rng.random() < 0.5:
+        row[start : min(start + n, b)] = row[start - 1]
+    else:
+        row[max(start - n, a) : start] = row[start]
 
 
 def _resting(low: float, high: float) -> float:

@@ -21,15 +21,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.errors import StlToolError
-from stltool.logic.formula import label_names, variables
+from stltool.logic.formula import (
+    Always,
+    Eventually,
+    Formula,
+    Release,
+    Until,
+    children,
+    label_names,
+    variables,
+)
 from stltool.testing.falsification.candidates import Candidates
 from stltool.testing.falsification.inputs import F64
 from stltool.testing.falsification.tried import Tried
 
-_STEPS = 64  # of the model, at most
-_FEATURES = 120
+_STEPS = 64  # of the model, at most, unless the formula asks about shorter times
+_MOST_STEPS = 160
+_WITHIN = 10  # steps of the model within the shortest of the inner windows
+_FEATURES, _MOST_FEATURES = 120, 240
+_ROWS_A_FEATURE = 8  # where that makes more than the least number of features
 _LINEAR_RIDGE = 1e-6  # on the linear part of a setting that has a ridge for the other part alone
-_ROWS = 3000  # transitions that are fitted
+_ROWS = 5000  # transitions that are fitted
 _EXECUTIONS = 25  # the best ones
 _POPULATION = 96
 _GENERATIONS = 4
@@ -86,7 +98,7 @@ class ByDynamics:
         inputs, candidates, rng = self._candidates.inputs, self._candidates, self._rng
         x, scores, order = tried.points, tried.scores, tried.best
         used = order[:_EXECUTIONS].tolist()
-        every = -(-length // _STEPS)
+        every = -(-length // _steps(scores.phi, length))
         at = np.arange(0, length, every)
         traces = scores.traces(used)
         numbers = slice(inputs.dimension - len(inputs.numbers), inputs.dimension)
@@ -161,8 +173,9 @@ class Dynamics:
         if len(z) > _ROWS:
             kept = rng.choice(len(z), _ROWS, replace=False)
             z, target = z[kept], target[kept]
-        widths = rng.choice(setting.widths, _FEATURES) / np.sqrt(z.shape[1])
-        self._w, self._b = rng.normal(size=(z.shape[1], _FEATURES)) * widths, rng.uniform(0, 2 * np.pi, _FEATURES)
+        n = int(np.clip(len(z) // _ROWS_A_FEATURE, _FEATURES, _MOST_FEATURES))
+        widths = rng.choice(setting.widths, n) / np.sqrt(z.shape[1])
+        self._w, self._b = rng.normal(size=(z.shape[1], n)) * widths, rng.uniform(0, 2 * np.pi, n)
         phi = self._lifted(z)
         ridge = np.full(phi.shape[1], setting.ridge)
         if setting.nonlinear:
@@ -217,6 +230,27 @@ class Surprise:
 
         found: F64 = cdist(traced, self._traced) / np.sqrt(traced.shape[1])
         return found
+
+
+def _steps(phi: Formula, length: int) -> int:
+    """Of the model: as many as it takes to see the shortest inner window."""
+    widths = [width for child in _below(phi) for width in _widths(child)]
+    return int(np.clip(_WITHIN * length / min(widths, default=length), _STEPS, _MOST_STEPS))
+
+
+def _below(phi: Formula) -> list[Formula]:
+    """What is under the outermost windows."""
+    if isinstance(phi, Always | Eventually | Until | Release):
+        return list(children(phi))
+    return [one for child in children(phi) for one in _below(child)]
+
+
+def _widths(phi: Formula) -> list[int]:
+    """Of all windows of more than one step."""
+    own = []
+    if isinstance(phi, Always | Eventually | Until | Release) and phi.interval.last > phi.interval.a:
+        own = [phi.interval.last - phi.interval.a]
+    return own + [width for child in children(phi) for width in _widths(child)]
 
 
 def _error(

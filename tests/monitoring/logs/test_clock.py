@@ -88,6 +88,18 @@ def test_samples_on_the_grid_are_taken_as_they_are(log):
         assert stl.load_trace(path, ["x"], step="0.1s", resample=how)["x"].tolist() == [i + 0.1 for i in range(30)]
 
 
+def test_zones_may_have_minutes(log):
+    """Noon in Nepal is a quarter past six in Greenwich; half past eight in Newfoundland is noon there."""
+    times = [
+        "2026-03-01 12:00:00+05:45",
+        "2026-03-01 06:15:00.1Z",
+        "2026-03-01 02:45:00.2-0330",
+        "2026-03-01 08:15:00.3+02",
+    ]
+    path = log(t=times, x=[1, 2, 3, 4])
+    assert stl.load_trace(path, ["x"], step="0.1s")["x"].tolist() == [1, 2, 3, 4]
+
+
 @pytest.mark.parametrize(
     ("times", "says"),
     [
