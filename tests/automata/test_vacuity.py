@@ -33,6 +33,7 @@ from stltool.logic.formula import (
 )
 from stltool.logic.occurrences import occurrences
 from stltool.testing import formulas, traces
+from tests.automata.judging import every_trace
 from tests.conftest import many
 
 A = Label("a")
@@ -462,6 +463,17 @@ def looks_ahead(phi):
     """By how many steps any part does, without what operators of the past make up for."""
     window = phi.interval.b if isinstance(phi, Eventually | Always | Until | Release) else 0
     return window + max(map(looks_ahead, children(phi)), default=0)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["a since b", "a since[0,1] b", "a since[1,2] b", "a since[2,inf] b", "a trigger[0,1] b", "a trigger[1,3] b"],
+)
+def test_truth_along_of_the_past_on_every_trace(text):
+    phi, everything = stl.parse(text), every_trace(4)
+    found = truth_along(phi, [everything[name].T for name in "ab"])
+    expected = stl.monitor(phi, everything, end="cut", semantics="boolean").verdicts
+    assert (expected == found.T).all()
 
 
 @given(formulas(labels=("a", "b"), signals=(), longest=3, past=True), st.data())

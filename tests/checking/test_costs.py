@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.errors import ArgumentError, NameLookupError, PolicyError, SettingsError
+from stltool.errors import ArgumentError, ModelError, NameLookupError, PolicyError, SettingsError
 from stltool.models import Cost
 from stltool.models.costs import Amounts, Entries
 from stltool.testing import formulas, mdps
@@ -144,3 +144,11 @@ def test_bad_questions_are_refused(door):
         stl.expected_cost(door, "effort", stl.Policy(door, np.array([[1, 1], [-1, -1]])), until="horizon")
     with pytest.raises(PolicyError, match="the policy defines no action at step 0, state shut"):
         stl.expected_cost(door, "effort", stl.Policy(door, np.array([[-1, -1], [0, 0]])))
+
+
+def test_exact_costs_need_rows_that_sum_to_one():
+    model = stl.MDP.from_arrays([[[0.5 + 1e-13, 0.5], [0, 1]]], {"x": [0, 1]}, labels={"a": [0, 1]})
+    product = stl.build_product(model, stl.parse("F[0,3] a"))
+    assert stl.expected_cost(product, "x").value >= 0
+    with pytest.raises(ModelError, match="sum"):
+        stl.expected_cost(product, "x", exact=True)

@@ -12,6 +12,7 @@ from stltool.errors import TraceError
 from stltool.logic.formula import COMPARATORS, Arithmetic, Call, Comparison, Negate, Number, Variable, horizon
 from stltool.logic.semantics import robustness, satisfies
 from stltool.monitoring.comparisons import Predicate
+from stltool.monitoring.doubles import short_decimals
 
 
 def any_terms():
@@ -124,3 +125,11 @@ def test_a_margin_beyond_the_doubles_has_its_message():
     with pytest.raises(TraceError, match=r"line 1, column 1: the margin is beyond the range of doubles"):
         stl.robustness(phi, {"x": [1e308], "y": [-1e308]})
     assert stl.satisfies(phi, {"x": [1e308], "y": [-1e308]})
+
+
+def test_short_decimals_are_whole_numbers_of_a_power_of_ten():
+    whole, places = short_decimals(np.array([0.5, -0.25, 3.0]))
+    assert (whole.tolist(), places) == ([50, -25, 300], 2)
+    assert short_decimals(np.array([1.0, 1e15])) is None  # 16 digits
+    assert short_decimals(np.array([1.0, -1e15])) is None
+    assert short_decimals(np.array([0.1] * 200 + [1 / 3])) is None
