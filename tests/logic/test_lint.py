@@ -152,6 +152,11 @@ def test_a_name_that_nearly_is_a_definition_is_told():
     assert (advice.span.line, advice.span.column) == (6, 6)
 
 
+def test_a_name_that_nearly_is_a_param_is_told():
+    (advice,) = found("param threshold = 3\nr := F[0,3] (x > 0 & treshold & threshold > 2)", "task")
+    assert advice.message == "treshold is read as a signal or label; did you mean threshold?"
+
+
 def test_a_quoted_name_of_a_definition_is_told():
     text = 'param T = 3\ngoal := x > T\nr := "goal" & goal & "T" & "other"'
     told = [(a.span.text(), a.message) for a in found(text, "task")]

@@ -118,6 +118,7 @@ def test_operators_of_the_past_against_their_definition(kind):
         ("fall a", "1001", "0100"),
         ("rise true", "0000", "1000"),
         ("once a", "0010", "0011"),
+        ("once a", "1000", "1111"),
         ("historically a", "1101", "1100"),
         ("!a since a", "0100", "0111"),
     ],

@@ -80,6 +80,23 @@ def test_comparisons_of_all_kinds(text, verdict):
         assert stl.satisfies(phi, trace) == verdict
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(f"x * x {op} 4" for op in ("<", "<=", ">", ">=", "==", "!=")),
+        "min(x, y) > 2", "min(x, y) <= 2", "max(x, y, 3) < 5", "max(x, 2 * y) >= 7", "abs(x - y) < 1",
+        "x > 2 & x >= 2", "x >= 2 & x > 2", "x < 3 & x <= 3", "x + y < 3 & x + y <= 3 & y >= 1",
+    ],
+)  # fmt: skip
+def test_borders_are_on_the_right_side(text):
+    """Simplest values, ends of intervals and others, for the formula and its negation."""
+    rng, ranges = np.random.default_rng(0), {name: (Fraction(0), Fraction(9)) for name in "xy"}
+    for phi in (stl.parse(text), Not(stl.parse(text))):
+        made = Constructor(phi, ranges)
+        for draw in (lambda n: 0, *[lambda n: int(rng.integers(n))] * 40):
+            assert stl.satisfies(phi, made.build(draw))
+
+
 def test_near_misses_are_near_and_no_nearer_than_they_can_be():
     phi = stl.parse("G[0,9] level < 7")
     for build, sign in ((satisfying_traces, 1), (violating_traces, -1)):
