@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stltool.logic.formula import Formula
 from stltool.testing.falsification.candidates import Candidates
@@ -36,6 +37,8 @@ _EXPLORED = 6  # turns, of which one explores
 _GOOD = 0.2  # share of the executions whose scores are good ones
 _REMEMBERED = 0.95  # of what a kind has shown, from one of its turns to the next
 _FLAT = ("uniform", "uniform", "uniform", "pieces", "uniform", "uniform")
+_PARENTS = 3  # executions that are varied: the best ones
+_PATIENCE = 40  # executions without a better one, after which others than the best are varied
 _VARIED = 20  # variations, of which the first that may violate is executed
 
 
@@ -99,7 +102,15 @@ class Portfolio:
         elif kind == "uniform":
             found = self._candidates.uniform()[0]
         if found is None:
-            parents = tried.best[self._candidates.drawn(min(len(tried), 8), _VARIED)]
+            best = self._worth_varying()
+            parents = best[self._candidates.drawn(min(len(best), _PARENTS), _VARIED)]
             varied = self._candidates.varied(tried.points[parents], tried.relevant[parents])
             found = varied[int(np.argmin(tried.settled(varied)))]  # the first that is not
         return found
+
+    def _worth_varying(self) -> NDArray[np.int64]:
+        """Executions, the best first: of all, or, where these lead no further, of the latest alone: a fresh start."""
+        tried = self._tried
+        best, n = tried.best, len(tried)
+        latest = best[best >= n // _PATIENCE * _PATIENCE]
+        return latest if n - 1 - best[0] > _PATIENCE and len(latest) > 1 else best
