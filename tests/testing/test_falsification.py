@@ -11,9 +11,10 @@ from stltool.models.environment import simulator
 from stltool.testing import Signal, falsify, input_signals, replay, steer
 from stltool.testing.falsification import steering
 from stltool.testing.falsification.candidates import Candidates
-from stltool.testing.falsification.dynamics import Dynamics, Surprise
+from stltool.testing.falsification.dynamics import Dynamics, Surprise, _steps
 from stltool.testing.falsification.inputs import Inputs
 from stltool.testing.falsification.score import Scores
+from stltool.testing.falsification.search import Portfolio
 from stltool.testing.falsification.strict import Strictness
 from stltool.testing.falsification.tried import Prefixes, Tried
 from tests.conftest import many
@@ -39,7 +40,7 @@ U = {"u": Signal(-1, 1, points=5)}
 def test_what_only_the_extreme_input_violates_is_found(seed):
     result = falsify(Integrator(), "G[0,50] (x < 5.1 - 1e-9)", U, seed=seed)
     assert result.falsified
-    assert result.executions <= 4  # uniform points and the two corners, in turn
+    assert result.executions <= 4  # rest, the two corners, and a uniform point
     assert result.points["u"].tolist() == [1.0] * 5
 
 
@@ -68,7 +69,8 @@ def test_the_result_is_the_execution_and_its_code_repeats_it():
     again = system(eval(result.code))
     assert np.array_equal(again["x"], result.trace["x"])
     assert not stl.satisfies(result.formula, result.trace)
-    assert result.robustness == stl.robustness(result.formula, result.trace) == result.history[-1]
+    assert result.robustness == result.history[-1] == stl.monitor(result.formula, result.trace, at=0).robustness[0]
+    assert result.robustness == pytest.approx(stl.robustness(result.formula, result.trace), abs=1e-14)
     assert not result.diagnosis.verdict
 
 
@@ -226,6 +228,51 @@ def test_time_steers_where_all_margins_are_the_same():
     assert len(set(scores.values)) > 2
     assert np.argmin(scores.values) == 1
     assert falsify(system, phi, {"u": Signal(0, 1, points=15)}, steps=90, budget=60).falsified
+
+
+def test_the_first_inputs_are_at_rest_then_each_alone_at_its_far_end():
+    inputs = Inputs({"u": Signal(-1, 3, points=2), "a": (0, 5), "v": Signal(-4, 0, points=1), "b": (1, 2)}, 8)
+    corners = Candidates(inputs, np.random.default_rng(0)).corners()
+    rest = np.array([0.25, 0.25, 1.0, 0.0, 0.0])  # u, u, v, a, b
+    assert corners[0].tolist() == rest.tolist()
+    for corner, (first, end, far) in zip(
+        corners[1:], [(0, 2, 1.0), (2, 3, 0.0), (3, 4, 1.0), (4, 5, 1.0)], strict=False
+    ):
+        expected = rest.copy()
+        expected[first:end] = far
+        assert corner.tolist() == expected.tolist()
+    assert corners[5].tolist() == [1, 1, 0, 1, 1]
+    assert len(corners) > 6
+    assert all(set(corner) <= {0.0, 1.0} for corner in corners[5:])
+    assert len({corner.tobytes() for corner in corners}) == len(corners)
+
+
+def test_pieces_move_grow_and_shrink_as_wholes():
+    inputs = Inputs({"u": Signal(0, 1, points=12)}, 12)
+    x = np.repeat([[0.2, 0.7, 0.4]], [4, 5, 3], axis=1)
+    found = Candidates(inputs, np.random.default_rng(0)).varied(np.repeat(x, 400, axis=0))
+    shapes = {tuple(np.flatnonzero(np.diff(row)) + 1) for row in found}
+    levels = [row for row in found if tuple(np.flatnonzero(np.diff(row)) + 1) == (4, 9)]
+    assert len({row[5] for row in levels}) > 20  # the same pieces, another level
+    assert {(3, 9), (5, 9), (4, 8), (4, 10)} <= shapes  # the same levels, earlier or later
+    moved = [row for row in found if tuple(np.flatnonzero(np.diff(row)) + 1) == (5, 9)]
+    assert any(row.tolist() == [0.2] * 5 + [0.7] * 4 + [0.4] * 3 for row in moved)
+
+
+def test_the_model_sees_the_shortest_inner_window():
+    assert _steps(stl.parse("G[0,999] (x > 0)"), 1000) == 64
+    assert _steps(stl.parse("G[0,900] (x > 0 -> F[1,101] (G[0,1] (y > 0)))"), 1000) == 160
+    assert _steps(stl.parse("(G[0,900] (F[0,100] (x > 0))) & (F[0,3] (x > 1))"), 1000) == 100
+    assert _steps(stl.parse("G[0,999] (F[0,0] (x > 0))"), 1000) == 64
+
+
+def test_variations_start_afresh_where_the_best_lead_no_further():
+    portfolio = Portfolio(stl.parse("x > 0"), Inputs({"u": (0, 1)}, 1), np.random.default_rng(0))
+    for i in range(85):
+        portfolio.tell(np.array([0.5]), {"x": np.array([1.0 if i == 30 else 2.0 + i / 100])})
+        if i == 69:
+            assert portfolio._worth_varying()[0] == 30
+    assert portfolio._worth_varying().tolist() == [80, 81, 82, 83, 84]
 
 
 def test_an_impulse_changes_one_input_for_a_while():
