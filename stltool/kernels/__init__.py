@@ -1,7 +1,7 @@
 """Numba loops: arrays in, arrays out; they import nothing from stltool. `.py_func` is the slow twin of each.
 
-All are declared with `jit.kernel`: compiled once per machine, and again if a source here changes. Importing this
-package loads nothing else.
+All are declared with `jit.kernel`, or `jit.part` if only kernels call them: compiled once per machine, and again if a
+source here changes. Importing this package loads nothing else.
 """
 
 from typing import Literal, TypeAlias
