@@ -26,9 +26,10 @@ def warm_up(*groups: Group) -> None:
 
             rollout.warm_up()
         elif group == "plans":
-            from stltool.kernels import planning
+            from stltool.kernels import exploring, planning
 
             planning.warm_up()
+            exploring.warm_up()
         else:
             from stltool.kernels import learning
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from stltool.learning.episode import Episode
 from stltool.learning.learner import rarest
 
-_ENOUGH = 5  # times that each choice of a state has been tried, before it may end an episode
+ENOUGH = 5  # times that each choice of a state has been tried, before it may end an episode
 
 
 def aftermath(episode: Episode, tried: NDArray[Any], chance: float) -> int:
@@ -23,4 +23,4 @@ def aftermath(episode: Episode, tried: NDArray[Any], chance: float) -> int:
     tried (choices of the state,): how often
     """
     a = rarest(tried, chance)
-    return -1 if tried[a] >= _ENOUGH and episode.stuck else a
+    return -1 if tried[a] >= ENOUGH and episode.stuck else a

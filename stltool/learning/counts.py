@@ -26,6 +26,7 @@ class Counts(Displayed):
     n_contexts  with more than one, the context of every transition is counted too: what else was known before it, as an
                 integer, such as a robot's heading. `markov_test` tests whether it matters. With one, contexts are
                 ignored. In the counts of `learn`, the context is 1 + the choice before, and 0 at an episode's start
+    total       the number of transitions
     alarms      the ties of a model's rows that these data contradicted at some look: by tie, the greatest ln of the
                 evidence, and where (learning/tied.py)
     """
@@ -44,6 +45,7 @@ class Counts(Displayed):
         self._n_waiting = 0
         self._single: list[tuple[int, int]] = []
         self._together: tuple[Whole, Whole] | None = None  # the rows of all contexts, once asked for
+        self.total = 0
         self.alarms: dict[str, tuple[float, int]] = {}
 
     def _card(self) -> Card:
@@ -79,6 +81,7 @@ class Counts(Displayed):
 
     def add_known(self, choice: Whole, target: NDArray[Any], context: Whole) -> None:
         """The same if they are known to be in range."""
+        self.total += len(choice)
         self._waiting.append((choice * self.n_states + target, context))
         self._n_waiting += len(choice)
         if self._n_waiting > max(_WAITING, len(self._codes)):
@@ -86,6 +89,7 @@ class Counts(Displayed):
 
     def add_one(self, choice: int, target: int, context: int) -> None:
         """Count one transition that is known to be in range."""
+        self.total += 1
         self._single.append((choice * self.n_states + target, context))
         if len(self._single) > max(_WAITING, len(self._codes)):
             self._settle()
@@ -144,6 +148,7 @@ class Counts(Displayed):
         if (seen < 1).any() or sum(seen.tolist()) > _MOST:
             raise ValueError("a transition was seen less than once, or too often to be counted")
         self._codes, self._contexts, self._seen = codes.copy(), contexts.copy(), seen.copy()
+        self.total = int(seen.sum())
         self._waiting, self._n_waiting, self._single, self._together = [], 0, [], None
 
     def _pairs(self) -> tuple[Whole, Whole]:

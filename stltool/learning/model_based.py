@@ -6,12 +6,13 @@ choice, less and less of the others, at a level of hope that is drawn, too (lear
 the best plan for this model. Once the task is violated, the rest of the episode takes the choices tried least, as long
 as there is something to learn from them (learning/aftermath.py).
 
-Plans are lazy: the episode's plan is kept as long as it applies. Where it relies on a choice that has been tried in the
-meantime, or says nothing, another untried choice of that state will do, which promises as much; only if there is none,
-the rest of the episode is planned again. Small products are planned wherever a run could be; large ones where runs can
-be by the transitions seen. On small ones, hope for a choice that has been tried is modest: it leads to the best state
-that the model has for what is left of the task, which is paradise only while there are untried choices or certain
-success. Where even the best policy mostly fails, hope would otherwise be all that counts.
+Plans are lazy: they are made for what the transitions seen lead to from the present situation. The episode's plan is
+kept as long as it applies. Where it relies on a choice that has been tried in the meantime, or says nothing, another
+untried choice of that state will do, which promises as much; only if there is none, the rest of the episode is planned
+again. On small products, where a whole episode is one call of a kernel (learning/explorer.py), hope for a choice that
+has been tried is modest: it leads to the best state that the model has for what is left of the task, which is paradise
+only while there are untried choices or certain success. Otherwise, where even the best policy mostly fails, hope would
+be all that counts.
 
 Side by side, where a black box takes many runs at once, up to 16 models are drawn for a batch, and episodes with the
 same one share its plans. On small products models and plans are made anew after every step of the batch, so that an
@@ -19,13 +20,15 @@ episode knows what others have found a step before; on large ones they are those
 choices, which promise the same, each episode takes the one that the others have taken least.
 
 The policy that is judged trusts counts with caution: of n(s,a) visits, successor s' has the share n(s,a,s') / (n + κ),
-and the rest fails. So a choice seen once is not preferred to one that has proved itself many times. It is the best
-policy by these data.
+and the rest fails, or next to it. So a choice seen once is not preferred to one that has proved itself many times, nor
+one that is known to fail to one that was never tried. It is the best policy by these data.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -42,9 +45,10 @@ from stltool.kernels import Group
 from stltool.learning.aftermath import aftermath
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
+from stltool.learning.explorer import Explorer
 from stltool.learning.kept import Kept
 from stltool.learning.learner import Learner, rarest
-from stltool.learning.optimism import doubt, level, paradise, unrefuted
+from stltool.learning.optimism import NEXT_TO_NOTHING, doubt, level, paradise, unrefuted
 from stltool.learning.problem import Problem
 from stltool.learning.settings import setting
 from stltool.models.rows import Chances, Rows, starts
@@ -69,6 +73,11 @@ class ModelBased(Learner["Planner"]):
         return Planner(problem, counts)
 
     def episode(self, state: Planner, episode: Episode) -> None:
+        if state.small and episode.batch is None:
+            if episode.verdict is None:
+                state.starts[episode.s] += 1
+            state.explorer.episode(episode, self.optimism)
+            return
         chances = episode.rng.random((episode.length, 2))[:, 1].tolist()
         belief = Belief(state, self.optimism, int(episode.rng.integers(2**62)))
         guide: Guide = Alone(state, belief)
@@ -248,11 +257,19 @@ class Planner:
             h = problem.automaton.horizon
             self._worth = np.array([paradise(t, h) for t in range(h)])
         self._batch: Batch | None = None
+        self._explorer: Explorer | None = None
         self._limit = memory_limit(None)  # which takes longer to find out than some plans
 
     @property
     def small(self) -> bool:
         return self._anywhere is not None
+
+    @property
+    def explorer(self) -> Explorer:
+        """What plays episodes one after the other on small products."""
+        if self._explorer is None or self._explorer.total != self.counts.total:
+            self._explorer = Explorer(self.problem, self.counts)
+        return self._explorer
 
     def batch(self, numbers: range) -> Batch:
         """The batch of these episodes."""
@@ -279,15 +296,15 @@ class Planner:
         """The optimistic plan over these rows from there: being outside is worth 1, less a hair, the more the later."""
         if self._anywhere is not None:
             return Plan(self._anywhere.plan(learned, self._worth, t), 0)
-        return Plan(self._induct(learned, True, From(self._automata[True], t, q), np.array([s])), t)
+        return Plan(self._induct(learned, True, From(self._automata[TRUE], t, q), np.array([s])), t)
 
     def judged(self, caution: float) -> Choices:
-        """The best policy by the counts, from the states where episodes started; being outside fails."""
+        """The best policy by the counts, from the states where episodes started; being outside is next to failing."""
         learned = self.learned(self.counts.seen.astype(np.float64), doubt(self.counts.visits, caution))
         if self._anywhere is not None:
-            table = self._anywhere.plan(learned, np.zeros_like(self._worth))
+            table = self._anywhere.plan(learned, np.full_like(self._worth, NEXT_TO_NOTHING))
             return self._anywhere.listed(table, self.problem.choice_type)
-        return self._induct(learned, False, Later(self._automata[False], 0), np.flatnonzero(self.starts))
+        return self._induct(learned, False, Later(self._automata[TRUE], 0), np.flatnonzero(self.starts))
 
     def value(self, form: Form, caution: float) -> float:
         """P of a policy by the counts, from the states where episodes started, in proportion; 0 if none has."""
@@ -295,7 +312,7 @@ class Planner:
         if not len(first):
             return 0.0
         learned = self.learned(self.counts.seen.astype(np.float64), doubt(self.counts.visits, caution))
-        game = Game(self._rows(learned), self._automata[False], self._letter, first)
+        game = Game(self._rows(learned), self._automata[FALSE], self._letter, first)
         budget = Budget(f"judging a policy on {self.problem.n_states} states", self._limit)
         found = induct(game, Doubles(True), True, Following(form), threads=1, budget=budget)
         return float(found.entry @ self.starts[first] / self.starts.sum())
@@ -337,8 +354,8 @@ class Planner:
         )
         layers = Known(game, budget, self._choices)
         self._moves[optimistic] = {"moves": game.kept["moves"]} if "moves" in game.kept else {}
-        arithmetic = _Optimistic(problem, since) if optimistic else Doubles(True)
-        found = solve(layers, arithmetic, True, self._choices).choices
+        worth = partial(paradise, horizon=problem.automaton.horizon) if optimistic else _nothing
+        found = solve(layers, _Outside(problem, since, worth), True, self._choices).choices
         assert found is not None
         return found.resized((problem.n_states, problem.automaton.n_states))
 
@@ -349,19 +366,23 @@ def require_starts(starts: NDArray[np.int64], counts: Counts) -> None:
         raise ValueError("more episodes started than steps were counted")
 
 
-class _Optimistic(Doubles):
-    """Where being outside is worth a little less than 1, the less the later."""
+def _nothing(t: int) -> float:
+    return NEXT_TO_NOTHING
+
+
+class _Outside(Doubles):
+    """Where being outside is worth `by_step` after each step of the task."""
 
     repeats = False
 
-    def __init__(self, problem: Problem, since: int) -> None:
+    def __init__(self, problem: Problem, since: int, by_step: Callable[[int], float]) -> None:
         super().__init__(True)
-        self._h, self._outside, self._since = problem.automaton.horizon, problem.n_states, since
+        self._by_step, self._outside, self._since = by_step, problem.n_states, since
         self.state = problem.automaton.n_states  # of the automaton, outside
 
     def worth(self, t: int) -> float:
         """Of going outside after step t of the plan."""
-        return float(paradise(self._since + t, self._h))
+        return float(self._by_step(self._since + t))
 
     def sums(self, t: int, edges: Edges, ahead: Values) -> Values:
         values = ahead[edges.child]
@@ -369,11 +390,11 @@ class _Optimistic(Doubles):
         return row_sums(self.rows.probability[edges.entry] * values, edges.start)
 
     def tiles(self, engine: Words) -> Tiles:
-        return _OptimisticTiles(self, engine)
+        return _OutsideTiles(self, engine)
 
 
-class _OptimisticTiles(Tiles):
-    def __init__(self, arithmetic: _Optimistic, engine: Words) -> None:
+class _OutsideTiles(Tiles):
+    def __init__(self, arithmetic: _Outside, engine: Words) -> None:
         super().__init__(engine, engine.rows.probability, 1, arithmetic.ends(0), True)
         self._arithmetic = arithmetic
 

@@ -23,7 +23,8 @@ beginning does not last.
 Hope leads to a paradise that satisfies the task, worth a thousandth less than 1, and less the later it is entered:
 near-certain success comes first, and exploring is not postponed.
 
-Caution is the opposite, for the policy that is judged: the share κ / (n + κ) of a choice counts as a failure.
+Caution is the opposite, for the policy that is judged: the share κ / (n + κ) of a choice counts as a failure, or next
+to one. So where the data promise nothing, what has been tried least is preferred to what is known to fail.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from numpy.typing import NDArray
 
 _LEAST = 1e-300
 _HAIR = 1e-3  # far above rounding, below any gain worth exploring for
+NEXT_TO_NOTHING = 1e-12  # far above rounding of values that are next to nothing, below any that counts
 
 
 def level(optimism: float, chance: Any) -> Any:
@@ -93,4 +95,4 @@ class Doubt:
 
     def worth(self, t: Any, horizon: int) -> Any:
         """After step t."""
-        return np.zeros(np.shape(t))
+        return np.full(np.shape(t), NEXT_TO_NOTHING)

@@ -186,14 +186,12 @@ class ClockedTable:
         )  # fmt: skip
 
     def policy_table(self) -> NDArray[Any]:
-        """The greedy policy over tried choices, the first of ties: (h, S, Q) choices."""
+        """The greedy policy, the first of ties: (h, S, Q) choices."""
         problem, automaton = self.entries.problem, self.entries.problem.automaton
         table = np.zeros((automaton.horizon, problem.n_states, automaton.n_states), dtype=problem.choice_type)
-        visits = self._visits_by_entry()
         for s, letter in enumerate(problem.letter):
             t, q = self.entries.pairs[letter]
-            values = np.where(visits[s] > 0, self.Q[s], -1.0)[: problem.n_choices[s], : len(t)]
-            table[t, s, q] = values.argmax(axis=0)
+            table[t, s, q] = self.Q[s, : problem.n_choices[s], : len(t)].argmax(axis=0)
         return table
 
     def arrays(self) -> dict[str, Kept]:

@@ -1,6 +1,7 @@
 """The model-based learner's plans against backward induction over all states, memories and steps, bit for bit."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -8,12 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.automata import FALSE, TRUE, UNDECIDED
+from stltool.automata import TRUE, UNDECIDED
 from stltool.checking.induction import Single
 from stltool.checking.induction.anywhere import Anywhere, From
+from stltool.kernels import exploring
 from stltool.learning.counts import Counts
+from stltool.learning.explorer import Explorer
 from stltool.learning.model_based import Planner
-from stltool.learning.optimism import doubt, paradise, unrefuted
+from stltool.learning.optimism import NEXT_TO_NOTHING, doubt, paradise, unrefuted
 from stltool.learning.problem import Problem
 from tests.checking.test_check import products
 from tests.conftest import many
@@ -49,7 +52,7 @@ def dense(product, counts, outside, since, optimistic, modest):
     table = np.zeros(problem.shape, dtype=int)
     for t in range(h - 1, since - 1, -1):
         verdicts, new = automaton.verdicts(t), np.empty_like(values)
-        worth = paradise(t, h) if optimistic else 0.0
+        worth = paradise(t, h) if optimistic else NEXT_TO_NOTHING
         for s, q in np.ndindex(values.shape):
             sums, top = [], max(values[x, product.enter(x, q)] for x in range(S))
             for c in range(problem.first_choice[s], problem.first_choice[s + 1]):
@@ -75,7 +78,9 @@ def required(product, counts, outside, since, optimistic):
     planner = Planner(problem, counts)
     learned = planner.learned(counts.seen.astype(np.float64), outside)
     anywhere = Anywhere(problem.automaton, problem.letter, problem.first_choice, np.uint8)
-    table = anywhere.plan(learned, np.array([paradise(t, h) if optimistic else 0.0 for t in range(h)]), since)
+    table = anywhere.plan(
+        learned, np.array([paradise(t, h) if optimistic else NEXT_TO_NOTHING for t in range(h)]), since
+    )
     listed = anywhere.listed(table, np.int16)
     for t in range(since, h):
         s, q = np.divmod(anywhere.codes(t), Q)
@@ -90,7 +95,7 @@ def required(product, counts, outside, since, optimistic):
     if optimistic:
         plan = planner.plan_from(learned, since, s, q).form
     else:
-        first = From(Single(problem.automaton.with_outcome(FALSE)), since, q)
+        first = From(Single(problem.automaton.with_outcome(TRUE)), since, q)
         plan = planner._induct(learned, False, first, np.array([s]))
     reached, after = {(s, q)}, {}
     for c, target in zip(counts.choice.tolist(), counts.target.tolist(), strict=True):
@@ -138,3 +143,77 @@ def test_wherever_a_run_can_be_is_planned_for(product):
         pairs = {(s, q) for s, q in pairs if automaton.verdicts(t)[q] == UNDECIDED}
         assert set(anywhere.codes(t).tolist()) == {s * n + q for s, q in pairs}
         pairs = {(x, product.enter(x, q)) for _, q in pairs for x in range(product.model.n_states)}
+
+
+def ahead(product, values, unseen, t, q, s):
+    """What is hoped for in s, if it is entered with memory q after step t, though not by a transition seen."""
+    letter, m = product.letter[s], product.enter(s, q)
+    verdict = product.automaton.verdicts(t + 1)[m]
+    if verdict != UNDECIDED:
+        return float(verdict == TRUE)
+    return max(paradise(t + 1, product.horizon) * (letter in unseen), values.get((s, m), 0.0))
+
+
+def explored(product, counts, level, since, s, q):
+    """By (t, s, q) that transitions lead to from there: the first best choice, −2 if nothing is hoped for there."""
+    h, first = product.horizon, Problem.of(product).first_choice
+    known, visits = {}, counts.visits
+    for c, x, n in zip(counts.choice.tolist(), counts.target.tolist(), counts.seen.tolist(), strict=True):
+        known.setdefault(c, []).append((x, n))
+    after = {
+        x: {y for c in range(first[x], first[x + 1]) for y, _ in known.get(c, ())} for x in range(len(product.letter))
+    }
+    seen = {x for x, to in after.items() if to} | {y for to in after.values() for y in to}
+    unseen = {letter for x, letter in enumerate(product.letter) if x not in seen}
+    layers = [{(s, q)}]
+    for t in range(since, h):
+        layers[-1] = {(x, m) for x, m in layers[-1] if product.automaton.verdicts(t)[m] == UNDECIDED}
+        layers.append({(y, product.enter(y, m)) for x, m in layers[-1] for y in after[x]})
+    values, found = {}, {}
+    for t in range(h - 1, since - 1, -1):
+        verdicts, new = product.automaton.verdicts(t + 1), {}
+        for x, m in layers[t - since]:
+            worth = paradise(t, h)
+            top = min(worth, max(ahead(product, values, unseen, t, m, y) for y in range(len(product.letter))))
+            sums = []
+            for c in range(first[x], first[x + 1]):
+                hope = 1.0 - math.exp(level / visits[c]) if visits[c] else 1.0
+                share, total = (1.0 - hope) / max(visits[c], 1), 0.0
+                for y, n in known.get(c, ()):
+                    to = product.enter(y, m)
+                    value = float(verdicts[to] == TRUE) if verdicts[to] != UNDECIDED else values[y, to]
+                    total += n * share * value
+                sums.append(total + hope * (top if visits[c] else worth))
+            new[x, m] = max(sums)
+            found[t, x, m] = int(np.argmax(sums)) if new[x, m] > 0 else -2
+        values = new
+    return found
+
+
+@given(products(states=4), st.integers(0, 2**32 - 1), st.sampled_from([0.0, -1e-9, -0.5, -3.0, -700.0]), st.data())
+@settings(max_examples=many(60))
+def test_what_transitions_lead_to_is_planned_for(product, seed, level, data):
+    product, rng = early(product), np.random.default_rng(seed)
+    problem, counts = Problem.of(product), counted(product, rng, rng.random())
+    if product.horizon == 0:
+        return
+    since = data.draw(st.integers(0, product.horizon - 1))
+    anywhere = Anywhere(problem.automaton, problem.letter, problem.first_choice, np.uint8)
+    if not len(anywhere.codes(since)):
+        return
+    s, q = divmod(int(data.draw(st.sampled_from(anywhere.codes(since).tolist()))), product.automaton.n_states)
+    explorer = Explorer(problem, counts)
+    for _ in range(2):  # the second plan finds what the first one left behind
+        explorer._make_room(1)
+        explorer.walked.weight[:] = explorer.walked.seen
+        exploring.plan(explorer.rules, explorer.walked, explorer.route, explorer.room, level, since, s, q)
+        wanted, route, found = explored(product, counts, level, since, s, q), explorer.route, {}
+        for t, x in np.argwhere(route.group[since:] >= 0).tolist():
+            g = route.group[since + t, x]
+            for i in range(route.first[g], route.first[g + 1]):
+                found[since + t, x, int(route.memory[i])] = int(route.choice[i])
+        assert found == wanted
+        c, x = int(rng.integers(counts.n_choices)), int(rng.integers(counts.n_states))
+        exploring.count(explorer.walked, explorer.route, c, x, 1.0)
+        counts.add([c], [x])
+        explorer.walked.known[:] = Explorer(problem, counts).walked.known

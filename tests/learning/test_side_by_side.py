@@ -139,10 +139,10 @@ def test_a_batch_takes_as_many_plans_as_models_are_drawn(product, monkeypatch):
     assert 16 <= made.count(0) == max(map(made.count, made))
     assert len(set(made)) > 1
     made.clear()
+    monkeypatch.setattr(Planner.__init__, "__defaults__", (0,))  # situations of a small one
     stl.learn(product, "model-based", episodes=96, evaluate_every=96, environment=OneByOne(product.model))
     assert made.count(0) == 96
     made.clear()
-    monkeypatch.setattr(Planner.__init__, "__defaults__", (0,))  # situations of a small one
     stl.learn(product, "model-based", episodes=96, evaluate_every=96, environment=fleet)
     assert made.count(0) == 2 * 16
 
