@@ -3,8 +3,9 @@
     V_t(s, q) = max over c of  Σ_s' p(s'|c) · V_{t+1}(s', δ(L(s'), q)) + outside(c) · top_t(q)
     top_t(q)  = min(worth_t, max over s' of V_{t+1}(s', δ(L(s'), q))), but worth_t for a choice that is untried
 
-where q is undecided. The last maximum is over states that a run can be in after step t, by the transitions seen, states that would satisfy the
-task, and those never seen, which are worth as much as paradise. Sums are added in the order of the entries, what leads outside last.
+where q is undecided. The last maximum is over states that a run can be in after step t, by the transitions seen, states
+that would satisfy the task, and those never seen, which are worth as much as paradise. Sums are added in the order of
+the entries, what leads outside last.
 """
 
 from __future__ import annotations
