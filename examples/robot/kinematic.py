@@ -55,10 +55,13 @@ class Kinematic:
 
     def _keep_out(self, xy: Floats) -> None:
         np.clip(xy, RADIUS, [self.floor.width - RADIUS, self.floor.height - RADIUS], out=xy)
-        away = xy[:, None] - self.floor.blocks
+        x, y = (np.abs(xy[:, i, None] - self.floor.blocks[:, i]) < HALF + RADIUS for i in range(2))
+        robot, block = np.nonzero(x & y)
+        if not len(robot):
+            return
+        away = xy[robot] - self.floor.blocks[block]
         gap = away - np.clip(away, -HALF, HALF)
-        distance = np.hypot(gap[..., 0], gap[..., 1])
-        robot, block = np.nonzero(distance < RADIUS)
-        if len(robot):
-            near = np.maximum(distance[robot, block], 1e-9)[:, None]
-            np.add.at(xy, robot, gap[robot, block] / near * (RADIUS - near))
+        distance = np.hypot(gap[:, 0], gap[:, 1])
+        hit = distance < RADIUS
+        near = np.maximum(distance[hit], 1e-9)[:, None]
+        np.add.at(xy, robot[hit], gap[hit] / near * (RADIUS - near))

@@ -30,7 +30,7 @@ _LOST = -2  # the choice of a situation where nothing is hoped for
 
 @kernel
 def believe(walked: Any, normal: F64) -> None:
-    """Draw weights: of a successor seen n times, Gamma(n) as n (1 − 1/9n + z/(3√n))³ with z normal."""
+    """Draw weights: of a successor seen n times, Gamma(n) as n (1 − 1/9n + z/(3√n))³ with z normal [Wilson31]."""
     for e in range(walked.start[-1]):
         n = float(walked.seen[e])
         root = 1.0 - 1.0 / (9.0 * n) + normal[e] / (3.0 * math.sqrt(n))

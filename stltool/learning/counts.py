@@ -45,6 +45,7 @@ class Counts(Displayed):
         self._n_waiting = 0
         self._single: list[tuple[int, int]] = []
         self._together: tuple[Whole, Whole] | None = None  # the rows of all contexts, once asked for
+        self._visits: Whole | None = None
         self.total = 0
         self.alarms: dict[str, tuple[float, int]] = {}
 
@@ -109,10 +110,11 @@ class Counts(Displayed):
     @property
     def visits(self) -> Whole:
         """(n_choices,): how often each choice was taken."""
-        # integers throughout: weights of bincount would be doubles
-        visits = np.zeros(self.n_choices, dtype=np.int64)
-        np.add.at(visits, self.choice, self.seen)
-        return visits
+        seen = self.seen
+        if self._visits is None:  # integers throughout: weights of bincount would be doubles
+            self._visits = np.zeros(self.n_choices, dtype=np.int64)
+            np.add.at(self._visits, self.choice, seen)
+        return self._visits.copy()
 
     @property
     def in_context(self) -> tuple[Whole, Whole, Whole, Whole]:
@@ -149,7 +151,7 @@ class Counts(Displayed):
             raise ValueError("a transition was seen less than once, or too often to be counted")
         self._codes, self._contexts, self._seen = codes.copy(), contexts.copy(), seen.copy()
         self.total = int(seen.sum())
-        self._waiting, self._n_waiting, self._single, self._together = [], 0, [], None
+        self._waiting, self._n_waiting, self._single, self._together, self._visits = [], 0, [], None, None
 
     def _pairs(self) -> tuple[Whole, Whole]:
         """(codes, seen) of all contexts together, ascending."""
@@ -176,7 +178,7 @@ class Counts(Displayed):
         new[1:] = (codes[1:] != codes[:-1]) | (contexts[1:] != contexts[:-1])
         first = np.flatnonzero(new)
         self._codes, self._contexts, self._seen = codes[first], contexts[first], np.add.reduceat(seen, first)
-        self._waiting, self._n_waiting, self._single, self._together = [], 0, [], None
+        self._waiting, self._n_waiting, self._single, self._together, self._visits = [], 0, [], None, None
 
 
 def _indices(name: str, given: ArrayLike, n: int) -> Whole:

@@ -121,8 +121,14 @@ class Belief:
         """The model drawn, after choices were taken `visits` times; a share of each choice leads outside."""
         rng = np.random.default_rng(self.seed)
         hopes = unrefuted(visits, level(self.optimism, rng.random()))
-        drawn = rng.standard_gamma(self.planner.counts.seen.astype(np.float64))
-        return self.planner.learned(np.maximum(drawn, _LEAST), hopes)
+        seen = self.planner.counts.seen
+        return self.planner.learned(gammas(seen, rng.standard_normal(len(seen))), hopes)
+
+
+def gammas(seen: NDArray[np.int64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Gamma(n) for each of `seen`, as n (1 − 1/9n + z/(3√n))³ with z normal [Wilson31], which is drawn much faster."""
+    root = 1 - 1 / (9 * seen) + normal / (3 * np.sqrt(seen))
+    return np.maximum(seen * root * root * root, _LEAST)
 
 
 class Guide(Protocol):
@@ -213,7 +219,7 @@ class _Beside:
         if a < 0:
             self.begin(t, s, q)
             a = self._plan(t, s, q)
-        first, after = shared.planner.problem.first_choice[s : s + 2].tolist()
+        first, after = shared.planner.first_choice[s], shared.planner.first_choice[s + 1]
         if not shared.visits[first + a]:  # others promise as much: not all take the same
             a = rarest(self.tried[first:after], chance)
         return a

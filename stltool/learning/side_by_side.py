@@ -16,7 +16,7 @@ import numpy as np
 from stltool.learning.episode import Episode
 from stltool.models.environment import Environment, Runs
 
-MOST = 256  # episodes at once, each with a thread
+MOST = 512  # episodes at once, each with a thread
 
 
 def play(
