@@ -17,14 +17,15 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.kernels.jit import kernel as compiled
+from stltool.kernels import jit
 from stltool.kernels.rollout import inversion
 from stltool.kernels.tuples import Rules, Tables, Walked, one_state, room_of, route_of, with_entries
 
 F64: TypeAlias = NDArray[np.float64]
 I32: TypeAlias = NDArray[np.int32]
 
-kernel = functools.partial(compiled, counts=False)
+kernel = functools.partial(jit.kernel, counts=False)
+part = functools.partial(jit.part, counts=False)
 _LOST = -2  # the choice of a situation where nothing is hoped for
 
 
@@ -63,7 +64,7 @@ def count(walked: Any, route: Any, c: Any, s2: Any, weight: float) -> bool:
     return True
 
 
-@kernel
+@part
 def rows(rules: Any, walked: Any, room: Any, level: float) -> None:
     """Each choice's chances, with hope at that level (its logarithm), and each state's different successors."""
     known = room.memo
@@ -100,7 +101,7 @@ def rows(rules: Any, walked: Any, room: Any, level: float) -> None:
     room.begin[n_states] = k
 
 
-@kernel
+@part
 def spread(rules: Any, route: Any, room: Any, since: int, s: Any, q: Any) -> None:
     """The situations that the transitions lead to from there."""
     h = len(rules.worth)
@@ -222,7 +223,7 @@ def plan(rules: Any, walked: Any, route: Any, room: Any, level: float, since: in
                     room.best[now, letter, q] = max(room.best[now, letter, q], best[j])
 
 
-@kernel
+@part
 def rarest(visits: Any, chance: float) -> int:
     """The choice taken least, ties broken by `chance` in [0, 1)."""
     least, ties = visits[0], 0
@@ -240,7 +241,7 @@ def rarest(visits: Any, chance: float) -> int:
     return 0
 
 
-@kernel
+@part
 def told(rules: Any, walked: Any, route: Any, t: int, s: Any, q: Any, chance: float) -> int:
     """What the plan says; −1 if nothing, or if it hoped for a choice that has been tried in the meantime.
 

@@ -128,7 +128,8 @@ class Belief:
 def gammas(seen: NDArray[np.int64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
     """Gamma(n) for each of `seen`, as n (1 − 1/9n + z/(3√n))³ with z normal [Wilson31], which is drawn much faster."""
     root = 1 - 1 / (9 * seen) + normal / (3 * np.sqrt(seen))
-    return np.maximum(seen * root * root * root, _LEAST)
+    drawn: NDArray[np.float64] = np.maximum(seen * root * root * root, _LEAST)
+    return drawn
 
 
 class Guide(Protocol):
