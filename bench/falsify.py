@@ -135,7 +135,7 @@ def table(quick: bool = False) -> list[str]:
     methods = [name for name in METHODS if name != "PSY-TaLiRo" or has_psy_taliro()]
     lines = [f"Budget {budget}, {seeds} seeds." + ("" if has_psy_taliro() else " PSY-TaLiRo is not installed."), ""]
     lines += ["| | " + " | ".join(methods) + " | factor |", "|---|" + "---:|" * (len(methods) + 1)]
-    factors = []
+    factors, slower = [], list[str]()
     for name in QUICK if quick else REQUIREMENTS:
         problem, medians, cells = Problem(name), [], []
         for method in methods:
@@ -144,8 +144,14 @@ def table(quick: bool = False) -> list[str]:
             shown = f"{medians[-1]:g}" if statistics.median(found) <= budget else f"> {budget}"
             cells.append(f"{shown} ({sum(one <= budget for one in found)}/{seeds})")
         factors.append(min(medians[1:]) / medians[0])
-        lines.append(f"| {name} | {' | '.join(cells)} | {factors[-1]:.2g} |")
-    return [*lines, "", f"The median of the factors is {statistics.median(factors):.3g}."]
+        lines.append(f"| {name} | {' | '.join(cells)} | {shown_factor(factors[-1])} |")
+        slower += [name] * (factors[-1] < 1)
+    other = f" Another method is faster on {', '.join(slower)}." if slower else ""
+    return [*lines, "", f"The median of the factors is {statistics.median(factors):.3g}.{other}"]
+
+
+def shown_factor(factor: float) -> str:
+    return f"{factor:.0f}" if factor >= 10 else f"{factor:.2g}"
 
 
 if __name__ == "__main__":
