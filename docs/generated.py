@@ -129,10 +129,14 @@ def entry(name: str, thing: Any, level: str) -> Iterator[str]:
 
 
 def members(thing: type) -> list[tuple[str, Any]]:
-    """Public methods and properties that a class defines itself and documents."""
+    """Public methods and properties that a class, or a part mixed into it, defines and documents."""
     fields = {field.name for field in dataclasses.fields(thing)} if dataclasses.is_dataclass(thing) else set()
     found = []
-    for name, value in vars(thing).items():
+    parts = [part for part in thing.__mro__[1:] if part.__bases__ == (object,) and "__init__" not in vars(part)]
+    values: dict[str, Any] = {}
+    for part in reversed([thing, *(part for part in parts if part.__module__.startswith("stltool"))]):
+        values |= vars(part)
+    for name, value in values.items():
         if name.startswith("_") or name in fields:
             continue
         value = value.__func__ if isinstance(value, classmethod | staticmethod) else value

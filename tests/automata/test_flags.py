@@ -97,7 +97,7 @@ def test_outside_the_fragment_the_paper_has_no_encoding():
 def test_sizes_are_refused_before_memory_is_taken():
     with pytest.raises(SizeError, match=r"1000000001 × 1000000001"):
         stl.compile_automaton(stl.parse("G[0,10^9) (F[0,10^9) a & F[0,10^9) b)"), "paper")
-    with pytest.raises(SettingsError, match="encoding is 'fast'; choose exact, paper or history"):
+    with pytest.raises(SettingsError, match="encoding is 'fast'; choose exact, paper, history, running or safety"):
         stl.compile_automaton(stl.parse("F[0,1] a"), "fast")
 
 

@@ -450,7 +450,7 @@ def test_other_bad_input_ends_with_code_2(stltool, tmp_path):
         (["check", PATROLLING, "-p", "TT=3"], "there is no param TT to override; did you mean T"),
         (["check", PATROLLING, "-p", "T=many"], "is not a number"),
         (["check", PATROLLING, "--task", "patrol"], "there is no definition patrol; did you mean patrolling"),
-        (["check", PATROLLING, "--encoding", "fast"], "encoding is 'fast'; choose exact, paper or history"),
+        (["check", PATROLLING, "--encoding", "fast"], "'fast'; choose exact, paper, history, running or safety"),
         (["check", PATROLLING, "--at-least", "1.2"], "a probability lies between 0 and 1"),
         (["check", no_model], "names no model; add a line such as"),
         (["check", no_model, "--model", row], "sum to 1.2, not 1"),
