@@ -30,6 +30,7 @@ def test_of_many_parameters_those_that_fit_are_kept_and_the_rest_is_for_soak(mon
     assert set(found["a.py::one"]) < set(cases)
     assert slow.beyond([*cases, *others], listed, cases=9) == {}
 
+    monkeypatch.delenv(slow._OUT, raising=False)
     monkeypatch.setattr(slow, "listed", lambda: listed)
     for more, args, kept in ((0.1, ["tests"], 2), (1, ["tests"], 20), (0.1, ["a.py::one"], 20)):
         monkeypatch.setattr(conftest, "MORE", more)
