@@ -151,16 +151,25 @@ def optima(model: stl.MDP, phi) -> tuple[Fraction, Fraction]:
 
 
 def enumerated_optimum(model: stl.MDP, phi, maximize: bool = True) -> Fraction:
-    """The same, literally: every deterministic history-dependent policy, one by one, each evaluated on all traces."""
+    """The same, literally: every deterministic history-dependent policy, one by one, each evaluated on all traces.
+
+    What it does in histories that begin where no run begins makes no difference.
+    """
     length = stl.horizon(phi) + 1
-    histories = [history for n in range(1, length) for history in itertools.product(range(model.n_states), repeat=n)]
+    starts = [s for s, p in initial(model) if p]
+    histories = [
+        (start, *rest)
+        for n in range(length - 1)
+        for start in starts
+        for rest in itertools.product(range(model.n_states), repeat=n)
+    ]
     options = [range(len(choices(model, history[-1]))) for history in histories]
     values = []
     for picks in itertools.product(*options):
         policy = dict(zip(histories, picks, strict=True))
         total = Fraction(0)
-        for trace in itertools.product(range(model.n_states), repeat=length):
-            p = dict(initial(model)).get(trace[0], Fraction(0))
+        for trace in itertools.product(starts, *[range(model.n_states)] * (length - 1)):
+            p = dict(initial(model))[trace[0]]
             for n in range(1, length):
                 p *= dict(choices(model, trace[n - 1])[policy[trace[:n]]]).get(trace[n], Fraction(0))
                 if p == 0:
