@@ -64,7 +64,14 @@ def test_a_table_is_as_wide_as_it_must_be(wide):
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"arithmetic": "double"}, {"exact": True}, {"engine": "words"}, {"engine": "words", "arithmetic": "double"}],
+    [
+        {},
+        {"exact": True},
+        *(
+            pytest.param(options, marks=pytest.mark.soak(only=True))  # whose kernels nobody else compiles
+            for options in ({"arithmetic": "double"}, {"engine": "words"}, {"engine": "words", "arithmetic": "double"})
+        ),
+    ],
     ids=str,
 )
 def test_the_optima(wide, options):

@@ -106,6 +106,7 @@ def test_calls_are_cut_into_blocks(monkeypatch):
         assert np.array_equal(getattr(found, name), getattr(whole, name)), name
 
 
+@pytest.mark.soak(only=True)
 def test_a_function_compiled_by_numba():
     numba = pytest.importorskip("numba")
 
