@@ -140,6 +140,13 @@ class Machine:
         if truth is not None:
             booleans = truth[1] if truth[0] is BOOLEANS else np.empty(truth[1].shape, dtype=np.bool_)
         unknown, far = predicate.judge(block.columns, booleans, margins, block.wide)
+        begins = self.program.begins.get(predicate.node)
+        if begins is not None and (far or unknown is not None):  # before, nobody looks at what these samples give
+            before = np.logical_not(block.columns[begins])
+            if margins is not None:
+                margins[before] = MARGINS.least
+            if unknown is not None:
+                unknown = unknown & ~before if (unknown & ~before).any() else None
         self.gaps |= far or unknown is not None
         if truth is None or booleans is None:
             return

@@ -143,7 +143,7 @@ def monitor(
     formula, traces, beyond = prepare(phi, read, end, "monitor")
     traces = replace(traces, first_step=start)
     truth, margins = semantics != "robustness", semantics != "boolean"
-    outs = [without_last(out, beyond) for out in judge(formula, traces, end, truth, margins)]
+    outs = [without_last(out, beyond) for out in judge(formula, traces, end, truth, margins, beyond)]
     if at is not None:
         outs = [out[:, at - start : at - start + 1] for out in outs]
     outs = outs if traces.batch else [out[0] for out in outs]
@@ -205,8 +205,10 @@ def without_last(out: NDArray[Any], n: int) -> NDArray[Any]:
     return out[:, : out.shape[1] - n]
 
 
-def judge(formula: Formula, traces: Traces, end: End, truth: bool, margins: bool) -> list[NDArray[Any]]:
-    """Verdicts, then margins, (n_traces, n_decided) each, as requested."""
+def judge(
+    formula: Formula, traces: Traces, end: End, truth: bool, margins: bool, beyond: int = 0
+) -> list[NDArray[Any]]:
+    """Verdicts, then margins, (n_traces, n_decided) each, as requested, the last `beyond` steps for nobody."""
     decided = decided_steps(traces, end)
     outs: list[NDArray[Any]] = [np.empty((traces.n_traces, decided), np.bool_)] * truth
     outs += [np.empty((traces.n_traces, decided))] * margins
@@ -221,7 +223,8 @@ def judge(formula: Formula, traces: Traces, end: End, truth: bool, margins: bool
             continue
         for out, found in zip(outs, machine.run(block), strict=True):
             if machine.gaps:
-                refuse_unknown(found, formula, traces, rows.start, first, end)
+                asked = found[:, : max(decided - beyond - first, 0)]
+                refuse_unknown(asked, formula, traces, rows.start, first, end)
             out[rows, first : first + found.shape[1]] = found > 0 if found.dtype == np.int8 else found
     return outs
 

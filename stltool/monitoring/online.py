@@ -174,7 +174,7 @@ class OnlineMonitor(Displayed):
             last = dict(zip(self._stream.names, kept[-1].tolist(), strict=True))
             held = [[{**last, **made}[name] for name in self._stream.names] for made in self._earlier.held()]
             kept = np.concatenate([kept, np.array(held, dtype=np.float64).reshape(-1, kept.shape[1])])
-        truth, margins = judge(self._judged, self._traces(kept, n - known), end, True, True)
+        truth, margins = judge(self._judged, self._traces(kept, n - known), end, True, True, len(kept) - known)
         open_ = slice(known - (n - first), known)
         found = zip(range(first, n), truth[0, open_].tolist(), margins[0, open_].tolist(), strict=True)
         return [Decision(*one) for one in found if self.wait or self._verdict(one[0]) is None]

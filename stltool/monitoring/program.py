@@ -18,7 +18,7 @@ values that are not read later; their memory can be reused.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Generic, Literal, NamedTuple, TypeAlias, TypeVar, assert_never
 
@@ -42,6 +42,7 @@ from stltool.logic.formula import (
     Trigger,
     Until,
     delay,
+    distinct,
 )
 from stltool.logic.shifts import Delayed, delayed
 from stltool.monitoring.comparisons import Predicate
@@ -76,11 +77,15 @@ class Instruction(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """The instructions, the last one being the formula itself, and the names it reads with their first positions."""
+    """The instructions, the last one being the formula itself, and the names it reads with their first positions.
+
+    begins  comparisons of earlier samples: the label that holds from the step on at which all of these exist
+    """
 
     instructions: tuple[Instruction, ...]
     variables: Mapping[str, Span | None]
     labels: Mapping[str, Span | None]
+    begins: Mapping[Comparison, str] = field(default_factory=dict)
 
     @property
     def horizon(self) -> int | None:
@@ -132,7 +137,12 @@ class Same(Generic[_T]):
 @lru_cache(maxsize=8)
 def _compile_delayed(key: Same[Formula], once: bool) -> tuple[Delayed, Program]:
     made = delayed(key.thing, once=once)
-    return made, compile_formula(made.formula)
+    begins: dict[Comparison, str] = {}
+    for node in distinct(made.formula) if made.starts else ():
+        match node:
+            case And((Label(name), Comparison() as comparison)) if name in made.starts:
+                begins[comparison] = name
+    return made, replace(compile_formula(made.formula), begins=begins)
 
 
 @lru_cache(maxsize=8)

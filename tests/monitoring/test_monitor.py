@@ -211,6 +211,22 @@ def test_a_term_without_value_names_trace_step_place_and_operands():
         stl.monitor(until, {"x": [1.0, 0, 1, 1], "y": ones[:4]}, "cut")
 
 
+@pytest.mark.parametrize(
+    "text", ["!once[2,2] (sqrt(y) <= 1)", "once[2,2] (sqrt(y) <= 1) | x > 0", "!(sqrt(x) > y[t-2])"]
+)
+def test_samples_before_the_trace_need_no_value(text):
+    """At the first two steps, there is none two steps before."""
+    phi, trace = stl.parse(text), {"y": [-2.0, -4.0], "x": [1.0, 2.0]}
+    wanted = [stl.robustness(phi, trace, t) for t in range(2)]
+    for size in (1, 1000):
+        with in_blocks(size):
+            found = stl.monitor(phi, trace)
+            assert found.robustness.tolist() == wanted
+            assert found.verdicts.tolist() == [margin > 0 for margin in wanted]
+    with pytest.raises(TraceError, match=r"^step 2: .* for the operands -2"):
+        stl.monitor(stl.parse("once[2,2] (sqrt(y) <= 1)"), {"y": [-2.0, 0.0, 0.0]})
+
+
 def test_margins_beyond_the_doubles():
     trace = {"x": [1e308, 1.0], "y": [-1e308, 1.0]}
     assert stl.monitor(stl.parse("x > y"), trace, semantics="boolean").verdicts.tolist() == [True, False]

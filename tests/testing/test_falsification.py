@@ -323,6 +323,7 @@ def test_an_exception_of_the_system_comes_with_the_inputs():
     assert "under the inputs {'a': 2." in raised.value.__notes__[0] or "{'a': 3.0}" in raised.value.__notes__[0]
 
 
+@pytest.mark.soak(only=True)
 def test_what_a_system_returns_besides_is_used_if_it_can_be():
     """Words, numbers, gaps, and a signal that is not always there, in all kinds of proposals."""
     calls = []
