@@ -21,7 +21,7 @@ import pytest
 
 LIST = Path(__file__).with_name("slow.txt")
 REST = 40.0  # processor seconds of all others
-CASES = 0.2  # of a slow test, in `make test`: the rest of its parameters is left to `make soak`
+CASES = 0.1  # of a slow test, in `make test`: the rest of its parameters is left to `make soak`
 KEPT = {"browser", "cluster", "processes"}  # fixtures whose processes go on after a test
 _OUT = "STLTOOL_SLOW_OUT"
 

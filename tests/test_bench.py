@@ -67,6 +67,7 @@ def test_quick_figures_are_printed_and_not_kept(run, monkeypatch, capsys):
     assert "largest" not in printed
 
 
+@pytest.mark.soak(only=True)
 def test_a_part_runs_in_its_own_process_and_says_when_and_where(run):
     lines = run.measured("parsing", quick=True).splitlines()
     assert lines[0].startswith("Measured on 2")

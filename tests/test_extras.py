@@ -87,6 +87,7 @@ for door in doors.values():
 """
 
 
+@pytest.mark.soak(only=True)
 def test_a_missing_package_is_told_with_its_extra(tmp_path):
     for name in ("trace.mcap", "trace.parquet", "model.prism"):
         (tmp_path / name).touch()

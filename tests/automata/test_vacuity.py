@@ -381,6 +381,7 @@ def test_what_is_too_large_for_automata_is_proved_nearby_where_it_can():
     assert vacuous == [("G[0,5] (b -> (F[0,5] b))", True), ("c & a", False)]
 
 
+@pytest.mark.soak(only=True)
 def test_what_is_too_large_for_both_is_said():
     found = meaning(stl.parse(f"{LARGE} & G[0,50] (a -> G[0,60] b)"))
     status = "not decided: whether G[0,50] (a -> (G[0,60] b)) is vacuous: its automaton has more than 5000 states"

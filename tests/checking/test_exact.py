@@ -240,6 +240,7 @@ def test_the_benchmarks_own_files(name, prop, text, maximize, short):
     approaches(stl.load_model(OUTSIDE / "qcomp" / f"{name}.tra"), text, maximize, value, short)
 
 
+@pytest.mark.soak(only=True)
 @needs_outside("qcomp")
 def test_the_models_written_anew_are_the_benchmarks(tmp_path):
     """The same sizes, and the same probabilities as fractions, as the published files."""

@@ -179,6 +179,7 @@ def test_of_equally_probable_runs_the_shorter_comes_first():
     assert [run.states for run in result.runs] == [(0, 2), (0, 1, 3)]
 
 
+@pytest.mark.soak(only=True)
 def test_networkx_finds_the_same(patrolling):
     """On the floor, under a policy that draws its actions: the 200 best paths of the graph of all (t, s, q, action)."""
     policy = random_policy(patrolling, np.random.default_rng(3), timed=True, mixed=True)

@@ -352,6 +352,7 @@ def test_engines_agree_with_a_dense_one(product, seed, question):
         assert one.probability == pytest.approx(float(dense_value), abs=1e-14)
 
 
+@pytest.mark.soak(only=True)
 def test_long_rows_are_sorted_too():
     rng = np.random.default_rng(3)
     inside = rng.dirichlet(np.ones(60), size=(2, 60))

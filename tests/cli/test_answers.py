@@ -56,6 +56,7 @@ def test_a_survival_function_falls_after_each_value():
     assert {"best", "given", "margin r", "P(robustness ≥ r)"} <= {text.text for text in picture.texts()}
 
 
+@pytest.mark.soak(only=True)
 def test_the_page_contrasts_the_best_policy_with_what_is_possible(stltool, tmp_path):
     """The headline of docs/robustness.md, on a smaller floor."""
     asked = ["check", MARGINS, *SMALL, "--robustness"]

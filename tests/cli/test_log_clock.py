@@ -54,6 +54,7 @@ def test_rows_that_are_no_steps_are_refused_with_the_ways_out(stltool, log, tmp_
     assert stltool("verify", task, "--resample", "hold")[0] == 1
 
 
+@pytest.mark.soak(only=True)
 def test_what_was_done_is_told_and_times_stand_beside_steps(stltool, log, tmp_path):
     path = log(t=[0, 0.1, 0.2, 0.3, 0.5], x=[1, 1, -1, -2, 4])
     code, out, _ = stltool("monitor", "G[0,0.1s] x > 0", path, "--step", "0.1s", "--resample", "hold")

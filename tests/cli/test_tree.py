@@ -17,6 +17,7 @@ def policy(tmp_path_factory):
     return path
 
 
+@pytest.mark.soak(only=True)
 def test_the_tree_is_printed_drawn_and_told(stltool, policy, tmp_path):
     code, out, _ = stltool("explain", PATROLLING, *SMALL, "--policy", policy, "--plot", tmp_path / "leaves.svg")
     assert code == 0

@@ -1,6 +1,7 @@
 """A policy as a file of plain Python acts as the policy does."""
 
 import ast
+import re
 import subprocess
 import sys
 
@@ -66,7 +67,8 @@ def test_it_acts_as_the_policy_in_every_situation(product, seed, timed, mixed):
             mine = own.act(model.state_name(s))
         except LookupError:  # a situation that no run comes to
             return
-        assert (own.verdict, own.step, own.remembered) == (runner.verdict, runner.step, runner.remembered or "nothing")
+        words = re.sub(r" \(\d+\)$", "", own.remembered)  # states that are told alike are numbered
+        assert (own.verdict, own.step, words) == (runner.verdict, runner.step, runner.remembered or "nothing")
         assert mixed or mine == action
 
 

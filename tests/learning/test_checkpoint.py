@@ -341,6 +341,7 @@ def test_a_checkpoint_changed_within_its_ranges_has_another_digest(small_product
         stl.learn(small_product, "cfer", checkpoint=path, resume=True, **settings)
 
 
+@pytest.mark.soak(only=True)
 def test_members_are_measured_before_they_are_unpacked(small_product, tmp_path, monkeypatch):
     """A small file whose member unpacks to 64 MB, and one that declares far more than it holds."""
     path, settings = tmp_path / "run.ckpt", {"seed": 3, "episodes": 6, "replays": 20}

@@ -148,6 +148,7 @@ def test_workers_end_with_who_asked(tmp_path):
         assert psutil.wait_procs(workers, timeout=20)[1] == []
 
 
+@pytest.mark.soak(only=True)
 def test_what_is_given_up_ends_at_once():
     """Closing the iterator ends processes in the middle of their work, and waits for none of it."""
     before = set(psutil.Process().children())

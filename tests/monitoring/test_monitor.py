@@ -362,6 +362,7 @@ def test_a_task():
     assert (result.formula, result.verdicts.tolist()) == (task.formula, [True, False])
 
 
+@pytest.mark.soak(only=True)
 def test_formulas_as_large_as_the_language_allows():
     rng = np.random.default_rng(0)
     x = rng.random(60)

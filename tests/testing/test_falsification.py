@@ -44,6 +44,7 @@ def test_what_only_the_extreme_input_violates_is_found(seed):
     assert result.points["u"].tolist() == [1.0] * 5
 
 
+@pytest.mark.soak(only=True)
 @pytest.mark.parametrize("method", METHODS)
 def test_what_no_input_violates_ends_with_the_budget(method):
     system = Integrator()

@@ -418,6 +418,7 @@ def test_files_that_are_none(tmp_path, write):
             stl.load_trace(tmp_path / f"folder{ending}")
 
 
+@pytest.mark.soak(only=True)
 def test_what_would_not_fit_is_refused_before_it_is_read(tmp_path, write, monkeypatch):
     """The memory asked for follows the columns that are read; of npz and Parquet it is known exactly."""
     asked = []
