@@ -27,6 +27,7 @@ from stltool.arguments import flag, function, one_of
 from stltool.automata import FALSE, TRUE, UNDECIDED
 from stltool.checking.bounds import around, can_underflow, compounded, defect, roundings, row_defect
 from stltool.checking.check import undefined
+from stltool.checking.enclosed import enclosed_rows
 from stltool.checking.induction import (
     EVERYTHING,
     Arithmetic,
@@ -49,13 +50,12 @@ from stltool.checking.rational import require_exact, require_room
 from stltool.display import Card, Displayed
 from stltool.errors import PolicyError, SettingsError
 from stltool.models.rows import Rows, least_positive
-from stltool.numbers import fraction_text, round_down, round_up
+from stltool.numbers import round_down, round_up
 from stltool.policy import Policy, require_door
 from stltool.product import Product
 
 Until: TypeAlias = Literal["verdict", "horizon"]
 _LARGEST = 1e100  # over the horizon
-_LONGEST = 60  # characters of a fraction in a short description
 _U, _UNDERFLOW = Fraction(1, 2**53), Fraction(1, 2**1073)
 _SUMMED = 1 + Fraction(1, 2**50)  # the largest cost of a step is a sum of doubles, itself rounded
 
@@ -88,13 +88,7 @@ class ExpectedCost(Displayed):
         ends = "until the verdict" if self.until == "verdict" else f"over {self.product.horizon} steps"
         return Card(
             f"ExpectedCost: E[{self.cost}] = {self.value!r}, {asked}, {ends}",
-            [
-                {
-                    "bounds": f"[{self.lower!r}, {self.upper!r}]",
-                    "exactly": fraction_text(self.fraction, _LONGEST) if self.fraction is not None else None,
-                },
-                {"task": f"{self.product.task_name} := {self.product.formula}", "model": self.product.model.name},
-            ],
+            enclosed_rows(self.product, self.lower, self.upper, self.fraction),
         )
 
 

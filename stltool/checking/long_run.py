@@ -40,7 +40,7 @@ from stltool.arguments import flag, one_of
 from stltool.automata import Encoding
 from stltool.checking.averages import Game, Row, exact_average, exact_total, greatest_average, greatest_total
 from stltool.checking.bounds import defect, row_defect
-from stltool.checking.enclosed import Enclosed
+from stltool.checking.enclosed import Enclosed, enclosed_rows
 from stltool.checking.rational import require_exact
 from stltool.checking.recurrent import (
     Bools,
@@ -54,14 +54,13 @@ from stltool.checking.recurrent import (
 )
 from stltool.display import Card, Displayed
 from stltool.errors import InexactEncodingWarning, PolicyError
-from stltool.numbers import fraction_text, round_down, round_up
+from stltool.numbers import round_down, round_up
 from stltool.policy import Policy, require_door
 from stltool.product import JointProduct, Product, build_product
 
 Question: TypeAlias = Literal["share", "always", "recurrence", "persistence"]
 QUESTIONS: tuple[Question, ...] = get_args(Question)
 _OPPOSITE: dict[Question, Question] = {"share": "share", "recurrence": "persistence", "persistence": "recurrence"}
-_LONGEST = 60  # characters of a fraction in a short description
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -93,13 +92,7 @@ class LongRun(Displayed, Enclosed):
         asked = "of the policy" if self.question == "policy" else f"{self.question} over all policies"
         return Card(
             f"LongRun: {self.asked} = {self.value!r}, {asked}",
-            [
-                {
-                    "bounds": f"[{self.lower!r}, {self.upper!r}]",
-                    "exactly": fraction_text(self.fraction, _LONGEST) if self.fraction is not None else None,
-                },
-                {"task": f"{self.product.task_name} := {self.product.formula}", "model": self.product.model.name},
-            ],
+            enclosed_rows(self.product, self.lower, self.upper, self.fraction),
         )
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast, get_args
 
 from stltool.arguments import one_of
+from stltool.cli.bounds import WITH_EXACT, Asked, conclude
 from stltool.errors import SettingsError
 from stltool.numbers import NumberError, bound_texts, fraction_text, number_text, read, within_text
 from stltool.streams import say
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 
 _LONGEST_FRACTION = 40  # characters in a table
-_VERDICTS = {True: "holds", False: "does not hold", None: "undecided: the bound lies inside the enclosure; add --exact"}
 
 
 def check_cost(product: Product, policy: Policy | None, cost: str, until: str, exact: bool, as_json: bool) -> None:
@@ -97,18 +97,15 @@ def check_within(
     assert lower is not None
     assert upper is not None
     for option, text, bound in bounds:
-        below = option == "--at-least"
-        data["at_least" if below else "at_most"] = float(bound)
-        sure, never = (lower >= bound, upper < bound) if below else (upper <= bound, lower > bound)
-        verdicts.append(True if sure else False if never else None)
-        facts[f"P {'>=' if below else '<='} {text} with {cost} <= {number_text(budget)}"] = _VERDICTS[verdicts[-1]]
-        if below:
+        given = Asked(option, text, bound, data)
+        verdicts.append(given.judge(lower, upper))
+        facts[f"P {given.text} with {cost} <= {number_text(budget)}"] = WITH_EXACT[verdicts[-1]]
+        if given.below:
             smallest = found.smallest(bound)
             known = number_text(smallest) if smallest is not None else f"more than {number_text(budget)}"
             facts[f"smallest budget with P >= {text}"] = known
     if verdicts:
-        data["holds"] = all(verdict is True for verdict in verdicts)
-        data["decided"] = all(verdict is not None for verdict in verdicts)
+        conclude(verdicts, data)
     if as_json:
         print_json(data)
         return data.get("holds", True)

@@ -8,6 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from stltool.cli.bounds import WITH_EXACT, Asked, conclude
 from stltool.cli.options import ModelReading
 from stltool.cli.steps import bind, given_policy, load_with_model
 from stltool.errors import PolicyError, SettingsError
@@ -24,7 +25,6 @@ _MEANING = {
     "persistence": "P that it holds at every step from some step on",
 }
 _LONGEST_FRACTION = 40  # characters in a table
-_VERDICTS = {True: "holds", False: "does not hold", None: "undecided: the bound lies inside the enclosure; add --exact"}
 
 
 def read_questions(text: str, single: Sequence[str]) -> tuple[Question, ...]:
@@ -93,14 +93,11 @@ def check_for_ever(
     facts: dict[str, object] = {}
     verdicts = []
     for option, text, bound in bounds:
-        below = option == "--at-least"
-        holds = judged.at_least(bound) if below else judged.at_most(bound)
-        verdicts.append(holds)
-        data["at_least" if below else "at_most"] = float(bound)
-        facts[f"{_of(judged)} of {judged.asked} {'>=' if below else '<='} {text}"] = _VERDICTS[holds]
+        given = Asked(option, text, bound, data)
+        verdicts.append(given.judge(*judged.ends))
+        facts[f"{_of(judged)} of {judged.asked} {given.text}"] = WITH_EXACT[verdicts[-1]]
     if verdicts:
-        data["holds"] = all(holds is True for holds in verdicts)
-        data["decided"] = all(holds is not None for holds in verdicts)
+        conclude(verdicts, data)
     if as_json:
         print_json(data)
         return data.get("holds", True)

@@ -7,6 +7,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from stltool.cli.bounds import VERDICTS, Asked, conclude
 from stltool.cli.steps import this_command
 from stltool.errors import SettingsError
 from stltool.logic.timing import Reading
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
     from stltool.models import MDP
     from stltool.policy import Policy
     from stltool.reporting.records import RobustnessRecord, TimingRecord
-
-_VERDICTS = {True: "holds", False: "does not hold", None: "undecided: the bound lies inside the enclosure"}
 
 
 def read_margin(text: str) -> float:
@@ -124,15 +123,11 @@ def _judge(
     """Whether every bound holds on every enclosure, by what it is of; the verdicts are added to data and facts."""
     verdicts: list[bool | None] = []
     for option, text, bound in bounds:
-        below = option == "--at-least"
-        data["at_least" if below else "at_most"] = float(bound)
-        for of, (lower, upper) in found.items():
-            sure, never = (lower >= bound, upper < bound) if below else (upper <= bound, lower > bound)
-            verdicts.append(True if sure else False if never else None)
-            facts[f"P {'>=' if below else '<='} {text}{of}"] = _VERDICTS[verdicts[-1]]
-    data["holds"] = all(verdict is True for verdict in verdicts)
-    data["decided"] = all(verdict is not None for verdict in verdicts)
-    return data["holds"]
+        asked = Asked(option, text, bound, data)
+        for of, ends in found.items():
+            verdicts.append(asked.judge(*ends))
+            facts[f"P {asked.text}{of}"] = VERDICTS[verdicts[-1]]
+    return conclude(verdicts, data)
 
 
 _READINGS: dict[Reading, tuple[str, str]] = {

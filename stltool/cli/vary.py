@@ -6,6 +6,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from stltool.cli.bounds import VERDICTS
 from stltool.cli.steps import this_command
 from stltool.errors import SettingsError
 from stltool.numbers import NumberError, bound_texts, most_text, number_text, read
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from stltool.policy import Policy
     from stltool.product import Product
 
-_VERDICTS = {True: "holds", False: "does not hold", None: "undecided: the bound lies inside the enclosure"}
 _LONGEST = 400  # characters of a polynomial that are printed
 
 
@@ -81,7 +81,7 @@ def check_range(
         f"{'piece' if len(found.pieces) == 1 else 'pieces'}; {found.status}",
         **({"one policy optimal": alone} if policy is None else {}),
         **_exactly(found),
-        **{claim: _VERDICTS[holds] for claim, holds in verdicts.items()},
+        **{claim: VERDICTS[holds] for claim, holds in verdicts.items()},
         **({"smallest": smallest_text(data)} if "smallest" in data else {}),
         **({"plot": plot} if plot is not None else {}),
         **({"report": report / "report.html"} if report is not None else {}),
