@@ -46,7 +46,7 @@ from stltool.logic.formula import (
 )
 from stltool.logic.occurrences import occurrences, with_replaced
 from stltool.logic.rewrite import OPPOSITE, simplify
-from stltool.logic.shifts import delayed
+from stltool.logic.shifts import Delayed, delayed
 from stltool.logic.task import Task
 
 MOST_EFFORT = 60_000  # states times letters explored: about a second
@@ -213,7 +213,8 @@ def meaning(
     letters; `status` reports what it left open. Raises StlSyntaxError for a formula without a horizon, and
     SettingsError for valuations of the wrong shape.
     """
-    phi = delayed(bounded_formula_of(phi, "meaning's formula")).formula
+    made = delayed(bounded_formula_of(phi, "meaning's formula"))
+    phi = made.formula
     most_effort = whole(most_effort, "most_effort", least=0)
     if valuations is not None:
         valuations = truth_table(valuations, len(leaves(phi)), "leaves(formula)")
@@ -221,14 +222,15 @@ def meaning(
     if n > _MOST_PLACES:
         status = f"not decided: the formula has {n} operators and operands, more than {_MOST_PLACES}"
         return Meaning(phi, None, None, None, None, False, None, (), status)
-    return _Question(phi, valuations, most_effort).answer()
+    return _Question(made, valuations, most_effort).answer()
 
 
 class _Question:
     """One formula, the letters that it may read, and the remaining effort."""
 
-    def __init__(self, phi: Formula, valuations: NDArray[np.bool_] | None, most_effort: int) -> None:
-        self.phi = phi
+    def __init__(self, made: Delayed, valuations: NDArray[np.bool_] | None, most_effort: int) -> None:
+        self.phi = phi = made.formula
+        self.shown = made.shown
         self.simple = simplify(phi)
         self.places = occurrences(phi)
         self.leaves = leaves(phi)
@@ -247,7 +249,8 @@ class _Question:
         because: tuple[Formula, bool] | None = None
         vacuous: tuple[VacuousPart, ...] = ()
         if False in can:
-            because = self._smallest_constant(can[TRUE] is True)
+            part, value = self._smallest_constant(can[TRUE] is True)
+            because = self.shown(part), value
         elif all(can):
             vacuous = self._vacuous()
         return Meaning(
@@ -277,7 +280,7 @@ class _Question:
             self._open.extend(f"whether the task can {word}: {refusal}" for word in words)
             return can, [self._made_up(verdict) for verdict in both], False
         if not all(can):
-            return can, [Example(self.leaves, ()) if sure else None for sure in can], True
+            return can, [self._told(()) if sure else None for sure in can], True
         try:
             return can, [self._shortest(reachable, letters, verdict) for verdict in both], True
         except SizeError:
@@ -299,7 +302,7 @@ class _Question:
             if told and told[-1][0] == truth:
                 count += told.pop()[1]
             told.append((truth, count))
-        return Example(self.leaves, tuple(told))
+        return Example(tuple(map(self.shown, self.leaves)), tuple(told))
 
     # ------------------------------------------------------------------------------------------ automata
 
@@ -439,7 +442,7 @@ class _Question:
                 return refusal
             if same:
                 uses = sum(other.formula is place.formula for other in self.places)
-                return VacuousPart(place.formula, place.path, uses, constant, changed)
+                return VacuousPart(self.shown(place.formula), place.path, uses, constant, self.shown(changed))
         return refused
 
     def _changed(self, i: int, path: tuple[int, ...], constant: bool) -> Formula:

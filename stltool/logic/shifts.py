@@ -96,6 +96,26 @@ class Delayed:
         """The greatest number of steps, 0 if there are none."""
         return max((steps for _, steps in self.signals.values()), default=0)
 
+    def shown(self, phi: Formula) -> Formula:
+        """Part of the formula as it is written: x[t-3] for the signal that holds earlier samples of x."""
+
+        def read(variable: Variable) -> Variable:
+            name, steps = self.signals.get(variable.name, (variable.name, 0))
+            return Variable(name, steps, span=variable.span)
+
+        def of_earlier(node: Formula) -> Comparison | None:
+            match node:
+                case And((Once(_, Constant(True)), Comparison() as c)) | (Comparison() as c):
+                    return c if any(v.name in self.signals for v in read_by(c)) else None
+            return None
+
+        def restored(node: Formula) -> Formula:
+            c = of_earlier(node)
+            assert c is not None
+            return with_variables(c, read)
+
+        return replaced(phi, lambda node: of_earlier(node) is not None, restored)
+
 
 def delayed(phi: Formula, once: bool = False) -> Delayed:
     """φ with a signal for every earlier sample, and once[k,k] true in front of each comparison that needs it to exist.

@@ -326,6 +326,18 @@ def test_the_shortest_examples():
 # ------------------------------------------------------------------------------------------- bounds
 
 
+def test_samples_of_other_steps_are_told_as_they_are_written():
+    told = meaning(stl.parse("F[0,2] (x[t-1] < x)"))
+    assert str(told.holds) == "!(x[t-1] < x) for 1 step; x[t-1] < x for 1 step"
+    assert str(told.fails) == "!(x[t-1] < x) for 3 steps"
+    [part] = meaning(stl.parse("G[0,3] (x[t+1] > x & (x[t+1] > x | x > 7))")).vacuous
+    assert (str(part.part), str(part.formula)) == ("(F[1,1] (x > x[t-1])) | x > 7", "G[1,4] (x > x[t-1])")
+    [part] = meaning(stl.parse("F[0,3] (x[t-1] > x & (x[t-1] > x | b))")).vacuous
+    assert (str(part.part), str(part.formula)) == ("x[t-1] > x | b", "F[0,3] (x[t-1] > x)")
+    never = meaning(stl.parse("a & (x[t+2] > x & x[t+2] <= x)"))
+    assert str(never.because[0]) == "(F[2,2] (x > x[t-2])) & (F[2,2] (x <= x[t-2]))"
+
+
 def test_long_windows_cost_what_their_states_do():
     found = meaning(stl.parse("G[0,100000000000000] a & F[0,5] b & F[0,99999999999999] a"))
     assert found.holds.n_steps == 10**14 + 1
