@@ -3,7 +3,8 @@
 table    the paper's scenarios with its environment steps (episodes × (T + τ)); the model-based learner may use 1/50 of
          them, the model-free one 1/20: the most steps taken, least … greatest P / P*, how many seeds reach 0.99
 beyond   families beyond the paper's floor (bench/families.py), beside posterior sampling and UCBVI on the same product
-         (bench/baselines.py): median and least P / P* of so many seeds
+         (bench/baselines.py): median and least P / P* of so many seeds, and for each of ours the mean difference to the
+         better of the two, seed by seed, with its standard error
 
 The seeds are drawn anew each time and printed; `--draw N` repeats a draw. `python bench/goals.py` prints the first
 table, `python bench/goals.py beyond` the second; names of scenarios or families, and `--seeds N`, make it shorter.
@@ -19,6 +20,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 import stltool as stl
 
@@ -102,6 +104,11 @@ def ratio(family: str, method: str, seed: int) -> float:
     return probability / stl.check(product).probability
 
 
+def difference(by_seed: NDArray[np.float64]) -> str:
+    """The mean and its standard error."""
+    return f"{by_seed.mean():+.4f} ± {by_seed.std(ddof=1) / np.sqrt(len(by_seed)):.4f}".replace("-", "−")
+
+
 def beyond(
     quick: bool = False, names: list[str] | None = None, n: int = BEYOND, entropy: int | None = None
 ) -> list[str]:
@@ -109,19 +116,20 @@ def beyond(
     import families
 
     seeds, drawn = draw(2 if quick else n, entropy)
-    lines = [
-        "| family | steps | seeds | " + " | ".join(f"{method}: median, least" for method in baselines.METHODS) + " |",
-        "|---|---|---|" + "---|" * len(baselines.METHODS),
-    ]
+    titles = [f"{method}: median, least" for method in baselines.METHODS]
+    titles += [f"{method} − the better of the two" for method in SHARE]
+    lines = ["| family | steps | seeds | " + " | ".join(titles) + " |", "|---|---|---|" + "---|" * len(titles)]
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         for family in names or (["three states", "random, 10 states"] if quick else families.FAMILIES):
             one = families.FAMILIES[family]
             methods = [method for method in baselines.METHODS if method not in one.without]
             jobs = {m: [pool.submit(ratio, family, m, seed) for seed in seeds[: one.seeds]] for m in methods}
-            found = {method: [job.result() for job in some] for method, some in jobs.items()}
+            found = {method: np.array([job.result() for job in some]) for method, some in jobs.items()}
             cells = [
-                f"{np.median(found[m]):.4f}, {min(found[m]):.4f}" if m in found else "–" for m in baselines.METHODS
+                f"{np.median(found[m]):.4f}, {found[m].min():.4f}" if m in found else "–" for m in baselines.METHODS
             ]
+            better = max((ratios for m, ratios in found.items() if m not in SHARE), key=np.mean)
+            cells += [difference(found[m] - better) if m in found else "–" for m in SHARE]
             lines.append(f"| {family} | {one.steps} | {min(len(seeds), one.seeds)} | " + " | ".join(cells) + " |")
             print(lines[-1], file=sys.stderr, flush=True)
     return [*lines, "", drawn]
