@@ -4,7 +4,7 @@ numba's own calls convert arguments and results, which takes longer than a sampl
 of a C function of Python, f(self, arguments, their number, names of keywords) → object, and uses the functions of
 Python's C API; `bound` makes a built-in function of it, whose `self` is a tuple:
 
-    address of the root (streams.py), dict, float, bool, True, False, None, Decision, Decisions, "_codes",
+    address of the root (streams.py), dict, float, bool, True, False, None, Decision, Decisions, "_runs",
     the method for all else, names …
 
 Whatever is not a dict of floats and truth values, or is refused, goes to that method, with nothing changed. Objects of
@@ -30,7 +30,7 @@ from stltool.kernels import streams as k
 from stltool.kernels.streams import _doubles, _integers, _sets, entry, part
 from stltool.kernels.told import FULL, NOTHING, REFUSED
 
-ROOT, DICT, FLOAT, BOOL, TRUE, FALSE, NONE, DECISION, DECISIONS, CODES, METHOD, NAMES = range(12)  # items of `self`
+ROOT, DICT, FLOAT, BOOL, TRUE, FALSE, NONE, DECISION, DECISIONS, RUNS, METHOD, NAMES = range(12)  # items of `self`
 _object, _size, _int = types.intp, types.intp, types.int32
 
 
@@ -125,14 +125,14 @@ def feed_sample(given: int, arguments: int, n: int, keywords: int) -> Any:
         return found
     if code in (REFUSED, FULL):
         return _called(method, arguments, 1, 0)
-    # more than one: their codes, which are decoded when they are looked at
-    codes = _bytes(8 * N[k.TOLD_NOW] + t[0], 8 * N[k.TOLD])
-    if codes == 0:
-        return codes
+    # more than one: runs of them, which are decoded when they are looked at
+    runs = _bytes(8 * N[k.TOLD_NOW] + t[0], 16 * N[k.TOLD])
+    if runs == 0:
+        return runs
     found = _allocated(_tuple_item(given, DECISIONS), 0)
     if found != 0:
-        _set_attribute(found, _tuple_item(given, CODES), codes)
-    _drop(codes)
+        _set_attribute(found, _tuple_item(given, RUNS), runs)
+    _drop(runs)
     return found
 
 

@@ -34,13 +34,13 @@ U64: TypeAlias = NDArray[np.uint64]
 # the header of N: numbers
 TIME, BASE, ROOM, HORIZON, BACK, RESULT, WAITS, ENGINE, TOLD, START, ACTIVE, SLOTS = range(12)
 # sizes of tables
-N_NAMES, N_ATOMS, N_NODES, N_KEPT, N_VERDICTS, N_LEAVES, N_STATES, N_OPS, N_WORDS, N_LANES = range(12, 22)
+N_NAMES, N_ATOMS, N_NODES, N_KEPT, N_STARTS, N_LEAVES, N_STATES, N_OPS, N_WORDS, N_LANES = range(12, 22)
 # where tables begin: in N
 NAMES, ATOMS, TRUTH, NODES, COUNTERS, MARK, VERDICT, TOLD_NOW = range(22, 30)
 LETTER, LEAVES, DELTA, FIRST, OUTCOME, LISTS, FOLLOWING, CLOSED, OPEN_STATES, PROGRAM = range(30, 40)
 # in F, in B
 VALUES, NUMBERS, GIVEN, MARGIN, RING, KEPT, KNOWN, LANES = range(40, 48)
-STARTS, BEGINS, N_STARTS = range(48, 51)  # tables of N, and their length
+STARTS, BEGINS, LAST = range(48, 51)  # in N
 HEADER = 51
 ROOT = 7  # length of the table of addresses
 
@@ -58,8 +58,8 @@ OP_ATOM, OP_NOT, OP_AND, OP_OR, OP_IFF, OP_EVENTUALLY, OP_ALWAYS, OP_UNTIL, OP_O
 )
 LIST_ROWS = 6
 
-part = functools.partial(jit.part, counts=False)
-part = functools.partial(jit.part, counts=False)
+OPEN, SAME = 0, 3  # in VERDICT, beside 1 and 2 for false and true: SAME as of the step before
+
 part = functools.partial(jit.part, counts=False)
 kernel = functools.partial(jit.kernel, counts=False)
 entry = functools.partial(jit.kernel, counts=False, lock=True)
@@ -229,12 +229,16 @@ def run_network(N: I64, F: F64) -> None:
 
 @part
 def _decide(N: I64, t: int, value: int, told: int) -> int:
-    """Note the verdict of the step at time t, 1 or 2 for false or true; returns the number of those told now."""
-    N[N[VERDICT] + (t & (N[N_VERDICTS] - 1))] = value
-    if N[WAITS] == 0:
-        N[N[TOLD_NOW] + told] = _code(N, t, value)
-        told += 1
-    return told
+    """Note the verdict of the step at time t, 1 or 2 for false or true; returns the number of runs told now."""
+    N[N[VERDICT] + (t & (N[SLOTS] - 1))] = value
+    if N[WAITS] != 0:
+        return told
+    at, code = N[TOLD_NOW] + 2 * told, _code(N, t, value)
+    if told > 0 and N[at - 2] + (N[at - 1] << 3) == code:
+        N[at - 1] += 1
+        return told
+    N[at], N[at + 1] = code, 1
+    return told + 1
 
 
 @part
@@ -260,71 +264,84 @@ def _begin(N: I64, letter: int) -> Any:
 
 
 @part
+def _append(N: I64, tail: int, x: int) -> int:
+    """Append the run that begins at x to the one that begins at `tail`; returns where the last one then begins."""
+    mask = N[SLOTS] - 1
+    at = tail & mask
+    if N[N[LAST] + at] + 1 != x:
+        N[N[FOLLOWING] + at] = x
+        return x
+    N[N[LAST] + at], N[N[FOLLOWING] + at] = N[N[LAST] + (x & mask)], N[N[FOLLOWING] + (x & mask)]
+    N[N[VERDICT] + (x & mask)] = SAME
+    return tail
+
+
+@part
 def run_coalesced(N: I64, told: int) -> int:
-    """Lists of starts by state, the oldest first.
+    """Lists of starts by state, the oldest first, in runs of neighbours: FOLLOWING has where the next run begins, LAST
+    where this one ends.
 
     Two starts in one state stay together, and as a state is decided from some clock on, only the head of a list can be
-    decided: a sample costs as much as there are states with starts, amortised.
+    decided: a sample costs as much as there are states with starts, amortised. A run is decided, and told, as a whole.
     """
     time, mask, n, wide = N[TIME], N[SLOTS] - 1, N[ACTIVE], N[N_STATES] + 1
     letter = _letter(N)
-    row, after, first, outcome = N[DELTA] + letter * N[N_STATES], N[FOLLOWING], N[FIRST], N[OUTCOME]
-    # read once, not for each decision (see _decide): the compiler cannot know that no table overlaps the header
-    verdicts, last_verdict, told_now = N[VERDICT], N[N_VERDICTS] - 1, N[TOLD_NOW]
-    waits, base = N[WAITS] != 0, N[BASE]
+    row, after, lasts = N[DELTA] + letter * N[N_STATES], N[FOLLOWING], N[LAST]
+    first, outcome, verdicts = N[FIRST], N[OUTCOME], N[VERDICT]
     head, tail, active = N[LISTS], N[LISTS] + wide, N[LISTS] + 2 * wide
     to_head, to_tail, to_active = head + 3 * wide, tail + 3 * wide, active + 3 * wide
-    q, slot = _begin(N, letter), time & mask
-    N[after + slot] = -1
+    q = _begin(N, letter)
+    N[after + (time & mask)], N[lasts + (time & mask)] = -1, time
     if N[head + q] < 0:
-        N[active + n], N[head + q] = q, slot
+        N[active + n], N[head + q], N[tail + q] = q, time, time
         n += 1
     else:
-        N[after + N[tail + q]] = slot
-    N[tail + q] = slot
+        N[tail + q] = _append(N, N[tail + q], time)
     m = 0
     for i in range(n):
         q = N[active + i]
         x, end, to = N[head + q], N[tail + q], N[row + q]
         N[head + q] = -1
-        from_clock, value = N[first + to], N[outcome + to]
-        while x >= 0:
-            t = time - ((time - x) & mask)
-            if time - t < from_clock:
-                break
-            N[verdicts + (t & last_verdict)] = value
-            if not waits:
-                N[told_now + told] = (base + t) << 3 | (value - 1) << 1 | 1
+        newest, value = time - N[first + to], N[outcome + to]
+        while 0 <= x <= newest:
+            last, following = N[lasts + (x & mask)], N[after + (x & mask)]
+            N[verdicts + (x & mask)] = value
+            if N[WAITS] == 0:
+                at = N[TOLD_NOW] + 2 * told
+                N[at], N[at + 1] = _code(N, x, value), min(last, newest) - x + 1
                 told += 1
-            x = N[after + x]
+            if last > newest:  # the rest is a run of its own
+                N[after + ((newest + 1) & mask)], N[lasts + ((newest + 1) & mask)] = following, last
+                N[verdicts + ((newest + 1) & mask)] = OPEN
+                following, end = newest + 1, newest + 1 if end == x else end
+            x = following
         if x < 0:
             continue
         y, y_end = N[to_head + to], N[to_tail + to]
         if y < 0:
             N[to_active + m], N[to_head + to], N[to_tail + to] = to, x, end
             m += 1
-        elif (time - y_end) & mask > (time - x) & mask:  # all of the other list are older
-            N[after + y_end], N[to_tail + to] = x, end
-        elif (time - end) & mask > (time - y) & mask:
-            N[after + end], N[to_head + to] = y, x
+            continue
+        if x > N[lasts + (y_end & mask)]:  # all of the other list are older
+            left = y_end
+        elif y > N[lasts + (end & mask)]:
+            N[to_head + to] = x
+            left, x, end = end, y, y_end
         else:  # they interleave
-            last = np.int64(-1)
+            left = np.int64(-1)
             while x >= 0 and y >= 0:
-                if (time - x) & mask > (time - y) & mask:
-                    oldest = x
-                    x = N[after + x]
+                if x > y:
+                    x, y, end, y_end = y, x, y_end, end
+                following = N[after + (x & mask)]
+                if left < 0:
+                    N[to_head + to] = left = x
                 else:
-                    oldest = y
-                    y = N[after + y]
-                if last < 0:
-                    N[to_head + to] = oldest
-                else:
-                    N[after + last] = oldest
-                last = oldest
-            if x >= 0:
-                N[after + last], N[to_tail + to] = x, end
-            else:
-                N[after + last] = y
+                    left = _append(N, left, x)
+                x = following
+            if x < 0:
+                x, end = y, y_end
+        now = _append(N, left, x)
+        N[to_tail + to] = now if end == x else end
     for i in range(m):
         q = N[to_active + i]
         N[active + i], N[head + q], N[tail + q] = q, N[to_head + q], N[to_tail + q]
@@ -503,16 +520,16 @@ def run_structure(N: I64, B: U64, told: int) -> int:
 def advance(N: I64, F: F64, B: U64) -> Any:
     """Read the sample in VALUES (and GIVEN); see the module docstring.
 
-    Returns the code of a single decision (`_code`) or what told.py lists: SEVERAL if the codes of N[TOLD] decisions are
-    in TOLD_NOW.
+    Returns the code of a single decision (`_code`) or what told.py lists: SEVERAL if TOLD_NOW has N[TOLD] runs of
+    decisions, of each the code of its first step and the number of its steps.
     """
     time, horizon = N[TIME], N[HORIZON]
     if time >= N[ROOM]:
         return FULL
     if not evaluate(N, F):
         return REFUSED
-    verdict, mask = N[VERDICT], N[N_VERDICTS] - 1
-    N[verdict + (time & mask)] = 0
+    verdict, mask = N[VERDICT], N[SLOTS] - 1
+    N[verdict + (time & mask)] = OPEN
     if N[WAITS] != 0:
         run_network(N, F)
     if N[ENGINE] == COALESCED:
@@ -521,6 +538,9 @@ def advance(N: I64, F: F64, B: U64) -> Any:
         told = run_each(N, 0)
     else:
         told = run_structure(N, B, 0)
+    oldest = verdict + ((time - horizon) & mask)  # whose run may begin where the next sample is noted
+    if time >= horizon and N[oldest] == SAME:
+        N[oldest] = N[verdict + ((time - horizon - 1) & mask)]
     names = N[N_NAMES]
     kept = N[KEPT] + (time & (N[N_KEPT] - 1)) * names
     for i in range(names):
@@ -528,10 +548,10 @@ def advance(N: I64, F: F64, B: U64) -> Any:
     code = NOTHING
     if N[WAITS] != 0:
         if time >= horizon:
-            code = _code(N, time - horizon, N[verdict + ((time - horizon) & mask)])
-    elif told == 1:
+            code = _code(N, time - horizon, N[oldest])
+    elif told == 1 and N[N[TOLD_NOW] + 1] == 1:
         code = N[N[TOLD_NOW]]
-    elif told > 1:
+    elif told > 0:
         code = SEVERAL
     N[TIME], N[TOLD] = time + 1, told
     return code
@@ -559,9 +579,10 @@ def advance_all(
             return -1 - i
         if code == SEVERAL:
             for k in range(N[TOLD]):
-                told = N[N[TOLD_NOW] + k]
-                steps[count], verdicts[count] = told >> 3, told >> 1 & 1
-                count += 1
+                code, length = N[N[TOLD_NOW] + 2 * k], N[N[TOLD_NOW] + 2 * k + 1]
+                for step in range(code >> 3, (code >> 3) + length):
+                    steps[count], verdicts[count] = step, code >> 1 & 1
+                    count += 1
         elif code != NOTHING:
             steps[count], verdicts[count] = code >> 3, code >> 1 & 1
             count += 1

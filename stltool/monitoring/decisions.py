@@ -36,26 +36,30 @@ class Decisions(Displayed, Sequence[Decision]):
     robustness  (n,) float64; NaN if it was not waited for
     """
 
-    # _codes are what one sample decides, 64-bit codes in any order (kernels/streams.py). They are decoded when looked
-    # at, since making a hundred objects takes longer than deciding a hundred steps.
-    __slots__ = ("_codes", "_decoded")
-    _codes: bytes
+    # _runs are what one sample decides, in any order: for neighbours with one verdict the first one's code and their
+    # number (kernels/streams.py), 64 bits each. They are decoded when looked at, since making a hundred objects takes
+    # longer than deciding a hundred steps.
+    __slots__ = ("_decoded", "_runs")
+    _runs: bytes
     _decoded: _Arrays
 
     def __init__(self, steps: NDArray[np.int64], verdicts: NDArray[np.bool_], robustness: NDArray[np.float64]) -> None:
         self._decoded = steps, verdicts, robustness
 
     @classmethod
-    def _of_codes(cls, codes: bytes) -> Decisions:
+    def _of_runs(cls, runs: bytes) -> Decisions:
         made = cls.__new__(cls)
-        made._codes = codes
+        made._runs = runs
         return made
 
     @property
     def _arrays(self) -> _Arrays:
         if not hasattr(self, "_decoded"):
-            codes = np.sort(np.frombuffer(self._codes, np.int64))
-            self._decoded = codes >> 3, codes & 2 == 2, np.full(len(codes), np.nan)
+            runs = np.frombuffer(self._runs, np.int64).reshape(-1, 2)
+            codes, lengths = runs[np.argsort(runs[:, 0])].T
+            n = int(lengths.sum())
+            steps = np.repeat((codes >> 3) - (np.cumsum(lengths) - lengths), lengths) + np.arange(n)
+            self._decoded = steps, np.repeat(codes & 2 == 2, lengths), np.full(n, np.nan)
         return self._decoded
 
     @property
@@ -71,12 +75,14 @@ class Decisions(Displayed, Sequence[Decision]):
         return self._arrays[2]
 
     def __len__(self) -> int:
-        return len(self._codes) // 8 if hasattr(self, "_codes") else len(self.steps)
+        return sum(memoryview(self._runs).cast("q")[1::2]) if hasattr(self, "_runs") else len(self.steps)
 
     def __iter__(self) -> Iterator[Decision]:
-        if hasattr(self, "_codes"):
-            for code in sorted(memoryview(self._codes).cast("q")):
-                yield new(Decision, (code >> 3, code & 2 == 2, None))
+        if hasattr(self, "_runs"):
+            words = memoryview(self._runs).cast("q").tolist()
+            for code, length in sorted(zip(words[::2], words[1::2], strict=True)):
+                for step in range(code >> 3, (code >> 3) + length):
+                    yield new(Decision, (step, code & 2 == 2, None))
             return
         for step, verdict, value in zip(*(array.tolist() for array in self._arrays), strict=True):
             yield new(Decision, (step, verdict, None if math.isnan(value) else value))

@@ -122,7 +122,7 @@ class OnlineMonitor(Displayed):
             return
         types = dict, float, bool, True, False, None, Decision, Decisions
         doc = f"feed(sample)\n--\n\n{OnlineMonitor.feed.__doc__}"
-        compiled = bound((self._call.root, *types, "_codes", self._feed, *self._stream.names), doc)
+        compiled = bound((self._call.root, *types, "_runs", self._feed, *self._stream.names), doc)
         if compiled is not None:
             self.feed = cast(Any, compiled)  # type: ignore[method-assign]
 
@@ -175,9 +175,9 @@ class OnlineMonitor(Displayed):
             held = [[{**last, **made}[name] for name in self._stream.names] for made in self._earlier.held()]
             kept = np.concatenate([kept, np.array(held, dtype=np.float64).reshape(-1, kept.shape[1])])
         truth, margins = judge(self._judged, self._traces(kept, n - known), end, True, True, len(kept) - known)
-        open_ = slice(known - (n - first), known)
-        found = zip(range(first, n), truth[0, open_].tolist(), margins[0, open_].tolist(), strict=True)
-        return [Decision(*one) for one in found if self.wait or self._verdict(one[0]) is None]
+        steps = range(first, n) if self.wait else self._undecided(first)
+        at = known - n
+        return [Decision(t, bool(truth[0, at + t]), float(margins[0, at + t])) for t in steps]
 
     def bounds(self, step: int) -> tuple[float, float]:
         """The least and the greatest robustness that the step can still have, whatever comes; equal once it is final.
@@ -271,11 +271,16 @@ class OnlineMonitor(Displayed):
         found = None if self._tied is None else self._tied.verdict(step)
         return self._stream.verdict(step) if found is None else found
 
+    def _undecided(self, first: int) -> list[int]:
+        """The steps without a verdict, from one of the last on."""
+        steps: list[int] = self._stream.undecided(first).tolist()
+        return steps if self._tied is None else [step for step in steps if self._tied.verdict(step) is None]
+
     def _of_code(self, code: int) -> list[Decision] | Decisions:
         if code == NOTHING:
             return []
         if code == SEVERAL:
-            return Decisions._of_codes(self._stream.told())
+            return Decisions._of_runs(self._stream.told())
         return [new(Decision, (code >> 3, code & 2 == 2, self._call.latest[0] if code & 4 else None))]
 
     def _grow(self, more: int) -> None:

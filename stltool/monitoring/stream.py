@@ -94,8 +94,8 @@ class Stream:
         self.F[at], self.F[at + 1] = margin, truth
 
     def told(self) -> bytes:
-        """The codes of the decisions that the last sample yielded, in any order (`_code` in kernels/streams.py)."""
-        found: bytes = self.told_now[: self.header[k.TOLD]].tobytes()
+        """The runs of decisions that the last sample yielded, in any order (`advance` in kernels/streams.py)."""
+        found: bytes = self.told_now[: 2 * self.header[k.TOLD]].tobytes()
         return found
 
     def kept(self) -> Floats:
@@ -108,9 +108,17 @@ class Stream:
 
     def verdict(self, step: int) -> bool | None:
         """The verdict of one of the last `depth` steps, if it is decided."""
+        found = int(self._verdicts(step)[0])
+        return None if found == k.OPEN else found == 2
+
+    def _verdicts(self, first: int) -> Ints:
+        """The entries of VERDICT, from one of the last `depth` steps on, without SAME."""
         N = self.N
-        found = int(N[N[k.VERDICT] + (step - N[k.BASE]) % N[k.N_VERDICTS]])
-        return None if found == 0 else found == 2
+        begin = max(min(first - N[k.BASE], N[k.TIME] - 1 - N[k.HORIZON]), 0)  # which is not SAME
+        times = np.arange(begin, N[k.TIME])
+        found: Ints = N[N[k.VERDICT] + times % N[k.SLOTS]]
+        own = np.where(found == k.SAME, 0, times - begin)
+        return found[np.maximum.accumulate(own)][first - N[k.BASE] - begin :]
 
     def truths(self, leaves: Sequence[Formula]) -> list[bool]:
         """The truths of labels and comparisons at the last sample."""
@@ -120,9 +128,7 @@ class Stream:
 
     def undecided(self, first: int) -> Ints:
         """The steps without a verdict, from one of the last `depth` ones on."""
-        N = self.N
-        steps = np.arange(first, self.n_steps)
-        open_: Ints = steps[N[N[k.VERDICT] + (steps - N[k.BASE]) % N[k.N_VERDICTS]] == 0]
+        open_: Ints = first + np.flatnonzero(self._verdicts(first) == k.OPEN)
         return open_
 
     def read(self, samples: Floats, given: Floats) -> tuple[Ints, NDArray[np.bool_], Floats] | int:
@@ -238,20 +244,20 @@ def _laid_out(
     head[k.BASE], head[k.ROOM], head[k.HORIZON] = start, BEYOND if room == depth else room, min(horizon, room)
     head[k.WAITS], head[k.RESULT] = waits, network.registers[-1]
     head[k.N_NAMES], head[k.N_ATOMS], head[k.N_NODES] = len(names), len(atoms), len(network.nodes)
-    ring_size = _power_of_two(room)
-    head[k.N_KEPT] = head[k.N_VERDICTS] = ring_size
+    n_kept, slots = _power_of_two(room), _power_of_two(room + 1)
+    head[k.N_KEPT], head[k.SLOTS] = n_kept, slots
     head[k.NAMES] = N.add([name not in program.variables for name in names])
     head[k.ATOMS] = N.add([_atom_row(atom, names) for atom in read])
     head[k.TRUTH] = N.add(len(atoms))
     head[k.NODES], head[k.COUNTERS] = N.add(network.nodes), N.add(3 * len(network.nodes))
-    head[k.MARK], head[k.VERDICT], head[k.TOLD_NOW] = N.add(network.length), N.add(ring_size), N.add(room)
+    head[k.MARK], head[k.VERDICT], head[k.TOLD_NOW] = N.add(network.length), N.add(slots), N.add(2 * room)
     head[k.VALUES] = F.add(len(names))
     head[k.NUMBERS] = F.add([_numbers(atom) for atom in read])
     head[k.GIVEN] = F.add([_fixed(atom) or (0.0, 0.0) for atom in read])
     ring = np.full(network.length, -np.inf)
     # what has not been computed yet is an empty window's value
     head[k.MARGIN] = F.add(np.full(network.n_registers, -np.inf))
-    head[k.RING], head[k.KEPT] = F.add(ring), F.add(ring_size * len(names))
+    head[k.RING], head[k.KEPT] = F.add(ring), F.add(n_kept * len(names))
     if engine.delta is not None:
         _add_automaton(head, N, engine, atoms, room)
     else:
@@ -295,8 +301,8 @@ def _add_automaton(head: Ints, N: _Tables, engine: Engine, atoms: Sequence[Instr
     head[k.N_LEAVES], head[k.N_STATES], head[k.N_STARTS] = len(engine.leaves), n_states, len(engine.begins)
     head[k.STARTS], head[k.BEGINS] = N.add(engine.starts), N.add(engine.begins)
     head[k.LEAVES], head[k.LETTER] = N.add([numbers[leaf] for leaf in engine.leaves]), N.add(engine.letter)
-    slots = _power_of_two(room + 1)
-    head[k.DELTA], head[k.SLOTS] = N.add(engine.delta), slots
+    slots = int(head[k.SLOTS])
+    head[k.DELTA] = N.add(engine.delta)
     if engine.closed is not None:
         head[k.ENGINE] = k.EACH
         head[k.CLOSED], head[k.OPEN_STATES] = N.add(engine.closed), N.add(np.full(slots, -1))
@@ -305,7 +311,8 @@ def _add_automaton(head: Ints, N: _Tables, engine: Engine, atoms: Sequence[Instr
     assert engine.outcome is not None
     head[k.ENGINE] = k.COALESCED
     head[k.FIRST], head[k.OUTCOME] = N.add(engine.first), N.add(engine.outcome)
-    head[k.LISTS], head[k.FOLLOWING] = N.add(np.full(k.LIST_ROWS * (n_states + 1), -1)), N.add(slots)
+    head[k.LISTS] = N.add(np.full(k.LIST_ROWS * (n_states + 1), -1))
+    head[k.FOLLOWING], head[k.LAST] = N.add(slots), N.add(slots)
 
 
 def _add_structure(

@@ -11,11 +11,12 @@ import re
 import subprocess
 import sys
 import tracemalloc
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
@@ -45,7 +46,8 @@ from stltool.logic.formula import (
     lookback,
     variables,
 )  # fmt: skip
-from stltool.monitoring import Decision, early, stream
+from stltool.monitoring import Decision, early, starts, stream
+from stltool.monitoring import online as online_module
 from stltool.testing import formulas, traces
 from tests.conftest import many
 
@@ -726,8 +728,9 @@ def test_many_steps_decided_at_once_come_by_step():
     for t in range(400):
         online.feed({"x": 1.0, "y": float(t % 7 == 0)})
     assert [decision.step for decision in online.feed({"x": -1.0, "y": 1.0})] == list(range(401))
-    codes = np.random.default_rng(0).permutation(3000) << 3 | 1
-    made = stl.Decisions._of_codes(codes.tobytes())
+    first = np.random.default_rng(0).permutation(600) * 5
+    runs = np.stack([np.concatenate([first, first + 2]) << 3 | 1, np.repeat([2, 3], 600)], axis=1)
+    made = stl.Decisions._of_runs(runs.tobytes())
     assert (len(made), [decision.step for decision in made]) == (3000, [*range(3000)])
     assert made[7] == (7, False, None) == [*made][7]
     assert made == [*made] == made[:]
@@ -737,6 +740,51 @@ def test_many_steps_decided_at_once_come_by_step():
     assert not made.verdicts.any()
     assert np.isnan(made.robustness).all()
     assert pickle.loads(pickle.dumps(made)) == copy.copy(made) == made
+
+
+def same_as_single_steps(online, engine, trace):
+    """Compare lists of runs, which are joined and split, with lists of steps in Python, sample by sample."""
+    steps, known = starts.OpenSteps(engine), {}
+    for t in range(60):
+        found = online.feed({name: values[t].item() for name, values in trace.items()})
+        assert [*found] == [(*one, None) for one in steps.read(online._stream.truths(engine.leaves))]
+        assert len(found) == len([*found])
+        known |= {decision.step: decision.verdict for decision in found}
+        oldest = max(0, t - online.horizon)
+        assert online._stream.undecided(oldest).tolist() == [u for u in range(oldest, t + 1) if u not in known]
+        assert [online._stream.verdict(u) for u in range(oldest, t + 1)] == list(map(known.get, range(oldest, t + 1)))
+
+
+@given(phi=formulas(longest=9, max_leaves=6) | looking_back(longest=9, max_leaves=5), data=st.data())
+@settings(max_examples=many(60))
+def test_runs_of_steps_are_those_of_single_ones(phi, data):
+    online, trace = stl.OnlineMonitor(phi), data.draw(traces(60))
+    engine = early.engine_of(online._judged, online._earlier.made.signals)
+    assume(engine.first is not None and not online._earlier.made.signals and not online.wait)
+    same_as_single_steps(online, engine, trace)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_runs_that_interleave(seed, monkeypatch):
+    """Which no automaton of a formula is known to need: so of one that is drawn."""
+    rng, phi = np.random.default_rng(seed), stl.parse("G[0,9] (p & q)")
+    n, m = rng.integers(2, 7, 2)
+    drawn = replace(
+        early.engine_of(phi, {}), delta=rng.integers(0, n, (3, n)), letter=rng.integers(0, 3, 4),
+        starts=rng.integers(0, m, (3, m)), begins=rng.integers(0, n, m), first=rng.choice([1, 6, 9], n),
+        outcome=rng.integers(1, 3, n),
+    )  # fmt: skip
+    monkeypatch.setattr(online_module, "engine_of", lambda *arguments: drawn)
+    same_as_single_steps(stl.OnlineMonitor(phi), drawn, {name: rng.integers(0, 2, 60) == 1 for name in "pq"})
+
+
+def test_a_sample_that_decides_many_steps_tells_one_run():
+    online = stl.OnlineMonitor(stl.parse("G[0,1000] (x > 0)"))
+    for _ in range(700):
+        online.feed({"x": 1.0})
+    found = online.feed({"x": -1.0})
+    assert len(found) == 701 == len([*found])
+    assert len(found._runs) == 16
 
 
 def test_a_feed_keeps_its_monitor_and_nothing_else():
