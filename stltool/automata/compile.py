@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import math
 import warnings
+from collections.abc import Iterator
 from typing import Literal, get_args
 
 import numpy as np
@@ -91,12 +92,18 @@ def compile_automaton(
     return _exact(phi, valuations, most_states, memory_limit)
 
 
-def compile_running(phi: Formula, valuations: NDArray[np.bool_], most_states: int) -> TaskAutomaton:
-    """The automaton of φ for runs that begin at any step of a trace: with `starts`. SizeError as compile_automaton."""
+def compile_running(
+    phi: Formula, valuations: NDArray[np.bool_], most_states: int, most_compared: float = math.inf
+) -> TaskAutomaton:
+    """The automaton of φ for runs that begin at any step of a trace: with `starts`. SizeError as compile_automaton.
+
+    `most_compared` bounds the time: pairs of residuals of which it is found out whether one implies the other.
+    """
     if has_past(phi):
-        table = Residuals(atoms(phi))
-        return window_automaton(phi, table, table.residual(phi), valuations, most_states, any_step=True)
-    automaton = _exact(phi, valuations, most_states, None)
+        table = Residuals(atoms(phi), most_compared)
+        with _nested(phi):
+            return window_automaton(phi, table, table.residual(phi), valuations, most_states, any_step=True)
+    automaton = _exact(phi, valuations, most_states, None, most_compared)
     nothing = np.zeros((automaton.n_letters, 1), dtype=np.int32)
     return dataclasses.replace(automaton, starts=Starts(nothing, np.array([automaton.initial], dtype=np.int32)))
 
@@ -114,14 +121,28 @@ def truth_table(valuations: object, columns: int, meaning: str) -> NDArray[np.bo
     )
 
 
-def _exact(phi: Formula, valuations: NDArray[np.bool_], most_states: int, memory_limit: int | None) -> TaskAutomaton:
+@contextlib.contextmanager
+def _nested(phi: Formula) -> Iterator[None]:
+    """SizeError for residuals that are nested deeper than Python calls functions."""
+    try:
+        yield
+    except RecursionError:
+        raise SizeError(
+            f"what remains to be judged of {phi} becomes nested too deeply; give it shorter windows"
+        ) from None
+
+
+def _exact(
+    phi: Formula, valuations: NDArray[np.bool_], most_states: int, memory_limit: int | None,
+    most_compared: float = math.inf,
+) -> TaskAutomaton:  # fmt: skip
     """The window automaton, or the flags if they are exact and smaller."""
-    table = Residuals(atoms(phi))
-    root = table.residual(phi)
+    table = Residuals(atoms(phi), most_compared)
     flags = _exact_flags(phi)
     found: TaskAutomaton | SizeError
     try:
-        found = window_automaton(phi, table, root, valuations, most_states, memory_limit)
+        with _nested(phi):
+            found = window_automaton(phi, table, table.residual(phi), valuations, most_states, memory_limit)
         size = found.n_states
     except SizeError as refusal:
         found, size = refusal, most_states + 1

@@ -18,9 +18,11 @@ needed for it to hold there (true or false, unless φ or ψ looks ahead). regist
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple, TypeAlias, TypeVar, assert_never
 
+from stltool.errors import SizeError
 from stltool.logic.formula import (
     Always,
     And,
@@ -65,27 +67,32 @@ class PastAtom(NamedTuple):
 
 
 class _Implied(dict[tuple[Residual, Residual], bool]):
-    """Whether x ⇒ y, computed on first use; a dictionary, since loops look it up millions of times."""
+    """Whether x ⇒ y, computed on first use; a dictionary, since loops look it up millions of times.
 
-    def __init__(self, find: Callable[[Residual, Residual], bool]) -> None:
-        self._find = find
+    SizeError for more than `most` pairs.
+    """
+
+    def __init__(self, find: Callable[[Residual, Residual], bool], most: float) -> None:
+        self._find, self._most = find, most
 
     def __missing__(self, pair: tuple[Residual, Residual]) -> bool:
+        if len(self) > self._most:
+            raise SizeError(f"more than {self._most} pairs of residuals are compared")
         found = self[pair] = self._find(*pair)
         return found
 
 
 class Residuals:
-    """A table of residuals over given atoms, such as those of one formula."""
+    """A table of residuals over given atoms, such as those of one formula. SizeError once `most` pairs are compared."""
 
-    def __init__(self, atoms: Sequence[Formula]) -> None:
+    def __init__(self, atoms: Sequence[Formula], most: float = math.inf) -> None:
         self.atoms = tuple(atoms)
         self.past: list[PastAtom] = []  # those inside another come before it
         self._past_index: dict[PastAtom, int] = {}
         self._atom_index = {psi: i for i, psi in enumerate(self.atoms)}
         self._nodes: list[tuple] = [("false",), ("true",)]  # type: ignore[type-arg]
         self._ids: dict[_Key, Residual] = {("false",): FALSE, ("true",): TRUE}
-        self.implied = _Implied(self._implies)
+        self.implied = _Implied(self._implies, most)
         self._horizons: dict[Residual, int] = {}
         self._atoms_in: dict[Residual, frozenset[int]] = {}
         self._negations: dict[Residual, Residual] = {}

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from stltool.logic.feasible import feasible_valuations, leaves, realised, tabulated
 from stltool.logic.formula import Comparison, Formula, Negate, Number, Term, Variable, atoms, label_names, variables
 from stltool.logic.occurrences import polarities
-from stltool.logic.occurring import occurring
+from stltool.logic.occurring import occurring, sharing
 from stltool.logic.shifts import with_variables
 from stltool.monitoring.blocks import Block, Machine
 from stltool.monitoring.kleene import Trits
@@ -201,19 +201,8 @@ def one_sided(phi: Formula) -> bool:
     signs = polarities(phi)
     if 0 in signs.values():
         return False
-    return all(_has_extremes({psi: signs[psi] for psi in group}) for group in _sharing(tuple(signs)))
-
-
-def _sharing(psis: tuple[Formula, ...]) -> list[list[Formula]]:
-    """The atoms in groups that share signals with each other, directly or not."""
-    groups: list[tuple[set[str], list[Formula]]] = []
-    for psi in psis:
-        names, together = set(names_of(psi)), [psi]
-        for group in [group for group in groups if group[0] & names]:
-            groups.remove(group)
-            names, together = names | group[0], group[1] + together
-        groups.append((names, together))
-    return [group for _, group in groups]
+    psis = tuple(signs)
+    return all(_has_extremes({psis[i]: signs[psis[i]] for i in group}) for group in sharing(psis))
 
 
 def _has_extremes(signs: dict[Formula, int]) -> bool:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from stltool.errors import SizeError, TraceError
 from stltool.logic.feasible import realised
-from stltool.logic.formula import Comparison, Formula, variables
+from stltool.logic.formula import Comparison, Formula, label_names, variables
 from stltool.logic.regions import Constraint, alternatives, groups, is_decimal, numbers, solved
 from stltool.logic.semantics import satisfies
 
@@ -37,20 +37,20 @@ def occurring(
     if not given and realised(read):
         return rows, True
     keep, exact = np.ones(len(rows), dtype=np.bool_), True
-    for columns in _sharing(read):
-        leaves = [read[i] for i in columns]
-        assert all(isinstance(leaf, Comparison) for leaf in leaves)
-        found, sure = _of_group([leaf for leaf in leaves if isinstance(leaf, Comparison)], rows[:, columns], given)
+    comparisons = {i: leaf for i, leaf in enumerate(read) if isinstance(leaf, Comparison)}
+    for group in sharing(tuple(comparisons.values())):
+        columns = [list(comparisons)[i] for i in group]
+        found, sure = _of_group([comparisons[i] for i in columns], rows[:, columns], given)
         keep &= found
         exact &= sure
     return rows[keep], exact
 
 
-def _sharing(read: Sequence[Formula]) -> list[list[int]]:
-    """The comparisons, by position, in groups that share signals with each other, directly or not."""
+def sharing(psis: Sequence[Formula]) -> list[list[int]]:
+    """The formulas that read something, by position, in groups that share names with each other, directly or not."""
     together: list[tuple[set[str], list[int]]] = []
-    for i, leaf in enumerate(read):
-        if isinstance(leaf, Comparison) and (names := set(variables(leaf))):
+    for i, psi in enumerate(psis):
+        if names := {*variables(psi), *label_names(psi)}:
             joined = [group for group in together if group[0] & names]
             together = [group for group in together if not group[0] & names]
             columns = sorted([i, *(column for _, columns in joined for column in columns)])

@@ -33,7 +33,7 @@ from stltool.errors import SizeError
 from stltool.logic.feasible import feasible_valuations, leaves, tabulated
 from stltool.logic.formula import LARGEST_BOUND, Formula, atoms, has_past, horizon
 from stltool.logic.occurrences import polarities
-from stltool.logic.occurring import occurring
+from stltool.logic.occurring import occurring, sharing
 
 Ints: TypeAlias = NDArray[np.int64]
 
@@ -43,6 +43,7 @@ _MOST_VALUATIONS = 1024
 _MOST_WORK = 20_000_000  # entries of δ looked up in closing the verdicts, at least this many per clock:
 _LEAST_WORK = 2000
 _MOST_STEPS = 20_000  # steps of δ that are explored, of a formula that looks back: about a second
+_MOST_COMPARED = 100_000  # pairs of residuals: about a second
 _LONGEST_EACH = 1000  # open steps, each with a state of its own
 OPEN, NO, YES = 0, 1, 2
 
@@ -102,14 +103,14 @@ def engine_of(phi: Formula, earlier: Collection[str] = ()) -> Engine:
         try:
             letters = np.unique(truths, axis=0)
             most = min(MOST_STATES, _MOST_STEPS // len(letters)) if has_past(phi) else MOST_STATES
-            automaton = compile_running(phi, letters, most)
+            automaton = compile_running(phi, letters, most, _MOST_COMPARED)
             engine = _of_automaton(automaton, read, valuations, truths, sharp)
         except SizeError:
             engine = None
         if engine is not None:
             return engine
         why = "the automaton of the formula is too large"
-    exact = sharp and _extremes_meet(phi, truths)
+    exact = _extremes_meet(phi, earlier)
     why += "; " + (
         "every predicate occurs in one polarity"
         if exact
@@ -210,9 +211,21 @@ def _decided_from(automaton: TaskAutomaton, runs: Sequence[tuple[int, int, Ints]
     return None if (first <= last_open).any() else (first, outcome)
 
 
-def _extremes_meet(phi: Formula, truths: NDArray[np.bool_]) -> bool:
+def _extremes_meet(phi: Formula, earlier: Collection[str]) -> bool:
     """Whether every atom occurs in one polarity, and all can be at their worst at once, and at their best."""
-    signs = np.array(list(polarities(phi).values()), dtype=np.int64)
-    best = signs > 0
-    meets = (truths == best).all(axis=1).any() and (truths == ~best).all(axis=1).any()
-    return bool((signs != 0).all() and meets)
+    signs = polarities(phi)
+    psis = tuple(signs)
+    return 0 not in signs.values() and all(
+        _meet([psis[i] for i in group], [signs[psis[i]] for i in group], earlier) for group in sharing(psis)
+    )
+
+
+def _meet(psis: Sequence[Formula], signs: Sequence[int], earlier: Collection[str]) -> bool:
+    """The same for atoms that share signals."""
+    read = tuple(dict.fromkeys(leaf for psi in psis for leaf in leaves(psi)))
+    valuations, complete = feasible_valuations(read, _MOST_VALUATIONS)
+    if not complete:
+        return False
+    valuations, sharp = occurring(read, valuations, earlier)
+    truths, best = tabulated(psis, read, valuations), np.array(signs) > 0
+    return sharp and bool((truths == best).all(axis=1).any() and (truths == ~best).all(axis=1).any())

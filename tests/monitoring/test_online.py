@@ -488,9 +488,22 @@ def test_what_is_said_about_exactness():
     assert "depends on another" in mixed.why
     for text in ("F[0,2] x * x > 4 | G[0,3] x ^ 3 <= 8", "G[0,3] (x * x[t-1] <= 1) & F[0,2] x > 3"):
         assert stl.OnlineMonitor(stl.parse(text)).early[:2] == ("automaton", False)
-    assert stl.OnlineMonitor(stl.parse(" & ".join(f"F[0,2] p{i}" for i in range(13)))).early.why.startswith(
-        "the formula has 13 labels and comparisons, over 12"
-    )
+    many_labels = " & ".join(f"F[0,2] p{i}" for i in range(13))
+    one = stl.OnlineMonitor(stl.parse(many_labels)).early
+    assert one == ("structure", True, "the formula has 13 labels and comparisons, over 12; every predicate occurs in "
+                   "one polarity")  # fmt: skip
+    assert stl.OnlineMonitor(stl.parse(f"{many_labels} & (F[0,2] x > 3) & G[0,5] x > 2")).early.exact
+    assert not stl.OnlineMonitor(stl.parse(f"{many_labels} & (F[0,2] x > 3) & G[0,5] x < 2")).early.exact
+
+
+def test_long_windows_are_given_up_before_they_take_long(monkeypatch):
+    deep = "(p U[0,900] q) release[0,900] (q release[0,400] p)"  # nested deeper than Python calls functions
+    wide = "(G[0,578] F[0,207] p) U[0,313] ((q & F[0,233] p) release[299,583] (G[0,16] q & p))"
+    for text, most in ((deep, math.inf), (wide, 2000)):
+        monkeypatch.setattr(early, "_MOST_COMPARED", most)
+        found = stl.OnlineMonitor(stl.parse(text)).early
+        assert found[:2] == ("structure", True)
+        assert "too large" in found.why
 
 
 # ------------------------------------------------------------------------------------------------ bounds and blocks
